@@ -1,1 +1,1 @@
-"""Bags: reading, recording, replaying and repairing them."""
+"""Read, record, replay and repair bags."""

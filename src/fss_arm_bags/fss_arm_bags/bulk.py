@@ -1,8 +1,8 @@
-"""Many serialized messages of one type as arrays: hours of motion capture in seconds.
+"""Decode many serialized messages of one type into arrays: hours of motion capture in seconds.
 
-A message is plain CDR behind four bytes that give its byte order; numbers are aligned to their
-size, a string is its length and its bytes with a zero at the end. All poses of a topic are laid
-out alike, unless its frame id changes, so that they can be taken apart together.
+A message is plain CDR behind four bytes that give its byte order. Numbers are aligned to their
+size; a string is its length and its bytes with a final zero. All poses of a topic have the same
+layout unless the frame id changes, so they can be decoded together.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -22,7 +22,7 @@ Stamps = npt.NDArray[np.int64]
 
 
 class SerializedError(ValueError):
-    """A message is not of the type it is said to be."""
+    """A message is not of the type that it should be."""
 
 
 class Poses(NamedTuple):
@@ -33,7 +33,7 @@ class Poses(NamedTuple):
 
 
 def poses(messages: Sequence[bytes]) -> Poses:
-    """The planar poses in serialized geometry_msgs/PoseStamped, as `planar_pose` gives them.
+    """Return the planar poses in serialized geometry_msgs/PoseStamped, as `planar_pose` does.
 
     Raises:
         SerializedError: a message is something else.
@@ -43,10 +43,10 @@ def poses(messages: Sequence[bytes]) -> Poses:
 
 
 def whole_poses(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:
-    """Stamps [ns], positions x, y, z [m] and quaternions x, y, z, w in geometry_msgs/PoseStamped.
+    """Return stamps [ns], positions [m] and quaternions x, y, z, w in geometry_msgs/PoseStamped.
 
     Returns:
-        (k,) and (k, 7), whatever was seen.
+        (k,) and (k, 7), also where the subject was occluded.
 
     Raises:
         SerializedError: a message is something else.
@@ -55,13 +55,13 @@ def whole_poses(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float
 
 
 def frame_id(message: bytes) -> str:
-    """The frame id of a serialized message that begins with a header."""
+    """Return the frame id of a serialized message that starts with a header."""
     size = int.from_bytes(message[12:16], "little" if message[1:2] == LITTLE else "big")
     return message[16 : 16 + size].rstrip(b"\0").decode(errors="replace")
 
 
 def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:
-    """Stamps [ns] and turn rates about z [rad/s] in serialized sensor_msgs/Imu, (k,) each.
+    """Return stamps [ns] and turn rates about z [rad/s] in serialized sensor_msgs/Imu, (k,) each.
 
     Raises:
         SerializedError: a message is something else.
@@ -73,7 +73,7 @@ def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float6
 def _taken_apart(
     messages: Sequence[bytes], count: int, kind: str
 ) -> tuple[Stamps, npt.NDArray[np.float64]]:
-    """Stamps and the numbers that follow the header, (k,) and (k, count)."""
+    """Return the stamps and the numbers that follow the header, (k,) and (k, count)."""
     groups = groupby(messages, key=_layout)
     parts = [_alike(list(group), count, kind) for _, group in groups]
     none = np.empty(0, np.int64), np.empty((0, count))
@@ -82,7 +82,7 @@ def _taken_apart(
 
 
 def _layout(message: bytes) -> bytes:
-    """What messages that are laid out alike have in common: byte order, lengths."""
+    """Return a key of the message's layout: its length, byte order and frame id length."""
     return b"%d" % len(message) + message[1:2] + message[12:16]
 
 
@@ -90,7 +90,7 @@ def _alike(messages: list[bytes], count: int, kind: str) -> tuple[Stamps, npt.ND
     size = len(messages[0])
     little = messages[0][1:2] == LITTLE
     text = int.from_bytes(messages[0][12:16], "little" if little else "big")
-    first = -(-(12 + text) // 8) * 8  # of the numbers
+    first = -(-(12 + text) // 8) * 8  # offset of the numbers
     if size < 4 + first + 8 * count:
         raise SerializedError(f"{size} bytes are no {kind}")
     rows = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(-1, size)[:, 4:]
@@ -98,19 +98,19 @@ def _alike(messages: list[bytes], count: int, kind: str) -> tuple[Stamps, npt.ND
     def column(begin: int, end: int, code: str) -> npt.NDArray[np.generic]:
         return np.ascontiguousarray(rows[:, begin:end]).view(f"{'<' if little else '>'}{code}")
 
-    time = column(0, 8, "u4").astype(np.int64)  # both parts of it are positive
+    time = column(0, 8, "u4").astype(np.int64)  # the seconds and the nanoseconds are positive
     numbers = column(first, first + 8 * count, "f8").astype(np.float64)
     return time[:, 0] * SECOND + time[:, 1], numbers
 
 
 def planar(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Poses x, y, z [m] and quaternion x, y, z, w, (k, 7), seen from above as by `planar_pose`.
+    """Project poses x, y, z [m] and quaternion x, y, z, w, (k, 7), as `planar_pose` does.
 
     Returns:
         (k, 3) x [m], y [m], heading [rad]; NaN where the subject was occluded.
     """
     x, y, z, w = numbers[:, 3:].T
-    # math's, as numpy's differs from it in the last bit.
+    # Use math.atan2: numpy's differs from it in the last bit.
     heading = map(atan2, (2.0 * (w * z + x * y)).tolist(), (w * w + x * x - y * y - z * z).tolist())
     seen = np.isfinite(numbers).all(axis=1) & (x * x + y * y + z * z + w * w >= 0.25)
     found = np.column_stack([numbers[:, :2], np.fromiter(heading, np.float64, len(numbers))])
@@ -120,7 +120,7 @@ def planar(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def pieces(
     messages: Iterable[tuple[str, str, int, bytes]], span: int
 ) -> Iterator[dict[str, list[bytes]]]:
-    """Messages as `Bags.raw` gives them by topic, `span` [ns] of receipt at a time."""
+    """Group messages of `Bags.raw` by topic and yield `span` [ns] of receipt times at once."""
     piece: dict[str, list[bytes]] = {}
     until = -1
     for topic, _, receipt, data in messages:

@@ -1,7 +1,7 @@
-"""Messages out of the chunks of indexed MCAP files, several times as fast as rosbags gives them.
+"""Read messages from the chunks of indexed MCAP files, several times as fast as rosbags does.
 
-rosbags opens the files and reads their index; here each chunk is taken apart at once. Chunks may
-overlap in time, also between files: messages wait until no later chunk can have earlier ones.
+rosbags opens the files and reads their index; this module decodes each chunk in one pass. Chunks
+may overlap in time, also between files: messages wait until no later chunk can have earlier ones.
 """
 
 from bisect import bisect_left
@@ -17,16 +17,16 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 
-RECORD = Struct("<BQ")  # what kind it is, length of what follows
+RECORD = Struct("<BQ")  # kind of the record, length of its content
 HEAD = Struct("<HIQQ")  # of a message: channel, sequence, time of receipt, time of publication
 CRC = Struct("<I")
-CHUNK_CRC = RECORD.size + 24  # where a chunk has it
+CHUNK_CRC = RECORD.size + 24  # offset of the checksum in a chunk record
 
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 3, 4, 5, 6
 
 RECEIPT = itemgetter(0)
 
-Received = tuple[int, Connection, bytes]  # when [ns], on which topic, serialized
+Received = tuple[int, Connection, bytes]  # receipt [ns], topic, serialized message
 
 
 class ChunkError(ValueError):
@@ -34,13 +34,13 @@ class ChunkError(ValueError):
 
 
 class _Chunk(NamedTuple):
-    """Where messages are."""
+    """A chunk of an indexed MCAP file."""
 
     storage: McapReader
     info: ChunkInfo
 
     def messages(self, topics: Container[str]) -> list[Received]:
-        """All on these topics, as they lie in it."""
+        """Return all messages on these topics, in the order of the chunk."""
         i, file = self.info, self.storage.bio
         assert file
         file.seek(i.chunk_start_offset + RECORD.size + 24)
@@ -59,7 +59,7 @@ class _Chunk(NamedTuple):
 
 
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Kind, begin and end of what each record in an unpacked chunk holds.
+    """Yield kind, start and end of the content of each record in an unpacked chunk.
 
     Raises:
         ChunkError: the chunk is damaged.
@@ -76,7 +76,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def indexed(readers: Iterable[AnyReader]) -> list[_Chunk] | None:
-    """The chunks of all files in order of their begin; None: not all messages are in such."""
+    """Return the chunks of all files by start time; None if some messages are outside of chunks."""
     found = []
     for bag in chain.from_iterable(reader.readers for reader in readers):
         storage = bag.storage if isinstance(bag, Reader) else None
@@ -94,7 +94,7 @@ def in_order(
     start: int | None = None,
     stop: int | None = None,
 ) -> Iterator[Received]:
-    """The messages on these topics, received from `start` on and before `stop` [ns], in order.
+    """Yield the messages on these topics, received from `start` to before `stop` [ns], in order.
 
     Raises:
         ChunkError: a chunk is damaged.

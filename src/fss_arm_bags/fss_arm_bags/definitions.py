@@ -1,6 +1,7 @@
-"""Message definitions: as installed, and as earlier versions of them in bags.
+"""Message definitions: the installed ones, and earlier versions of them in bags.
 
-Those installed are looked for as ament does it, without it: bags are read where there is no ROS.
+Installed definitions are searched as ament does it, but without ament: bags can be read without
+ROS.
 """
 
 import os
@@ -16,7 +17,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 
 from fss_arm_model.files import short
 
-#: Types of what sensors publish.
+#: Types of the messages that sensors publish.
 MEASUREMENTS = frozenset(
     {
         "sensor_msgs/msg/JointState",
@@ -27,7 +28,7 @@ MEASUREMENTS = frozenset(
         "fss_arm_msgs/msg/GripperState",
     }
 )
-RECORDERS = "rosbag2_interfaces/"  # types in which rosbag2 tells of itself, as /events/write_split
+RECORDERS = "rosbag2_interfaces/"  # types that rosbag2 publishes, as /events/write_split
 
 
 class NotInstalledError(LookupError):
@@ -35,21 +36,21 @@ class NotInstalledError(LookupError):
 
 
 class NotUnderstoodError(ValueError):
-    """A definition in a bag is nothing that messages can be read by."""
+    """A definition in a bag cannot be used to decode messages."""
 
 
 class Definition(NamedTuple):
-    """A message type as a bag holds it."""
+    """The definition of a message type, as a bag stores it."""
 
-    text: str  # the .msg file, followed by those of all types within it
-    hash: str  # RIHS01 over the whole, as rclpy gives it for the topic
+    text: str  # the .msg file, followed by those of all nested types
+    hash: str  # RIHS01 of the complete type, as rclpy gives it for the topic
 
 
 def message_class(msgtype: str) -> Any:
-    """The Python class of a type such as `sensor_msgs/msg/Imu`.
+    """Return the Python class of a type such as `sensor_msgs/msg/Imu`.
 
     Raises:
-        NotInstalledError: there is none.
+        NotInstalledError: the type is not installed.
     """
     package, _, name = msgtype.split("/")
     try:
@@ -60,10 +61,10 @@ def message_class(msgtype: str) -> Any:
 
 @lru_cache(1000)
 def hash_of(msgtype: str, text: str, *, idl: bool = False) -> str:
-    """RIHS01 of a type by its definition in a bag, in .msg or in .idl.
+    """Return the RIHS01 of a type by its definition in a bag, in .msg or in .idl.
 
     Raises:
-        NotUnderstoodError: it is something else, as that of a service.
+        NotUnderstoodError: it is something else, such as the definition of a service.
     """
     store = get_typestore(Stores.EMPTY)
     try:
@@ -73,14 +74,14 @@ def hash_of(msgtype: str, text: str, *, idl: bool = False) -> str:
         else:
             store.register(get_types_from_msg(text, msgtype))
         return store.hash_rihs01(msgtype)
-    except Exception as error:  # rosbags parses what there is as it comes
+    except Exception as error:  # rosbags parses without checks, so any exception is possible
         about = f"its definition of {short(msgtype)}"
         raise NotUnderstoodError(f"{about} is not understood: {short(str(error))}") from None
 
 
 @cache
 def definition(msgtype: str) -> Definition:
-    """The definition of a type from the installed .msg files, comments and all.
+    """Return the definition of a type from the installed .msg files, with comments.
 
     Raises:
         NotInstalledError: a file is missing.
@@ -94,10 +95,12 @@ def definition(msgtype: str) -> Definition:
 
 
 def installed(msgtype: str, digest: str) -> Definition:
-    """The definition of a type that a bag does not define, but may give a hash.
+    """Return the installed definition of a type that the bag does not define.
+
+    The bag may give the hash of the type (`digest`; empty: unknown).
 
     Raises:
-        NotInstalledError: there is none, or that of another version.
+        NotInstalledError: the type is not installed, or in another version.
     """
     try:
         found = definition(msgtype)
@@ -111,7 +114,7 @@ def installed(msgtype: str, digest: str) -> Definition:
 
 
 def extends(msgtype: str, text: str) -> bool:
-    """Whether the installed version of a type has all that another definition of it has.
+    """Return True if the installed version of a type has every field of another definition.
 
     Raises:
         NotInstalledError: it is not installed.
@@ -125,7 +128,7 @@ def extends(msgtype: str, text: str) -> bool:
 
 
 def upgrade(earlier: Any, kind: Any) -> Any:
-    """A message of an earlier version as one of `kind`; fields that it lacks get their defaults."""
+    """Convert a message of an earlier version to `kind`; new fields get their defaults."""
     message = kind()
     for name, of in kind.get_fields_and_field_types().items():
         if hasattr(earlier, name):
@@ -134,7 +137,7 @@ def upgrade(earlier: Any, kind: Any) -> Any:
 
 
 def _present(value: Any, of: str) -> Any:
-    """A field's value for rclpy; `of` is its type, as `sequence<std_msgs/Header>`."""
+    """Convert a field's value for rclpy; `of` is its type, as `sequence<std_msgs/Header>`."""
     if isinstance(value, list | ndarray):
         element = of.removeprefix("sequence<").partition("[")[0].partition(",")[0].rstrip(">")
         plain = value if isinstance(value, list) else value.tolist()
@@ -150,12 +153,12 @@ def _collect(msgtype: str, texts: dict[str, str]) -> None:
     files = (Path(prefix, "share", f"{msgtype}.msg") for prefix in prefixes)
     try:
         text = next(file for file in files if file.is_file()).read_text(encoding="utf-8")
-    except (StopIteration, OSError, ValueError):  # in a bag, names may be anything
+    except (StopIteration, OSError, ValueError):  # in a bag, names may contain anything
         raise NotInstalledError(f"{short(msgtype)} is not installed") from None
     texts[msgtype] = text.rstrip("\n") + "\n"
     fields: Any = get_types_from_msg(text, msgtype)[msgtype][1]
     for _, kind in fields:
         if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            kind = kind[1][0]  # of what; kind[1][1] is how many
+            kind = kind[1][0]  # type of the elements; kind[1][1] is their number
         if kind[0] == Nodetype.NAME and kind[1] not in texts:
             _collect(kind[1], texts)

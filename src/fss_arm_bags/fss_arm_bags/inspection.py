@@ -1,4 +1,4 @@
-"""What is wrong with a bag before it is read."""
+"""Inspect a bag for damage before it is read."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -23,20 +23,20 @@ class Inspected:
 
     files: list[Path]  # to read
     messages: int = 0  # by their indexes
-    checked: bool = False  # all of it is under checksums
-    damage: str = ""  # of a file that is to be recovered
-    metadata: str = ""  # what is wrong with metadata.yaml alone
+    checked: bool = False  # checksums cover all of it
+    damage: str = ""  # damage of a file that must be recovered
+    metadata: str = ""  # problem of metadata.yaml alone
 
 
 def inspect(path: Path, *, thorough: bool = False) -> Inspected:
-    """Look for damage of a bag, as far as its checksums and what it says twice tell it.
+    """Check a bag for damage, as far as its checksums and redundant data show it.
 
     Args:
         path: the bag.
-        thorough: look also at what readers do without.
+        thorough: check also data that readers do not use.
 
     Raises:
-        BagError: it is of a kind of which nothing can be recovered, and damaged.
+        BagError: it is damaged and of a kind that cannot be recovered.
         OSError: it cannot be read.
     """
     files = storage_files(path)
@@ -68,13 +68,13 @@ def inspect(path: Path, *, thorough: bool = False) -> Inspected:
 
 
 def _database(path: Path, files: list[Path], about: Mapping[str, Any], wrong: str) -> Inspected:
-    """The state of a bag of SQLite's files, which know all but how they are packed."""
+    """Return the state of a bag of SQLite files."""
     count = 0
     for file in files:
         try:
             with TopicReader(file) as reader:
                 count += reader.message_count
-        except Exception as error:  # rosbags parses what there is as it comes
+        except Exception as error:  # rosbags parses without checks, so any exception is possible
             place = path if file == path else f"{path}: {file.name}"
             raise BagError(f"{place}: {short(str(error))}") from None
     if about and not wrong:
@@ -83,26 +83,26 @@ def _database(path: Path, files: list[Path], about: Mapping[str, Any], wrong: st
 
 
 def is_sound(path: Path) -> bool:
-    """Whether a bag is whole, with its index and metadata.
+    """Return True if a bag is complete, with its index and metadata.
 
     Raises:
-        BagError: it is of a kind of which nothing can be recovered, and damaged.
+        BagError: it is damaged and of a kind that cannot be recovered.
     """
     found = inspect(path, thorough=True)
     return not (found.damage or found.metadata)
 
 
 def _refused(path: Path) -> str:
-    """Why rosbags does not open a bag; empty: it does."""
+    """Return the reason why rosbags does not open a bag; empty: it does."""
     try:
         with Reader(path):
             return ""
-    except Exception as error:  # rosbags parses what there is as it comes
+    except Exception as error:  # rosbags parses without checks, so any exception is possible
         return short(str(error)) or type(error).__name__
 
 
 def _hashes(files: Mapping[Path, Contents]) -> dict[str, str]:
-    """RIHS01 of all types that can be told."""
+    """Return the RIHS01 of all types that have a definition in .msg."""
     hashes = {}
     for contents in files.values():
         for schema in contents.schemas.values():

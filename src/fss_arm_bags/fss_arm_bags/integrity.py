@@ -1,9 +1,9 @@
-"""Whether an MCAP file is whole.
+"""Check whether an MCAP file is complete and undamaged.
 
-By the checksums of its data and its summary, if it has both, as ours have. Else record by record:
-lengths, the index and the statistics against what there is, chunks by their checksums, or by what
-of a message is written twice: its time and place. Of a file without any checksum, damage to what
-is written once cannot be seen: the messages themselves.
+A file with checksums of its data and of its summary is checked by them; ours have both. Otherwise
+the file is checked record by record: lengths, the index and the statistics against the data, and
+chunks by their checksums or by the data that a message has twice, its time and place. Without any
+checksum, damage to data that is written only once (the messages themselves) cannot be detected.
 """
 
 import struct
@@ -28,28 +28,28 @@ from fss_arm_model.files import read_yaml, short
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, DATA_END = 1, 7, 8, 11, 15
-LAST = 2**63 - 1  # [ns] a time is at most
-MOST_QOS = 2**16  # characters of a channel's QoS profiles
+LAST = 2**63 - 1  # [ns] latest possible time
+MOST_QOS = 2**16  # longest QoS profiles of a channel [characters]
 BLOCK = 2**20  # [bytes] read at once
 
 
 class DamageError(ValueError):
-    """What is wrong with a file, in one line."""
+    """Damage of a file; the message describes it in one line."""
 
 
 @dataclass
 class Contents:
-    """What a file holds, by its summary or by what was met in its data."""
+    """The contents of a file, by its summary or as found in its data."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: dict[int, ChunkIndex] = field(default_factory=dict)  # by their places
+    chunks: dict[int, ChunkIndex] = field(default_factory=dict)  # by their offsets
     counts: Counter[int] = field(default_factory=Counter)  # messages by channel
     statistics: Statistics | None = None
-    checked: bool = False  # all of it is under checksums
+    checked: bool = False  # checksums cover all of it
 
     def add(self, kind: int, data: bytes) -> None:
-        """Take in what a record holds.
+        """Add the content of a record.
 
         Raises:
             DamageError: it contradicts an earlier one.
@@ -75,25 +75,25 @@ def _once(known: dict[int, Any], key: int, value: Any) -> None:
 
 
 def qos(channel: Channel) -> list[Qos]:
-    """The QoS profiles of a channel as rosbags reads them.
+    """Return the QoS profiles of a channel as rosbags reads them.
 
     Raises:
-        DamageError: they are nothing that it should read.
+        DamageError: they are not valid.
     """
     try:
         return profiles(channel.metadata.get("offered_qos_profiles", ""))
-    except Exception as error:  # rosbags takes what there is as it comes
+    except Exception as error:  # rosbags parses without checks, so any exception is possible
         raise DamageError(f"QoS profiles of {short(channel.topic)}: {short(str(error))}") from None
 
 
 @lru_cache
 def profiles(text: str) -> list[Qos]:
-    """The QoS profiles in a text.
+    """Return the QoS profiles in a text.
 
     Raises:
-        Exception: there is something else in it.
+        Exception: the text is something else.
     """
-    if len(text) > MOST_QOS:  # rosbags takes its time
+    if len(text) > MOST_QOS:  # rosbags needs long for it
         raise DamageError(f"{len(text)} characters")
     return parse_qos(read_yaml(text) or [])
 
@@ -101,19 +101,19 @@ def profiles(text: str) -> list[Qos]:
 class Chunk(NamedTuple):
     """A chunk record."""
 
-    begin: int  # [ns] of its first message, as its end of the last
+    begin: int  # time of its first message, as `end` of the last [ns]
     end: int
     size: int  # unpacked [bytes]
-    crc: int  # of what is in it, unpacked; 0: none
+    crc: int  # checksum of the unpacked data; 0: none
     compression: str
     data: bytes
 
     @classmethod
     def read(cls, data: bytes) -> "Chunk":
-        """From what the record holds.
+        """Return the chunk that a record contains.
 
         Raises:
-            DamageError: that is no chunk.
+            DamageError: it is not a chunk.
         """
         if len(data) < 40:
             raise DamageError("a chunk is too short")
@@ -125,7 +125,7 @@ class Chunk(NamedTuple):
         return cls(begin, end, size, crc, name.decode(), data[at:])
 
     def unpacked(self) -> bytes:
-        """What is in it.
+        """Return the unpacked data.
 
         Raises:
             Exception: it is damaged.
@@ -134,11 +134,11 @@ class Chunk(NamedTuple):
 
 
 def examine(path: Path, *, thorough: bool = False) -> Contents:
-    """What an MCAP file holds, if it is whole.
+    """Return the contents of an MCAP file that is complete and undamaged.
 
     Args:
         path: the file.
-        thorough: look also at what readers do without, as the times in the message index.
+        thorough: check also data that readers do not use, as the times in the message index.
 
     Raises:
         DamageError: it is damaged.
@@ -149,16 +149,16 @@ def examine(path: Path, *, thorough: bool = False) -> Contents:
             return _examine(file, thorough)
         except (DamageError, OSError):
             raise
-        except Exception as error:  # the parsers take damaged bytes as they come
+        except Exception as error:  # the parsers do not check for damaged bytes
             raise DamageError(short(str(error)) or type(error).__name__) from None
 
 
 class End(NamedTuple):
-    """What the end of a file tells of it."""
+    """The summary and the checksums at the end of a file."""
 
-    known: Contents  # by the summary
-    data: int  # bytes of data
-    data_crc: int  # 0: none, as the next
+    known: Contents  # contents by the summary
+    data: int  # length of the data [bytes]
+    data_crc: int  # 0: none, as for summary_crc
     summary_crc: int
 
 
@@ -174,7 +174,7 @@ def read_end(file: BinaryIO) -> End:
     if size < FOOTER or RECORD.unpack_from(footer) != (2, 20) or not footer.endswith(MAGIC):
         raise DamageError("it ends without an index")
     start, _, crc = struct.unpack_from("<QQI", footer, RECORD.size)
-    end = start - RECORD.size - CRC.size  # of the data
+    end = start - RECORD.size - CRC.size  # end of the data
     if not len(MAGIC) < end < size - FOOTER:
         raise DamageError(
             "it has no index" if start == 0 else "its index is not where it should be"
@@ -209,7 +209,7 @@ def _examine(file: BinaryIO, thorough: bool) -> Contents:
 
 
 def _sum(file: BinaryIO, end: int) -> int:
-    """The checksum of all up to `end`."""
+    """Return the checksum of the file up to `end`."""
     file.seek(0)
     crc = 0
     for at in range(0, end, BLOCK):
@@ -218,17 +218,17 @@ def _sum(file: BinaryIO, end: int) -> int:
 
 
 class _Walk:
-    """Goes through the data of a file record by record, and compares."""
+    """Reader that compares the data of a file with its index, record by record."""
 
     def __init__(self, file: BinaryIO, end: End, thorough: bool) -> None:
         self.file, self.end, self.known = file, end.data, end.known
-        self.every = thorough or not end.summary_crc  # also what is in chunks with a checksum
+        self.every = thorough or not end.summary_crc  # also read chunks that have a checksum
         self.met = Contents(checked=end.summary_crc != 0)
         self.begins, self.ends = LAST, 0
         self.index: dict[int, list[tuple[int, int]]] | None = None  # of the last chunk
 
     def run(self) -> Contents:
-        """What the file holds.
+        """Return the contents of the file.
 
         Raises:
             DamageError: it is damaged.
@@ -301,11 +301,11 @@ class _Walk:
         for channel, entries in found.items():
             entries.sort()
             self._count(channel, entries, chunk.begin, min(chunk.end, LAST))
-        if index.message_index_offsets:  # which is not required
+        if index.message_index_offsets:  # the message index is optional
             self.index = found
 
     def _count(self, channel: int, entries: list[tuple[int, int]], begin: int, end: int) -> None:
-        """Take in the times [ns] and places of a channel's messages, in order."""
+        """Count the messages of a channel by their times [ns] and places, in order."""
         if channel not in self.known.channels:
             raise DamageError(f"a message is on channel {channel}, which is not there")
         first, last = entries[0][0], entries[-1][0]
@@ -315,7 +315,7 @@ class _Walk:
         self.begins, self.ends = min(self.begins, first), max(self.ends, last)
 
     def _indexed(self) -> None:
-        """The last chunk's message index is complete."""
+        """Raise DamageError if the last chunk's message index is not complete."""
         if self.index:
             raise DamageError("a chunk lacks its message index")
 

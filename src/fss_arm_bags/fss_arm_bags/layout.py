@@ -1,17 +1,17 @@
-"""Which files make a bag."""
+"""List the files of a bag."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
-PACKED = ".zstd"  # at the end of a file's name: packed as a whole
+PACKED = ".zstd"  # suffix of a file that is compressed as a whole
 STORAGE = (".mcap", ".db3", f".mcap{PACKED}", f".db3{PACKED}")
 
 
 def storage_files(path: Path) -> list[Path]:
-    """The storage files of a bag, in the order in which they were written.
+    """Return the storage files of a bag, in the order in which they were written.
 
-    While a file is being packed it is there twice; then the packed one does not count.
+    While a file is being compressed it exists twice; then the compressed copy does not count.
     """
     if path.is_file():
         return [path]
@@ -21,10 +21,10 @@ def storage_files(path: Path) -> list[Path]:
 
 
 def names_by(about: Mapping[str, Any]) -> list[str]:
-    """The names of the storage files by what metadata.yaml says, packed or not."""
+    """Return the names of the storage files in metadata.yaml, without the suffix of compression."""
     return sorted(PurePath(name).name.removesuffix(PACKED) for name in about["relative_file_paths"])
 
 
 def names_of(files: Iterable[Path]) -> list[str]:
-    """The same of files that are there."""
+    """Return the names of existing files, without the suffix of compression."""
     return sorted(file.name.removesuffix(PACKED) for file in files)

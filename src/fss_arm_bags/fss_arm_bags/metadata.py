@@ -1,4 +1,4 @@
-"""Whether a bag's metadata.yaml agrees with its files."""
+"""Compare a bag's metadata.yaml with its files."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,20 +12,20 @@ from fss_arm_bags.integrity import Contents, DamageError, profiles, qos
 from fss_arm_bags.layout import names_by, names_of
 from fss_arm_model.files import read_yaml, short
 
-TOLERANCE = 10**9  # [ns] of its times
+TOLERANCE = 10**9  # tolerance of the times [ns]
 
 
 def metadata(path: Path) -> Mapping[str, Any]:
-    """What the metadata.yaml of a bag says.
+    """Return the contents of a bag's metadata.yaml.
 
     Raises:
-        DamageError: it is not to be read, or not of a bag.
+        DamageError: it cannot be read, or does not describe a bag.
     """
     try:
         about = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
     except FileNotFoundError:
         raise DamageError("it has no metadata.yaml") from None
-    except Exception as error:  # YAML that is none, or of any type
+    except Exception as error:  # not YAML, or values of the wrong type
         raise DamageError(f"metadata.yaml: {short(str(error).removeprefix(str(path)))}") from None
     if not isinstance(about, dict):
         raise DamageError(f"metadata.yaml says {short(repr(about))} of the bag")
@@ -33,22 +33,25 @@ def metadata(path: Path) -> Mapping[str, Any]:
 
 
 def unlisted(about: Mapping[str, Any], files: Iterable[Path]) -> str:
-    """How the files of a metadata.yaml differ from those of its bag, packed or not; empty: not."""
+    """Return how the file list of metadata.yaml differs from the bag's files; empty: it does not.
+
+    Whether files are compressed makes no difference.
+    """
     try:
         return next(_listing(about, files), "")
-    except Exception as error:  # anything may be of any type
+    except Exception as error:  # values may be of any type
         return _not_understood(error)
 
 
 def disagreement(
     about: Mapping[str, Any], files: Mapping[Path, Contents], hashes: Mapping[str, str]
 ) -> str:
-    """What in a metadata.yaml is not as it is in the bag's files; empty: nothing.
+    """Return the first difference between metadata.yaml and the bag's files; empty: none.
 
     Args:
-        about: what it says.
-        files: what the files hold.
-        hashes: RIHS01 of the types by their names.
+        about: the contents of metadata.yaml.
+        files: the contents of the files.
+        hashes: RIHS01 of the types, by type name.
     """
     try:
         return next(_disagreements(about, files, hashes), "")

@@ -1,9 +1,9 @@
-"""Reading bags as one stream in order of receipt, whatever became of their recorder.
+"""Read bags as one stream in order of receipt, even if the recorder was killed.
 
 A bag is a folder with metadata.yaml or a single file. A folder of bags, as `record` fills it
-(bag_0, bag_1, ...), counts as one. MCAP files tell all by themselves: metadata.yaml is only
-compared. A bag that is not whole, as one whose recorder was killed, is read from a copy of its
-whole chunks in a temporary folder.
+(bag_0, bag_1, ...), counts as one. MCAP files describe themselves: metadata.yaml is only compared
+with them. A bag that is not complete (its recorder was killed) is read from a copy of its
+undamaged chunks in a temporary folder.
 """
 
 from collections.abc import Collection, Iterable, Iterator
@@ -35,12 +35,12 @@ AnyPath = str | PathLike[str]
 
 
 class Topic(NamedTuple):
-    """What the bags hold of one topic."""
+    """The contents of the bags on one topic."""
 
     msgtype: str
     messages: int
     qos: list[Qos]  # as offered by its publishers
-    hash: str  # RIHS01 of the type; empty: not known
+    hash: str  # RIHS01 of the type; empty: unknown
     definition: str  # of the type, as in the bag
     mixed: bool = False  # the bags hold the type in two versions
 
@@ -54,10 +54,10 @@ class Bags:
             raise BagError("no bag is given")
         self.recovered: list[Recovered] = []
         self.left_out: list[str] = []  # topics that cannot be read, each with the reason
-        self.unchecked: list[Path] = []  # bags without checksums: not all damage to them is seen
+        self.unchecked: list[Path] = []  # bags without checksums: some damage stays undetected
         self._stack = ExitStack()
         try:
-            # One for each: together they would read all by the definitions of the last one.
+            # One reader for each bag: a common one would use the last bag's definitions for all.
             self._readers = [self._open(path, thorough) for path in self.paths]
         except BaseException:
             self._stack.close()
@@ -67,7 +67,7 @@ class Bags:
         self._mixed = _mixed(self._readers)
 
     def _open(self, path: Path, thorough: bool) -> AnyReader:
-        bag = path  # or what it was unpacked to
+        bag = path  # or its unpacked copy
         try:
             bag = readable(path, self._folder)
             inspected = inspect(bag, thorough=thorough)
@@ -79,18 +79,18 @@ class Bags:
             self._stack.enter_context(reader)
         except BagError as error:
             raise BagError(str(error).replace(str(bag), str(path))) from None
-        except Exception as error:  # rosbags parses what there is as it comes
+        except Exception as error:  # rosbags parses without checks, so any exception is possible
             raise BagError(f"{path}: {short(str(error))}") from None
         for topic, why in {k: v for r in readers for k, v in r.left_out.items()}.items():
             self.left_out.append(f"{path}: {short(topic)} is left out: {why}")
         return reader
 
     def _folder(self) -> Path:
-        """A folder for copies, which goes when the bags are closed."""
+        """Return a folder for copies, which is removed when the bags are closed."""
         return Path(self._stack.enter_context(TemporaryDirectory(prefix="fss_arm_bag_")))
 
     def _sound(self, path: Path, bag: Path, inspected: Inspected) -> list[Path]:
-        """The files to read: a bag's own, or a copy without damage."""
+        """Return the files to read: the bag's own, or an undamaged copy."""
         if not inspected.damage:
             if inspected.metadata:
                 self.recovered.append(Recovered(path, inspected.messages, 0, inspected.metadata))
@@ -106,7 +106,7 @@ class Bags:
         self.close()
 
     def close(self) -> None:
-        """Close the bags and remove what was recovered."""
+        """Close the bags and remove the recovered copies."""
         self._stack.close()
 
     @property
@@ -139,15 +139,15 @@ class Bags:
         start: int | None = None,
         stop: int | None = None,
     ) -> Iterator[tuple[str, str, int, bytes]]:
-        """Topic, message type, time of receipt [ns] and serialized message, in order of receipt.
+        """Yield topic, type, time of receipt [ns] and serialized message, in order of receipt.
 
         Args:
-            topics: names of those to read; all by default.
+            topics: names of the topics to read; all by default.
             start: the first time of receipt to read [ns].
-            stop: the first one not to read [ns].
+            stop: the first time of receipt not to read [ns].
 
         Raises:
-            BagError: damage is met on the way.
+            BagError: a bag is damaged.
         """
         wanted = {c.topic for c in self._connections if topics is None or c.topic in topics}
         if not wanted:
@@ -157,13 +157,13 @@ class Bags:
                 yield connection.topic, connection.msgtype, receipt, data
         except OSError:
             raise
-        except Exception as error:  # rosbags parses damaged bytes as they come
+        except Exception as error:  # rosbags does not check for damaged bytes
             raise BagError(f"{_list(self.paths)}: damaged: {short(str(error))}") from None
 
     def _received(
         self, wanted: set[str], start: int | None, stop: int | None
     ) -> Iterable[Received]:
-        """Quickly where all is indexed; else as rosbags does it."""
+        """Return the messages from indexed chunks if all are indexed (fast), else by rosbags."""
         chunks = indexed(self._readers)
         if chunks is None:
             every = merge(
@@ -180,12 +180,12 @@ class Bags:
     def messages(
         self, topics: Collection[str] | None = None
     ) -> Iterator[tuple[str, str, int, Any]]:
-        """As `raw`, with the messages deserialized into rosbags' classes."""
+        """Yield the same as `raw`, with the messages deserialized into rosbags' classes."""
         for topic, msgtype, receipt, data in self.raw(topics):
             yield topic, msgtype, receipt, self.deserialize(data, msgtype)
 
     def deserialize(self, data: bytes, msgtype: str) -> Any:
-        """A message as one of rosbags' classes.
+        """Return a message as one of rosbags' classes.
 
         Raises:
             BagError: the data are not of that type, or the bags hold two versions of it.
@@ -194,17 +194,17 @@ class Bags:
             raise BagError(f"{_list(self.paths)}: {two_versions(msgtype)}")
         try:
             return self._of_type[msgtype].deserialize(data, msgtype)
-        except Exception as error:  # rosbags parses damaged bytes as they come
+        except Exception as error:  # rosbags does not check for damaged bytes
             raise BagError(f"{_list(self.paths)}: damaged: {short(str(error))}") from None
 
 
 def two_versions(msgtype: str) -> str:
-    """What is wrong with bags from before and after a message type grew."""
+    """Return the error text for bags recorded before and after a message type was extended."""
     return f"hold two versions of {msgtype}: give them one by one"
 
 
 def _mixed(readers: Iterable[AnyReader]) -> set[str]:
-    """The types of which bags hold two versions."""
+    """Return the types of which the bags hold two versions."""
     versions: dict[str, str] = {}
     mixed = set()
     for reader in readers:
@@ -217,7 +217,7 @@ def _mixed(readers: Iterable[AnyReader]) -> set[str]:
 
 
 def _hashed(reader: AnyReader) -> list[Connection]:
-    """A bag's connections; those without it get the hash that their definition has."""
+    """Return a bag's connections; a missing hash is computed from the definition."""
     return [
         c
         if c.digest or c.msgdef.format is MessageDefinitionFormat.NONE
@@ -231,20 +231,20 @@ def open_bags(paths: AnyPath | Iterable[AnyPath], *, thorough: bool = False) -> 
 
     Args:
         paths: the bags.
-        thorough: look for damage also where reading does not.
+        thorough: check for damage also in data that reading does not use.
 
     Raises:
-        BagError: there is no bag, or one that cannot be read.
+        BagError: there is no bag, or a bag cannot be read.
     """
     several = [paths] if isinstance(paths, str | PathLike) else list(paths)
     return Bags([Path(path) for path in several], thorough=thorough)
 
 
 def find(path: Path) -> list[Path]:
-    """The bags that a path names, numbered ones in the order of their numbers.
+    """Return the bags that a path names, numbered ones in the order of their numbers.
 
     Raises:
-        BagError: there is none.
+        BagError: there is no bag.
     """
     if not path.exists():
         raise BagError(f"{path}: no such file or folder")
@@ -258,7 +258,7 @@ def find(path: Path) -> list[Path]:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a bag's storage files, one after the other.
+    """Return the SHA-256 of a bag's storage files, one after the other.
 
     Raises:
         OSError: a file cannot be read.

@@ -1,7 +1,8 @@
-"""rosbags' reader, without what it refuses a whole bag for: one topic that cannot be told.
+"""Read bags with rosbags, but skip topics without a usable definition.
 
-The standard recorder writes such topics: a service's events, whose definition is a .srv file's, and
-all whose definition it did not find, as the feedback of actions.
+rosbags rejects a whole bag for one such topic. The standard recorder writes such topics: events of
+services, whose definition is a .srv file, and topics whose definition it did not find, such as the
+feedback of actions.
 """
 
 from collections.abc import Collection, Generator, Mapping
@@ -23,12 +24,12 @@ from fss_arm_bags.definitions import NotInstalledError, NotUnderstoodError, hash
 from fss_arm_model.files import short
 
 FORMATS = ("ros2msg", "ros2idl", "omgidl")  # of definitions that rosbags reads
-FRAME = b"\x28\xb5\x2f\xfd"  # begins what zstd has packed
+FRAME = b"\x28\xb5\x2f\xfd"  # magic number of zstd
 NONE, MSG = MessageDefinitionFormat.NONE, MessageDefinitionFormat.MSG
 
 
 class _Schemas(dict[int, Schema]):
-    """Those of an MCAP file; what is in another format counts as not there."""
+    """The schemas of an MCAP file; one in an unknown format counts as missing."""
 
     def __setitem__(self, key: int, schema: Schema) -> None:
         known = schema.encoding in FORMATS
@@ -41,7 +42,7 @@ class _McapReader(McapReader):
         self.schemas = _Schemas()
 
     def open(self) -> None:
-        """Open the file; where there is no definition the hash counts, which rosbags leaves."""
+        """Open the file; for missing definitions keep the type's hash, which rosbags drops."""
         super().open()
         self.connections = [
             c._replace(digest=_hash(self.channels[c.id])) if c.msgdef.format is NONE else c
@@ -50,7 +51,7 @@ class _McapReader(McapReader):
 
 
 def _hash(channel: Channel) -> str:
-    """What a channel's metadata, texts and their lengths by turns, says of the hash of its type."""
+    """Return the type's hash in a channel's metadata (lengths and texts by turns); empty: none."""
     file, texts = BytesIO(channel.metadata), list[str]()
     while file.tell() < len(channel.metadata):
         texts.append(read_string(file))
@@ -64,20 +65,20 @@ class _Sqlite3Reader(Sqlite3Reader):
         start: int | None = None,
         stop: int | None = None,
     ) -> Generator[tuple[Connection, int, bytes], None, None]:
-        """Those of `--compression-mode message` unpacked; no other begins as such a one."""
+        """Yield the messages, those of `--compression-mode message` decompressed."""
         for connection, receipt, data in super().messages(connections, start, stop):
             yield connection, receipt, zstd.decompress(data) if data[:4] == FRAME else data
 
 
 class TopicReader(Reader):
-    """Reads the topics that can be told, by the bag's definitions or by those installed."""
+    """Reader of the topics that have a usable definition, in the bag or installed."""
 
     STORAGE_PLUGINS: Mapping[str, type[Any]] = {".mcap": _McapReader, ".db3": _Sqlite3Reader}
 
     def open(self) -> None:
         """Open the bag."""
         super().open()
-        self.left_out: dict[str, str] = {}  # why, by topic
+        self.left_out: dict[str, str] = {}  # reason, by topic
         self._told = []
         for c in self.storage.connections:
             try:
@@ -87,16 +88,16 @@ class TopicReader(Reader):
 
     @property
     def connections(self) -> list[Connection]:
-        """What can be read."""
+        """Connections that can be read."""
         return self._told
 
 
 def _told(c: Connection) -> Connection:
-    """A topic with a definition that its messages can be read by.
+    """Return a topic with a definition that can decode its messages.
 
     Raises:
-        NotInstalledError: there is none in the bag, nor the same here.
-        NotUnderstoodError: that in the bag is nothing to read by.
+        NotInstalledError: the bag has no definition, and the same type is not installed.
+        NotUnderstoodError: the definition in the bag cannot be used.
     """
     if (serialized := cast(ConnectionExtRosbag2, c.ext).serialization_format) != "cdr":
         raise NotUnderstoodError(f"it is serialized as {short(repr(serialized))}")

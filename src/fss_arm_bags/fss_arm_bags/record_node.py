@@ -1,4 +1,4 @@
-"""Records every topic into a rosbag2 (MCAP) bag."""
+"""Node that records every topic into a rosbag2 (MCAP) bag."""
 
 import sys
 from collections import Counter, deque
@@ -22,18 +22,19 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.subscription_set import subscribe_bytes, unsubscribe
 
 MEGABYTE = 1_000_000
-EARLY = 1000  # latched messages kept until there is a time of receipt
+EARLY = 1000  # latched messages kept until the first time of receipt is known
 
 
 class RecordNode(Node):
-    """Records topics, as they come up, into the next bags of a folder.
+    """Node that records topics, as they appear, into the next bags of a folder.
 
-    In a namespace it records that and what all vehicles share, else all there are.
+    In a namespace it records the topics of that namespace and those that all vehicles share;
+    otherwise it records all topics.
 
-    Hidden topics (a part of the name begins with `_`, as those of actions) are left out.
-    At most the last second is lost when it is killed. The time of receipt is the node's: with
-    use_sim_time it is /clock's; of what comes before the first /clock only latched messages are
-    recorded, as received after it.
+    Hidden topics (a part of the name starts with `_`, as those of actions) are left out.
+    At most the last second is lost when the node is killed. The time of receipt is the node's
+    time, with use_sim_time that of /clock. Before the first /clock only latched messages are
+    kept; they are recorded as received after it.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -47,7 +48,7 @@ class RecordNode(Node):
         self.heard: dict[str, Subscription] = {}
         self.unknown: set[str] = set()
         self.counts: Counter[str] = Counter()
-        self.stuck = False  # as the disk is full or gone
+        self.stuck = False  # the disk is full or gone
         self.early: deque[tuple[str, bytes]] = deque(maxlen=EARLY)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self.discover, clock=steady)
@@ -56,7 +57,7 @@ class RecordNode(Node):
         Diagnostics(self, self.health)
 
     def discover(self) -> None:
-        """Listen to topics that are new, or whose publishers ask for another subscription."""
+        """Subscribe to new topics, and again to topics whose publishers need another QoS."""
         for topic, (msgtype, *_) in self.get_topic_names_and_types():
             if topic in self.unknown or "/_" in topic or not self.wanted(topic):
                 continue
@@ -66,13 +67,13 @@ class RecordNode(Node):
                 self.listen(topic, msgtype, offered + present)
 
     def wanted(self, topic: str) -> bool:
-        """Whether to record a topic."""
+        """Return True if a topic is to be recorded."""
         if self.topics:
             return topic in self.topics
         return any(topic == name or topic.startswith(f"{name}/") for name in self.places)
 
     def listen(self, topic: str, msgtype: str, offered: list[QoSProfile]) -> None:
-        """Subscribe to a topic, in place of a subscription that not all publishers match."""
+        """Subscribe to a topic; replace a subscription that does not match all publishers."""
         try:
             kind = message_class(msgtype)
             if topic not in self.recording.topics:
@@ -87,7 +88,7 @@ class RecordNode(Node):
         self.heard[topic] = subscribe_bytes(self, kind, topic, take, match(offered))
 
     def take(self, topic: str, data: bytes) -> None:
-        """Keep one serialized message."""
+        """Record one serialized message."""
         if receipt := self.get_clock().now().nanoseconds:
             self.write_early(receipt)
             self.write(receipt, topic, data)
@@ -95,7 +96,7 @@ class RecordNode(Node):
             self.early.append((topic, data))
 
     def write_early(self, receipt: int) -> None:
-        """Write what came before the first /clock, once there is a time of receipt."""
+        """Write the messages received before the first /clock, once the time is known."""
         while receipt and self.early:
             self.write(receipt, *self.early.popleft())
 
@@ -104,7 +105,7 @@ class RecordNode(Node):
         self.counts[topic] += self.recording.write(topic, receipt, data)
 
     def flush(self) -> None:
-        """Hand what there is to the operating system; say once if the disk does not take it."""
+        """Write pending data to the operating system; log a disk error once."""
         self.write_early(self.get_clock().now().nanoseconds)
         try:
             self.recording.flush()
@@ -122,7 +123,7 @@ class RecordNode(Node):
         self.stuck = False
 
     def health(self) -> Health:
-        """Where the recording goes and how much it has, by topic."""
+        """Return the diagnostic status: bag, free space and number of messages by topic."""
         free = disk_usage(self.recording.folder).free / MEGABYTE
         values = {"bag": self.recording.path, "free [MB]": free}
         values |= {"messages": self.counts.total(), "lost": self.recording.lost, **self.counts}
@@ -137,7 +138,7 @@ class RecordNode(Node):
         return Health(OK, f"recording {len(self.recording.topics)} topics", values)
 
     def close(self) -> None:
-        """End the bag; end the process with an error if the disk does not take it."""
+        """Close the bag; exit with an error if the disk is full or gone."""
         self.write_early(self.get_clock().now().nanoseconds)
         try:
             self.recording.close()
@@ -150,7 +151,7 @@ class RecordNode(Node):
 
 
 def match(offered: list[QoSProfile]) -> QoSProfile:
-    """The most that all of them grant; KEEP_ALL, so that a replay waits for the recorder."""
+    """Return the best QoS that all offers match, with KEEP_ALL: a replay waits for the recorder."""
     latched = all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offered)
     reliable = all(o.reliability == ReliabilityPolicy.RELIABLE for o in offered)
     return QoSProfile(

@@ -1,4 +1,4 @@
-"""Writing a rosbag2 (MCAP) bag that outlives a SIGKILL."""
+"""Write a rosbag2 (MCAP) bag that survives a SIGKILL."""
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -26,14 +26,14 @@ from fss_arm_ros.convert import SECOND
 
 
 def next_bag(folder: Path) -> Path:
-    """The first of folder/bag_0, folder/bag_1, ... that follows all there are."""
+    """Return the first of folder/bag_0, folder/bag_1, ... that follows all existing ones."""
     numbers = [p.name.removeprefix("bag_") for p in folder.glob("bag_*")]
     return folder / f"bag_{max((int(n) + 1 for n in numbers if n.isdecimal()), default=0)}"
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When the next bag is begun; 0: never for that reason."""
+    """Limits at which the next bag is started; 0: no limit."""
 
     size: int = 0  # of its file [bytes]
     span: int = 0  # from its first message [ns]
@@ -43,10 +43,10 @@ class Recording:
     """The next numbered bags of a folder, the last one open for writing.
 
     Between two calls of `flush` messages are in memory only. A killed process leaves a bag
-    without index and metadata.yaml; `fss_arm_bags.reader` reads it all the same. The lock (flock)
-    on an open bag's file keeps a repair away.
+    without index and metadata.yaml, which `fss_arm_bags.reader` can still read. The lock (flock)
+    on an open bag's file prevents its repair.
 
-    While the disk is full or gone, the last chunk waits in memory, messages are counted as lost,
+    While the disk is full or gone, the last chunk stays in memory, messages are counted as lost,
     and each `flush` tries again.
     """
 
@@ -59,26 +59,26 @@ class Recording:
         if (folder / "metadata.yaml").exists():
             raise FileExistsError(f"{folder} is a bag itself; give a folder for bags")
         self.folder, self.limits = folder, limits
-        self.topics: dict[str, Callable[[], Connection]] = {}  # each begins a topic in a bag
+        self.topics: dict[str, Callable[[], Connection]] = {}  # each adds a topic to the open bag
         self.failure: OSError | None = None  # of the last attempt to write
         self.lost = 0  # messages that were not written
         self._open()
 
     def _open(self) -> None:
-        """Begin the next bag, with all topics there are."""
+        """Open the next bag, with all known topics."""
         self.path = next_bag(self.folder)
         try:
             self.writer = CheckedWriter(self.path)
             self.writer.open()
-        except WriterError:  # another recorder was quicker
+        except WriterError:  # another recorder was faster
             raise FileExistsError(EEXIST, strerror(EEXIST), str(self.path)) from None
         except OSError:
-            with suppress(OSError):  # of a folder that is not there, or has something in it
+            with suppress(OSError):  # the folder does not exist or is not empty
                 (self.path / f"{self.path.name}.mcap").unlink(missing_ok=True)
                 self.path.rmdir()
             raise
-        with suppress(OSError):  # of a file system without locks
-            flock(self._storage.file, LOCK_EX | LOCK_NB)  # for as long as the file is open
+        with suppress(OSError):  # a file system without locks
+            flock(self._storage.file, LOCK_EX | LOCK_NB)  # as long as the file is open
         self.connections = {topic: begin() for topic, begin in self.topics.items()}
 
     @property
@@ -86,10 +86,10 @@ class Recording:
         return cast(Storage, self.writer.storage)
 
     def add(self, topic: str, msgtype: str, offered: Iterable[Any]) -> None:
-        """Begin a topic with the QoS profiles that its publishers offer.
+        """Add a topic with the QoS profiles that its publishers offer.
 
         Raises:
-            NotInstalledError: the type's definition is not there.
+            NotInstalledError: the type's definition is not installed.
         """
         text, digest = definition(msgtype)
         qos = [bag_qos(profile) for profile in offered]
@@ -100,11 +100,11 @@ class Recording:
             )
 
         self.topics[topic] = begin
-        if self.writer.storage:  # else the next bag begins with it
+        if self.writer.storage:  # otherwise the next bag starts with it
             self.connections[topic] = begin()
 
     def write(self, topic: str, receipt: int, data: bytes) -> bool:
-        """Keep a serialized message, received at `receipt` [ns], unless the disk is full."""
+        """Add a message received at `receipt` [ns]; return False if it is lost to a disk error."""
         if self.failure is None and self._full(receipt):
             self._split()
         if self.failure:
@@ -115,7 +115,7 @@ class Recording:
         return True
 
     def _split(self) -> None:
-        """Go on in the next bag."""
+        """Continue in the next bag."""
         try:
             self.close()
             self._open()
@@ -124,18 +124,18 @@ class Recording:
             self.abort()
 
     def _full(self, receipt: int) -> bool:
-        """Whether a message received then belongs into the next bag."""
+        """Return True if a message received at this time belongs in the next bag."""
         size, span = self.limits.size, self.limits.span
-        begun = min(self.writer.min_timestamp, receipt)  # a bag without messages has none
+        begun = min(self.writer.min_timestamp, receipt)  # a bag without messages has no start time
         return (0 < size <= self._storage.bio.tell()) or (0 < span <= receipt - begun)
 
     def flush(self) -> None:
-        """Hand everything to the operating system as a whole chunk.
+        """Write all pending messages to the operating system as a complete chunk.
 
         Raises:
             OSError: the disk is full or gone; messages are lost until this succeeds.
         """
-        # The writer alone would hold back 1 MiB, and knows no flush of its own.
+        # The writer alone would keep up to 1 MiB in memory, and has no flush.
         try:
             if not self.writer.storage:
                 self._open()
@@ -147,7 +147,7 @@ class Recording:
         self.failure = None
 
     def close(self) -> None:
-        """End the bag with index and metadata.
+        """Close the bag with index and metadata.
 
         Raises:
             OSError: the disk is full or gone.
@@ -156,14 +156,14 @@ class Recording:
             self.writer.close()
 
     def abort(self) -> None:
-        """Leave the bag as it is on the disk."""
+        """Close the bag without index and metadata."""
         if self.writer.storage:
             self.lost += sum(map(len, self._storage.chunk.msgs.values()))
             self.writer.abort()
 
 
 def bag_qos(profile: Any) -> Qos:
-    """An rclpy QoS profile as a bag keeps it."""
+    """Convert an rclpy QoS profile to that of a bag."""
 
     def time(duration: Any) -> QosTime:
         return QosTime(*divmod(duration.nanoseconds, SECOND))

@@ -1,6 +1,6 @@
-"""What is whole of a damaged MCAP bag, as a sound one.
+"""Recover the undamaged part of a damaged MCAP bag as a sound bag.
 
-A bag whose recorder was killed has no index and no metadata.yaml, but whole chunks.
+A bag whose recorder was killed has no index and no metadata.yaml, but complete chunks.
 """
 
 import re
@@ -37,25 +37,25 @@ from fss_arm_bags.layout import storage_files
 from fss_arm_bags.storage import CheckedWriter, Storage
 from fss_arm_model.files import short
 
-SHOWN = 3  # damaged places named
-#: What may be a chunk: its kind, its length, times, sizes, checksum, compression.
+SHOWN = 3  # number of damaged places that the report names
+#: Pattern of a possible chunk: its kind, length, times, sizes, checksum and compression.
 CHUNK_HEAD = re.compile(
     rb"\x06.{5}\0{3}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd).{5}\0{3}", re.DOTALL
 )
 
 
 class BagError(ValueError):
-    """A bag cannot be read; the message names the file and what is wrong with it."""
+    """A bag cannot be read; the message names the file and the problem."""
 
 
 @dataclass(frozen=True)
 class Recovered:
-    """What could be saved of a damaged bag."""
+    """Result of the recovery of a damaged bag."""
 
     path: Path
     messages: int
-    lost: int  # bytes that belong to no whole record, or to messages of an unknown type
-    damage: str = ""  # what is wrong, and where
+    lost: int  # bytes outside of complete records, or of messages of an unknown type
+    damage: str = ""  # the damage, and where it is
 
     def __str__(self) -> str:
         return (
@@ -65,12 +65,12 @@ class Recovered:
 
 
 def recover(path: Path, copy: Path, damage: str) -> Recovered:
-    """Write what is whole of a damaged MCAP bag to `copy`, a sound bag.
+    """Write the undamaged part of an MCAP bag to `copy`, a sound bag.
 
     Args:
         path: the bag.
-        copy: where to; there is nothing yet.
-        damage: what is known to be wrong.
+        copy: path of the result, which does not exist yet.
+        damage: the known damage.
 
     Raises:
         BagError: a file is not MCAP.
@@ -91,19 +91,19 @@ def recover(path: Path, copy: Path, damage: str) -> Recovered:
 
 
 class _Salvage:
-    """What was written of a bag's files, and what was not."""
+    """Recovery of one bag: writes the messages and counts the losses."""
 
     def __init__(self) -> None:
         self.messages = 0
-        self.expected = 0  # messages by the indexes that are whole
+        self.expected = 0  # messages counted by undamaged indexes
         self.lost = 0  # bytes
-        self.places: list[str] = []  # that are damaged
+        self.places: list[str] = []  # damaged places
         self.connections: dict[tuple[str, str], Connection] = {}
-        self.untold: dict[tuple[str, str], str] = {}  # why topics are left out
-        self.met: set[tuple[int, int]] = set()  # chunks: how many messages, which
+        self.untold: dict[tuple[str, str], str] = {}  # reasons why topics are left out
+        self.met: set[tuple[int, int]] = set()  # chunks: number and hash of their messages
 
     def file(self, file: Path, writer: CheckedWriter) -> None:
-        """Write what is whole in a file."""
+        """Write the undamaged part of a file."""
         schemas: dict[int, Schema] = {}
         channels: dict[int, Connection] = {}
         for record in self._records(file):
@@ -123,24 +123,24 @@ class _Salvage:
                 self.messages += 1
                 if failure := cast(Storage, writer.storage).failure:
                     raise failure
-            elif isinstance(record, Message):  # nothing tells its type, perhaps a damaged chunk did
+            elif isinstance(record, Message):  # type unknown; a damaged chunk may define it
                 self.lost += len(record.data)
 
     def _records(self, file: Path) -> Iterator[McapRecord]:
-        """The schemas, channels and messages in a file."""
+        """Yield the schemas, channels and messages in a file."""
         with file.open("rb") as stream:
             with suppress(Exception):  # the end may be damaged
                 known = read_end(stream).known
                 self.expected += known.statistics.message_count if known.statistics else 0
-                # As the chunk that has them may be damaged.
+                # First those of the summary: the chunk that defines them may be damaged.
                 yield from [*known.schemas.values(), *known.channels.values()]
             if stream.seek(0, SEEK_END):
                 with mmap(stream.fileno(), 0, access=ACCESS_READ) as data:
                     yield from self._in_turn(file, data)
 
     def _in_turn(self, file: Path, data: mmap) -> Iterator[McapRecord]:
-        """One after the other; where none leads on, from the next whole chunk on."""
-        at, sure = len(MAGIC), 0  # up to there it is known to be whole
+        """Yield the records in order; where no record follows, continue at the next good chunk."""
+        at, sure = len(MAGIC), 0  # the file is undamaged up to `sure`
         if data[: len(MAGIC)] != MAGIC[: len(data)]:
             at = next_chunk(data, 0)
             if at == len(data):
@@ -151,14 +151,14 @@ class _Salvage:
             if kind == DATA_END:
                 return
             if not kind:
-                found = next_chunk(data, sure)  # a damaged record may have led too far
+                found = next_chunk(data, sure)  # a damaged record's length may have been too large
                 self.lost += max(0, found - at)
                 self.places.append(f"no record at byte {at}")
                 at = found
             elif kind == CHUNK:
                 try:
                     inside = in_chunk(data[at + RECORD.size : end])
-                except Exception:  # the parsers take damaged bytes as they come
+                except Exception:  # the parsers do not check for damaged bytes
                     self.lost += end - at
                     self.places.append(f"damaged chunk at byte {at}")
                 else:
@@ -171,7 +171,7 @@ class _Salvage:
                 at = end
 
     def _new(self, inside: list[McapRecord], at: int) -> list[McapRecord]:
-        """What a chunk holds, unless another one did."""
+        """Return the records of a chunk; empty if it is a copy of an earlier chunk."""
         messages = [
             hash((r.channel_id, r.log_time, r.data)) for r in inside if isinstance(r, Message)
         ]
@@ -184,7 +184,7 @@ class _Salvage:
 
 
 def record_at(data: mmap, at: int) -> tuple[int, int]:
-    """Kind and end of the record there; kind 0: there is none."""
+    """Return kind and end of the record at this offset; kind 0: there is none."""
     if at + RECORD.size > len(data):
         return 0, at
     kind, length = RECORD.unpack_from(data, at)
@@ -193,19 +193,19 @@ def record_at(data: mmap, at: int) -> tuple[int, int]:
 
 
 def next_chunk(data: mmap, at: int) -> int:
-    """Where the next whole chunk is, from `at` on; the end of the data: nowhere."""
+    """Return the offset of the next undamaged chunk from `at` on; the end of the data: none."""
     for match in CHUNK_HEAD.finditer(data, at):
         begin = match.start()
         kind, end = record_at(data, begin)
         if kind == CHUNK:
-            with suppress(Exception):  # the parsers take damaged bytes as they come
+            with suppress(Exception):  # the parsers do not check for damaged bytes
                 in_chunk(data[begin + RECORD.size : end])
                 return begin
     return len(data)
 
 
 def in_chunk(record: bytes) -> list[McapRecord]:
-    """The schemas, channels and messages in a chunk.
+    """Return the schemas, channels and messages in a chunk.
 
     Raises:
         Exception: it is damaged.
@@ -221,7 +221,7 @@ def in_chunk(record: bytes) -> list[McapRecord]:
 
 
 def parsed(kind: int, data: bytes) -> Iterator[McapRecord]:
-    """What a record is, if it is a schema, a channel or a message.
+    """Yield the content of a record if it is a schema, a channel or a message.
 
     Raises:
         Exception: it is damaged.
@@ -238,11 +238,11 @@ def parsed(kind: int, data: bytes) -> Iterator[McapRecord]:
 
 
 def _connect(writer: CheckedWriter, channel: Channel, schema: Schema) -> Connection:
-    """Begin a topic in `writer` as it was.
+    """Add a topic to `writer` with its recorded definition and QoS.
 
     Raises:
-        NotInstalledError: it has no definition, nor the same is here.
-        NotUnderstoodError: its definition is nothing that messages can be read by.
+        NotInstalledError: the bag has no definition, and the same type is not installed.
+        NotUnderstoodError: its definition cannot be used to decode messages.
     """
     if schema.encoding == "ros2msg":
         text = schema.data.decode(errors="replace")

@@ -1,4 +1,4 @@
-"""What of a bag is played back, under which name, and how."""
+"""Choose the topics of a bag to play back, with their names and QoS."""
 
 from collections.abc import Collection, Mapping
 
@@ -8,21 +8,21 @@ from rosbags.interfaces import QosDurability
 from fss_arm_bags.definitions import MEASUREMENTS, RECORDERS
 from fss_arm_bags.reader import Topic
 
-ORDERS = ("command", "wrench", "trajectory", "stop")  # last words of topics that move something
-TOLD = "pulses", "health"  # of the thrusters, which move nothing
-IN_PLACE = ("/robot_description", "/thrusters/pulses")  # beside measurements
+ORDERS = ("command", "wrench", "trajectory", "stop")  # last parts of topics that move something
+TOLD = "pulses", "health"  # of the thrusters; these topics move nothing
+IN_PLACE = ("/robot_description", "/thrusters/pulses")  # played in place, as measurements
 OF_ROS = ("/clock", "/rosout", "/parameter_events")
 
 
 def choose(recorded: Mapping[str, Topic], wanted: Collection[str] = ()) -> dict[str, str]:
-    """The topics to play, each with the name to play it under.
+    """Return the topics to play, each with the name to play it under.
 
     Args:
         recorded: the topics of the bags.
-        wanted: names of those to play in place; all that may be, as `played_as` says, by default.
+        wanted: names of those to play in place; by default all that `played_as` permits.
 
     Raises:
-        ValueError: a topic is wanted that moves something or is not in the bags.
+        ValueError: a wanted topic moves something or is not in the bags.
     """
     chosen = [topic if topic[0] == "/" else f"/{topic}" for topic in wanted]
     for topic in chosen:
@@ -37,17 +37,17 @@ def choose(recorded: Mapping[str, Topic], wanted: Collection[str] = ()) -> dict[
 
 
 def is_command(topic: str) -> bool:
-    """Whether a topic makes something move; such are never played."""
+    """Return True if a topic makes something move; such topics are never played."""
     parts = topic.strip("/").split("/")
     thrusts = "thrusters" in parts and parts[-1] not in TOLD
     return parts[-1] in ORDERS or "arm" in parts or thrusts
 
 
 def played_as(topic: str, msgtype: str) -> str | None:
-    """The topic that a recorded one is played back on by default; None: it is not.
+    """Return the topic on which a recorded one is played back by default; None: it is not played.
 
-    What was computed goes under recorded/: it must not be taken for the results of the nodes
-    that run now. What ROS and recorders publish of themselves is not played.
+    Computed results are played under recorded/, so that they are not taken for the results of
+    the nodes that run now. Topics that ROS and recorders publish about themselves are not played.
     """
     if is_command(topic) or topic in OF_ROS or msgtype.startswith(RECORDERS):
         return None
@@ -57,12 +57,12 @@ def played_as(topic: str, msgtype: str) -> str | None:
 
 
 def is_latched(topic: Topic) -> bool:
-    """Whether a topic was published for those who come late, too."""
+    """Return True if a topic was latched (transient local), for late subscribers."""
     return any(qos.durability == QosDurability.TRANSIENT_LOCAL for qos in topic.qos)
 
 
 def profile(topic: Topic) -> QoSProfile:
-    """How a topic is played back: latched with room for all of it, else keeping all."""
+    """Return the QoS to play a topic with: latched with room for all messages, else KEEP_ALL."""
     reliable = ReliabilityPolicy.RELIABLE
     if is_latched(topic):
         return QoSProfile(

@@ -1,4 +1,4 @@
-"""Plays bags back onto the topics they came from."""
+"""Node that plays bags back onto their topics."""
 
 import sys
 from collections import Counter
@@ -25,23 +25,23 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.rclpy_compat import RCLError
 
 TICK = 0.002  # [s]
-STALL = 0.1  # longest step of bag time: after a pause the replay goes on, it does not catch up [s]
-SILENCE = 10 * SECOND  # of bag time; a longer one is skipped, as that between two sessions [ns]
-# At rate 0. Larger bursts overrun the transport's queue, and what is sent again comes late.
+STALL = 0.1  # longest step of bag time: a pause is not made up for [s]
+SILENCE = 10 * SECOND  # longest silence of bag time that is played, not skipped [ns]
+# For rate 0: larger bursts overrun the transport's queue, and messages sent again are late.
 BURST = 50  # messages between two acknowledgements
 ACK_TIMEOUT = 0.05  # an acknowledgement comes with a heartbeat, which may be slow [s]
 CLOCK_STEP = SECOND // 100  # [ns]
-RIVALS = 0.25  # from one check for other publishers to the next [s]
+RIVALS = 0.25  # period of the check for other publishers [s]
 
 
 class ReplayNode(Node):
-    """Plays bags, or folders of bags, back as one, in order of receipt.
+    """Node that plays bags, or folders of bags, back as one, in order of receipt.
 
-    Nothing is lost on the way: volatile topics are published reliably and keep all, so that a
-    slow subscriber that keeps all slows the replay. Long silences are skipped. Latched topics are
-    latched; after a start within the bags they say first what they said last. Measurements are
-    played in place, what was computed under recorded/, commands never. A topic with another
-    publisher ends the replay.
+    No message is lost: volatile topics are published reliably with KEEP_ALL, so a slow
+    subscriber with KEEP_ALL slows the replay. Long silences are skipped. Latched topics are
+    latched; after a start within the bags, their last message before the start is published
+    first. Measurements are played in place, computed results under recorded/, and commands
+    never. If a topic has another publisher, the replay stops.
     """
 
     def __init__(self, *bags: str, **options: Any) -> None:
@@ -55,12 +55,12 @@ class ReplayNode(Node):
         if self.begin > self.end:
             length = seconds(self.end - self.bags.span[0])
             raise ValueError(f"start is {self.settings.start} s, but the bags last {length:.3f} s")
-        self.upgraded: dict[str, Any] = {}  # recorded topics of an earlier type: the present one
+        self.upgraded: dict[str, Any] = {}  # recorded topics of an earlier type: present class
         self.players = self.make_players()
         self.clock = self.create_publisher(Clock, "/clock", 1) if self.settings.clock else None
         self.played = 0
         self.state = "waiting for subscribers"
-        self.turn = monotonic()  # when the last tick was
+        self.turn = monotonic()  # time of the last tick
         self.bag_time = self.clock_time = 0  # [ns]
         self.steps = self.play()
         steady = NodeClock(clock_type=ClockType.STEADY_TIME)
@@ -69,7 +69,7 @@ class ReplayNode(Node):
         Diagnostics(self, self.health)
 
     def make_players(self) -> dict[str, Publisher]:
-        """A publisher for each recorded topic that is played back, by recorded name."""
+        """Create a publisher for each recorded topic that is played back, by recorded name."""
         players = {}
         for topic, name in choose(self.bags.topics, self.settings.topics).items():
             about = self.bags.topics[topic]
@@ -90,7 +90,7 @@ class ReplayNode(Node):
         return players
 
     def play(self) -> Iterator[None]:
-        """The whole replay; yields whenever it has to wait for a tick."""
+        """Run the whole replay; yield whenever it must wait for a tick."""
         yield from self.wait_for_subscribers()
         try:
             yield from self.play_once()
@@ -107,7 +107,7 @@ class ReplayNode(Node):
             raise SystemExit(0)
 
     def play_once(self) -> Iterator[None]:
-        """From the start to the end."""
+        """Play the bags once, from the start to the end."""
         self.bag_time, tenth = 0, 0
         for topic, msgtype, data in self.latched_before():
             yield from self.send(topic, msgtype, data)
@@ -121,7 +121,7 @@ class ReplayNode(Node):
                 self.get_logger().info(f"{10 * tenth} %")
 
     def latched_before(self) -> Iterable[tuple[str, str, bytes]]:
-        """What latched topics said last before the start."""
+        """Return the last message of each latched topic before the start."""
         latched = [topic for topic in self.players if is_latched(self.bags.topics[topic])]
         last: dict[str, tuple[str, str, bytes]] = {}
         for topic, msgtype, _, data in self.bags.raw(latched, stop=self.begin):
@@ -129,7 +129,7 @@ class ReplayNode(Node):
         return last.values()
 
     def send(self, topic: str, msgtype: str, data: bytes) -> Iterator[None]:
-        """Publish, as soon as all subscribers have room."""
+        """Publish a message as soon as all subscribers have room."""
         message: Any = data
         if topic in self.upgraded:
             message = upgrade(self.bags.deserialize(data, msgtype), self.upgraded[topic])
@@ -138,7 +138,7 @@ class ReplayNode(Node):
         self.played += 1
 
     def end_beside_rivals(self) -> None:
-        """End if somebody else publishes what is played."""
+        """Stop if another node publishes a topic that is played."""
         for player in [*self.players.values(), *([self.clock] if self.clock else [])]:
             if self.count_publishers(player.topic_name) > 1:
                 others = {p.node_name for p in self.get_publishers_info_by_topic(player.topic_name)}
@@ -148,7 +148,7 @@ class ReplayNode(Node):
                 )
 
     def wait_for_subscribers(self) -> Iterator[None]:
-        """Until the topics of wait_for are subscribed to, or anybody had the time to subscribe."""
+        """Wait until the topics of wait_for have subscribers, or for the discovery time."""
         begin = monotonic()
         wanted = Counter(map(self.resolve_topic_name, self.settings.wait_for))
         names = {player.topic_name: player for player in self.players.values()}
@@ -166,7 +166,7 @@ class ReplayNode(Node):
         self.state = "playing"
 
     def pace(self, receipt: int) -> Iterator[None]:
-        """Until it is time for a message, but not through a silence; publish the time on /clock."""
+        """Wait until a message is due, but skip long silences; publish the time on /clock."""
         rate = self.settings.rate
         silence = receipt - self.bag_time if self.bag_time and rate else 0
         if silence > SILENCE:
@@ -182,16 +182,16 @@ class ReplayNode(Node):
         self.publish_clock(receipt)
 
     def wait_for_acknowledgement(self, timeout: float = inf) -> Iterator[None]:
-        """Until all subscribers have everything, for `timeout` [s] at most."""
+        """Wait until subscribers acknowledge all messages, for at most `timeout` [s]."""
         begin = monotonic()
-        yield  # at least once: a burst may be acknowledged at once, and others want their turn
+        yield  # wait one tick at least, so that other callbacks can run
         while not all(p.wait_for_all_acked(Duration()) for p in self.players.values()):
             if monotonic() - begin > timeout:
                 return
             yield
 
     def publish(self, player: Publisher, message: Any) -> bool:
-        """Publish; False if a subscriber has no room for more, which is to be tried again."""
+        """Publish; return False if a subscriber has no room, and the caller must try again."""
         try:
             player.publish(message)
         except RCLError:
@@ -201,26 +201,26 @@ class ReplayNode(Node):
         return True
 
     def publish_clock(self, ns: int) -> None:
-        """Publish /clock if it is asked for and due."""
+        """Publish /clock if it is enabled and due."""
         if self.clock and not 0 <= ns - self.clock_time < CLOCK_STEP:
             self.clock.publish(Clock(clock=to_time(ns)))
             self.clock_time = ns
 
     def health(self) -> Health:
-        """What it is doing, and how far it is."""
+        """Return the diagnostic status: state and progress."""
         at = max(0.0, seconds(self.bag_time - self.begin))
         values = {"played": self.played, "at [s]": at, "of [s]": seconds(self.end - self.begin)}
         return Health(OK, self.state, values)
 
     def unfinished(self) -> str:
-        """What is left to play, if that comes to an end."""
+        """Return the progress of an unfinished replay; empty: it is finished, or repeats."""
         if self.settings.loop or self.state in ("holding", "done"):
             return ""
         played, length = self.bag_time - self.begin, self.end - self.begin
         return f"after {max(0.0, seconds(played)):.1f} of {seconds(length):.1f} s"
 
     def close(self) -> None:
-        """Leave the bags."""
+        """Close the bags."""
         self.bags.close()
 
 

@@ -7,7 +7,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, SettingError, Settings, setting
 SHARED = (
     *("/clock", "/tf", "/tf_static", "/diagnostics", "/rosout", "/parameter_events"),
     *("/vicon", "/sim"),
-)  # by all vehicles of a laboratory
+)  # topics that all vehicles of a laboratory share
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""The MCAP file of a bag that is being written: with checksums, and of whole chunks only.
+"""MCAP file of a bag that is being written, with checksums and of complete chunks only.
 
-rosbags' writer leaves the checksums out that MCAP has for chunks, data and summary, and what a full
-disk takes of a chunk stays in its file.
+rosbags' writer omits the optional MCAP checksums of chunks, data and summary. On a full disk it
+leaves a partial chunk in the file.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ FOOTER = RECORD.size + 20 + 8  # bytes at the end, with the magic ones
 
 
 class _Next(BytesIO):
-    """What comes next in a file, at the place `begin`."""
+    """Buffer of the data to write next, which start at `begin` in the file."""
 
     def __init__(self, begin: int) -> None:
         super().__init__()
@@ -31,24 +31,24 @@ class _Next(BytesIO):
         return self.begin + super().tell()
 
     def close(self) -> None:
-        """Stay, as it is not written yet."""
+        """Do nothing: the data are not written yet."""
 
 
 class Storage(McapWriter):
-    """rosbags' writer, but for the checksums and what happens on a full disk.
+    """rosbags' writer with checksums and with safe behaviour on a full disk.
 
-    A chunk that cannot be written is kept in memory, and the file is as it was before.
+    A chunk that cannot be written is kept in memory, and the file stays unchanged.
     """
 
-    bio: Any  # what comes next
+    bio: Any  # data to write next
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
         super().__init__(path, compression)
         self.file: Any = self.bio.detach()
         begun = self.path.read_bytes()
-        self.crc = crc32(begun)  # of the data so far
+        self.crc = crc32(begun)  # checksum of the data written
         self.bio = _Next(len(begun))
-        self.failure: OSError | None = None  # of the last chunk
+        self.failure: OSError | None = None  # error of the last chunk
 
     def close_chunk(self) -> None:
         """Write the pending chunk.
@@ -71,12 +71,12 @@ class Storage(McapWriter):
         self.crc = crc32(data, self.crc)
 
     def write(self, connection: Any, timestamp: int, data: bytes | memoryview) -> None:
-        """Keep a message; what befalls the chunk that it fills is in `failure`."""
+        """Add a message; if this fills a chunk that cannot be written, `failure` has the error."""
         with suppress(OSError):
             super().write(connection, timestamp, data)
 
     def close(self, version: int, metadata: str) -> None:
-        """End the file with its index.
+        """Close the file with its index.
 
         Raises:
             OSError: the disk is full or gone.
@@ -93,11 +93,11 @@ class Storage(McapWriter):
         self.file.close()
 
     def abort(self) -> None:
-        """End the file as it is."""
+        """Close the file without an index."""
         self.file.close()
 
     def _put(self, data: bytearray) -> None:
-        """Write what comes next as a whole or not at all."""
+        """Write the next data completely or not at all."""
         begin = self.bio.begin
         self.bio = _Next(begin)
         rest = memoryview(data)
@@ -113,7 +113,7 @@ class Storage(McapWriter):
 
 
 class CheckedWriter(Writer):
-    """Writes bags with checksums."""
+    """Writer of bags with checksums."""
 
     STORAGE_PLUGINS: Mapping[StoragePlugin, type[Any]] = {StoragePlugin.MCAP: Storage}
 

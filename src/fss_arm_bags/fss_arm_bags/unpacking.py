@@ -1,7 +1,7 @@
-"""A bag as its files can be read: unpacked, and SQLite's with what it left beside them.
+"""Make bags readable: decompress files, and merge the journals of SQLite files.
 
-`ros2 bag record --compression-mode file` packs each file as a whole. A recorder that was killed
-leaves the last one as it is, and beside a file of SQLite perhaps a journal.
+`ros2 bag record --compression-mode file` compresses each file as a whole. A recorder that was
+killed leaves the last file uncompressed, and next to an SQLite file perhaps a journal.
 """
 
 import sqlite3
@@ -17,11 +17,11 @@ from fss_arm_bags.readers import FORMATS
 
 BLOCK = 2**20  # [bytes] unpacked at once
 JOURNALS = ("-wal", "-journal")
-FOREIGN = f"FROM message_definitions WHERE encoding NOT IN {FORMATS}"  # to rosbags
+FOREIGN = f"FROM message_definitions WHERE encoding NOT IN {FORMATS}"  # unknown to rosbags
 
 
 def readable(path: Path, folder: Callable[[], Path]) -> Path:
-    """The bag, if it can be read as it lies; else a copy in `folder()`, which is made for it.
+    """Return the bag if it is readable, else a readable copy in a new folder from `folder()`.
 
     Raises:
         OSError: a file cannot be read, or the disk is full.
@@ -42,9 +42,9 @@ def readable(path: Path, folder: Callable[[], Path]) -> Path:
 
 
 def _copy(file: Path, copy: Path) -> None:
-    """Make a file that can be read as it lies, or as much of it as can be unpacked."""
+    """Make a readable copy of a file, or of the part of it that can be decompressed."""
     if file.suffix == PACKED:
-        cut = suppress(EOFError, zstd.ZstdError)  # which is said of the copy
+        cut = suppress(EOFError, zstd.ZstdError)  # the check of the copy reports it
         with zstd.open(file) as source, copy.open("wb") as target, cut:
             while block := source.read1(BLOCK):
                 target.write(block)
@@ -57,13 +57,13 @@ def _copy(file: Path, copy: Path) -> None:
                 copyfile(f"{file}{end}", f"{copy}{end}")
     if _unsettled(copy):
         with suppress(sqlite3.Error), closing(sqlite3.connect(copy)) as db:
-            db.execute("PRAGMA journal_mode = DELETE")  # takes in what the journals have
+            db.execute("PRAGMA journal_mode = DELETE")  # merges the journals
             with db:
                 db.execute(f"DELETE {FOREIGN}")
 
 
 def _unsettled(file: Path) -> bool:
-    """Whether rosbags would miss a part of an SQLite file, or refuse it for a definition."""
+    """Return True if rosbags would miss a part of an SQLite file, or reject a definition in it."""
     if file.suffix != ".db3":
         return False
     journals = (Path(f"{file}{end}") for end in JOURNALS)
@@ -73,5 +73,5 @@ def _unsettled(file: Path) -> bool:
     try:
         with closing(sqlite3.connect(place, uri=True)) as db:
             return bool(db.execute(f"SELECT 1 {FOREIGN}").fetchone())
-    except sqlite3.Error:  # it has no definitions, or is no such file
+    except sqlite3.Error:  # it has no definitions, or is not an SQLite file
         return False

@@ -1,4 +1,4 @@
-"""When to believe a result: checks that calibrations of every kind share, and their verdict."""
+"""Acceptance checks that all kinds of calibration share, and the verdict that follows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,27 +14,27 @@ from fss_arm_model.description import Arm
 
 PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"
 
-CAUSE = "cause"  # the check that says what probably went wrong
-MOST_REASONS = 4  # of a verdict that is no pass; its checks tell the others
+CAUSE = "cause"  # name of the check that gives the probable cause of a bad verdict
+MOST_REASONS = 4  # limit if the verdict is not pass; the checks hold all reasons
 
-TOLERANCE = 1e-9  # of the last update [deviations]
+TOLERANCE = 1e-9  # largest last update of a converged solution [deviations]
 
 
 @dataclass(frozen=True)
 class Check:
-    """One of the things that a calibration must meet to pass, as Check.msg has it."""
+    """Criterion that a calibration must meet to pass, with the fields of Check.msg."""
 
     name: str
     verdict: str
     value: float
     threshold: float
-    reason: str  # with value and threshold, in words
-    needed: bool = True  # to be evaluated; a check that fails always counts
+    reason: str  # text with value and threshold
+    needed: bool = True  # must be evaluated for a verdict; a failed check always counts
 
 
 def at_most(name: str, value: float, threshold: float, reason: str, failing: str = "") -> Check:
-    """A check that passes if the value is not above the threshold; `failing` says what it means."""
-    passed = value <= threshold  # NaN is not
+    """Return a check that passes if value <= threshold; `failing` explains a failure."""
+    passed = value <= threshold  # False for NaN
     words = reason if passed or not failing else f"{failing}: {reason}"
     return Check(name, PASS if passed else FAIL, value, threshold, words)
 
@@ -42,15 +42,15 @@ def at_most(name: str, value: float, threshold: float, reason: str, failing: str
 def by_chance(
     name: str, chi_square: float, freedom: float, least: float, failing: str, known_by: float = inf
 ) -> Check:
-    """A check that passes unless residuals as large as found are less probable than `least`.
+    """Return a check that fails if residuals this large are less probable than `least`.
 
     Args:
-        name: of the check.
-        chi_square: sum of their squares, in deviations.
-        freedom: its degrees of freedom.
-        least: probability.
-        failing: what it means if they are larger.
-        known_by: degrees of freedom by which the deviations were estimated; inf: they are known.
+        name: name of the check.
+        chi_square: sum of the squared residuals, in standard deviations.
+        freedom: degrees of freedom of `chi_square`.
+        least: smallest accepted probability.
+        failing: explanation of a failure.
+        known_by: degrees of freedom from which the deviations were estimated; inf: they are known.
     """
     chance = probability(chi_square, freedom, known_by)
     facts = (
@@ -63,7 +63,7 @@ def by_chance(
 
 
 def fitting(chi_square: float, freedom: float, least: float, failing: str, noise: Noise) -> Check:
-    """Whether residuals are as small as given, or as is believed of what they are estimated by."""
+    """Check that the residuals agree with the given or estimated deviations."""
     check = by_chance("fit", chi_square, freedom, least, failing)
     if noise.given.all():
         return check
@@ -71,7 +71,7 @@ def fitting(chi_square: float, freedom: float, least: float, failing: str, noise
 
 
 def joints_known(streams: Streams, arm: Arm) -> Check:
-    """Whether no joint was heard that the arm does not have."""
+    """Check that no readings were received of a joint that the arm does not have."""
     unknown = streams.unknown
     reason = f"{', '.join(unknown)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
     verdict = NOT_EVALUATED if unknown else PASS
@@ -79,9 +79,9 @@ def joints_known(streams: Streams, arm: Arm) -> Check:
 
 
 def clocks_kept(streams: Streams, most: float) -> Check:
-    """Whether no clock ran back by more than `most` [s], which may have hidden what happened.
+    """Check that no clock ran back by more than `most` [s], which may have hidden data.
 
-    Clocks too far apart to be aligned are only reported: swapped subjects look the same.
+    Clocks that are too far apart to be aligned are only reported: swapped subjects look the same.
     """
     name, back = max(streams.set_back.items(), key=lambda item: item[1], default=("", 0.0))
     reason, bad = "", back > most
@@ -95,7 +95,7 @@ def clocks_kept(streams: Streams, most: float) -> Check:
 
 
 def suspected(streams: Streams) -> list[Check]:
-    """What about the streams alone may be the cause of a verdict, each the likelier first."""
+    """Return possible causes of a verdict in the streams themselves, the most likely one first."""
     words = [*streams.doubts]
     if streams.silent and streams.others:
         names, heard = ", ".join(streams.silent), ", ".join(streams.others)
@@ -106,7 +106,7 @@ def suspected(streams: Streams) -> list[Check]:
 
 
 def frames_differ(streams: Streams) -> str:
-    """In which frames subjects are seen, if not in one; else nothing."""
+    """Describe the frames of the subjects' poses if they differ; empty if they do not."""
     if len(set(streams.frames.values())) < 2:
         return ""
     frames = " and ".join(f"{name} in {frame!r}" for name, frame in streams.frames.items())
@@ -114,7 +114,7 @@ def frames_differ(streams: Streams) -> str:
 
 
 def enough(name: str, found: float, needed: float, reason: str, streams: Streams) -> Check:
-    """Whether there are data enough for a verdict; if not, what the streams say of it."""
+    """Check that the data suffice for a verdict; if not, list silent streams and rejections."""
     if found >= needed:
         return Check(name, PASS, found, needed, reason)
     if streams.silent:
@@ -127,14 +127,14 @@ def enough(name: str, found: float, needed: float, reason: str, streams: Streams
 def determined(
     undetermined: Sequence[str], missing: int, condition: float, most: float, hint: str = ""
 ) -> Check:
-    """Whether the data determine all parameters.
+    """Check that the data determine all parameters.
 
     Args:
-        undetermined: names of those that they do not.
-        missing: number of their combinations that are not determined.
-        condition: number of the column-scaled regressor.
-        most: that it may be.
-        hint: at what it may lie.
+        undetermined: names of the parameters that the data do not determine.
+        missing: number of combinations of these that are not determined.
+        condition: condition number of the column-scaled regressor.
+        most: largest accepted condition number.
+        hint: possible cause, appended to the reason.
     """
     facts = f"condition number {condition:.3g} (at most {most:g})"
     if not undetermined:
@@ -145,22 +145,22 @@ def determined(
 
 
 def converged(well: bool, iterations: int, last_update: float, most: float = TOLERANCE) -> Check:
-    """Whether the last update was negligible."""
+    """Check that the last update was negligible."""
     words = f"{count(iterations, 'iteration')}, last update {last_update:.2g} deviations"
     words = words if well else f"not converged: {words} (at most {most:g})"
     return Check("convergence", PASS if well else FAIL, last_update, most, words)
 
 
 def outliers(errors: Floats, kept: Mask, limit: float, most: int, noun: str, what: str) -> Check:
-    """Whether each datum kept agrees with the others.
+    """Check that each datum that was not rejected agrees with the others.
 
     Args:
-        errors: (s,) of each datum, in its deviations.
-        kept: (s,) which were not rejected.
-        limit: largest error.
-        most: data that may be rejected.
-        noun: what a datum is.
-        what: the error is, in words.
+        errors: (s,) error of each datum, in its deviations.
+        kept: (s,) True if the datum was not rejected.
+        limit: largest accepted error.
+        most: number of data that may be rejected.
+        noun: name of a datum.
+        what: name of the error.
     """
     worst = float(np.max(errors[kept]))
     words = f"largest {what} {worst:.3g} (at most {limit:g})"
@@ -171,13 +171,13 @@ def outliers(errors: Floats, kept: Mask, limit: float, most: int, noun: str, wha
 
 
 def checked(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
-    """Whether the others check each datum: of one that decides alone no error is seen.
+    """Check that each datum is controlled by the others, so that an error in it would show.
 
     Args:
-        redundancy: (k,) of those kept, as estimation.statistics has it.
-        kept: (s,) which were not rejected.
-        least: redundancy that is asked for.
-        noun: what a datum is.
+        redundancy: (k,) redundancy of each datum that was kept, see estimation.statistics.
+        kept: (s,) True if the datum was not rejected.
+        least: smallest accepted redundancy.
+        noun: name of a datum.
     """
     worst = int(np.argmin(redundancy))
     which, value = numbers([int(np.flatnonzero(kept)[worst])], noun), float(redundancy[worst])
@@ -189,15 +189,15 @@ def checked(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
 
 
 def cause(words: str, verdict: str = FAIL) -> Check:
-    """What probably went wrong; never a reason of its own for a verdict."""
+    """Return a check that gives a probable cause; it never decides the verdict."""
     return Check(CAUSE, verdict, nan, nan, words, needed=False)
 
 
 def conclude(checks: Sequence[Check]) -> tuple[str, tuple[str, ...]]:
-    """The verdict of all checks, and its reasons: the likely cause, what lacks, what failed.
+    """Return the verdict of all checks and its reasons: causes, missing data, failures, notes.
 
-    What lacks something that is needed is not evaluated: a failure may follow from that. Of a pass
-    the reasons are what is well.
+    If a needed check could not be evaluated, the verdict is "not evaluated" even if others failed,
+    because the missing data may be the cause. The reasons of a pass are those of the checks passed.
     """
     causes = [s for s in checks if s.name == CAUSE]
     missing = [s for s in checks if s.verdict == NOT_EVALUATED and s.needed and s not in causes]
@@ -211,15 +211,15 @@ def conclude(checks: Sequence[Check]) -> tuple[str, tuple[str, ...]]:
 
 
 def quiet(check: Check) -> Check:
-    """The check without words if it passes: nothing worth a reader's time."""
+    """Return the check, without its reason if it passes, to keep the report short."""
     return check if check.verdict != PASS else replace(check, reason="")
 
 
 def count(number: int, what: str) -> str:
-    """A number of things in words."""
+    """Format a number with its noun, in the plural unless the number is 1."""
     return f"{number} {what}{'s' * (number != 1)}"
 
 
 def numbers(which: Sequence[int], noun: str = "observation") -> str:
-    """Data counted from 1, in words."""
+    """Format indices of data as text, counted from 1."""
     return f"{noun}{'s' * (len(which) > 1)} {', '.join(str(k + 1) for k in which)}"

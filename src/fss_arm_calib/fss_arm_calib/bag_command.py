@@ -1,4 +1,4 @@
-"""What commands that estimate from bags have alike: what they show and write, exit codes."""
+"""Output and exit codes shared by the commands that estimate from bags."""
 
 import argparse
 from collections.abc import Callable
@@ -23,10 +23,10 @@ def told(
     write: Callable[[str, Outcome[Any, Any]], None] = write_described,
     written: str = "calibrated description",
 ) -> None:
-    """Show a result, and write what was asked for.
+    """Print a result and write the requested files.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: a file cannot be written.
     """
     console.print(report.printed(found))
     if options.result:

@@ -1,4 +1,4 @@
-"""What bags hold for a finder: its data, found as a node finds them, and the streams themselves."""
+"""Data that a finder obtains from bags, found as in a node, and the recorded streams themselves."""
 
 from collections.abc import Sequence
 from itertools import zip_longest
@@ -18,11 +18,11 @@ from fss_arm_ros.convert import SECOND, stamp_ns
 
 D = TypeVar("D", bound=Datum)
 
-PIECE = 0.2  # of the horizon that streams may lag each other by: what is read at once
+PIECE = 0.2  # part of a bag that is read at once, as a fraction of the horizon (largest stream lag)
 
 
 def source(bags: Bags) -> str:
-    """The bags' names with the SHA-256 of each one's data, and what was lost of damaged ones."""
+    """Return the names of the bags, the SHA-256 of their data and the losses of damaged bags."""
     lost = {
         r.path: f" ({r.messages} messages recovered, {r.lost} bytes lost)" for r in bags.recovered
     }
@@ -32,7 +32,7 @@ def source(bags: Bags) -> str:
 def fed(
     bags: Bags, finder: Finder[D], inputs: Sequence[Input], horizon: float, namespace: str = ""
 ) -> list[D]:
-    """What a finder makes of the bags' messages.
+    """Feed the messages of the bags to a finder and return the data that it finds.
 
     Raises:
         BagError: a topic is missing or of another type.
@@ -51,7 +51,7 @@ def fed(
 
 
 def recorded_streams(bags: Bags, inputs: Sequence[Input], namespace: str = "") -> Recorded:
-    """What the bags hold of joints, subjects and gyro, to be heard again.
+    """Return the recorded streams of joints, subjects and gyro, for another replay.
 
     Raises:
         BagError: a topic is missing or of another type.
@@ -93,10 +93,10 @@ def _track(rows: Sequence[tuple[int, int, float, float]]) -> Track:
 
 
 def name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> str:
-    """The name of an input's topic, as in the bags: in the namespace, unless it begins with `/`.
+    """Return the topic name of an input in the bags: in the namespace unless it starts with `/`.
 
     Raises:
-        BagError: it is of another type, or missing and needed.
+        BagError: the topic is of another type, or it is needed and missing.
     """
     within = namespace.strip("/")
     topic = (
@@ -113,7 +113,7 @@ def name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> st
 
 
 def hint(bags: Bags, topic: str) -> str:
-    """In which namespaces there is a topic that was looked for, in words; empty: in none."""
+    """Suggest the namespaces in which the bags have a missing topic; empty if there are none."""
     last = f"/{topic.lstrip('/')}"
     spaces = [found.removesuffix(last)[1:] for found in bags.topics if found.endswith(last)]
     named = " or ".join(f"--namespace {space}" for space in spaces if space)

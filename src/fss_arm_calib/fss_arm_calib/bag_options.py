@@ -1,4 +1,4 @@
-"""Options that commands which estimate from bags have alike."""
+"""Command-line options shared by the commands that estimate from bags."""
 
 import argparse
 from argparse import BooleanOptionalAction
@@ -12,12 +12,12 @@ EPILOG = "Exit codes: 0 pass, 1 the command cannot be carried out, 2 fail, 3 not
 
 
 def defaults(kind: type[Any], namespace: str) -> dict[str, Any]:
-    """The defaults of settings for a vehicle, which is in a namespace."""
+    """Return the default settings of a vehicle in a namespace."""
     return {f.name: default_in(f, namespace) for f in fields(kind)}
 
 
 def outputs(p: argparse.ArgumentParser, written: str) -> None:
-    """Options that every estimate from bags has: what to write, and of whom."""
+    """Add the options that every estimate from bags has: the output files and the namespace."""
     p.add_argument("--output", metavar="FILE", help=f"write the {written}, if it passes")
     p.add_argument(
         "--result", metavar="JSON", help="write the result, whatever its verdict; a CSV beside it"
@@ -32,7 +32,7 @@ def outputs(p: argparse.ArgumentParser, written: str) -> None:
 def add_settings(
     p: argparse.ArgumentParser, kind: type[Any], names: Sequence[str] | None = None
 ) -> None:
-    """An option for each setting of a dataclass, or for some by their names."""
+    """Add an option for each setting of a dataclass, or only for those in `names`."""
     for f in (f for f in fields(kind) if names is None or f.name in names):
         flag, about = f"--{f.name.replace('_', '-')}", meaning(f)
         if isinstance(f.default, bool):

@@ -1,4 +1,4 @@
-"""A kind of calibration, written once: what node, bag, recomputation, state and report need."""
+"""Definition of a kind of calibration, used by its node, bag command, recomputation and report."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,85 +17,85 @@ from fss_arm_model.files import write_text
 from fss_arm_model.settings import Settings
 from fss_arm_model.urdf import urdf
 
-CAUSES = "search for causes"  # one of the things that a kind may lack
+CAUSES = "search for causes"  # a key of Calibration.lacks
 
 D = TypeVar("D", bound=Datum)
 C = TypeVar("C", bound=Settings)
 
 
 class Finder(Protocol[D]):
-    """Fed samples, finds data in them; how it is fed is an Input's matter."""
+    """Object that receives samples and finds data in them; an Input defines how to feed it."""
 
     def close(self) -> list[D]:
-        """What can be said with no more samples to come."""
+        """Return the data that are complete if no samples follow."""
 
     def streams(self) -> Streams:
-        """What happened to the streams so far."""
+        """Return the state of the streams."""
 
 
 @dataclass(frozen=True)
 class Input:
-    """A topic that a finder is fed from; each feeding returns the data that it completes."""
+    """Topic that feeds a finder; feeding a message returns the data that it completes."""
 
     topic: str
-    message: type[Any]  # of ROS
-    feed: Callable[[Any, Any], Sequence[Any]]  # the finder, with a message
-    bulk: Callable[[Any, Sequence[bytes]], Sequence[Any]] | None = None  # with serialized ones
-    needed: bool = True  # from a bag without it nothing can be found
-    subject: str = ""  # whose poses they are
-    latched: bool = False  # who comes late gets the last message
+    message: type[Any]  # ROS message class
+    feed: Callable[[Any, Any], Sequence[Any]]  # takes the finder and a message
+    bulk: Callable[[Any, Sequence[bytes]], Sequence[Any]] | None = None  # serialized messages
+    needed: bool = True  # a bag must have this topic
+    subject: str = ""  # motion-capture subject of the poses
+    latched: bool = False  # a late subscriber receives the last message
 
     @property
     def type(self) -> str:
-        """The message's name, as bags have it."""
+        """Name of the message type, as in bags."""
         return f"{self.message.__module__.split('.')[0]}/msg/{self.message.__name__}"
 
 
 @dataclass(frozen=True)
 class Data(Generic[D]):
-    """The data of a kind of calibration, as they are kept and published."""
+    """Data of a kind of calibration, as stored and published."""
 
-    noun: str  # what a datum is
+    noun: str  # name of a datum
     type: type[D]  # a dataclass
     topic: str
-    to_message: Callable[[Sequence[D], str], Any]  # with a frame id
+    to_message: Callable[[Sequence[D], str], Any]  # takes the data and a frame id
     from_message: Callable[[Any], list[D]]
-    summary: Callable[[D], str] = lambda _: ""  # of one that is used, for the log
+    summary: Callable[[D], str] = lambda _: ""  # log text of a datum that is used
 
 
 @dataclass(frozen=True)
 class Calibration(Generic[D, C]):
-    """A kind of calibration."""
+    """Kind of calibration: its settings, inputs, finder, solver, messages and report."""
 
-    name: str  # of its node and executable; its topic is calibration/NAME, its option --NAME
-    about: str  # what it estimates, and from what
+    name: str  # node and executable; the topic is calibration/NAME, the option --NAME
+    about: str  # the estimated parameters and the data used
     settings: type[C]
     data: Data[D]
-    most: Callable[[C], int]  # data that a result is from
-    inputs: Callable[[C, int], Sequence[Input]]  # of an arm of n links, in the order of feeding
-    finder: Callable[[Arm, C, Sequence[D]], Finder[D]]  # of an arm, after the data kept so far
+    most: Callable[[C], int]  # largest number of data in a result
+    inputs: Callable[[C, int], Sequence[Input]]  # for an arm of n links, in the order of feeding
+    finder: Callable[[Arm, C, Sequence[D]], Finder[D]]  # for an arm, given the data already kept
     calibrate: Callable[[Sequence[D], Arm, C, Streams, str], Outcome[D, Any]]
     message: type[Any]
-    to_message: Callable[[Outcome[D, Any], str], Any]  # with a frame id
-    numbers: tuple[str, ...] = ()  # fields of the message beyond the common ones, to recompute
-    frame: str = "fss"  # of the results
+    to_message: Callable[[Outcome[D, Any], str], Any]  # takes the outcome and a frame id
+    numbers: tuple[str, ...] = ()  # message fields to recompute besides the common ones
+    frame: str = "fss"  # frame id of the results
     report: Callable[[Outcome[D, Any], Arm | None], Report] = table_report
     output: Callable[[Outcome[D, Any]], str] = lambda outcome: outcome.description
-    written: str = "calibrated description"  # what `output` is
-    has_urdf: bool = True  # `output` is a description, and its URDF goes beside it
+    written: str = "calibrated description"  # name of the `output`
+    has_urdf: bool = True  # `output` is a description; its URDF is written next to it
     clocks: Callable[[Streams, Any], Check] = lambda heard, s: clocks_kept(heard, s.joint_gap)
-    stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result holds no more
+    stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result is outdated
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
-    lacks: Mapping[str, str] = field(default_factory=dict)  # what it cannot have, and why
+    lacks: Mapping[str, str] = field(default_factory=dict)  # features not available, with reasons
     evidence: Callable[[Sequence[D], Arm, C], Evidence] | None = None  # for a joint estimate
-    after: Mapping[str, type[Any]] = field(default_factory=dict)  # results to begin from
+    after: Mapping[str, type[Any]] = field(default_factory=dict)  # topics of results to start from
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:
-        """The report of an outcome, with what such a calibration cannot have.
+        """Return the report of an outcome, with the features that this kind does not have.
 
         Args:
-            outcome: of this kind.
-            truth: the simulated arm, to compare with.
+            outcome: outcome of this kind of calibration.
+            truth: simulated arm to compare with.
         """
         report = self.report(outcome, truth)
         if not self.lacks:
@@ -105,24 +105,24 @@ class Calibration(Generic[D, C]):
         return replace(report, details=[*report.details, table])
 
     def write(self, path: str, outcome: Outcome[D, Any]) -> None:
-        """Write what has passed.
+        """Write the output of a calibration that has passed.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the file cannot be written.
         """
         write_described(path, outcome) if self.has_urdf else write_text(path, self.output(outcome))
 
     @property
     def topic(self) -> str:
-        """Where its results are published."""
+        """Topic of the results."""
         return f"calibration/{self.name}"
 
 
 def write_described(path: str, outcome: Outcome[Any, Any]) -> None:
-    """Write the description of what has passed, and its URDF beside it.
+    """Write the description of a calibration that has passed, and its URDF next to it.
 
     Raises:
-        OSError: they cannot be written.
+        OSError: a file cannot be written.
     """
     write_text(path, outcome.description)
     write_text(Path(path).with_suffix(".urdf"), urdf(from_yaml(outcome.description)))

@@ -1,4 +1,4 @@
-"""The node of any kind of calibration: finds its data in live or replayed topics and solves."""
+"""Node for any kind of calibration: finds its data in live or replayed topics and solves."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -34,9 +34,10 @@ BASE = Vehicle.__dataclass_fields__["base_frame"]
 
 
 class CalibrationNode(Node):
-    """Publishes the data that it has, and what it concludes from them, whenever there are more.
+    """Node that publishes its data and the resulting calibration whenever data are added.
 
-    `~/solve` takes a rest or a motion that lasts as ended, and solves; `~/forget` begins anew.
+    `~/solve` treats a rest or a motion in progress as finished, and solves. `~/forget` drops all
+    data and resets the calibration.
     """
 
     def __init__(self, kind: Calibration[Any, Any], **options: Any) -> None:
@@ -46,7 +47,7 @@ class CalibrationNode(Node):
         base = default_in(BASE, self.get_namespace())
         self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
         arm = described(s.arm)
-        # Its masses count, whatever a kinematic calibration assumed.
+        # A kinematic calibration does not replace the masses of this description.
         self.begun = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
         self.writes = Writes(self.get_logger())
         kept, self.flags = self.restored()
@@ -56,7 +57,7 @@ class CalibrationNode(Node):
             self.outcome, self.saved = self.solved(), self.flags
             if s.report:
                 require("matplotlib")
-                kind.report_of(self.outcome)  # what it reads is there, or the node ends now
+                kind.report_of(self.outcome)  # fail at startup if the report's inputs are missing
             data = kind.data.to_message(self.data, self.frame)
         except (ArithmeticError, LookupError, ValueError) as error:
             if not kept:
@@ -81,16 +82,16 @@ class CalibrationNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def restored(self) -> tuple[list[Any], Flags]:
-        """What a run before this one saved."""
+        """Return the data and flags that a previous run saved."""
         path, kind = self.settings.state_file, self.kind
         return restore(path, kind.name, self.begun.arm.n, kind.data.type) if path else ([], Flags())
 
     def on_sample(self, feed: Callable[[Any, Any], Sequence[Any]], message: Any) -> None:
-        """A message of a sensor."""
+        """Feed a sensor message to the finder."""
         self.take(feed(self.finder, message))
 
     def on_result(self, topic: str, message: Any) -> None:
-        """Begin from what another calibration has found, and from how well it knows that."""
+        """Start from the result of another calibration, with its covariance."""
         try:
             begun = self.begun.with_message(topic, message)
             if begun.arm.n != self.begun.arm.n:
@@ -105,7 +106,7 @@ class CalibrationNode(Node):
             self.publish()
 
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Evaluate all data received up to now and solve; succeeds if the calibration passes."""
+        """Solve from all data received; succeed if the calibration passes."""
         receive_pending(self)
         if not self.take(self.finder.close()):
             self.outcome = self.solved()
@@ -119,7 +120,7 @@ class CalibrationNode(Node):
         return response
 
     def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Drop all data received up to now, in the state file too, and the state of the streams."""
+        """Drop all data received, also in the state file, and reset the state of the streams."""
         receive_pending(self)
         response.success = True
         response.message = f"{count(len(self.data), self.kind.data.noun)} forgotten"
@@ -131,7 +132,7 @@ class CalibrationNode(Node):
         return response
 
     def take(self, found: Sequence[Any]) -> bool:
-        """Keep, save and publish new data and solve again; False if there are none."""
+        """Store, save and publish new data and solve again; return False if there are none."""
         if not found:
             return False
         self.data = newest([*self.data, *found], self.kind.most(self.settings))
@@ -145,11 +146,11 @@ class CalibrationNode(Node):
         return True
 
     def streams(self) -> Streams:
-        """What happened to the streams, in runs before this one, too."""
+        """Return the state of the streams, including previous runs."""
         return self.flags.and_then(self.finder.streams())
 
     def solved(self) -> Outcome[Any, Any]:
-        """The calibration from all data."""
+        """Solve the calibration from all data."""
         found: Outcome[Any, Any] = self.kind.calibrate(
             self.data, self.begun.arm, self.settings, self.streams(), LIVE
         )
@@ -157,7 +158,7 @@ class CalibrationNode(Node):
         return found
 
     def publish(self) -> None:
-        """Save the data, publish them and the calibration; write what passes."""
+        """Save and publish the data and the calibration; write the output if it passes."""
         kind, s, self.writes.trouble = self.kind, self.settings, ""
         self.save()
         self.found.publish(kind.data.to_message(self.data, self.frame))
@@ -166,18 +167,18 @@ class CalibrationNode(Node):
             self.writes(lambda: kind.write(s.output, self.outcome))
 
     def save(self) -> None:
-        """Keep data and flags for a run after this one."""
+        """Save data and flags for the next run."""
         self.saved = Flags.of(self.streams())
         if path := self.settings.state_file:
             state = self.kind.name, self.begun.arm.n, self.data, self.saved
             self.writes(lambda: save(path, *state))
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the state of the node for diagnostics."""
         kind, streams = self.kind, self.streams()
         flags = Flags.of(streams)
         if (flags.unknown, flags.set_back) != (self.saved.unknown, self.saved.set_back):
-            self.save()  # no datum may come any more
+            self.save()  # no further datum may arrive to trigger it
         values = {
             f"{kind.data.noun}s": len(self.data),
             "verdict": self.outcome.verdict,

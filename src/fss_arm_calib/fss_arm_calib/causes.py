@@ -1,9 +1,9 @@
-"""What went wrong, if data and model disagree: what goes wrong in laboratories, tried in turn.
+"""Search for the cause of a failed calibration: typical laboratory errors, tested one by one.
 
-Each hypothesis changes what was heard, or what is asked of it, and all is found and solved anew.
-One with which the calibration passes is named, and never applied: the verdict stays what it was.
-If several pass, that is named whose result is nearest to the description: an arm fits its mirror
-image as well.
+Each hypothesis changes the recorded data or the settings, and the calibration is repeated from the
+start. A hypothesis with which the calibration passes is reported but never applied: the verdict
+does not change. If several pass, the one whose result is nearest to the description is reported,
+because an arm also fits its mirror image.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,27 +25,27 @@ from fss_arm_calib.segments.recorded import Recorded, Track, seen_from_above
 from fss_arm_calib.segments.samples import LARGEST, SECOND, span
 from fss_arm_model.description import Arm
 
-LONGEST = 900.0  # of what was heard, only so much at its end is tried [s]
-JOINTS, POSES = 0.05, 0.02  # periods that are enough to try it with [s]
-#: Checks that fail of data that agree with the model.
+LONGEST = 900.0  # length of the last part of the recording that is used [s]
+JOINTS, POSES = 0.05, 0.02  # sample periods to which the data are thinned [s]
+#: Checks that can fail although the data agree with the model.
 UNCERTAIN = {"precision", "measurable", "redundancy"}
 
-MOST = 60.0  # time of computing to try it in [s]
+MOST = 60.0  # limit of the processor time of the search [s]
 
-TABLE = 20.0  # no test bed is larger [m]
-TURN = 3.3  # a larger reading is none in radians [rad]
-LENGTH, ANGLE = 0.05, radians(20.0)  # a description is no farther from the truth [m, rad]
-APART = 0.25  # clocks, which is looked at [s]
-STEP = 0.1  # to which the lag of clocks is found [s]
-TILTED = 0.01  # of a quaternion's x and y, squared: the subject does not lie flat
+TABLE = 20.0  # positions above this are not in metres: no test bed is so large [m]
+TURN = 3.3  # readings above this are probably not in radians [rad]
+LENGTH, ANGLE = 0.05, radians(20.0)  # largest expected errors of a description [m, rad]
+APART = 0.25  # clock differences below this are ignored [s]
+STEP = 0.1  # resolution of the lag between clocks [s]
+TILTED = 0.01  # mean x^2 + y^2 of a quaternion above which the subject is not flat
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """What may have gone wrong, and what would be without it."""
+    """Possible error, with the recording and settings that would correct it."""
 
-    words: str  # as a question
-    remedy: str
+    words: str  # the error, as a question
+    remedy: str  # the correction, in words
     recorded: Recorded
     settings: Any
 
@@ -56,10 +56,10 @@ Maker = Callable[[Recorded, Arm, Any], Iterator[tuple[str, str, Recorded | dict[
 def explained(
     kind: Calibration[Any, Any], outcome: Outcome[Any, Any], recorded: Recorded
 ) -> Outcome[Any, Any]:
-    """The outcome with the likely cause of its verdict, if one is found.
+    """Return the outcome with the likely cause of its verdict, if one is found.
 
-    A pass needs none, nor do data that agree with the model and say too little. Without
-    recorded streams there is nothing to try.
+    There is no search after a pass, for data that agree with the model but are insufficient, or
+    without recorded streams.
     """
     failing = {check.name for check in outcome.checks if check.needed and check.verdict != PASS}
     if outcome.verdict == PASS or failing - {CAUSE} <= UNCERTAIN or not recorded.tracks:
@@ -72,12 +72,12 @@ def explained(
 
 
 def likely(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: Recorded) -> str:
-    """The hypothesis that makes a calibration pass, in words; empty: none does."""
+    """Describe the hypothesis that makes the calibration pass; empty if none does."""
     recorded, until = recorded.brief(LONGEST, JOINTS, POSES), process_time() + MOST
     best, nearest = "", inf
     as_it_is = tried(kind, arm, Hypothesis("", "", recorded, settings))
     if as_it_is and as_it_is.verdict == PASS:
-        return ""  # what is wrong is not in what was recorded
+        return ""  # the cause is not in the recorded streams
     lacking = as_it_is is None or as_it_is.solution is None
     for one in hypotheses(recorded, arm, settings, lacking):
         if process_time() > until:
@@ -95,7 +95,7 @@ def likely(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: Recor
 
 
 def tried(kind: Calibration[Any, Any], arm: Arm, one: Hypothesis) -> Outcome[Any, Any] | None:
-    """What would be concluded; None: nothing can be."""
+    """Calibrate under a hypothesis; None if that is impossible."""
     try:
         finder: Any = kind.finder(arm, one.settings, [])
         found = one.recorded.play(finder)
@@ -105,7 +105,7 @@ def tried(kind: Calibration[Any, Any], arm: Arm, one: Hypothesis) -> Outcome[Any
 
 
 def distance(outcome: Outcome[Any, Any]) -> float:
-    """From the description, in what a description may be off by."""
+    """Return the largest distance of the estimates from the description, over LENGTH or ANGLE."""
     e = outcome.estimate
     by_unit = {"m": LENGTH, "rad": ANGLE}
     away = [
@@ -117,7 +117,7 @@ def distance(outcome: Outcome[Any, Any]) -> float:
 
 
 def hypotheses(recorded: Recorded, arm: Arm, settings: Any, lacking: bool) -> Iterator[Hypothesis]:
-    """All that may be wrong with what was heard, what is seen at a glance first."""
+    """Yield all hypotheses, the most easily recognized errors first."""
     for maker in [*MAKERS, *LACKING * lacking]:
         for words, remedy, change in maker(recorded, arm, settings):
             if isinstance(change, Recorded):
@@ -182,7 +182,7 @@ def _scaled(recorded: Recorded, names: Sequence[str], by: float) -> Recorded:
 
 
 def _clocks(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
-    """By when samples were received, and by when joints and subjects moved."""
+    """Yield clock errors, found from the times of receipt and of the motions."""
     late = {
         name: float(np.median(track.receipt - track.t)) / SECOND
         for name, track in [*recorded.joints.items(), *recorded.poses.items()]
@@ -216,7 +216,7 @@ def _clocks(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Re
 
 
 def _on_receipt(track: Track) -> Track:
-    """Stamps as if by the clock of the receiver: the least delay counts as none."""
+    """Shift the stamps to the receiver's clock; the smallest delay is taken as zero."""
     if not len(track.t):
         return track
     by = int(np.min(track.receipt - track.t))
@@ -228,7 +228,7 @@ def _shifted(track: Track, by: float) -> Track:
 
 
 def _lag(recorded: Recorded) -> float:
-    """By how much joints' stamps are later than the subjects' when all move [s]; 0: not known."""
+    """Estimate how much later joints' stamps are than subjects' in motion [s]; 0: not known."""
     base, tip = (recorded.poses.get(name) for name in (BASE, TIP))
     if base is None or len(base.t) < 10 or any(len(t.t) < 10 for t in recorded.joints.values()):
         return 0.0
@@ -263,7 +263,7 @@ def _lag(recorded: Recorded) -> float:
 
 
 def _continued(heading: Floats) -> Floats:
-    """Without turns, and as before where nothing was seen."""
+    """Return the headings unwrapped, and interpolated where the subject was not seen."""
     seen = np.flatnonzero(np.isfinite(heading))
     if not len(seen):
         return np.zeros(len(heading))
@@ -271,7 +271,7 @@ def _continued(heading: Floats) -> Floats:
 
 
 def _poses(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
-    """What may be wrong with subjects."""
+    """Yield errors in the poses of the subjects."""
     values = [track.values for track in recorded.poses.values()]
     flat = all(np.nanmean(v[:, 3] ** 2 + v[:, 4] ** 2) < TILTED for v in values if len(v))
     if BASE in recorded.poses and TIP in recorded.poses:
@@ -291,7 +291,7 @@ def _poses(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Rec
         yield "end effector seen from the base already?", "so taken", _put_on_base(recorded)
 
 
-# Columns of a pose, x y z and the quaternion's x y z w, from which others are taken, and signs.
+# Source column of each column of a pose (x y z, quaternion x y z w), and its sign.
 _W_FIRST = [0, 1, 2, 4, 5, 6, 3], [1, 1, 1, 1, 1, 1, 1]
 _Y_UP = [0, 2, 1, 3, 5, 4, 6], [1, -1, 1, 1, -1, 1, 1]
 _X_UP = [1, 2, 0, 4, 5, 3, 6], [1, 1, 1, 1, 1, 1, 1]
@@ -306,7 +306,7 @@ def _turned(recorded: Recorded, change: tuple[list[int], list[int]]) -> Recorded
 
 
 def _put_on_base(recorded: Recorded) -> Recorded:
-    """The end effector's poses taken as seen from the base, put where the base is."""
+    """Take the end effector's poses as relative to the base; transform them to the world frame."""
     base, tip = recorded.poses[BASE], recorded.poses[TIP]
     if not len(base.t) or not len(tip.t):
         return recorded
@@ -321,7 +321,7 @@ def _put_on_base(recorded: Recorded) -> Recorded:
 
 
 def _joints(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
-    """What may be wrong with readings."""
+    """Yield errors in the joint readings."""
     names = [f"joint_{i}" for i in range(1, arm.n + 1) if f"joint_{i}" in recorded.joints]
     jumps = [n for n in names if (np.abs(np.diff(recorded.joints[n].values[:, 0])) > np.pi).any()]
     if jumps:
@@ -346,7 +346,7 @@ def _unwrapped(track: Track) -> Track:
 
 
 def _settings(recorded: Recorded, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """What may be asked in vain of these data."""
+    """Yield settings that these data cannot meet."""
     periods = [
         float(np.median(np.diff(track.t))) / SECOND
         for track in recorded.joints.values()
@@ -373,4 +373,4 @@ def _lengths(recorded: Recorded, arm: Arm, s: Any) -> Iterator[tuple[str, str, d
 
 
 MAKERS: tuple[Maker, ...] = (_names, _units, _lengths, _clocks, _poses, _joints)
-LACKING: tuple[Maker, ...] = (_settings,)  # of data that are too few
+LACKING: tuple[Maker, ...] = (_settings,)  # used only if there are too few data

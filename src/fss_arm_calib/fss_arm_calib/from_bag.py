@@ -1,4 +1,4 @@
-"""What the command `from_bag` does."""
+"""Implementation of the command `from_bag`."""
 
 import argparse
 import sys
@@ -42,18 +42,18 @@ def solve_bag(
     namespace: str = "",
     arm: Arm | None = None,
 ) -> Outcome[D, Any]:
-    """Find the data in one or several bags, and calibrate, as the node does on live topics.
+    """Find the data in one or several bags and calibrate, as the node does on live topics.
 
     Args:
-        kind: of calibration.
-        paths: the bags'.
-        settings: those of the kind by default.
-        namespace: of the vehicle whose data they are, as `fss2`.
-        arm: to begin from; that of the settings by default.
+        kind: kind of calibration.
+        paths: paths of the bags.
+        settings: settings; None: the defaults of the kind.
+        namespace: namespace of the vehicle, e.g. `fss2`.
+        arm: arm to start from; None: the one in the settings.
 
     Raises:
         BagError: a bag cannot be read or lacks a topic.
-        ValueError: a setting is impossible, or the description is.
+        ValueError: a setting or the description is invalid.
         OSError: a file cannot be read.
     """
     s = settings or kind.settings(**defaults(kind.settings, namespace))
@@ -71,16 +71,16 @@ def solve_bag(
 
 
 def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace: str = "") -> Arm:
-    """The arm that a kinematic calibration leaves: of its result, or made here from a bag.
+    """Return the arm after a kinematic calibration, from its result or computed here from a bag.
 
     Args:
         kinematic: a result as JSON, or a bag.
-        arm: description of what such a calibration does not estimate.
-        options: settings that it has in common with what follows.
-        namespace: of the vehicle.
+        arm: description with the parameters that a kinematic calibration does not estimate.
+        options: command-line options; the settings shared with the kinematic calibration are used.
+        namespace: namespace of the vehicle.
 
     Raises:
-        ValueError: there is no such result, or it has not passed.
+        ValueError: the result is invalid, or the calibration has not passed.
         OSError: a file cannot be read.
     """
     own = described(arm)
@@ -99,9 +99,9 @@ def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace:
 def calibrated(
     kind: Calibration[Any, Any], options: argparse.Namespace, console: Console
 ) -> Outcome[Any, Any]:
-    """Solve, show and write what was asked for."""
+    """Solve, print the result and write the requested files."""
     if options.report:
-        require("matplotlib")  # before minutes of work
+        require("matplotlib")  # fail before minutes of computation
     if kind is JOINT:
         return from_bags.estimated(options, console)
     truth = load(options.truth) if options.truth else None
@@ -127,7 +127,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib from_bag`."""
     given = sys.argv[1:] if args is None else args
     kind = asked(given)
-    namespace = parser(kind).parse_args(given).namespace  # which changes the defaults
+    namespace = parser(kind).parse_args(given).namespace  # changes the defaults
     options = parser(kind, namespace).parse_args(given)
     return EXIT_CODES[calibrated(kind, options, report.console()).verdict]
 

@@ -12,7 +12,7 @@ from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import KINDS
 from fss_arm_ros.command_line import Parser
 
-DEFAULT = "kinematic"  # kind of calibration
+DEFAULT = "kinematic"  # kind of calibration if no option selects one
 
 ABOUT_JOINT = """One arm from all rests, maneuvers and drifts of one bag or many. Each bag is a
 session of its own: tilt, hose and the joints' zeros may be others in each, and so they may after a
@@ -20,7 +20,7 @@ homing within it."""
 
 
 def asked(args: Sequence[str]) -> Calibration[Any, Any]:
-    """The kind of calibration that a command line asks for."""
+    """Return the kind of calibration that a command line selects."""
     found = [k for k in (*KINDS.values(), JOINT) if k.name != DEFAULT and f"--{k.name}" in args]
     return found[0] if found else KINDS[DEFAULT]
 
@@ -28,11 +28,11 @@ def asked(args: Sequence[str]) -> Calibration[Any, Any]:
 def parser(
     kind: Calibration[Any, Any] | None = None, namespace: str = ""
 ) -> argparse.ArgumentParser:
-    """The command line: the bags, what to write, and each setting that the node has, too.
+    """Return the parser of the command line: the bags, the output files and the node's settings.
 
     Args:
-        kind: of calibration; None: the one that sys.argv asks for.
-        namespace: of the vehicle, which changes the defaults.
+        kind: kind of calibration; None: the one that sys.argv selects.
+        namespace: namespace of the vehicle, which changes the defaults.
     """
     kind = kind or asked(sys.argv)
     if kind is JOINT:

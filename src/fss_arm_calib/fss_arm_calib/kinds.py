@@ -1,4 +1,4 @@
-"""The kinds of calibration that there are."""
+"""Registry of the kinds of calibration by name; the joint estimate is separate."""
 
 from typing import Any
 
@@ -11,5 +11,5 @@ from fss_arm_calib.kinematic.kind import KINEMATIC
 KINDS: dict[str, Calibration[Any, Any]] = {
     kind.name: kind for kind in (KINEMATIC, DYNAMIC, DRIFT, DRIVES)
 }
-#: Those whose data a joint estimate is from.
+#: Kinds whose data a joint estimate combines.
 JOINED = {name: kind for name, kind in KINDS.items() if kind.evidence}

@@ -1,4 +1,4 @@
-"""What is known of each physical link, by serial number, and how it has changed."""
+"""Show the parameters of each physical link, by serial number, and their history."""
 
 import argparse
 import sys
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 DESCRIPTION = f"""{__doc__} With --result, a calibration's values are written to the files of its
 links first, beside the arm's description, which becomes a list of serial numbers."""
 
-#: What calibrations find of a link, as results name it, and its unit.
+#: Parameters of a link that calibrations estimate, by their names in results, with their units.
 FOUND = {"a": "m", "theta_0": "rad", "m": "kg", "b": "m", "I": "kg m^2"}
-FIELDS = {"m": "mass", "I": "inertia"}  # of a Link, where these differ
+FIELDS = {"m": "mass", "I": "inertia"}  # attributes of a Link that have another name
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the parser of the command line."""
     p = Parser("links", description=DESCRIPTION)
     p.add_argument("arm", metavar="ARM", help="file of the arm's description")
     p.add_argument("--result", metavar="JSON", help="result of a calibration, which has passed")
@@ -34,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def entry(found: Mapping[str, Any], place: int) -> dict[str, Any]:
-    """What a result adds to the history of the link at a place: values and deviations."""
+    """Return the entry of a result in the history of the link at a place: values and deviations."""
     told = zip(found["names"], found["values"], found["deviations"], strict=True)
     known = {name: [value, deviation] for name, value, deviation in told if deviation is not None}
     made = found["provenance"]
@@ -47,10 +47,12 @@ def entry(found: Mapping[str, Any], place: int) -> dict[str, Any]:
 
 
 def write_back(path: Path, found: Mapping[str, Any]) -> None:
-    """Write what a result found to the files of its links; once, however often it is called.
+    """Write the values of a result to the files of its links.
+
+    Repeated calls with the same result leave one entry in the history.
 
     Raises:
-        ContentError: it is not of the links of this arm, or these have no serial numbers.
+        ContentError: the result is of other links, or the links have no serial numbers.
         OSError: a file cannot be written.
     """
     arm, calibrated = load(path), from_yaml(found["description"])
@@ -70,12 +72,12 @@ def write_back(path: Path, found: Mapping[str, Any]) -> None:
 
 
 def listed(path: Path) -> "Table":
-    """The links of the arm in a file, those that have a file beside it, and their calibrations.
+    """Tabulate the links of an arm, those with a file in the same folder, and their calibrations.
 
     Raises:
-        ValueError: there are none, or a file is wrong.
+        ValueError: no link has a serial number, or a file is invalid.
     """
-    from rich.markup import escape  # here, as --help does without
+    from rich.markup import escape  # imported here because --help does not need it
     from rich.table import Table
 
     table = Table("link", "place", "when", "from")
@@ -103,7 +105,7 @@ def listed(path: Path) -> "Table":
 
 
 def _cell(found: Sequence[float] | None, before: Sequence[float] | None) -> str:
-    """A value, its deviation, and the change since the one before in deviations of both."""
+    """Format a value, its deviation, and its change in combined deviations since the one before."""
     if found is None:
         return ""
     value, deviation = found

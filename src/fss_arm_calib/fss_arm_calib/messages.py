@@ -1,4 +1,7 @@
-"""Between calibrations of every kind and ROS, by attribute: rclpy's and rosbags' both pass."""
+"""Conversion between calibrations and ROS messages.
+
+Messages are read by attribute, so that those of rclpy and of rosbags both work.
+"""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -20,7 +23,7 @@ from fss_arm_ros.convert import joint_readings, seen_pose, stamp_ns, to_time
 AnyFinder = Finder[Any, Any]
 M = TypeVar("M", bound=Any)
 
-LISTED = 20  # names in a message that are told of, if they are unknown
+LISTED = 20  # most unknown joint names that are reported of a message
 
 #: Fields of Calibration.msg that are computed from the data alone.
 NUMBERS = (
@@ -30,7 +33,7 @@ NUMBERS = (
 
 
 def joints_input(topic: str) -> Input:
-    """Readings and rates of joints by their names, joint_<i>, of a sensor_msgs/JointState."""
+    """Return the input of joint readings and rates: sensor_msgs/JointState, names joint_<i>."""
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
         t, readings = stamp_ns(message.header.stamp), list(joint_readings(message))
@@ -43,7 +46,10 @@ def joints_input(topic: str) -> Input:
 
 
 def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
-    """Planar poses of a subject, of geometry_msgs/PoseStamped; `needed`: a bag must have them."""
+    """Return the input of a subject's planar poses: geometry_msgs/PoseStamped.
+
+    If `needed`, a bag must have the topic.
+    """
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
         finder.subjects[subject].frame = str(message.header.frame_id)
@@ -58,7 +64,7 @@ def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
 
 
 def rates_input(topic: str) -> Input:
-    """Turn rates of the base, of sensor_msgs/Imu, which may be absent."""
+    """Return the input of the base's turn rates: sensor_msgs/Imu, optional."""
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
         return finder.rate(stamp_ns(message.header.stamp), float(message.angular_velocity.z))
@@ -70,7 +76,7 @@ def rates_input(topic: str) -> Input:
 
 
 def telemetry_inputs(n: int) -> list[Input]:
-    """Whether each of n links is armed, and how often it was homed; may be absent."""
+    """Return the inputs of the armed state and homings of n links: LinkTelemetry, optional."""
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
         t, armed = stamp_ns(message.header.stamp), bool(message.armed)
@@ -82,7 +88,7 @@ def telemetry_inputs(n: int) -> list[Input]:
 
 
 def common_message(kind: str, outcome: Outcome[Any, Any], frame_id: str) -> Calibration:
-    """What calibrations of every kind conclude, as it is published."""
+    """Return the message with the part of an outcome that all kinds of calibration share."""
     e, streams = outcome.estimate, outcome.streams
     message = Calibration(
         kind=kind,
@@ -134,30 +140,30 @@ def common_message(kind: str, outcome: Outcome[Any, Any], frame_id: str) -> Cali
 
 
 def provenance_message(origin: Origin) -> Provenance:
-    """From what a result was computed."""
+    """Return the message with the provenance of a result."""
     known = {f.name: getattr(origin, f.name) for f in fields(origin)}
     return Provenance(**{k: to_time(v) if k in ("begin", "end") else v for k, v in known.items()})
 
 
 def common(message: Any) -> Any:
-    """The Calibration in the message of a kind of calibration, which may be no more than that."""
+    """Return the Calibration in a message of any kind; some kinds publish only a Calibration."""
     return getattr(message, "calibration", message)
 
 
 def stamped(message: M, ones: Sequence[Any], frame_id: str) -> M:
-    """The message of all data, `ones`, with the stamp of the last one's end."""
+    """Return the message of the data `ones` with its header; the stamp is the last one's end."""
     message.header.frame_id = frame_id
     message.header.stamp = ones[-1].end if ones else to_time(0)
     return message
 
 
 def flat(values: Any) -> list[Any]:
-    """An array, or a tuple that may hold tuples, as the list that a message takes."""
+    """Convert an array, or a tuple that may contain tuples, to a flat list for a message."""
     if isinstance(values, np.ndarray):
         return list(values.ravel().tolist())
     return [x for value in values for x in (flat(value) if isinstance(value, tuple) else [value])]
 
 
 def rows(numbers: Any, width: int) -> tuple[tuple[float, ...], ...]:
-    """A message's numbers as rows."""
+    """Convert the numbers of a message to rows of a width."""
     return tuple(map(tuple, np.reshape(numbers, (-1, width)).astype(float).tolist()))

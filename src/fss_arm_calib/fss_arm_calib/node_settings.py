@@ -1,4 +1,4 @@
-"""The parameters of the nodes of calibrations."""
+"""Parameters of the calibration nodes."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +13,7 @@ from fss_arm_model.settings import Settings, setting
 
 @dataclass(frozen=True)
 class NodeSettings(Settings):
-    """What the node of a calibration needs beside the settings of its kind."""
+    """Parameters of a calibration node in addition to the settings of its kind."""
 
     frame_id: str = setting("", "frame id of the results; empty: that of the kind")
     state_file: str = setting("", "data are kept here across restarts; empty: nowhere")
@@ -22,7 +22,7 @@ class NodeSettings(Settings):
 
 
 def node_settings(name: str, kind: type[Settings]) -> type[Any]:
-    """The parameters of the node of a kind of calibration, by its name and settings."""
+    """Return the class of a calibration node's parameters, given the kind's name and settings."""
     made = type(f"{name.title()}NodeSettings", (NodeSettings, kind), {})
     return dataclass(frozen=True)(made)
 

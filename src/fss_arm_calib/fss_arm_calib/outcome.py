@@ -1,4 +1,4 @@
-"""What a calibration of any kind concludes: data, estimate, checks, and where it is from."""
+"""Outcome of a calibration of any kind: data, estimate, checks and provenance."""
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
@@ -27,27 +27,27 @@ from fss_arm_model.description_file import to_yaml
 from fss_arm_model.files import ContentError
 from fss_arm_model.units import SECOND
 
-LIVE = "live"  # source of data that came by topics
+LIVE = "live"  # source of data received from topics
 
 
 class Datum(Protocol):
-    """What a calibration is solved from, or kept for its reason why not."""
+    """Datum of a calibration: used in the solution, or kept for the reason why not."""
 
     @property
     def start(self) -> int:
-        """Of it [ns]."""
+        """Start of the datum [ns]."""
 
     @property
     def end(self) -> int:
-        """Of it [ns]."""
+        """End of the datum [ns]."""
 
     @property
     def used(self) -> bool:
-        """Whether it may be solved from."""
+        """True if the datum may be used in a solution."""
 
     @property
     def reason(self) -> str:
-        """Why not."""
+        """Reason why the datum is not used."""
 
 
 D = TypeVar("D", bound=Datum)
@@ -61,25 +61,26 @@ def _none() -> Floats:
 
 @dataclass(frozen=True)
 class Estimate:
-    """p parameters from s data, as Calibration.msg has them; what is not given is not known.
+    """Estimate of p parameters from s data, with the fields of Calibration.msg.
 
-    Of parameters that the data cannot tell apart the values are NaN; of those and of parameters
-    at a bound, which the data do not determine, the deviations are inf and the covariance is NaN.
+    Values, covariance and deviations that are not given are NaN, i.e. not known. For parameters
+    that the data cannot separate, the values are NaN. For these and for parameters at a bound,
+    which the data do not determine, the deviations are inf and the covariance is NaN.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    initial: Floats  # (p,) guess that was given
+    initial: Floats  # (p,) initial guess
     values: Floats = field(default_factory=_none)  # (p,)
     covariance: Floats = field(default_factory=_none)  # (p, p)
     deviations: Floats = field(default_factory=_none)  # (p,) 1 sigma
-    undetermined: tuple[str, ...] = ()  # names of parameters that the data cannot tell apart
-    at_bound: tuple[str, ...] = ()  # names of those that they would move out of what is possible
+    undetermined: tuple[str, ...] = ()  # names of parameters that the data cannot separate
+    at_bound: tuple[str, ...] = ()  # names of parameters that would otherwise cross a bound
     residuals: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (rows, 3), as observed
     weights: Floats = field(default_factory=_none)  # (s,) 1: used; 0: rejected
     leverage: Floats = field(default_factory=_none)  # (s,)
-    errors: Floats = field(default_factory=_none)  # (s,) against the others [deviations]
-    reasons: tuple[str, ...] = ()  # (s,) why a datum was rejected, else empty
+    errors: Floats = field(default_factory=_none)  # (s,) of each datum [deviations]
+    reasons: tuple[str, ...] = ()  # (s,) why a datum was rejected; empty if it was not
     position_residual: float = nan  # root mean square [m]
     heading_residual: float = nan  # root mean square [rad]
     chi_square: float = nan
@@ -105,76 +106,76 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Provenance:
-    """From what a result was computed, as Provenance.msg has it."""
+    """Provenance of a result, with the fields of Provenance.msg."""
 
     software: str
     parameters: str  # the settings, as YAML
-    data_hash: str  # SHA-256 of what was solved from
+    data_hash: str  # SHA-256 of the data used in the solution
     source: str
-    begin: int  # of the data [ns]
+    begin: int  # start of the data [ns]
     end: int
-    seed: int = 0  # of random choices; 0: none were made
+    seed: int = 0  # seed of random choices; 0: there were none
 
 
 @dataclass(frozen=True)
 class Outcome(Generic[D, S]):
-    """What is concluded from data."""
+    """Outcome of a calibration."""
 
-    data: tuple[D, ...]  # all that were found, in order of time
-    used: tuple[D, ...]  # s of them that it was solved from, outliers included
-    arm: Arm  # the guess
-    settings: Any  # that it was computed by, of the kind's class
+    data: tuple[D, ...]  # all data found, in order of time
+    used: tuple[D, ...]  # the s data used in the solution, including outliers
+    arm: Arm  # the initial guess
+    settings: Any  # settings of the calibration, of the kind's class
     streams: Streams
     checks: tuple[Check, ...]
     provenance: Provenance
     estimate: Estimate
-    solution: S | None  # what the kind knows besides
+    solution: S | None  # additional results of the kind
     description: str  # the calibrated arm as YAML; empty unless the verdict is pass
 
     @property
     def verdict(self) -> str:
-        """PASS, FAIL or NOT_EVALUATED."""
+        """Verdict: PASS, FAIL or NOT_EVALUATED."""
         return conclude(self.checks)[0]
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Of the verdict, in words; unless it is a pass, the likely cause first."""
+        """Reasons for the verdict; unless it is a pass, the likely cause comes first."""
         return conclude(self.checks)[1]
 
     @property
     def reason(self) -> str:
-        """They in one line."""
+        """Reasons for the verdict in one line."""
         return "; ".join(self.reasons)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(p) of the parameters."""
+        """Names of the parameters (p)."""
         return self.estimate.names
 
     @property
     def values(self) -> Floats:
-        """(p,) of the parameters; NaN: not known."""
+        """Values of the parameters (p,); NaN: not known."""
         return self.estimate.values
 
     @property
     def covariance(self) -> Floats:
-        """(p, p) of the values."""
+        """Covariance of the values (p, p)."""
         return self.estimate.covariance
 
     @property
     def deviations(self) -> Floats:
-        """(p,) 1 sigma of the values; inf: the data do not determine it."""
+        """Standard deviations of the values (p,); inf: the data do not determine the value."""
         return self.estimate.deviations
 
     @property
     def accepted(self) -> int:
-        """Number of data that the estimate is from."""
+        """Number of data with a weight in the estimate."""
         weights = self.estimate.weights
         return int(np.count_nonzero(weights)) if len(weights) else len(self.used)
 
     @property
     def left_out(self) -> int:
-        """Number of data that were not solved from."""
+        """Number of data that were not used in the solution."""
         return len(self.data) - len(self.used)
 
 
@@ -192,21 +193,21 @@ def concluded(
     solution: S | None = None,
     calibrated: Callable[[], Arm] | None = None,
 ) -> Outcome[D, S]:
-    """The outcome of what was found.
+    """Assemble the outcome of a calibration: provenance, additional checks and description.
 
     Args:
-        data: all of them.
-        used: those that were solved from.
-        arrays: their numbers, that the hash is of.
-        arm: the guess.
-        settings: the settings, or those of a node, which has more.
-        kind: the class of the settings that decide.
-        streams: what happened to the streams that the data are from.
-        source: of the data.
-        checks: all of them.
-        estimate: from the data.
-        solution: what the kind knows besides.
-        calibrated: the arm as it was found; called if all checks pass.
+        data: all data found.
+        used: data used in the solution.
+        arrays: numbers of the used data, from which the hash is computed.
+        arm: the initial guess.
+        settings: the settings of the kind, or those of its node, which has more.
+        kind: class of the settings that are recorded.
+        streams: state of the streams that the data were found in.
+        source: source of the data.
+        checks: checks of the kind.
+        estimate: the estimate.
+        solution: additional results of the kind.
+        calibrated: returns the calibrated arm; called only if the verdict is pass.
     """
     digest = hashlib.sha256()
     for array in arrays:
@@ -235,7 +236,7 @@ def concluded(
 
 
 def _origin(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
-    """What a person who finds the description wants to know of it."""
+    """Yield lines about the origin of a calibrated description, for its readers."""
     end = datetime.fromtimestamp(provenance.end / SECOND, UTC)
     e = estimate
     yield f"Calibrated by {provenance.software} from {provenance.source}, until {end:%F %R} UTC:"
@@ -247,22 +248,22 @@ def _origin(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
 
 
 def _plain(value: Any) -> Any:
-    """A setting as YAML takes it: numpy's numbers are given by who computes them."""
+    """Convert a setting to a type that YAML supports; computed settings may be numpy numbers."""
     if isinstance(value, tuple):
         return tuple(map(_plain, value))
     return value.item() if isinstance(value, np.generic) else value
 
 
 def settings_of(parameters: str, kind: type[C], section: str = "") -> C:
-    """The settings that a Provenance has.
+    """Return the settings in a Provenance.
 
     Args:
-        parameters: as it has them.
-        kind: of settings.
-        section: the name of theirs, if there are several.
+        parameters: settings as YAML, from the Provenance.
+        kind: class of the settings.
+        section: name of the section, if the YAML has several.
 
     Raises:
-        ValueError: they are not those of `kind`.
+        ValueError: the parameters are not those of `kind`.
     """
     try:
         given = yaml.safe_load(parameters)

@@ -1,7 +1,7 @@
-"""`python -m fss_arm_calib.paper_study`: the paper's Tables 2-4 again, on simulated data.
+"""`python -m fss_arm_calib.paper_study`: reproduction of the paper's Tables 2-4 on simulated data.
 
-Prints Markdown, or puts it between its markers in docs/explanation/paper.md: what this software
-makes of data with the paper's noise, and how far such numbers can be believed.
+Prints Markdown, or writes it between its markers in docs/explanation/paper.md. It shows the results
+of this software for data with the paper's noise, and how reliable such results are.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import tip_in_base
 
 ARM, INERTIA = paper_arm(), 0.034
-TURN_NOISE = float(np.radians(1.54))  # of a maneuver's turn, section 4.2
+TURN_NOISE = float(np.radians(1.54))  # of the base's turn in a maneuver [rad], section 4.2
 REACH = np.radians(60.0)
 REST = 5.2  # [s]
 AT_REST = DynamicSettings(
@@ -39,7 +39,7 @@ BEGIN, END = "<!-- paper_study: begin -->", "<!-- paper_study: end -->"
 
 
 def tables_2_and_3() -> str:
-    """13 observations with the paper's errors."""
+    """Return the text on 13 simulated observations with the paper's errors."""
     sigma = KinematicProblem(DEFAULT, tip_in_base(ARM.vector(), DEFAULT), ARM).sigma
     tip = tip_in_base(ARM.vector(), DEFAULT)
     tip = tip + sigma * np.random.default_rng(1).standard_normal(tip.shape)
@@ -65,7 +65,7 @@ def tables_2_and_3() -> str:
 
 
 def single_joint(others: np.ndarray, way: float) -> list[Planned]:
-    """One maneuver of each joint through +-60 degrees, the others at a posture."""
+    """Return one maneuver of each joint through +-60 degrees, the others at a posture."""
     ends = np.tile(others, (ARM.n, 2, 1))
     for joint in range(ARM.n):
         ends[joint, :, joint] = [-way * REACH, way * REACH]
@@ -74,7 +74,10 @@ def single_joint(others: np.ndarray, way: float) -> list[Planned]:
 
 
 def as_the_paper(plan: Sequence[Planned], position: float = np.inf) -> DynamicResult:
-    """The common inertia from the base's turn alone, momentum and tilt taken to be zero."""
+    """Estimate the common inertia with momentum and tilt assumed to be zero.
+
+    With infinite `position` deviation [m], only the base's turn is used, as in the paper.
+    """
     batch = path(*together(plan), [[0.0, one.length] for one in plan])
     sigma = np.empty((len(plan), 2, 3))
     sigma[...] = position, position, TURN_NOISE / np.sqrt(2.0)
@@ -83,27 +86,30 @@ def as_the_paper(plan: Sequence[Planned], position: float = np.inf) -> DynamicRe
 
 
 def shares(result: DynamicResult) -> tuple[float, float]:
-    """Random and total deviation of the common inertia over 0.034 kg m^2."""
+    """Return random and total deviation of the common inertia, divided by 0.034 kg m^2."""
     k = result.problem.names.index("I")
     return float(np.sqrt(result.random[k, k])) / INERTIA, float(result.deviations[k]) / INERTIA
 
 
 @cache
 def sixteen(words: str, **settings: float) -> tuple[DynamicSettings, list[Planned]]:
-    """Maneuvers chosen for the common inertia, and the settings that they are made for."""
+    """Return settings, and 16 maneuvers designed with them for the common inertia."""
     s = DynamicSettings(estimate=words, **settings)  # type: ignore[arg-type]
     conditions = Conditions(rest=REST, kinds=("single", "sweep"))
     return s, design(ARM, 16, s, conditions, chosen=["I"], tried=100)
 
 
 def designed(count: int, words: str, **settings: float) -> DynamicResult:
-    """What these, repeated, tell by headings and positions of averaged windows."""
+    """Return the expected result of the 16 designed maneuvers, repeated to `count` maneuvers.
+
+    The data are headings and positions, averaged over windows.
+    """
     s, plan = sixteen(words, **settings)
     return expected(ARM, plan * (count // len(plan)), s, REST)
 
 
 def table_4() -> str:
-    """The common inertia: how well the paper's experiment knows it, and what would."""
+    """Return the text on the common inertia: accuracy of the paper's and of better experiments."""
     rng = np.random.default_rng(0)
     spread = []
     for _ in range(100):
@@ -161,7 +167,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def study() -> str:
-    """The Markdown of this study."""
+    """Return the Markdown of this study."""
     return (
         f"{BEGIN}\n## Tables 2 and 3: kinematics\n\n{tables_2_and_3()}\n\n"
         f"## Table 4: dynamics\n\n{table_4()}\n\n"
@@ -170,7 +176,7 @@ def study() -> str:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Print the study, or put it into a file."""
+    """Print the study, or write it to a file."""
     parser = argparse.ArgumentParser("paper_study", description=__doc__)
     parser.add_argument("--output", type=Path, metavar="FILE", help="as docs/explanation/paper.md")
     output = parser.parse_args(args).output

@@ -1,4 +1,4 @@
-"""What the command `recompute` does."""
+"""Implementation of the command `recompute`."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -21,22 +21,22 @@ from fss_arm_model.description_file import from_yaml
 from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import stamp_ns
 
-LARGEST = 1e-9  # difference of any number, in its unit
+LARGEST = 1e-9  # largest difference explained by rounding, in the unit of the number
 
 SAME, OTHER = 0, 2
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A recorded result beside the same computed again."""
+    """Comparison of a recorded result with the same result recomputed."""
 
-    what: str  # it was computed from
+    what: str  # number and name of the data
     verdict: str
-    difference: float  # largest of all numbers, each in its unit; inf: they are not of one shape
+    difference: float  # largest of all numbers, each in its unit; inf: the shapes differ
 
     @property
     def same(self) -> bool:
-        """Whether rounding explains the difference."""
+        """True if rounding explains the difference."""
         return self.difference <= LARGEST
 
     def __str__(self) -> str:
@@ -45,10 +45,10 @@ class Comparison:
 
 
 def again(kind: Calibration[Any, Any], result: Any, data: Any) -> Outcome[Any, Any]:
-    """The outcome of a published result's data by its settings and its guess.
+    """Calibrate again from the data, the settings and the initial guess of a published result.
 
     Raises:
-        ValueError: the result does not hold its settings or its guess.
+        ValueError: the result does not contain its settings or its initial guess.
     """
     found = common(result)
     settings = settings_of(found.provenance.parameters, kind.settings, kind.name)
@@ -57,10 +57,10 @@ def again(kind: Calibration[Any, Any], result: Any, data: Any) -> Outcome[Any, A
 
 
 def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison | None:
-    """Compute a published result again from its data; None: it has others.
+    """Recompute a published result and compare; None if it was computed from other data.
 
     Raises:
-        ValueError: the result does not hold its settings or its guess.
+        ValueError: the result does not contain its settings or its initial guess.
     """
     outcome, found = again(kind, result, data), common(result)
     if outcome.provenance.data_hash != found.provenance.data_hash:
@@ -71,7 +71,7 @@ def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison
         _difference(getattr(then, name), getattr(now, name))
         for then, now, names in sides
         for name in names
-        if hasattr(then, name)  # those of an earlier version may have had fewer
+        if hasattr(then, name)  # earlier versions may have fewer fields
     )
     return Comparison(count(len(outcome.used), kind.data.noun), found.verdict, difference)
 
@@ -85,10 +85,10 @@ def _difference(a: Any, b: Any) -> float:
 
 
 def _reader(bags: Bags, topic: str) -> Callable[[Any], Any]:
-    """What makes the present message of a recorded one, which may be of an earlier version.
+    """Return a function that converts recorded messages of a topic to the installed version.
 
     Raises:
-        BagError: what is recorded is not in the installed version.
+        BagError: the installed version does not extend the recorded one.
     """
     about = bags.topics[topic]
     if about.hash in ("", definition(about.msgtype).hash):
@@ -103,11 +103,11 @@ def _reader(bags: Bags, topic: str) -> Callable[[Any], Any]:
 
 
 def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
-    """All recorded results, of the vehicle in a namespace, computed again.
+    """Recompute all recorded results of the vehicle in a namespace, and compare.
 
     Raises:
-        BagError: no result was recorded, or one without its data, or in another version.
-        ValueError: a result does not hold its settings.
+        BagError: there is no result, or one without its data or of an incompatible version.
+        ValueError: a result does not contain its settings.
     """
     found = []
     space = f"/{namespace.strip('/')}/".replace("//", "/")
@@ -120,7 +120,7 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
         data = [of[topic](m) for topic, m in read if topic == source]
         ends = [{0, *(one.end for one in kind.data.from_message(m))} for m in data]
         for result in (m for topic, m in read if topic == results):
-            # Solving takes longer than finding that a datum is missing; the first that has it fits.
+            # Solving is slow: try only messages with the last datum, and stop at the first match.
             end = stamp_ns(common(result).provenance.end)
             alike = (m for those, m in zip(ends, data, strict=True) if end in those)
             try:

@@ -1,4 +1,4 @@
-"""Computes recorded results again from what was published with them, and compares."""
+"""Recompute recorded results from the data published with them, and compare."""
 
 import argparse
 
@@ -6,7 +6,7 @@ from fss_arm_ros.command_line import Parser
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the parser of the command line."""
     p = Parser("recompute", description=__doc__)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
     p.add_argument("--namespace", default="", help="of the vehicle, if the bag has several: fss2")

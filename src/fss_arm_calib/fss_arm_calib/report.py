@@ -1,6 +1,6 @@
-"""What a calibration found, for people: printed as tables, or a page to read and to print.
+"""Reports of calibrations: printed tables, or an HTML page.
 
-A kind of calibration gives a Report of its outcome; its layout is defined here.
+Each kind of calibration makes a Report of its outcome; the layout is defined here.
 """
 
 import base64
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from fss_arm_model.files import write_text
 
-if TYPE_CHECKING:  # nodes, that print nothing, do without it
+if TYPE_CHECKING:  # not imported by nodes, which print no tables
     from rich.console import Console, Group
     from rich.table import Table as PrintedTable
 
@@ -23,26 +23,26 @@ STYLE = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of texts under a head; the first `words` columns are words, the others numbers."""
+    """Table of texts with a head; the first `words` columns are words, the others numbers."""
 
     title: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     words: int = 1
     note: str = ""
-    weak: Sequence[int] = ()  # rows that are shown in amber
+    weak: Sequence[int] = ()  # indices of rows shown in amber
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing, made when it is asked for."""
+    """Drawing that is made on demand."""
 
-    name: str  # of its file, less the ending
+    name: str  # file name without extension
     title: str
     draw: Callable[[], Any]  # returns a matplotlib Figure
 
     def png(self) -> bytes:
-        """The drawing as a file."""
+        """Return the drawing as a PNG file."""
         stream = BytesIO()
         self.draw().savefig(stream, format="png", dpi=110)
         return stream.getvalue()
@@ -50,23 +50,23 @@ class Figure:
 
 @dataclass(frozen=True)
 class Report:
-    """All that is reported of a calibration."""
+    """Report of a calibration."""
 
     title: str
     verdict: str
     reason: str
-    tables: Sequence[Table]  # that matter most
+    tables: Sequence[Table]  # the most important ones
     origin: str
     figures: Sequence[Figure] = ()
     details: Sequence[Table] = ()
-    texts: Mapping[str, str] = field(default_factory=dict)  # by title, as they are
+    texts: Mapping[str, str] = field(default_factory=dict)  # by title, shown unchanged
     reasons: Sequence[str] = ()  # the reason as a list
-    below: Sequence[str] = ()  # the verdict: when the data are from, what to do now
-    html: str = ""  # above the figures, as it is
+    below: Sequence[str] = ()  # lines below the verdict: date of the data, next step
+    html: str = ""  # shown unchanged above the figures
 
 
 def console() -> "Console":
-    """Where to print a report: wide enough for it if it is not a terminal."""
+    """Return the console for reports, 110 columns wide if it is not a terminal."""
     from rich.console import Console
 
     terminal = Console()
@@ -74,7 +74,7 @@ def console() -> "Console":
 
 
 def printed(report: Report) -> "Group":
-    """What matters most, as something that rich prints."""
+    """Return the main tables and the verdict of a report, printable with rich."""
     from rich.console import Group
     from rich.text import Text
 
@@ -86,24 +86,24 @@ def printed(report: Report) -> "Group":
 
 
 def shown(table: Table) -> "PrintedTable":
-    """A table as something that rich prints."""
+    """Convert a table to one that rich can print."""
     from rich.table import Table as PrintedTable
 
     printed = PrintedTable(title=table.title, title_justify="left")
     for k, name in enumerate(table.head):
         style = "bold" if name == "estimate" else ""
         side: Any = "left" if k < table.words else "right"
-        printed.add_column(name, justify=side, style=style, overflow="fold")  # nothing is cut off
+        printed.add_column(name, justify=side, style=style, overflow="fold")  # not truncated
     for row in table.rows:
         printed.add_row(*row)
     return printed
 
 
 def write(folder: str | Path, *reports: Report) -> Path:
-    """Write the drawings as PNG, and a page with all in it, which needs no other file.
+    """Write the drawings as PNG, and one self-contained HTML page.
 
     Returns:
-        The page.
+        Path of the page.
 
     Raises:
         OSError: a file cannot be written.
@@ -170,12 +170,12 @@ def _table(table: Table) -> str:
     )
 
 
-#: A symbol with an index, as theta_0_2, theta_E, b_2 or x_BJ1; a power, as in kg m^2.
+#: Symbol with an index, e.g. theta_0_2, theta_E, b_2 or x_BJ1; or a power, e.g. in kg m^2.
 SYMBOL = re.compile(r"\b(theta|[a-zA-Z])_(BJ1|0_\d+|\d+|[ijkE])\b|(?<=[a-z])\^(-?\d)\b")
 
 
 def _symbols(text: str) -> str:
-    """HTML with symbols as books set them."""
+    """Format the symbols in HTML with italics, subscripts and powers."""
 
     def put(found: re.Match[str]) -> str:
         letter, index, power = found.groups()
@@ -187,7 +187,7 @@ def _symbols(text: str) -> str:
     return SYMBOL.sub(put, text)
 
 
-#: What a table says that is not as it should be: red, and amber where it is weak.
+#: CSS classes of table cells that show a problem: red, or amber if it is weak.
 MARKED = {"fail": "bad", "NO": "bad", "not evaluated": "weak"}
 
 

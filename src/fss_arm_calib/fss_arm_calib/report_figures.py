@@ -1,4 +1,4 @@
-"""Drawings that reports of several kinds of calibration have."""
+"""Drawings shared by the reports of several kinds of calibration."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from fss_arm_calib.report_tables import text
 
 
 def correlation(covariance: Floats, labels: Sequence[str]) -> Any:
-    """Drawing of the correlation matrix of estimated parameters; blank where there is none."""
+    """Draw the correlation matrix of the estimated parameters; cells are blank if not known."""
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
         matrix = covariance / np.outer(deviations, deviations)
@@ -29,7 +29,7 @@ def correlation(covariance: Floats, labels: Sequence[str]) -> Any:
 
 
 def influence(outcome: Outcome[Any, Any], label: str) -> Any:
-    """Drawing of what is off over leverage: on what much depends."""
+    """Draw the error of each datum over its leverage, i.e. its influence on the estimate."""
     drawing = figure((10, 4.5))
     axes = drawing.subplots()
     e = outcome.estimate
@@ -55,7 +55,7 @@ def influence(outcome: Outcome[Any, Any], label: str) -> Any:
 
 
 def figure(size: tuple[float, float]) -> Any:
-    """An empty drawing of a size [inches]."""
-    from matplotlib.figure import Figure  # takes long to import, and only people need it
+    """Return an empty drawing of a size [inches]."""
+    from matplotlib.figure import Figure  # slow to import, and needed only for reports
 
     return Figure(figsize=size, layout="constrained")

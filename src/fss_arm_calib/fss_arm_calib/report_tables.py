@@ -1,4 +1,4 @@
-"""Tables that reports of every kind of calibration have, and the one that any kind may have."""
+"""Tables shared by the reports of all kinds of calibration, and the default report."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -22,7 +22,7 @@ def reported(
     details: Sequence[Table] = (),
     figures: Sequence[Figure] = (),
 ) -> Report:
-    """A report of an outcome: what matters most, then what every kind of calibration reports."""
+    """Return the report of an outcome: tables of the kind, then those of all kinds."""
     o = outcome
     return Report(
         title=title,
@@ -38,7 +38,7 @@ def reported(
     )
 
 
-#: What to do with a result, by its verdict.
+#: Recommended next step, by verdict.
 NEXT = {
     PASS: "Next: give the calibrated description (output) to the nodes, and keep the bag.",
     FAIL: "Next: do not use these numbers. The checks below that failed say what to look at.",
@@ -47,7 +47,7 @@ NEXT = {
 
 
 def dated(provenance: Provenance) -> str:
-    """When the data were taken, in the time of this computer; simulated time begins in 1970."""
+    """Format the time of the data in this computer's time zone; simulated time starts in 1970."""
     begin, end = (
         datetime.fromtimestamp(1e-9 * t, UTC).astimezone()
         for t in (provenance.begin, provenance.end)
@@ -56,7 +56,7 @@ def dated(provenance: Provenance) -> str:
 
 
 def table_report(outcome: Outcome[Any, Any], truth: Arm | None = None) -> Report:
-    """A report of any kind of calibration: its parameters and its checks."""
+    """Return the default report of a calibration: its parameters and its checks."""
     what = (
         count(len(outcome.used), "datum") if len(outcome.used) == 1 else f"{len(outcome.used)} data"
     )
@@ -66,7 +66,7 @@ def table_report(outcome: Outcome[Any, Any], truth: Arm | None = None) -> Report
 
 
 def parameters(outcome: Outcome[Any, Any]) -> Table:
-    """Guess and estimate of each parameter."""
+    """Return the table of the initial guess and the estimate of each parameter."""
     e = outcome.estimate
     rows = [
         [shown_name(name, e), shown_unit(unit), *(number(value, unit) for value in values)]
@@ -80,13 +80,13 @@ def parameters(outcome: Outcome[Any, Any]) -> Table:
 
 
 def origin(outcome: Outcome[Any, Any]) -> str:
-    """Where a result is from, in words."""
+    """Describe software, source and data hash of a result."""
     p = outcome.provenance
     return f"by {p.software} from {p.source}; SHA-256 of what was solved from {p.data_hash}"
 
 
 def checks(outcome: Outcome[Any, Any]) -> Table:
-    """What the verdict is made of."""
+    """Return the table of the checks that decide the verdict."""
     rows = [
         [c.name, c.verdict.replace("_", " "), c.reason, text(c.value, ".4g"), f"{c.threshold:.4g}"]
         for c in outcome.checks
@@ -96,7 +96,7 @@ def checks(outcome: Outcome[Any, Any]) -> Table:
 
 
 def streams(outcome: Outcome[Any, Any]) -> Table:
-    """Samples that were rejected, by stream and reason, and the offset between the clocks."""
+    """Return the table of rejected samples, by stream and reason, and of the clocks' offset."""
     s = outcome.streams
     rows: list[Sequence[str]] = [[kind, str(number)] for kind, number in s.rejected.items()]
     if np.isfinite(s.offset.value):
@@ -107,32 +107,32 @@ def streams(outcome: Outcome[Any, Any]) -> Table:
 
 
 def shown_name(name: str, estimate: Estimate, words: str = "") -> str:
-    """A parameter's name, or words for it, and whether it is at its bound: not determined then."""
+    """Return a parameter's name, or `words` for it, marked if it is at its bound."""
     return f"{words or name}{', at its bound' * (name in estimate.at_bound)}"
 
 
 def shown_unit(unit: str) -> str:
-    """The unit that people read."""
+    """Return the unit that is shown: deg for rad, others unchanged."""
     return "deg" if unit == "rad" else unit
 
 
 def number(value: float, unit: str) -> str:
-    """A value in the unit that people read."""
+    """Format a value in the unit that is shown."""
     if unit == "rad":
         return text(np.degrees(value), ".3f")
     return text(value, ".6f" if unit == "m/s^2" else ".4f")  # a table's tilt is small
 
 
 def difference(value: float, true: float, unit: str) -> float:
-    """Their difference, angles wrapped."""
+    """Return value - true; angles are wrapped."""
     return float(wrap(value - true) if unit == "rad" else value - true)
 
 
 def where_known(estimate: Estimate, numbers: Floats) -> Floats:
-    """(p,) numbers, NaN of parameters that nothing determines."""
+    """Return numbers (p,), with NaN for parameters that are not determined."""
     return np.where(np.isfinite(estimate.deviations), numbers, np.nan)
 
 
 def text(value: float, form: str) -> str:
-    """A number, `-` if it is none."""
+    """Format a number; `-` if it is not finite."""
     return f"{value:{form}}" if np.isfinite(value) else "-"

@@ -1,6 +1,6 @@
-"""A result as files: JSON, for the next calibration and for programs, and CSV, for people.
+"""Result files: JSON for the next calibration and for programs, and CSV for people.
 
-docs/reference/result.md says what stands in them.
+docs/reference/result.md describes their contents.
 """
 
 import csv
@@ -18,7 +18,7 @@ from fss_arm_model.files import ContentError, write_text
 
 SCHEMA = "fss_arm_calib/result/1"
 
-#: Fields of an Estimate that stand under `fit`.
+#: Fields of an Estimate that are stored under `fit`.
 FIT = (
     "position_residual", "heading_residual", "chi_square", "degrees_of_freedom",
     "condition_number", "iterations", "last_update",
@@ -26,7 +26,7 @@ FIT = (
 
 
 def contents(kind: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:
-    """What stands in the JSON file; numbers that are not finite become null there."""
+    """Return the contents of the JSON file; numbers that are not finite become null there."""
     e, streams = outcome.estimate, outcome.streams
     return {
         "schema": SCHEMA,
@@ -54,7 +54,7 @@ def contents(kind: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:
 
 
 def table(outcome: Outcome[Any, Any]) -> str:
-    """The CSV file: a row for each parameter, its covariance with all of them at the end."""
+    """Return the CSV file: a row for each parameter, with its row of the covariance at the end."""
     e, text = outcome.estimate, StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["name", "unit", "initial", "value", "deviation", *e.names])
@@ -66,21 +66,21 @@ def table(outcome: Outcome[Any, Any]) -> str:
 
 
 def write(path: str | Path, kind: str, outcome: Outcome[Any, Any]) -> None:
-    """Write a result as JSON, and the CSV beside it.
+    """Write a result as JSON, and as CSV next to it.
 
     Raises:
-        OSError: they cannot be written.
+        OSError: a file cannot be written.
     """
     state.write(path, contents(kind, outcome))
     write_text(Path(path).with_suffix(".csv"), table(outcome))
 
 
 def passed(path: str | Path, kind: str = "") -> dict[str, Any]:
-    """What stands in a result of a kind of calibration, or of any, that has passed.
+    """Read a result that has passed, of the given kind of calibration; empty: of any kind.
 
     Raises:
-        ContentError: it is no such result, or has not passed.
-        OSError: it cannot be read.
+        ContentError: the file is not such a result, or the result has not passed.
+        OSError: the file cannot be read.
     """
     found = state.read(path, None)
     if found is None:
@@ -94,10 +94,10 @@ def passed(path: str | Path, kind: str = "") -> dict[str, Any]:
 
 
 def arm_of(path: str | Path, kind: str = "") -> Arm:
-    """The arm that a result of a kind of calibration, or of any, leaves, and how well it knows it.
+    """Read the calibrated arm, with its covariance, from a result of a kind; empty: of any kind.
 
     Raises:
-        ContentError: it is no such result, or has not passed.
-        OSError: it cannot be read.
+        ContentError: the file is not such a result, or the result has not passed.
+        OSError: the file cannot be read.
     """
     return from_yaml(str(passed(path, kind).get("description")))

@@ -1,4 +1,4 @@
-"""The settings that calibrations share."""
+"""Settings that several kinds of calibration share."""
 
 from dataclasses import dataclass
 
@@ -12,10 +12,10 @@ SHARE = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low=0.
 
 @dataclass(frozen=True)
 class KindSettings(StreamSettings):
-    """What every calibration that finds its data in streams has.
+    """Settings of every calibration that finds its data in streams.
 
     Raises:
-        SettingError: a setting is impossible.
+        SettingError: a setting is invalid.
     """
 
     arm: str = setting("", "description YAML to begin from; empty: the paper's arm")
@@ -23,10 +23,10 @@ class KindSettings(StreamSettings):
 
 @dataclass(frozen=True)
 class CalibrationSettings(RestSettings, KindSettings):
-    """Where the data of one that needs rests come from, and what a result must meet to pass.
+    """Settings of calibrations that need rests: topics, and criteria that a result must meet.
 
     Raises:
-        SettingError: a setting is impossible.
+        SettingError: a setting is invalid.
     """
 
     joints_topic: str = setting("joint_states", "topic of the readings of joint_1 .. joint_n")
@@ -51,7 +51,7 @@ class CalibrationSettings(RestSettings, KindSettings):
 
 
 def most(default: int, what: str) -> int:
-    """A setting: how many data a result is from."""
+    """Return a setting for the largest number of data in a result."""
     about = f"most {what} that a result is from, the newest; older ones go"
     found: int = setting(default, about, check=at_least(1))
     return found

@@ -1,4 +1,4 @@
-"""What a node must not forget when it is killed: JSON files, replaced whole."""
+"""Persistent state of a node: JSON files, replaced atomically."""
 
 import json
 import re
@@ -13,9 +13,9 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.files import write_text
 
-LARGEST = 2**26  # of a state file [bytes]: that of drives whose links report 100 times a second
-DEEPEST = 10  # nesting of lists and objects
-MAX_SHOWN = 200  # characters of a value in an error
+LARGEST = 2**26  # largest state file [bytes]: for drives whose links report at 100 Hz
+DEEPEST = 10  # deepest nesting of lists and objects
+MAX_SHOWN = 200  # most characters of a value in an error message
 
 _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 _STEPS = {"[": 1, "{": 1, "]": -1, "}": -1}
@@ -27,24 +27,24 @@ D = TypeVar("D")
 
 
 class StateError(ValueError):
-    """A state file cannot be understood; the message names it, in one line."""
+    """Error: a state file is invalid; the message names the file, in one line."""
 
 
 def write(path: str | Path, state: Any, indent: int | None = 1) -> None:
     """Replace the file by a state; numbers that are not finite become null.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     write_text(path, json.dumps(_finite(state), indent=indent))
 
 
 def read(path: str | Path, default: Any) -> Any:
-    """The state in the file, `default` if there is none.
+    """Read the state in a file; return `default` if there is no file.
 
     Raises:
-        StateError: it is too large, too deep, or not JSON.
-        OSError: it cannot be read.
+        StateError: the file is too large, nested too deeply, or not JSON.
+        OSError: the file cannot be read.
     """
     path = Path(path)
     try:
@@ -66,20 +66,20 @@ def read(path: str | Path, default: Any) -> Any:
 
 @dataclass(frozen=True)
 class Flags:
-    """What happened to the streams and still holds after a restart."""
+    """State of the streams that is kept across a restart."""
 
-    unknown: tuple[str, ...] = ()  # joints heard that the arm does not have
-    set_back: Mapping[str, float] = field(default_factory=dict)  # of the stamps, by stream [s]
+    unknown: tuple[str, ...] = ()  # joints received that the arm does not have
+    set_back: Mapping[str, float] = field(default_factory=dict)  # steps back of stamps [s]
     rejected: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
 
     @classmethod
     def of(cls, streams: Streams) -> "Flags":
-        """What happened to some streams."""
+        """Return the flags of streams."""
         back = {name: by for name, by in streams.set_back.items() if by > 0.0}
         return cls(tuple(streams.unknown), back, dict(streams.rejected))
 
     def and_then(self, streams: Streams) -> Streams:
-        """The streams with what happened to them before."""
+        """Return the state of the streams combined with these earlier flags."""
         back, counts = dict(streams.set_back), dict(streams.rejected)
         for name, by in self.set_back.items():
             back[name] = max(by, back.get(name, 0.0))
@@ -90,28 +90,28 @@ class Flags:
 
 
 def save(path: str | Path, kind: str, joints: int, data: Sequence[Any], flags: Flags) -> None:
-    """Save the data of a calibration and what happened to its streams.
+    """Save the data of a calibration and the flags of its streams.
 
     Raises:
         OSError: the file cannot be written.
     """
     saved = [asdict(one) for one in data]
     whole = {"kind": kind, "joints": joints, "data": saved, "flags": asdict(flags)}
-    write(path, whole, indent=None)  # else most of it would be spaces
+    write(path, whole, indent=None)  # otherwise mostly spaces
 
 
 def restore(path: str | Path, kind: str, joints: int, datum: type[D]) -> tuple[list[D], Flags]:
-    """What was saved of a calibration, nothing if there is no such file.
+    """Restore the data and flags of a calibration; both are empty if there is no file.
 
     Args:
-        path: of the file.
-        kind: of calibration that it must be of.
-        joints: of the arm that it must be of.
-        datum: the dataclass of its data.
+        path: path of the file.
+        kind: kind of calibration that the file must be of.
+        joints: number of joints of the arm that the file must be of.
+        datum: dataclass of the data.
 
     Raises:
-        StateError: the file holds something else.
-        OSError: it cannot be read.
+        StateError: the file has other contents.
+        OSError: the file cannot be read.
     """
     saved = read(path, None)
     if saved is None:
@@ -129,17 +129,17 @@ def restore(path: str | Path, kind: str, joints: int, datum: type[D]) -> tuple[l
 
 
 class Writes:
-    """Attempts to write; `trouble` is what could not be written since it was last cleared."""
+    """Writer that logs errors; `trouble` is the last error since it was cleared."""
 
     def __init__(self, log: Any) -> None:
         self.log, self.trouble = log, ""
 
     def __call__(self, write: Callable[[], object]) -> None:
-        """Write, or log why it cannot be done: a full disk ends no calibration."""
+        """Write, or log the error: a full disk must not stop a calibration."""
         try:
             write()
         except OSError as error:
-            where = f" {error.filename}" if error.filename else ""  # not of a write to an open file
+            where = f" {error.filename}" if error.filename else ""  # none for an open file
             self.trouble = f"cannot write{where}: {error.strerror}"
             self.log.error(self.trouble)
 
@@ -161,10 +161,10 @@ def _wrong(where: str, value: Any, expected: str) -> ValueError:
 
 
 def _read(hint: Any, value: Any, where: str) -> Any:
-    """A JSON value as a type says: of a dataclass, tuple, mapping, float, int, bool or str.
+    """Convert a JSON value to a type: a dataclass, tuple, mapping, float, int, bool or str.
 
     Raises:
-        ValueError: it is of another; the message names the place.
+        ValueError: the value is of another type; the message names the place.
     """
     if is_dataclass(hint) and isinstance(hint, type):
         return _instance(hint, value, where)

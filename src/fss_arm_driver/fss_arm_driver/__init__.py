@@ -1,1 +1,1 @@
-"""The link's wire protocol, its transports, and the nodes that drive the arm."""
+"""Wire protocol of the links, their transports, and the nodes that drive the arm."""

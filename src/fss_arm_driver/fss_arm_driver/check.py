@@ -1,4 +1,4 @@
-"""The command `check`: finds each link, tries it, and writes down what was found."""
+"""Command `check`: finds each link, tests it, and writes the findings to a file."""
 
 import argparse
 import json
@@ -21,7 +21,7 @@ EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
 
 
 def find(url: str, arm: Arm, keys: Mapping[int, bytes]) -> Rig | None:
-    """The link that answers at a URL, whatever its number."""
+    """Return the link that answers at a URL, with any number; None if none answers."""
     for number, link in enumerate(arm.links, 1):
         transport = open_transport(url, number, keys.get(number))
         rig = Rig(number, link, transport, keys.get(number))
@@ -32,7 +32,7 @@ def find(url: str, arm: Arm, keys: Mapping[int, bytes]) -> Rig | None:
 
 
 def as_yaml(findings: list[Finding], urls: dict[int, str], when: str) -> str:
-    """The result, as it is written."""
+    """Format the findings as YAML."""
     lines = ["# What `ros2 run fss_arm_driver check` found.", f"when: {json.dumps(when)}", "links:"]
     for number, url in urls.items():
         lines += [f"  - link: {number}", f"    url: {json.dumps(url)}", "    findings:"]
@@ -45,7 +45,7 @@ def as_yaml(findings: list[Finding], urls: dict[int, str], when: str) -> str:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the parser of the command line."""
     p = Parser(
         prog="check",
         description="Try links, one at a time, and write down what was found.",
@@ -71,7 +71,7 @@ def main() -> int:
 
 
 def run(given: argparse.Namespace) -> int:
-    """Try what was asked for.
+    """Run the tests of the command line.
 
     Raises:
         ValueError: a URL, the description or the keys are wrong.
@@ -103,7 +103,7 @@ def run(given: argparse.Namespace) -> int:
         findings.append(Finding(number, COMPLETE, NOT_TRIED, why))
         places.setdefault(number, url)
         print(f"check: {why}", file=sys.stderr)
-    finally:  # whatever ended it, what was found cost a person's time
+    finally:  # keep the findings in any case: they cost the operator time
         if findings:
             when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             Path(given.output).write_text(as_yaml(findings, places, when), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Which warnings are worth a line of the log, however often something is found wrong."""
+"""Rate limit of warnings in the log."""
 
 import re
 from collections import defaultdict
@@ -6,14 +6,14 @@ from collections.abc import Callable
 from time import monotonic
 
 FIGURES = re.compile(r"[\d.]+")
-BURST, PAUSE = 10, 10.0  # of each kind so many lines at once, then one in so long [s]
+BURST, PAUSE = 10, 10.0  # lines of one kind at once, then one line per PAUSE [s]
 
 
 class Complaints:
-    """Tells warnings that begin from those that go on.
+    """Filter that passes only new warnings.
 
-    One goes on while its words stay the same; figures in them may change all the time. Who is
-    refused may ask a thousand times a second and for ever new reasons: that is bounded for each
+    A warning is not new while its words stay the same; numbers in it may change. A client may be
+    refused a thousand times a second, each time for a new reason, so the rate is limited for each
     kind of warning.
 
     Args:
@@ -23,10 +23,10 @@ class Complaints:
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
         self._words: dict[str, str] = {}  # by kind, without figures
-        self._due: dict[str, float] = defaultdict(float)  # by then a line each PAUSE was paid for
+        self._due: dict[str, float] = defaultdict(float)  # end of the logged lines, one per PAUSE
 
     def begins(self, kind: str, text: str) -> bool:
-        """Whether to log a warning of this kind; an empty one ends the one before."""
+        """Return True if a warning of this kind must be logged; an empty text ends the last one."""
         words = FIGURES.sub("", text)
         before, self._words[kind] = self._words.get(kind, ""), words
         if words in ("", before):

@@ -1,4 +1,4 @@
-"""The arm's node and its links' nodes in one process: what is streamed takes the shortest way."""
+"""Process with the arm's node and its links' nodes, for the least delay of streams."""
 
 import sys
 
@@ -11,9 +11,10 @@ from fss_arm_driver.settings import DriverSettings
 
 
 def make_nodes() -> list[Node]:
-    """The arm's node and its links' nodes in one process: what is streamed takes the shortest way.
+    """Create the arm's node and its links' nodes in one process, for the least delay of streams.
 
-    Its commands are not on link_<i>/command, but each still takes those of others from there.
+    The arm's commands are not published on link_<i>/command, but each link still receives those
+    of other publishers from there.
     """
     links = link_node.make_nodes(DriverSettings)
     local = {link.settings.link: link.on_command for link in links}

@@ -1,4 +1,4 @@
-"""The servo drive's fault table: what each bit of its two words means, and whether it stops motion.
+"""Fault table of the servo drive: the meaning of each bit, and whether it blocks motion.
 
 `python -m fss_arm_driver.faults` writes docs/reference/faults.md from it.
 """
@@ -10,17 +10,18 @@ IN_MOTION = 1 << 27
 
 
 class Word(Enum):
-    """The drive's words in telemetry."""
+    """Fault words of the drive in telemetry."""
 
-    STATUS = "status"  # variable 0xa0, as things are
+    STATUS = "status"  # variable 0xa0, present state
     FAULTS = "faults"  # variable 0xa4, latched until cleared
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One bit; `blocks`: motion is refused while it is set.
+    """Meaning of one bit; `blocks`: motion is refused while it is set.
 
-    `rehearsal`: how the simulated test bed has it; a name is that of a fault of `drive_<i>` there.
+    `rehearsal`: how to cause it on the simulated test bed; a name is that of a fault of `drive_<i>`
+    there.
     """
 
     word: Word
@@ -48,7 +49,7 @@ _SAG = "`supply` -6; or `link_<i>.resistance` 5 and full current"
 _STUCK = "`blocked` and a move, a second long"
 _HEATED = "`motor_heat` 80; or full current for minutes"
 
-#: Status bits that say how things are do not block; those that need a remedy do.
+#: Status bits that only describe the state do not block motion; those with a remedy do.
 FAULTS = (
     _status(0, "short circuit", "`short_circuit`", _CABLE),
     _status(1, "drive too hot", "`drive_heat` 50", _COOL),
@@ -100,13 +101,13 @@ _BLOCKING = sum(1 << f.bit for f in FAULTS if f.word is Word.STATUS and f.blocks
 
 
 def present(status: int, faults: int) -> list[Fault]:
-    """The entries of the table that are set in the drive's two words."""
+    """Return the entries of the table that are set in the drive's two words."""
     words = {Word.STATUS: status, Word.FAULTS: faults}
     return [fault for fault in FAULTS if words[fault.word] >> fault.bit & 1]
 
 
 def blocking(status: int, faults: int) -> list[str]:
-    """Names of what forbids motion, each once, the cause before the bit that says there is one."""
+    """Return the names of the faults that block motion, each once, without a redundant summary."""
     if not (status & _BLOCKING or faults):
         return []
     names = [fault.name for fault in present(status, faults) if fault.blocks]
@@ -118,7 +119,7 @@ def blocking(status: int, faults: int) -> list[str]:
 
 
 def as_markdown() -> str:
-    """docs/reference/faults.md."""
+    """Return the text of docs/reference/faults.md."""
     lines = [
         "# Faults of the servo drive",
         "",

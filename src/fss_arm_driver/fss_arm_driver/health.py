@@ -1,4 +1,4 @@
-"""How a link, or the base's board, is: what diagnostics say of a session."""
+"""Diagnostic status of a session with a link or the base's board."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
@@ -9,17 +9,17 @@ from fss_arm_driver.transport import Transport
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Health
 
-SHORT = 600.0  # that a battery lasts, to be warned of [s]
+SHORT = 600.0  # remaining battery time below which to warn [s]
 
 
 class SessionHealth(ABC):
-    """A partner's health since it was last asked for; a kind of partner says what is its own.
+    """Health of a partner since the last call; subclasses add values of their kind of partner.
 
     Args:
         name: of the partner, in words.
         session: with it.
         transport: to it.
-        signed: whether frames are.
+        signed: whether frames are signed.
     """
 
     firmware: int  # slow field of its version
@@ -32,22 +32,22 @@ class SessionHealth(ABC):
 
     @abstractmethod
     def words(self) -> str:
-        """How it is, for people."""
+        """Return the partner's state in words."""
 
     @abstractmethod
     def values(self) -> Mapping[str, Any]:
-        """What is told of this kind of partner alone."""
+        """Return the values of this kind of partner."""
 
     @abstractmethod
     def is_well(self) -> bool:
-        """Whether there is nothing in the words to warn of."""
+        """Return True if the words describe nothing to warn of."""
 
     def doubt(self) -> str:
-        """What to warn of beside the words; empty: nothing."""
+        """Return a further warning in words; empty: none."""
         return ""
 
     def __call__(self, now: int, more: Mapping[str, Any] | None = None) -> Health:
-        """How it is at `now` [ns], with further values."""
+        """Return the diagnostic status at time `now` [ns], with the values of `more` added."""
         session, before, then = self.session, self.counts, self.then
         session.tick(now)
         self.counts, self.then = dict(session.counts), now
@@ -71,7 +71,7 @@ class SessionHealth(ABC):
         return Health(OK if self.is_well() else WARN, words, values)
 
     def _doubts(self, grown: Mapping[str, int]) -> Iterator[str]:
-        """What to warn of, the gravest first."""
+        """Yield warnings, the most severe first; an empty one is none."""
         yield self.doubt()
         yield self.session.strain
         if (left := self.session.battery.time_left()) < SHORT:

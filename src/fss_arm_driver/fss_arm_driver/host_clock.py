@@ -1,19 +1,19 @@
-"""The computer's clocks: one that nobody sets, to time by, and the time of day, to stamp with."""
+"""Clocks of the computer: a monotonic one for timing, and the time of day for stamps."""
 
 import time
 from collections.abc import Callable
 
 
 def boot_time() -> int:
-    """Time since the computer started, also what it slept [ns]."""
+    """Return the time since the computer started, including sleep [ns]."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
 
 
 class HostClock:
-    """Times everything by `now`, which is never set, and converts to the time of day and back.
+    """Clock `now`, which is never set, with its offset to the time of day.
 
     Args:
-        now: the clock to time by [ns].
+        now: the clock used for timing [ns].
         day: the time of day [ns]; it may be set at any time. The same as `now` under simulated
             time.
     """
@@ -26,10 +26,10 @@ class HostClock:
 
     @property
     def ahead(self) -> int:
-        """What to add to `now` to have the time of day [ns].
+        """Time of day minus `now` [ns].
 
-        Known to the time that the reading takes; within that it stays as it was, so that stamps
-        do not jitter by it.
+        Its uncertainty is the time that the reading takes. Within that the value is kept, so
+        that stamps do not jitter.
         """
         before, day, after = self.now(), self._day(), self.now()
         self._ahead = max(day - after, min(self._ahead, day - before))

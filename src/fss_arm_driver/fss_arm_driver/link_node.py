@@ -1,6 +1,6 @@
-"""The node of one link: its telemetry to topics, commands to its electronics.
+"""Node of one link: it publishes telemetry and sends commands to the electronics.
 
-Commands and stops come in threads of their own, and are sent by these.
+Separate threads receive commands and stops, and send them.
 """
 
 import sys
@@ -38,18 +38,18 @@ from fss_arm_ros.subscriptions import SubscriptionThread, Topic
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 
-PATH_RATE = 10.0  # of commands, below which they are doubled while a path is followed [1/s]
+PATH_RATE = 10.0  # rate of commands below which it is doubled on a path [1/s]
 
 
 class LinkNode(SessionNode):
-    """Publishes what one link measures, as it comes, and sends it commands at a steady rate.
+    """Node that publishes what one link measures and sends it commands at a steady rate.
 
     Args:
         number: of the link.
-        url: where its electronics are.
-        transport: instead of `url`.
-        clock: the computer's, but for tests.
-        kind: LinkSettings, or more than these.
+        url: address of its electronics.
+        transport: used instead of `url`.
+        clock: by default the computer's; tests may pass another.
+        kind: LinkSettings or a subclass.
     """
 
     session: LinkSession
@@ -87,7 +87,7 @@ class LinkNode(SessionNode):
         self.reported: tuple[Any, ...] = ()  # of the last command
         self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.replaced: deque[Progress] = deque()  # by others, whose end is yet to be reported
-        self.period = round(SECOND / settings.rate)  # of commands that are not new [ns]
+        self.period = round(SECOND / settings.rate)  # of repeated commands [ns]
         self.path_period = self.period // 2 if settings.rate < PATH_RATE else self.period
         self.joint_states = self.create_publisher(JointState, "joint_states", SENSOR)
         self.telemetry = self.create_publisher(LinkTelemetry, f"{self.name}/telemetry", SENSOR)
@@ -107,12 +107,12 @@ class LinkNode(SessionNode):
         ])  # fmt: skip
 
     def take(self, data: bytes, now: int) -> None:
-        """Publish what a datagram says; the joint's state before all else."""
+        """Publish the contents of a datagram; the joint's state first."""
         sample = self.session.measure(data, now)
         if sample is None:
             return
         sample = sample._replace(stamp=sample.stamp + self.clock.ahead)
-        if sample.referenced:  # else the position says nothing
+        if sample.referenced:  # else the position is not valid
             self.joint_states.publish(self.messages.joint_state(sample))
         self.session.follow(sample)
         self.telemetry.publish(self.messages.telemetry(sample, now))
@@ -120,12 +120,12 @@ class LinkNode(SessionNode):
             self.battery.publish(self.messages.battery(sample))
 
     def complain(self) -> None:
-        """Log what has changed, and what is wrong, once each time that it begins."""
+        """Log changes and problems, each problem once when it starts."""
         super().complain()
         self.warn("path", self.session.breakage)
 
     def transmit(self) -> None:
-        """Send the command of the moment; the next one follows sooner while a path is followed."""
+        """Send the current command; the next one follows sooner on a path."""
         with self.lock:
             self.transport.send(self.session.command(now := self.now()))
             self.pacer.sent(now)
@@ -133,19 +133,19 @@ class LinkNode(SessionNode):
             period = self.path_period if self.session.follows else self.period
             if period != self.steady.timer_period_ns:
                 self.steady.timer_period_ns = period
-                self.news.trigger()  # the executor shall know
+                self.news.trigger()  # wakes the executor
             self.steady.reset()
             self.late.cancel()
 
     def send_path(self, now: int) -> None:
-        """Send what the link lacks of its paths."""
+        """Send the path segments that the link lacks."""
         for data in self.session.segments(now):
             self.transport.send(data)
 
     def on_command(self, message: LinkCommand) -> None:
-        """Take a command, from the time that its stamp says it was given, and pass it on.
+        """Accept a command, valid from the time of its stamp, and send it.
 
-        In a thread of its own: what has become of it is said by the executor, soon enough.
+        This runs in a separate thread; the executor reports the command's status later.
         """
         with self.lock:
             now, before, ahead = self.now(), self.session.progress, self.clock.ahead
@@ -161,7 +161,7 @@ class LinkNode(SessionNode):
                 self.replaced.append(before)
 
     def order(self, message: LinkCommand, given: int, now: int) -> None:
-        """Have the session take a command given then, or raise CommandError."""
+        """Pass a command given at `given` to the session, or raise CommandError."""
         if not 0.0 < (lives := message.time_to_live) <= 3600.0:
             raise CommandError(f"time_to_live is {lives} s, expected above 0")
         follows = message.mode == LinkCommand.PATH
@@ -175,16 +175,16 @@ class LinkNode(SessionNode):
         )
 
     def pass_on(self, now: int) -> None:
-        """Send what was taken: at once, or as soon as the highest rate allows."""
+        """Send the accepted command at once, or as soon as the highest rate allows."""
         if wait := self.pacer.wait(now):
             self.late.timer_period_ns = wait
             self.late.reset()
-            self.news.trigger()  # the executor shall know
+            self.news.trigger()  # wakes the executor
         else:
             self.transmit()
 
     def on_path(self, message: LinkPath) -> None:
-        """Take a path, and send its beginning to the link."""
+        """Accept a path, and send its first segments to the link."""
         with self.lock:
             now, begin = self.now(), stamp_ns(message.header.stamp) - self.clock.ahead
             knots = message.time, message.position, message.velocity
@@ -196,24 +196,24 @@ class LinkNode(SessionNode):
             self.send_path(now)
 
     def refuse(self, what: str, error: CommandError, given: int) -> None:
-        """Say that a command or a path is not taken."""
+        """Report that a command or a path is refused."""
         ahead = self.clock.ahead
         self.status.publish(command_refused(str(error), given + ahead, self.now() + ahead))
         self.warn(f"{what} refused", f"{what} refused: {error}")
 
     def on_stop(self, _: Empty) -> None:
-        """Stop at once, in a thread of its own as well: however busy the executor is."""
+        """Stop at once, in a separate thread that does not wait for the executor."""
         with self.lock:
             self.session.stop()
         self.transmit()
         self.news.trigger()
 
     def state_words(self) -> str:
-        """How the link is, for people."""
+        """Return the link's state in words."""
         return state_words(self.session)
 
     def on_clear_faults(self, _: Trigger.Request, response: Trigger.Response) -> Any:
-        """Disarm and clear what the drive has latched; telemetry says what remains."""
+        """Disarm and clear the drive's latched faults; telemetry shows those that remain."""
         with self.lock:
             self.session.clear_faults(self.now())
         self.send()
@@ -222,13 +222,13 @@ class LinkNode(SessionNode):
         return response
 
     def has_news(self) -> bool:
-        """Whether somebody waits, or the last command has a status that is not yet reported."""
+        """Return True if a request waits, or the last command's status is not yet reported."""
         progress = self.session.progress
         progressed = progress and (progress.given, progress.status) != self.reported
         return bool(self.waiting or progressed)
 
     def report(self, progress: Progress) -> None:
-        """Publish how far a command has come, if that is new."""
+        """Publish the progress of a command, if it has changed."""
         if (progress.given, progress.status) != self.reported:
             self.reported, ahead = (progress.given, progress.status), self.clock.ahead
             if progress.given != self.given[0]:
@@ -236,7 +236,7 @@ class LinkNode(SessionNode):
             self.status.publish(command_status(progress, self.given[1], self.now() + ahead))
 
     def answer(self) -> None:
-        """Report what has changed: how far the last command has come, whether arming has ended."""
+        """Report changes: the progress of the last command, and the end of arming."""
         with self.lock:
             while self.replaced:
                 self.report(self.replaced.popleft())
@@ -245,30 +245,30 @@ class LinkNode(SessionNode):
         super().answer()
 
     def health(self) -> Health:
-        """For diagnostics; it comes also while a stream of commands leaves the beat no turn."""
+        """Return the status for diagnostics, and log, as a stream of commands delays the timer."""
         self.complain()
         with self.lock:
             return self.link_health(self.now())
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the threads and the port."""
         self.commands.close()
         super().close()
 
 
 def make_nodes(kind: type[LinkSettings] = LinkSettings) -> list[LinkNode]:
-    """Publishes what each link measures, as it comes, and sends it commands at a steady rate.
+    """Create nodes that publish what each link measures and send it commands at a steady rate.
 
-    One node for the link of `url`, or one for each of `urls`.
+    There is one node for the link of `url`, or one for each of `urls`.
     """
     quiet = {"enable_rosout": False, "start_parameter_services": False}
-    # With the last node of a process Fast DDS (2.14) ends its participant, and was seen to wait for
-    # ever in that as other nodes were just being discovered: one stays until the links are there.
+    # With the last node of a process Fast DDS (2.14) deletes its participant. This was seen to hang
+    # while other nodes were being discovered, so one node stays until the links' nodes exist.
     stays = Node("_begins", use_global_arguments=False, **quiet)
     probe = Node("link", **quiet)
     try:
         s = declare(probe, kind)
-        probe.destroy_node()  # the links' name, if `__node` gives one, is its name, too
+        probe.destroy_node()  # `__node` would give the probe the links' name
         links = enumerate(s.urls, 1) if s.urls else [(s.link, s.url)]
         return [LinkNode(number, url, kind=kind) for number, url in links]
     finally:

@@ -1,4 +1,4 @@
-"""What a link's session knows, as messages."""
+"""Conversion of a link's session to messages."""
 
 from math import nan
 from typing import Any
@@ -15,12 +15,12 @@ from fss_arm_msgs.msg import CommandStatus, LinkTelemetry
 from fss_arm_ros.convert import SECOND, to_time
 
 MILLISECOND = 1_000_000  # [ns]
-#: What a LinkTelemetry has as the frame has it, and what took turns in the frames.
+#: Fields that a LinkTelemetry copies from the frame; below, those sent in turn.
 REPORTED = (
     *("boot", "sequence", "clock", "position", "velocity", "current"),
     *("torque", "torque_age", "mode", "flags", "status"),
 )
-UNREPORTED = Slow.TEMPERATURE, Slow.PATH, Slow.SERIAL  # as the others are
+UNREPORTED = Slow.TEMPERATURE, Slow.PATH, Slow.SERIAL  # handled separately
 SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s not in UNREPORTED)
 LATCHED_WORDS = {
     State.STOPPED: "the link is stopped",
@@ -30,10 +30,10 @@ LATCHED_WORDS = {
 
 
 class SampleMessages:
-    """A link's samples as messages.
+    """Converter of a link's samples to messages.
 
-    Each message is made once and filled anew for each sample, as making one costs more than
-    publishing it: what is returned holds until the next sample.
+    Each message is created once and reused for each sample, because creation costs more than
+    publication: a returned message is valid until the next sample.
     """
 
     def __init__(self, session: LinkSession, frame_prefix: str = "") -> None:
@@ -44,7 +44,7 @@ class SampleMessages:
         self._telemetry.header.frame_id = f"{frame_prefix}link_{session.number}"
 
     def joint_state(self, sample: Sample) -> JointState:
-        """The joint's state at the time of the measurement."""
+        """Return the joint's state at the time of the measurement."""
         message = self._joint_state
         _set(message.header.stamp, sample.stamp)
         message.position[0] = sample.position
@@ -53,7 +53,7 @@ class SampleMessages:
         return message
 
     def telemetry(self, sample: Sample, now: int) -> LinkTelemetry:
-        """Everything that the link reported, raw, and what the session knows of it."""
+        """Return all raw values that the link reported, and the session's state."""
         message, frame, session = self._telemetry, sample.frame, self.session
         _set(message.header.stamp, sample.stamp)
         for name in REPORTED:
@@ -70,7 +70,7 @@ class SampleMessages:
         return message
 
     def battery(self, sample: Sample) -> BatteryState:
-        """The link's battery, of which only the voltage is known."""
+        """Return the state of the link's battery, of which only the voltage is known."""
         message = BatteryState(
             voltage=self.session.battery.voltage, temperature=nan, current=nan, charge=nan,
             capacity=nan, design_capacity=nan, percentage=nan, present=True,
@@ -86,21 +86,21 @@ def _set(stamp: Time, ns: int) -> None:
 
 
 def command_status(progress: Progress, given: int, now: int) -> CommandStatus:
-    """How far a command has come."""
+    """Return the progress of a command as a message."""
     message = CommandStatus(status=int(progress.status), reason=progress.reason)
     message.header.stamp, message.given = to_time(now), to_time(given)
     return message
 
 
 def command_refused(reason: str, given: int, now: int) -> CommandStatus:
-    """A command that was not taken."""
+    """Return the status of a refused command as a message."""
     message = CommandStatus(status=int(Status.REFUSED), reason=reason)
     message.header.stamp, message.given = to_time(now), to_time(given)
     return message
 
 
 def state_words(session: LinkSession) -> str:
-    """How the link is, for people."""
+    """Return the link's state in words."""
     flags = session.frame.flags if session.frame else 0
     words = [text for latch, text in LATCHED_WORDS.items() if flags & latch]
     words += session.faults
@@ -111,7 +111,7 @@ def state_words(session: LinkSession) -> str:
 
 
 class LinkHealth(SessionHealth):
-    """A link's health since it was last asked for."""
+    """Health of a link since the last call."""
 
     session: LinkSession
     firmware = Slow.FIRMWARE
@@ -120,19 +120,19 @@ class LinkHealth(SessionHealth):
         super().__init__(f"link_{session.number}", session, transport, signed)
 
     def words(self) -> str:
-        """How the link is, for people."""
+        """Return the link's state in words."""
         return state_words(self.session)
 
     def doubt(self) -> str:
-        """That it has told no serial number where one is expected."""
+        """Return a warning if the link has not reported an expected serial number."""
         return self.session.nameless
 
     def is_well(self) -> bool:
-        """Whether its positions mean something."""
+        """Return True if the link's positions are valid."""
         return self.session.referenced
 
     def values(self) -> dict[str, Any]:
-        """What the drive reports."""
+        """Return the values that the drive reports."""
         session, slow = self.session, self.session.slow
         known = [f.name for f in present(session.frame.status, 0)] if session.frame else []
         return {

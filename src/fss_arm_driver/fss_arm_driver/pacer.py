@@ -1,27 +1,28 @@
-"""Keeps what is sent at irregular times to a rate. Times are the caller's, in nanoseconds."""
+"""Rate limit for messages at irregular times. Times are the caller's, in nanoseconds."""
 
 SECOND = 1_000_000_000  # [ns]
 
 
 class Pacer:
-    """Says when the next may go out; a stream of that very rate, however it jitters, never waits.
+    """Rate limiter for the times at which messages may be sent.
 
-    The generic cell rate algorithm (ITU-T I.371), with half an interval of tolerance.
+    It is the generic cell rate algorithm (ITU-T I.371) with a tolerance of half an interval, so
+    that a stream of the same rate may jitter.
 
     Args:
-        rate: the most in the long run [1/s].
+        rate: highest mean rate [1/s].
     """
 
     def __init__(self, rate: float) -> None:
         self._interval = round(SECOND / rate)
-        self._due = 0  # when the next would be at that rate
+        self._due = 0  # when the next message would be due at that rate
 
     def wait(self, now: int) -> int:
-        """How long the next must wait [ns]; 0: it may go."""
+        """Return how long the next message must wait [ns]; 0: it may be sent."""
         if self._due > now + 2 * self._interval:  # the clock was set back
             self._due = now
         return max(0, self._due - self._interval // 2 - now)
 
     def sent(self, now: int) -> None:
-        """Learn that one goes out now, whether it had to wait or not."""
+        """Note that a message is sent now, whether it had to wait or not."""
         self._due = max(self._due, now) + self._interval

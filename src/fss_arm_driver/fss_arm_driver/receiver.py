@@ -1,12 +1,12 @@
-"""Threads that take datagrams the moment they come, as long as that leaves time for all else.
+"""Threads that process datagrams immediately, within a limited share of the time.
 
-An executor would be woken for each, and asks all of a node's entities what they have every time it
-is: for four links in one process that costs more than all else that a datagram needs.
+An executor would wake for each datagram and check all entities of a node each time. For four links
+in one process that costs more than the rest of the processing of a datagram.
 
-One thread of a process runs Python at a time, whoever waits. Telemetry is the only work that comes
-at a rate which nobody here decides; if all of it were taken, commands and a stop would queue behind
-it. So the receivers of a process work one after the other and for at most a SHARE of the time. When
-that is used up they rest; of what came meanwhile each takes the newest frames, and counts the rest.
+Only one thread of a process runs Python at a time. Telemetry is the only work whose rate this
+process does not control; without a limit, commands and stops would have to wait. So the receivers
+of a process run one after the other and for at most a SHARE of the time. When it is used up they
+rest. After that each processes only the newest frames, and counts the dropped ones.
 """
 
 from collections import deque
@@ -19,32 +19,32 @@ from typing import Any
 from fss_arm_driver.transport import BATCH, Transport
 
 SHARE = 0.5  # of the time, for all receivers of a process
-AHEAD = 0.1  # that they may be ahead of their share, for what comes in a burst [s]
-NEWEST = 16  # frames of a transport that are taken when there is too much
-DRAINED = 64  # batches thrown away at most at once, so that a flood cannot keep a thread
+AHEAD = 0.1  # by which they may exceed their share in a burst [s]
+NEWEST = 16  # frames of a transport that are processed under overload
+DRAINED = 64  # most batches read at once, so that a flood cannot block a thread
 
 
 class Turns:
-    """One at a time, and all together for a share of the time.
+    """Turns of threads: one at a time, and all together for a share of the time.
 
     Args:
         share: of the time, above 0 and at most 1.
-        ahead: how far they may be ahead of it [s].
+        ahead: time by which they may exceed it [s].
         clock: the time [s].
     """
 
     def __init__(self, share: float, ahead: float, clock: Callable[[], float] = monotonic) -> None:
         self._share, self._ahead, self._clock = share, ahead, clock
         self._lock = Lock()
-        self._due = 0.0  # by when what was taken so far would have been, at the share
+        self._due = 0.0  # when the work up to now would have ended at exactly the share
 
     def rest(self) -> float:
-        """How long to rest before the next turn [s]; not positive: it may begin."""
+        """Return how long to rest before the next turn [s]; not positive: it may start."""
         return self._due - self._clock() - self._ahead
 
     @contextmanager
     def turn(self) -> Iterator[None]:
-        """Work, when nobody else does."""
+        """Run the block when no other thread has the turn, and measure its time."""
         with self._lock:
             begun = self._clock()
             yield
@@ -55,13 +55,13 @@ TURNS = Turns(SHARE, AHEAD)
 
 
 class Receiver(Thread):
-    """Calls `take` with the frames that have come, whenever some have.
+    """Thread that calls `take` with the received frames, whenever there are any.
 
     Args:
-        transport: where from; its count `dropped` is of frames that there was no time for.
-        take: what to do.
-        guard: a guard condition, triggered if `take` fails; `error` then says how.
-        turns: whose turn it is.
+        transport: source of the frames; its count `dropped` is that of unprocessed frames.
+        take: callback for the frames.
+        guard: guard condition, triggered if `take` fails; `error` is then the exception.
+        turns: turns shared with the other receivers.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Receiver(Thread):
         self.start()
 
     def run(self) -> None:
-        """Wait and take, until closed."""
+        """Wait for frames and process them, until closed."""
         try:
             while not self._closing:
                 if not self.transport.wait(0.2):
@@ -93,7 +93,7 @@ class Receiver(Thread):
             self.guard.trigger()
 
     def _newest(self) -> list[bytes]:
-        """The newest frames of all that have come."""
+        """Return the newest of the received frames, and count the others as dropped."""
         newest: deque[bytes] = deque(maxlen=NEWEST)
         for _ in range(DRAINED):
             got = self.transport.receive()

@@ -1,4 +1,4 @@
-"""Between a link's raw counts and SI units, by its description, and the limits that it states."""
+"""Conversion between a link's raw counts and SI units, with the limits of its description."""
 
 from math import isfinite, pi
 from typing import NamedTuple
@@ -13,8 +13,8 @@ from fss_arm_driver.protocol import (
 )
 from fss_arm_model.description import Link
 
-# Telemetry beyond these is not believed. A disarmed arm may be moved by hand, faster than its
-# drive's limit; an encoder that has lost its reference may be off by up to half a turn.
+# Telemetry outside these margins is rejected. A disarmed arm may be moved by hand faster than its
+# drive's limit. An encoder without reference may have an error of up to half a turn.
 SPEED_MARGIN = 3.0
 CURRENT_MARGIN = 2.0
 POSITION_MARGIN = pi  # [rad]
@@ -22,25 +22,25 @@ REACH_MARGIN = 0.01  # [rad], whatever the time between two frames
 
 
 class CommandError(ValueError):
-    """A command that this link must not be given; the message names field, value and limits."""
+    """Error of a command that is not allowed; the message gives the reason."""
 
 
 class SetPoint(NamedTuple):
-    """A command in the protocol's units."""
+    """Command in the protocol's units."""
 
     mode: Mode
     value: int
     velocity: int
     acceleration: int
     clamped: bool  # a velocity, an acceleration or a current was above the link's limit
-    home: bool = False  # find the reference, instead
+    home: bool = False  # home instead
 
 
 HOME = 2  # as a LinkCommand's mode
 
 
 class Scale:
-    """One link's units and limits.
+    """Units and limits of one link.
 
     Raises:
         ValueError: a limit does not fit the protocol's 32 bits.
@@ -71,20 +71,20 @@ class Scale:
         self._largest_current = CURRENT_MARGIN * drive.max_current / CURRENT_UNIT
 
     def position(self, counts: int) -> float:
-        """Joint angle q [rad]."""
+        """Convert counts to the joint angle q [rad]."""
         return self.radians_per_count * counts
 
     def velocity(self, raw: int) -> float:
-        """Joint rate [rad/s]."""
+        """Convert a raw velocity to the joint rate [rad/s]."""
         return self.radians_per_raw_velocity * raw
 
     def torque(self, counts: int) -> float:
-        """What the torque sensor measures [N m]."""
+        """Convert counts of the torque sensor to a torque [N m]."""
         sensor = self.link.torque_sensor
         return sensor.gain * (counts - sensor.zero)
 
     def possible(self, frame: Telemetry) -> bool:
-        """Whether this link could report this at all."""
+        """Return True if the frame is within the link's bounds."""
         return (
             self._lowest <= frame.position <= self._highest
             and abs(frame.velocity) <= self._largest_velocity
@@ -92,13 +92,13 @@ class Scale:
         )
 
     def reachable(self, counts: int, microseconds: int) -> bool:
-        """Whether the joint can turn by so many counts in this time."""
+        """Return True if the joint can turn by `counts` in this time."""
         return abs(counts) <= self._fastest * 1e-6 * microseconds + self._reach_margin
 
     def outward(self, order: SetPoint, counts: int) -> bool:
-        """Whether a current or a velocity pushes a joint on that is at its limit or beyond.
+        """Return True if a current or a velocity pushes a joint at its limit further outward.
 
-        The drive's own soft limits act at once; this one waits for the next telemetry.
+        The drive's own soft limits act at once; this check waits for the next telemetry.
         """
         q, push = self.position(counts), order.value * self.radians_per_count
         return order.mode not in (Mode.POSITION, Mode.PATH) and (
@@ -108,7 +108,7 @@ class Scale:
     def set_point(
         self, mode: int, value: float, velocity: float = 0.0, acceleration: float = 0.0
     ) -> SetPoint:
-        """A command of the joint in SI units as the link takes it.
+        """Convert a command in SI units to the protocol's units.
 
         A current, velocity or acceleration above the link's limit is clamped to it, and a current
         that would make more than the torque allowed; a profile velocity or acceleration of 0 means
@@ -139,7 +139,7 @@ class Scale:
         )
 
     def _target(self, mode: Mode, value: float) -> tuple[int, bool]:
-        """The set point in the protocol's units, and whether it was clamped."""
+        """Return the set point in the protocol's units, and whether it was clamped."""
         drive = self.link.drive
         if mode == Mode.POSITION:
             low, high = self.link.q_min, self.link.q_max

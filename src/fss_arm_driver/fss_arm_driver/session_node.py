@@ -1,7 +1,7 @@
-"""What the nodes of a link and of the base's board have in common: a session over a transport.
+"""Base class of the nodes of a link and of the base's board: a session over a transport.
 
-A thread takes datagrams and publishes what they say; commands and stops may have threads of their
-own; all else happens in the executor. What they share is the session, under a lock.
+A thread receives datagrams and publishes their contents. Commands and stops may have separate
+threads. All other work is done by the executor. The threads share the session, under a lock.
 """
 
 from abc import abstractmethod
@@ -24,24 +24,24 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.timer_clock import timer_clock
 
-SIMULATED_STEP = 0.01  # of /clock [s]
+SIMULATED_STEP = 0.01  # step of /clock [s]
 
 
 class SessionNode(Node):
-    """Talks to a partner at a steady rate, arms it, and says how it is.
+    """Node that sends commands to a partner at a steady rate, arms it, and reports its state.
 
-    A kind of node makes its session, gives it to `connect`, makes its topics, and ends its making
-    with `begin`.
+    The constructor of a subclass creates a session, passes it to `connect`, creates its topics, and
+    finally calls `begin`.
 
     Args:
         name: of the node.
         kind: of its settings, which have `url`, `keys` and `rate`.
-        clock: the computer's, but for tests.
+        clock: by default the computer's; tests may pass another.
         live: whether the node has parameters that may be set while it runs.
     """
 
     session: Session[Any]
-    unconfirmed: str  # what a partner that was disarmed does not say, in words
+    unconfirmed: str  # words for a partner that does not confirm disarming
 
     def __init__(
         self,
@@ -65,21 +65,21 @@ class SessionNode(Node):
         self.waiting: list[Future] = []  # for the partner to arm, or to disarm
 
     def simulated_now(self) -> int:
-        """The time of /clock [ns]; 0 before its first message."""
+        """Return the time of /clock [ns]; 0 before its first message."""
         return int(self.get_clock().now().nanoseconds)
 
     def connect(self, session: Session[Any], transport: Transport, danger: str) -> None:
-        """Take the session and the way to the partner.
+        """Store the session and the transport to the partner.
 
         Args:
             session: of this kind of node.
             transport: to the partner.
-            danger: what strangers can do to one whose frames are not signed, in words.
+            danger: what an attacker can do to a partner whose frames are not signed, in words.
         """
         self.session, self.transport = session, transport
         self.name = session.partner.name  # in answers
         self.changes = StatusLog(session)
-        self.complaints.begins("trouble", self.trouble())  # what begins so is no news
+        self.complaints.begins("trouble", self.trouble())  # an initial problem is not logged
         if is_exposed(self.settings.url, self.settings.keys):
             self.get_logger().warning(
                 f"{self.settings.url}: frames are not signed, so anybody on this network can "
@@ -87,8 +87,8 @@ class SessionNode(Node):
             )
 
     def begin(self, service: str) -> None:
-        """Begin to talk; `service` arms and disarms."""
-        group = ReentrantCallbackGroup()  # the answer waits for the partner's; all else goes on
+        """Start the communication; `service` arms and disarms."""
+        group = ReentrantCallbackGroup()  # other callbacks run while the response waits
         self.create_service(SetBool, service, self.on_arm, callback_group=group)
         self.steady = self.create_timer(
             1.0 / self.settings.rate, self.send, clock=timer_clock(self)
@@ -99,28 +99,28 @@ class SessionNode(Node):
 
     @abstractmethod
     def take(self, data: bytes, now: int) -> None:
-        """Publish what a datagram says."""
+        """Publish the contents of a datagram."""
 
     @abstractmethod
     def transmit(self) -> None:
-        """Send the command of the moment."""
+        """Send the current command."""
 
     @abstractmethod
     def state_words(self) -> str:
-        """How the partner is, for people."""
+        """Return the partner's state in words."""
 
     @abstractmethod
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the status for diagnostics."""
 
     def has_news(self) -> bool:
-        """Whether there is something to answer or to report."""
+        """Return True if there is a request to answer or a status to report."""
         return bool(self.waiting)
 
     def poll(self, datagrams: list[bytes]) -> None:
-        """Take what has come. Without a clock yet nothing can be stamped: it is dropped."""
+        """Process received datagrams; drop them while there is no clock to stamp them with."""
         with self.lock:
-            now = self.now()  # not before: it would run back in the session
+            now = self.now()  # under the lock, so that the session's time does not go back
             try:
                 for data in datagrams if now else ():
                     self.take(data, now)
@@ -132,13 +132,13 @@ class SessionNode(Node):
             self.news.trigger()
 
     def send(self) -> None:
-        """Send the command of the moment, and say what has become of earlier requests."""
+        """Send the current command, answer earlier requests, and log changes."""
         self.transmit()
         self.answer()
         self.complain()
 
     def complain(self) -> None:
-        """Log what has changed, and what is wrong, once each time that it begins."""
+        """Log changes and problems, each problem once when it starts."""
         with self.lock:
             news = self.changes(self.now())
         report(self, news)
@@ -147,17 +147,17 @@ class SessionNode(Node):
         self.warn("strain", self.session.strain)
 
     def trouble(self) -> str:
-        """What is wrong with the way to the partner, in words."""
+        """Return the problem of the connection to the partner, in words; empty: none."""
         trouble = self.transport.trouble
         return trouble and f"{self.settings.url}: {trouble}"
 
     def warn(self, kind: str, text: str) -> None:
-        """Log a warning of a kind when it begins; an empty one ends it."""
+        """Log a warning of a kind when it starts; an empty text ends it."""
         if self.complaints.begins(kind, text):
             self.get_logger().warning(text)
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
-        """Arm or disarm; answer when the partner has."""
+        """Arm or disarm; respond when the partner has done so or failed."""
         try:
             with self.lock:
                 if request.data:
@@ -173,7 +173,7 @@ class SessionNode(Node):
         return response
 
     def outcome(self, arm: bool) -> tuple[bool, str]:
-        """Whether the partner has armed or disarmed, and how it is in words."""
+        """Return whether the partner has armed or disarmed, and its state in words."""
         session = self.session
         done = session.armed if arm else session.released
         if done or arm or session.arming is not Arming.DISARMED:
@@ -183,13 +183,13 @@ class SessionNode(Node):
         return False, f"{self.name} {how}: asked to disarm, not confirmed"
 
     def answer(self) -> None:
-        """Answer requests to arm or disarm that have come to an end."""
+        """Answer requests to arm or disarm that have succeeded or failed."""
         if self.receiver.error and self.context.ok():
             raise self.receiver.error
         while self.waiting and self.session.settled:
             self.waiting.pop().set_result(None)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the thread and the port."""
         self.receiver.close()
         self.transport.close()

@@ -1,4 +1,4 @@
-"""The parameters of the driver's nodes, and what they amount to."""
+"""Parameters of the driver's nodes."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from fss_arm_motion.guard_settings import GuardSettings
 
 @dataclass(frozen=True)
 class LinkSettings(Settings):
-    """The parameters of a LinkNode."""
+    """Parameters of a LinkNode."""
 
     link: int = setting(1, "number of the link; 1 is at the base", check=between(1, 255))
     url: str = setting("", "where the link is: udp://, tcp://, serial:// or copley://; required")
@@ -56,7 +56,7 @@ class LinkSettings(Settings):
             )
 
     def link_description(self) -> Link:
-        """The link, as its arm's file has it.
+        """Return the link's description from its arm's file.
 
         Raises:
             ValueError: the arm has no such link.
@@ -67,7 +67,7 @@ class LinkSettings(Settings):
         return arm.links[self.link - 1]
 
     def key(self) -> bytes | None:
-        """The key that frames are signed under, if any.
+        """Return the key that signs the frames, if any.
 
         Raises:
             ValueError: keys are configured, but none for this link.
@@ -77,7 +77,7 @@ class LinkSettings(Settings):
 
 @dataclass(frozen=True)
 class ArmSettings(GuardSettings):
-    """The parameters of an ArmNode."""
+    """Parameters of an ArmNode."""
 
     arm: str = setting("", "file of the arm's description; empty: the paper's arm")
     rate: float = setting(
@@ -133,10 +133,10 @@ class ArmSettings(GuardSettings):
     target_topic: str = like(Vehicle, "target_topic")
 
     def description(self) -> Arm:
-        """The arm to move."""
+        """Return the description of the arm."""
         return described(self.arm)
 
 
 @dataclass(frozen=True)
 class DriverSettings(ArmSettings, LinkSettings):
-    """The parameters of an ArmNode and its LinkNodes; what both have is one."""
+    """Parameters of an ArmNode and its LinkNodes; common parameters are shared."""

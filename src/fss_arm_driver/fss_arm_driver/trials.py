@@ -1,7 +1,7 @@
-"""What is tried on a link on the first day with hardware, one thing after the other.
+"""Tests of a link on the first day with hardware, one after the other.
 
-By hand: direction and counts of a turn, zero and gain of the torque sensor. Then, at low current
-and only after a person has agreed: the signs of current and torque, the stop and the watchdog.
+By hand: direction and counts per turn, zero and gain of the torque sensor. Then, at low current and
+only after the operator has agreed: the signs of current and torque, the stop and the watchdog.
 """
 
 import time
@@ -20,15 +20,15 @@ from fss_arm_model.description import Link
 
 SECOND = 1_000_000_000  # [ns]
 PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"
-COMPLETE = "complete"  # what is found last, of trials that ended early
+COMPLETE = "complete"  # name of the last finding, of tests that ended early
 
 PERIOD = SECOND // 10  # of commands
-ENOUGH = 0.03  # of a turn to see which way it goes [rad]
-FAR = 0.35  # of a turn at most in a test [rad]
+ENOUGH = 0.03  # angle that shows the direction of motion [rad]
+FAR = 0.35  # largest angle of a test [rad]
 SLOW_TURN = 0.1  # velocity of the tests of stop and watchdog [rad/s]
 STEPS = 5  # of current, until the joint turns
 MOTION_THRESHOLD = 0.01  # [rad/s]
-WATCHDOG = 1.0  # tried with [s]
+WATCHDOG = 1.0  # used in the test [s]
 NO_TORQUE = "no samples of the torque sensor come"
 
 Ask = Callable[[str], str]
@@ -36,7 +36,7 @@ Ask = Callable[[str], str]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing tried on one link."""
+    """Result of one test of one link."""
 
     link: int
     name: str
@@ -45,7 +45,7 @@ class Finding:
 
 
 class Rig:
-    """A link at the end of its transport; lets time pass while it talks to it."""
+    """Link under test, with its transport; waiting keeps the communication running."""
 
     def __init__(self, number: int, link: Link, transport: Transport, key: bytes | None) -> None:
         self.number, self.link, self.transport = number, link, transport
@@ -58,7 +58,7 @@ class Rig:
         self._sent = 0
 
     def until(self, condition: Callable[[], object], timeout: float) -> bool:
-        """Whether the condition comes true within a time [s]."""
+        """Return True if the condition becomes true within `timeout` [s]."""
         end = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > end:
@@ -67,7 +67,7 @@ class Rig:
         return True
 
     def turn(self) -> None:
-        """Send a command when one is due; take what comes."""
+        """Send a command when one is due; process received data."""
         if self.talking and time.monotonic_ns() - self._sent > PERIOD:
             self.send()
         if self.transport.wait(0.02):
@@ -80,11 +80,11 @@ class Rig:
         self.transport.send(self.session.command(self._sent))
 
     def listen(self, timeout: float) -> bool:
-        """Whether the link is heard within a time [s]."""
+        """Return True if a sample of the link is received within `timeout` [s]."""
         return self.until(lambda: self.sample, timeout)
 
     def samples(self, seconds: float) -> list[Sample]:
-        """The samples that come within some time.
+        """Return the samples that are received within `seconds`.
 
         Raises:
             CommandError: the link is lost.
@@ -100,11 +100,11 @@ class Rig:
         return got[1:]
 
     def torques(self, seconds: float) -> list[int]:
-        """What the torque sensor says within some time [counts]; nothing if it is not there."""
+        """Return the torque samples within `seconds` [counts]; empty without a sensor."""
         return [s.frame.torque for s in self.samples(seconds) if not isnan(s.torque)]
 
     def now(self) -> Sample:
-        """The last sample.
+        """Return the last sample.
 
         Raises:
             CommandError: the link is lost.
@@ -115,12 +115,12 @@ class Rig:
 
     @contextmanager
     def armed(self) -> Iterator[None]:
-        """Arm the link, and release the joint however the block ends.
+        """Arm the link for the block, and release the joint after it in any case.
 
         Raises:
-            CommandError: it cannot be armed, or is not seen to be released.
+            CommandError: it cannot be armed, or does not confirm the release.
         """
-        self.turn()  # a link that was not listened to while a person answered counts as lost
+        self.turn()  # the link counts as lost after the operator's answer
         self.until(lambda: not self.session.obstacle(time.monotonic_ns()), 3.0)
         self.session.arm(time.monotonic_ns())
         try:
@@ -132,15 +132,15 @@ class Rig:
             self.rest()
 
     def set(self, mode: Mode, value: float, seconds: float) -> None:
-        """Give a command that lasts so long."""
+        """Give a command that is valid for `seconds`."""
         now = time.monotonic_ns()
         self.session.set(mode, value, 0.0, 0.0, now + round(seconds * SECOND), now)
 
     def rest(self) -> None:
-        """Disarm, and wait until the link says that its drive is off and the joint rests.
+        """Disarm, and wait until the link reports that its drive is off and the joint rests.
 
         Raises:
-            CommandError: it does not say so.
+            CommandError: the link does not report this in time.
         """
         self.talking = True
         self.session.disarm()
@@ -155,7 +155,7 @@ class Rig:
 
 
 def answers(rig: Rig) -> Finding:
-    """What the link says about itself."""
+    """Report the link's firmware, state and faults."""
     rig.until(lambda: len(rig.session.slow) >= len(Slow), 3.0)
     sample, session = rig.now(), rig.session
     version = session.slow.get(Slow.FIRMWARE, 0)
@@ -172,7 +172,7 @@ def answers(rig: Rig) -> Finding:
 
 
 def turn_by_hand(rig: Rig, ask: Ask) -> Finding:
-    """Direction and counts of a turn, from a turn of known angle."""
+    """Measure direction and counts per turn, from a turn by a known angle."""
     name = "direction and counts per turn"
     before = rig.now().frame.position
     text = ask(
@@ -192,7 +192,7 @@ def turn_by_hand(rig: Rig, ask: Ask) -> Finding:
 
 
 def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
-    """Zero and gain of the torque sensor, from a known torque."""
+    """Measure zero and gain of the torque sensor, from a known torque."""
     sensor = rig.link.torque_sensor
     ask("Let the joint hang free of any torque, and press Enter: ")
     if not (rest := rig.torques(2.0)):
@@ -224,7 +224,7 @@ def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
 
 
 def signs(rig: Rig, current: float) -> Iterator[Finding]:
-    """Whether a current turns the joint the way of its sign, and what the sensors say meanwhile."""
+    """Test whether a current turns the joint in its direction, and the signs of the sensors."""
     with rig.armed():
         start, seen = rig.now().position, []
         inwards = copysign(current, 0.5 * (rig.link.q_min + rig.link.q_max) - start)
@@ -261,7 +261,7 @@ def signs(rig: Rig, current: float) -> Iterator[Finding]:
 
 
 def stop(rig: Rig) -> Finding:
-    """How soon a stop is obeyed."""
+    """Measure how soon the joint is at rest after a stop."""
     with rig.armed():
         _turn_slowly(rig)
         begun = time.monotonic()
@@ -279,7 +279,7 @@ def stop(rig: Rig) -> Finding:
 
 
 def watchdog(rig: Rig) -> Finding:
-    """How soon the joint is at rest when the computer falls silent."""
+    """Measure how soon the joint is at rest when the computer stops sending."""
     with rig.armed():
         _turn_slowly(rig)
         rig.talking, begun = False, time.monotonic()
@@ -297,10 +297,10 @@ def watchdog(rig: Rig) -> Finding:
 
 
 def _turn_slowly(rig: Rig) -> None:
-    """Turn towards the middle of the joint's range.
+    """Turn the joint towards the middle of its range.
 
     Raises:
-        CommandError: it does not.
+        CommandError: the joint does not turn.
     """
     way = 0.5 * (rig.link.q_min + rig.link.q_max) - rig.now().position
     rig.set(Mode.VELOCITY, copysign(SLOW_TURN, way), FAR / SLOW_TURN)
@@ -309,7 +309,7 @@ def _turn_slowly(rig: Rig) -> None:
 
 
 def trials(rig: Rig, ask: Ask, current: float) -> Iterator[Finding]:
-    """Try one link; a failure that leaves nothing more to try is the last finding."""
+    """Test one link; a failure that prevents further tests is the last finding."""
     try:
         yield answers(rig)
         yield turn_by_hand(rig, ask)
@@ -337,7 +337,7 @@ def _left_out(rig: Rig, why: str, *names: str) -> Iterator[Finding]:
 
 
 def _number(text: str) -> float:
-    """The number typed, or 0."""
+    """Return the number typed, or 0."""
     try:
         return float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The command `urdf`: an arm's description as URDF, to a file or to what reads it."""
+"""Command `urdf`: writes an arm's description as URDF to a file or to standard output."""
 
 import argparse
 import sys
@@ -10,7 +10,7 @@ from fss_arm_ros.command_line import Parser, in_one_line
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the parser of the command line."""
     p = Parser(prog="urdf", description="Write an arm's description as URDF.")
     p.add_argument("arm", nargs="?", default="", help="the description (default: the paper's arm)")
     p.add_argument("--output", metavar="FILE", help="what is written (default: standard output)")

@@ -1,1 +1,1 @@
-"""The arm and its floating base as mathematics: description, kinematics, dynamics, momentum."""
+"""Mathematics of the arm and its floating base: description, kinematics, dynamics, momentum."""

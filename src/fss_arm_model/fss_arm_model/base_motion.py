@@ -1,17 +1,18 @@
-"""How an arm's motion moves its floating base: d(b, m, I, theta(t)) of Eq. 6, without an ODE.
+"""Predict the base's motion from the arm's: d(b, m, I, theta(t)) of Eq. 6, without an ODE.
 
-No torque acts about the system's centre of mass, and a uniform force, the weight on a tilted table,
-acts at it. So the angular momentum L about it stays, and it runs along a parabola. With K_k, s_k of
-_inertias below, Q_k = q_1 + .. + q_k, M the whole mass and g the acceleration down the table,
+No torque acts about the system's centre of mass. A uniform force, the weight on a tilted table,
+acts at it. So the angular momentum L about it is constant, and the centre follows a parabola. With
+K_k, s_k of _inertias below, Q_k = q_1 + .. + q_k, M the total mass and g the acceleration down the
+table,
 
     L = sum_k N_k (theta' + Q'_k)
     N_k = K_k - |s_k|^2 / M + s_k . sum_{j<k} p_j + p_k . sum_{j>k} s_j,   p_k = d_k - s_k / M
     theta(t) = theta(0) + int (L dt - sum_k N_k dQ_k) / sum_k N_k
     r(t) = c(0) + P t / M + g t^2 / 2 - exp(i theta(t)) s(t) / M,   s = sum_k s_k
 
-all vectors seen from the base. What the path in joint space contributes is computed once, as nodes
-of a quadrature (joint_path); after that a prediction is a sum over them, and so are its
-derivatives. Planar vectors are complex numbers and the bodies numbered as in kinematics.py.
+with all vectors in the base's frame. The contribution of the path in joint space is computed once,
+as nodes of a quadrature (joint_path); then a prediction is a sum over the nodes, and so are its
+derivatives. Planar vectors are complex numbers and the bodies are numbered as in kinematics.py.
 """
 
 import math
@@ -25,14 +26,14 @@ from .joint_path import Path
 from .kernels import Floats, helper, inlined, kernel
 from .kinematics import _THREE, _com, _dot, _mass, _moment, _reach
 
-#: What follows Arm.vector() in the columns of base_pose_sensitivities.
+#: Columns of base_pose_sensitivities that follow those of Arm.vector().
 STATE_NAMES = ("x", "y", "theta", "p_x", "p_y", "L", "g_x", "g_y")
 
-LANES = 16  # nodes side by side
-# Where rows of lanes begin. Of a body: the path's three, then what _headings finds, of which
-# _gradients makes what a node takes from the derivatives by s_k, d_k and K_k.
+LANES = 16  # nodes that are computed side by side
+# Starts of rows of lanes. For a body: the path's three rows, then results of _headings, from which
+# _gradients computes a node's contribution to the derivatives by s_k, d_k and K_k.
 COS, SIN, RATE, SX, SY, PX, PY, OMEGA, BODY = range(0, 9 * LANES, LANES)
-# Of sums: all s; p before and s after a body, and both with rates; N, dt, and what nodes give.
+# For sums: all s; p before and s after a body, and both with rates; N, dt, and a node's results.
 TX, TY, BX, BY, AX, AY, OX, OY, MX, MY, WHOLE, DT, TURN, BY_M, BY_L, SUMS = range(
     0, 16 * LANES, LANES
 )
@@ -40,14 +41,15 @@ TX, TY, BX, BY, AX, AY, OX, OY, MX, MY, WHOLE, DT, TURN, BY_M, BY_L, SUMS = rang
 
 @helper
 def _inertias(p, delta, sigma, K):  # type: ignore[no-untyped-def]
-    """Write the bodies' constants, seen from each body with the joint before it at reading 0.
+    """Write the bodies' constants, in each body's frame with the joint before it at reading 0.
 
-    d_k from its pivot to the next, s_k = m_k e_k + d_k sum_{j>k} m_j its first moment and
-    K_k = I_k + m_k |e_k|^2 + |d_k|^2 sum_{j>k} m_j its second, all further mass put at the next
-    pivot: the only combinations of masses, inertias and centres of mass that motion depends on.
+    d_k is the vector from its pivot to the next, s_k = m_k e_k + d_k sum_{j>k} m_j its first moment
+    and K_k = I_k + m_k |e_k|^2 + |d_k|^2 sum_{j>k} m_j its second, with the mass of all further
+    bodies at the next pivot. The motion depends on masses, inertias and centres of mass only
+    through these combinations.
 
     Returns:
-        The whole mass.
+        The total mass.
     """
     M = 0.0
     for k in range(K.size - 1, -1, -1):
@@ -79,10 +81,10 @@ def _place(delta, sigma, row, d, s):  # type: ignore[no-untyped-def]
 
 @inlined
 def _headings(nodes, first, delta, sigma, K, per_mass, L, work, sums):  # type: ignore[no-untyped-def]
-    """Write how far the base turns at the nodes from `first` on, a lane for each of them.
+    """Write the base's rotation at the nodes from `first` on, one lane for each node.
 
-    What it is from stays in work and sums, as _gradients takes it. Lanes beyond the last node keep
-    what they had.
+    Intermediate results stay in work and sums for _gradients. Lanes beyond the last node keep their
+    old values.
     """
     m, rows = delta.size, nodes[first : first + LANES]
     n = m - 1
@@ -128,20 +130,20 @@ def _headings(nodes, first, delta, sigma, K, per_mass, L, work, sums):  # type: 
 
 @inlined
 def _gradients(per_mass, work, sums):  # type: ignore[no-untyped-def]
-    """Write, from what _headings left, what nodes take from the derivatives of the heading.
+    """Write each node's contribution to the derivatives of the heading, after _headings.
 
-    By s_k and d_k (seen from body k) and K_k to work, by M and, added, L to sums. L staying what it
-    is, the derivative by anything is -(1 / N) sum_k omega_k dN_k with N = sum_k N_k. As N_k is the
-    sum over j of the symmetric M_jk = p_j . s_k (j < k), terms of bodies j and k carry
-    omega_j + omega_k.
+    The derivatives by s_k and d_k (in the frame of body k) and K_k go to work, those by M and the
+    added L to sums. With constant L, the derivative by any parameter is
+    -(1 / N) sum_k omega_k dN_k with N = sum_k N_k. As N_k is the sum over j of the symmetric
+    M_jk = p_j . s_k (j < k), terms of bodies j and k contain omega_j + omega_k.
     """
     m = work.shape[0] // BODY
     for j in range(LANES):
         sums[WHOLE + j] = 1.0 / sums[WHOLE + j]
-        sums[MX + j], sums[MY + j] = 0.0, 0.0  # of omega_k s_k
+        sums[MX + j], sums[MY + j] = 0.0, 0.0  # sum of omega_k s_k
     for k in range(m):
         body = work[BODY * k : BODY * (k + 1)]
-        # omega is weighted: the node's angle of each body, over N.
+        # omega has a weight: the node's angle of each body, over N.
         for j in range(LANES):
             omega = sums[WHOLE + j] * (sums[TURN + j] + body[RATE + j])
             body[OMEGA + j] = omega
@@ -153,7 +155,7 @@ def _gradients(per_mass, work, sums):  # type: ignore[no-untyped-def]
         sums[BY_L + j] = sums[WHOLE + j] * sums[DT + j]
         sums[AX + j], sums[AY + j] = sums[TX + j], sums[TY + j]
         sums[BX + j], sums[BY + j] = 0.0, 0.0
-        sums[OX + j], sums[OY + j] = 0.0, 0.0  # of omega_j p_j
+        sums[OX + j], sums[OY + j] = 0.0, 0.0  # sum of omega_j p_j
     for k in range(m):
         body = work[BODY * k : BODY * (k + 1)]
         for j in range(LANES):
@@ -180,7 +182,7 @@ def _turn(angle):  # type: ignore[no-untyped-def]
 
 @helper
 def _course(state, M, t):  # type: ignore[no-untyped-def]
-    """How far the centre of mass has gone."""
+    """Return the displacement of the centre of mass at time t."""
     u, v = t / M, 0.5 * t * t
     return complex(state[3] * u + state[6] * v, state[4] * u + state[7] * v)
 
@@ -224,7 +226,7 @@ def _chain_rule(p, delta, M, gM, Gs, Gd, gK, sigma, out):  # type: ignore[no-unt
         beyond -= m
         d, e = _reach(p, k), _com(p, k)
         by_s, by_d = Gs[k], Gd[k]
-        if k > 0:  # from readings of 0 to the link's own frame
+        if k > 0:  # from the frame at reading 0 to the link's own frame
             a = p[layout.LINK_SIZE * k + layout.LENGTH]
             back = complex(delta[k].real / a, -delta[k].imag / a)
             by_s, by_d = by_s * back, by_d * back
@@ -246,7 +248,7 @@ def _chain_rule(p, delta, M, gM, Gs, Gd, gK, sigma, out):  # type: ignore[no-unt
 
 @helper
 def _cross_dot(gradient, r):  # type: ignore[no-untyped-def]
-    """Derivative by a turn of r."""
+    """Return the derivative by a rotation of r."""
     return gradient.imag * r.real - gradient.real * r.imag
 
 
@@ -318,7 +320,7 @@ def _base_pose_sensitivities(p, state, nodes, marks, _t, _x, poses, J):  # type:
 
 
 def _checked(p: npt.ArrayLike, path: Path, state: npt.ArrayLike) -> tuple[Floats, Floats]:
-    """The arrays p and state.
+    """Return the arrays p and state.
 
     Raises:
         ValueError: a last dimension is wrong.
@@ -334,13 +336,13 @@ def _checked(p: npt.ArrayLike, path: Path, state: npt.ArrayLike) -> tuple[Floats
 
 
 def base_poses(p: npt.ArrayLike, path: Path, state: npt.ArrayLike) -> Floats:
-    """Poses of the base at a path's marks (Eq. 6), (..., m, 3): x, y [m], heading [rad].
+    """Predict the base's poses at a path's marks (Eq. 6), (..., m, 3): x, y [m], heading [rad].
 
-    The heading counts turns, from that of the start.
+    The heading is continuous (not wrapped), starting from the heading in `state`.
 
     Args:
         p: (..., 8 + 6 n) Arm.vector().
-        path: of the joints.
+        path: the path of the joints.
         state: (..., 8) as STATE_NAMES: the base's pose at the first mark [m, m, rad]; the momentum
             there [N s, N s, N m s], that about the system's centre of mass; the acceleration of
             free bodies down a tilted table [m/s^2].
@@ -355,11 +357,12 @@ def base_poses(p: npt.ArrayLike, path: Path, state: npt.ArrayLike) -> Floats:
 def base_pose_sensitivities(
     p: npt.ArrayLike, path: Path, state: npt.ArrayLike
 ) -> tuple[Floats, Floats]:
-    """What base_poses gives, and its derivatives (Phi_d of Eq. 10, by all parameters).
+    """Return base_poses and its derivatives (Phi_d of Eq. 10, by all parameters).
 
     Returns:
         (..., m, 3) poses and (..., m, 3, 8 + 6 n + 8) their derivatives by p and then state, each
-        in its unit. Those by g of p, the centres of mass, hold the lengths: by b it is minus that.
+            in its unit. Those by g (centres of mass) are at constant lengths: a derivative by b is
+            minus that by g.
 
     Raises:
         ValueError: shapes do not fit.

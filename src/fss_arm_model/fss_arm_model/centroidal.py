@@ -1,4 +1,4 @@
-"""The floating arm seen from its own centre of mass, in absolute angles: the fast dynamics.
+"""Fast dynamics of the floating arm about its centre of mass, in absolute angles.
 
 The coordinates are y = (c_x, c_y, psi_0 .. psi_n): the centre of mass c of the whole, and the
 heading psi_k of each body's frame, u_k = exp(i psi_k). With kinematics.py's vectors in the bodies'
@@ -13,13 +13,13 @@ of mass moves by itself, M c'' = F, and the angles by
     A_ij = A_ji = S_i . T_j,   B_ij = -B_ji = S_i x T_j                         for i < j
     A_ii = I_i + m_i |E_i|^2 + M_i |D_i|^2 - M |b_i|^2
 
-The triangles of A are those of products of 2-vectors (A is semiseparable), and what joints add, as
-their rotors do, couples neighbours alone. So A is factored and solved in O(n) and never formed.
-Forces f_k on the pivots r_k, the last one of these the tip, and torques n_k on the bodies amount to
+The triangles of A consist of products of 2-vectors (A is semiseparable), and the terms that joints
+add, as their rotors do, couple only neighbours. So A is factored and solved in O(n) and never
+formed. Forces f_k on the pivots r_k (the last one is the tip) and torques n_k on the bodies give
 
     Q_k = n_k + S_k x (f_{k+1} + .. + f_{n+1}) - T_k / M x (f_0 + .. + f_k)
 
-In-kernel functions take y, v = y' and a = y'' of (2 + m,), m = n + 1; Q has forces on c in front.
+In-kernel functions take y, v = y' and a = y'' of (2 + m,), m = n + 1; Q starts with forces on c.
 """
 
 import math
@@ -33,12 +33,12 @@ from .layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
 
 
 class Bodies(NamedTuple):
-    """What is constant of base and links."""
+    """Constants of base and links."""
 
     p: Floats  # Arm.vector()
     mass: float  # M
     arms: Complexes  # (2, m): D - b and M b
-    inertia: Floats  # (2, m): diagonal of A, and what joints add beside it, to A_{k,k-1}
+    inertia: Floats  # (2, m): diagonal of A, and the terms of joints in A_{k,k-1}
 
 
 @helper
@@ -48,14 +48,14 @@ def _scaled(a: float, z: complex) -> complex:
 
 @helper
 def _bodies(p, rotor):  # type: ignore[no-untyped-def]
-    """The Bodies of p (8 + 6 n,), contiguous, with each joint's rotor (N^2 J, N J).
+    """Return the Bodies of p (8 + 6 n,), contiguous, with each joint's rotor (N^2 J, N J).
 
-    A rotor turns N times as fast as its joint against the body before it, in whose inertia J
-    counts, and so adds to the kinetic energy
+    A rotor turns N times as fast as its joint, relative to the body before it. That body's inertia
+    includes J. The rotor adds to the kinetic energy
 
         N^2 J (psi'_k - psi'_{k-1})^2 / 2 + N J psi'_{k-1} (psi'_k - psi'_{k-1})
     """
-    m = p.size // LINK_SIZE  # the base has some numbers more
+    m = p.size // LINK_SIZE  # integer division: the base has two numbers more than a link
     arms, inertia = np.empty((2, m), np.complex128), np.empty((2, m))
     M = 0.0
     for k in range(m):
@@ -91,9 +91,9 @@ def _turn(bodies, z, turned):  # type: ignore[no-untyped-def]
 
 @inlined
 def _turn_on(bodies, start, z0, z, turned):  # type: ignore[no-untyped-def]
-    """Turn the bodies to z from `start`, where they are at z0: as exact, and cheap for small turns.
+    """Turn the bodies to z from `start`, their state at z0: exact, and cheap for small turns.
 
-    The series leave out less than 0.0625^10 / 10!, 3e-19.
+    The truncation error of the series is below 0.0625^10 / 10!, 3e-19.
     """
     for k in range(turned.shape[1]):
         turn = z[0, 2 + k] - z0[0, 2 + k]
@@ -109,22 +109,22 @@ def _turn_on(bodies, start, z0, z, turned):  # type: ignore[no-untyped-def]
 
 @inlined
 def _rate(bodies, turned, force, torque, z, work, dz):  # type: ignore[no-untyped-def]
-    """Write a, with a force on the base's origin and torques on the bodies (m,); scratch work.
+    """Write a for a force on the base's origin and torques on the bodies (m,); `work` is scratch.
 
-    A = L diag(d) L^T with L_kj = T_k . w_j for j < k, and beside the diagonal R_k / d_{k-1} more,
-    R_k being what joints add. Rows share the sum P of d_j w_j w_j^T, a symmetric 2 x 2 matrix.
+    A = L diag(d) L^T with L_kj = T_k . w_j for j < k, plus R_k / d_{k-1} next to the diagonal; the
+    R_k are the terms of joints. Rows share the sum P of d_j w_j w_j^T, a symmetric 2 x 2 matrix.
     """
     R, m = bodies.inertia, torque.size
-    before = _scaled(-1.0 / bodies.mass, force)  # less the spins psi'_j^2 S_j of bodies before k
+    before = _scaled(-1.0 / bodies.mass, force)  # less the terms psi'_j^2 S_j of bodies before k
     for i in range(2 + m):
         dz[0, i] = z[1, i]
     dz[1, 0], dz[1, 1] = -before.real, -before.imag
-    beyond = 0j  # the spins psi'_j^2 T_j of bodies beyond k
+    beyond = 0j  # sum of psi'_j^2 T_j of bodies beyond k
     for k in range(m):
         beyond += _scaled(z[1, 2 + k] * z[1, 2 + k], turned[2, k])
     g = last = 0j
     xx = xy = yy = forward = 0.0
-    inverse = 1.0  # of d_{k-1}
+    inverse = 1.0  # 1 / d_{k-1}
     for k in range(m):
         s, t, r = turned[1, k], turned[2, k], R[1, k]
         spin, beside = z[1, 2 + k] * z[1, 2 + k], r * inverse
@@ -150,7 +150,7 @@ def _rate(bodies, turned, force, torque, z, work, dz):  # type: ignore[no-untype
 
 @helper
 def _to_centroidal(bodies, q, qd, turned, z):  # type: ignore[no-untyped-def]
-    """Write y and v of the state q, qd (3 + n,), and turn the bodies there."""
+    """Write y and v of the state q, qd (3 + n,), and turn the bodies accordingly."""
     p = bodies.p
     z[0, 2], z[1, 2] = q[2], qd[2]
     for k in range(1, turned.shape[1]):
@@ -167,7 +167,7 @@ def _to_centroidal(bodies, q, qd, turned, z):  # type: ignore[no-untyped-def]
 
 @helper
 def _from_centroidal(bodies, turned, z, q, qd):  # type: ignore[no-untyped-def]
-    """Write the state q, qd (3 + n,) of y and v, at which the bodies are turned."""
+    """Write the state q, qd (3 + n,) of y and v; the bodies are already turned to y."""
     p = bodies.p
     r, rd = complex(z[0, 0], z[0, 1]), complex(z[1, 0], z[1, 1])
     for k in range(turned.shape[1]):
@@ -183,7 +183,7 @@ def _from_centroidal(bodies, turned, z, q, qd):  # type: ignore[no-untyped-def]
 
 @helper
 def _momenta(bodies, turned, z):  # type: ignore[no-untyped-def]
-    """Twice the kinetic energy, and the angular momentum about the world's origin.
+    """Return twice the kinetic energy, and the angular momentum about the world's origin.
 
     2 T = M |c'|^2 + psi' . A psi',  L = M c x c' + sum_k (A psi')_k, rotors included.
     """

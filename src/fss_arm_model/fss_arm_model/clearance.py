@@ -1,9 +1,10 @@
-"""How far the bodies are from touching each other, a target, and the table's edge.
+"""Distances between the bodies of the arm, a target, and the table's edge.
 
-The base is a disc about its origin, a link all that is within its radius of the line from its joint
-to the next, the target a disc. The gripper is the end of the last link, which may touch the target:
-against that it is a line of no radius, and what is left of the last link ends where it begins.
-Bodies are numbered 0: the base, 1 to n: the links, then GRIPPER, TARGET and EDGE more than n.
+The base is a disc about its origin. A link is the set of points within its radius of the line from
+its joint to the next. The target is a disc. The gripper is the end of the last link, which may
+touch the target: for the target it is a line without radius, and the rest of the last link ends
+where the gripper starts. Bodies are numbered 0: the base, 1 to n: the links, then n + GRIPPER,
+n + TARGET and n + EDGE.
 """
 
 from collections.abc import Iterator
@@ -17,48 +18,48 @@ from .kinematics import _chain, _cross, _dot, checked
 
 GRIPPER, TARGET, EDGE = 1, 2, 3
 
-# Where what stands in the sizes that kernels take.
+# Indices of the sizes that kernels take.
 BASE_RADIUS, LINK_RADIUS, TARGET_RADIUS, GRIPPER_LENGTH, HALF_X, HALF_Y = range(6)
 
 
 def sizes(extents: Extents, target_radius: float = 0.0, gripper_length: float = 0.0) -> Floats:
-    """What the kernels take of all bodies and the table, (6,) [m]."""
+    """Return the sizes of all bodies and the table for the kernels, (6,) [m]."""
     half = 0.5 * np.array(extents.table)
     radii = extents.base_radius, extents.link_radius, target_radius, gripper_length
     return np.array([*radii, *half])
 
 
 def links_and_base(n: int) -> Iterator[tuple[int, int]]:
-    """The pairs of base and links that are not neighbours."""
+    """Return the pairs of base and links that are not neighbours."""
     return ((i, j) for i in range(n + 1) for j in range(i + 2, n + 1))
 
 
 def with_target(n: int) -> Iterator[tuple[int, int]]:
-    """The target with base, links and gripper."""
+    """Return the pairs of the target with base, links and gripper."""
     return ((i, n + TARGET) for i in range(n + 1 + GRIPPER))
 
 
 def with_edge(n: int) -> Iterator[tuple[int, int]]:
-    """The edge with base, links and gripper."""
+    """Return the pairs of the edge with base, links and gripper."""
     return ((i, n + EDGE) for i in range(n + 1 + GRIPPER if n else 1))
 
 
 def body_name(body: int, n: int) -> str:
-    """What people call a body."""
+    """Return the name of a body for messages."""
     others = {0: "base", n + GRIPPER: "gripper", n + TARGET: "target", n + EDGE: "table edge"}
     return others.get(body, f"link {body}")
 
 
 @helper
 def _to_segment(a, d, x):  # type: ignore[no-untyped-def]
-    """Distance of the point x from the segment a to a + d."""
+    """Return the distance of the point x from the segment a to a + d."""
     along = min(max(_dot(d, x - a) / _dot(d, d), 0.0), 1.0)
     return abs(x - a - along * d)
 
 
 @helper
 def _apart(a, d, b, e):  # type: ignore[no-untyped-def]
-    """Distance of the segments a to a + d and b to b + e; 0 where they cross."""
+    """Return the distance of the segments a to a + d and b to b + e; 0 where they cross."""
     sides = _cross(d, b - a) * _cross(d, b + e - a), _cross(e, a - b) * _cross(e, a + d - b)
     if sides[0] < 0.0 and sides[1] < 0.0:
         return 0.0
@@ -68,7 +69,7 @@ def _apart(a, d, b, e):  # type: ignore[no-untyped-def]
 
 @helper
 def _gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
-    """The gap between two bodies, i before j [m], of pivots and tip at r (n + 2,)."""
+    """Return the gap between two bodies, i < j [m], with base, pivots and tip at r (n + 2,)."""
     n = r.size - 2
     last = r[n + 1] - r[n]
     if j <= n:
@@ -92,7 +93,7 @@ def _gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
 
 @helper
 def _pivots(q, d, r):  # type: ignore[no-untyped-def]
-    """Write the base's origin, joints and tip to r, from the bodies' d."""
+    """Write the base's origin, the joints and the tip to r, from the bodies' d."""
     r[0] = complex(q[0], q[1])
     for k in range(d.size):
         r[k + 1] = r[k] + d[k]
@@ -116,16 +117,16 @@ def gaps(
     sizes: npt.ArrayLike,
     target: npt.ArrayLike = (np.nan, np.nan),
 ) -> Floats:
-    """The gap between the two bodies of each pair, (..., g) [m]; below 0 they collide.
+    """Return the gap between the two bodies of each pair, (..., g) [m]; below 0 they collide.
 
-    A link that crosses another is 0 from its line, however far it reaches beyond.
+    Two links that cross have distance 0 between their lines, however far one extends beyond.
 
     Args:
         p: (..., 8 + 6 n) Arm.vector().
         q: (..., 3 + n) state.
         pairs: (g, 2) bodies by number, the lower first.
-        sizes: (6,) of `sizes`.
-        target: (..., 2) where it is in the world [m]; not needed without a pair that has it.
+        sizes: (6,), from `sizes`.
+        target: (..., 2) its position in the world [m]; only used by pairs with the target.
 
     Raises:
         ValueError: shapes do not fit.
@@ -136,9 +137,9 @@ def gaps(
 
 
 def clearance(p: npt.ArrayLike, q: npt.ArrayLike, base_radius: float, link_radius: float) -> Floats:
-    """The least gap between two bodies of base and arm that are not neighbours, (...) [m].
+    """Return the least gap between bodies of base and arm that are not neighbours, (...) [m].
 
-    Infinite where there are no such two.
+    Infinite if there is no such pair.
 
     Raises:
         ValueError: shapes do not fit.
@@ -151,14 +152,14 @@ def clearance(p: npt.ArrayLike, q: npt.ArrayLike, base_radius: float, link_radiu
 def edge_clearance(
     p: npt.ArrayLike, q: npt.ArrayLike, table: tuple[float, ...], base: float, link: float
 ) -> Floats:
-    """The least gap between the edge of a table about the origin and any body, (...) [m].
+    """Return the least gap between the edge of a table about the origin and any body, (...) [m].
 
     Args:
         p: (..., 8 + 6 n) Arm.vector().
         q: (..., 3 + n) state.
-        table: its sides along x and y [m].
+        table: sides of the table along x and y [m].
         base: the base's radius [m].
-        link: that of joints and tip [m].
+        link: radius of the joints and the tip [m].
 
     Raises:
         ValueError: shapes do not fit.

@@ -1,8 +1,8 @@
-"""The arm and its base as data: what every other module knows of the hardware.
+"""The description of the arm and its base: all hardware data that other modules use.
 
 SI units and radians throughout; `g`, the distance from joint to centre of mass, follows from the
-stored `a` and `b` (a = g + b). A description is checked when it is made, so that one in hand is a
-valid one.
+stored `a` and `b` (a = g + b). A description is checked when it is created, so every existing
+object is valid.
 """
 
 import math
@@ -21,7 +21,7 @@ MAX_LINKS = 12
 
 
 class DescriptionError(ContentError):
-    """A description cannot be right: which field, its value, and what was expected."""
+    """A value of a description is invalid; the message gives field, value and expected value."""
 
 
 @contextmanager
@@ -98,7 +98,7 @@ def _rows(value: Any) -> tuple[tuple[float, ...], ...]:
 
 
 def check_count(links: Sequence[Any]) -> None:
-    """Raise DescriptionError if there are too few links or too many."""
+    """Raise DescriptionError if there are too few or too many links."""
     if not 1 <= len(links) <= MAX_LINKS:
         raise DescriptionError("links", len(links), f"1 to {MAX_LINKS} links")
 
@@ -135,13 +135,13 @@ _EXPECTED: dict[Callable[[Any], Any], str] = {
 def _is(
     kind: Callable[[Any], Any], unit: str = "", about: str = "", expected: str = ""
 ) -> dict[str, Any]:
-    """Metadata of a field: how it is checked; for the YAML file's comments, unit and meaning."""
+    """Return a field's metadata: its check, and unit and meaning for the YAML file's comments."""
     expected = expected or _EXPECTED[kind] + (f" [{unit}]" if unit else "")
     return {"kind": kind, "unit": unit, "about": about, "expected": expected}
 
 
 def _check(part: Any) -> None:
-    """Convert each field of a description's part to its type, or say what is wrong with it."""
+    """Convert each field of a description's part to its type; raise DescriptionError if invalid."""
     for f in fields(part):
         value = getattr(part, f.name)
         try:
@@ -152,7 +152,7 @@ def _check(part: Any) -> None:
 
 @dataclass(frozen=True)
 class Drive:
-    """A link's servo: encoder, q = direction * counts * 2 pi / counts_per_turn, and its limits."""
+    """A link's servo, with q = direction * counts * 2 pi / counts_per_turn, and its limits."""
 
     counts_per_turn: int = field(
         default=240_000, metadata=_is(_count, about="encoder counts a turn of the joint")
@@ -174,7 +174,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class TorqueSensor:
-    """A link's torque converter: torque = gain * (counts - zero)."""
+    """A link's torque sensor: torque = gain * (counts - zero)."""
 
     gain: float = field(default=2.1 / 2**23, metadata=_is(_nonzero, "N m per count"))
     zero: float = field(default=0.0, metadata=_is(_number, "counts", "reading without load"))
@@ -185,7 +185,7 @@ class TorqueSensor:
 
 @dataclass(frozen=True)
 class Link:
-    """One link: from its joint along x to the next joint, or to the tip for the last link."""
+    """One link, along x from its joint to the next joint (for the last link: to the tip)."""
 
     a: float = field(metadata=_is(_positive, "m", "from this joint to the next"))
     theta_0: float = field(metadata=_is(_number, "rad", "true joint angle at encoder reading 0"))
@@ -219,7 +219,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Base:
-    """The spacecraft simulator in its own frame, as the motion capture system reports it."""
+    """The spacecraft simulator in the base frame, as the motion capture system reports it."""
 
     mass: float = field(metadata=_is(_positive, "kg"))
     inertia: float = field(metadata=_is(_positive, "kg m^2", "about the base's centre of mass"))
@@ -241,13 +241,13 @@ class Base:
         _check(self)
 
     def vector(self) -> npt.NDArray[np.float64]:
-        """The parameters of a base without an arm, (8,), as Arm.vector() begins."""
+        """Return the parameters of a base without an arm, (8,), as the start of Arm.vector()."""
         return np.array([self.mass, self.inertia, *self.com, *self.mount, 0.0])
 
 
 @dataclass(frozen=True)
 class Known:
-    """How well a calibration left values of a description known: the covariance of some, by name.
+    """Covariance of calibrated values of a description, by name.
 
     Names are those of fss_arm_model.parameters, and theta_E.
     """
@@ -268,13 +268,13 @@ class Known:
 
     @classmethod
     def of(cls, names: Sequence[str], covariance: npt.NDArray[np.float64]) -> "Known":
-        """What a covariance (p, p) says."""
+        """Return an object with a covariance (p, p), made symmetric."""
         return cls(tuple(names), (0.5 * (covariance + covariance.T)).tolist())
 
     def over(
         self, names: Sequence[str], deviations: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """Covariance (p, p) of some parameters; of those not told, by their deviations (p,)."""
+        """Return the covariance (p, p) of parameters; unknown ones use their deviations (p,)."""
         C = np.diag(np.square(deviations))
         told = [k for k, name in enumerate(names) if name in self.names]
         mine = [self.names.index(names[k]) for k in told]
@@ -284,7 +284,7 @@ class Known:
         return C
 
     def told(self, names: Sequence[str], covariance: npt.NDArray[np.float64]) -> "Known":
-        """The same with some (p, p) told anew, independent of what else is known."""
+        """Return a copy with a new covariance (p, p) of `names`, independent of all others."""
         others = [name for name in self.names if name not in names]
         kept = self.over(others, np.zeros(len(others)))
         C = np.zeros((len(others) + len(names),) * 2)
@@ -324,7 +324,7 @@ class Arm:
         return len(self.links)
 
     def vector(self) -> npt.NDArray[np.float64]:
-        """The parameters the kernels take, (8 + 6 n,).
+        """Return the parameters that the kernels take, (8 + 6 n,).
 
         m_0, I_0, com_x, com_y, x_BJ1, y_BJ1, theta_BJ1, theta_E, then for each link
         a, theta_0, mass, inertia, g, lateral.
@@ -335,10 +335,10 @@ class Arm:
         return np.array(numbers)
 
     def with_kinematics(self, values: npt.ArrayLike) -> "Arm":
-        """The same arm with other kinematic parameters, (2 n + 2,) in the order of kinematic_names.
+        """Return the arm with other kinematic parameters, (2 n + 2,), ordered as kinematic_names.
 
         Raises:
-            DescriptionError: a value cannot be right, for example a length that is not positive.
+            DescriptionError: a value is invalid, for example a length that is not positive.
         """
         xi = np.asarray(values, dtype=float).tolist()
         if len(xi) != 2 * self.n + 2:
@@ -354,7 +354,7 @@ class Arm:
 
 
 def paper_arm() -> Arm:
-    """Tables 2-4 of the paper, and a base of 10 kg and 0.25 kg m^2 (the latter not from it)."""
+    """Return the arm of Tables 2-4 of the paper, with a base of 10 kg and 0.25 kg m^2 (assumed)."""
     offsets = [0.0, 5.801, -3.402, -1.391]
     lengths = [(0.3825, 0.191)] * 3 + [(0.3351, 0.168)]
     links = tuple(

@@ -1,4 +1,4 @@
-"""Descriptions as YAML files: of an arm, and of physical links by their serial numbers.
+"""Read and write descriptions as YAML: of an arm, and of physical links by serial number.
 
 `from_yaml(to_yaml(arm)) == arm` to the last bit.
 """
@@ -30,14 +30,14 @@ from .description import (
 )
 from .files import read_text, read_yaml, short, write_text
 
-#: A link's own parameter, by its place or, where links are told by serial numbers, by that.
+#: A link's own parameter, by its position in the arm or by the link's serial number.
 OF_PLACE = re.compile(r"(a|theta_0|m|b|I)_([1-9]\d*)")
 OF_SERIAL = re.compile(r"(a|theta_0|m|b|I)_#(\d+)")
 
-#: 1 sigma of an angle of which nothing is known since another link was first [rad].
+#: Standard deviation of an unknown angle after another link was mounted first [rad].
 ANY_ANGLE = math.radians(5.0)
 
-#: Descriptions that come with the package, by the name that settings take.
+#: Descriptions in the package, by the name that settings use.
 ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
 
 
@@ -46,7 +46,7 @@ def _entries(kind: type[Any]) -> str:
 
 
 def _build(kind: type[Any], given: Any) -> Any:
-    """Make a `kind` from what YAML gave; a part that is no mapping is left for `kind` to refuse."""
+    """Create a `kind` from YAML entries; `kind` itself rejects parts that are not mappings."""
     known = {f.name: f for f in fields(kind)}
     for key, value in given.items():
         if key not in known:
@@ -73,15 +73,15 @@ def _read(key: str, value: Any, kind: type[Any] | None = None) -> Any:
 
 
 def link_file(folder: str | os.PathLike[str], serial: int) -> Path:
-    """Where the physical link of this serial number is described."""
+    """Return the path of the description of the physical link with this serial number."""
     return Path(folder) / f"link_{serial}.yaml"
 
 
 def read_link(path: Path) -> tuple[Link, list[dict[str, Any]]]:
-    """A physical link by its file, and its calibrations so far.
+    """Read a physical link from its file, with the history of its calibrations.
 
     Raises:
-        DescriptionError: it cannot be read, or what it says cannot be right.
+        DescriptionError: it cannot be read, or its content is invalid.
     """
     try:
         with within(str(path)):
@@ -101,9 +101,10 @@ def read_link(path: Path) -> tuple[Link, list[dict[str, Any]]]:
 
 
 def _mounted(given: dict[str, Any], folder: str | os.PathLike[str]) -> dict[str, Any]:
-    """An arm's entries with the files of links that are given by their serial numbers.
+    """Return an arm's entries, with links given by serial number replaced by their files' content.
 
-    The first joint's angle is then the base's part and the link's, as the link may be moved.
+    The first joint's angle is then the sum of the base's part and the link's, because the link may
+    be mounted elsewhere.
     """
     links = given.get("links")
     if not isinstance(links, list) or not any(type(link) is int for link in links):
@@ -121,17 +122,17 @@ def _mounted(given: dict[str, Any], folder: str | os.PathLike[str]) -> dict[str,
 
 
 def _remounted(known: Known, links: Sequence[Any]) -> Known:
-    """What is known of links by serial number, by their places now.
+    """Convert covariances of links from serial numbers to their present positions.
 
-    What is known of a link goes with it, and of one that is not mounted it is left out. The first
-    link's offset is part of theta_BJ1: if another one is first now, neither is known any more.
+    The covariance of a link moves with it; that of a link that is not mounted is dropped. The first
+    link's offset is part of theta_BJ1: if another link is first now, both are unknown.
     """
     if by_place := [name for name in known.names if OF_PLACE.fullmatch(name)]:
         expected = "names by serial number as a_#7, as links are"
         raise DescriptionError("known: names", by_place[0], expected)
     place = {link.serial: i for i, link in enumerate(links, 1) if isinstance(link, Link)}
     found = [OF_SERIAL.fullmatch(name) for name in known.names]
-    then = [int(m[2]) for m in found if m and m[1] == "a"]  # from the base on
+    then = [int(m[2]) for m in found if m and m[1] == "a"]  # in order from the base
     names = [
         f"{m[1]}_{place.get(int(m[2]), m[2] + ' is not mounted')}" if m else name
         for m, name in zip(found, known.names, strict=True)
@@ -146,7 +147,7 @@ def _remounted(known: Known, links: Sequence[Any]) -> Known:
 
 
 def from_yaml(text: str, folder: str | os.PathLike[str] = ".") -> Arm:
-    """The arm that `text` describes; `folder` has the files of links told by serial number.
+    """Return the arm that `text` describes; `folder` has the files of links by serial number.
 
     Raises:
         DescriptionError: it is not YAML, or an entry is missing, unknown, given twice or wrong.
@@ -164,7 +165,7 @@ def load(path: str | os.PathLike[str]) -> Arm:
 
     Raises:
         OSError: the file cannot be read.
-        DescriptionError: what it says cannot be right; the message names the file and the field.
+        DescriptionError: the content is invalid; the message names the file and the field.
     """
     with within(""):
         text = read_text(path)
@@ -173,11 +174,11 @@ def load(path: str | os.PathLike[str]) -> Arm:
 
 
 def described(arm: str) -> Arm:
-    """The arm that a setting names: one of ARMS, or a file; empty: the paper's.
+    """Return the arm that a setting names: one of ARMS, or a file; empty: the paper's.
 
     Raises:
         OSError: the file cannot be read.
-        DescriptionError: there is no arm of that name, or what the file says cannot be right.
+        DescriptionError: there is no arm of that name, or the file's content is invalid.
     """
     if not arm:
         return paper_arm()
@@ -189,7 +190,7 @@ def described(arm: str) -> Arm:
 
 
 def _installed() -> Path:
-    """The folder of the descriptions in ARMS: in the source tree, or in share where installed."""
+    """Return the folder of the descriptions in ARMS, in the source tree or where installed."""
     here = Path(__file__).resolve()
     if (here.parents[1] / "package.xml").exists():
         return here.parents[1] / "config"
@@ -198,7 +199,7 @@ def _installed() -> Path:
 
 
 def _scalar(value: Any) -> str:
-    """YAML of a value, exact: the shortest decimals that read back as the same float."""
+    """Return the exact YAML of a value: the shortest decimals that give the same float."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(_scalar, value))}]"
     if isinstance(value, str):
@@ -208,7 +209,7 @@ def _scalar(value: Any) -> str:
 
 
 def _lines(part: Any, indent: str) -> Iterator[str]:
-    """The entries of a description's part, each with its unit and meaning as a comment."""
+    """Yield the entries of a description's part, each with unit and meaning as a comment."""
     for f in fields(part):
         value = getattr(part, f.name)
         if f.name in ("known", "serial") and value == f.default:
@@ -240,9 +241,9 @@ def _comment(f: Field[Any], value: Any) -> str:
 
 
 def to_yaml(arm: Arm, origin: Sequence[str] = ()) -> str:
-    """The description as YAML, from which from_yaml makes an equal one.
+    """Return the description as YAML, from which from_yaml creates an equal one.
 
-    Lines that say where it is from become comments.
+    The lines of `origin`, which say where it is from, become comments.
     """
     head = "An arm and its base. SI units and radians; degrees in comments are not read."
     comments = [f"# {' '.join(line.split())}" for line in (head, *origin)]
@@ -250,7 +251,7 @@ def to_yaml(arm: Arm, origin: Sequence[str] = ()) -> str:
 
 
 def save(arm: Arm, path: str | os.PathLike[str]) -> None:
-    """Write the description, and make its folder; a reader sees the old file or the new one.
+    """Write the description, and create its folder; a reader sees the old file or the new one.
 
     Raises:
         OSError: the file cannot be written.
@@ -263,10 +264,11 @@ def save_links(
     path: str | os.PathLike[str],
     histories: Mapping[int, Sequence[Mapping[str, Any]]],
 ) -> None:
-    """Write the description as a list of serial numbers, and the links' files beside it.
+    """Write the description as a list of serial numbers, and the links' files next to it.
 
-    What is `known` of links is by serial number, too, as `histories`: it goes with them. The first
-    link keeps its file's theta_0, as theta_BJ1 has it and the mount's.
+    The covariances (`known`) of links use serial numbers too, as `histories` does: they move with
+    the links. The first link keeps the theta_0 of its file because theta_BJ1 is the sum of this
+    angle and the mount's.
 
     Raises:
         OSError: a file cannot be written.

@@ -1,12 +1,12 @@
-"""How base and arm drift as one rigid body while the arm rests: on a tilted table, at a hose.
+"""Drift of base and arm as one rigid body while the arm rests: on a tilted table, with a hose.
 
-Of mass M and inertia K about its centre of mass, which lies at c in the base's frame; the base's
-origin, where the hose is, at x, its heading theta, and z = x + exp(i theta) c,
+The body has mass M and inertia K about its centre of mass, which is at c in the base's frame. With
+the base's origin, where the hose is, at x, its heading theta, and z = x + exp(i theta) c,
 
     M z'' = M g - d x'        K theta'' = tau - kappa theta' + (x - z) x (-d x')
 
-g is the acceleration of a free body down the table, tau the hose's torque at rest, kappa and d what
-it resists turning and moving with. Planar vectors are complex numbers.
+g is the acceleration of a free body down the table, tau the hose's torque at rest, kappa and d its
+damping of rotation and translation. Planar vectors are complex numbers.
 """
 
 import math
@@ -19,17 +19,17 @@ from .kernels import Floats, helper, kernel
 from .momentum import system_com
 
 SURROUNDINGS = ("g_x", "g_y", "torque", "twist_damping", "drag")
-BODY = ("mass", "inertia", "x", "y")  # of the whole; the latter two its centre of mass
+BODY = ("mass", "inertia", "x", "y")  # of base and arm as one body; x, y: its centre of mass
 
 _FOUR = np.empty(4)
-_TURN = 0.1  # most of a step of the integration [rad]
+_TURN = 0.1  # largest rotation in a step of the integration [rad]
 
 
 @helper
 def _rates(M, K, c, shared, u, theta, omega):  # type: ignore[no-untyped-def]
-    """Acceleration of the centre of mass, and of the heading."""
+    """Return the accelerations of the centre of mass and of the heading."""
     arm = complex(math.cos(theta), math.sin(theta)) * c
-    v = u - 1j * omega * arm  # of the base's origin
+    v = u - 1j * omega * arm  # velocity of the base's origin
     by_drag = shared[4] * (arm.real * v.imag - arm.imag * v.real)
     g = complex(shared[0], shared[1])
     return g - shared[4] / M * v, (shared[2] - shared[3] * omega + by_drag) / K
@@ -45,7 +45,7 @@ def _drift(body, shared, own, times, _f, out):  # type: ignore[no-untyped-def]
     for i in range(times.size):
         span = times[i] - times[i - 1] if i > 0 else 0.0
         count = max(1, math.ceil(abs(omega) * span / _TURN)) if span > 0.0 else 0
-        for _ in range(count):  # Runge and Kutta's fourth order
+        for _ in range(count):  # Runge-Kutta method of fourth order
             h = span / count
             a1, b1 = _rates(M, K, c, shared, u, theta, omega)
             u2, w2 = u + 0.5 * h * a1, omega + 0.5 * h * b1
@@ -65,19 +65,19 @@ def _drift(body, shared, own, times, _f, out):  # type: ignore[no-untyped-def]
 def drift(
     body: npt.ArrayLike, shared: npt.ArrayLike, own: npt.ArrayLike, times: npt.ArrayLike
 ) -> Floats:
-    """Pose and turn rate of the base, (..., m, 4): x, y [m], heading [rad], its rate [rad/s].
+    """Return pose and turn rate of the base, (..., m, 4): x, y [m], heading [rad], rate [rad/s].
 
     Args:
         body: (..., 4) as BODY [kg, kg m^2, m, m].
         shared: (..., 5) as SURROUNDINGS [m/s^2, m/s^2, N m, N m s, N s/m].
-        own: (..., 6) pose and twist at the first moment.
-        times: (..., m) moments, ascending [s].
+        own: (..., 6) pose and twist at the first time.
+        times: (..., m) times, ascending [s].
     """
     return _drift(body, shared, own, times, _FOUR)
 
 
 def whole(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
-    """The one body, (..., 4) as BODY, that base and arm, Arm.vector(), are at readings (..., n)."""
+    """Return base and arm, Arm.vector(), at readings (..., n) as one body, (..., 4) as BODY."""
     p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
     state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
     H, com = inertia_matrix(p, state), system_com(p, state)
@@ -87,7 +87,7 @@ def whole(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
 
 
 def whole_sensitivities(p: Floats, q: npt.ArrayLike) -> Floats:
-    """Derivatives of the one body by Arm.vector(), (..., 4, 8 + 6 n), at readings q (..., n)."""
+    """Return derivatives of `whole` by Arm.vector(), (..., 4, 8 + 6 n), at readings q (..., n)."""
     step = 1e-6
     moved = p + step * np.concatenate([np.eye(p.size), -np.eye(p.size)])
     bodies = whole(moved, np.asarray(q, dtype=float)[..., None, :])

@@ -1,6 +1,6 @@
-"""How the free-floating system moves: H(q) qdd + h(q, qd) = tau, for x, y, theta, q_1 .. q_n.
+"""Dynamics of the free-floating system: H(q) qdd + h(q, qd) = tau, for x, y, theta, q_1 .. q_n.
 
-Arguments everywhere: p (..., 8 + 6 n) is Arm.vector(), q, qd, qdd (..., 3 + n) the state and its
+In all functions p (..., 8 + 6 n) is Arm.vector(), q, qd, qdd (..., 3 + n) the state and its
 derivatives, tau (..., 3 + n) the generalized forces: force on the base at its origin [N], torque on
 it [N m] and joint torques [N m]. Leading dimensions broadcast. The notation is kinematics.py's.
 
@@ -8,10 +8,10 @@ Angles of bodies are sums of the coordinates, so that the absolute rates are sum
 
     phi'_k = theta' + q'_1 + .. + q'_k
 
-H is found by composite bodies, h and tau by recursive Newton-Euler equations, qdd by articulated
-bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008), each written out for the plane.
-In-kernel functions, for one state and without allocation, take `work`: complex (3, n + 1), whose
-contents mean nothing before or after.
+H is computed with composite bodies, h and tau with recursive Newton-Euler equations, qdd with
+articulated bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008), each specialized to the
+plane. In-kernel functions, for one state and without allocation, take `work`, complex (3, n + 1),
+as scratch memory.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ from .kinematics import _chain, _cross, _dot, _mass, _moment, checked
 def _join(
     p: Floats, k: int, d: Complexes, e: Complexes, M: float, S: complex, K: float
 ) -> tuple[float, complex, float]:
-    """Mass, first and second moment about pivot k of bodies k .. n, from those of k + 1 .. n."""
+    """Return mass, first and second moment about pivot k of bodies k .. n, from k + 1 .. n."""
     m = _mass(p, k)
     K += 2.0 * _dot(d[k], S) + M * _dot(d[k], d[k]) + _moment(p, k) + m * _dot(e[k], e[k])
     return M + m, S + M * d[k] + m * e[k], K
@@ -94,13 +94,13 @@ def _bias(p: Floats, q: Floats, qd: Floats, work: Complexes, h: Floats) -> None:
 def _forward(p: Floats, q: Floats, qd: Floats, tau: Floats, work: Complexes, qdd: Floats) -> None:
     """Write qdd (3 + n,), by articulated bodies.
 
-    With the joint torque given, link k answers an acceleration a of its pivot with
+    With the joint torque given, link k reacts to an acceleration a of its pivot with
 
         angular acceleration  alpha = s - w . a
         force at the pivot    N a + b,   N = M - u u^T / K (symmetric), w = u / K
 
-    where M, u, K are its inertia about the pivot with all further links hanging on. So N and b
-    pass from the tip to the base, and accelerations back.
+    where M, u, K are its inertia about the pivot including all further links. So N and b are passed
+    from the tip to the base, and accelerations back.
     """
     d, e, w = work[0], work[1], work[2]
     _chain(p, q, d, e)
@@ -108,9 +108,9 @@ def _forward(p: Floats, q: Floats, qd: Floats, tau: Floats, work: Complexes, qdd
     for k in range(d.size):
         omega += qd[2 + k]
         qdd[2 + k] = omega * omega
-    xx = xy = yy = 0.0  # N of what hangs on the next joint
+    xx = xy = yy = 0.0  # N of the links beyond the next joint
     b = 0j
-    beyond = 0.0  # torque of the next joint, which link k feels reversed
+    beyond = 0.0  # torque of the next joint, which acts on link k with opposite sign
     for k in range(d.size - 1, -1, -1):
         m, spin = _mass(p, k), qdd[2 + k]
         b -= spin * complex(xx * d[k].real + xy * d[k].imag, xy * d[k].real + yy * d[k].imag)
@@ -170,7 +170,7 @@ def _kinetic_energy(p: Floats, q: Floats, qd: Floats, out: Floats) -> None:
 
 
 def inertia_matrix(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
-    """Generalized inertia matrix H, (..., 3 + n, 3 + n), in kg, kg m and kg m^2; O(n^2).
+    """Return the generalized inertia matrix H, (..., 3 + n, 3 + n), kg, kg m, kg m^2; O(n^2).
 
     Raises:
         ValueError: shapes do not fit.
@@ -180,7 +180,7 @@ def inertia_matrix(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
 
 
 def bias(p: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike) -> Floats:
-    """Coriolis and centrifugal forces h(q, qd) = C(q, qd) qd, (..., 3 + n) [N, N m]; O(n).
+    """Return Coriolis and centrifugal forces h(q, qd) = C(q, qd) qd, (..., 3 + n) [N, N m]; O(n).
 
     Raises:
         ValueError: shapes do not fit.
@@ -192,7 +192,7 @@ def bias(p: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike) -> Floats:
 def inverse_dynamics(
     p: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike, qdd: npt.ArrayLike
 ) -> Floats:
-    """Generalized forces tau = H qdd + h, (..., 3 + n) [N, N m]; O(n).
+    """Return generalized forces tau = H qdd + h, (..., 3 + n) [N, N m]; O(n).
 
     Raises:
         ValueError: shapes do not fit.
@@ -204,7 +204,7 @@ def inverse_dynamics(
 def forward_dynamics(
     p: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike, tau: npt.ArrayLike
 ) -> Floats:
-    """Accelerations qdd = H^-1 (tau - h), (..., 3 + n) [m/s^2, rad/s^2]; O(n), H is never formed.
+    """Return accelerations H^-1 (tau - h), (..., 3 + n) [m/s^2, rad/s^2]; O(n), without forming H.
 
     Raises:
         ValueError: shapes do not fit.
@@ -214,7 +214,7 @@ def forward_dynamics(
 
 
 def kinetic_energy(p: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike) -> Floats:
-    """T = sum over bodies of (m |v|^2 + I omega^2) / 2 = qd' H qd / 2, (...) [J].
+    """Return T = sum over bodies of (m |v|^2 + I omega^2) / 2 = qd' H qd / 2, (...) [J].
 
     Raises:
         ValueError: shapes do not fit.

@@ -1,4 +1,4 @@
-"""How much room the bodies take on the table; plain numbers, that need no compiler."""
+"""Sizes of the bodies on the table: plain numbers, without compiled code."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from .settings import NOT_NEGATIVE, POSITIVE, Settings, setting
 
 @dataclass(frozen=True)
 class Extents(Settings):
-    """Of the table, and of the bodies on it as discs and as lines with a radius."""
+    """Sizes of the table, and of the bodies on it as discs and as lines with a radius."""
 
     table: tuple[float, ...] = setting(
         (4.0, 4.0), "sides of the table, along x and y, about the origin", unit="m",

@@ -1,4 +1,4 @@
-"""Files: written so that a reader finds the old one or the new one, and read within bounds."""
+"""Write files atomically, and read text files within size limits."""
 
 import os
 import re
@@ -7,15 +7,15 @@ from typing import Any
 
 import yaml
 
-MAX_SIZE = 2**20  # [bytes] of a text
-MAX_ENTRIES, MAX_DEPTH = 50_000, 20  # of what it says; what aliases repeat counts again
-MAX_SHOWN = 80  # characters of a value in a message
+MAX_SIZE = 2**20  # largest text [bytes]
+MAX_ENTRIES, MAX_DEPTH = 50_000, 20  # limits; entries that aliases repeat count again
+MAX_SHOWN = 80  # longest value in a message [characters]
 
-_Safe = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # where libyaml is, it is ten times as fast
+_Safe = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # with libyaml it is ten times as fast
 
 
 class ContentError(ValueError):
-    """What was read cannot be right: which part, its value, and what was expected, in one line."""
+    """Invalid content; one line gives the part, its value and what was expected."""
 
     def __init__(self, field: str, value: Any, expected: str) -> None:
         self.field, self.value, self.expected = field, value, expected
@@ -24,7 +24,7 @@ class ContentError(ValueError):
 
 
 def shown(value: Any) -> str:
-    """A value as messages show it."""
+    """Return a value as messages show it."""
     try:
         return short(repr(value))
     except ValueError:  # Python prints no integer of more than 4300 digits
@@ -32,16 +32,16 @@ def shown(value: Any) -> str:
 
 
 def short(text: str) -> str:
-    """A text as messages show it: one line, at most MAX_SHOWN characters of it."""
+    """Return a text as messages show it: one line of at most MAX_SHOWN characters."""
     line = " ".join(text[: MAX_SHOWN + 1].split())
     return line if len(line) <= MAX_SHOWN else f"{line[: MAX_SHOWN - 3]}..."
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a file, and make its folder.
+    """Write a file atomically, and create its folder.
 
     Raises:
-        OSError: it cannot be written; it names this file, not the one that was to replace it.
+        OSError: it cannot be written; it names this file, not the temporary one.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """The text of a file from outside.
+    """Return the text of an external file.
 
     Raises:
         OSError: it cannot be read.
@@ -74,7 +74,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 class _Loader(_Safe):  # type: ignore[misc,valid-type]
-    """Safe YAML that also reads 1e-5 as a number, and refuses a key given twice."""
+    """Safe YAML loader that reads 1e-5 as a number and rejects duplicate keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         given = set()
@@ -93,11 +93,11 @@ _Loader.add_implicit_resolver(
 
 
 def read_yaml(source: str | Path) -> Any:
-    """What a YAML or JSON text from outside says, or that of a file if `source` is a Path.
+    """Return the content of external YAML or JSON: a text, or a file if `source` is a Path.
 
     Raises:
         OSError: the file cannot be read.
-        ContentError: it is larger, nested deeper or says more than the bounds, or is not YAML; the
+        ContentError: it is too large, nested too deeply, has too many entries, or is not YAML; the
             message is one line.
     """
     if isinstance(source, Path):
@@ -122,9 +122,9 @@ def read_yaml(source: str | Path) -> Any:
 
 
 def _check_bounds(text: str) -> None:
-    """Raise ContentError if a text says too much, before anything is made of it."""
-    known: dict[str | None, tuple[int, int]] = {}  # entries and depth of what has an anchor
-    begun: list[list[Any]] = [["", 0, 0]]  # parts: anchor, entries before, depth so far
+    """Raise ContentError if a text exceeds the limits, before objects are created from it."""
+    known: dict[str | None, tuple[int, int]] = {}  # entries and depth of parts with an anchor
+    begun: list[list[Any]] = [["", 0, 0]]  # open parts: anchor, entries before it, depth
     total = 0
     for event in yaml.parse(text, _Loader):
         entries, depth = 0, 0

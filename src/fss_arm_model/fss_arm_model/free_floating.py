@@ -1,14 +1,15 @@
-"""Joint torques of the arm on a base that floats, with the base's motion eliminated.
+"""Joint torques of the arm on a floating base, with the base's motion eliminated.
 
 No force acts on the base. Its angular rate follows from the angular momentum L about the system's
-centre of mass, its acceleration from the first three rows of H qdd + h = 0; the uniform motion of
-the whole changes no torque. With S_k and K_k of dynamics.py, c the centre of mass,
+centre of mass, its acceleration from the first three rows of H qdd + h = 0. The uniform motion of
+the whole system changes no torque. With S_k and K_k of dynamics.py and c the centre of mass,
 
     omega = (L - N J sum_k q'_k) / K_c + G q',   G_k = -(K_k + (r_k - c) . S_k) / K_c
     K_c = K_0 - M |c|^2
 
-G is the angular coupling. A rotor of inertia J, on each joint, turns N times as fast as it against
-the body before it, and so adds N^2 J q''_k + N J (theta'' + sum_j q''_j - q''_k) to tau_k.
+G is the angular coupling. Each joint has a rotor of inertia J, which turns N times as fast as the
+joint relative to the body before it. It adds N^2 J q''_k + N J (theta'' + sum_j q''_j - q''_k) to
+tau_k.
 """
 
 import numpy as np
@@ -21,10 +22,10 @@ from .kinematics import _chain, _cross, _dot, _mass, _moment, checked
 
 @helper
 def _geometry(p, state, work, second):  # type: ignore[no-untyped-def]
-    """Write d, e, S_k and K_k at the joints of a state (3 + n,), whose base is put at the origin.
+    """Write d, e, S_k and K_k at the joints of a state (3 + n,); set its base to the origin.
 
     Returns:
-        Mass, centre of mass and moment about it, of the whole.
+        Mass, centre of mass and moment about it, of the whole system.
     """
     d, e = work[0], work[1]
     state[0] = state[1] = state[2] = 0.0
@@ -38,10 +39,10 @@ def _geometry(p, state, work, second):  # type: ignore[no-untyped-def]
 
 @helper
 def _free_torques(p, rotor, L, geometry, rate, gain, work, second, tau):  # type: ignore[no-untyped-def]
-    """Write tau (3 + n,), the first three being 0; return the base's angular rate.
+    """Write tau (3 + n,), with the first three 0; return the base's angular rate.
 
-    rate and gain (3 + n,) hold the joints' part, and the base's is overwritten. work (3, n + 1) and
-    second (2, n + 1) are as _geometry left them.
+    rate and gain (3 + n,) contain the joints' part; the base's part is overwritten. work (3, n + 1)
+    and second (2, n + 1) come from _geometry.
     """
     M, com, about_com = geometry
     d, e, f = work[0], work[1], work[2]
@@ -56,7 +57,7 @@ def _free_torques(p, rotor, L, geometry, rate, gain, work, second, tau):  # type
         sped += gain[2 + k]
     omega = (omega - rotor[1] * spun) / about_com
     rate[2] = omega
-    # Newton and Euler, the base not accelerating
+    # Newton-Euler equations with a base that does not accelerate
     a, turning, alpha = 0j, 0.0, 0.0
     for k in range(n + 1):
         turning += rate[2 + k]
@@ -70,7 +71,7 @@ def _free_torques(p, rotor, L, geometry, rate, gain, work, second, tau):  # type
         T += _cross(d[k], F) + _cross(e[k], f[k]) + tau[2 + k]
         F += f[k]
         tau[2 + k] = T
-    # and what its acceleration adds
+    # effect of the base's acceleration
     alpha = -(T + rotor[1] * sped - _cross(com, F)) / about_com
     a = -F / M - 1j * alpha * com
     r, before = 0j, alpha
@@ -104,7 +105,7 @@ def free_torques(
     momentum: npt.ArrayLike = 0.0,
     rotor: npt.ArrayLike = (0.0, 0.0),
 ) -> tuple[Floats, Floats]:
-    """Joint torques that accelerate the floating arm, (..., n) [N m], and the base's rate [rad/s].
+    """Return joint torques of the floating arm, (..., n) [N m], and the base's rate [rad/s].
 
     Args:
         p: (..., 8 + 6 n) Arm.vector().

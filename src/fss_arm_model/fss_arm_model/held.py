@@ -1,7 +1,7 @@
-"""A body in the gripper, which then is part of the last link; and how the end effector meets it.
+"""A body in the gripper as part of the last link, and the approach of the end effector to it.
 
-Everywhere: p (8 + 6 n,) is Arm.vector(), q and qd (3 + n,) the state and its rate. The notation is
-kinematics.py's.
+In all functions p (8 + 6 n,) is Arm.vector(), q and qd (3 + n,) the state and its rate. The
+notation is that of kinematics.py.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Target(Settings):
-    """The target as a body; its frame's origin is its centre of mass."""
+    """The target as a body; the origin of its frame is its centre of mass."""
 
     mass: float = setting(10.0, "mass of the target", unit="kg", check=POSITIVE)
     inertia: float = setting(
@@ -38,14 +38,14 @@ class Target(Settings):
     )  # fmt: skip
 
     def vector(self) -> Floats:
-        """As a base without an arm, for the kernel: (8,)."""
+        """Return the parameters of a base without an arm for the kernels, (8,)."""
         p = np.zeros(layout.BASE_SIZE)
         p[layout.MASS], p[layout.INERTIA] = self.mass, self.inertia
         return p
 
 
 class Approach(NamedTuple):
-    """The end effector as seen from the fixture."""
+    """Position and speed of the end effector relative to the fixture."""
 
     distance: float  # [m]
     angle: float  # [rad], 0: straight into the fixture
@@ -53,7 +53,7 @@ class Approach(NamedTuple):
 
 
 def approach(p: Floats, q: Floats, qd: Floats, target: Target, state: Floats) -> Approach:
-    """Of the arm p in the state q, qd to the target at `state`, (2, 3) pose and twist."""
+    """Return the approach of the arm p in state q, qd to the target at `state` (2, 3)."""
     x, y, heading = tip_pose(p, q)
     vx, vy, _ = tip_jacobian(p, q) @ qd
     out = complex(*target.fixture[:2]) * np.exp(1j * state[0, 2])
@@ -64,7 +64,7 @@ def approach(p: Floats, q: Floats, qd: Floats, target: Target, state: Floats) ->
 
 
 def hold(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
-    """The pose of a body in the frame of the last link: x, y [m], heading [rad]."""
+    """Return the pose of a body in the frame of the last link: x, y [m], heading [rad]."""
     x, y, heading = tip_pose(p, q)
     heading -= p[layout.TIP_ANGLE]
     body_x, body_y, body_heading = np.asarray(pose)
@@ -73,14 +73,14 @@ def hold(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
 
 
 def held_at(p: Floats, q: Floats, place: Floats) -> Floats:
-    """(..., 2): where a body held at `place` in the last link's frame is, by q (..., 3 + n)."""
+    """Return the positions (..., 2) of a body held at `place` in the last link's frame."""
     x, y, heading = np.moveaxis(tip_pose(p, q), -1, 0)
     apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * (heading - p[layout.TIP_ANGLE]))
     return np.stack([x + apart.real, y + apart.imag], axis=-1)
 
 
 def held(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
-    """Pose and twist (2, 3) of a body held at `place` in the frame of the last link."""
+    """Return pose and twist (2, 3) of a body held at `place` in the frame of the last link."""
     x, y, heading = tip_pose(p, q)
     heading -= p[layout.TIP_ANGLE]
     apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
@@ -89,7 +89,7 @@ def held(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
 
 
 def held_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
-    """(3, 3 + n): the twist of a body held at `place`, by qd."""
+    """Return the Jacobian (3, 3 + n) from qd to the twist of a body held at `place`."""
     J = tip_jacobian(p, q)
     heading = tip_pose(p, q)[2] - p[layout.TIP_ANGLE]
     apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
@@ -99,7 +99,7 @@ def held_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
 
 
 def with_held(p: Floats, target: Target, place: Floats) -> Floats:
-    """The arm's parameters with the target at `place` made part of the last link."""
+    """Return the arm's parameters with the target at `place` added to the last link."""
     n = layout.count(p)
     mass, moment, at = layout.mass(p, n), layout.inertia(p, n), layout.com(p, n)
     body = complex(place[0], place[1])
@@ -114,14 +114,16 @@ def with_held(p: Floats, target: Target, place: Floats) -> Floats:
 
 
 def _length(p: Floats) -> float:
-    """Of the last link [m]."""
+    """Return the length of the last link [m]."""
     return float(layout.each(p, layout.LENGTH)[-1])
 
 
 def momentum_of_both(
     p: Floats, q: Floats, qd: Floats, target: Target, state: npt.ArrayLike
 ) -> Floats:
-    """Of the arm and a free target at `state`, (2, 3) pose and twist, which a grip leaves as it is.
+    """Return the momentum of arm and free target at `state`, (2, 3) pose and twist.
+
+    A grip does not change this momentum.
 
     Returns:
         (3,) linear, and angular about their common centre of mass [N s, N s, N m s].
@@ -131,5 +133,5 @@ def momentum_of_both(
     mass, M = float(inertia_matrix(p, q)[0, 0]), target.mass
     apart = complex(x, y) - complex(*system_com(p, q))
     past = complex(vx, vy) - complex(px, py) / mass
-    about = mass * M / (mass + M) * (np.conj(apart) * past).imag  # of the two as points
+    about = mass * M / (mass + M) * (np.conj(apart) * past).imag  # of the two as point masses
     return np.array([px + M * vx, py + M * vy, L + target.inertia * omega + about])

@@ -1,8 +1,8 @@
-"""Explicit Runge-Kutta methods for the floating arm: the classical one, and one with error control.
+"""Explicit Runge-Kutta methods for the floating arm: classical, and with error control.
 
-Both are made for a law of motion, `act(bodies, forces, turned, z, work, dz)`, that writes dz under
-`forces`, which are constant meanwhile. On entry and on return the bodies are turned to z in
-`begin`; turned, work and k are scratch.
+Both are built for a law of motion, `act(bodies, forces, turned, z, work, dz)`, that writes dz under
+constant `forces`. On entry and on return the bodies are turned to z in `begin`; turned, work and k
+are scratch memory.
 """
 
 from collections.abc import Callable
@@ -12,12 +12,12 @@ import numpy as np
 from .centroidal import _turn_on
 from .kernels import helper, inlined
 
-STEP = 0.001  # [s] of the classical method, and a drive's period
+STEP = 0.001  # step of the classical method, and period of a drive [s]
 
 
 @inlined
 def _accept(bodies, x, z, begin):  # type: ignore[no-untyped-def]
-    """Go on from x."""
+    """Accept x as the new state."""
     _turn_on(bodies, begin, z, x, begin)
     for r in range(2):
         for i in range(z.shape[1]):
@@ -25,7 +25,7 @@ def _accept(bodies, x, z, begin):  # type: ignore[no-untyped-def]
 
 
 def classical(act: Callable[..., None]) -> Callable[..., None]:
-    """The method of fourth order, one step; k is (3 or more, 2, N)."""
+    """Return a function that makes one step of fourth order; k is (3 or more, 2, N)."""
 
     @helper
     def step_on(bodies, forces, step, z, begin, turned, work, k):  # type: ignore[no-untyped-def]
@@ -50,8 +50,8 @@ def classical(act: Callable[..., None]) -> Callable[..., None]:
     return step_on
 
 
-# Dormand & Prince (1980): the stages, of which the last is the solution of fifth order, and that
-# solution less the one of fourth order.
+# Dormand & Prince (1980): the stages, the last of which is the solution of fifth order, and the
+# difference of this solution and that of fourth order.
 STAGES = np.array(
     [
         [1 / 5, 0, 0, 0, 0, 0],
@@ -63,18 +63,18 @@ STAGES = np.array(
     ]
 )
 ERROR = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
-LEAST = 1e-3  # of the time to pass, that a step of it is
+LEAST = 1e-3  # shortest step as a share of the time to integrate
 
 
 def controlled(act: Callable[..., None]) -> Callable[..., int]:
-    """Steps whose error is at most a tolerance, until a time has passed; k is (8, 2, N)."""
+    """Return a function that integrates over a time within a tolerance; k is (8, 2, N)."""
 
     @helper
     def go_on(bodies, forces, time, tolerance, z, begin, turned, work, k):  # type: ignore[no-untyped-def]
-        """Let `time` pass with errors of at most `tolerance` in each of z; return the steps.
+        """Integrate over `time` with errors of at most `tolerance` in each of z; return the steps.
 
-        They become no shorter than LEAST of the time: what changes abruptly, as a contact does, is
-        then taken as it comes.
+        Steps are never shorter than LEAST of the time: an abrupt change, such as a contact, is then
+        integrated without error control.
         """
         N, done, step, steps = z.shape[1], 0.0, time, 0
         x = k[7]

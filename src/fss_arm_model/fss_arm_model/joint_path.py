@@ -1,4 +1,4 @@
-"""Paths in joint space, as functions of time and as nodes of a quadrature along them."""
+"""Paths in joint space, as functions of time and as quadrature nodes along them."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from .layout import Floats
 
-_DIGITS = 12.0 * math.log(10.0)  # of a panel's quadrature
+_DIGITS = 12.0 * math.log(10.0)  # accuracy of a panel's quadrature
 
 
 class Path(NamedTuple):
     """A path in joint space, ready for quadrature; leading dimensions are a batch of paths.
 
-    Both begin with the turn of each link against the base, the encoders' offsets left out:
+    Both start with each link's rotation relative to the base, without the encoders' offsets:
     cos Q_1, sin Q_1 .. cos Q_n, sin Q_n.
     """
 
@@ -28,18 +28,19 @@ Law = Callable[[Floats], tuple[Floats, Floats]]
 
 
 def path(law: Law, edges: npt.ArrayLike, marks: npt.ArrayLike) -> Path:
-    """The nodes of a path, by Gauss-Legendre quadrature in each panel between two edges.
+    """Return the nodes of a path, by Gauss-Legendre quadrature in each panel between two edges.
 
     For an integrand analytic up to a distance of 1 rad, m nodes on a panel in which the joints
-    travel by D err by rho^-2m with rho = 2 / D + sqrt(4 / D^2 + 1): asinh(2 / D) a node and side.
+    travel by D have an error of rho^-2m with rho = 2 / D + sqrt(4 / D^2 + 1): asinh(2 / D) per
+    node and side.
 
-    Leading dimensions of edges and marks are a batch of paths, those with fewer nodes filled up.
+    Leading dimensions of edges and marks are a batch of paths; those with fewer nodes are padded.
 
     Args:
-        law: joint angles and rates at times (..., N) [s], each (..., N, n) [rad, rad/s]; smooth
-            between edges.
-        edges: (..., e) times [s]; those before the first and after the last mark do not matter.
-        marks: (..., m) times [s] at which the base's pose is wanted, ascending; the first is the
+        law: function of times (..., N) [s] that returns joint angles and rates, each (..., N, n)
+            [rad, rad/s]; smooth between edges.
+        edges: (..., e) times [s]; those before the first and after the last mark are not used.
+        marks: (..., m) times [s] at which the base's pose is needed, ascending; the first is the
             start.
 
     Raises:
@@ -74,15 +75,15 @@ def path(law: Law, edges: npt.ArrayLike, marks: npt.ArrayLike) -> Path:
 def sampled(
     times: Sequence[npt.ArrayLike], q: Sequence[npt.ArrayLike], qd: Sequence[npt.ArrayLike]
 ) -> tuple[Law, Floats]:
-    """The law through measured angles and rates: cubic in between (Hermite), at rest outside.
+    """Interpolate measured angles and rates: cubic in between (Hermite), at rest outside.
 
-    Where acceleration is piecewise constant, as servo drives keep it, only the intervals in which
-    it jumps are inexact.
+    Where acceleration is piecewise constant, as with servo drives, only the intervals in which it
+    jumps are inexact.
 
     Args:
         times: of each joint's samples, (s_i,) [s], ascending.
-        q: the angles then [rad].
-        qd: the rates then [rad/s].
+        q: angles at these times [rad].
+        qd: rates at these times [rad/s].
 
     Returns:
         The law, and as its edges the times of joints that move.
@@ -117,30 +118,30 @@ def _hermite(t: Floats, knots: Floats, q: Floats, qd: Floats) -> tuple[Floats, F
 
 
 def stack(paths: Sequence[Path]) -> Path:
-    """Paths of the same number of links as one batch; those with fewer marks repeat their last."""
+    """Stack paths of the same number of links; those with fewer marks repeat their last."""
     return Path(*(_padded(arrays) for arrays in zip(*paths, strict=True)))
 
 
 def _padded(arrays: Sequence[Floats]) -> Floats:
-    """Arrays of unlike lengths as one, each with its last row repeated."""
+    """Stack arrays of different lengths, each padded with its last row."""
     longest = max(map(len, arrays))
     return np.array([one[np.minimum(np.arange(longest), len(one) - 1)] for one in arrays])
 
 
 def _turns(q: Floats) -> Floats:
-    """Turns of the links at joint angles (..., n), as in a Path: (..., 2 n)."""
+    """Return the rotations of the links at joint angles (..., n), as in a Path: (..., 2 n)."""
     Q = np.cumsum(q, axis=-1)
     return np.stack([np.cos(Q), np.sin(Q)], axis=-1).reshape(*q.shape[:-1], -1)
 
 
 def _orders(travel: Floats) -> npt.NDArray[np.intp]:
-    """How many nodes each panel takes, of the joints' travel in it [rad]."""
+    """Return the number of nodes of each panel, from the joints' travel in it [rad]."""
     nodes = np.ceil(0.5 * _DIGITS / np.arcsinh(2.0 / np.maximum(travel, 1e-6)))
     return np.where(travel > 1e-6, nodes, 1.0).astype(np.intp)
 
 
 def _gauss_of(orders: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Nodes and weights on [0, 1] of panels of such orders, one after the other."""
+    """Return nodes and weights on [0, 1] of panels of these orders, one after the other."""
     first = np.cumsum(orders) - orders
     x, w = np.empty((2, orders.sum()))
     for order in np.unique(orders[orders > 0]).tolist():
@@ -151,6 +152,6 @@ def _gauss_of(orders: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
 
 @cache
 def _gauss(order: int) -> tuple[Floats, Floats]:
-    """Nodes and weights on [0, 1]."""
+    """Return nodes and weights on [0, 1]."""
     x, w = np.polynomial.legendre.leggauss(order)
     return 0.5 * (x + 1.0), 0.5 * w

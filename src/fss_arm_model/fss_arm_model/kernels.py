@@ -1,11 +1,11 @@
-"""Compiled kernels, of any package, and where they are kept between processes.
+"""Compile kernels of any package, and cache them between processes.
 
-numba stamps a cached kernel with the one file it stands in, and misses an edit of a function that
-it calls from another. Here the folder of the cache carries a hash of every source of this package
-and of the kernel's own, so that any edit begins an empty one. It lies in $NUMBA_CACHE_DIR, else in
-$XDG_CACHE_HOME/fss_arm.
+numba checks a cached kernel only against its own source file, and misses an edit of a function
+that it calls from another file. Therefore the name of the cache folder contains a hash of every
+source of this package and of the kernel's own, so that any edit starts an empty cache. The folder
+is in $NUMBA_CACHE_DIR, else in $XDG_CACHE_HOME/fss_arm.
 
-A process that calls no kernel never imports numba: what kernels are made of waits, too.
+A process that calls no kernel never imports numba: helpers are compiled on first use, too.
 """
 
 import fcntl
@@ -28,7 +28,7 @@ Complexes = npt.NDArray[np.complex128]
 
 @cache
 def cache_folder(package: str) -> Path:
-    """The folder for the kernels of a package that is being imported, its sources as they are."""
+    """Return the cache folder of a package that is being imported, by the hash of its sources."""
     sources = hashlib.sha256()
     for name in (__package__, package):
         root = Path(sys.modules[name].__path__[0])
@@ -40,15 +40,15 @@ def cache_folder(package: str) -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "fss_arm", key)
 
 
-_one_thread = Lock()  # numba has from a global where to keep a kernel
+_one_thread = Lock()  # numba reads the cache folder from a global variable
 
 
 @contextmanager
 def alone(folder: Path) -> Iterator[bool]:
-    """Let one process at a time use a folder of the cache; False where it cannot be written to.
+    """Let one process at a time use a cache folder; yield False if it cannot be written.
 
-    numba stores a kernel and its loop in two files. Of two processes that compile at once, each
-    may store one of a pair, and who loads that pair crashes.
+    numba stores a kernel and its loop in two files. If two processes compile at once, each may
+    store one file of a pair, and a process that loads this pair crashes.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -83,7 +83,7 @@ class Kernel:
 
     @cached_property
     def compiled(self) -> Callable[..., Any]:
-        """The generalized ufunc; where it cannot be kept, each process compiles its own."""
+        """The generalized ufunc; if it cannot be cached, each process compiles its own."""
         import numba  # takes longer to import than most nodes do to start
 
         cores = self.layout.replace("->", ",").split("),")
@@ -93,20 +93,20 @@ class Kernel:
             return wrap(self.function)
 
     def __call__(self, *inputs: npt.ArrayLike) -> Any:
-        """The outputs."""
+        """Return the outputs."""
         return self.compiled(*inputs)
 
 
 def kernel(layout: str) -> Callable[[Callable[..., None]], Kernel]:
-    """Decorate a function of one state to become a Kernel."""
+    """Return a decorator that turns a function of one state into a Kernel."""
     return lambda function: Kernel(function, layout)
 
 
 class Helper:
-    """A function that kernels are made of, in any package; its name begins with an underscore.
+    """A function that kernels call, in any package; its name starts with an underscore.
 
-    Only kernels call it. Division by zero gives inf, as in numpy, and never raises. To numba it
-    is the dispatcher that numba itself would have made of the function.
+    Only kernels call it. Division by zero gives inf, as in numpy, and never raises. For numba it is
+    the dispatcher that numba itself would create from the function.
     """
 
     def __init__(self, function: Callable[..., Any], **options: str) -> None:
@@ -115,25 +115,25 @@ class Helper:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """What numba compiles."""
+        """The function as numba's dispatcher."""
         import numba
 
         return numba.njit(error_model="numpy", **self.options)(self.py_func)
 
     @property
     def targetoptions(self) -> Any:
-        """Where numba looks whether it is to be inlined."""
+        """Options in which numba looks for inlining."""
         return self.dispatcher.targetoptions
 
     @property
     def _numba_type_(self) -> Any:
-        """Where numba looks for the type of what it does not know."""
+        """The type that numba uses for this object."""
         import numba
 
         return numba.types.Dispatcher(self.dispatcher)
 
     def __call__(self, *inputs: Any) -> Any:
-        """From Python, as tests do."""
+        """Call the function from Python, as tests do."""
         return self.dispatcher(*inputs)
 
 
@@ -143,5 +143,5 @@ def helper(function: Callable[..., Any]) -> Helper:
 
 
 def inlined(function: Callable[..., Any]) -> Helper:
-    """One of an innermost loop: a call that numba does not dissolve costs tens of nanoseconds."""
+    """Decorate a function of an innermost loop: a call that is not inlined costs tens of ns."""
     return Helper(function, inline="always")

@@ -1,6 +1,6 @@
-"""Where the bodies are: joints, centres of mass, the end effector and its Jacobians (Eq. 1).
+"""Kinematics: joints, centres of mass, the end effector and its Jacobians (Eq. 1).
 
-Arguments everywhere: p (..., 8 + 6 n) is Arm.vector(), q (..., 3 + n) the state (x, y, theta,
+In all functions p (..., 8 + 6 n) is Arm.vector(), q (..., 3 + n) the state (x, y, theta,
 q_1 .. q_n) in m and rad, q_m (..., n) its joint part. Leading dimensions broadcast, so one state,
 a batch of states and a batch of arms are the same call.
 
@@ -108,14 +108,14 @@ def _tip_regressor(p: Floats, q: Floats, _t: Floats, _x: Floats, Phi: Floats) ->
     Phi[0, 2 * n - 1] = Phi[1, 2 * n] = 1.0
 
 
-_TWO, _THREE = np.empty(2), np.empty(3)  # give kernels the lengths of outputs that no input has
+_TWO, _THREE = np.empty(2), np.empty(3)  # give kernels the sizes of outputs that no input has
 
 
 def checked(p: npt.ArrayLike, q: npt.ArrayLike) -> tuple[Floats, Floats, int]:
-    """The arrays p and q, and n.
+    """Return the arrays p and q, and n.
 
     Raises:
-        ValueError: their last dimensions do not belong to the same number of links.
+        ValueError: their last dimensions do not fit the same number of links.
     """
     p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
     n = q.shape[-1] - 3 if q.ndim else -1
@@ -126,13 +126,13 @@ def checked(p: npt.ArrayLike, q: npt.ArrayLike) -> tuple[Floats, Floats, int]:
 
 
 def _held(q_m: npt.ArrayLike) -> Floats:
-    """The state with its base at the origin."""
+    """Return the state with its base at the origin."""
     q_m = np.asarray(q_m, dtype=float)
     return np.concatenate([np.zeros((*q_m.shape[:-1], 3)), q_m], axis=-1)
 
 
 def joint_positions(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
-    """Joints 1 to n and the tip in the world [m]: r_{k+1} = r_k + d_k.
+    """Return joints 1 to n and the tip in the world [m]: r_{k+1} = r_k + d_k.
 
     Returns:
         (..., n + 1, 2), the tip last.
@@ -145,7 +145,7 @@ def joint_positions(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
 
 
 def com_positions(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
-    """Centres of mass in the world [m]: c_k = r_k + e_k.
+    """Return centres of mass in the world [m]: c_k = r_k + e_k.
 
     Returns:
         (..., n + 1, 2), the base first.
@@ -158,7 +158,7 @@ def com_positions(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
 
 
 def tip_pose(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
-    """Pose of the end effector in the world, (..., 3): x, y [m], heading [rad], not wrapped.
+    """Return the end effector's pose in the world, (..., 3): x, y [m], heading [rad], not wrapped.
 
     Raises:
         ValueError: shapes do not fit.
@@ -168,7 +168,7 @@ def tip_pose(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
 
 
 def tip_jacobian(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
-    """J = [J_b | J_m], the end effector's twist (vx, vy, omega) in world axes: J qd.
+    """Return J = [J_b | J_m]: the end effector's twist (vx, vy, omega) in world axes is J qd.
 
     Returns:
         (..., 3, 3 + n).
@@ -181,7 +181,7 @@ def tip_jacobian(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
 
 
 def tip_in_base(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
-    """Pose of the end effector in the base's frame (Eq. 1), (..., 3): x, y [m], heading [rad].
+    """Return the end effector's pose in the base frame (Eq. 1), (..., 3): x, y [m], heading [rad].
 
         x_EE = k(theta, theta_0, a, x_BJ1, y_BJ1, theta_BJ1)
 
@@ -192,7 +192,7 @@ def tip_in_base(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
 
 
 def tip_regressor(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
-    """Phi of Eq. 5: derivative of tip_in_base by the parameters of kinematic_names(n).
+    """Return Phi of Eq. 5: derivative of tip_in_base by the parameters of kinematic_names(n).
 
     Returns:
         (..., 3, 2 n + 2). Eq. 3 stacks these rows for the observations.

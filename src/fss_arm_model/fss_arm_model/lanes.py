@@ -1,14 +1,14 @@
-"""Rollouts side by side: the dynamics of centroidal.py with a lane for each of them.
+"""Parallel rollouts: the dynamics of centroidal.py with one lane for each rollout.
 
-What is a number there is a row of numbers here, one for each lane, and the innermost loop goes
-over these: the processor's vector instructions take several at once. The numbers of one body are
-neighbours, (bodies, rows, lanes), so that their distances are constants to the compiler, which
-then knows what does not overlap. Vectors stand as their x and y, as complex numbers do not
-vectorize.
+Each number there is a row of numbers here, one for each lane. The innermost loop runs over the
+lanes, so that the processor's vector instructions compute several at once. The numbers of one body
+are neighbours in memory, (bodies, rows, lanes), so that their distances are constants for the
+compiler, which then knows that they do not overlap. Vectors are stored as x and y because complex
+numbers do not vectorize.
 
-All functions are inlined into kernels that give the number of lanes, thus a constant, too. No
-lane's arithmetic depends on what other lanes do, but for `_turn_on`, which takes the slower way for
-all if one turns far; both ways agree to the last digit or two.
+All functions are inlined into kernels that give the number of lanes, so this is a constant, too. No
+lane's arithmetic depends on other lanes, except in `_turn_on`: if one lane turns far, it uses the
+slower method for all. Both methods agree to the last digit or two.
 """
 
 import math
@@ -20,22 +20,22 @@ from .kernels import helper, inlined
 from .kinematics import _com, _dot, _mass, _moment, _reach
 from .layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
 
-# Rows of a body's constants: D - b, M b, and inertia with what joints add beside it.
+# Rows of a body's constants: D - b, M b, diagonal of the inertia, and the joints' terms beside it.
 SX, SY, TX, TY, DIAGONAL, BESIDE = range(6)
 CONSTANTS = 6
-# Rows of what a body does under way: S, T, the square of its rate; of L, and of the joint's part.
+# Rows of a body's scratch: S, T, the square of its rate; then of L, and the joint's term.
 SPIN, LX, LY, JOINT = 4, 5, 6, 7
 SCRATCH = 8
 # Rows of sums along the chain.
 BEYOND, BEFORE, G, LAST, XX, XY, YY, FORWARD, INVERSE, TWIST = 0, 2, 4, 6, 8, 9, 10, 11, 12, 13
 SUMS = 14
 
-FAR = 0.25  # [rad]; the series below leave out less than FAR^13 / 13!, 2e-18
+FAR = 0.25  # [rad]; the truncation error of the series below is less than FAR^13 / 13!, 2e-18
 
 
 @helper
 def _constants(p, rotor, bodies, mass):  # type: ignore[no-untyped-def]
-    """Write the constants of p (lanes, 8 + 6 n) and the whole masses (lanes,); see _bodies."""
+    """Write the constants of p (lanes, 8 + 6 n) and the total masses (lanes,); see _bodies."""
     for j in range(mass.size):
         M = 0.0
         for k in range(bodies.shape[0]):
@@ -60,7 +60,7 @@ def _constants(p, rotor, bodies, mass):  # type: ignore[no-untyped-def]
 
 @inlined
 def _turn_on(lanes, start, y0, y, u):  # type: ignore[no-untyped-def]
-    """Write u at the angles of y, from `start`, which is that of y0."""
+    """Write u at the angles of y, from `start`, the u of y0."""
     for k in range(u.shape[0]):
         far = 0.0
         for j in range(lanes):
@@ -82,7 +82,7 @@ def _turn_on(lanes, start, y0, y, u):  # type: ignore[no-untyped-def]
 
 @inlined
 def _origin(lanes, bodies, mass, u, y, v, r):  # type: ignore[no-untyped-def]
-    """Write position and velocity of the base's origin, rows of r (4, lanes)."""
+    """Write position and velocity of the base's origin to the rows of r (4, lanes)."""
     for j in range(lanes):
         r[0, j], r[1, j], r[2, j], r[3, j] = y[0, j], y[1, j], v[0, j], v[1, j]
     for k in range(u.shape[0]):
@@ -100,8 +100,8 @@ def _origin(lanes, bodies, mass, u, y, v, r):  # type: ignore[no-untyped-def]
 def _rate(lanes, bodies, mass, around, u, v, tau, work, sums, a):  # type: ignore[no-untyped-def]
     """Write a (2 + m, lanes), as centroidal._rate does.
 
-    tau (2 + m, lanes) is the force on the base's origin and the torques on the bodies; what acts
-    from around, (5,), is as `rollout` has it.
+    tau (2 + m, lanes) is the force on the base's origin and the torques on the bodies; around (5,)
+    has the external effects that `rollout` describes.
     """
     m, film, drag = u.shape[0], around[2], around[3]
     for j in range(lanes):
@@ -109,7 +109,7 @@ def _rate(lanes, bodies, mass, around, u, v, tau, work, sums, a):  # type: ignor
             sums[i, j] = 0.0
         sums[INVERSE, j] = 1.0
         sums[TWIST, j] = -around[4] * v[2, j]
-        sums[BEFORE, j], sums[BEFORE + 1, j] = 0.0, 0.0  # the origin's velocity, at first
+        sums[BEFORE, j], sums[BEFORE + 1, j] = 0.0, 0.0  # first the origin's velocity
     for k in range(m):
         for j in range(lanes):
             c, s, omega = u[k, 0, j], u[k, 1, j], v[2 + k, j]
@@ -157,7 +157,7 @@ def _rate(lanes, bodies, mass, around, u, v, tau, work, sums, a):  # type: ignor
             sums[FORWARD, j], sums[INVERSE, j] = forward, inverse
             work[k, LX, j], work[k, LY, j], work[k, JOINT, j] = lx, ly, beside
             a[2 + k, j] = forward * inverse
-    for j in range(lanes):  # from here on: back, and what joint and solution of the body beyond are
+    for j in range(lanes):  # backward pass: back, joint's term, next body's solution
         sums[0, j], sums[1, j], sums[2, j], sums[3, j] = 0.0, 0.0, 0.0, 0.0
     for k in range(m - 1, -1, -1):
         for j in range(lanes):
@@ -200,7 +200,7 @@ def _roll(lanes, p, q0, qd0, tau, rotor, around, step, q, qd):  # type: ignore[n
         for k in range(m):
             start[k, 0, j], start[k, 1, j] = math.cos(y0[2 + k, j]), math.sin(y0[2 + k, j])
         y0[0, j], y0[1, j], v0[0, j], v0[1, j] = 0.0, 0.0, 0.0, 0.0
-    _origin(lanes, bodies, mass, start, y0, v0, origin)  # as seen from the centre of mass
+    _origin(lanes, bodies, mass, start, y0, v0, origin)  # relative to the centre of mass
     for j in range(lanes):
         y0[0, j], y0[1, j] = q0[j, 0] - origin[0, j], q0[j, 1] - origin[1, j]
         v0[0, j], v0[1, j] = qd0[j, 0] - origin[2, j], qd0[j, 1] - origin[3, j]

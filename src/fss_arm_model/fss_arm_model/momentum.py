@@ -1,7 +1,7 @@
-"""What a free-floating system conserves, and what its arm can do under that law.
+"""Momentum of the free-floating system, and the generalized Jacobian of its arm.
 
-Arguments everywhere: p (..., 8 + 6 n) is Arm.vector(), q and qd (..., 3 + n) the state and its
-rate. Leading dimensions broadcast. The notation is kinematics.py's.
+In all functions p (..., 8 + 6 n) is Arm.vector(), q and qd (..., 3 + n) the state and its rate.
+Leading dimensions broadcast. The notation is that of kinematics.py.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ def _system_com(p: Floats, q: Floats, _w: Floats, out: Floats) -> None:
 def _momentum(p: Floats, q: Floats, qd: Floats, _t: Floats, out: Floats) -> None:
     d, e = np.empty((2, q.size - 2), np.complex128)
     _chain(p, q, d, e)
-    r, v, omega = 0j, complex(qd[0], qd[1]), 0.0  # of pivot k, seen from the base's origin
+    r, v, omega = 0j, complex(qd[0], qd[1]), 0.0  # of pivot k, relative to the base's origin
     M, S, P, L = 0.0, 0j, 0j, 0.0
     for k in range(d.size):
         omega += qd[2 + k]
@@ -54,12 +54,12 @@ def _floating(p: Floats, d: Complexes, e: Complexes, J: Floats) -> None:
         if k > 0:
             J[0, k - 1], J[1, k - 1], J[2, k - 1] = S.real, S.imag, K
     com = S / M
-    moment = K - _dot(com, S)  # of the whole about its centre of mass
+    moment = K - _dot(com, S)  # of the whole system about its centre of mass
     r = 0j
     for k in range(1, d.size):
         r += d[k - 1]
         S_k, K_k = complex(J[0, k - 1], J[1, k - 1]), J[2, k - 1]
-        omega = -(K_k + _dot(r - com, S_k)) / moment  # of the base, as no momentum may arise
+        omega = -(K_k + _dot(r - com, S_k)) / moment  # of the base, so that momentum stays zero
         v = -1j * (omega * com + S_k / M)
         v += 1j * (omega * tip + tip - r)
         J[0, k - 1], J[1, k - 1], J[2, k - 1] = v.real, v.imag, omega + 1.0
@@ -73,7 +73,7 @@ def _generalized_jacobian(p: Floats, q: Floats, _t: Floats, _n: Floats, J: Float
 
 
 def system_com(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
-    """Centre of mass of base and arm in the world, (..., 2) [m].
+    """Return the centre of mass of base and arm in the world, (..., 2) [m].
 
     Raises:
         ValueError: shapes do not fit.
@@ -83,11 +83,11 @@ def system_com(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
 
 
 def momentum(p: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike) -> Floats:
-    """Momentum (px, py, L) with L about the system's centre of mass, (..., 3) [N s, N m s].
+    """Return momentum (px, py, L), L about the system's centre of mass, (..., 3) [N s, N m s].
 
         P = sum m_k v_k,   L = sum (c_k - c) x m_k v_k + I_k omega_k
 
-    All three stay constant while no external force acts.
+    All three are constant while no external force acts.
 
     Raises:
         ValueError: shapes do not fit.
@@ -97,7 +97,7 @@ def momentum(p: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike) -> Floats:
 
 
 def generalized_jacobian(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
-    """Jacobian from joint rates to tip twist when the base floats and all momentum is zero.
+    """Return the Jacobian from joint rates to tip twist for a floating base and zero momentum.
 
         J* = J_m - J_b H_b^-1 H_bm                                (Umetani & Yoshida 1989)
 

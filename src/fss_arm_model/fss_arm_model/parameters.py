@@ -1,6 +1,6 @@
-"""The parameters of an arm by name, and what stands for them in Arm.vector().
+"""The parameters of an arm by name, and their relation to Arm.vector().
 
-Of an arm of n links they are, in this order,
+For an arm of n links they are, in this order,
 
     m_0, I_0, x_com, y_com        the base: mass, inertia, centre of mass in its frame
     kinematic_names(n)            a_i, theta_0_i, x_BJ1, y_BJ1, theta_BJ1
@@ -19,20 +19,20 @@ from .layout import BASE_SIZE, LINK_SIZE, Floats, kinematic_index, kinematic_nam
 
 
 def parameter_names(n: int) -> tuple[str, ...]:
-    """The names of all 5 n + 6 parameters."""
+    """Return the names of all 5 n + 6 parameters."""
     links = (f"{kind}_{i}" for kind in "mbI" for i in range(1, n + 1))
     return ("m_0", "I_0", "x_com", "y_com", *kinematic_names(n), *links)
 
 
 def unit(name: str) -> str:
-    """Unit of a parameter."""
+    """Return the unit of a parameter."""
     kinds = {"m": "kg", "I": "kg m^2", "g": "m/s^2", "theta": "rad"}
     return kinds.get(name.split("_")[0], "m")
 
 
 @cache
 def to_vector(n: int) -> Floats:
-    """(8 + 6 n, 5 n + 6): how a change of the parameters changes Arm.vector(); g = a - b."""
+    """Return the derivative of Arm.vector() by the parameters, (8 + 6 n, 5 n + 6); g = a - b."""
     T = np.zeros((BASE_SIZE + LINK_SIZE * n, 5 * n + 6))
     T[range(4), range(4)] = 1.0
     T[kinematic_index(n), range(4, 2 * n + 6)] = 1.0
@@ -45,14 +45,14 @@ def to_vector(n: int) -> Floats:
 
 
 def values(arm: Arm) -> Floats:
-    """(5 n + 6,) the parameters of an arm."""
+    """Return the parameters of an arm, (5 n + 6,)."""
     vector, links = arm.vector(), arm.links
     own = [[k.mass for k in links], [k.b for k in links], [k.inertia for k in links]]
     return np.concatenate([vector[:4], vector[kinematic_index(arm.n)], *own])
 
 
 def bounds(arm: Arm) -> tuple[Floats, Floats]:
-    """Least and largest values of an arm's parameters, (5 n + 6,) each.
+    """Return lower and upper bounds of an arm's parameters, (5 n + 6,) each.
 
     Masses, inertias and lengths are above 0, centres of mass between the link's joints.
     """
@@ -64,10 +64,10 @@ def bounds(arm: Arm) -> tuple[Floats, Floats]:
 
 
 def with_values(arm: Arm, v: npt.ArrayLike) -> Arm:
-    """The arm with other values of the parameters, (5 n + 6,).
+    """Return the arm with other values of the parameters, (5 n + 6,).
 
     Raises:
-        DescriptionError: a value cannot be right.
+        DescriptionError: a value is invalid.
     """
     n, given = arm.n, np.asarray(v, dtype=float).tolist()
     arm = arm.with_kinematics(given[4 : 2 * n + 6])

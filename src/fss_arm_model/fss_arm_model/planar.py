@@ -7,11 +7,11 @@ Floats = npt.NDArray[np.float64]
 
 
 def wrap(angle: npt.ArrayLike) -> Floats:
-    """The same angle [rad] in [-pi, pi)."""
+    """Return the same angle [rad] in [-pi, pi)."""
     return (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def inverse(pose: Floats) -> Floats:
-    """Poses of B in A as those of A in B, (..., 3)."""
+    """Return the poses of A in B from those of B in A, (..., 3)."""
     away = -(pose[..., 0] + 1j * pose[..., 1]) * np.exp(-1j * pose[..., 2])
     return np.stack([away.real, away.imag, -pose[..., 2]], axis=-1)

@@ -1,4 +1,4 @@
-"""The floating arm under given forces, many steps in one call: one rollout or a batch of them."""
+"""Simulate the floating arm under given forces: many steps and many rollouts in one call."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +13,7 @@ from .lanes import _roll
 
 LANES = 16  # two rows of the widest vectors, so that one is computed while the other waits
 LAYOUT = "(l,p),(l,m),(l,m),(l,t,m),(r),(a),()->(l,t,m),(l,t,m)"
-FEW = 4  # rollouts that are faster one after the other than as a row of lanes
+FEW = 4  # up to here, single rollouts are faster than a row of lanes
 FREE = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -37,20 +37,20 @@ def rollout(
     around: npt.ArrayLike = FREE,
     threads: int = 1,
 ) -> tuple[Floats, Floats]:
-    """The floating arm's motion under given forces, by the classical Runge-Kutta method.
+    """Simulate the floating arm under given forces, by the classical Runge-Kutta method.
 
     Args:
         p: (..., 8 + 6 n) Arm.vector().
-        q: (..., 3 + n) state at the begin: base x, y [m], theta, q_1 .. q_n [rad].
+        q: (..., 3 + n) state at the start: base x, y [m], theta, q_1 .. q_n [rad].
         qd: (..., 3 + n) its rate.
         tau: (..., steps, 3 + n) generalized forces, each held for a step: force on the base's
             origin, in world axes [N], torque on the base and joint torques [N m].
-        step: [s].
+        step: length of a step [s].
         rotor: N^2 J and N J [kg m^2] of each joint's rotor of inertia J that turns N times as fast.
-        around: (5,) what acts on the whole: acceleration down the table's slope along x and y
-            [m/s^2], shear of the air film by mass carried and velocity [1/s], drag of the hose on
-            the base's origin [N s/m] and against its turning [N m s].
-        threads: that share a batch.
+        around: (5,) external effects on the whole system: acceleration down the table's slope along
+            x and y [m/s^2], shear of the air film per mass and velocity [1/s], drag of the hose on
+            the base's origin [N s/m] and against its rotation [N m s].
+        threads: number of threads that share a batch.
 
     Returns:
         q and qd, (..., steps, 3 + n), after each step. Leading dimensions broadcast.
@@ -90,7 +90,7 @@ def rollout(
     if threads == 1:
         list(map(roll, begins))
     else:
-        with ThreadPoolExecutor(threads) as pool:  # a compiled kernel runs without Python's lock
+        with ThreadPoolExecutor(threads) as pool:  # a compiled kernel releases Python's lock
             list(pool.map(roll, begins))
     q, qd = (x.reshape(*batch, steps, 3 + n) for x in out)
     return q, qd

@@ -1,7 +1,7 @@
-"""Settings: frozen dataclasses whose fields carry their meaning, unit and bounds.
+"""Settings: frozen dataclasses whose fields have a meaning, a unit and bounds.
 
-What a value means and may be stands at its field, once: nodes declare their parameters from it,
-commands their options, and the documents list it.
+Meaning and bounds of a value are defined once, at its field: nodes declare their parameters from
+it, commands their options, and the documentation lists it.
 """
 
 from collections.abc import Callable
@@ -11,12 +11,12 @@ from typing import Any, get_args, get_origin
 
 
 class SettingError(ValueError):
-    """A setting has a value that it cannot have; the message names it and what was expected."""
+    """A setting has an invalid value; the message names it and what was expected."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """What a value may be: in words, as a predicate, and between which numbers it lies."""
+    """A check of a value: in words, as a predicate, and as limits of its range."""
 
     expected: str
     holds: Callable[[Any], bool]
@@ -32,22 +32,22 @@ NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a st
 
 
 def between(low: float, high: float) -> Check:
-    """From `low` to `high`, both included."""
+    """Return a check for values from `low` to `high`, both included."""
     return Check(f"{low:g} to {high:g}", lambda value: low <= value <= high, low, high)
 
 
 def above(low: float, high: float) -> Check:
-    """Above `low`, and up to `high`."""
+    """Return a check for values above `low`, and up to `high`."""
     return Check(f"above {low:g}, at most {high:g}", lambda value: low < value <= high, low, high)
 
 
 def at_least(low: float) -> Check:
-    """From `low` on."""
+    """Return a check for values of at least `low`."""
     return Check(f"{low:g} or more", lambda value: low <= value < inf, low)
 
 
 def one_of(*choices: str) -> Check:
-    """One of some words."""
+    """Return a check for one of several words."""
     words = ", ".join(choice or "''" for choice in choices)
     return Check(f"one of {words}", lambda value: value in choices)
 
@@ -61,23 +61,23 @@ def setting(
     size: int | None = None,
     within: str = "",
 ) -> Any:
-    """A field of Settings.
+    """Create a field of Settings.
 
     Args:
-        default: of type bool, int, float, str or a tuple of one of them.
-        about: a sentence that stands alone.
-        unit: of the value.
-        check: what the value may be; of a tuple, each of its elements.
-        size: how many elements a tuple must have; None: any number.
-        within: the default in a ROS namespace instead, where it is to tell vehicles apart:
-            {namespace} in it is `lab/fss2` in /lab/fss2, {vehicle} is `fss2`.
+        default: a bool, int, float, str or a tuple of one of them.
+        about: a description of the setting that is complete in itself.
+        unit: unit of the value.
+        check: valid values; for a tuple, of each of its elements.
+        size: number of elements of a tuple; None: any number.
+        within: the default in a ROS namespace, if it must differ between vehicles: {namespace} in
+            it is `lab/fss2` in /lab/fss2, {vehicle} is `fss2`.
     """
     what = {"about": about, "unit": unit, "check": check, "size": size, "within": within}
     return field(default=default, metadata=what)
 
 
 def default_in(f: "Field[Any]", namespace: str) -> Any:
-    """The default of a field in a ROS namespace, as `/fss2`."""
+    """Return the default of a field in a ROS namespace, as `/fss2`."""
     name, within = namespace.strip("/"), f.metadata["within"]
     if not name or not within:
         return f.default
@@ -85,19 +85,19 @@ def default_in(f: "Field[Any]", namespace: str) -> Any:
 
 
 def like(kind: type, name: str, default: Any = MISSING) -> Any:
-    """A field that means what the field `name` of other Settings does, and may be what that may be.
+    """Create a field with the meaning and bounds of the field `name` of other Settings.
 
     Args:
         kind: the other Settings.
-        name: of its field.
-        default: the other's by default.
+        name: name of its field.
+        default: the default; if omitted, that of the other field.
     """
     other = kind.__dataclass_fields__[name]  # type: ignore[attr-defined]
     return field(default=other.default if default is MISSING else default, metadata=other.metadata)
 
 
 class Settings:
-    """Base of dataclasses made of `setting` fields: each value is checked as one is made.
+    """Base of dataclasses of `setting` fields: values are checked when an object is created.
 
     Raises:
         SettingError: a value is not what its field's check expects.
@@ -109,7 +109,7 @@ class Settings:
 
 
 def refuse(f: "Field[Any]", value: Any, name: str = "") -> None:
-    """Raise SettingError, under the field's name or another, if `value` is not to be had."""
+    """Raise SettingError, under the field's name or another, if `value` is invalid."""
     name = name or f.name
     size, check, unit = f.metadata["size"], f.metadata["check"], f.metadata["unit"]
     if size is not None and len(value) != size:
@@ -121,14 +121,14 @@ def refuse(f: "Field[Any]", value: Any, name: str = "") -> None:
 
 
 def converted(name: str, value: Any, hint: Any) -> Any:
-    """A value from outside as the type of a field; lists come back as tuples.
+    """Convert an external value to the type of a field; lists become tuples.
 
     Raises:
-        SettingError: it is of another type; the message names it.
+        SettingError: it is of another type; the message names the setting.
     """
     if get_origin(hint) is tuple:
         kind = get_args(hint)[0]
-        value = () if value is None else value  # how rcl reads `name:=[]`
+        value = () if value is None else value  # rcl reads `name:=[]` as None
         if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
             raise SettingError(f"{name} is {value!r}, expected a list, each {NAMES[kind]}")
         return tuple(converted(name, item, kind) for item in value)
@@ -140,7 +140,7 @@ def converted(name: str, value: Any, hint: Any) -> Any:
 
 
 def meaning(f: "Field[Any]") -> str:
-    """A field's meaning, unit and bounds in one line, for help and `ros2 param describe`."""
+    """Return a field's meaning, unit and bounds in one line, for help and `ros2 param describe`."""
     about, unit, check = (f.metadata[key] for key in ("about", "unit", "check"))
     words = f"{about} [{unit}]" if unit else about
     each = "each " if isinstance(f.default, tuple) else ""

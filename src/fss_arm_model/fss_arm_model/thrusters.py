@@ -1,4 +1,4 @@
-"""The base's cold-gas thrusters: where they push, and what gas a tank holds."""
+"""The base's cold-gas thrusters: their forces, and the mass of gas in a tank."""
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +11,11 @@ GAS = 287.0  # gas constant of air [J/(kg K)]
 
 
 def layout(thrust: float, lever: float) -> Floats:
-    """Force on the base in its own axes [N] and torque [N m] of each thruster, (8, 3).
+    """Return force on the base in its own axes [N] and torque [N m] of each thruster, (8, 3).
 
-    There are two at each corner of the square, counter-clockwise from the one ahead and to the
-    left: the first pushes back along x, the second along y, so that each pair of opposite corners
-    gives any force or torque alone.
+    There are two at each corner of the square, counter-clockwise from the front left corner: the
+    first pushes along x towards the centre, the second along y. Each pair of opposite corners can
+    give any force or torque alone.
     """
     rows = []
     for x, y in CORNERS:
@@ -25,5 +25,5 @@ def layout(thrust: float, lever: float) -> Floats:
 
 
 def gas_mass(pressure: float, volume: float, temperature: float) -> float:
-    """Mass of the air in a tank [kg], as an ideal gas: p V / (R T); Pa, m^3, K."""
+    """Return the mass of air in a tank [kg] as an ideal gas: p V / (R T); Pa, m^3, K."""
     return pressure * volume / (GAS * temperature)

@@ -1,10 +1,10 @@
-"""The arm as URDF, for robot_state_publisher, RViz, MoveIt and Foxglove.
+"""URDF of the arm, for robot_state_publisher, RViz, MoveIt and Foxglove.
 
 Links `fss`, `fss_body`, `link_1` .. `link_n`, `end_effector`; joints `joint_1` .. `joint_n` as in
 `joint_states`: a joint's frame is turned by theta_0 against the link before it, so that the joint's
 position is the encoder's reading. The arm lies in the plane z = 0 of the base. The root `fss` has
-no mass, as KDL ignores that of a root: the base's is that of `fss_body`, fixed to it. A link
-collides with the box that it is drawn as; at a joint the boxes of neighbours overlap.
+no mass because KDL ignores the mass of a root; the base's mass is that of `fss_body`, fixed to it.
+The collision box of a link is its visual box; at a joint the boxes of neighbours overlap.
 """
 
 from typing import NamedTuple
@@ -12,25 +12,25 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from .description import Arm, Link
 
-WIDTH, HEIGHT = 0.08, 0.06  # of a link as drawn [m]
-BASE_SIZE = 0.27  # of the base [m]
-SLENDER = 1e-3  # of the moment about z, about the link's own axis: a solid body has some
+WIDTH, HEIGHT = 0.08, 0.06  # size of a link's box [m]
+BASE_SIZE = 0.27  # size of the base's box [m]
+SLENDER = 1e-3  # moment about a link's long axis over that about z; must be positive
 ROOT = "fss"
 
 
 class Frame(NamedTuple):
-    """Where a link of the URDF is against its parent while its joint reads 0."""
+    """Pose of a URDF link relative to its parent while its joint reads 0."""
 
     name: str
     parent: str
     x: float  # [m]
     y: float  # [m]
     theta: float  # [rad]
-    joint: int = 0  # that turns it; 0: it is fixed
+    joint: int = 0  # number of the joint that turns it; 0: fixed
 
 
 def frames(arm: Arm) -> list[Frame]:
-    """All links of the URDF but its root, parents first."""
+    """Return all links of the URDF except the root, parents first."""
     found = [Frame("fss_body", ROOT, 0.0, 0.0, 0.0)]
     parent, (x, y, theta) = ROOT, arm.base.mount
     for i, link in enumerate(arm.links, 1):
@@ -40,7 +40,7 @@ def frames(arm: Arm) -> list[Frame]:
 
 
 def urdf(arm: Arm) -> str:
-    """The description as an XML document."""
+    """Return the URDF of the arm as an XML document."""
     robot = Element("robot", name=arm.name)
     material = SubElement(robot, "material", name="link")
     SubElement(material, "color", rgba="0.75 0.77 0.80 1")
@@ -57,7 +57,7 @@ def urdf(arm: Arm) -> str:
             _inertial(link, base.mass, base.inertia, base.com)
             _box(link, (BASE_SIZE, BASE_SIZE, BASE_SIZE), base.com)
     indent(robot)
-    return tostring(robot, encoding="unicode") + "\n"  # a text with an encoding is refused by lxml
+    return tostring(robot, encoding="unicode") + "\n"  # lxml rejects text that declares an encoding
 
 
 def _joint(robot: Element, frame: Frame, arm: Arm) -> None:

@@ -1,7 +1,7 @@
-"""What tells vehicles apart where they share topics: subjects of motion capture, and frames.
+"""Topics and frames that distinguish vehicles: motion-capture subjects and frame ids.
 
 A laboratory has one motion-capture receiver and one /tf. Without a namespace the vehicle is `fss`;
-in a namespace /fss2 its subjects and its frames are named after that.
+in a namespace /fss2 its subjects and frames are named after the namespace.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from .settings import NOT_NEGATIVE, Settings, setting
 
 @dataclass(frozen=True)
 class Vehicle(Settings):
-    """What nodes of a vehicle take their settings from (`like`)."""
+    """Settings that a vehicle's nodes share, see `like`."""
 
     base_topic: str = setting(
         "vicon/fss/fss", "topic of the base's poses", within="/vicon/{vehicle}/{vehicle}"

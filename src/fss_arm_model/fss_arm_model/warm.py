@@ -1,6 +1,6 @@
-"""`python -m fss_arm_model.warm`: compile every kernel into the cache, or find it there.
+"""`python -m fss_arm_model.warm`: compile every kernel into the cache, or load it from there.
 
-The set-up runs this once, so that no node compiles at its start.
+The set-up runs this once, so that no node compiles kernels when it starts.
 """
 
 import pkgutil
@@ -15,7 +15,7 @@ from .kernels import KERNELS, alone
 
 
 def modules() -> Iterator[str]:
-    """The modules that define kernels, of all of the workspace's packages on Python's path."""
+    """Yield the modules that define kernels, in all packages of the workspace on Python's path."""
     package: Any
     for package in pkgutil.iter_modules():
         if package.ispkg and package.name.startswith("fss_"):
@@ -26,7 +26,7 @@ def modules() -> Iterator[str]:
 
 
 def main() -> int:
-    """Load every kernel, and say what was done."""
+    """Load every kernel, and print the result."""
     begin = time.perf_counter()
     for module in modules():
         import_module(module)

@@ -1,1 +1,1 @@
-"""Planned motion of the arm on a floating base, and the guard that keeps it clear."""
+"""Motion planning for the arm on a floating base, and the guard that prevents collisions."""

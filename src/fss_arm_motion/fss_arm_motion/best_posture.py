@@ -1,4 +1,4 @@
-"""The posture in which the end effector is moved best along a direction, and the way there.
+"""Find the posture in which the end effector moves best along a direction, and the way there.
 
 Joint rates of norm 1 give the tip velocities within the ellipsoid v^T (J J^T)^-1 v <= 1 (Yoshikawa
 1985), which reaches along a direction u
@@ -6,9 +6,9 @@ Joint rates of norm 1 give the tip velocities within the ellipsoid v^T (J J^T)^-
     r = 1 / sqrt(u^T (J J^T)^-1 u)                                            (Chiu 1988)
 
 its velocity ratio [m/s per rad/s]. J is the generalized Jacobian on a floating base without
-momentum, or the tip's with the base held; directions and places are seen from the base. r has many
-maxima over the postures: it is climbed from the best of many random ones (SLSQP), within joint
-limits and with bodies apart, and with the tip at a place if one is given.
+momentum, or the tip's with the base held; directions and places are in the base frame. r has many
+maxima over the postures: SLSQP starts from the best of many random postures and maximizes r within
+joint limits and with bodies apart, and with the tip at a place if one is given.
 """
 
 from dataclasses import dataclass
@@ -36,15 +36,15 @@ FLOATING, FIXED = "floating", "fixed"
 SAMPLES = 20_000
 CLIMBED = 24
 STEP = 1e-6  # of central differences [rad]
-MET = 1e-6  # distance from a place that counts as none [m]
+MET = 1e-6  # largest distance from a place that is reached [m]
 
 
 @dataclass(frozen=True)
 class BestPosture(Settings):
-    """To the posture in which the end effector moves best along a direction.
+    """Motion to the posture in which the end effector moves best along a direction.
 
     Raises:
-        SettingError: a place is not two numbers.
+        SettingError: a place does not have two numbers.
     """
 
     direction: float = setting(
@@ -66,7 +66,7 @@ class BestPosture(Settings):
 
 
 def velocity_ratio(arm: Arm, q: npt.ArrayLike, direction: float, base: str = FLOATING) -> Floats:
-    """Ratio r of postures (..., n) along a direction [rad], (...) [m]; 0 at singularities.
+    """Return the ratio r of postures (..., n) along a direction [rad], (...) [m]; 0 if singular.
 
     Raises:
         ValueError: shapes do not fit.
@@ -82,7 +82,7 @@ def velocity_ratio(arm: Arm, q: npt.ArrayLike, direction: float, base: str = FLO
 
 
 def best(start: Start, asked: BestPosture) -> tuple[Floats, float]:
-    """The posture (n,) and its ratio.
+    """Return the best posture (n,) and its ratio.
 
     Raises:
         PlanError: no posture within limits has the tip at the place.
@@ -107,7 +107,7 @@ def best(start: Start, asked: BestPosture) -> tuple[Floats, float]:
 
 
 def _brought(start: Start, q: Floats, place: Floats) -> Floats:
-    """Of postures (k, n) those near a place, with the tip brought there, and within limits."""
+    """Return postures near a place with the tip moved there and within limits, from (k, n)."""
     p, (low, high) = start.arm.vector(), start.limits.bounds.T
     off = np.linalg.norm(tip_in_base(p, q)[:, :2] - place, axis=1)
     q = q[np.argsort(off)[:400]]
@@ -123,7 +123,7 @@ def _brought(start: Start, q: Floats, place: Floats) -> Floats:
 
 
 def _climbed(start: Start, q: Floats, place: Floats | None, asked: BestPosture) -> Floats:
-    """A local maximum of the ratio; the posture itself if none is found within limits."""
+    """Return a local maximum of the ratio, or the posture itself if none is within limits."""
     from scipy.optimize import minimize
 
     arm, p, steps = start.arm, start.arm.vector(), STEP * np.eye(start.arm.n)
@@ -160,7 +160,7 @@ def _climbed(start: Start, q: Floats, place: Floats | None, asked: BestPosture) 
 
 
 def best_posture(start: Start, asked: BestPosture) -> Plan:
-    """The fastest motion to the best posture.
+    """Plan the fastest motion to the best posture.
 
     Raises:
         PlanError: no posture has the tip at the place, or limits cannot be kept.

@@ -1,4 +1,4 @@
-"""A plan as a figure: postures on the table, joints, what they take of their limits, the base."""
+"""Draw a plan: postures on the table, joints, shares of their limits, and the base."""
 
 from os import PathLike
 from typing import Any
@@ -19,13 +19,13 @@ BASE, MOVE, WAY = "#1b1b1e", "#9a9a9a", "#d1495b"
 
 
 def draw(start: Start, plan: Plan, path: str | PathLike[str]) -> None:
-    """Write the figure; its kind follows from the name.
+    """Write the figure; the suffix of the file name determines its format.
 
     Raises:
         OSError: it cannot be written.
-        ValueError: there is no such kind of figure.
+        ValueError: this format is not supported.
     """
-    # Nothing else needs it, and it takes a second to import.
+    # Imported here because it takes a second, and nothing else needs it.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.5, 6.4), layout="constrained")
@@ -51,7 +51,7 @@ def draw(start: Start, plan: Plan, path: str | PathLike[str]) -> None:
 
 
 def title(plan: Plan) -> str:
-    """What the plan is, in a line."""
+    """Return a summary of the plan."""
     turn = plan.prediction
     words = f"{plan.kind.replace('_', ' ')}: {plan.duration:.2f} s, {len(plan.times)} knots, "
     words += f"base turns by {_angle(turn.turn)}, {_angle(turn.excursion)} at most on the way"
@@ -59,7 +59,7 @@ def title(plan: Plan) -> str:
 
 
 def _angle(x: float) -> str:
-    """In degrees, as fine as it is worth."""
+    """Return an angle in degrees, with suitable precision."""
     deg = float(np.degrees(x))
     return f"{deg:.1f}°" if abs(deg) >= 1.0 else f"{deg:.3f}°".replace("-0.000", "0.000")
 
@@ -170,7 +170,7 @@ def _heading(axes: Any, start: Start, plan: Plan) -> None:
 
 
 def _legend(axes: Any, columns: int) -> None:
-    """Above the axes, where no line is."""
+    """Draw the legend above the axes, where there are no lines."""
     axes.legend(
         ncols=columns, fontsize=8.5, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 0.98),
         borderpad=0.1, handlelength=1.6, columnspacing=1.4,

@@ -1,10 +1,10 @@
-"""Keep the arm clear of itself, of its base and target, and all of them on the table.
+"""Guard against collisions of the arm with itself, its base, the target and the table's edge.
 
-A path is checked as a whole, not at samples (sweep.py). A stream of commands is checked as the path
-that it amounts to if nothing follows: the command's motion, then the drives' braking.
+A path is checked continuously, not at samples (sweep.py). A stream of commands is checked as the
+path that results if no other command follows: the command's motion, then the drives' braking.
 
-What begins nearer than its margin may only get clearer: until it has its margin, no gap may shrink
-from the largest that it had on the path, but by sweep.RELIEF.
+A gap that starts below its margin must not shrink: until it reaches its margin, it may fall below
+its largest value on the path by at most sweep.RELIEF.
 """
 
 from dataclasses import dataclass
@@ -25,22 +25,22 @@ BRIEF = 1e-6  # knots nearer to each other are one [s]
 
 @dataclass(frozen=True)
 class Clear:
-    """Nothing comes nearer than its margin; of what was looked at, this comes nearest to it."""
+    """Result of a check without collisions; the pair closest to its margin is given."""
 
-    guards: tuple[str, ...]  # what was checked: SELF, AGAINST_EDGE, AGAINST_TARGET
-    bodies: tuple[str, ...]  # by name; () where there are no two
-    distance: float  # between them at the least [m]; then infinite
-    time: float  # when [s]
+    guards: tuple[str, ...]  # what was checked: SELF, EDGE, TARGET
+    bodies: tuple[str, ...]  # by name; () if there is no pair
+    distance: float  # their least distance [m]; infinite without a pair
+    time: float  # time of the least distance [s]
 
 
 class GuardError(ValueError):
-    """Two bodies would come nearer to each other than they may.
+    """Two bodies would come closer to each other than their margin.
 
     Attributes:
         bodies: by name: "base", "link 3", "gripper", "target", "table edge".
-        distance: between them, the least from there on [m]; below 0 they collide.
-        margin: what it has to be [m].
-        time: on the path, from when on it would be less [s].
+        distance: least distance between them from this time on [m]; below 0 they collide.
+        margin: required distance [m].
+        time: time on the path from which the distance is too small [s].
         q: joint readings at the least distance (n) [rad].
         guards: what was checked.
     """
@@ -64,15 +64,15 @@ class GuardError(ValueError):
 
 
 class Guard:
-    """Answers, for one arm, whether a motion keeps all bodies clear of each other and the edge.
+    """Check, for one arm, that a motion keeps all bodies clear of each other and of the edge.
 
-    Everywhere: base is the base's pose in the world (x, y [m], heading [rad]) and twist its
-    velocity (vx, vy [m/s], omega [rad/s]) at the begin; without a twist, base and arm together
-    have no momentum. target is the pose of what the gripper is to grip, (3,), or pose and twist,
-    (2, 3), in the world. Without base, the arm is guarded against itself and the base alone; which
-    guards there were, each answer says.
+    In all methods base is the base's pose in the world (x, y [m], heading [rad]) and twist its
+    velocity (vx, vy [m/s], omega [rad/s]) at the start; without a twist, base and arm together
+    have no momentum. target is the pose of the object to grip, (3,), or pose and twist, (2, 3), in
+    the world. Without base, only the arm against itself and the base is checked; each result
+    lists what was checked.
 
-    Raises, everywhere:
+    Raises, in all methods:
         GuardError: two bodies would come too near.
         ValueError: shapes do not fit, times do not ascend, or a number is not finite.
     """
@@ -90,22 +90,23 @@ class Guard:
         rows += [(*pair, s.edge_margin) for pair in with_edge(n)]
         self._pairs[SELF, EDGE] = np.array(rows)
         rows += [(*pair, s.margin) for pair in with_target(n)]
-        rows[-1] = (*rows[-1][:2], -s.gripper_depth)  # the gripper's own
+        rows[-1] = (*rows[-1][:2], -s.gripper_depth)  # margin of the gripper
         self._pairs[SELF, EDGE, TARGET] = np.array(rows)
-        self.drift(np.zeros(3), np.zeros(3), np.zeros(n))  # the kernel is loaded from here on
+        self.drift(np.zeros(3), np.zeros(3), np.zeros(n))  # loads the kernel
 
     def guards(
         self, base: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
     ) -> tuple[str, ...]:
-        """What is checked where this is known."""
+        """Return what is checked if these are given."""
         if base is None:
             return (SELF,)
         return (SELF, EDGE) if target is None else (SELF, EDGE, TARGET)
 
     def slack(self, q: npt.ArrayLike) -> Floats:
-        """How much more than its margin the least gap of postures is, (...) for q (..., n) [m].
+        """Return the least gap of postures minus its margin, (...) for q (..., n) [m].
 
-        Of the arm against itself and its base; below 0 it is refused, infinite without two bodies.
+        The gaps are those of the arm against itself and its base. Below 0 a posture is rejected;
+        without a pair the result is infinite.
         """
         q, pairs = np.asarray(q, dtype=float), self._pairs[SELF,]
         state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
@@ -118,7 +119,7 @@ class Guard:
         base: npt.ArrayLike | None = None,
         target: npt.ArrayLike | None = None,
     ) -> Clear:
-        """Whether a posture (n) [rad] has all margins."""
+        """Check that a posture (n) [rad] keeps all margins."""
         guards = self.guards(base, target)
         pairs, q = self._pairs[guards], self._numbers("q", q)
         pose = self._numbers("base", (0.0, 0.0, 0.0) if base is None else base, 3)
@@ -140,16 +141,16 @@ class Guard:
         twist: npt.ArrayLike | None = None,
         target: npt.ArrayLike | None = None,
     ) -> Clear:
-        """Whether a path keeps all margins, cubic between its knots, as the links interpolate it.
+        """Check that a path keeps all margins; it is cubic between its knots, as in the links.
 
         Args:
-            times: (k,) of two knots or more, ascending [s]; base, twist and target are those at
-                the first.
-            q: (k, n) readings there [rad].
-            qd: (k, n) rates there [rad/s].
-            base: pose, see above.
-            twist: see above.
-            target: see above.
+            times: (k,) two or more knots, ascending [s]; base, twist and target are those at the
+                first.
+            q: (k, n) readings at these times [rad].
+            qd: (k, n) rates at these times [rad/s].
+            base: pose, see the class.
+            twist: see the class.
+            target: see the class.
         """
         times = np.asarray(times, dtype=float)
         if times.ndim != 1 or times.size < 2 or not (np.diff(times) > 0.0).all():
@@ -174,13 +175,13 @@ class Guard:
     def clear(
         self, times: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike, base: npt.ArrayLike
     ) -> npt.NDArray[np.bool_]:
-        """Whether each of many paths would pass check_path, which says more, (...).
+        """Return True for each of many paths that check_path would accept, (...).
 
         Args:
-            times: (..., k) of knots, ascending [s]; the system has no momentum.
-            q: (..., k, n) readings there [rad].
-            qd: (..., k, n) rates there [rad/s].
-            base: pose at the first.
+            times: (..., k) times of knots, ascending [s]; the system has no momentum.
+            q: (..., k, n) readings at these times [rad].
+            qd: (..., k, n) rates at these times [rad/s].
+            base: pose at the first time.
         """
         times = np.asarray(times, dtype=float)
         if times.shape[-1] < 2 or not (np.diff(times) > 0.0).all():
@@ -205,25 +206,25 @@ class Guard:
         twist: npt.ArrayLike | None = None,
         target: npt.ArrayLike | None = None,
     ) -> Clear:
-        """Whether the arm keeps clear if it follows a command, and then comes to rest.
+        """Check that the arm keeps clear if it follows a command, and then comes to rest.
 
-        A joint with a `position` goes there by a trapezoid of its own, and rests. Any other turns
+        A joint with a `position` moves there by its own trapezoid, and rests. Any other joint turns
         at its `velocity` for the horizon and then brakes, at GuardSettings.braking of the
-        acceleration. Of a torque, only the sign is of use: give the largest velocity that it may
-        lead to. NaN: not commanded.
+        acceleration. For a torque command, give the largest velocity that it may cause, in the
+        direction of the torque. NaN: not commanded.
 
         Args:
-            q: (n) present readings [rad].
-            qd: (n) present rates [rad/s].
-            horizon: how long the command acts, if no other follows [s].
-            velocity: (n) commanded [rad/s]; where there is none, as it is now.
+            q: (n) current readings [rad].
+            qd: (n) current rates [rad/s].
+            horizon: how long the command acts if no other follows [s].
+            velocity: (n) commanded [rad/s]; for joints without it the current rate.
             position: (n) commanded [rad].
             max_velocity: (n) of the trapezoids [rad/s]; the drives' limits by default.
-            max_acceleration: (n) to speed up and brake with [rad/s^2]; the same.
-            until: when it is given up, whatever is left [s].
-            base: pose, see above.
-            twist: see above.
-            target: see above.
+            max_acceleration: (n) to accelerate and brake with [rad/s^2]; the same default.
+            until: time at which the motion is cut off in any case [s].
+            base: pose, see the class.
+            twist: see the class.
+            target: see the class.
         """
         q, qd = self._numbers("q", q), self._numbers("qd", qd)
         a = self._numbers("max_acceleration", self._or(max_acceleration, self._gains))
@@ -249,10 +250,10 @@ class Guard:
         qd: npt.ArrayLike | None = None,
         longest: float = 60.0,
     ) -> float:
-        """How long until the drifting base brings a body to the edge's margin [s].
+        """Return the time until the drifting base brings a body to the edge's margin [s].
 
-        The arm brakes from qd (n), at rest by default, and then is held. Infinite if that takes
-        more than `longest` [s]; 0 if a body is within the margin and comes nearer.
+        The arm brakes from qd (n), at rest by default, and then holds its posture. The result is
+        infinite above `longest` [s], and 0 if a body is within the margin and comes nearer.
         """
         q = self._numbers("q", q)
         qd = self._numbers("qd", self._or(qd, np.zeros(self.arm.n)))
@@ -263,11 +264,11 @@ class Guard:
         return time if contact else inf
 
     def braking(self, qd: npt.ArrayLike) -> float:
-        """How long the drives take at most to come to rest from rates (n) [s]."""
+        """Return the longest time that the drives need to stop from rates (n) [s]."""
         return float((np.abs(self._numbers("qd", qd)) / self._brakes).max())
 
     def _numbers(self, name: str, given: npt.ArrayLike, *shape: int) -> Floats:
-        """As an array, (n) by default; raise ValueError if it is not of this shape, and finite."""
+        """Return a finite array, (n) by default; raise ValueError if it has another shape."""
         array = np.asarray(given, dtype=float)
         shape = shape or (self.arm.n,)
         if array.shape != shape:
@@ -281,7 +282,7 @@ class Guard:
         return default if given is None else given
 
     def _target(self, guards: tuple[str, ...], target: npt.ArrayLike | None) -> Floats:
-        """Where the target is and how fast, (4,): x, y [m], vx, vy [m/s]."""
+        """Return position and velocity of the target, (4,): x, y [m], vx, vy [m/s]."""
         if TARGET not in guards or target is None:
             return np.zeros(4)
         rows = np.asarray(target, dtype=float).reshape(-1, 3)
@@ -303,7 +304,7 @@ Phases = tuple[Floats, Floats]  # durations [s] and accelerations [rad/s^2], (ph
 
 
 def turning(qd: Floats, wanted: Floats, a: Floats, brake: Floats, horizon: float) -> Phases:
-    """From rates (n) towards others at a (n), these held until the horizon, and then braking."""
+    """Return phases from rates (n) to others at a (n), held until the horizon, then braking."""
     change = np.minimum(np.abs(wanted - qd) / a, horizon)
     speeding = np.sign(wanted - qd) * a
     reached = qd + speeding * change
@@ -313,11 +314,11 @@ def turning(qd: Floats, wanted: Floats, a: Floats, brake: Floats, horizon: float
 
 
 def trapezoids(way: Floats, qd: Floats, top: Floats, a: Floats) -> Phases:
-    """By `way` (n) from rates (n), each joint in the least time that speed and acceleration allow.
+    """Return phases of a motion by `way` (n) from rates (n), each joint in its least time.
 
-    Where it cannot stop in time, it comes back.
+    A joint that cannot stop in time comes back.
     """
-    out = np.sign(way - 0.5 * qd * np.abs(qd) / a)  # 0: braking gets it there
+    out = np.sign(way - 0.5 * qd * np.abs(qd) / a)  # 0: braking alone reaches the goal
     out = np.where(out == 0.0, np.sign(qd), out)
     speed = np.minimum(top, np.sqrt(np.maximum(a * out * way + 0.5 * qd**2, 0.0)))
     change, back = out * speed - qd, -out * a
@@ -332,7 +333,7 @@ def trapezoids(way: Floats, qd: Floats, top: Floats, a: Floats) -> Phases:
 def moved(
     q: Floats, qd: Floats, phases: Phases, least: float, most: float = inf
 ) -> tuple[Floats, Floats, Floats]:
-    """Knots of joints that pass through phases, each on its own time, and then rest.
+    """Return knots of joints that pass through phases, each with its own times, and then rest.
 
     Returns:
         times (k,) from 0, for `least` to `most` seconds, readings and rates (k, n).
@@ -345,7 +346,7 @@ def moved(
         times = np.array([0.0, 2.0 * BRIEF])
     spent = np.clip(times[:, None, None] - (ends - lasts), 0.0, lasts)  # (k, phases, n)
     gained = a * spent
-    begin = qd + np.cumsum(a * lasts, axis=0) - a * lasts  # rates that phases begin with
+    begin = qd + np.cumsum(a * lasts, axis=0) - a * lasts  # rates at the starts of phases
     return (
         times,
         q + np.sum(spent * (begin + 0.5 * gained), axis=1),

@@ -1,4 +1,4 @@
-"""What the guard keeps apart and how far; plain numbers, that need no compiler."""
+"""Settings of the guard: sizes and margins, as plain numbers without compiled code."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, above, setting
 
 @dataclass(frozen=True)
 class GuardSettings(Extents):
-    """The room that bodies take, and the margins between them."""
+    """Sizes of the bodies, and the margins between them."""
 
     target_radius: float = setting(
         0.19, "radius within which the gripper's target lies about its origin", unit="m",

@@ -1,16 +1,16 @@
 """A primal-dual interior-point method for the program of transcription.py.
 
-With s the room left by each limit, lambda its multiplier, J the limits' derivatives and mu the
+With s the distance to each limit, lambda its multiplier, J the limits' derivatives and mu the
 weight of a barrier -mu sum log s that falls to 0 (Nocedal & Wright 2006, ch. 19), a step solves
 
     (W + J^T diag(lambda / s) J + delta 1) dx = -(grad f - mu J^T (1 / s)) - nu grad turn
 
-W being Gauss and Newton's part of the objective's Hessian, delta a damping that grows where steps
-have to be cut short (Levenberg and Marquardt), and nu such that the turn becomes the one asked for.
-A segment couples its two knots and its time alone, so that the matrix is banded, and a step costs
-O(m n^3). It begins strictly within the limits and stays there: each iterate is a motion that can
-be made. The variables stand in the order h_1, knot 1, h_2, knot 2, .., h_K: those of segment k,
-with a width of 4 n + 1, begin at (k - 1) (2 n + 1) + 1.
+where W is the Gauss-Newton part of the objective's Hessian, delta a damping that grows when steps
+must be shortened (Levenberg and Marquardt), and nu such that the turn becomes the requested one.
+A segment couples only its two knots and its time, so the matrix is banded, and a step costs
+O(m n^3). The method starts strictly within the limits and stays there: each iterate is a feasible
+motion. The order of the variables is h_1, knot 1, h_2, knot 2, .., h_K: those of segment k, with a
+width of 4 n + 1, start at (k - 1) (2 n + 1) + 1.
 """
 
 import math
@@ -30,13 +30,13 @@ from fss_arm_motion.transcription import (
     _values,
 )
 
-_FALL = 0.4  # of the barrier after a good step
-_KEPT = 0.02  # share of its room that a limit keeps in a step
+_FALL = 0.4  # factor of the barrier's weight after a good step
+_KEPT = 0.02  # least share of its distance to a limit that remains after a step
 
 
 @helper
 def _merit(weights, mu, least, h, room, omegas):  # type: ignore[no-untyped-def]
-    """The objective with the limits' barrier."""
+    """Return the objective with the limits' barrier."""
     n, total = room.shape[2] // 4, 0.0
     for k in range(h.size):
         if weights[0] > 0.0:
@@ -54,7 +54,7 @@ def _merit(weights, mu, least, h, room, omegas):  # type: ignore[no-untyped-def]
 
 @helper
 def _add(A, g, first, row, weight, slope):  # type: ignore[no-untyped-def]
-    """Add weight row row^T to the band A, and slope row to g; row begins at variable `first`."""
+    """Add weight row row^T to the band A, and slope row to g; row starts at variable `first`."""
     for a in range(max(0, -first), min(row.size, g.size - first)):
         if row[a] == 0.0:
             continue
@@ -94,7 +94,7 @@ def _assemble(weights, mu, least, h, room, dual, dual_h, omegas, rows, A, g, c):
 
 @helper
 def _factor(A):  # type: ignore[no-untyped-def]
-    """Cholesky's L of a symmetric band, A[i, i - j] holding column j of row i; in place."""
+    """Factor a symmetric band by Cholesky, in place: A[i, i - j] has column j of row i."""
     width = A.shape[1]
     for i in range(A.shape[0]):
         for j in range(max(0, i - width + 1), i + 1):
@@ -106,7 +106,7 @@ def _factor(A):  # type: ignore[no-untyped-def]
 
 @helper
 def _solve(A, x):  # type: ignore[no-untyped-def]
-    """Solve with what _factor made, in place."""
+    """Solve with the factor from _factor, in place."""
     width, size = A.shape[1], A.shape[0]
     for i in range(size):
         for j in range(max(0, i - width + 1), i):
@@ -120,7 +120,7 @@ def _solve(A, x):  # type: ignore[no-untyped-def]
 
 @helper
 def _moved(least, step, dx, h, q, qd, x_h, x_q, x_qd):  # type: ignore[no-untyped-def]
-    """Write x_h, x_q, x_qd: the variables a step on; False if a time gets too short."""
+    """Write the variables after a step to x_h, x_q, x_qd; return False if a time is too short."""
     n = q.shape[1]
     x_q[:], x_qd[:] = q, qd
     for k in range(h.size):
@@ -137,7 +137,7 @@ def _moved(least, step, dx, h, q, qd, x_h, x_q, x_qd):  # type: ignore[no-untype
 
 @helper
 def _keeps(room, trial):  # type: ignore[no-untyped-def]
-    """Whether each limit keeps a share of its room."""
+    """Return True if each limit keeps a minimum share of its distance."""
     K, n = room.shape[0], room.shape[2] // 4
     for k in range(K):
         for j in range(POINTS):
@@ -180,7 +180,7 @@ def _dualize(mu, dx, rows, room, trial, dual, toward):  # type: ignore[no-untype
 
 @helper
 def _complementarity(h, least, timed, room, dual, dual_h):  # type: ignore[no-untyped-def]
-    """The sum of s lambda, and how many there are."""
+    """Return the sum of s lambda, and the number of terms."""
     K, n = room.shape[0], room.shape[2] // 4
     gap, count = 0.0, 0
     for k in range(K):
@@ -200,7 +200,7 @@ def _complementarity(h, least, timed, room, dual, dual_h):  # type: ignore[no-un
 def _optimized(  # type: ignore[no-untyped-def]
     p, bounds, limits, rotor, radii, options, h0, q0, qd0, _i, h_out, q_out, qd_out, report,
 ):  # fmt: skip
-    # What is called much is given contiguous arrays: numba takes long to compile it for other ones.
+    # Helpers get contiguous arrays: numba takes long to compile them for other arrays.
     arm = Limited(
         p.copy(), rotor.copy(), options[0], bounds.copy(), limits.copy(), radii.copy()
     )  # fmt: skip
@@ -220,7 +220,7 @@ def _optimized(  # type: ignore[no-untyped-def]
     if not _values(arm, scratch, h, q, qd, room, omegas) > 0.0:
         report[0], most = -1.0, 0
     gap, count = _complementarity(h, least, timed, room, dual, dual_h)
-    time, mark = h.sum(), math.inf  # and the cost some iterations ago
+    time, mark = h.sum(), math.inf  # mark: the cost some iterations ago
     marked, damping, penalty, residual = 0, 1e-9, 0.0, 0.0
     mu = 0.1 * time / count
     for k in range(K):
@@ -271,7 +271,7 @@ def _optimized(  # type: ignore[no-untyped-def]
         gap, _ = _complementarity(h, least, timed, room, dual, dual_h)
         time, residual = h.sum(), abs(_turn(h, omegas) - goal) if turning else 0.0
         report[1], report[2] = gap, residual
-        # Little complementarity is left, and it gets no better.
+        # Little complementarity is left, and the cost no longer improves.
         if residual < 1e-5 and time < (1.0 + tolerance) * floor:
             break
         if iteration >= marked + 4:
@@ -310,7 +310,7 @@ def optimized(
     tolerance: float = 1e-3,
     floor: float = 0.0,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """The best motion near a first one that keeps strictly within the limits.
+    """Return the best motion near an initial one that is strictly within the limits.
 
     Args:
         p: (..., 8 + 6 n) Arm.vector().
@@ -319,27 +319,27 @@ def optimized(
         rotor: (2,) N^2 J and N J [kg m^2].
         radii: (3,) of the base and of links, and the margin between bodies [m].
         h: (..., m - 1) times between knots [s].
-        q: (..., m, n) angles at the knots [rad]; the first and the last stay.
+        q: (..., m, n) angles at the knots [rad]; the first and the last are fixed.
         qd: (..., m, n) rates; 0 at the first and the last [rad/s].
         momentum: L [N m s].
-        time_weight: w_t; 0: the times stay.
+        time_weight: w_t; 0: the times are fixed.
         turn_weight: w_r [s^2].
         smoothness: w_s [s^4].
-        turn: of the base [rad]; NaN: any.
-        least: time between knots [s].
-        iterations: at most.
-        tolerance: of the time, as a share.
-        floor: a time that no motion can be shorter than [s].
+        turn: turn of the base [rad]; NaN: any.
+        least: least time between knots [s].
+        iterations: largest number of iterations.
+        tolerance: tolerance of the time, as a share.
+        floor: lower bound of the time of any motion [s].
 
     Returns:
-        h, q and qd, and (..., 4): iterations made, -1 if the first motion is not within the
+        h, q and qd, and (..., 4): number of iterations, -1 if the initial motion is not within the
         limits; complementarity left [s]; residual of the turn [rad]; the barrier's weight.
     """
     options = [
         momentum, time_weight, turn_weight, smoothness, turn, least, iterations, tolerance, floor,
     ]  # fmt: skip
     asked = p, bounds, limits, rotor, radii, np.array(options), h, q, qd
-    # Vectorized, room that is not asked for is divided by, too, and nobody looks at what comes out.
+    # Vectorized code also divides by entries that are not limited; their results are not used.
     with np.errstate(divide="ignore", invalid="ignore"):
         found = _optimized(*asked, np.empty(4))
     return found[0], found[1], found[2], found[3]

@@ -1,4 +1,4 @@
-"""The kinds of plans, by name: what each is asked for, and the function that makes it."""
+"""The kinds of plans, by name: their settings, and the functions that plan them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

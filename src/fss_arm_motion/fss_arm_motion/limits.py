@@ -1,4 +1,4 @@
-"""What the joints can do: angles, rates, accelerations, torques with friction and rotors."""
+"""Limits of the joints: angles, rates, accelerations, torques with friction and rotors."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ KINDS = (("rate", "rad/s"), ("acceleration", "rad/s^2"), ("torque", "N m"))
 
 @dataclass(frozen=True)
 class LimitSettings(Settings):
-    """How much of the drives plans may use, and what the joints' mechanics take of it.
+    """Settings of the limits for plans: share of the drives, friction, rotors and sizes.
 
     Raises:
         SettingError: friction leaves no torque.
@@ -49,12 +49,12 @@ class LimitSettings(Settings):
 
 @dataclass(frozen=True)
 class Limits:
-    """Of n joints."""
+    """Limits of n joints."""
 
     bounds: Floats  # (n, 2) lowest and highest readings [rad]
     rate: Floats  # (n,) [rad/s]
     acceleration: Floats  # (n,) [rad/s^2]
-    torque: Floats  # (n,) of the motors, at the joints, Coulomb friction taken off [N m]
+    torque: Floats  # (n,) of the motors, at the joints, less Coulomb friction [N m]
     viscous: float  # [N m s/rad]
     rotor: Floats  # (2,) N^2 J and N J [kg m^2]
     radii: tuple[float, float]  # of the base and of links [m]
@@ -62,7 +62,7 @@ class Limits:
 
     @classmethod
     def of(cls, arm: Arm, settings: LimitSettings | None = None) -> "Limits":
-        """The limits that an arm's description gives.
+        """Return the limits of an arm by its description.
 
         Raises:
             SettingError: friction leaves a joint no torque.
@@ -89,18 +89,18 @@ class Limits:
 
     @property
     def table(self) -> Floats:
-        """(n, 4) as transcription.py takes them."""
+        """Limits as transcription.py takes them, (n, 4)."""
         viscous = np.full_like(self.rate, self.viscous)
         return np.column_stack([self.rate, self.acceleration, self.torque, viscous])
 
     def used(self, p: Floats, q: Floats, qd: Floats, qdd: Floats, momentum: float = 0.0) -> Floats:
-        """Shares of rates, accelerations and torques that moments of a motion take, (..., 3, n)."""
+        """Return the shares of rates, accelerations and torques used, (..., 3, n)."""
         tau = free_torques(p, q, qd, qdd, momentum, self.rotor)[0] + self.viscous * qd
         asked = np.stack([qd, qdd, tau], axis=-2)
         return np.abs(asked) / np.stack([self.rate, self.acceleration, self.torque])
 
     def outside(self, q: npt.ArrayLike, slack: float = 1e-9) -> str:
-        """The first joint beyond its angles, its value and the limits; empty: none."""
+        """Return the first joint outside its angles, its value and the limits; empty: none."""
         q = np.atleast_2d(np.asarray(q, dtype=float))
         low, high = self.bounds.T
         for i in np.flatnonzero(((q < low - slack) | (q > high + slack)).any(axis=0)):

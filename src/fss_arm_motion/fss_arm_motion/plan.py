@@ -1,8 +1,8 @@
-"""A plan: joint paths in time, what the base will do under them, and how well that is known.
+"""A plan: joint paths in time, the predicted motion of the base, and its uncertainty.
 
-The base's pose follows from the conservation of momentum (fss_arm_model.base_motion), its standard
-deviation to first order from the covariances C of the arm's parameters p and of the state s that it
-begins from:
+The base's pose follows from the conservation of momentum (fss_arm_model.base_motion). Its standard
+deviation follows to first order from the covariances C of the arm's parameters p and of the
+initial state s:
 
     sigma^2 = (dx/dp) C_p (dx/dp)^T + (dx/ds) C_s (dx/ds)^T
 """
@@ -25,10 +25,10 @@ from fss_arm_motion.limits import KINDS, Limits
 from fss_arm_motion.transcription import gaps
 
 SPACING = 0.05  # of predicted poses [s]
-PROBES = 40  # moments in each segment at which limits are checked
+PROBES = 40  # number of times in each segment at which limits are checked
 
 
-#: What a kind may say besides, with its unit.
+#: Additional results of the kinds of plans, with units.
 NOTES = {
     "least_possible": ("no joint alone would be faster than", "s"),
     "fastest_turn": ("turn of the base in the fastest motion", "rad"),
@@ -48,10 +48,10 @@ class PlanError(ValueError):
 
 @dataclass(frozen=True)
 class Start:
-    """What a plan begins from, and how well it is known.
+    """The initial state of a plan, and its uncertainty.
 
     Raises:
-        PlanError: a joint is beyond its limits, or there are not as many as the arm has.
+        PlanError: a joint is beyond its limits, or the number of joints is not the arm's.
     """
 
     arm: Arm
@@ -61,7 +61,7 @@ class Start:
     limits: Limits = None  # type: ignore[assignment]  # of the arm by default
     covariance: Floats | None = None  # of Arm.vector(); None: taken as exact
     state_covariance: Floats | None = None  # (6, 6) of pose and momentum
-    tracking: float = 0.0  # how far joints are from their path, 1 sigma [rad]
+    tracking: float = 0.0  # standard deviation of joints from their path [rad]
 
     def __post_init__(self) -> None:
         if self.limits is None:
@@ -69,7 +69,7 @@ class Start:
         object.__setattr__(self, "q", self.posture("q", self.q))
 
     def posture(self, name: str, q: Any) -> Floats:
-        """Readings (n,) as an array.
+        """Return readings (n,) as an array.
 
         Raises:
             PlanError: they are not n, or not within the limits.
@@ -84,11 +84,11 @@ class Start:
         return q
 
     def gap(self, q: Floats) -> Floats:
-        """The least gap between bodies that are not neighbours at readings (..., n), (...) [m]."""
+        """Return the least gap between bodies that are not neighbours at q (..., n), (...) [m]."""
         return gaps(self.arm.vector(), q, self.limits.radii)
 
     def nearest(self, q: Floats) -> str:
-        """The two such bodies that are nearest to each other at readings (n,), by name."""
+        """Return the names of the two nearest such bodies at readings (n,)."""
         base, link = self.limits.radii
         pairs, around = list(links_and_base(q.size)), Extents(base_radius=base, link_radius=link)
         found = clearance.gaps(self.arm.vector(), [0.0, 0.0, 0.0, *q], pairs, sizes(around))
@@ -101,10 +101,10 @@ class Start:
 
     @property
     def bodies(self) -> Floats:
-        """Arm.vector() as base motion takes it, with the rotors' share in the momentum, N J.
+        """Arm.vector() for base motion, with the rotors' share in the momentum, N J.
 
-        Rotors carry N J (q'_1 + .. + q'_n), as would an inertia N J that turns with the last link
-        less what the base turns: N J theta', a few 1e-5 of the whole, is not left out.
+        Rotors carry N J (q'_1 + .. + q'_n). An inertia N J that turns with the last link represents
+        them here. It also carries N J theta', a few 1e-5 of the total, which is not corrected.
         """
         p = self.arm.vector()
         p[layout.LINK_SIZE * self.arm.n + layout.LINK_INERTIA] += self.limits.rotor[1]
@@ -113,26 +113,26 @@ class Start:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the base will do."""
+    """Predicted motion of the base."""
 
     times: Floats  # (k,) [s]
-    pose: Floats  # (k, 3) x, y [m], heading [rad], which counts turns
-    deviation: Floats  # (k, 3) 1 sigma
+    pose: Floats  # (k, 3) x, y [m], heading [rad], not wrapped
+    deviation: Floats  # (k, 3) standard deviation
 
     @property
     def turn(self) -> float:
-        """By how much the base turns in all [rad]."""
+        """Total turn of the base [rad]."""
         return float(self.pose[-1, 2] - self.pose[0, 2])
 
     @property
     def excursion(self) -> float:
-        """The largest turn away from the first heading [rad]."""
+        """Largest turn away from the initial heading [rad]."""
         return float(np.abs(self.pose[:, 2] - self.pose[0, 2]).max())
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A path in time for n joints, cubic between its m knots, and what it does to the base."""
+    """A path in time for n joints, cubic between its m knots, and its effect on the base."""
 
     kind: str
     arguments: Mapping[str, Any]
@@ -142,27 +142,27 @@ class Plan:
     prediction: Prediction
     used: Floats  # (3, n) largest share of each joint's rate, acceleration and torque
     notes: Mapping[str, float] = field(default_factory=dict)  # by the names of NOTES
-    ended: str = ""  # why it went no further, where it could have been asked to
+    ended: str = ""  # reason why the motion is shorter than requested
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Duration of the motion [s]."""
         return float(self.times[-1])
 
     @property
     def bound(self) -> str:
-        """The limit that it comes closest to."""
+        """The limit that the motion comes closest to."""
         kind, joint = np.unravel_index(np.argmax(self.used), self.used.shape)
         return f"{KINDS[kind][0]} of joint {joint + 1}, {100 * self.used[kind, joint]:.0f} %"
 
     def at(self, t: Floats) -> tuple[Floats, Floats]:
-        """Angles and rates at times (k,), each (k, n)."""
+        """Return angles and rates at times (k,), each (k, n)."""
         n = self.q.shape[1]
         return sampled([self.times] * n, list(self.q.T), list(self.qd.T))[0](t)
 
 
 def probed(times: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
-    """Angles, rates and accelerations along a path, both sides of each knot, (k, n) each."""
+    """Return angles, rates and accelerations along a path, both sides of each knot, (k, n)."""
     h = np.diff(times)[:, None, None]
     x = np.linspace(0.0, 1.0, PROBES)[:, None]
     q0, q1, v0, v1 = q[:-1, None], q[1:, None], h * qd[:-1, None], h * qd[1:, None]
@@ -178,11 +178,11 @@ def probed(times: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats
 
 
 def within(start: Start, times: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
-    """A path as fast as asked for, or as much slower as the limits need: times, qd, shares used.
+    """Slow a path down as far as the limits need, and return its times, qd and shares used.
 
     Raises:
-        PlanError: a joint would leave its limits between two knots, or none is slow enough, as
-            where friction or the momentum alone ask for more than the drives give.
+        PlanError: a joint would leave its limits between two knots, or no speed is slow enough
+            because friction or the momentum alone need more than the drives give.
     """
     if wrong := start.limits.outside(q):
         raise PlanError(wrong)
@@ -203,7 +203,7 @@ def within(start: Start, times: Floats, q: Floats, qd: Floats) -> tuple[Floats, 
 
 
 def predicted(start: Start, times: Floats, q: Floats, qd: Floats) -> Prediction:
-    """The base's motion under a path."""
+    """Predict the base's motion under a path."""
     n = start.arm.n
     law, edges = sampled([times] * n, list(q.T), list(qd.T))
     marks = np.linspace(0.0, times[-1], 1 + min(400, max(2, round(times[-1] / SPACING))))
@@ -215,7 +215,7 @@ def predicted(start: Start, times: Floats, q: Floats, qd: Floats) -> Prediction:
     if start.state_covariance is not None:
         by_state = J[..., size : size + 6]
         total += by_state @ start.state_covariance @ np.swapaxes(by_state, 1, 2)
-    # What a joint is off by, the base gives way to, whatever the path.
+    # The base reacts to a joint's tracking error, whatever the path.
     states = np.concatenate([poses, law(marks)[0]], axis=1)
     M = np.swapaxes(momentum(start.bodies, states[:, None], np.eye(3 + n)), 1, 2)
     way = np.linalg.solve(M[..., :3], M[..., 3:])
@@ -234,13 +234,13 @@ def finished(
     notes: Mapping[str, float] | None = None,
     ended: str = "",
 ) -> Plan:
-    """A plan through knots, slowed down as far as the limits between the knots need.
+    """Return a plan through knots, slowed down as far as the limits between the knots need.
 
     Raises:
         PlanError: a limit cannot be kept.
     """
     qd = qd.copy()
-    qd[[0, -1]] = 0.0  # but for rounding
+    qd[[0, -1]] = 0.0  # except for rounding errors
     times, qd, used = within(start, times, q, qd)
     angles = probed(times, q, qd)[0]
     gaps = start.gap(angles)

@@ -29,7 +29,7 @@ EPILOG = (
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line: a sub-command for each kind."""
+    """Return the parser of the command line, with a sub-command for each kind."""
     p = Parser("plan", description=__doc__, epilog=EPILOG)
     kinds = p.add_subparsers(dest="kind", metavar="KIND", required=True, parser_class=Parser)
     for kind in KINDS.values():
@@ -41,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def add_common(p: argparse.ArgumentParser) -> None:
-    """What all kinds have: where it begins, how well the arm is known, limits, what to write."""
+    """Add the options of all kinds: initial state, uncertainty of the arm, limits and outputs."""
     p.add_argument(
         "--arm", default="paper", help="paper, cad, truth or a file (default: %(default)s)"
     )
@@ -67,7 +67,7 @@ def add_common(p: argparse.ArgumentParser) -> None:
 
 
 def add_option(p: argparse.ArgumentParser, f: "Field[Any]", hint: Any) -> None:
-    """An option for a setting; angles are in degrees."""
+    """Add an option for a setting; angles are in degrees."""
     flag = f"--{f.name.replace('_', '-')}"
     about = meaning(f).replace("[rad]", "[deg]").replace("%", "%%")
     if hint is bool:
@@ -88,19 +88,19 @@ def add_option(p: argparse.ArgumentParser, f: "Field[Any]", hint: Any) -> None:
 
 
 def in_degrees(f: "Field[Any]") -> bool:
-    """Whether people give a setting in degrees."""
+    """Return True if the user gives a setting in degrees."""
     return bool(f.metadata["unit"] == "rad")
 
 
 class _Degrees(argparse.Action):
-    """Keeps an angle, or some, in radians."""
+    """Action that converts one or several angles to radians."""
 
     def __call__(self, _: Any, options: argparse.Namespace, given: Any, __: Any = None) -> None:
         setattr(options, self.dest, np.radians(given).tolist())
 
 
 def uncertain(arm: Arm, share: float) -> Floats:
-    """A covariance of Arm.vector(): masses, inertias and centres of mass known to a share."""
+    """Return a covariance of Arm.vector() from a relative uncertainty of the mass properties."""
     p = arm.vector()
     sigma = np.zeros_like(p)
     index = np.arange(1, arm.n + 1) * layout.LINK_SIZE
@@ -111,7 +111,7 @@ def uncertain(arm: Arm, share: float) -> Floats:
 
 
 def planned(options: argparse.Namespace) -> tuple[Start, Plan]:
-    """What a command line asks for.
+    """Plan the motion of a command line.
 
     Raises:
         ValueError: there is no such plan, or an option is impossible.
@@ -131,7 +131,7 @@ def planned(options: argparse.Namespace) -> tuple[Start, Plan]:
 
 
 def request_of(options: argparse.Namespace) -> tuple[Kind, Any]:
-    """The kind of plan that a command line asks for, and its settings."""
+    """Return the kind of plan that a command line requests, and its settings."""
     kind = KINDS[options.kind]
     given = {f.name: getattr(options, f.name) for f in fields(kind.settings)}
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
@@ -139,7 +139,7 @@ def request_of(options: argparse.Namespace) -> tuple[Kind, Any]:
 
 
 def report(plan: Plan) -> str:
-    """What people want to know of a plan."""
+    """Return the report of a plan for the user."""
     base = plan.prediction
     lines = [
         title(plan).replace("°", " deg"),
@@ -154,7 +154,7 @@ def report(plan: Plan) -> str:
 
 
 def note(name: str, value: float) -> str:
-    """What a kind says besides; angles in degrees."""
+    """Return an additional result of a kind; angles in degrees."""
     about, unit = NOTES[name]
     if unit == "rad":
         value, unit = float(np.degrees(value)), "deg"

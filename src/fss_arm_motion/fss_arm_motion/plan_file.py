@@ -1,4 +1,4 @@
-"""Plans as files: YAML, SI units, read back by one reader."""
+"""Write plans to files and read them back: YAML, SI units."""
 
 import hashlib
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from fss_arm_model.kernels import Floats
 from fss_arm_motion.plan import Plan, Prediction, Start
 
 VERSION = 1
-DIGITS = 9  # of a written number
+DIGITS = 9  # significant digits of a written number
 
 HEAD = """\
 # A planned motion of the arm: cubic between the knots. SI units and radians.
@@ -27,17 +27,17 @@ HEAD = """\
 
 @dataclass(frozen=True)
 class Stored:
-    """A plan from a file, and what it was planned for."""
+    """A plan from a file, with the arm and the start that it was planned for."""
 
     arm: str  # its name
     digest: str  # of its description
-    pose: Floats  # (3,) of the base at the begin
+    pose: Floats  # (3,) of the base at the start
     momentum: Floats  # (3,)
     plan: Plan
 
 
 def digest(arm: Arm) -> str:
-    """What tells one description from another."""
+    """Return a digest that identifies a description."""
     return hashlib.sha256(to_yaml(arm).encode()).hexdigest()[:16]
 
 
@@ -52,7 +52,7 @@ def _plain(value: Any) -> Any:
 
 
 def written(start: Start, plan: Plan) -> str:
-    """The plan as YAML."""
+    """Return the plan as YAML."""
     base = plan.prediction
     content = {
         "version": VERSION,
@@ -70,7 +70,7 @@ def written(start: Start, plan: Plan) -> str:
 
 
 class _Part:
-    """An entry of what was read, with its name for errors."""
+    """An entry of a file, with its name for error messages."""
 
     def __init__(self, name: str, value: Any) -> None:
         self.name, self.value = name, value
@@ -86,7 +86,7 @@ class _Part:
         return self.value
 
     def array(self, *shape: int) -> Floats:
-        """Finite numbers of a shape; -1: any length."""
+        """Return finite numbers of a shape; -1: any length."""
         expected = f"finite numbers of shape ({', '.join('k' if s < 0 else str(s) for s in shape)})"
         try:
             a = np.array(self.value, dtype=float)
@@ -100,11 +100,11 @@ class _Part:
 
 
 def parsed(source: str | Path) -> Stored:
-    """The plan that a text says, or a file if `source` is a Path.
+    """Read a plan from a text, or from a file if `source` is a Path.
 
     Raises:
         OSError: the file cannot be read.
-        ContentError: it is no such plan; the message names the entry.
+        ContentError: it is not a valid plan; the message names the entry.
     """
     part = _Part("", read_yaml(source))
     if (version := part["version"].value) != VERSION:

@@ -1,8 +1,8 @@
-"""From one posture to another: as fast as limits allow, or turning the base least in a given time.
+"""Motion between postures: as fast as limits allow, or with least turn of the base in a given time.
 
-No move is shorter than its longest joint alone would take. On a floating base the torques of all
-joints depend on all, so that the others can help it: the path between the postures is free, and
-found as transcription.py says, from a first one that is straight.
+No move is shorter than its longest joint alone would need. On a floating base the torque of each
+joint depends on all joints, so other joints can help it: the path between the postures is free. It
+is optimized as in transcription.py, starting from a straight motion.
 """
 
 from dataclasses import dataclass
@@ -17,19 +17,19 @@ from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, setting
 from fss_arm_motion.interior_point import optimized
 from fss_arm_motion.plan import Plan, PlanError, Start, finished, probed, within
 
-SEGMENTS = 6  # of a short move; two for each limit that the best motion switches between
-LEAST = 0.125  # time between knots, of which links keep 32 for 4 s [s]
-PER_SECOND = 3.0  # knots of a long move
-STILL = 1e-6  # a way that is none [rad]
-HELD = 0.9  # of the limits, that a first motion takes
-TURN_WEIGHT = 1e4  # of the base's mean square rate beside the accelerations' [s^2]
-INSIDE = (1e-3, 1e-2, 5e-2)  # distances from limits to keep at knots, tried in this order [rad]
-APART = 1.0  # and from bodies that are not neighbours [m/rad]
+SEGMENTS = 6  # of a short move; two for each limit between which the best motion switches
+LEAST = 0.125  # least time between knots [s]; links keep 32 knots, for 4 s
+PER_SECOND = 3.0  # knots per second of a long move
+STILL = 1e-6  # longest way that counts as none [rad]
+HELD = 0.9  # share of the limits that an initial motion uses
+TURN_WEIGHT = 1e4  # weight of the base's mean square rate relative to the accelerations' [s^2]
+INSIDE = (1e-3, 1e-2, 5e-2)  # distances of knots from limits, tried in this order [rad]
+APART = 1.0  # distance of bodies that are not neighbours per such distance [m/rad]
 
 
 @dataclass(frozen=True)
 class PointToPoint(Settings):
-    """From the present posture to another."""
+    """A motion from the current posture to another."""
 
     goal: tuple[float, ...] = setting((), "joint readings to arrive at", unit="rad", check=FINITE)
     duration: float = setting(
@@ -43,7 +43,7 @@ class PointToPoint(Settings):
 def straight(
     start: Start, ways: npt.ArrayLike, segments: int, share: float = HELD
 ) -> tuple[Floats, Floats, Floats]:
-    """Moves from posture to posture, each straight and from rest to rest: h, q and qd at knots.
+    """Return h, q and qd at knots of straight moves between postures, from rest to rest.
 
     Each is as fast as a share of the limits allows, with a rate that is a parabola over time.
 
@@ -70,7 +70,7 @@ def straight(
 
 
 def floor(start: Start, goal: Floats) -> float:
-    """The time that no move to the goal can be shorter than [s]: each joint alone, trapezoidal."""
+    """Return a lower bound of the time to the goal [s]: each joint alone, trapezoidal."""
     way, v, a = np.abs(goal - start.q), start.limits.rate, start.limits.acceleration
     alone = np.where(way > v**2 / a, way / v + v / a, 2.0 * np.sqrt(way / a))
     return float(alone.max())
@@ -79,10 +79,10 @@ def floor(start: Start, goal: Floats) -> float:
 def improved(
     start: Start, h: Floats, q: Floats, qd: Floats, **options: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """What transcription.optimized makes of a motion, its cubics within the joints' angles, too.
+    """Optimize a motion with interior_point.optimized, with its cubics within the joints' angles.
 
-    Knots keep a little off the limits, as a cubic may pass them in between; farther if that was
-    not enough. A joint that begins or ends at its limit comes from there and is not kept off it.
+    Knots keep a small distance from the limits, because a cubic may exceed them in between; a
+    larger one if that was not enough. A joint that starts or ends at its limit may stay at it.
     """
     low, high = start.limits.bounds.T
     near = np.minimum(q - low, high - q)[[0, -1]].min(axis=0)
@@ -105,7 +105,7 @@ def improved(
 
 
 def point_to_point(start: Start, asked: PointToPoint) -> Plan:
-    """The motion to a posture.
+    """Plan the motion to a posture.
 
     Raises:
         PlanError: the goal is beyond limits, or the duration shorter than they allow.
@@ -155,7 +155,7 @@ def _bound(start: Start, times: Floats, q: Floats, qd: Floats) -> str:
 
 
 def _resampled(times: Floats, q: Floats, qd: Floats, segments: int) -> tuple[Floats, Floats]:
-    """Evenly spaced knots on a path."""
+    """Return evenly spaced knots on a path."""
     n = q.shape[1]
     law, _ = sampled([times] * n, list(q.T), list(qd.T))
     return law(np.linspace(0.0, times[-1], segments + 1))

@@ -1,11 +1,11 @@
-"""The base turned by joints that return to where they were: reorientation without thrusters.
+"""Reorientation of the base without thrusters, by joints that return to their initial angles.
 
 The constraint G q' = omega is not integrable: a closed path in the space of the joints turns the
-base by its integral of G dq, and run backwards by as much the other way. The shortest such motion
-is found in two steps. Closed polygons from the posture evolve, by random changes of their corners,
-towards those that turn the base as asked for and that straight moves run through soonest. Each of
-the best then is what transcription.py begins from, with the turn as an equation, and the fastest
-of what it makes of them is the plan.
+base by its integral of G dq, and the reversed path turns it back by the same angle. The shortest
+such motion is found in two steps. First, closed polygons from the posture evolve by random changes
+of their corners; the best are those that turn the base as requested and whose straight moves take
+the least time. Then each of the best is optimized as in transcription.py, with the turn as an
+equation. The fastest result is the plan.
 """
 
 import math
@@ -27,25 +27,25 @@ FAMILIES = (
     (3, 2),
     (4, 2),
     (4, 4),
-)  # corners of a polygon, and how often to go round
+)  # corners of a polygon, and number of rounds
 PARENTS, CHILDREN, GENERATIONS = 16, 16, 25
 FIRST = 1500  # random polygons of each family
-CHANGE, CALMING = 0.5, 0.93  # of a corner's angles [rad], and from a generation to the next
-PAUSE = 0.6  # that a corner costs, about [s]
-SEGMENTS = 3  # of each side
-NODES = 8  # of the quadrature along a side
+CHANGE, CALMING = 0.5, 0.93  # of a corner's angles [rad], and its factor per generation
+PAUSE = 0.6  # approximate time that a corner costs [s]
+SEGMENTS = 3  # segments of each side
+NODES = 8  # nodes of the quadrature along a side
 ITERATIONS = 100
-TRIED = 3  # polygons of a family, until one is improved
-GAIN = 0.9  # share of its time that one must be improved to
-IMPOSSIBLE = 100.0  # cost of a polygon that does not do [s]
+TRIED = 3  # largest number of polygons of a family that are optimized
+GAIN = 0.9  # largest share of its initial time for a successful optimization
+IMPOSSIBLE = 100.0  # cost of a polygon that is not feasible [s]
 INSIDE = 0.02  # distance of corners from joint limits [rad]
-ROOM = 0.03  # that polygons keep clear beyond the margin [m]
-CLOSE = math.radians(0.02)  # to the turn asked for
+ROOM = 0.03  # distance between bodies beyond the margin for polygons [m]
+CLOSE = math.radians(0.02)  # tolerance of the turn
 
 
 @dataclass(frozen=True)
 class Reorientation(Settings):
-    """A turn of the base, with the arm back in its posture.
+    """A turn of the base, after which the arm is back in its posture.
 
     Raises:
         SettingError: the turn is 0.
@@ -59,7 +59,7 @@ class Reorientation(Settings):
 
 
 def along(corners: Floats) -> tuple[Floats, Floats, Floats]:
-    """Postures on the sides of closed polygons (k, c, n), the sides, and the nodes' weights."""
+    """Return postures on the sides of closed polygons (k, c, n), the sides, and the weights."""
     x, w = np.polynomial.legendre.leggauss(NODES)
     sides = np.roll(corners, -1, axis=1) - corners
     q = corners[:, :, None] + (0.5 * x[:, None] + 0.5) * sides[:, :, None]
@@ -67,7 +67,7 @@ def along(corners: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def turns_of(start: Start, corners: Floats) -> Floats:
-    """Turns of the base by closed polygons, (k,) [rad], for corners (k, c, n) [rad]."""
+    """Return turns of the base by closed polygons, (k,) [rad], for corners (k, c, n) [rad]."""
     q, sides, w = along(corners)
     state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
     G = generalized_jacobian(start.bodies, state)[..., 2, :] - 1.0
@@ -75,10 +75,10 @@ def turns_of(start: Start, corners: Floats) -> Floats:
 
 
 def costs(start: Start, corners: Floats, turn: float) -> Floats:
-    """About how long polygons (k, c, n) take, shrunk to turn the base by `turn`, (k,) [s].
+    """Return approximate times of polygons (k, c, n), shrunk to the turn `turn`, (k,) [s].
 
-    Those that turn it less, or in which bodies come too near to each other, cost the more the
-    farther they are from that.
+    A polygon that turns the base less, or in which bodies come too near to each other, has an
+    additional cost that grows with the violation.
     """
     sides = np.roll(corners, -1, axis=1) - corners
     travel = (np.abs(sides) / start.limits.rate).max(axis=2)
@@ -94,7 +94,7 @@ def costs(start: Start, corners: Floats, turn: float) -> Floats:
 def polygons(
     start: Start, turn: float, corners: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Closed polygons (k, c, n) from the posture and what they cost (k,), the best first."""
+    """Return closed polygons (k, c, n) from the posture and their costs (k,), the best first."""
     low, high = start.limits.bounds.T
     low, high = low + INSIDE, high - INSIDE
     found = rng.uniform(low, high, (FIRST, corners, start.arm.n))
@@ -123,9 +123,9 @@ def polygons(
 
 
 def _sized(start: Start, corners: Floats, turn: float) -> Floats:
-    """A polygon shrunk towards its first corner until it turns the base by `turn`."""
+    """Shrink a polygon towards its first corner until it turns the base by `turn`."""
     low, high = 0.0, 1.0
-    for _ in range(6):  # each divides by 16
+    for _ in range(6):  # each iteration divides the interval by 16
         sizes = np.linspace(low, high, 17)
         tried = corners[0] + sizes[:, None, None] * (corners - corners[0])
         k = int(np.argmax(turns_of(start, tried) / turn >= 1.0))
@@ -134,7 +134,7 @@ def _sized(start: Start, corners: Floats, turn: float) -> Floats:
 
 
 def reorientation(start: Start, asked: Reorientation) -> Plan:
-    """The motion.
+    """Plan the motion.
 
     Raises:
         PlanError: no motion found turns the base that far.
@@ -149,7 +149,7 @@ def reorientation(start: Start, asked: Reorientation) -> Plan:
         turn = asked.angle / rounds
         found, cost = polygons(start, turn, corners, rng)
         most = max(most, float((turns_of(start, found) / turn).max()))
-        # The best of them, improved; where that fails the next ones, and as it is at the last.
+        # Optimize the best one; if that fails the next ones, and at last use the best unchanged.
         for k, improve in (*((k, True) for k in range(TRIED)), (0, False)):
             if not cost[k] < IMPOSSIBLE:
                 break
@@ -171,7 +171,7 @@ def reorientation(start: Start, asked: Reorientation) -> Plan:
 
 
 def _spent(start: Start, ways: Floats) -> float:
-    """How long straight moves take [s]."""
+    """Return the time of straight moves [s]."""
     return float(straight(start, ways, SEGMENTS)[0].sum())
 
 
@@ -179,14 +179,14 @@ def _timed(
     start: Start, ways: Floats, angle: float, arguments: dict[str, float], rounds: int,
     improve: bool,
 ) -> Plan:  # fmt: skip
-    """The motion along a closed polygon, or the best near it.
+    """Return the motion along a closed polygon, or the best one near it.
 
     Raises:
-        PlanError: limits cannot be kept, or the turn is not the one asked for.
+        PlanError: limits cannot be kept, or the turn is not the requested one.
     """
     h, q, qd = straight(start, ways, SEGMENTS)
     turn, times = angle, np.append(0.0, np.cumsum(h))
-    for _ in range(3):  # what limits between knots make slower changes what momentum adds
+    for _ in range(3):  # slowing down between knots changes the momentum's part
         if improve:
             h, q, qd, _ = improved(
                 start, h, q, qd, least=LEAST, turn=turn, iterations=ITERATIONS, tolerance=5e-3

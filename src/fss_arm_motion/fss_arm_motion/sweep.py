@@ -1,14 +1,14 @@
-"""When on a path two bodies would first be too near: continuous in time, base floating.
+"""Continuous collision check of a path, with a floating base: first time of a violated margin.
 
-From a time t, no gap g can shrink to its margin before t + (g - margin) / V, V being a bound on how
-fast its two bodies approach each other in a window that is looked at (conservative advancement;
-Mirtich 1996). In a window of length h from t, w_k being the rate of body k against the base, and
-alpha_k the most that it changes by in a second,
+From a time t, no gap g can shrink to its margin before t + (g - margin) / V, where V is a bound on
+the approach speed of its two bodies within a window (conservative advancement; Mirtich 1996). In a
+window of length h from t, w_k is the rate of body k against the base, and alpha_k the largest
+change of it in a second,
 
     bodies i < j of the arm     V = sum_{m=i+1..j} (|w_m - w_i| + (alpha_m + alpha_i) h) a_m
     pivot k in the world        V = (|P| + sum_{j>=k} |T_j| Psi_j) / M + sum_{j<k} |S_j| Psi_j
 
-The floating base's motion follows from its momentum: P and L, about the centre of mass, stay. With
+The floating base moves with constant momentum P and L, L about the centre of mass. With
 centroidal.py's A_jk, S_k, T_k and n_k = sum_j A_jk,
 
     psi'_0 = (L - sum_k n_k w_k) / I,   I = sum_k n_k,   psi'_k = psi'_0 + w_k
@@ -17,7 +17,7 @@ Psi_k bounds |psi'_k| within the window, by
 
     |n_k'| <= sum_j |S_j| |T_k| |w_j - w_k|   (j < k, and the same with j and k exchanged)
 
-The base's heading is integrated along (Simpson); its place follows from the centre of mass.
+The base's heading is integrated along (Simpson); its position follows from the centre of mass.
 """
 
 import math
@@ -32,13 +32,13 @@ from fss_arm_model.kernels import Floats, helper, kernel
 from fss_arm_model.kinematics import _moment
 from fss_arm_model.layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
 
-RELIEF = 0.001  # that a gap below its margin may shrink by, from the largest it had on the path [m]
-SAME = 1e-6  # that such a gap may be less by in the end than at the begin [m]
-SHORTEST = 2e-5  # step; where a contact cannot be excluded with this one, it counts as one [s]
-TURN = 0.2  # that bodies turn by in a window, at most, against the base [rad]
-TINY = 1e-300  # instead of 0 in a quotient
-LOOK = 0.005  # step in which gaps below their margin are looked at [s]
-EPOCH = 0.4  # after which pairs that are far from each other are looked at again, at most [s]
+RELIEF = 0.001  # allowed decrease of a gap below its margin, from its largest value on the path [m]
+SAME = 1e-6  # allowed decrease of such a gap from the start to the end [m]
+SHORTEST = 2e-5  # shortest step; if it cannot exclude a contact, this counts as one [s]
+TURN = 0.2  # largest turn of a body against the base in a window [rad]
+TINY = 1e-300  # replaces 0 in a quotient
+LOOK = 0.005  # step for gaps below their margin [s]
+EPOCH = 0.4  # longest time until distant pairs are checked again [s]
 
 
 @helper
@@ -56,7 +56,7 @@ def _cubic(times, q, qd, k, t, angle, rate):  # type: ignore[no-untyped-def]
 
 @helper
 def _accelerations(times, q, qd, k, alpha):  # type: ignore[no-untyped-def]
-    """Write the most that the rate of each body against the base changes by in segment k."""
+    """Write the largest angular acceleration of each body against the base in segment k."""
     h = times[k + 1] - times[k]
     first = last = alpha[0] = 0.0
     for i in range(alpha.size - 1):
@@ -68,7 +68,7 @@ def _accelerations(times, q, qd, k, alpha):  # type: ignore[no-untyped-def]
 
 @helper
 def _arrange(bodies, angle, rate, turned, w, N):  # type: ignore[no-untyped-def]
-    """Turn the bodies, seen from the base; write their rates and n_k. Return I and sum n_k w_k."""
+    """Turn the bodies in the base frame; write their rates and n_k. Return I and sum n_k w_k."""
     p, m = bodies.p, w.size
     heading, w[0] = 0.0, 0.0
     _set(bodies, turned, 0, 1.0 + 0.0j)
@@ -94,7 +94,7 @@ def _arrange(bodies, angle, rate, turned, w, N):  # type: ignore[no-untyped-def]
 
 @helper
 def _locate(bodies, turned, com, heading, r):  # type: ignore[no-untyped-def]
-    """Write base, joints and tip in the world; return the base's place against `com`."""
+    """Write base, joints and tip in the world; return the base's position relative to `com`."""
     turn = complex(math.cos(heading), math.sin(heading))
     at = 0j
     for k in range(turned.shape[1]):
@@ -108,24 +108,24 @@ def _locate(bodies, turned, com, heading, r):  # type: ignore[no-untyped-def]
 
 
 class Motion(NamedTuple):
-    """How the bodies move at a time, and what bounds it from then on, seen from the base."""
+    """Motion of the bodies at a time, and bounds on it from then on, in the base frame."""
 
     w: Floats  # (m,) rates of the bodies
-    alpha: Floats  # (m,) the most that these change by in a second
+    alpha: Floats  # (m,) largest change of these in a second
     N: Floats  # (m,) n_k
     length: Floats  # (m,) from each pivot to the next
     arms: Floats  # (3, m) |S_k|, |T_k| and |T_k| / M
     speed: float  # of the centre of mass
-    own: float  # the least that I can be: the bodies' own inertias
+    own: float  # lower bound of I: the bodies' own inertias
     chase: float  # speed of the target
 
 
 @helper
 def _world_speeds(motion, h, inertia, moment, L, Psi, U):  # type: ignore[no-untyped-def]
-    """Write a bound on the speed of base, joints and tip in a window of length h."""
+    """Write bounds on the speeds of base, joints and tip in a window of length h."""
     w, alpha, N, arms = motion.w, motion.alpha, motion.N, motion.arms
     m = w.size
-    less = change = 0.0  # that I may lose in the window; that sum n_k w_k may change by
+    less = change = 0.0  # largest loss of I in the window; largest change of sum n_k w_k
     for k in range(m):
         swing = 0.0
         for j in range(k):
@@ -137,7 +137,7 @@ def _world_speeds(motion, h, inertia, moment, L, Psi, U):  # type: ignore[no-unt
         change += swing * (abs(w[k]) + alpha[k] * h) + abs(N[k]) * alpha[k] * h
     spin = (L - moment) / inertia
     least = max(inertia - less, motion.own)
-    drift = (change + abs(spin) * less) / least  # that psi'_0 may change by
+    drift = (change + abs(spin) * less) / least  # largest change of psi'_0
     for k in range(m):
         Psi[k] = abs(spin + w[k]) + drift + alpha[k] * h
     total = motion.speed
@@ -151,7 +151,7 @@ def _world_speeds(motion, h, inertia, moment, L, Psi, U):  # type: ignore[no-unt
 
 @helper
 def _closing(i, j, h, motion, U):  # type: ignore[no-untyped-def]
-    """A bound on how fast two bodies approach each other in a window of length h."""
+    """Return a bound on the approach speed of two bodies in a window of length h."""
     w, alpha = motion.w, motion.alpha
     n = w.size - 1
     if j <= n:
@@ -168,7 +168,7 @@ def _closing(i, j, h, motion, U):  # type: ignore[no-untyped-def]
 
 @helper
 def _widest(motion, h):  # type: ignore[no-untyped-def]
-    """The window, h long at most, in which no body turns by more than about TURN."""
+    """Return the window, at most h long, in which no body turns by more than about TURN."""
     fastest = most = TINY
     for k in range(1, motion.w.size):
         fastest, most = max(fastest, abs(motion.w[k])), max(most, motion.alpha[k])
@@ -177,10 +177,9 @@ def _widest(motion, h):  # type: ignore[no-untyped-def]
 
 @helper
 def _safe_step(h, near, pairs, best, limit, motion, floats, inertia, moment, L, Psi, U):  # type: ignore[no-untyped-def]
-    """How far one may step in a window of length h, and the pair that allows no more, or -1.
+    """Return a safe step in a window of length h, and the pair that limits it, or -1.
 
-    Bounds on speeds are the lower, the shorter the window is. A gap that is below its margin is
-    looked at every LOOK.
+    A shorter window has lower bounds on speeds. A gap below its margin is checked every LOOK.
     """
     step, first = h, -1
     for _ in range(4):
@@ -235,7 +234,7 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
     motion = Motion(w, alpha, N, length, arms, abs(velocity), own, abs(chase))
 
     t, segment, worst, contact = times[0], 0, np.inf, False
-    window, epoch = np.inf, t  # the length of a step's, and when all pairs are due again
+    window, epoch = np.inf, t  # length of a step's window, and time when all pairs are due again
     best[:] = -np.inf
     found[0], found[1], found[2], found[3] = 0.0, t, np.inf, -1.0
     while True:
@@ -244,7 +243,7 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
         ended = segment + 1 >= knots
         rest = 0.0 if ended else times[segment + 1] - t
         step = min(rest, max(LOOK, (times[knots - 1] - found[1]) / 500.0))
-        if contact:  # look on for the least distance
+        if contact:  # continue, to find the least distance
             k = int(found[3])
             gap = _gap(int(pairs[k, 0]), int(pairs[k, 1]), r, now, sizes)
             if gap < found[2]:
@@ -329,18 +328,18 @@ def sweep(
     Args:
         p: (8 + 6 n,) Arm.vector().
         base: (6,) pose and twist at the first knot; no twist (NaN): without momentum; no pose
-            either: held where it is.
+            either: the base is held fixed.
         times: (k,) of the knots [s].
-        q: (k, n) readings there, cubic in between [rad].
-        qd: (k, n) rates there [rad/s].
+        q: (k, n) readings at these times, cubic in between [rad].
+        qd: (k, n) rates at these times [rad/s].
         pairs: (g, 3) two bodies by number, as in clearance.py, and their margin [m].
         sizes: (6,) of clearance.py.
-        target: (4,) its place at the first knot and its velocity [m, m/s].
+        target: (4,) its position at the first knot and its velocity [m, m/s].
 
     Returns:
-        Whether there are two such; from when on, or else when the least distance from its margin
-        was seen [s]; the least distance of these two, from then on [m]; the row of `pairs`, -1 if
-        there is none; readings at that distance (n) [rad].
+        True if there are two such bodies; the time of the violation, or else of the smallest
+        distance from the margin [s]; the least distance of these two from then on [m]; their row
+        of `pairs`, -1 if there is none; readings at that distance (n) [rad].
     """
     found, where = _sweep(p, base, times, q, qd, pairs, sizes, target, np.empty(4))
     return bool(found[0]), float(found[1]), float(found[2]), int(found[3]), where
@@ -356,6 +355,6 @@ def contacts(
     sizes: npt.ArrayLike,
     target: npt.ArrayLike,
 ) -> npt.NDArray[np.bool_]:
-    """Whether there are two such, of what `sweep` takes; leading dimensions broadcast."""
+    """Return True for paths on which `sweep` finds such bodies; leading dimensions broadcast."""
     found, _ = _sweep(p, base, times, q, qd, pairs, sizes, target, np.empty(4))
     return np.asarray(found[..., 0] > 0.0)

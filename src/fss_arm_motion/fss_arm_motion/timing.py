@@ -1,10 +1,10 @@
-"""A path in joint space as a path in time: run through smoothly, and kept by few knots.
+"""Time scaling of a path in joint space: smooth, and with few knots.
 
-A path q(s) of length S is run through in the time T by
+A path q(s) of length S is followed in the time T by
 
     s(t) = S (10 r^3 - 15 r^4 + 6 r^5),   r = t / T
 
-which begins and ends at rest without jerks. Rates scale with 1 / T, accelerations with 1 / T^2, and
+which starts and ends at rest without jerks. Rates scale with 1 / T, accelerations with 1 / T^2, and
 so do torques on a base without momentum (no gravity acts on an air-bearing table).
 """
 
@@ -17,14 +17,14 @@ from fss_arm_motion.plan import PlanError, Start
 
 Path = Callable[[Floats], tuple[Floats, Floats, Floats]]
 
-DENSEST = 8.0  # knots, as links buffer 32 segments 4 s ahead [1/s]
-SPARSEST = 2.0  # [1/s]
+DENSEST = 8.0  # most knots per second: links buffer 32 segments, 4 s ahead [1/s]
+SPARSEST = 2.0  # fewest knots per second [1/s]
 TOLERANCE = 1e-4  # of angles between knots [rad]
-COUNT = 201  # moments at which a path is looked at
+COUNT = 201  # number of times at which a path is evaluated
 
 
 def run_through(r: Floats) -> tuple[Floats, Floats, Floats]:
-    """Share of the way after a share r of the time, and its first and second derivative."""
+    """Return the share of the way after a share r of the time, and its first two derivatives."""
     return (
         r**3 * (10.0 - 15.0 * r + 6.0 * r**2),
         30.0 * r**2 * (1.0 - r) ** 2,
@@ -33,15 +33,15 @@ def run_through(r: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def shortest(start: Start, path: Path, least: float = 0.5) -> float:
-    """The shortest time T in which limits let a path q(s), s from 0 to 1, be run through [s].
+    """Return the shortest time T [s] in which a path q(s), s from 0 to 1, keeps the limits.
 
     Args:
         start: the limits, and the angular momentum.
         path: angles and their two derivatives by s, (k, n) each, at s (k,).
-        least: time to begin with [s].
+        least: initial time [s].
 
     Raises:
-        PlanError: no time is enough.
+        PlanError: no time is long enough.
     """
     s, speed, gain = run_through(np.linspace(0.0, 1.0, COUNT))
     q, slope, bend = path(s)
@@ -59,12 +59,12 @@ def shortest(start: Start, path: Path, least: float = 0.5) -> float:
 def knots(
     law: Callable[[Floats], tuple[Floats, Floats]], lasts: float, tolerance: float = TOLERANCE
 ) -> tuple[Floats, Floats, Floats, float]:
-    """The fewest evenly spaced knots whose cubics follow a law: times, q, qd and the deviation.
+    """Return the fewest evenly spaced knots whose cubics follow a law: times, q, qd, deviation.
 
     Args:
         law: angles and rates at times (k,), (k, n) each.
         lasts: its duration [s].
-        tolerance: of the angles [rad]; with as many knots as links can buffer, more is taken.
+        tolerance: of the angles [rad]; exceeded if links cannot buffer enough knots.
     """
     probes = np.linspace(0.0, lasts, COUNT)
     ideal = law(probes)[0]

@@ -1,17 +1,17 @@
-"""The end effector along a line, or through poses, in the world or in the base's frame.
+"""Motion of the end effector along a line or through poses, in the world or the base frame.
 
 In the world the base floats, with momentum (P, L) or without. The tip's twist is
 
     v = J* q' + v_m,    J* the generalized Jacobian (Umetani and Yoshida 1989)
 
-v_m being what the momentum alone would give it, had the arm its present posture for good. With the
-wished twist v_w, the tip's error e and a bump b(t) that is 1 where the motion begins and ends,
+v_m is the tip's twist due to the momentum alone, with the arm fixed in its current posture. With
+the desired twist v_w, the tip's error e and a bump b(t) that is 1 where the motion starts and ends,
 
     q' = W (z + J*^T (J* W J*^T + mu 1)^-1 (v_w + (1 - b) (e / tau - v_m) - J* W z))
 
-so that the arm begins and ends at rest, in a base that drifts, and in between the tip keeps to its
-way. z pulls joints away from their limits along the self-motions (Liegeois 1977), and the diagonal
-W slows those that go to a limit nearby (Chan and Dubey 1995); mu is 0 but near a singularity
+so that the arm starts and ends at rest on a base that drifts, and in between the tip follows its
+path. z pulls joints away from their limits along the self-motions (Liegeois 1977), and the diagonal
+W slows joints that approach a limit (Chan and Dubey 1995); mu is 0 except near a singularity
 (Nakamura and Hanafusa 1986). In the base's frame J* is the tip's Jacobian with the base held, and
 v_m is 0.
 """
@@ -41,17 +41,17 @@ WORLD, BASE = "world", "base"
 STEPS = 400  # of the Runge-Kutta method of 4th order
 RAMP = 0.15  # share of the time in which the bump falls, and rises again
 SETTLING = 0.1  # tau, share of the time
-SINGULAR = 0.01  # det(J* J*^T), as a share of its trace's r-th part to the r, of damping's begin
-DAMPING = 0.01  # mu at a singularity, as a share of that part
-PULL = 3.0  # of joints away from their limits, at a limit, over the way [rad/m]
-NEAR = 0.3  # distance from a limit from which on a joint that goes there moves less [rad]
+SINGULAR = 0.01  # det(J* J*^T) over (trace / r)^r, below which damping starts
+DAMPING = 0.01  # mu at a singularity, over trace / r
+PULL = 3.0  # rate that pulls a joint at a limit away from it, per length of the path [rad/m]
+NEAR = 0.3  # distance from a limit below which a joint that approaches it is slowed [rad]
 AT_LIMIT = 0.05  # distance from a limit that explains why a path ends [rad]
-FULL, JOINT, LOST = range(3)  # how a path ends
+FULL, JOINT, LOST = range(3)  # reasons for the end of a path
 
 
 @dataclass(frozen=True)
 class TipPath(Settings):
-    """The end effector along a line or through poses.
+    """A path of the end effector along a line or through poses.
 
     Raises:
         SettingError: neither a line nor places are given, or both, or headings do not fit.
@@ -90,7 +90,7 @@ class TipPath(Settings):
 
 @helper
 def _solved(C, y, rows):  # type: ignore[no-untyped-def]
-    """Solve C y' = y in place by Gauss's elimination, C (rows, rows) symmetric and positive."""
+    """Solve C y' = y in place by Gaussian elimination, C (rows, rows) symmetric and positive."""
     for i in range(rows):
         for r in range(i + 1, rows):
             share = C[r, i] / C[i, i]
@@ -133,7 +133,7 @@ def _motions(p, floating, momentum, d, e, second, base, tip):  # type: ignore[no
 def _law(  # type: ignore[no-untyped-def]
     p, bounds, momentum, options, wish, x, d, e, second, base, tip, C, y, b, z, w, rate,
 ):  # fmt: skip
-    """Write the rates (3 + n,) of base and joints at a state x; return the tip's distance off."""
+    """Write the rates (3 + n,) of base and joints at a state x; return the tip's error [m]."""
     n, rows, settle = bounds.shape[0], int(options[0]), options[2]
     heading = _chain(p, x, d, e)
     _motions(p, options[1], momentum, d, e, second, base, tip)
@@ -230,15 +230,15 @@ def _followed(p_, bounds_, start, momentum_, options_, way_, _m, states, rates, 
 
 @dataclass(frozen=True)
 class Way:
-    """Where the tip is to be, over a share s of the way."""
+    """Path of the tip over a share s of its length."""
 
-    curve: Callable[..., Floats]  # of x, y [m] and heading [rad], or a derivative
+    curve: Callable[..., Floats]  # x, y [m] and heading [rad], or a derivative
     length: float  # [m]
-    rows: int  # 2: heading as it comes; 3: given
+    rows: int  # 2: heading free; 3: heading given
     frame: str
 
     def table(self, end: float, lasts: float) -> Floats:
-        """Places, headings, their rates and the bump at half steps, (2 STEPS + 1, 7)."""
+        """Return places, headings, their rates and the bump at half steps, (2 STEPS + 1, 7)."""
         r = np.linspace(0.0, 1.0, 2 * STEPS + 1)
         s, speed, _ = run_through(r)
         places, slopes = self.curve(end * s), self.curve(end * s, 1)
@@ -246,13 +246,13 @@ class Way:
 
 
 def bump(r: Floats) -> Floats:
-    """1 at the begin and the end of the time, 0 in between, smooth."""
+    """Return 1 at the start and the end of the time, 0 in between, smooth."""
     x = np.clip(np.minimum(r, 1.0 - r) / RAMP, 0.0, 1.0)
     return 1.0 - run_through(x)[0]
 
 
 def way_of(start: Start, asked: TipPath) -> Way:
-    """The way from where the tip is.
+    """Return the way from the current position of the tip.
 
     Raises:
         PlanError: it has no length.
@@ -277,7 +277,7 @@ def way_of(start: Start, asked: TipPath) -> Way:
 def _follow(
     start: Start, way: Way, end: float, lasts: float, tolerance: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Times, states and rates on the way, (m, 3 + n), and how it ended, (3,)."""
+    """Return times, states and rates on the way, (m, 3 + n), and how it ended, (3,)."""
     floating = way.frame == WORLD
     options = np.array(
         [way.rows, floating, SETTLING * lasts, PULL, SINGULAR, DAMPING,
@@ -292,11 +292,11 @@ def _follow(
 
 
 def tip_path(start: Start, asked: TipPath) -> Plan:
-    """The motion, as fast as limits allow or in the time asked for.
+    """Plan the motion, as fast as limits allow or in the requested time.
 
     Raises:
         PlanError: a joint's limit or a singularity ends the way early, and a part of it is not
-            enough; or limits cannot be kept.
+            accepted; or limits cannot be kept.
     """
     way = way_of(start, asked)
     end, lasts, ended = 1.0, asked.duration or max(1.0, 2.0 * way.length), ""
@@ -341,7 +341,7 @@ def tip_path(start: Start, asked: TipPath) -> Plan:
 
 
 def _reason(start: Start, report: Floats, q: Floats, gone: float, length: float) -> str:
-    """How a path ended, with the joint that is nearest to its limit if one is near."""
+    """Return the reason why a path ended, with the joint nearest to its limit if one is near."""
     low, high = start.limits.bounds.T
     i = int(report[2]) if report[0] == JOINT else int(np.argmin(np.minimum(q - low, high - q)))
     words = f"ends after {gone:.3f} m of {length:.3f} m"
@@ -352,7 +352,7 @@ def _reason(start: Start, report: Floats, q: Floats, gone: float, length: float)
 
 
 def tips(start: Start, plan: Plan, frame: str) -> Floats:
-    """The end effector's poses at the times of a plan's prediction, (k, 3)."""
+    """Return the end effector's poses at the times of a plan's prediction, (k, 3)."""
     q = plan.at(plan.prediction.times)[0]
     if frame == BASE:
         return tip_in_base(start.arm.vector(), q)
@@ -360,7 +360,7 @@ def tips(start: Start, plan: Plan, frame: str) -> Floats:
 
 
 def _error(start: Start, way: Way, end: float, plan: Plan) -> float:
-    """The largest distance of the tip from its way [m], of the motion that knots make."""
+    """Return the tip's largest distance from its way [m], for the motion through the knots."""
     at = tips(start, plan, way.frame)[:, :2]
     line = way.curve(end * np.linspace(0.0, 1.0, 401))[:, :2]
     begin, along = line[:-1], np.diff(line, axis=0)

@@ -1,4 +1,4 @@
-"""What was measured in the last while: how it drifts before a motion, how it moves in it."""
+"""Recent measurements: their drift before a motion, and their changes during it."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -11,11 +11,11 @@ from fss_arm_model.kernels import Floats
 
 SECOND = 1_000_000_000
 KEPT = 900 * SECOND  # [ns]
-BLOCKS = 8  # of rows, whose means have errors that are independent, unlike those of rows
+BLOCKS = 8  # number of blocks of rows; errors of block means are independent, those of rows are not
 
 
 class Drift(NamedTuple):
-    """Of k values, at rest but for that."""
+    """Drift of k values that are otherwise at rest."""
 
     at: Floats  # (k,) values at the end
     rate: Floats  # (k,) [1/s]
@@ -23,18 +23,18 @@ class Drift(NamedTuple):
 
 
 class Track:
-    """Rows of k values by their stamps, the one at `angle` unwrapped."""
+    """Rows of k values with their stamps; the value at index `angle` is unwrapped."""
 
     def __init__(self, angle: int | None = None) -> None:
         self.angle = angle
         self._rows: deque[tuple[int, Sequence[float]]] = deque()
 
     def add(self, t: int, values: Sequence[float]) -> None:
-        """Keep values of t [ns]; where stamps go back, or k changes, forget the others."""
+        """Add values at t [ns]; if the stamp goes back, or k changes, delete all earlier rows."""
         if self._rows and (t < self._rows[-1][0] or len(values) != len(self._rows[-1][1])):
             self._rows.clear()
         elif self._rows and t == self._rows[-1][0]:
-            self._rows.pop()  # an estimate that knows more
+            self._rows.pop()  # replaced by a better estimate
         if self._rows and self.angle is not None:
             before, values = self._rows[-1][1][self.angle], list(values)
             turn = values[self.angle] - before
@@ -44,13 +44,13 @@ class Track:
             self._rows.popleft()
 
     def between(self, begin: int, end: int) -> tuple[Floats, Floats]:
-        """Times since `begin` [s], (m,), and rows, (m, k), of what was seen from then to `end`."""
+        """Return times since `begin` [s], (m,), and rows, (m, k), from `begin` to `end` [ns]."""
         recent = takewhile(lambda row: row[0] >= begin, reversed(self._rows))
         rows = [row for row in recent if row[0] <= end][::-1]
         return np.array([(t - begin) / SECOND for t, _ in rows]), np.array([v for _, v in rows])
 
     def drift(self, t: int, window: float) -> Drift | None:
-        """By a line through the window [s] before t [ns]; None: too few rows."""
+        """Fit a line to the window [s] before t [ns]; return None if there are too few rows."""
         times, rows = self.between(t - round(window * SECOND), t)
         if len(times) < 2 * BLOCKS or np.ptp(times) < 0.5 * window:
             return None
@@ -62,7 +62,7 @@ class Track:
         return Drift(at, rate, off.T @ off / (BLOCKS - 2) / np.sum((x - x.mean()) ** 2))
 
     def moved(self, begin: int, end: int) -> tuple[Floats, Floats] | None:
-        """The change of each value, and the largest on the way, (k,); None: it was not seen."""
+        """Return change and largest deviation of each value, (k,); None: there are too few rows."""
         times, rows = self.between(begin, end)
         span = (end - begin) / SECOND
         if len(times) < 2 or times[0] > 0.2 or times[-1] < span - 0.2:

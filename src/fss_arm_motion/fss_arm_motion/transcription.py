@@ -1,18 +1,18 @@
-"""The motion between two postures as a nonlinear program over few knots.
+"""Nonlinear program for the motion between two postures, over few knots.
 
 A path has m knots, at rest at the first and the last one, and cubics between them (Hermite's), as
-the links keep it. The inner knots' angles and rates and the times h_k between knots are chosen:
+in the links. The variables are the inner knots' angles and rates and the times h_k between knots:
 
     minimize    w_t sum_k h_k + w_r mean(omega^2) / 2 + w_s sum(q''^2) / 2
     subject to  |q'| <= rate, |q''| <= acceleration, q_min <= q <= q_max, h_k >= least,
-                |tau + viscous q'| <= torque, gap >= margin, and, if asked for, int omega dt = turn
+                |tau + viscous q'| <= torque, gap >= margin, and, if requested, int omega dt = turn
 
 where omega is the base's rate, tau the torques of free_floating.py and gap the least one between
-two bodies that are not neighbours (fss_arm_model.clearance). They are asked for at the five Lobatto
-points of each segment; what happens between them is for the caller to see. As accelerations may
-jump at knots whose times are free, few knots suffice where the best motion switches between limits.
+two bodies that are not neighbours (fss_arm_model.clearance). Limits are imposed at the five Lobatto
+points of each segment; the caller must check the motion between them. As accelerations may jump at
+knots whose times are free, few knots suffice where the best motion switches between limits.
 
-Here are the limits' values and derivatives; interior_point.py solves. At a point there are 4 n + 1
+This module has the limits' values and derivatives; interior_point.py solves. Each point has 4 n + 1
 limited quantities: n torques, the gap, n rates, n positions, n accelerations; then the base's rate.
 A segment's variables are q_0, q'_0, h, q_1, q'_1, 4 n + 1 in all.
 """
@@ -28,15 +28,15 @@ from fss_arm_model.free_floating import _free_torques, _geometry
 from fss_arm_model.kernels import Complexes, Floats, helper, kernel
 from fss_arm_model.kinematics import _chain
 
-POINTS = 5  # of a segment; Lobatto's, and their weights for integrals
+POINTS = 5  # Lobatto points of a segment
 _PLACES = 0.5 + 0.5 * np.array([-1.0, -math.sqrt(3.0 / 7.0), 0.0, math.sqrt(3.0 / 7.0), 1.0])
 WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
 _DIFFERENCE = 1e-6  # of angles and rates, for forward differences
-_FAR = 1e3  # more than any gap [m]
+_FAR = 1e3  # larger than any gap [m]
 
 
 def _basis() -> Floats:
-    """Weights of q_0, h q'_0, q_1, h q'_1 in q, h q' and h^2 q'' at each point, (5, 3, 4)."""
+    """Return weights of q_0, h q'_0, q_1, h q'_1 in q, h q', h^2 q'' at the points, (5, 3, 4)."""
     x = _PLACES
     value = [1 - 3 * x**2 + 2 * x**3, x - 2 * x**2 + x**3, 3 * x**2 - 2 * x**3, x**3 - x**2]
     rate = [6 * x**2 - 6 * x, 1 - 4 * x + 3 * x**2, 6 * x - 6 * x**2, 3 * x**2 - 2 * x]
@@ -48,7 +48,7 @@ _BASIS = _basis()
 
 
 class Limited(NamedTuple):
-    """The arm and what limits it."""
+    """The arm and its limits."""
 
     p: Floats  # Arm.vector()
     rotor: Floats  # (2,) N^2 J and N J
@@ -59,7 +59,7 @@ class Limited(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What kernels write to and forget."""
+    """Scratch memory of kernels."""
 
     state: Floats  # (3 + n,), as the next four
     rate: Floats
@@ -88,12 +88,12 @@ def _torques(arm, s, geometry, tau):  # type: ignore[no-untyped-def]
 
 @helper
 def _gap(arm, s):  # type: ignore[no-untyped-def]
-    """The least gap between two bodies that are not neighbours, at the scratch's state."""
+    """Return the least gap between bodies that are not neighbours, at the scratch's state."""
     d, radii = s.work[0], arm.radii
     _chain(arm.p, s.state, d, s.work[1])
     least, a = _FAR, d[0]
     for i in range(2, d.size):
-        a += d[i - 1]  # where link i begins
+        a += d[i - 1]  # start of link i
         least = min(least, _to_segment(a, d[i], 0j) - radii[0] - radii[1])
         b = d[0]
         for j in range(1, i - 1):
@@ -111,7 +111,7 @@ def _gaps(p, q_m, radii, out):  # type: ignore[no-untyped-def]
 
 
 def gaps(p: npt.ArrayLike, q_m: npt.ArrayLike, radii: npt.ArrayLike) -> Floats:
-    """The least gap between two bodies that are not neighbours, (...) [m]; below 0 they collide.
+    """Return the least gap between bodies that are not neighbours, (...) [m]; collision below 0.
 
     Args:
         p: (..., 8 + 6 n) Arm.vector().
@@ -123,7 +123,7 @@ def gaps(p: npt.ArrayLike, q_m: npt.ArrayLike, radii: npt.ArrayLike) -> Floats:
 
 @helper
 def _at(point, h, q, qd, s):  # type: ignore[no-untyped-def]
-    """Bring the scratch's state, rate and gain to a point of a segment with knots (2, n)."""
+    """Set the scratch's state, rate and gain to a point of a segment with knots (2, n)."""
     b = _BASIS[point]
     for i in range(q.shape[1]):
         q0, q1, v0, v1 = q[0, i], q[1, i], h * qd[0, i], h * qd[1, i]
@@ -134,7 +134,7 @@ def _at(point, h, q, qd, s):  # type: ignore[no-untyped-def]
 
 @helper
 def _asked(r, n, k, point, segments):  # type: ignore[no-untyped-def]
-    """Whether quantity r is limited at a point.
+    """Return True if quantity r is limited at a point.
 
     Accelerations are largest at a segment's ends; the first and last posture are given.
     """
@@ -152,9 +152,9 @@ def _room(room, value, low, high):  # type: ignore[no-untyped-def]
 
 @helper
 def _values(arm, s, h, q, qd, room, omegas):  # type: ignore[no-untyped-def]
-    """Write the room (K, 5, 4 n + 1, 2) below and above of each, and the base's rates (K, 5).
+    """Write the distances (K, 5, 4 n + 1, 2) to both limits, and the base's rates (K, 5).
 
-    Returns the least room.
+    Returns the least distance.
     """
     n, least, limits = q.shape[1], math.inf, arm.limits
     for k in range(h.size):
@@ -187,16 +187,16 @@ def _by_variables(point, order, h, q, qd, i, out):  # type: ignore[no-untyped-de
 
 @helper
 def _rows(arm, s, point, h, q, qd, timed, rows):  # type: ignore[no-untyped-def]
-    """Write the derivatives (4 n + 2, 4 n + 1) of what is limited, and of the base's rate.
+    """Write the derivatives (4 n + 2, 4 n + 1) of limited quantities and of the base's rate.
 
-    By a segment's variables, h among them if times are chosen.
+    The derivatives are by a segment's variables, including h if times are free.
     """
     n, part = q.shape[1], s.part
     _at(point, h, q, qd, s)
     geometry = _geometry(arm.p, s.state, s.work, s.second)
     omega, gap = _torques(arm, s, geometry, s.tau), _gap(arm, s)
     rows[:] = 0.0
-    for order in (1, 2, 0):  # what leaves the geometry alone comes first
+    for order in (1, 2, 0):  # orders that do not change the geometry come first
         moved = s.state if order == 0 else (s.rate if order == 1 else s.gain)
         own = (2 * n + 1) if order == 0 else ((n + 1) if order == 1 else (3 * n + 1))
         size = 1.0 if order == 2 else _DIFFERENCE  # linear in accelerations
@@ -229,7 +229,7 @@ def _rows(arm, s, point, h, q, qd, timed, rows):  # type: ignore[no-untyped-def]
 
 @helper
 def _turn(h, omegas):  # type: ignore[no-untyped-def]
-    """The integral of the base's rate."""
+    """Return the integral of the base's rate."""
     total = 0.0
     for k in range(h.size):
         for j in range(POINTS):

@@ -1,18 +1,18 @@
-"""Arm motions that leave the base's heading alone: zero-reaction maneuvers.
+"""Arm motions that do not change the base's heading: zero-reaction maneuvers.
 
 Without momentum the base turns at the rate
 
     omega = G(q) q',    G the base's angular rate per joint rate (the angular coupling)
 
 so that joint rates in the null space of G, n - 1 of them, do not turn it (Yoshida, Hashizume and
-Abiko 2001; the paper's [24]). Along a wished direction u the joints follow the nearest of them,
+Abiko 2001; the paper's [24]). Along a desired direction u the joints follow its projection,
 
     dq/dl = P u / |P u|,   P = 1 - G^T G / |G|^2
 
-as far as limits allow. The constraint G q' = 0 is not integrable for three joints or more: which
-postures such motions reach depends on their path. A goal is reached by the motion that turns the
-base least, given time for a way around; it is searched for from the straight one, and not always
-found where there is one.
+as far as limits allow. The constraint G q' = 0 is not integrable for three joints or more: the
+postures that such motions reach depend on their path. For a goal, the motion with the least turn
+of the base is searched for, with additional time for a detour. The search starts from the straight
+motion, and does not always find an existing solution.
 """
 
 import math
@@ -30,10 +30,10 @@ from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 from fss_arm_motion.timing import knots, run_through, shortest
 
 STEP = 5e-3  # of the Runge-Kutta method of 4th order [rad]
-FAINT = 1e-3  # share of a wish that counts as nothing
+FAINT = 1e-3  # smallest share of a direction that is not neglected
 
-STRAIGHTER = 1e-3  # length that counts as none [rad]
-PATIENCE = (2.5, 8.0)  # beyond the fastest motion, tried one after the other [s]
+STRAIGHTER = 1e-3  # longest path that counts as none [rad]
+PATIENCE = (2.5, 8.0)  # times beyond the fastest motion, tried one after the other [s]
 
 LIMIT, NOTHING_LEFT, LENGTH = range(3)
 
@@ -70,7 +70,7 @@ class ZeroReaction(Settings):
 
 @helper
 def _slope(p, u, q, d, e, J, x):  # type: ignore[no-untyped-def]
-    """Write the wish's part that does not turn the base, of length 1; return its length."""
+    """Write the part of u that does not turn the base, normalized; return its former length."""
     _chain(p, q, d, e)
     _floating(p, d, e, J)
     along = size = 0.0
@@ -134,19 +134,19 @@ def _null_path(p, bounds, q0, u0, length, _m, q, slope, report):  # type: ignore
 def null_path(
     start: Start, direction: npt.ArrayLike, length: float
 ) -> tuple[Floats, Floats, Floats, str]:
-    """The motion that follows wished joint rates as closely as it can without turning the base.
+    """Return the motion that follows joint rates as closely as it can without turning the base.
 
     Args:
-        start: posture to begin from, and limits.
-        direction: joint rates u, (n,), of which the direction counts.
+        start: initial posture, and limits.
+        direction: joint rates u, (n,); only their direction counts.
         length: of the path in the space of the joints [rad].
 
     Returns:
-        Lengths (m,) [rad], postures (m, n), their derivatives by the length (m, n), and why it
-        went no further, empty if it went all the length.
+        Lengths (m,) [rad], postures (m, n), their derivatives by the length (m, n), and the reason
+        for an early end (empty if the path has the full length).
 
     Raises:
-        PlanError: the direction is no direction.
+        PlanError: the direction is not valid.
     """
     u = np.asarray(direction, dtype=float)
     if u.shape != start.q.shape or not (np.isfinite(u).all() and np.linalg.norm(u) > 0.0):
@@ -166,10 +166,10 @@ def null_path(
 
 
 def zero_reaction(start: Start, asked: ZeroReaction) -> Plan:
-    """The motion, with the time that limits need.
+    """Plan the motion, with the time that limits need.
 
     Raises:
-        PlanError: it does not even begin, limits cannot be kept, or a goal is not reached without
+        PlanError: no motion is possible, limits cannot be kept, or a goal is not reached without
             turning the base.
     """
     return _to_goal(start, asked) if asked.goal else _along(start, asked)

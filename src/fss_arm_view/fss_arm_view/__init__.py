@@ -1,1 +1,1 @@
-"""The base's reaction to the arm, computed and shown."""
+"""Computation and display of the base's reaction to the arm."""

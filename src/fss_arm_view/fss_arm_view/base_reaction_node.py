@@ -1,4 +1,4 @@
-"""The node `base_reaction`: the base's motion, predicted and measured, as topics a bag keeps."""
+"""Node `base_reaction`: publishes the base's motion, predicted and measured."""
 
 import sys
 from collections import defaultdict
@@ -37,10 +37,11 @@ from .base_reaction import BaseReaction, Reaction
 from .programs import base_reaction as main
 from .settings import BaseReactionSettings
 
-#: Topics of results; a kinematic one's time_offset is the joints', a dynamic one's the gyro's, too.
+#: Topics of calibrations. The time_offset of a kinematic result is that of the joints, that of a
+#: dynamic result is that of joints and gyro.
 KINEMATIC, DYNAMIC = "calibration/kinematic", "calibration/dynamic"
 
-# Fields that a Reaction and its message have in common.
+# Fields common to a Reaction and its message.
 VECTORS = (
     *("predicted", "predicted_deviation", "measured", "measured_deviation", "twist"),
     *("momentum", "momentum_deviation", "momentum_drift", "force", "q", "com"),
@@ -48,16 +49,16 @@ VECTORS = (
 
 
 class BaseReactionNode(Node):
-    """Publishes base/state and base_reaction, with the newest calibration that passed."""
+    """Node that publishes base/state and base_reaction, with the newest calibration that passed."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("base_reaction", **options)
         s = self.settings = declare(self, BaseReactionSettings)
         self.known = Calibrated(described(s.arm))
-        self.offsets: dict[str, int] = {}  # of clocks against motion capture's [ns], by calibration
+        self.offsets: dict[str, int] = {}  # clock offsets to motion capture [ns], by calibration
         self.begin()
         self.occluded = 0
-        self.published = monotonic()  # when the last reaction was
+        self.published = monotonic()  # time of the last published reaction [s]
         self.state = self.transform = None
         if s.publish_state:
             self.state = self.create_publisher(Odometry, "base/state", SENSOR)
@@ -76,15 +77,15 @@ class BaseReactionNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def begin(self) -> None:
-        """Follow base and joints from nothing but what is known of the arm."""
+        """Reset all that was measured; keep what is known of the arm."""
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
         self.filter = BodyFilter(self.settings)
         self.reaction = BaseReaction(self.known.arm, self.known.covariance, self.settings)
-        self.pose: tuple[float, float, float] | None = None  # the last one
-        self.fired = -inf  # until when a thruster did [ns]
+        self.pose: tuple[float, float, float] | None = None  # last pose received
+        self.fired = -inf  # end of the last thruster pulse [ns]
 
     def stamp(self, topic: str, message: Any) -> int:
-        """A message's stamp [ns]; where a topic's are set back, all begins anew."""
+        """Return a message's stamp [ns]; if a topic's stamps jump back, reset the node."""
         t = stamp_ns(message.header.stamp)
         if self.stamps[topic].set_back(t):
             self.get_logger().warning(f"{topic} went back to {t / SECOND:.1f} s: begins anew")
@@ -92,7 +93,7 @@ class BaseReactionNode(Node):
         return t
 
     def on_joints(self, message: JointState) -> None:
-        """Readings of one link or more; the reaction at all moments that are known now."""
+        """Add readings of one or more links; publish the reaction at all times known now."""
         t = self.stamp(self.settings.joints_topic, message)
         t -= self.offsets.get(KINEMATIC, self.offsets.get(DYNAMIC, 0))
         for i, q, qd, effort in joint_readings(message):
@@ -101,32 +102,32 @@ class BaseReactionNode(Node):
         self.advance()
 
     def on_pose(self, message: PoseStamped) -> None:
-        """A pose of the base."""
+        """Add a pose of the base; count occluded and repeated ones."""
         if (pose := seen_pose(message)) is None:
             self.occluded += 1
             return
         t = self.stamp(self.settings.base_topic, message)
         if pose == self.pose and self.reaction.moving():
-            self.filter.rejected["frozen"] += 1  # a receiver repeats its last pose
+            self.filter.rejected["frozen"] += 1  # the motion capture receiver repeats its last pose
             return
         self.pose = pose
         if self.filter.pose(t, *pose):
             self.take()
 
     def on_gyro(self, message: Imu) -> None:
-        """A sample of the base's rate."""
+        """Add a sample of the base's rate."""
         t = self.stamp(self.settings.gyro_topic, message) - self.offsets.get(DYNAMIC, 0)
         self.filter.rate(t, message.angular_velocity.z)
 
     def on_thrust(self, message: ThrusterCommand) -> None:
-        """Thrusters fire, which no prediction from the joints knows of."""
+        """Store when thrusters fire: a prediction from the joints does not include them."""
         longest = max(message.on_time)
-        if all(map(isfinite, message.on_time)) and longest > 0.0:  # else the board refuses it
+        if all(map(isfinite, message.on_time)) and longest > 0.0:  # else the board rejects it
             until = stamp_ns(message.header.stamp) + round(longest * SECOND)
             self.fired = max(self.fired, until)
 
     def on_calibration(self, topic: str, message: Any) -> None:
-        """Predict with it from the next rest on, if it passed."""
+        """Use a calibration that passed for predictions, from the next rest on."""
         try:
             known = self.known.of_same_links(topic, message)
         except ValueError as error:
@@ -140,7 +141,7 @@ class BaseReactionNode(Node):
             self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
 
     def take(self) -> None:
-        """Keep the base's motion, and publish it."""
+        """Store the filter's state of the base, and publish it."""
         state = self.filter.state()
         self.reaction.base(state)
         if self.state and self.transform:
@@ -149,7 +150,7 @@ class BaseReactionNode(Node):
             self.transform.publish(transform(state, *frames))
 
     def advance(self) -> None:
-        """Publish the reaction, `rate` times a second."""
+        """Publish the reaction at `rate`, up to the last time that is known."""
         until, period = self.reaction.known_until(), int(SECOND / self.settings.rate)
         if until - self.reaction.t > SECOND:
             self.step(until)
@@ -163,12 +164,12 @@ class BaseReactionNode(Node):
             self.published = monotonic()
             message = to_message(found, self.known.arm.name, self.settings.world_frame)
             drifts = found.anchor - round(self.settings.max_drift_duration * SECOND)
-            if self.fired > drifts:  # nothing of the arm alone
+            if self.fired > drifts:  # the difference is not due to the arm alone
                 message.difference = np.full(3, nan)
             self.reacted.publish(message)
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the node's health for diagnostics."""
         values: dict[str, float] = {
             "poses occluded": self.occluded,
             **{f"{what} rejected": count for what, count in self.filter.rejected.items()},
@@ -185,7 +186,7 @@ class BaseReactionNode(Node):
 
 
 def to_message(reaction: Reaction, arm: str, world_frame: str) -> BaseReactionMessage:
-    """A reaction as a message."""
+    """Convert a reaction to a message."""
     message = BaseReactionMessage(
         arm=arm,
         anchor=to_time(reaction.anchor),

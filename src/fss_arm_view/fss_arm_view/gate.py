@@ -1,17 +1,18 @@
-"""The gate before the page and its data: nothing that the page asks for leaves the laboratory.
+"""Gate in front of rerun's page and its data: no request of the page leaves the laboratory.
 
-rerun's program serves whoever asks, under any name, and its page asks hosts of rerun's maker for
-fonts and releases, and tells them how it is used. This stands before both of its servers:
+rerun's program serves every client, under any host name. Its page requests fonts and releases from
+hosts of rerun's vendor, and reports to them how it is used. The gate is a proxy for both servers:
 
-- A request is let in if its Host is an address or a name of this computer, so that a page from
-  elsewhere cannot reach them under a name of its own (DNS rebinding). What speaks HTTP/2 from its
-  first word, as rerun's own programs do and no browser, has no Host to check.
-- The page comes with a policy by which browsers load from here and nowhere else, and without the
-  links by which they would look other hosts up before they obey it.
+- A request is accepted if its Host is an address or a name of this computer, so that a foreign
+  page cannot reach the servers under its own host name (DNS rebinding). Clients that speak HTTP/2
+  from the first line have no Host to check. rerun's own programs do so, but no browser does.
+- The page is sent with a policy by which browsers load from this host only. Links that would make
+  browsers look up other hosts before they apply the policy are removed.
 
-It adds the strip to the page, and answers for what that shows (`page.py`).
+The gate adds the strip to the page, and answers its requests (`page.py`).
 
-It imports what starts quickly, and runs as a process of its own: `python -m fss_arm_view.gate`.
+It imports only modules that load quickly, and runs as a separate process:
+`python -m fss_arm_view.gate`.
 """
 
 import asyncio
@@ -31,7 +32,7 @@ from urllib.parse import urlsplit
 from fss_arm_view.page import NOW, with_strip
 
 HTTP2 = b"PRI * HTTP/2.0\r\n"
-PATIENCE = 10.0  # for the head of a request [s]
+PATIENCE = 10.0  # timeout for the head of a request [s]
 POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; worker-src 'self' blob:; "
@@ -40,7 +41,7 @@ POLICY = (
 
 
 def is_own(host: str, names: Iterable[str]) -> bool:
-    """Whether a Host header, with or without port, names an address or one of `names`."""
+    """Return True if a Host header, with or without port, is an IP address or one of `names`."""
     try:
         name = urlsplit(f"//{host.strip()}").hostname or ""
     except ValueError:
@@ -53,7 +54,7 @@ def is_own(host: str, names: Iterable[str]) -> bool:
 
 
 def header(head: bytes, name: bytes) -> str:
-    """A header's value in the head of a message; empty: there is none, or more than one."""
+    """Return a header's value from the head of a message; empty if it is absent or repeated."""
     found = [
         line.partition(b":")[2].decode("latin-1").strip()
         for line in head.split(b"\r\n")[1:]
@@ -63,13 +64,13 @@ def header(head: bytes, name: bytes) -> str:
 
 
 def without(head: bytes, name: bytes) -> bytes:
-    """The head of a message without a header, and without the empty line that ends it."""
+    """Return the head of a message without a header, and without its final empty line."""
     lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     return b"\r\n".join(line for line in lines if line.partition(b":")[0].lower() != name)
 
 
 def shut_in(page: bytes) -> bytes:
-    """A page without links to elsewhere."""
+    """Return the page without links to other hosts."""
     return re.sub(rb"<link\b[^>]*\bhref=.https?://[^>]*>", b"", page)
 
 
@@ -82,7 +83,7 @@ async def _pump(reader: StreamReader, writer: StreamWriter) -> None:
 
 
 def now(file: Path) -> bytes:
-    """The answer to who asks for the strip: what the node has said last, and how long ago [s]."""
+    """Return the HTTP response for the strip: the node's last content, and its age [s]."""
     try:
         age, said = time.time() - file.stat().st_mtime, file.read_bytes()
     except OSError:
@@ -93,7 +94,7 @@ def now(file: Path) -> bytes:
 
 
 async def _page(head: bytes, here: Any, there: Any, data_port: int, said: Path) -> None:
-    """One answer, with the policy among its headers."""
+    """Serve one request for the page, with the policy among the response's headers."""
     if head.split(b" ", 2)[1] == NOW.encode():
         here[1].write(now(said))
         await here[1].drain()
@@ -117,7 +118,7 @@ async def _page(head: bytes, here: Any, there: Any, data_port: int, said: Path) 
 
 
 async def _data(head: bytes, here: Any, there: Any) -> None:
-    """All that both sides say."""
+    """Relay all data in both directions."""
     there[1].write(head)
     await asyncio.gather(_pump(here[0], there[1]), _pump(there[0], here[1]))
 
@@ -129,7 +130,7 @@ async def _guard(
     reader: StreamReader,
     writer: StreamWriter,
 ) -> None:
-    """Let one connection in to a port of this computer, or send it away."""
+    """Connect one client to a port of this computer, or reject it with status 403."""
     writers = [writer]
     try:
         head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
@@ -145,7 +146,7 @@ async def _guard(
         writers.append(there[1])
         await serve(head, (reader, writer), there)
     except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-        pass  # whoever asked is gone, says nothing, or too much; or rerun's program is not up yet
+        pass  # the client left, timed out, or sent too much; or rerun has not started yet
     finally:
         for each in writers:
             each.close()
@@ -154,10 +155,10 @@ async def _guard(
 async def guard(
     bind: str, ports: tuple[int, int], inner: tuple[int, int], said: Path, names: str
 ) -> None:
-    """Stand before the data's port and the page's until cancelled.
+    """Serve the ports of the data and of the page until cancelled.
 
     Raises:
-        OSError: a port is taken.
+        OSError: a port is in use.
     """
     known = frozenset(f"{name}".lower() for name in (*names.split(), *own_names()))
     serve: tuple[Any, Any] = _data, partial(_page, data_port=ports[0], said=said)
@@ -169,13 +170,13 @@ async def guard(
 
 
 def own_names() -> set[str]:
-    """What this computer is called."""
+    """Return the host names of this computer."""
     name = socket.gethostname().lower()
     return {"localhost", name, f"{name}.local", socket.getfqdn().lower()}
 
 
 def main() -> int:
-    """Run: BIND DATA_PORT PAGE_PORT INNER_DATA_PORT INNER_PAGE_PORT SAID NAMES."""
+    """Run the gate: BIND DATA_PORT PAGE_PORT INNER_DATA_PORT INNER_PAGE_PORT SAID NAMES."""
     bind, *ports, said, names = sys.argv[1:]
     data, page, inner_data, inner_page = map(int, ports)
     try:

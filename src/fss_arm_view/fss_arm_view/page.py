@@ -1,8 +1,8 @@
-"""What the gate adds to rerun's page: the strip above it, and how old is what it shows.
+"""Additions of the gate to rerun's page: the strip above it, and the age of the drawings.
 
-The page asks the gate for NOW, which the node keeps in a file, and rerun for the time at which it
-draws: what it draws is older by the difference. A page that lags far behind, as on a busy computer,
-is loaded anew, and gets the newest first.
+The page requests NOW from the gate; the node keeps the answer in a file. It asks rerun for the time
+at which it draws; the difference is the age of the drawings. A page that lags far behind, as on a
+busy computer, is reloaded, and receives the newest drawings first.
 """
 
 NOW = "/fss/now"
@@ -112,6 +112,6 @@ SCRIPT = """
 
 
 def with_strip(page: bytes) -> bytes:
-    """A page with the strip, before the end of its body."""
+    """Return the page with the strip inserted before the end of its body."""
     body, end, rest = page.rpartition(b"</body>")
     return body + SCRIPT.encode() + end + rest if end else page

@@ -1,4 +1,4 @@
-"""The executables that run nodes."""
+"""Executables that run nodes."""
 
 from fss_arm_ros.program import Program
 

@@ -1,7 +1,7 @@
-"""What the view shows: drawings of the table from above, and series, as rerun's archetypes.
+"""Drawings of the view: the table from above, and time series, as rerun's archetypes.
 
-Entities: `table/...` is drawn to scale [m], of which `table/fss/...` moves with the base;
-`plot/<what>/<series>` are numbers over time, `log` is text. A drawing is a pair of entity and
+Entities: `table/...` is drawn to scale [m], and its part `table/fss/...` moves with the base;
+`plot/<what>/<series>` are numbers over time; `log` is text. A drawing is a pair of entity and
 archetype. rerun's plane has its y axis downwards, so y is drawn negated.
 """
 
@@ -28,22 +28,22 @@ TIMELINE = "time"
 
 TABLE = 4.0  # edge of the granite table [m]
 BASE = 0.27  # edge of the spacecraft simulator as drawn [m]
-CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the base, as thrusters are numbered
+CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # corners of the base in the thrusters' order
 PLUME = 0.15  # length of a thruster's plume as drawn [m]
-TRAIL = 600  # points kept
-TRAIL_STEP = 0.005  # between them [m]
-SHOWN = 60  # seconds of the plots
+TRAIL = 600  # points kept of a path
+TRAIL_STEP = 0.005  # minimum distance between points of a path [m]
+SHOWN = 60  # duration that the plots display [s]
 
-# Told apart on white and on black; each has one meaning, and red is left to alarms.
-STONE = (130, 130, 130)  # what does not move: the table; the arm on a base that is held
+# Distinguishable on white and on black; each has one meaning, and red is reserved for alarms.
+STONE = (130, 130, 130)  # what does not move: the table; the arm on a fixed base
 STEEL = (40, 110, 200)  # measured
-GHOST, BAND = (240, 130, 20), (250, 190, 120)  # predicted, and within one sigma of that
-TIP = (30, 150, 70)  # the end effector
-PURPLE = (150, 80, 190)  # the target, and what is to be kept out of about it
+GHOST, BAND = (240, 130, 20), (250, 190, 120)  # predicted, and its band of one sigma
+TIP = (30, 150, 70)  # end effector
+PURPLE = (150, 80, 190)  # the target, and the circle around it to keep out of
 JET = (0, 175, 190)  # thrusters that fire
-DIFFERENCE = (200, 40, 140)  # measured less predicted
+DIFFERENCE = (200, 40, 140)  # measured minus predicted
 AXES = (90, 90, 90), (165, 120, 10)  # x, y
-#: Of the links.
+#: Colours of the links.
 PALETTE = (
     *((130, 85, 45), (235, 150, 190), (125, 135, 25), (95, 60, 150)),
     *((70, 160, 140), (200, 110, 90), (150, 150, 200), (60, 90, 60)),
@@ -60,11 +60,11 @@ LEGEND = (
     ("manipulability, base held", STONE),
 )
 LEGEND_ROWS = 6
-ELLIPSE = 0.4  # how large manipulability is drawn [s]
+ELLIPSE = 0.4  # scale of the manipulability ellipse [s]
 
 
 class Series(NamedTuple):
-    """Numbers that share a plot."""
+    """Time series that share a plot."""
 
     name: str
     title: str
@@ -98,12 +98,12 @@ OF_LINKS = {
 
 
 def flat(points: npt.ArrayLike) -> Floats:
-    """Points (..., 2) as rerun draws them."""
+    """Convert points (..., 2) to rerun's plane: y is negated."""
     return np.asarray(points, dtype=float) * (1.0, -1.0)
 
 
 def ground() -> list[Drawing]:
-    """What does not change: the table's edge, and what the colours mean."""
+    """Draw what does not change: the table's edge, its scale and the legend."""
     a = TABLE / 2.0
     edge = flat([(-a, -a), (a, -a), (a, a), (-a, a), (-a, -a)])
     return [
@@ -114,7 +114,7 @@ def ground() -> list[Drawing]:
 
 
 def _ticks() -> list[Drawing]:
-    """Metres along the edges of the table."""
+    """Draw ticks and metres along the edges of the table."""
     a, metres = TABLE / 2.0, range(1 - int(TABLE / 2.0), int(TABLE / 2.0) + 1)
     marks = [[(m, -a), (m, 0.06 - a)] for m in metres] + [[(-a, m), (0.06 - a, m)] for m in metres]
     beside = [(m, -a - 0.1) for m in metres] + [(-a - 0.15, m) for m in metres]
@@ -125,7 +125,7 @@ def _ticks() -> list[Drawing]:
 
 
 def legend(k: int, text: str, colour: Colour) -> Drawing:
-    """The k-th entry of the legend, above the table: a word in its colour."""
+    """Draw the k-th entry of the legend, above the table: a text in its colour."""
     column, row = divmod(k, LEGEND_ROWS)
     place = (2.3 * column - 1.3, TABLE / 2.0 + 0.19 * (LEGEND_ROWS - row) + 0.05)
     word = rr.Points2D(flat([place]), colors=colour, radii=0.001, labels=[text], show_labels=True)
@@ -149,7 +149,7 @@ class Dots(NamedTuple):
 
 
 def together(what: str, parts: Sequence[Lines | Dots]) -> Drawing:
-    """Parts of one moment as one entity, so that a viewer that lags shows all of them or none."""
+    """Combine simultaneous parts in one entity, so that a slow viewer draws all or none of them."""
     lines = [part for part in parts if isinstance(part, Lines)]
     dots = [part for part in parts if isinstance(part, Dots)]
     return f"table/{what}", [
@@ -167,7 +167,7 @@ def together(what: str, parts: Sequence[Lines | Dots]) -> Drawing:
 
 
 def base(pose: npt.ArrayLike, colour: Colour) -> Lines:
-    """The spacecraft simulator as a square that shows its heading."""
+    """Draw the spacecraft simulator as a square with a line along its heading."""
     x, y, heading = np.asarray(pose, dtype=float)
     a = BASE / 2.0
     square = [(-a, -a), (a, -a), (a, a), (-a, a), (-a, -a)]
@@ -178,10 +178,10 @@ def base(pose: npt.ArrayLike, colour: Colour) -> Lines:
 
 
 def arm(description: Arm, pose: npt.ArrayLike, q: npt.ArrayLike) -> list[Lines | Dots]:
-    """Links, joints and centres of mass, and how easily the end effector moves which way."""
+    """Draw links, joints, centres of mass, and manipulability ellipses of the end effector."""
     p = description.vector()
     state = np.concatenate([np.asarray(pose, dtype=float), np.asarray(q, dtype=float)])
-    joints = joint_positions(p, state)  # and the tip
+    joints = joint_positions(p, state)  # joints, and the tip as last row
     return [
         Lines([flat(joints)], STEEL, 0.015),
         Dots(flat(joints), STEEL, 0.028),
@@ -192,42 +192,42 @@ def arm(description: Arm, pose: npt.ArrayLike, q: npt.ArrayLike) -> list[Lines |
 
 
 def ellipse(J: Floats, centre: Floats, colour: Colour, scale: float = ELLIPSE) -> Lines:
-    """The manipulability ellipse {J qd : |qd| = 1}, drawn at a scale [s]."""
+    """Draw the manipulability ellipse {J qd : |qd| = 1} at a scale [s]."""
     U, s, _ = np.linalg.svd(J)
-    s = np.append(s, 0.0)  # of a single link
+    s = np.append(s, 0.0)  # with a single link there is one singular value only
     angle = np.linspace(0.0, 2.0 * pi, 49)
     points = centre + scale * (np.column_stack([s[0] * np.cos(angle), s[1] * np.sin(angle)]) @ U.T)
     return Lines([flat(points)], colour, 0.008)
 
 
 def trail(points: Sequence[tuple[float, float]], what: str, colour: Colour) -> Drawing:
-    """Where a point has been."""
+    """Draw the past path of a point."""
     return f"table/{what}", rr.LineStrips2D([flat(points)], colors=colour, radii=0.006)
 
 
 def route(points: Sequence[tuple[float, float]]) -> Lines:
-    """A way that is planned, dashed: of each piece between its points the first half."""
+    """Draw a planned path as dashes: the first half of each segment between its points."""
     ends = np.asarray(points, dtype=float).reshape(-1, 2)
     dashes = [flat([a, 0.5 * (a + b)]) for a, b in pairwise(ends)]
     return Lines(dashes, GHOST, 0.008)
 
 
 def circle(centre: tuple[float, float], radius: float, colour: Colour) -> Lines:
-    """What is to be kept out of."""
+    """Draw a circle, as the boundary of a keep-out zone."""
     angle = np.linspace(0.0, 2.0 * pi, 65)
     around = np.column_stack([np.cos(angle), np.sin(angle)])
     return Lines([flat(np.array(centre) + radius * around)], colour, 0.006)
 
 
 def phase(text: str) -> Drawing:
-    """What the mission does, beneath the table."""
+    """Draw the mission's phase as text below the table."""
     place = flat([(-TABLE / 2.0, -TABLE / 2.0 - 0.12)])
     word = rr.Points2D(place, colors=STEEL, radii=0.001, labels=[text], show_labels=True)
     return "table/phase", word
 
 
 def place(pose: npt.ArrayLike) -> Drawing:
-    """Where the base is, with all that moves with it."""
+    """Return the transform of the base, which moves all entities below `table/fss`."""
     x, y, heading = np.asarray(pose, dtype=float)
     turn = rr.RotationAxisAngle(axis=[0.0, 0.0, 1.0], radians=-heading)
     return "table/fss", rr.Transform3D(translation=[x, -y, 0.0], rotation_axis_angle=turn)
@@ -239,7 +239,7 @@ def outline(
     colour: Colour,
     in_base: bool,
 ) -> list[Drawing]:
-    """Lines given in the base's frame or in the world's, and none in the other one."""
+    """Draw lines given in the base's or the world's frame, and clear those in the other frame."""
     path = re.sub(r"\W+", "_", what)
     lines = rr.LineStrips2D([flat(strip) for strip in strips], colors=colour, radii=0.005)
     here, there = f"table/fss/{path}", f"table/outlines/{path}"
@@ -247,7 +247,7 @@ def outline(
 
 
 def plumes(pose: npt.ArrayLike, valves: Sequence[bool]) -> Lines:
-    """The jets of open thrusters, as ThrusterCommand numbers them, away from the base."""
+    """Draw the jets of open thrusters, pointing away from the base; ThrusterCommand's numbering."""
     x, y, heading = np.asarray(pose, dtype=float)
     turn = complex(cos(heading), sin(heading))
     strips = []
@@ -261,7 +261,7 @@ def plumes(pose: npt.ArrayLike, valves: Sequence[bool]) -> Lines:
 
 
 def numbers(series: Series, values: Sequence[float]) -> list[Drawing]:
-    """One moment of a plot; what is not known leaves a gap."""
+    """Plot the values of one time; NaN is left out."""
     return [
         (f"plot/{series.name}/{line}", rr.Scalars(value))
         for line, value in zip(series.lines, values, strict=True)
@@ -270,7 +270,7 @@ def numbers(series: Series, values: Sequence[float]) -> list[Drawing]:
 
 
 def reaction(message: Any) -> list[Drawing]:
-    """A BaseReaction message: the centre of mass, and the plots."""
+    """Draw a BaseReaction message: the centre of mass, and the plots."""
     heading, band = message.predicted[2], message.predicted_deviation[2]
     dx, dy, turn = message.difference
     return [
@@ -288,24 +288,24 @@ def reaction(message: Any) -> list[Drawing]:
 
 
 def link(kind: str, i: int, value: float) -> Drawing:
-    """One link's number in the plot of all links."""
+    """Plot a link's value in the plot of all links."""
     return f"plot/{kind}/link_{i}", rr.Scalars(value)
 
 
 def words(text: str, level: str = "INFO") -> Drawing:
-    """A line of the log."""
+    """Return a line of the log."""
     return "log", rr.TextLog(text, level=level)
 
 
 def called(pose: Sequence[float], name: str) -> Drawing:
-    """What a vehicle is called, beside its base."""
+    """Draw a vehicle's name beside its base."""
     place = flat([pose[:2]])
     word = rr.Points2D(place, colors=STONE, radii=0.001, labels=[name], show_labels=True)
     return "table/name", word
 
 
 def styles(n: int, vehicle: str = "") -> list[Drawing]:
-    """Names and colours of the series, of one of several vehicles with its name."""
+    """Return names and colours of the series; the names include the vehicle's, if given."""
     of = f"{vehicle} " if vehicle else ""
     found: list[Drawing] = []
     for series in PLOTS:
@@ -325,9 +325,9 @@ def _series(name: str, colour: Colour, width: float) -> Any:
 
 
 def blueprint() -> Any:
-    """The table at the left, base reaction beside it, the links at the right, events below.
+    """Return the layout: table and events left, base reaction in the middle, links right.
 
-    Few and large, so that axes have ticks to read: what is looked at seldom shares a place.
+    Plots are few and large, so that their axes have legible ticks; rarely used plots share tabs.
     """
     a, legend_height = TABLE / 2.0 + 0.25, 0.2 * LEGEND_ROWS
     table = rrb.Spatial2DView(

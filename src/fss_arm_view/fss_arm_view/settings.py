@@ -1,4 +1,4 @@
-"""The parameters of the nodes of this package."""
+"""Parameters of the nodes of this package."""
 
 import re
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ MEMORY = Check(
 
 @dataclass(frozen=True)
 class ReactionSettings(SensorErrors):
-    """When the arm rests, and over what windows its base is averaged."""
+    """Parameters of the base reaction: threshold of rest, and windows of averages."""
 
     motion_threshold: float = setting(
         0.005, "joint rate above which a joint moves", unit="rad/s", check=POSITIVE
@@ -65,7 +65,7 @@ class ReactionSettings(SensorErrors):
 
 @dataclass(frozen=True)
 class BaseReactionSettings(ReactionSettings):
-    """The parameters of a BaseReactionNode."""
+    """Parameters of a BaseReactionNode."""
 
     arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
@@ -81,7 +81,7 @@ class BaseReactionSettings(ReactionSettings):
 
 @dataclass(frozen=True)
 class ViewSettings(Settings):
-    """The parameters of a ViewNode."""
+    """Parameters of a ViewNode."""
 
     mode: str = setting(
         "web",

@@ -1,4 +1,4 @@
-"""Drawings on their way to rerun: bounded, limited in rate, counted, and off the node's thread."""
+"""Queue of drawings for rerun: bounded, limited in rate, counted, and outside the node's thread."""
 
 import ctypes
 import os
@@ -23,32 +23,32 @@ import rerun as rr
 
 from .scene import TIMELINE, Drawing
 
-PR_SET_PDEATHSIG = 1  # of prctl(2)
+PR_SET_PDEATHSIG = 1  # option of prctl(2)
 
 NATIVE, WEB, FILE, CONNECT = "native", "web", "file", "connect"
 
-Work = tuple[rr.RecordingStream, int | None, list[Drawing]]  # where, when [ns] or always, what
+Work = tuple[rr.RecordingStream, int | None, list[Drawing]]  # stream, time [ns] or None: always
 
 
 class Sink:
-    """Takes drawings without ever waiting; a thread hands them to rerun.
+    """Queue that accepts drawings without waiting; a thread passes them to rerun.
 
-    `stream` may be another one from any moment on; the one before is ended.
+    `stream` may be replaced at any time; the previous stream is then disconnected.
 
-    What comes faster than `rate` for one entity, but for bursts of a second's worth, or finds the
-    queue full, is dropped and counted.
+    Drawings of an entity that come faster than `rate` are dropped and counted, except for bursts
+    of one second's worth. So are drawings that find the queue full.
     """
 
     def __init__(self, stream: rr.RecordingStream, rate: float, size: int) -> None:
         self.stream, self.rate = stream, rate
         self.queue: Queue[Work | None] = Queue(size)
-        self.left: dict[str, tuple[float, float]] = {}  # turns of each entity, and when [s]
+        self.left: dict[str, tuple[float, float]] = {}  # by entity: tokens left, at a time [s]
         self.counts: Counter[str] = Counter()
         self.thread = Thread(target=self._run, daemon=True)
         self.thread.start()
 
     def due(self, entity: str) -> bool:
-        """Whether the entity may be shown again, which takes one of its turns."""
+        """Return True if the entity may be drawn now; this uses one of its tokens."""
         now, most = time.monotonic(), max(self.rate, 1.0)
         turns, then = self.left.get(entity, (most, now))
         turns = min(turns + (now - then) * self.rate, most)
@@ -58,7 +58,7 @@ class Sink:
         return is_due
 
     def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
-        """Show drawings at time t [ns], or always; False if there is no room."""
+        """Queue drawings at time t [ns], None: always; return False if the queue is full."""
         try:
             self.queue.put_nowait((self.stream, t, list(drawings)))
         except Full:
@@ -67,7 +67,7 @@ class Sink:
         return True
 
     def close(self, timeout: float = 2.0) -> None:
-        """Write what waits, but not for longer than `timeout` [s]."""
+        """Write the waiting drawings, for at most `timeout` [s] each to queue and to finish."""
         try:
             self.queue.put(None, timeout=timeout)
         except Full:
@@ -86,12 +86,12 @@ class Sink:
                 parts = drawn if isinstance(drawn, list) else [drawn]
                 stream.log(entity, *parts, static=t is None)
             self.counts["shown"] += 1
-        with suppress(RuntimeError):  # nobody is there any more to take it
+        with suppress(RuntimeError):  # the viewer has already exited
             stream.flush()
 
 
 class Scoped:
-    """A sink for one of several vehicles: what is drawn of it is below its name."""
+    """Sink for one of several vehicles: its entities are placed below its name."""
 
     def __init__(self, sink: "Sink | Scoped", name: str) -> None:
         self.sink, self.name = sink, name
@@ -99,7 +99,7 @@ class Scoped:
 
     @property
     def stream(self) -> rr.RecordingStream:
-        """That of all."""
+        """Recording stream that all vehicles share."""
         return self.sink.stream
 
     @stream.setter
@@ -107,15 +107,15 @@ class Scoped:
         self.sink.stream = stream
 
     def due(self, entity: str) -> bool:
-        """As of the sink."""
+        """Return True if the vehicle's entity may be drawn now, as Sink.due."""
         return self.sink.due(f"{self.name} {entity}")
 
     def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
-        """As of the sink."""
+        """Queue drawings of the vehicle, as Sink.put."""
         return self.sink.put(t, [(self._own(entity), drawn) for entity, drawn in drawings])
 
     def close(self) -> None:
-        """Nothing: the sink is that of all, who ends it."""
+        """Do nothing: the owner of the shared sink closes it."""
 
     def _own(self, entity: str) -> str:
         kind, _, rest = entity.partition("/")
@@ -126,18 +126,18 @@ class Scoped:
 
 
 class Viewer:
-    """The rerun program, as a window or as a server of the web page; ended with its owner.
+    """Process of rerun, as a window or as a web server; it ends when its owner ends.
 
-    Whoever asks for the page or its data comes through the gate.
+    In mode WEB all requests for the page and its data pass through the gate.
 
     Args:
         mode: NATIVE or WEB.
-        bind: address that is served on.
-        port: of the data.
-        web_port: of the page.
-        memory: for drawings, as rerun has it.
-        names: of this computer, beside its own.
-        said: file with what the strip above the page shows.
+        bind: address to serve on.
+        port: port of the data.
+        web_port: port of the page.
+        memory: memory limit for drawings, in rerun's notation.
+        names: further host names of this computer.
+        said: file with the content of the strip above the page.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class Viewer:
         program = rerun_program()
         common = "--memory-limit", memory, "--hide-welcome-screen"
         if mode == NATIVE:
-            self.url = f"rerun+http://{host(bind, '127.0.0.1')}:{port}/proxy"  # to draw to
+            self.url = f"rerun+http://{host(bind, '127.0.0.1')}:{port}/proxy"  # for drawings
             command = [program, "--bind", bind, "--port", port, *common]
             self.processes = [self._start(command)]
             return
@@ -165,7 +165,7 @@ class Viewer:
     def _start(self, command: list[Any]) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
             [str(word) for word in command],
-            # Its allocator gives back at once what was forgotten; else it grows for hours.
+            # The allocator returns freed memory at once; otherwise memory grows for hours.
             env=os.environ | {"MIMALLOC_PURGE_DELAY": "0"},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -175,11 +175,11 @@ class Viewer:
         )
 
     def alive(self) -> bool:
-        """Whether it still runs."""
+        """Return True if all processes of the viewer are running."""
         return all(process.poll() is None for process in self.processes)
 
     def close(self) -> None:
-        """End it."""
+        """Terminate the viewer's processes; kill those that do not exit within 5 s."""
         for process in self.processes:
             process.terminate()
         for process in self.processes:
@@ -190,16 +190,16 @@ class Viewer:
 
 
 def rerun_program() -> Path:
-    """Where it is."""
+    """Return the path of the rerun program."""
     import rerun_cli
 
     return Path(rerun_cli.__file__).parent / "rerun"
 
 
 def keep_quiet() -> TemporaryDirectory[str]:
-    """Have rerun, in this process and in those it starts, tell its maker nothing.
+    """Disable rerun's analytics in this process and in the processes that it starts.
 
-    The user's own choice is left alone: what this returns takes its place, for as long as it is.
+    The user's own configuration is not changed: the returned folder replaces it while it exists.
     """
     folder: TemporaryDirectory[str] = TemporaryDirectory(prefix="fss_arm_view_")
     os.environ["XDG_CONFIG_HOME"] = os.environ["XDG_DATA_HOME"] = folder.name
@@ -209,19 +209,19 @@ def keep_quiet() -> TemporaryDirectory[str]:
 
 
 def free_port() -> int:
-    """One that nobody listens on now, on the loopback."""
+    """Return a TCP port of the loopback interface that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def _end_with_owner() -> None:
-    """Have Linux end this process, too, when the one that started it is killed."""
+    """Ask Linux to terminate this process when its parent ends."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def host(bind: str, of_all: str) -> str:
-    """An IP address as URLs have it; `of_all` for the one that stands for all of a computer's."""
+    """Return an IP address in URL notation; `of_all` for the unspecified address (0.0.0.0, ::)."""
     address = ip_address(bind)
     if address.is_unspecified:
         return of_all
@@ -229,10 +229,10 @@ def host(bind: str, of_all: str) -> str:
 
 
 def new_file(path: str) -> str:
-    """Make an empty file of that name, or of NAME_1, NAME_2, ...: none is written over.
+    """Create an empty file `path`, or NAME_1, NAME_2, ...: none is overwritten; return its name.
 
     Raises:
-        ValueError: it cannot be written.
+        ValueError: the file cannot be written.
     """
     file = first = Path(path)
     numbers = count(1)
@@ -246,12 +246,12 @@ def new_file(path: str) -> str:
 
 
 def open_stream(mode: str, target: str, blueprint: Any) -> rr.RecordingStream:
-    """A recording that goes to a file or to a viewer's address.
+    """Open a recording that is written to a file or sent to a viewer's address.
 
     Raises:
-        ValueError: the file cannot be written, or the address is none.
+        ValueError: the file cannot be written, or the address is invalid.
     """
-    # Rows travel together: a browser takes a few large chunks sooner than many small ones.
+    # Rows are sent in batches: a browser processes few large chunks faster than many small ones.
     os.environ.setdefault("RERUN_FLUSH_TICK_SECS", "0.2")
     stream = rr.RecordingStream("fss_arm")
     try:

@@ -1,4 +1,4 @@
-"""What the strip above the view says of a vehicle: in a few words what one must not overlook."""
+"""Content of the strip above the view: the most important state of each vehicle."""
 
 import json
 from collections.abc import Iterable
@@ -7,14 +7,14 @@ from math import degrees, isfinite, nan
 from typing import Any, NamedTuple
 
 STOPPED = 2  # State.STOPPED of docs/reference/protocol.md, in the flags of links and board
-SILENT = 3.0  # a link that is not heard for longer is [s]
-SIGMAS = 3.0  # a larger difference of the heading is an alarm
-PLAIN, GOOD, WARN, ALARM = "", "good", "warn", "alarm"  # how a word is shown
-TONES = {"pass": GOOD, "fail": ALARM}  # of a verdict
+SILENT = 3.0  # telemetry timeout after which a link is shown as silent [s]
+SIGMAS = 3.0  # larger heading differences, in standard deviations, are an alarm
+PLAIN, GOOD, WARN, ALARM = "", "good", "warn", "alarm"  # styles of an item
+TONES = {"pass": GOOD, "fail": ALARM}  # style of a verdict
 
 
 class Item(NamedTuple):
-    """One word of the strip."""
+    """One item of the strip."""
 
     name: str
     value: str
@@ -23,18 +23,18 @@ class Item(NamedTuple):
 
 @dataclass
 class Strip:
-    """What was heard last of a vehicle; times are in seconds, of a clock that nobody sets."""
+    """Last messages received of a vehicle; times are of a monotonic clock [s]."""
 
-    links: dict[int, tuple[Any, float]] = field(default_factory=dict)  # telemetry, and when
+    links: dict[int, tuple[Any, float]] = field(default_factory=dict)  # telemetry, receive time
     base: Any = None  # BaseTelemetry
     gripper: Any = None  # GripperState
     propellant: float = nan  # [kg]
     verdicts: dict[str, str] = field(default_factory=dict)  # by kind of calibration
-    turn: tuple[float, float] = nan, nan  # heading, measured less predicted, and its sigma [rad]
-    troubles: dict[str, str] = field(default_factory=dict)  # by node: what it reports as an error
+    turn: tuple[float, float] = nan, nan  # heading, measured minus predicted, and its sigma [rad]
+    troubles: dict[str, str] = field(default_factory=dict)  # by node: the error that it reports
 
     def items(self, now: float) -> list[Item]:
-        """All that is known, the most urgent first."""
+        """Return all items of the strip at time `now` [s]; the node errors come last."""
         found = [*self._arm(now), *self._battery(), *self._base(), *self._heading()]
         found += [Item(kind, word, TONES.get(word, WARN)) for kind, word in self.verdicts.items()]
         for node, words in self.troubles.items():
@@ -88,12 +88,12 @@ def _listed(numbers: Iterable[int]) -> str:
 
 
 def told(newest: int, silent: float, vehicles: dict[str, list[Item]]) -> str:
-    """All of it for the page, as JSON.
+    """Return the strips of all vehicles as JSON for the page.
 
     Args:
         newest: stamp of the newest measurement [ns]; 0: none yet.
-        silent: time since one came [s].
-        vehicles: their items, by name; a single one's name is empty.
+        silent: time since the last measurement was received [s].
+        vehicles: items of each vehicle, by name; the name of a single vehicle is empty.
     """
     strips = [{"name": name, "items": items} for name, items in vehicles.items()]
     return json.dumps({"newest": str(newest), "silent": round(silent, 1), "vehicles": strips})

@@ -1,4 +1,4 @@
-"""The node `view`: the test bed, live or replayed, in rerun."""
+"""Node `view`: displays the test bed, live or replayed, in rerun."""
 
 import os
 import socket
@@ -51,22 +51,22 @@ from .settings import ViewSettings
 from .sink import FILE, NATIVE, WEB, Scoped, Sink, Viewer, host, keep_quiet, new_file, open_stream
 from .strip import Strip, told
 
-LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
+LEAST_PLUME = 0.2  # minimum time for which a thruster pulse is drawn [s]
 
-OLD = 3 * SECOND  # of a prediction: the ghost goes
-LIVES = 2 * SECOND  # what a mission says, unless it says it again
-TELLS = 0.5  # from one time that the page is told to the next [s]
+OLD = 3 * SECOND  # age of a prediction after which its ghost is no longer drawn
+LIVES = 2 * SECOND  # time for which a mission's message is valid
+TELLS = 0.5  # period at which the page's strip is updated [s]
 
 LEVELS = {OK: "INFO", WARN: "WARN", ERROR: "ERROR"}
 
 
 class ViewNode(Node):
-    """Shows one vehicle; `first`, whose viewer it is, shows what all share, too."""
+    """Node that displays one vehicle; `first` owns the viewer and draws what all vehicles share."""
 
     def __init__(self, first: "ViewNode | None" = None, **options: Any) -> None:
         super().__init__("view", **options)
         s = self.settings = declare(self, ViewSettings)
-        self.first = first or self  # whose viewer shows this vehicle, too
+        self.first = first or self  # node whose viewer also displays this vehicle
         self.vehicle = self.get_namespace().strip("/") if first else ""
         self.others: list[ViewNode] = []
         self.known = Calibrated(described(s.arm))
@@ -79,10 +79,10 @@ class ViewNode(Node):
             Scoped(first.sink, self.vehicle) if first else Sink(self._recording(), s.rate, s.queue)
         )
         self.q = [0.0] * self.known.arm.n
-        self.strip, self.heard = Strip(), time.monotonic()  # when a measurement came [s]
+        self.strip, self.heard = Strip(), time.monotonic()  # last measurement received at [s]
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet
-        self.outlines: dict[str, MarkerArray] = {}  # the newest of each topic
-        self.reported: Counter[str] = Counter()  # of the sink's counts
+        self.outlines: dict[str, MarkerArray] = {}  # newest message of each topic
+        self.reported: Counter[str] = Counter()  # the sink's counts when last reported
         self.sequences: dict[int, int] = {}
         self.losses: dict[int, float] = {}
         self.said: dict[str, bytes] = {}
@@ -103,11 +103,11 @@ class ViewNode(Node):
 
     @property
     def said_to_page(self) -> Path:
-        """The file that the gate answers the page from."""
+        """File from which the gate answers the page's requests."""
         return Path(self.quiet.name) / "now.json"
 
     def tell_page(self) -> None:
-        """Say what the strip above the page shows."""
+        """Write the content of the page's strip to the file that the gate reads."""
         now, ones = time.monotonic(), self.others or [self]
         strips = {one.vehicle: one.strip.items(now) for one in ones}
         newest = max(ones, key=lambda one: one.heard)
@@ -125,16 +125,16 @@ class ViewNode(Node):
         return open_stream(s.mode, target, scene.blueprint())
 
     def begin(self) -> None:
-        """Draw what does not change, and forget what was measured."""
+        """Draw what does not change, and reset everything measured."""
         self.sink.put(None, [*scene.ground(), *scene.styles(self.known.arm.n, self.vehicle)])
         self.legend = [text for text, _ in scene.LEGEND]
-        self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # of each stream
+        self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by stream
         self.valves_until = [0] * 8
         self.mission, self.path, self.keep_out = "", list[tuple[float, float]](), 0.0
-        # Times of the newest pose when a mission, its path, and any path came [ns].
+        # Stamps of the newest pose when a mission, its path, and any path were received [ns].
         self.told = self.routed = self.planned = -LIVES
-        self.difference: npt.NDArray[np.float64] | None = None  # measured less predicted base
-        self.differs_until = 0  # when it is too old to be drawn
+        self.difference: npt.NDArray[np.float64] | None = None  # measured minus predicted base
+        self.differs_until = 0  # time after which it is too old to be drawn [ns]
         self.trails: dict[str, deque[tuple[float, float]]] = {
             what: deque(maxlen=scene.TRAIL) for what in ("tip_path", "com_path", "base_path")
         }
@@ -181,10 +181,11 @@ class ViewNode(Node):
             log.warning(f"whoever reaches {name}:{s.port} may read and write: no authentication")
 
     def measured(self, stream: str, message: Any) -> int:
-        """A measurement's stamp [ns], which is the time of what happens until the next one.
+        """Return a measurement's stamp [ns]; it is the time of all events until the next one.
 
-        Stamps of events may be of another clock, as beside a replayed bag or a simulator, and a
-        viewer stays with the newest drawing of a recording. So stamps that go back begin another.
+        Stamps of events may come from another clock, for example during a replay or simulation.
+        A viewer stays at the newest time of a recording. So if stamps jump back, a new recording
+        is started.
         """
         self.t, self.heard = stamp_ns(message.header.stamp), time.monotonic()
         if self.stamps[stream].set_back(self.t):
@@ -194,7 +195,7 @@ class ViewNode(Node):
         return self.t
 
     def on_joints(self, message: JointState) -> None:
-        """Readings of one link or more."""
+        """Store and plot the readings of one or more links."""
         t = self.measured("joints", message)
         drawings = []
         for i, q, _, effort in joint_readings(message):
@@ -207,7 +208,7 @@ class ViewNode(Node):
             self.sink.put(t, drawings)
 
     def on_base(self, message: PoseStamped) -> None:
-        """A pose of the base: the whole arm is drawn with it."""
+        """Draw the base, and the whole arm, at a measured pose."""
         self.measured("base", message)
         if self.sink.due("base") and (pose := seen_pose(message)):
             valves = [self.t < until for until in self.valves_until]
@@ -224,12 +225,12 @@ class ViewNode(Node):
             self.trace(self.t, "base_path", pose[:2], scene.STEEL)
 
     def on_tip(self, message: PoseStamped) -> None:
-        """A pose of the end effector: its path."""
+        """Extend the path of the end effector."""
         if self.sink.due("tip") and (pose := seen_pose(message)):
             self.trace(stamp_ns(message.header.stamp), "tip_path", pose[:2], scene.TIP)
 
     def on_target(self, message: PoseStamped) -> None:
-        """A pose of the target."""
+        """Draw the target, and the circle to keep out of."""
         if self.sink.due("target") and (pose := seen_pose(message)):
             self.explain("target", scene.PURPLE)
             parts = [scene.base(pose, scene.PURPLE)]
@@ -238,7 +239,7 @@ class ViewNode(Node):
             self.sink.put(stamp_ns(message.header.stamp), [scene.together("target", parts)])
 
     def on_mission(self, message: MissionState) -> None:
-        """What the guidance does, where it goes, and what it keeps out of."""
+        """Store the mission's phase, path and keep-out radius."""
         self.told, self.keep_out = self.t, message.keep_out if isfinite(message.keep_out) else 0.0
         if message.path:
             self.routed = self.t
@@ -248,41 +249,41 @@ class ViewNode(Node):
         self.entitle(words, "WARN" if message.reason else "INFO")
 
     def on_trajectory(self, message: MultiDOFJointTrajectory) -> None:
-        """Where the base is to go; a mission's own path is drawn in its place."""
+        """Store the base's planned path, unless a mission has published its own path."""
         if self.t > self.routed + LIVES:
             poses = [point.transforms[0] for point in message.points if point.transforms]
             self.plan((pose.translation.x, pose.translation.y) for pose in poses)
 
     def entitle(self, words: str, level: str = "INFO") -> None:
-        """Say what the mission does, if that is new."""
+        """Draw and log the mission's state, if it has changed."""
         if words != self.mission:
             self.mission = words
             self.sink.put(self.t, [scene.phase(words)])
             self.say(words or "no mission", level)
 
     def plan(self, points: Iterable[tuple[float, float]]) -> None:
-        """Where the base is to go, drawn with its next pose."""
+        """Store the planned path of the base, to be drawn with its next pose."""
         self.path = [(x, y) for x, y in points if isfinite(x) and isfinite(y)]
         self.planned = self.t
         self.explain("path planned", scene.GHOST)
 
     def on_thrust(self, message: ThrusterCommand) -> None:
-        """Thrusters fire: until when their plumes are drawn."""
+        """Set the times until which the plumes of the thrusters are drawn."""
         self.explain("thrusters", scene.JET)
         for k, seconds in enumerate(message.on_time):
             shown = max(seconds, LEAST_PLUME) if 0.0 < seconds < inf else 0.0
             self.valves_until[k] = self.t + int(shown * SECOND)
 
     def on_propellant(self, message: Float64) -> None:
-        """Mass of the gas that is left [kg]."""
+        """Store the mass of the remaining gas [kg]."""
         self.strip.propellant = message.data
 
     def on_reaction(self, message: BaseReaction) -> None:
-        """Prediction and measurement of the base's motion."""
+        """Plot prediction and measurement of the base's motion."""
         self.strip.turn = float(message.difference[2]), float(message.predicted_deviation[2])
         if self.sink.due("reaction"):
-            # Telemetry is older than the base's poses: its ghost is drawn beside it as it is now.
-            known = np.isfinite(message.difference).all()  # not once thrusters have fired
+            # Telemetry is older than the base's poses: the ghost is drawn relative to the newest.
+            known = np.isfinite(message.difference).all()  # NaN once thrusters have fired
             self.difference = np.array(message.difference) if known else None
             t = stamp_ns(message.header.stamp)
             self.differs_until = t + OLD
@@ -290,7 +291,7 @@ class ViewNode(Node):
             self.trace(t, "com_path", tuple(message.com), scene.GHOST)
 
     def on_telemetry(self, message: LinkTelemetry) -> None:
-        """One link's current, and the share of its frames that did not come."""
+        """Plot one link's current, and the share of its frames that were lost."""
         self.strip.links[message.link] = message, time.monotonic()
         i, missed = message.link, message.sequence - self.sequences.get(message.link, -1) - 1
         share = missed / (missed + 1) if i in self.sequences and missed >= 0 else 0.0
@@ -302,7 +303,7 @@ class ViewNode(Node):
             self.sink.put(stamp_ns(message.header.stamp), [current, loss])
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
-        """Each node's state when it changes."""
+        """Log each node's state when it changes."""
         for status in message.status:
             self.trouble(status)
             if self.said.get(status.name) != status.level:
@@ -310,7 +311,7 @@ class ViewNode(Node):
                 self.say(f"{status.name}: {status.message}", LEVELS.get(status.level, "WARN"))
 
     def trouble(self, status: DiagnosticStatus) -> None:
-        """What a node reports as an error, and that it does no more, for its vehicle's strip."""
+        """Add a node's error to its vehicle's strip, or remove it when the error is over."""
         space = f"/{status.name.strip('/')}".rpartition("/")[0].strip("/")
         for one in self.others or [self]:
             if one.vehicle in ("", space):
@@ -319,12 +320,12 @@ class ViewNode(Node):
                     one.strip.troubles[status.name] = status.message
 
     def on_stop(self, _: Empty) -> None:
-        """Somebody stopped the arm."""
+        """Log that arm/stop was received."""
         self.say("arm/stop", "ERROR")
 
     def on_calibration(self, topic: str, message: Any) -> None:
-        """A verdict; the arm is drawn with a calibration that passed."""
-        with suppress(ValueError):  # base_reaction reports it
+        """Log a calibration's verdict; if it passed, draw the arm with it."""
+        with suppress(ValueError):  # base_reaction reports the error
             self.known = self.known.of_same_links(topic, message)
         found = message.calibration
         self.strip.verdicts[topic.rpartition("/")[2]] = found.verdict
@@ -333,7 +334,7 @@ class ViewNode(Node):
         self.say(text, level)
 
     def on_outlines(self, topic: str, message: MarkerArray) -> None:
-        """Boundaries of the workspace, by their names; what is new enters the legend."""
+        """Draw boundaries of the workspace by name; new names are added to the legend."""
         self.outlines[topic] = message
         lines = [marker for marker in message.markers if marker.type == Marker.LINE_STRIP]
         for name in dict.fromkeys(marker.ns for marker in lines):
@@ -348,26 +349,26 @@ class ViewNode(Node):
     def trace(
         self, t: int, what: str, point: tuple[float, float], colour: tuple[int, int, int]
     ) -> None:
-        """Lengthen a path, if the point has moved."""
+        """Extend a path if the point has moved."""
         trail = self.trails[what]
         if not trail or dist(trail[-1], point) > scene.TRAIL_STEP:
             trail.append(point)
             self.sink.put(t, [scene.trail(trail, what, colour)])
 
     def explain(self, name: str, colour: tuple[int, int, int]) -> None:
-        """Put what is new into the legend."""
+        """Add a new name to the legend."""
         legend = self.first.legend
         if name not in legend:
             self.sink.put(None, [scene.legend(len(legend), name, colour)])
             legend.append(name)
 
     def say(self, text: str, level: str) -> None:
-        """A line in the view's log."""
+        """Add a line to the view's log."""
         words = f"{self.vehicle}: {text}" if self.vehicle else text
         self.sink.put(self.t, [scene.words(words, level)])
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the node's health for diagnostics."""
         now, before = Counter(self.sink.counts), self.reported
         self.reported = now
         if self.viewer and not self.viewer.alive():
@@ -377,7 +378,7 @@ class ViewNode(Node):
         return Health(OK, f"shows in mode {self.settings.mode}", now)
 
     def close(self) -> None:
-        """Write what waits and end the viewer."""
+        """Write the waiting drawings and stop the viewer."""
         self.sink.close()
         if self.viewer:
             self.viewer.close()
@@ -386,19 +387,19 @@ class ViewNode(Node):
 
 
 def make_nodes() -> list[ViewNode]:
-    """Shows joints, base, end effector, base reaction, verdicts and faults.
+    """Display joints, base, end effector, base reaction, verdicts and faults.
 
-    It subscribes best effort and never waits for the viewer, so that it holds nobody up. In mode
-    web, open the address that it prints in a browser.
+    The node subscribes best effort and never waits for the viewer, so that it does not delay other
+    nodes. In mode web, open the address that it logs in a browser.
     """
-    # With its viewer it has only the time that nothing else wants: drivers never wait for it.
-    with suppress(OSError):  # a container may forbid it
+    # Node and viewer run only when the processor is idle, so that drivers never wait for them.
+    with suppress(OSError):  # a container may forbid this
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     return views()
 
 
 def views() -> list[ViewNode]:
-    """The node, and one within it for each vehicle that it shows."""
+    """Return the node and one further node in its process for each vehicle that it displays."""
     first = ViewNode()
     return [first, *(ViewNode(first, namespace=name) for name in first.settings.vehicles)]
 

@@ -1,4 +1,4 @@
-"""Section 5 of the paper whole, for one arm: what `map` draws and `workspace` publishes."""
+"""Complete analysis of Section 5 of the paper for one arm, used by `map` and `workspace`."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -33,22 +33,22 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Analysis:
-    """What an arm reaches, and how well it moves there. Points are complex numbers [m]."""
+    """Workspace and manipulability of an arm. Points are complex numbers [m]."""
 
     arm: Arm
     limits: Floats  # (n, 2) lowest and highest joint readings [rad]
     region: Region  # fixed vehicle workspace, in the base's frame
-    known: list[tuple[Complexes, Floats]]  # points of its loops, and deviations along the normal
+    known: list[tuple[Complexes, Floats]]  # points of its loops, deviations along the normal
     radius: float  # R of Eq. 13 [m]
     radius_deviation: float  # [m]
     reach: tuple[float, float]  # least and greatest distance from the centre of mass [m]
-    maps: Mapping[str, Map]  # by "fixed" and "floating"; none of a single link, whose w is 0
+    maps: Mapping[str, Map]  # by "fixed" and "floating"; empty for a single link, whose w is 0
     largest: Mapping[str, tuple[float, float]]  # w of each map, and its deviation [m^2]
 
 
 @dataclass(frozen=True)
 class AnalysisSettings(PathSettings):
-    """What is computed, and how finely."""
+    """Settings of an analysis: what is computed, and with which resolution."""
 
     cell: float = setting(0.01, "size of the maps' cells", unit="m", check=at_least(0.001))
     directions: int = setting(360, "number of straight paths to begin with", check=at_least(8))
@@ -58,7 +58,7 @@ class AnalysisSettings(PathSettings):
     workers: int = setting(1, "threads that compute the maps", check=at_least(1))
 
     def rules(self, base: str) -> Rules:
-        """Of straight paths on one of BASES."""
+        """Return the rules of straight paths on one of BASES."""
         return Rules(**{f.name: getattr(self, f.name) for f in fields(PathSettings)}, base=base)
 
 
@@ -67,12 +67,12 @@ def analyse(
     settings: AnalysisSettings | None = None,
     progress: Progress = lambda what, share: None,
 ) -> Analysis:
-    """Compute all that depends on the arm alone.
+    """Compute all results that depend on the arm alone.
 
     Args:
-        known: the arm, and how well it is known.
-        settings: what is computed.
-        progress: called with what is being done and the share done; what it raises ends the work.
+        known: the arm and its covariance.
+        settings: settings of the analysis.
+        progress: called with the current task and the share done; its exceptions stop the work.
 
     Raises:
         ValueError: no cell is small enough for its centre to be reached.
@@ -106,7 +106,7 @@ def analyse(
 def _largest(
     known: Calibrated, settings: AnalysisSettings, limits: Floats, found: Map
 ) -> tuple[float, float]:
-    """The largest w of a map, and its standard deviation [m^2]."""
+    """Return the largest w of a map, and its standard deviation [m^2]."""
     at = np.unravel_index([np.nanargmax(found.w)], found.w.shape)
     center, best = found.grid.centers[at], Best(found.w[at], found.q[at])
     spread = measure_deviation(
@@ -127,10 +127,10 @@ def straight_workspaces(
     settings: AnalysisSettings | None = None,
     progress: Progress = lambda what, share: None,
 ) -> dict[str, Paths]:
-    """The straight-path workspaces from a state (3 + n,), by the names of BASES.
+    """Compute the straight-path workspaces from a state (3 + n,), by the names of BASES.
 
     Raises:
-        ValueError: the start is impossible.
+        ValueError: the start is invalid.
     """
     s = settings or AnalysisSettings()
     limits = joint_limits(arm, of_true_angle=s.of_true_angle)
@@ -142,9 +142,9 @@ def straight_workspaces(
 
 
 def load_kernels(arm: Arm) -> None:
-    """Load the kernels that the above call: the first call of a kernel holds up all threads."""
+    """Load the kernels used above: the first call of a kernel blocks all threads."""
     start = arch(arm)
-    limits = start[3:, None] + [-1.0, 1.0]  # and a table that refuse no arm
+    limits = start[3:, None] + [-1.0, 1.0]  # these limits and the table below suit any arm
     straight_paths(arm, start, 0.0, Rules(table=(-1e6, -1e6, 1e6, 1e6)), limits)
     tip = tip_in_base(arm.vector(), start[3:])[:2]
     climb(arm.vector(), start[3:], tip, limits, FLOATING, steps=0)

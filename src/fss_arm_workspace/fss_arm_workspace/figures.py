@@ -1,4 +1,4 @@
-"""Figures 6, 7 and 8 of the paper, and the data that they show."""
+"""Figures 6, 7 and 8 of the paper, and their data."""
 
 from collections.abc import Mapping
 from os import PathLike
@@ -17,8 +17,8 @@ from fss_arm_workspace.straight_path.paths import Paths
 from fss_arm_workspace.straight_path.trace import REASONS
 
 _REASON_COLORS = ("tab:gray", "tab:orange", "tab:red", "tab:blue")
-_BASE_SIDE = 0.3  # of the simulator as drawn [m]
-_SCALE = 0.25  # of ellipsoids as drawn
+_BASE_SIDE = 0.3  # side of the simulator as drawn [m]
+_SCALE = 0.25  # scale of ellipsoids as drawn [m per m/rad]
 
 
 def draw(
@@ -29,7 +29,7 @@ def draw(
     Raises:
         OSError: a file cannot be written.
     """
-    # Nothing else needs it, and it takes a second to import.
+    # Imported here because only this function needs it, and the import takes a second.
     from matplotlib.figure import Figure
 
     written = []
@@ -49,7 +49,7 @@ def draw(
 
 
 def save(analysis: Analysis, straight: Mapping[str, Paths], path: str | PathLike[str]) -> None:
-    """Write all numbers as .npz; arrays of points are x, y [m].
+    """Write all results as .npz; arrays of points are x, y [m].
 
     Raises:
         OSError: the file cannot be written.
@@ -85,7 +85,7 @@ def _pairs(points: Any) -> Floats:
 
 
 def _maps(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
-    """Figure 6: fixed vehicle workspace and largest manipulability; beside it, on a free base."""
+    """Draw Figure 6: fixed vehicle workspace and largest manipulability, on both kinds of base."""
     from matplotlib.colors import PowerNorm
 
     panels = figure.subplots(1, 2)
@@ -112,7 +112,7 @@ def _maps(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
 
 
 def _straight(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
-    """Figure 7: straight-path workspace, with the reason why each path ends."""
+    """Draw Figure 7: straight-path workspace, with the reason why each path ends."""
     axes = figure.subplots()
     styles = {"fixed": "k--", "floating": "k-", "zero reaction": "k:"}
     for base, paths in straight.items():
@@ -139,7 +139,7 @@ def _straight(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
 
 
 def _ellipsoids(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
-    """Figure 8: manipulability ellipsoids on a fixed and on a floating base."""
+    """Draw Figure 8: manipulability ellipsoids on a fixed and on a floating base."""
     n = a.arm.n
     bent = np.full((3, n), [[0.35], [0.8], [1.2]]).clip(a.limits[:, 0], a.limits[:, 1])
     bent[:, 0] = (-0.5 * bent[:, 0] * (n - 1)).clip(*a.limits[0])
@@ -155,7 +155,7 @@ def _ellipsoids(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None
             label = f"{name}: w = {float(measure(a.arm, q, kind)):.3f} m²"
             axes.plot(*line, color=color, label=label)
         detail = axes.inset_axes((0.66, 0.02, 0.32, 0.3), xticks=[], yticks=[])
-        detail.plot(*line, color=color)  # on a floating base, which is the smaller one
+        detail.plot(*line, color=color)  # on a floating base the ellipsoid is smaller
         detail.plot(*tip, "k.", markersize=3)
         detail.set_aspect("equal", adjustable="datalim")
         detail.set_title("floating, enlarged", fontsize=7, pad=2)
@@ -169,7 +169,7 @@ def _ellipsoids(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None
 
 
 def _arm(axes: Any, a: Analysis, state: Floats) -> None:
-    """Base, links and tip."""
+    """Draw base, links and tip."""
     joints = joint_positions(a.arm.vector(), state)
     turn = complex(np.cos(state[2]), np.sin(state[2]))
     corners = 0.5 * _BASE_SIDE * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j, 1 + 1j]) * turn

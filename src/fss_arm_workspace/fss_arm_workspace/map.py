@@ -1,4 +1,4 @@
-"""What the command `map` does."""
+"""Implementation of the command `map`."""
 
 import argparse
 import sys
@@ -25,11 +25,11 @@ PAPER_RADIUS = 1.3  # [m]
 
 
 def calibrated(sources: Sequence[str]) -> Calibrated:
-    """The arm that a description, or the calibrations in bags, give.
+    """Return the arm given by a description, or by the calibrations in bags.
 
     Raises:
-        BagError: a bag cannot be read, or holds no calibration that passed.
-        DescriptionError: a description cannot be right.
+        BagError: a bag cannot be read, or has no calibration that passed.
+        DescriptionError: a description is invalid.
         OSError: a file cannot be read.
     """
     if not sources:
@@ -48,7 +48,7 @@ def calibrated(sources: Sequence[str]) -> Calibrated:
 
 
 def report(analysis: Analysis, straight: Mapping[str, Paths], console: Console) -> None:
-    """The numbers beside the paper's."""
+    """Print the results, and compare R with the paper's."""
     a = analysis
     hole = -sum(area for area in a.region.areas if area < 0.0)
     console.print(
@@ -79,18 +79,18 @@ def report(analysis: Analysis, straight: Mapping[str, Paths], console: Console) 
 
 
 def _known(value: float, deviation: float) -> str:
-    """A number and how well it is known, where that is known."""
+    """Format a value with its standard deviation, if that is positive."""
     return f"{value:.4f} ± {deviation:.4f}" if deviation > 0.0 else f"{value:.4f}"
 
 
 def run(options: argparse.Namespace, console: Console) -> None:
-    """Compute, write and report.
+    """Compute, write and report the workspace.
 
     Raises:
-        ValueError: an option or a source is impossible.
+        ValueError: an option or a source is invalid.
         OSError: a file cannot be read or written.
     """
-    require("matplotlib")  # before minutes of work
+    require("matplotlib")  # checked before minutes of computation
     known = calibrated(options.source)
     settings = AnalysisSettings(
         redundancy=options.rule,

@@ -1,4 +1,4 @@
-"""Workspace and manipulability of an arm as the paper's Figures 6, 7 and 8, without ROS running."""
+"""Compute workspace and manipulability of an arm (the paper's Figures 6, 7 and 8) without ROS."""
 
 import argparse
 
@@ -10,7 +10,7 @@ EPILOG = "Exit codes: 0 done, 1 the command cannot be carried out."
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the parser of the command line."""
     p = Parser("map", description=__doc__, epilog=EPILOG)
     p.add_argument(
         "source", nargs="*", metavar="SOURCE",

@@ -1,4 +1,4 @@
-"""Workspaces, maps and ellipsoids as ROS messages, for RViz, Foxglove and bags."""
+"""Conversion of workspaces, maps and ellipsoids to ROS messages, for RViz, Foxglove and bags."""
 
 from array import array
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ _LINE = 0.01  # width of lines [m]
 
 
 def workspace_message(a: Analysis, settings: AnalysisSettings, header: Header) -> Workspace:
-    """What the arm reaches, with all that it was computed from."""
+    """Return the workspace message, with description, limits and settings used."""
     points = np.concatenate([points for points, _ in a.known])
     description = to_yaml(a.arm)
     return Workspace(
@@ -60,7 +60,7 @@ def workspace_message(a: Analysis, settings: AnalysisSettings, header: Header) -
 
 
 def map_message(found: Map, base: str, header: Header) -> ManipulabilityMap:
-    """A map in full precision."""
+    """Return the message of a map, in full precision."""
     grid = found.grid
     return ManipulabilityMap(
         header=header,
@@ -75,7 +75,7 @@ def map_message(found: Map, base: str, header: Header) -> ManipulabilityMap:
 
 
 def occupancy_grid(found: Map, header: Header) -> OccupancyGrid:
-    """A map as viewers draw it: 0 to 100 of its largest value, -1 where nothing is reached."""
+    """Return a map for viewers: 0 to 100 % of its largest value, -1 in cells not reached."""
     grid, message = found.grid, OccupancyGrid(header=header)
     message.info.map_load_time = header.stamp
     message.info.resolution = grid.cell
@@ -88,7 +88,7 @@ def occupancy_grid(found: Map, header: Header) -> OccupancyGrid:
 
 
 def straight_message(paths: Paths, base: str, header: Header) -> StraightPaths:
-    """A straight-path workspace."""
+    """Return the message of a straight-path workspace."""
     return StraightPaths(
         header=header,
         base=base,
@@ -105,14 +105,14 @@ def straight_message(paths: Paths, base: str, header: Header) -> StraightPaths:
 
 
 def polygon(points: Complexes, header: Header) -> PolygonStamped:
-    """A closed line."""
+    """Return a closed line as a polygon."""
     message = PolygonStamped(header=header)
     message.polygon.points = [Point32(x=float(z.real), y=float(z.imag)) for z in points]
     return message
 
 
 def workspace_markers(a: Analysis, header: Header) -> MarkerArray:
-    """The boundary of the fixed vehicle workspace, holes too."""
+    """Return markers of the boundary of the fixed vehicle workspace, including holes."""
     lines = [points for points, _ in a.known]
     return MarkerArray(
         markers=[
@@ -124,7 +124,10 @@ def workspace_markers(a: Analysis, header: Header) -> MarkerArray:
 def straight_markers(
     arm: Arm, straight: Mapping[str, Paths], radius: float, header: Header
 ) -> MarkerArray:
-    """Straight-path workspaces, and the circle of radius R [m] about the centre of mass."""
+    """Return markers of straight-path workspaces, and of the circle of radius R [m].
+
+    The circle is about the system's centre of mass.
+    """
     markers = [
         _line(paths.ends, header, f"straight paths, {base}", base, 0)
         for base, paths in straight.items()
@@ -138,19 +141,19 @@ def straight_markers(
 
 
 def ellipsoid_markers(arm: Arm, q: Floats, scale: float, header: Header) -> MarkerArray:
-    """The ellipsoids of the tip's velocity at joint readings q (n,), on both kinds of base.
+    """Return markers of the tip's velocity ellipsoids at joint readings q (n,), on both bases.
 
     Args:
         arm: the arm.
         q: joint readings [rad].
-        scale: of the drawing [m per m/rad].
-        header: in the base's frame.
+        scale: scale of the drawing [m per m/rad].
+        header: header in the base's frame.
     """
     x, y, _ = tip_in_base(arm.vector(), q)
     markers = []
     for number, (kind, base) in enumerate(((FIXED, "fixed"), (FLOATING, "floating"))):
         radii, axes = ellipsoid(jacobian(arm, q, kind))
-        radii = np.append(radii, 0.0)[:2]  # of a single link
+        radii = np.append(radii, 0.0)[:2]  # with a single link there is one radius only
         turn = 0.5 * np.arctan2(axes[0, 1], axes[0, 0])
         marker = _marker(header, f"manipulability, {base} base", base, 0, Marker.SPHERE)
         marker.pose.position.x, marker.pose.position.y = float(x), float(y)
@@ -183,7 +186,7 @@ def _marker(header: Header, name: str, color: str, number: int, kind: int) -> Ma
 
 
 def _doubles(values: Floats | Sequence[float]) -> "array[float]":
-    """What a float64[] takes without a copy by elements."""
+    """Return an array that a float64[] field accepts without copying element by element."""
     return array("d", np.ascontiguousarray(values, dtype=float).tobytes())
 
 

@@ -1,4 +1,4 @@
-"""The parameters of a WorkspaceNode."""
+"""Parameters of a WorkspaceNode."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from fss_arm_workspace.analysis import AnalysisSettings
 
 @dataclass(frozen=True)
 class WorkspaceSettings(AnalysisSettings):
-    """What is computed, from which topics, and in which frames it is published."""
+    """Parameters of a WorkspaceNode: computation, topics and frames."""
 
     arm: str = setting("", "description YAML until a calibration comes; empty: the paper's arm")
     motion_threshold: float = setting(

@@ -1,12 +1,12 @@
-"""How well a workspace is known: a calibration's covariance carried to boundary, R and w.
+"""Uncertainty of a workspace: a calibration's covariance propagated to boundary, R and w.
 
 For a number f of the arm's parameters p with covariance C, to first order,
 
     sigma_f^2 = (df/dp) C (df/dp)^T
 
-A point of the boundary belongs to a posture in which nothing moves the tip outwards, so that the
-boundary moves, to first order, by what the tip of that posture moves along the normal. And
-the largest w at a point changes as w does while its posture gives way just enough to stay there.
+A point of the boundary belongs to a posture in which no joint moves the tip outwards. So the
+boundary moves, to first order, by the motion of that posture's tip along the normal. The largest w
+at a point changes as w does in its posture, adapted so that the tip stays at the point.
 """
 
 from collections.abc import Callable
@@ -22,19 +22,19 @@ from fss_arm_workspace.manipulability.search import Best
 from fss_arm_workspace.regions.arcs import Complexes, Floats, Region
 from fss_arm_workspace.regions.virtual import virtual_links
 
-_STEP = 1e-6  # of a parameter, for central differences
+_STEP = 1e-6  # step of a parameter for central differences
 
 
 def deviation(
     function: Callable[[Floats], npt.ArrayLike], arm: Arm, covariance: npt.ArrayLike
 ) -> Floats:
-    """Standard deviation of function(Arm.vector()), which may be an array.
+    """Return the standard deviation of function(Arm.vector()), which may be an array.
 
     Args:
-        function: of the parameters (8 + 6 n,), differentiated by central differences along the
-            covariance's own directions.
-        arm: where to differentiate.
-        covariance: of Arm.vector(), (8 + 6 n, 8 + 6 n).
+        function: function of the parameters (8 + 6 n,), differentiated by central differences
+            along the covariance's eigenvectors.
+        arm: arm at whose parameters to differentiate.
+        covariance: covariance of Arm.vector(), (8 + 6 n, 8 + 6 n).
     """
     p = arm.vector()
     variances, directions = np.linalg.eigh(np.asarray(covariance, dtype=float))
@@ -54,17 +54,17 @@ def boundary_deviation(
     *,
     of_true_angle: bool = False,
 ) -> list[tuple[Complexes, Floats]]:
-    """Points of each loop of a fixed vehicle workspace, (m,) [m], and how well they are known.
+    """Return points of each loop of a fixed vehicle workspace, (m,) [m], and their deviations.
 
     Args:
-        arm: the arm that the region is of.
-        region: as from fixed_workspace.
-        covariance: of Arm.vector().
-        spacing: of the points, at most [m].
+        arm: the arm of the region.
+        region: region from fixed_workspace.
+        covariance: covariance of Arm.vector().
+        spacing: maximum spacing of the points [m].
         of_true_angle: the limits hold for q + theta_0, and not for the encoder's reading q.
 
     Returns:
-        For each loop points and the standard deviation of the boundary there along its normal [m].
+        For each loop, points and the boundary's standard deviation there along the normal [m].
     """
     lines = []
     for loop, (points, q) in zip(region.loops, region.outlines(spacing), strict=True):
@@ -81,12 +81,12 @@ def boundary_deviation(
 
 
 def _given_way(arm: Arm, p: Floats) -> Floats:
-    """By how much readings (n,) give way so that q + theta_0 with p is that of the arm [rad]."""
+    """Return the changes of readings (n,) that keep q + theta_0 with p equal to the arm's [rad]."""
     return each(arm.vector() - p, OFFSET)
 
 
 def radius_deviation(arm: Arm, covariance: npt.ArrayLike) -> float:
-    """Standard deviation of R of Eq. 13 [m]."""
+    """Return the standard deviation of R of Eq. 13 [m]."""
 
     def radius(p: Floats) -> Floats:
         return np.asarray(np.abs(virtual_links(p)[2]).sum())
@@ -104,15 +104,15 @@ def measure_deviation(
     *,
     of_true_angle: bool = False,
 ) -> Floats:
-    """Standard deviation of the largest w at points (m, 2) of the base's frame, (m,).
+    """Return the standard deviation of the largest w at points (m, 2) of the base's frame, (m,).
 
     Args:
         arm: the arm.
-        best: the postures that have it, as from Search.at(points).
-        points: [m].
+        best: postures with the largest w, from Search.at(points).
+        points: x, y [m].
         limits: lowest and highest joint readings, (n, 2) [rad].
-        kind: what is measured.
-        covariance: of Arm.vector().
+        kind: kind of measure, see measure.py.
+        covariance: covariance of Arm.vector().
         of_true_angle: the limits hold for q + theta_0, and not for the encoder's reading q.
     """
 

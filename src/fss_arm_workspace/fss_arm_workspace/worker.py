@@ -1,4 +1,4 @@
-"""Work off the caller's thread that newer work supersedes."""
+"""Background thread for work that newer requests supersede."""
 
 from collections.abc import Callable
 from threading import Condition, Thread
@@ -8,13 +8,13 @@ Progress = Callable[[str, float], None]
 
 
 class Superseded(Exception):  # noqa: N818
-    """Newer work waits, or the worker is closed: what is being done is no longer wanted."""
+    """Exception that stops the current work: a newer request waits, or the worker is closed."""
 
 
 class Worker:
-    """A thread that does one request at a time, and only the newest of those that wait.
+    """Thread that processes one request at a time, and only the newest of the waiting ones.
 
-    `work(request, progress)` calls progress now and then, which ends it by raising Superseded.
+    `work(request, progress)` must call progress regularly; it raises Superseded to stop the work.
     """
 
     def __init__(self, work: Callable[[Any, Progress], None]) -> None:
@@ -29,13 +29,13 @@ class Worker:
         self._thread.start()
 
     def submit(self, request: Any) -> None:
-        """Do this next, and give up what is being done."""
+        """Process this request next, and abort the current one."""
         with self._changed:
             self._waiting, self.busy = request, True
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Give up, and wait for the thread to end."""
+        """Abort the current request, and wait for the thread to end."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""The node `workspace`: workspace and manipulability of the arm as it is calibrated and stands."""
+"""Node `workspace`: workspace and manipulability of the calibrated arm in its present posture."""
 
 import sys
 from collections import deque
@@ -43,18 +43,18 @@ from fss_arm_workspace.worker import Progress, Worker
 
 
 class WorkspaceNode(Node):
-    """Publishes what it computes of the arm, and computes it anew when that changes."""
+    """Node that publishes the arm's workspace, and recomputes it when arm or state change."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("workspace", **options)
         s = self.settings = declare(self, WorkspaceSettings)
         self.described = self.known = Calibrated(described(s.arm))
         self.arrived: deque[tuple[str, Any]] = deque()  # calibrations that passed, by topic
-        self.calibrations: dict[str, Any] = {}  # the last taken of each kind, the newest last
+        self.calibrations: dict[str, Any] = {}  # last accepted of each kind, the newest last
         load_kernels(self.known.arm)
-        self.readings: dict[int, float] = {}  # of joints, by number
+        self.readings: dict[int, float] = {}  # joint readings, by joint number
         self.pose: tuple[float, float, float] | None = None
-        self.shown: tuple[Calibrated, Floats] | None = None  # what straight paths were begun from
+        self.shown: tuple[Calibrated, Floats] | None = None  # start of the last straight paths
         kinds: dict[str, type] = {"result": Workspace, "boundary": PolygonStamped}
         kinds |= {"markers": MarkerArray, "straight_markers": MarkerArray}
         for base in ("fixed", "floating"):
@@ -80,24 +80,24 @@ class WorkspaceNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def on_calibration(self, topic: str, message: Any) -> None:
-        """Begin anew with what a calibration found."""
+        """Recompute the maps with a calibration, if it passed."""
         if message.calibration.verdict == message.calibration.PASS:
             self.arrived.append((topic, message))
             self.maps.submit(topic)
 
     def on_joints(self, message: JointState) -> None:
-        """Readings of one link or more."""
+        """Store the readings of one or more links."""
         self.readings |= {i: q for i, q, *_ in joint_readings(message) if isfinite(q)}
 
     def on_pose(self, message: PoseStamped) -> None:
-        """A pose of the base."""
+        """Store the pose of the base."""
         if pose := seen_pose(message):
             self.pose = pose
         else:
             self.get_logger().debug("the base is occluded")
 
     def on_timer(self) -> None:
-        """Publish the ellipsoids; follow arm and base with the straight paths."""
+        """Publish the ellipsoids; recompute the straight paths when arm or base have moved."""
         known, q = self.known, self.posture()
         if q is None:
             return
@@ -112,14 +112,14 @@ class WorkspaceNode(Node):
             self.paths.submit((known, state, self.pose is not None))
 
     def posture(self) -> Floats | None:
-        """The joint readings (n,) [rad]; None until all have come."""
+        """Return the joint readings (n,) [rad]; None until all have been received."""
         joints = range(1, self.known.arm.n + 1)
         if not all(i in self.readings for i in joints):
             return None
         return np.array([self.readings[i] for i in joints])
 
     def is_shown(self, known: Calibrated, state: Floats) -> bool:
-        """Whether straight paths were begun from about there."""
+        """Return True if the last straight paths start near the state, with the same arm."""
         if self.shown is None or self.shown[0] is not known:
             return False
         change = state - self.shown[1]
@@ -127,7 +127,7 @@ class WorkspaceNode(Node):
         return bool((np.abs(change) <= self.settings.motion_threshold).all())
 
     def take(self, topic: str, message: Any) -> None:
-        """In the worker's thread: know the arm by a calibration, too, unless it is of another."""
+        """Add a calibration to the known arm, unless it is of another arm (worker's thread)."""
         calibrations = {k: v for k, v in self.calibrations.items() if k != topic}
         calibrations[topic] = message
         try:
@@ -137,10 +137,10 @@ class WorkspaceNode(Node):
             self.get_logger().warning(f"{topic} is left out: {error}")
 
     def after(self, calibrations: dict[str, Any]) -> Calibrated:
-        """What is known of the described arm after calibrations.
+        """Return the described arm updated by calibrations.
 
         Raises:
-            ValueError: one is not of this arm.
+            ValueError: a calibration is not of this arm.
         """
         known = self.described
         for topic, message in calibrations.items():
@@ -150,7 +150,7 @@ class WorkspaceNode(Node):
         return known
 
     def find_maps(self, _: str, progress: Progress) -> None:
-        """In the worker's thread: compute and publish all that hangs on the arm alone."""
+        """Compute and publish the results that depend on the arm alone (worker's thread)."""
         while self.arrived:
             self.take(*self.arrived.popleft())
         known, settings = self.known, self.settings
@@ -164,10 +164,10 @@ class WorkspaceNode(Node):
         self.publish("result", messages.workspace_message(found, settings, header))
 
     def find_paths(self, request: tuple[Calibrated, Floats, bool], progress: Progress) -> None:
-        """In the worker's thread: compute and publish the straight paths from a state."""
+        """Compute and publish the straight paths from a state (worker's thread)."""
         (known, state, in_world), s = request, self.settings
         limits = joint_limits(known.arm, of_true_angle=s.of_true_angle)
-        start = np.append(state[:3], state[3:].clip(*limits.T))  # an encoder may read a bit more
+        start = np.append(state[:3], state[3:].clip(*limits.T))  # readings may exceed a limit
         found = straight_workspaces(known.arm, start, s, progress)
         header = self.header(s.world_frame if in_world else s.base_frame)
         for base, paths in found.items():
@@ -181,7 +181,7 @@ class WorkspaceNode(Node):
         )
 
     def publish(self, name: str, message: Any) -> None:
-        """Publish from any thread, unless the node is being shut down meanwhile."""
+        """Publish from any thread; errors during shutdown are ignored."""
         try:
             self.outputs[name].publish(message)
         except RCLError:
@@ -189,11 +189,11 @@ class WorkspaceNode(Node):
                 raise
 
     def header(self, frame_id: str) -> Header:
-        """Now, in a frame."""
+        """Return a header with the present time and a frame."""
         return Header(stamp=self.get_clock().now().to_msg(), frame_id=frame_id)
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the node's health for diagnostics."""
         values = {"arm": self.known.arm.name, "maps": self.maps.doing}
         values["straight paths"] = self.paths.doing
         failure = self.maps.failure or self.paths.failure
@@ -203,7 +203,7 @@ class WorkspaceNode(Node):
         return Health(OK, what, values)
 
     def close(self) -> None:
-        """End the workers."""
+        """Stop the workers."""
         self.maps.close()
         self.paths.close()
 
@@ -213,9 +213,9 @@ def _topic(base: str) -> str:
 
 
 def make_node() -> WorkspaceNode:
-    """Publishes workspace, maps, straight paths from the present posture, and ellipsoids there.
+    """Publish workspace and maps, and straight paths and ellipsoids of the present posture.
 
-    A calibration that passed begins them anew; straight paths follow arm and base.
+    All are recomputed after a calibration that passed; straight paths also after arm or base moved.
     """
     return WorkspaceNode()
 

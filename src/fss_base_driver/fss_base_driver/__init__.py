@@ -1,1 +1,1 @@
-"""The base's hardware: motion capture to poses."""
+"""Drivers of the base's hardware: the board's valves and gyro, and motion capture."""

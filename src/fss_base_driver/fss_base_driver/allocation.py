@@ -1,13 +1,15 @@
-"""A wrench by on/off valves: which to open in a period, and for how long.
+"""Allocation of a wrench to on/off valves: which to open in a period, and for how long.
 
-Valve i, open for the share u_i of a period, gives u_i B_i as a mean over it. Wanted is the mean w:
+If valve i is open for the share u_i of a period, its mean wrench over the period is u_i B_i. The
+shares for the desired mean w are the solution of
 
     min |S (B u - w)|^2 + (kappa sum u)^2,   0 <= u <= 1
 
-by least squares with bounds (Stark and Parker 1995, as in scipy); kappa, small, tells apart what
-gives the same wrench by the propellant that it takes. S weighs a newton metre in newtons. A share
-becomes a pulse, none or the shortest if it is below that, and what the pulses give
-too much or too little is owed to the next period, so that small wrenches come true on average.
+by least squares with bounds (Stark and Parker 1995, as in scipy). The small kappa selects, among
+shares with the same wrench, those that need the least propellant. S weights a newton metre in
+newtons. A share becomes a pulse; if it is below the shortest pulse, it becomes none or the shortest
+one. The difference to the desired impulse is carried over to the next period, so that small
+wrenches are correct on average.
 """
 
 from collections.abc import Collection
@@ -17,12 +19,12 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-THRIFT = 1e-3  # kappa, of the strongest valve's force
-CLIPPED = 0.01  # difference that counts as clipping, of the strongest valve's force
+THRIFT = 1e-3  # kappa, relative to the strongest valve's force
+CLIPPED = 0.01  # difference that counts as clipping, relative to the strongest valve's force
 
 
 class Allocation:
-    """Shares wrenches out to valves, period after period.
+    """Allocator of wrenches to valves, one period after another.
 
     Args:
         valves: (k, 3) force in the base's axes [N] and torque about its origin [N m] of each.
@@ -43,7 +45,7 @@ class Allocation:
         stuck_open: Collection[int] = (),
         stuck_closed: Collection[int] = (),
     ) -> None:
-        from scipy.optimize import lsq_linear  # here: the first pulse is not to wait for it
+        from scipy.optimize import lsq_linear  # imported late: the first pulse need not wait
 
         self._fit = lsq_linear
         self.valves = np.asarray(valves, dtype=float)
@@ -66,14 +68,13 @@ class Allocation:
         self._most_owed = 2.0 * strongest * max(minimum_on_time, 1e-3)  # [N s], [N m s]
         self._owed = np.zeros(3)
         self._tolerance = CLIPPED * force
-        self.clipped = False  # the valves cannot give the last wrench
+        self.clipped = False  # True if the valves cannot produce the last wrench
 
     def on_times(self, wrench: npt.ArrayLike) -> Floats:
-        """On times of the valves in the next period, (k,) [s]; sets `clipped`.
+        """Return the on-times of the valves in the next period, (k,) [s]; set `clipped`.
 
         Args:
-            wrench: (3,) wanted as a mean: force in the base's axes [N], torque about its
-                origin [N m].
+            wrench: (3,) desired mean: force in the base's axes [N], torque about its origin [N m].
         """
         wanted = np.asarray(wrench, dtype=float) + self._owed / self.period
         aim = np.append(self._scale * (wanted - self._leaks), 0.0)

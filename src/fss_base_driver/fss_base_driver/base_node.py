@@ -1,4 +1,4 @@
-"""The node of the base's board: its telemetry to topics, wrenches and pulses to its valves."""
+"""Node `base`: publishes the telemetry of the base's board and sends pulses to its valves."""
 
 import sys
 from collections.abc import Iterator
@@ -37,18 +37,18 @@ from fss_base_driver.settings import BaseSettings, live_kinds
 from fss_base_driver.wrench import planar_wrench
 
 COMMANDS = "thrusters/command", "base/wrench", "gripper/command"
-AHEAD = 0.5  # by which a stamp may seem to come from the future [s]
+AHEAD = 0.5  # largest lead of a stamp over the clock [s]
 MAX_OVERLOAD = 1000.0  # components of a wrench, as multiples of the total thrust
 OFF = VALVES * (0.0,)
-SCHEMES = "udp", "tcp", "serial"  # of its url
+SCHEMES = "udp", "tcp", "serial"  # of the url
 
 
 class BaseNode(SessionNode):
-    """Publishes what the base's board measures, and opens its valves when asked.
+    """Publish what the base's board measures, and open its valves on request.
 
     Args:
         transport: to the board, instead of the parameter `url`.
-        clock: the computer's, but for tests.
+        clock: the computer's clock, except in tests.
     """
 
     session: BoardSession
@@ -64,15 +64,15 @@ class BaseNode(SessionNode):
         transport = transport or open_transport(s.url, BOARD, s.key(), SCHEMES)
         self.connect(self.session, transport, "open the valves")
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
-        self.found = ThrusterHealth()  # of the valves, by the navigation
-        self.wrench: tuple[tuple[float, float, float], int] | None = None  # in force, since when
-        self.shared = 0  # when a wrench was shared out last
+        self.found = ThrusterHealth()  # faults of the valves found by the navigation
+        self.wrench: tuple[tuple[float, float, float], int] | None = None  # active one and its time
+        self.shared = 0  # time of the last allocation
         self.pacer, self.sums = Pacer(s.max_rate), Sums()
-        self.turned = 0  # when the gyro's rate was heard last
+        self.turned = 0  # time of the gyro's last rate
         self.search: BiasSearch | None = None
-        self.result: tuple[float, float] | str | None = None  # of it
+        self.result: tuple[float, float] | str | None = None  # of the search
         self.sent = NO_PULSE
-        self.seeking: Future | None = None  # who asked for the gyro's bias
+        self.seeking: Future | None = None  # completed when the search for the gyro's bias ends
 
         def publish(kind: type, topic: str) -> Any:
             return self.create_publisher(kind, topic, SENSOR)
@@ -92,7 +92,7 @@ class BaseNode(SessionNode):
         subscribe(self, ThrusterHealth, "thrusters/health", self.on_found, LATCHED)
         for topic in ("base/stop", "arm/stop"):
             subscribe_stop(self, topic, self.on_stop)
-        group = ReentrantCallbackGroup()  # the answer takes its time; all else goes on
+        group = ReentrantCallbackGroup()  # the search takes long; other callbacks run meanwhile
         self.create_service(Trigger, "base/find_gyro_bias", self.on_find, callback_group=group)
         self.sharing = self.create_timer(s.wrench_period, self.share, clock=timer_clock(self))
         declare_live(self, live_kinds(), self.on_live)
@@ -104,12 +104,12 @@ class BaseNode(SessionNode):
         self.begin("base/arm")
 
     def take(self, data: bytes, now: int) -> None:
-        """Publish what a datagram says."""
+        """Decode a datagram and publish its contents."""
         if heard := self.session.feed(data, now):
             self.publish(heard, now)
 
     def publish(self, heard: Heard, now: int) -> None:
-        """Publish what the board says; its rate of turn before all else."""
+        """Publish a telemetry frame; the gyro's rate comes first."""
         heard = heard._replace(stamp=heard.stamp + self.clock.ahead)
         frame, slow = heard.frame, self.session.slow
         self.publish_rate(heard)
@@ -126,7 +126,7 @@ class BaseNode(SessionNode):
                 self.propellant.publish(left)
 
     def publish_rate(self, heard: Heard) -> None:
-        """Publish the mean rate of turn since the frame before, at the middle of that time."""
+        """Publish the mean turn rate since the last frame, stamped at the middle of that time."""
         if (turn := self.sums.take(heard.frame, heard.stamp)) is None:
             return
         self.turned = self.now()
@@ -139,7 +139,7 @@ class BaseNode(SessionNode):
             self.seek(turn.stamp, rate, turn.samples, heard.frame.valves)
 
     def seek(self, stamp: int, rate: float, samples: int, valves: int) -> None:
-        """Let the search for the gyro's bias go on."""
+        """Pass a rate to the search for the gyro's bias, and store the result."""
         if self.search:
             try:
                 self.result = self.search.take(stamp, rate, samples, valves)
@@ -150,7 +150,7 @@ class BaseNode(SessionNode):
             self.news.trigger()
 
     def transmit(self) -> None:
-        """Send the command of the moment, and publish what is new in it."""
+        """Send the present command, and publish a new pulse."""
         with self.lock:
             now = self.now()
             self.transport.send(self.session.command(now))
@@ -160,7 +160,7 @@ class BaseNode(SessionNode):
             self.sent = self.session.pulse
 
     def tell(self, now: int, pulse: Pulse, last: Pulse) -> None:
-        """Publish a pulse that is new, and that the last one was closed before its time."""
+        """Publish a new pulse, or that the last one was ended early."""
         stamp = now + self.clock.ahead
         if pulse.number == last.number:
             return
@@ -172,7 +172,7 @@ class BaseNode(SessionNode):
 
     @contextmanager
     def taking(self, topic: str) -> Iterator[None]:
-        """Hold the session's lock; log and count a message of the topic that is refused."""
+        """Hold the session's lock; log and count a rejected message of the topic."""
         with self.lock:
             try:
                 yield
@@ -182,7 +182,7 @@ class BaseNode(SessionNode):
                 self.warn(topic, f"{topic} is refused: {error}")
 
     def on_thrust(self, message: ThrusterCommand) -> None:
-        """Open the valves that are asked for, in place of the wrench in force."""
+        """Open the requested valves, instead of following the active wrench."""
         with self.taking("thrusters/command"):
             given = self.given(message, self.settings.command_lifetime)
             self.session.thrust(message.on_time, given, self.now())
@@ -190,7 +190,7 @@ class BaseNode(SessionNode):
             self.pass_on()
 
     def on_wrench(self, message: WrenchStamped) -> None:
-        """Take a wrench, and share it out at once if none was for a period."""
+        """Store a wrench, and allocate it at once if there was none for a period."""
         with self.taking("base/wrench"):
             given = self.given(message, self.settings.wrench_lifetime)
             self.session.require_armed()
@@ -200,7 +200,7 @@ class BaseNode(SessionNode):
                 self.share()
 
     def share(self) -> None:
-        """Share out the wrench in force for the next period; without one, rest until one comes."""
+        """Allocate the active wrench for the next period; without one, stop the timer."""
         if self.wrench is None:
             self.sharing.cancel()
             return
@@ -208,9 +208,9 @@ class BaseNode(SessionNode):
             now, (wrench, given) = self.now(), self.wrench
             if now - given > SECOND * self.settings.wrench_lifetime or not any(wrench):
                 self.wrench = None
-                self.allocation = self.new_allocation()  # nothing is owed any more
+                self.allocation = self.new_allocation()  # resets the impulse carried over
             if now - given > SECOND * self.settings.wrench_lifetime:
-                return  # what was given ends by itself
+                return  # the last pulse ends by itself
             times = self.allocation.on_times(wrench).tolist() if any(wrench) else OFF
             self.session.counts["wrenches_clipped"] += self.allocation.clipped
             self.session.thrust(times, now, now)
@@ -219,7 +219,7 @@ class BaseNode(SessionNode):
             self.transmit()
 
     def new_allocation(self) -> Allocation:
-        """How wrenches are shared out, by the valves that work."""
+        """Return an allocation to the valves that work."""
 
         def stuck(how: str) -> list[int]:
             found = getattr(self.found, how)
@@ -234,13 +234,13 @@ class BaseNode(SessionNode):
         )  # fmt: skip
 
     def on_found(self, message: ThrusterHealth) -> None:
-        """Leave out the valves that the navigation has found stuck."""
+        """Exclude the valves that the navigation has found stuck."""
         with self.lock:
             self.found = message
             self.allocation = self.new_allocation()
 
     def given(self, message: Any, lifetime: float) -> int:
-        """When a message was given, by the clock that nobody sets, if it is not too old."""
+        """Return the time of a message in the steady clock; reject a message that is too old."""
         now = self.now()
         if not (stamp := stamp_ns(message.header.stamp)):
             raise CommandError("it has no stamp, so that a recording could not be told from it")
@@ -256,7 +256,7 @@ class BaseNode(SessionNode):
             self.pass_on()
 
     def pass_on(self) -> None:
-        """Send what was taken at once, or with the next command if that were above max_rate."""
+        """Send an accepted command at once, or with the next one if max_rate would be exceeded."""
         if not self.pacer.wait(self.now()):
             self.transmit()
 
@@ -268,7 +268,7 @@ class BaseNode(SessionNode):
         self.send()
 
     def state_words(self) -> str:
-        """How the board is, for people."""
+        """Return the board's state as text."""
         return messages.state_words(self.session)
 
     async def on_find(self, _: Trigger.Request, response: Trigger.Response) -> Any:
@@ -293,13 +293,13 @@ class BaseNode(SessionNode):
         return response
 
     def on_live(self, prefix: str, field: str, value: float) -> None:
-        """A parameter was set."""
+        """Update a parameter that was set."""
         with self.lock:
             self.live[prefix] = replace(self.live[prefix], **{field: value})
             self.allocation = self.new_allocation()
 
     def answer(self) -> None:
-        """Answer requests that have come to an end."""
+        """Answer requests that are complete."""
         super().answer()
         silence = (self.now() - self.turned) / SECOND
         if self.search and (self.session.lost or silence > self.settings.timeout):
@@ -330,7 +330,7 @@ class BaseNode(SessionNode):
             return self.board_health(self.now(), more)
 
     def close(self) -> None:
-        """Close all valves, and give the port back."""
+        """Close all valves and the port."""
         with self.lock:
             self.session.disarm()
             self.transport.send(self.session.command(self.now()))

@@ -1,4 +1,4 @@
-"""What the command `check` does."""
+"""Implementation of the command `check`."""
 
 import argparse
 import json
@@ -35,16 +35,16 @@ from fss_base_driver.thrust import Body, Floats, Thrust, TrackError, estimate, o
 PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
 CANNOT, INTERRUPTED = 1, 130
-PATIENCE = 10.0  # with whoever shall answer [s]
-DISCOVERY = 1.0  # of topics that are to be heard [s]
+PATIENCE = 10.0  # longest wait for an answer [s]
+DISCOVERY = 1.0  # time to discover the topics [s]
 
 
 class CheckError(RuntimeError):
-    """The check cannot be carried out; the message says why."""
+    """Failure to carry out the check; the message says why."""
 
 
 class Finding(NamedTuple):
-    """What came of one valve, from 1."""
+    """Result for one valve, numbered from 1."""
 
     valve: int
     verdict: str
@@ -53,7 +53,7 @@ class Finding(NamedTuple):
 
 
 class Tester(Node):
-    """Opens valves by the node `base`, and hears what the base does then."""
+    """Node that opens valves through the node `base` and records the base's motion."""
 
     def __init__(self, namespace: str, base_topic: str) -> None:
         super().__init__(
@@ -73,22 +73,22 @@ class Tester(Node):
         self.arming = self.create_client(SetBool, "base/arm")
 
     def on_pose(self, message: PoseStamped) -> None:
-        """Keep a pose that says something."""
+        """Store a valid pose."""
         if pose := seen_pose(message):
             self.poses.append((stamp_ns(message.header.stamp) / SECOND, *pose))
 
     def on_imu(self, message: Imu) -> None:
-        """Keep a rate of turn."""
+        """Store a turn rate."""
         rate = message.angular_velocity.z
         if isfinite(rate):
             self.rates.append((stamp_ns(message.header.stamp) / SECOND, rate))
 
     def on_joints(self, message: JointState) -> None:
-        """Keep the joints' last angles."""
+        """Store the joints' last angles."""
         self.joints |= {i: q for i, q, _, _ in joint_readings(message) if isfinite(q)}
 
     def wait(self, condition: Callable[[], Any], timeout: float) -> bool:
-        """Listen until the condition holds, or for so long; whether it does."""
+        """Spin until the condition holds or the timeout passes; return True if it holds."""
         until = time.monotonic() + timeout
         while not (holds := bool(condition())) and (left := until - time.monotonic()) > 0.0:
             spin_once(self, min(left, 0.1))
@@ -98,7 +98,7 @@ class Tester(Node):
         """Arm the board, or disarm it.
 
         Raises:
-            CheckError: it is not done.
+            CheckError: it fails.
         """
         if not self.arming.wait_for_service(PATIENCE):
             raise CheckError("no node `base` answers on base/arm: does it run in this ROS domain?")
@@ -110,15 +110,15 @@ class Tester(Node):
 
     @contextmanager
     def armed(self) -> Iterator[None]:
-        """Have the board armed, and disarm it however the block ends.
+        """Arm the board for a block, and disarm it however the block ends.
 
         Raises:
-            CheckError: it does not arm, or disarm.
+            CheckError: arming or disarming fails.
         """
         try:
             self.arm(True)
             yield
-        except BaseException:  # which tells more than that it does not disarm, either
+        except BaseException:  # it matters more than a failure to disarm
             if self.arming.service_is_ready():
                 try:
                     self.arm(False)
@@ -128,10 +128,10 @@ class Tester(Node):
         self.arm(False)
 
     def angles(self, arm: Arm) -> list[float]:
-        """Those of the arm's joints.
+        """Return the angles of the arm's joints.
 
         Raises:
-            CheckError: not all are heard.
+            CheckError: not all joints have sent readings.
         """
         self.wait(lambda: len(self.joints) >= arm.n, DISCOVERY + PATIENCE)
         if missing := [i for i in range(1, arm.n + 1) if i not in self.joints]:
@@ -154,7 +154,7 @@ class Tester(Node):
         return stamp_ns(self.sent[0].header.stamp) / SECOND
 
     def try_valve(self, valve: int, body: Body, rows: Floats, given: argparse.Namespace) -> Finding:
-        """Open one valve, numbered from 0, and judge it by how the base moves."""
+        """Open one valve, numbered from 0, and evaluate it by the base's motion."""
         for kept in (self.poses, self.rates, self.telemetry):
             kept.clear()
         self.wait(lambda: False, given.before)
@@ -173,7 +173,7 @@ class Tester(Node):
 
 
 def as_yaml(findings: list[Finding], when: str) -> str:
-    """The result, as it is written; with all valves found, also as the node's parameter."""
+    """Return the result as YAML; with all valves measured, also as the node's parameter."""
     lines = ["# What `ros2 run fss_base_driver check` found.", f"when: {json.dumps(when)}"]
     lines += ["valves:"]
     for found in sorted(findings):
@@ -194,7 +194,7 @@ def as_yaml(findings: list[Finding], when: str) -> str:
 
 
 def table(findings: list[Finding]) -> Table:
-    """The result, to print."""
+    """Return the result as a table."""
     shown = Table("valve", "force x, y [N]", "torque [N m]", "1 sigma [N, N m]", "", box=None)
     for found in sorted(findings):
         cells = ["-", "-", "-"]
@@ -232,7 +232,7 @@ def main(args: Sequence[str] | None = None) -> int:
         why = "no more input" if isinstance(end, EOFError) else "interrupted"
         print(f"check: {why}", file=sys.stderr)
         return CANNOT if isinstance(end, EOFError) else INTERRUPTED
-    finally:  # whatever ended it, what was found cost a person's time
+    finally:  # the results are saved even after an error
         if findings:
             when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             Path(given.output).write_text(as_yaml(findings, when), encoding="utf-8")
@@ -243,10 +243,10 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def run(arm: Arm, given: argparse.Namespace, findings: list[Finding]) -> None:
-    """Try what was asked for, and leave the board disarmed.
+    """Test the requested valves, and leave the board disarmed.
 
     Raises:
-        CheckError: it cannot be carried out.
+        CheckError: the check cannot be carried out.
     """
     rows = np.reshape(given.layout, (COUNT, 3)) if given.layout else None
     rows = layout(given.thrust, given.lever) if rows is None else rows
@@ -254,7 +254,7 @@ def run(arm: Arm, given: argparse.Namespace, findings: list[Finding]) -> None:
     try:
         topic = given.base_topic or default_in(BASE_TOPIC, given.namespace)
         tester = Tester(given.namespace, topic)
-        tester.wait(lambda: tester.telemetry, PATIENCE)  # else the answer to arming says why
+        tester.wait(lambda: tester.telemetry, PATIENCE)  # otherwise the answer to arming says why
         body = Body.of(arm, given.q or tester.angles(arm))
         with tester.armed():
             if not tester.wait(lambda: tester.poses, PATIENCE):

@@ -1,4 +1,4 @@
-"""The command `check`: opens each valve in turn and compares how the base moves with the layout."""
+"""The command `check`: opens each valve in turn and compares the base's motion with the layout."""
 
 import argparse
 import os
@@ -11,7 +11,7 @@ BASE_TOPIC = Vehicle.__dataclass_fields__["base_topic"]
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the command-line parser."""
     p = Parser(
         prog="check",
         description="Open each valve of the base in turn, by the running node `base`, and compare "

@@ -1,9 +1,9 @@
-"""A KVH DSP-3000 fibre-optic gyro on a serial port: its lines of text to rates.
+"""Decoder of a KVH DSP-3000 fibre-optic gyro on a serial port: lines of text to rates.
 
-The unit with the 100 Hz asynchronous interface (technical manual 54-0215 Rev. C, chapter 2):
-RS-232, 38400 baud, 8N1, about 100 lines a second, (-)xxx.xxxxxx, a space, and 1 for valid or 0 for
-a fault. In its default mode the number is the rate in degrees per second, averaged since the line
-before.
+This is for the unit with the 100 Hz asynchronous interface (technical manual 54-0215 Rev. C,
+chapter 2): RS-232, 38400 baud, 8N1, about 100 lines a second. A line is (-)xxx.xxxxxx, a space, and
+1 for valid or 0 for a fault. In its default mode the number is the rate in degrees per second,
+averaged since the last line.
 """
 
 import re
@@ -11,37 +11,40 @@ from math import radians
 from typing import NamedTuple
 
 BAUD = 38_400
-RATE = 100.0  # lines a second, give or take 3 %
-LARGEST = 375.0  # rate that it measures [deg/s]
-LONGEST = 64  # bytes without an end of line that are none [bytes]
+RATE = 100.0  # lines a second, within 3 %
+LARGEST = 375.0  # measurement range [deg/s]
+LONGEST = 64  # most bytes before an end of line [bytes]
 _LINE = re.compile(rb"\s*(-?\d{1,3}\.\d{6})\s+([01])\s*")
 
 
 class Counts(NamedTuple):
-    """What has come."""
+    """Counters of the received lines."""
 
     rates: int = 0
-    faults: int = 0  # the gyro says that its rate is not valid
-    noise: int = 0  # lines that are none, or say an impossible rate
+    faults: int = 0  # the gyro reports an invalid rate
+    noise: int = 0  # malformed lines, or impossible rates
 
 
 class Lines:
-    """Finds rates in a stream that is fed in pieces of any size.
+    """Decoder of a byte stream that is fed in pieces of any size.
 
-    Lines have no checksum: one that is cut, or of which a bit flipped, is told by its form and its
-    size alone. What comes before the first end of line is dropped, as it may be the rest of one.
+    Lines have no checksum. A truncated line or a flipped bit is detected only by the line's form
+    and
+    by the size of the rate. Everything before the first end of line is dropped, because it may be
+    the
+    rest of a line.
     """
 
     def __init__(self) -> None:
         self.counts = Counts()
-        self._rest: bytes | None = None  # None: up to the next end of line all is skipped
+        self._rest: bytes | None = None  # None: skip to the next end of line
 
     def begin(self) -> None:
-        """Begin anew, as the port was opened again; counts go on."""
+        """Reset the decoder after the port was opened again; the counters are kept."""
         self._rest = None
 
     def feed(self, data: bytes) -> list[float]:
-        """The rates whose lines end in `data`, in order [rad/s]."""
+        """Return the rates whose lines end in `data`, in order [rad/s]."""
         first, *ended = data.split(b"\n")
         if not ended:
             if self._rest is not None:
@@ -56,7 +59,7 @@ class Lines:
         return [rate for rate in found if rate is not None]
 
     def _rate(self, line: bytes) -> float | None:
-        """What a line says [rad/s]; None: nothing that counts."""
+        """Return the rate of a line [rad/s]; None if the line is invalid."""
         match = _LINE.fullmatch(line)
         if match is None or abs(degrees := float(match[1])) > LARGEST:
             self._count(noise=1)

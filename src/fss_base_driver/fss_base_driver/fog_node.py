@@ -1,4 +1,4 @@
-"""The node `fog`: a fibre-optic gyro on a serial port of this computer, to fog/imu."""
+"""Node `fog`: publishes a fibre-optic gyro on a serial port of this computer as fog/imu."""
 
 import os
 import sys
@@ -23,16 +23,16 @@ from fss_base_driver.dsp3000 import Lines
 from fss_base_driver.programs import fog as main
 from fss_base_driver.settings import FogCorrection, FogSettings
 
-AGAIN = 0.5  # from one try to open the port to the next [s]
-AWAKE = 0.2  # so often the thread sees that it shall end [s]
+AGAIN = 0.5  # pause between attempts to open the port [s]
+AWAKE = 0.2  # interval at which the thread checks for the shutdown [s]
 DOUBT = "is it a DSP-3000 in its mode `rate`, and at this baud rate?"
 
 
 class FogNode(Node):
-    """Publishes the rate of turn that a KVH DSP-3000 measures, in place of the board's gyro.
+    """Publish the turn rate measured by a KVH DSP-3000, instead of the board's gyro.
 
     Args:
-        clock: the computer's, but for tests.
+        clock: the computer's clock, except in tests.
     """
 
     def __init__(self, clock: HostClock | None = None, **options: Any) -> None:
@@ -56,11 +56,11 @@ class FogNode(Node):
         self.thread.start()
 
     def on_live(self, _: str, field: str, value: float) -> None:
-        """A parameter was set."""
+        """Update a parameter that was set."""
         self.correction = replace(self.correction, **{field: value})
 
     def listen(self) -> None:
-        """Read the port, and open it again when it is lost, until closed."""
+        """Read the port until closed; open it again if it is lost."""
         while not self.closing.is_set():
             try:
                 if self.port is None:
@@ -69,14 +69,14 @@ class FogNode(Node):
                 if readable([self.port], AWAKE):
                     self.take(os.read(self.port.fileno(), 4096), self.clock.now())
             except RCLError:
-                return  # shut down meanwhile
+                return  # ROS was shut down
             except (OSError, ValueError) as error:
                 self.drop()
                 self.trouble = f"cannot use the port: {getattr(error, 'strerror', None) or error}"
                 self.closing.wait(AGAIN)
 
     def take(self, data: bytes, arrival: int) -> None:
-        """Publish the rates that have come, the last of them just now."""
+        """Publish the received rates; the last one has just arrived."""
         if not data:
             raise ConnectionResetError("the device is gone")
         with self.lock:
@@ -85,7 +85,7 @@ class FogNode(Node):
             self.publish(arrival - round(SECOND * (self.settings.latency + 0.01 * late)), rate)
 
     def publish(self, measured: int, rate: float) -> None:
-        """Publish a rate; stamps never run back, unless the time of day is set back."""
+        """Publish a rate; stamps increase, unless the system time is set back."""
         self.measured, self.trouble = max(measured, self.measured + 1), ""
         settings, gyro = self.settings, self.correction
         rate = gyro.scale * rate - gyro.bias
@@ -100,7 +100,7 @@ class FogNode(Node):
                 port.close()
 
     def health(self) -> Health:
-        """Whether rates come, and are valid."""
+        """Return the health: whether rates arrive and are valid."""
         now, counts = time.monotonic(), self.lines.counts
         grown = [new - old for new, old in zip(counts, self.before, strict=True)]
         rate = grown[0] / max(now - self.then, 1e-9)
@@ -116,7 +116,7 @@ class FogNode(Node):
         return Health(OK, "the gyro is heard", values)
 
     def close(self) -> None:
-        """End the thread and give the port back."""
+        """Stop the thread and close the port."""
         self.closing.set()
         self.thread.join()
         self.drop()

@@ -1,32 +1,32 @@
-"""The gyro's rate from the sums that the board counts, and its bias from a while at rest."""
+"""Gyro rate from the sums counted by the board, and gyro bias from a time at rest."""
 
 from math import sqrt
 from typing import NamedTuple
 
 from fss_base_driver.protocol import BaseTelemetry
 
-LONGEST = 1_000_000  # from one frame to the next; sums may have gone round in more [us]
+LONGEST = 1_000_000  # longest time between frames; the sums may wrap around after that [us]
 
 
 class Turn(NamedTuple):
-    """The mean of some samples."""
+    """Mean of some gyro samples."""
 
-    stamp: int  # middle of their time [ns]
+    stamp: int  # middle of the averaging time [ns]
     counts: float  # of one sample
     samples: int
 
 
 class Sums:
-    """Differences of the sums from frame to frame, so that a lost frame loses nothing."""
+    """Differences of the sums between frames; a lost frame loses no sample."""
 
     def __init__(self) -> None:
         self._last: tuple[BaseTelemetry, int] | None = None
 
     def take(self, frame: BaseTelemetry, stamp: int) -> Turn | None:
-        """The mean since the last frame; None if nothing was sampled, or the board restarted.
+        """Return the mean since the last frame; None without samples, or if the board restarted.
 
         Args:
-            frame: one after another, as they are believed.
+            frame: accepted frames, one after another.
             stamp: time of its measurement [ns].
         """
         last, self._last = self._last, (frame, stamp)
@@ -43,18 +43,18 @@ class Sums:
 
 
 class BiasError(ValueError):
-    """The bias was not found; the message says why."""
+    """Failure to find the bias; the message says why."""
 
 
 class BiasSearch:
-    """The mean rate over a while in which the base is at rest.
+    """Search for the bias: mean rate over a time in which the base is at rest.
 
-    What turns steadily looks like a bias: that the base is held is for a person to see to.
+    A steady rotation looks like a bias. The operator must make sure that the base is held.
 
     Args:
-        duration: for how long [s].
-        scatter: of the frames' mean rates that a base at rest does not exceed [rad/s].
-        largest: bias that is believed [rad/s].
+        duration: averaging time [s].
+        scatter: largest scatter of the frames' mean rates for a base at rest [rad/s].
+        largest: largest plausible bias [rad/s].
     """
 
     def __init__(self, duration: float, scatter: float, largest: float) -> None:
@@ -65,10 +65,10 @@ class BiasSearch:
     def take(
         self, stamp: int, rate: float, samples: int, valves: int
     ) -> tuple[float, float] | None:
-        """Learn a frame's mean rate, without a bias taken off [rad/s].
+        """Add a frame's mean rate, without bias correction [rad/s].
 
         Returns:
-            Bias and its standard deviation, by the scatter [rad/s], once it has taken long enough.
+            Bias and its standard deviation, from the scatter [rad/s]; None until the time is over.
 
         Raises:
             BiasError: a valve is open, or the base turns.

@@ -1,4 +1,4 @@
-"""What the board's session knows, as messages."""
+"""Conversion of the state of the board's session to messages."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from math import nan
@@ -17,7 +17,7 @@ from fss_base_driver.session import BoardSession, Heard
 
 ZERO_CELSIUS = 273.15  # [K]
 KILOPASCAL = 1e3  # [Pa]
-#: What a BaseTelemetry has as the frame has it, and what took turns in the frames.
+#: Fields that a BaseTelemetry copies from the frame, and those that frames send in turn.
 REPORTED = (
     *("boot", "sequence", "clock", "gyro_sum", "gyro_samples", "valves", "gripper"),
     *("pulse", "pulse_age", "flags"),
@@ -36,7 +36,7 @@ FLAG_WORDS = {
 
 
 def telemetry(heard: Heard, session: BoardSession, now: int, frame_id: str) -> BaseTelemetry:
-    """Everything that the board reported, raw, and what the session knows of it."""
+    """Return all that the board reported, raw, with the state of the session."""
     message, slow = BaseTelemetry(), session.slow
     message.header.stamp, message.header.frame_id = to_time(heard.stamp), frame_id
     for name in REPORTED:
@@ -52,7 +52,7 @@ def telemetry(heard: Heard, session: BoardSession, now: int, frame_id: str) -> B
 
 
 def imu(stamp: int, rate: float, deviation: float, frame_id: str) -> Imu:
-    """A rate of turn about z with its standard deviation [rad/s]."""
+    """Return a turn rate about z with its standard deviation [rad/s]."""
     message = Imu()
     message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     message.orientation_covariance[0] = message.linear_acceleration_covariance[0] = -1.0
@@ -62,7 +62,7 @@ def imu(stamp: int, rate: float, deviation: float, frame_id: str) -> Imu:
 
 
 def gripper_state(heard: Heard, frame_id: str) -> GripperState:
-    """The gripper, of which the board knows neither distance nor angle to anything."""
+    """Return the gripper's state; the board knows neither distance nor angle to anything."""
     told = heard.frame.gripper
     message = GripperState(
         closed=bool(told & Hand.TOLD_TO_CLOSE), holds=bool(told & Hand.HOLDS), distance=nan,
@@ -73,21 +73,21 @@ def gripper_state(heard: Heard, frame_id: str) -> GripperState:
 
 
 def pulses(stamp: int, on_times: Sequence[float]) -> ThrusterCommand:
-    """What the valves were told [s]."""
+    """Return the commanded on-times of the valves [s]."""
     message = ThrusterCommand(on_time=list(on_times))
     message.header.stamp = to_time(stamp)
     return message
 
 
 def pressure(stamp: int, kilopascals: int, frame_id: str) -> FluidPressure:
-    """Of the tank."""
+    """Return the pressure of the tank."""
     message = FluidPressure(fluid_pressure=KILOPASCAL * kilopascals, variance=0.0)
     message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     return message
 
 
 def battery(stamp: int, voltage: float, frame_id: str) -> BatteryState:
-    """The board's, of which only the voltage is known."""
+    """Return the state of the board's battery, of which only the voltage is known."""
     message = BatteryState(
         voltage=voltage, temperature=nan, current=nan, charge=nan, capacity=nan,
         design_capacity=nan, percentage=nan, present=True, location=frame_id,
@@ -97,7 +97,7 @@ def battery(stamp: int, voltage: float, frame_id: str) -> BatteryState:
 
 
 def propellant(slow: dict[int, int], volume: float) -> Float64 | None:
-    """The mass of the gas that is left [kg], once pressure and temperature are known."""
+    """Return the remaining mass of gas [kg], once pressure and temperature are known."""
     if not {BaseSlow.TANK, BaseSlow.TEMPERATURE} <= slow.keys():
         return None
     kelvins = ZERO_CELSIUS + 0.1 * slow[BaseSlow.TEMPERATURE]
@@ -107,7 +107,7 @@ def propellant(slow: dict[int, int], volume: float) -> Float64 | None:
 
 
 def faulty_valves(slow: dict[int, int]) -> list[str]:
-    """The valves whose current does not fit what they were told."""
+    """Return the valves whose current does not match their command."""
     bits = slow.get(BaseSlow.FAULTS, 0)
     dead = [f"valve {i + 1} draws no current" for i in range(VALVES) if bits >> i & 1]
     live = [f"valve {i + 1} draws current unasked" for i in range(VALVES) if bits >> i + 8 & 1]
@@ -115,7 +115,7 @@ def faulty_valves(slow: dict[int, int]) -> list[str]:
 
 
 def state_words(session: BoardSession) -> str:
-    """How the board is, for people."""
+    """Return the board's state as text."""
     flags = session.frame.flags if session.frame else 0
     words = [text for flag, text in FLAG_WORDS.items() if flags & flag]
     words += faulty_valves(session.slow)
@@ -124,7 +124,7 @@ def state_words(session: BoardSession) -> str:
 
 
 class BoardHealth(SessionHealth):
-    """The board's health since it was last asked for."""
+    """Health of the board since the last report."""
 
     session: BoardSession
     firmware = BaseSlow.FIRMWARE
@@ -133,22 +133,22 @@ class BoardHealth(SessionHealth):
         super().__init__(session.partner.name, session, transport, signed)
 
     def words(self) -> str:
-        """How the board is, for people."""
+        """Return the board's state as text."""
         return state_words(self.session)
 
     def _doubts(self, grown: Mapping[str, int]) -> Iterator[str]:
-        """Yield warnings, the gravest first."""
+        """Yield warnings, the most serious first."""
         yield from super()._doubts(grown)
         if grown["wrenches_clipped"]:
             yield "base/wrench exceeds what the valves can give"
 
     def is_well(self) -> bool:
-        """Whether nothing is latched, and all valves' currents fit."""
+        """Return True if nothing is latched and the currents of all valves match their commands."""
         flagged = self.session.frame and self.session.frame.flags & ~BaseState.ARMED
         return not flagged and not faulty_valves(self.session.slow)
 
     def values(self) -> dict[str, Any]:
-        """What its instruments report."""
+        """Return the values reported by the board's instruments."""
         slow = self.session.slow
         return {
             "valves' faults": ", ".join(faulty_valves(slow)) or "none",

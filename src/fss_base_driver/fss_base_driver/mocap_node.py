@@ -1,4 +1,4 @@
-"""The node `mocap`: poses of a motion-capture system or another receiver, as nodes read them."""
+"""Node `mocap`: publishes poses of a motion-capture system or of another receiver."""
 
 import sys
 import time
@@ -40,21 +40,21 @@ CHOOSE = "name those that are wanted in the parameter subjects"
 
 
 class MocapNode(Node):
-    """Publishes poses of motion capture in metres; none that is occluded or has jumped."""
+    """Publish poses of motion capture in metres, except occluded ones and jumps."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("mocap", **options)
         self.settings = s = declare(self, MocapSettings)
         self.subjects = Subjects(Bounds(s.max_speed, s.max_turn, s.settle_time))
         self.places = s.places()
-        self.poses: dict[str, Publisher | None] = {}  # None: the subject's name makes no topic
+        self.poses: dict[str, Publisher | None] = {}  # None: the name is invalid in a topic
         for name in self.places:
             self.poses[name] = self.new_publisher(name)
         self.relays = [Relay(relay.rpartition("=")[0], self.topic_of(relay)) for relay in s.relays]
-        self.lock = Lock()  # frames come in a thread of their own
+        self.lock = Lock()  # frames arrive in a separate thread
         self.frames, self.heard, self.by_header = 0, time.monotonic_ns(), False
         self.empty = False  # the last frame had no subject
-        self.trouble = self.told = ""  # why the receiver ended, and what was logged last
+        self.trouble = self.told = ""  # why the receiver ended, and the last log line
         self.create_service(Trigger, "mocap/accept", self.on_accept)
         self.create_timer(0.5, self.look_for_relays, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health, s.host)
@@ -67,7 +67,7 @@ class MocapNode(Node):
 
     @property
     def source(self) -> str:
-        """Where poses come from, in words."""
+        """Source of the poses as text."""
         s = self.settings
         return " at ".join(filter(None, (s.system, s.host))) or ", ".join(s.relays)
 
@@ -76,7 +76,7 @@ class MocapNode(Node):
         self.take(arrival - round(self.settings.latency * SECOND), poses)
 
     def on_message(self, relay: Relay, message: Any) -> None:
-        """Publish what another receiver says."""
+        """Publish the poses of a relayed message."""
         stamp = stamp_ns(message.header.stamp) if hasattr(message, "header") else 0
         self.by_header = bool(stamp)
         arrival = time.time_ns() - round(self.settings.latency * SECOND)
@@ -84,18 +84,18 @@ class MocapNode(Node):
         self.take(stamp or arrival, {name or relay.last_name: pose for name, pose in poses})
 
     def take(self, stamp: int, poses: dict[str, Pose]) -> None:
-        """Publish those of a frame's poses that are believed."""
+        """Publish the accepted poses of a frame."""
         wanted = {n: p for n, p in poses.items() if not self.places or n in self.places}
         with self.lock:
             self.frames, arrival = self.frames + 1, time.monotonic_ns()
-            self.empty = not poses  # as of a VRPN server that is not there
+            self.empty = not poses  # as of a VRPN server that is not running
             if poses:
                 self.heard, self.trouble, self.told = arrival, "", ""
             for name, pose in self.subjects.take(stamp, wanted, arrival).items():
                 self.publish(name, stamp, pose)
 
     def publish(self, name: str, stamp: int, pose: Pose) -> None:
-        """Publish a pose of a subject, if its name makes a topic."""
+        """Publish a pose of a subject, if its name is valid in a topic."""
         if name not in self.poses:
             try:
                 self.poses[name] = self.new_publisher(name)
@@ -110,7 +110,11 @@ class MocapNode(Node):
             publisher.publish(message)
 
     def new_publisher(self, name: str) -> Publisher:
-        """A publisher of a subject's poses, or SettingError: they would have no valid topic."""
+        """Return a publisher of a subject's poses.
+
+        Raises:
+            SettingError: the topic's name is invalid.
+        """
         topic = f"{self.settings.prefix}/{self.places.get(name, f'{name}/{name}')}"
         try:
             return self.create_publisher(PoseStamped, topic, SENSOR)
@@ -118,7 +122,11 @@ class MocapNode(Node):
             raise SettingError(f"subjects: {topic!r} is no name of a topic: {error}") from None
 
     def topic_of(self, relay: str) -> str:
-        """What a relay names, with its namespace, or SettingError."""
+        """Return the topic of a relay, with its namespace.
+
+        Raises:
+            SettingError: the topic's name is invalid.
+        """
         topic = relay.rpartition("=")[2]
         try:
             validate_topic_name(topic)
@@ -127,7 +135,7 @@ class MocapNode(Node):
             raise SettingError(f"relays: {topic!r} is no name of a topic: {error}") from None
 
     def look_for_relays(self) -> None:
-        """Subscribe to topics to relay as soon as there is one of a type that can be read."""
+        """Subscribe to relayed topics once they have a type that can be read."""
         waiting = [relay for relay in self.relays if relay.lacks]
         types = dict(self.get_topic_names_and_types()) if waiting else {}
         for relay in waiting:
@@ -142,18 +150,18 @@ class MocapNode(Node):
                 relay.lacks = lacks
 
     def on_end(self, why: str) -> None:
-        """Learn why the receiving process has ended."""
+        """Store and log why the receiving process has ended."""
         self.trouble = why
         self.tell(why)
 
     def tell(self, why: str) -> None:
-        """Log, once, why no poses come."""
+        """Log once why no poses arrive."""
         if why != self.told and self.context.ok():
             self.get_logger().error(why)
         self.told = why
 
     def on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """A person says that each subject is what it is called."""
+        """Accept all subjects, because the operator confirms their names."""
         with self.lock:
             doubts = self.subjects.doubts(time.monotonic_ns())
             self.subjects.accept()
@@ -162,7 +170,7 @@ class MocapNode(Node):
         return response
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the health for diagnostics."""
         now, timeout = time.monotonic_ns(), self.settings.timeout
         with self.lock:
             silence = (now - self.heard) / SECOND
@@ -175,7 +183,7 @@ class MocapNode(Node):
         return Health(WARN if words else OK, "; ".join(words) or "receiving", values)
 
     def absence(self) -> str:
-        """What does not come, in words."""
+        """Return why no frames arrive, as text."""
         if self.receiver and not self.receiver.connected:
             return f"waiting for {self.source}: it does not answer"
         if self.empty:
@@ -185,11 +193,11 @@ class MocapNode(Node):
         return f"no frame {'any more' if self.frames else 'yet'} from {self.source}"
 
     def lacking(self) -> list[str]:
-        """The topics that cannot be relayed yet, and why."""
+        """Return the topics that cannot be relayed yet, with reasons."""
         return [f"{relay.topic}: {relay.lacks}" for relay in self.relays if relay.lacks]
 
     def doubts(self, now: int) -> list[str]:
-        """What is not received as it should be, in words."""
+        """Return the problems with subjects and relays as text."""
         subjects, known = self.subjects, self.subjects.subjects
         words = [f"{name} {why}" for name, why in subjects.doubts(now).items()]
         silent = subjects.silent(now, self.settings.timeout).items()
@@ -202,7 +210,7 @@ class MocapNode(Node):
         return words + self.lacking()
 
     def close(self) -> None:
-        """End the receiving process."""
+        """Stop the receiving process."""
         if self.receiver:
             self.receiver.close()
 

@@ -1,4 +1,4 @@
-"""The executables."""
+"""Executables of the package."""
 
 from fss_arm_ros.program import Command, Program
 

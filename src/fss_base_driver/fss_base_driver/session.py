@@ -1,6 +1,6 @@
-"""The driver's side of the base's board: pulses for its valves, orders for its gripper.
+"""Session of the driver with the base's board: pulses for its valves, orders for its gripper.
 
-What is sent is as in docs/reference/base_protocol.md. All times are the caller's, in integer
+Frames are described in docs/reference/base_protocol.md. All times are the caller's, in integer
 nanoseconds.
 """
 
@@ -26,20 +26,20 @@ from fss_base_driver.protocol import (
 )
 
 NAME = "the base's board"
-UNIT = 1000 * TIME_UNIT  # of on times [ns]
-LATEST = SECOND // 10  # that a pulse begins when it had to be repeated
+UNIT = 1000 * TIME_UNIT  # of on-times [ns]
+LATEST = SECOND // 10  # largest delay of a pulse's start by repetition [ns]
 LATCHES = BaseState.STOPPED | BaseState.WATCHDOG | BaseState.SPENT
 
 
 class Heard(NamedTuple):
-    """A telemetry frame that is believed."""
+    """An accepted telemetry frame."""
 
     frame: BaseTelemetry
     stamp: int  # host time of the measurement [ns]
 
 
 class Pulse(NamedTuple):
-    """What was given to the valves."""
+    """Pulse sent to the valves."""
 
     number: int = 0
     on_times: tuple[int, ...] = NO_ON_TIMES  # [TIME_UNIT]
@@ -48,7 +48,7 @@ class Pulse(NamedTuple):
 
     @property
     def longest(self) -> int:
-        """On time of the valve that is open longest [ns]."""
+        """On-time of the valve that is open longest [ns]."""
         return UNIT * max(self.on_times)
 
 
@@ -56,29 +56,29 @@ NO_PULSE = Pulse()
 
 
 class Unrestricted:
-    """Rules of reception that any telemetry of the board keeps."""
+    """Plausibility rules that accept any telemetry of the board."""
 
     def possible(self, frame: BaseTelemetry) -> bool:
-        """Any frame is plausible."""
+        """Return True: any frame is plausible."""
         return True
 
     def reachable(self, before: BaseTelemetry, frame: BaseTelemetry) -> bool:
-        """Any frame may follow any other."""
+        """Return True: any frame may follow any other."""
         return True
 
 
 class BoardSession(Session[BaseTelemetry]):
-    """What the driver knows and wants of the board.
+    """State of the session with the board, and the commands to it.
 
     Args:
         timeout: silence after which the board is lost [s].
-        watchdog: silence after which the board shall disarm itself [s].
-        lifetime: of a pulse that has not begun [s].
-        longest: on time that is taken [s].
-        resolution: step of the clock that the caller reads [s].
-        key: that frames are signed under; None: they are not signed.
+        watchdog: silence after which the board must disarm itself [s].
+        lifetime: of a pulse that has not started [s].
+        longest: largest accepted on-time [s].
+        resolution: of the caller's clock [s].
+        key: for the signatures of frames; None: frames are not signed.
         empty: voltage of the board's battery at which it must be switched off [V].
-        epoch: what to add to the caller's clock to have the time of day [ns].
+        epoch: offset from the caller's clock to the time of day [ns].
     """
 
     def __init__(
@@ -97,17 +97,17 @@ class BoardSession(Session[BaseTelemetry]):
             BaseSlow.REFUSED, "scripts/fss_arm.sh valves",
         )  # fmt: skip
         super().__init__(partner, timeout, watchdog, resolution, key, empty, epoch)
-        self.pulse = NO_PULSE  # in force
+        self.pulse = NO_PULSE  # active pulse
         self._lifetime, self._longest = round(1e9 * lifetime), longest
         self._number = 0  # of the last pulse
-        self._grip = Gripper.KEEP  # asked for, and not confirmed yet
-        self._grip_time = 0  # when it was asked for
+        self._grip = Gripper.KEEP  # requested, and not confirmed yet
+        self._grip_time = 0  # time of that request
 
     def thrust(self, on_times: Sequence[float], given: int, now: int) -> None:
-        """Open the valves for these times [s], as was asked at `given`; all 0 closes them.
+        """Open the valves for these times [s], requested at `given`; all 0 closes them.
 
         Raises:
-            CommandError: it cannot be done; what was in force stays.
+            CommandError: the command is rejected; the active pulse continues.
         """
         self.tick(now)
         self.require_armed()
@@ -142,7 +142,7 @@ class BoardSession(Session[BaseTelemetry]):
         self._grip, self._grip_time = Gripper.CLOSE if close else Gripper.OPEN, now
 
     def command(self, now: int) -> bytes:
-        """The frame to send now."""
+        """Return the frame to send now."""
         self.tick(now)
         flags, expiry, pulse, grip = self._flags(now), 0, NO_PULSE, Gripper.KEEP
         if flags == BaseOrder.ARM:
@@ -160,26 +160,26 @@ class BoardSession(Session[BaseTelemetry]):
         )
 
     def feed(self, data: bytes, now: int) -> Heard | None:
-        """Take a datagram; return what it says if it is to be believed."""
+        """Process a datagram; return its frame if it is accepted."""
         if taken := self._take(data, now):
             self._follow(taken[0])
         return Heard(*taken) if taken else None
 
     def _is_off(self, frame: BaseTelemetry) -> bool:
-        """Whether all valves are closed."""
+        """Return True if all valves are closed."""
         return not frame.valves
 
     def _end(self, why: str) -> None:
-        """No pulse is in force any more, and no order to the gripper."""
+        """Drop the active pulse and the order to the gripper."""
         self.pulse, self._grip = NO_PULSE, Gripper.KEEP
 
     def _pass(self, now: int) -> None:
-        """A pulse is in force until it expires."""
+        """Drop the active pulse when it has expired."""
         if now > self.pulse.expiry:
             self.pulse = NO_PULSE
 
     def _learn(self, frame: BaseTelemetry, echoed: int | None) -> None:
-        """Count on from the board's pulse, and see whether the gripper was told."""
+        """Synchronize the pulse number with the board, and check for the gripper's confirmation."""
         if not self.armed:
             self._number = frame.pulse
         told = Gripper.CLOSE if frame.gripper & Hand.TOLD_TO_CLOSE else Gripper.OPEN

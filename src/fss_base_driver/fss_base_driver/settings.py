@@ -1,4 +1,4 @@
-"""The parameters of the base's nodes."""
+"""Parameters of the base's nodes."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ SYSTEMS = ("vicon", "vrpn", "optitrack", "qualisys", "mock")
 
 @dataclass(frozen=True)
 class MocapSettings(Settings):
-    """The parameters of a MocapNode."""
+    """Parameters of a MocapNode."""
 
     system: str = setting(
         "",
@@ -84,14 +84,14 @@ class MocapSettings(Settings):
                 raise SettingError(f"options holds {option!r}, expected OPTION=VALUE")
 
     def places(self) -> dict[str, str]:
-        """By name of a subject, what follows the prefix in its topic; empty: any subject."""
+        """Return the topic after the prefix for each named subject; empty if all are wanted."""
         pairs = (subject.partition("=")[::2] for subject in self.subjects)
         return {name: place or f"{name}/{name}" for name, place in pairs}
 
 
 @dataclass(frozen=True)
 class BaseSettings(Settings):
-    """The parameters of a BaseNode."""
+    """Parameters of a BaseNode."""
 
     url: str = setting("", "where the base's board is: udp://, tcp:// or serial://; required")
     rate: float = setting(
@@ -178,20 +178,20 @@ class BaseSettings(Settings):
                 f"minimum_on_time is {self.minimum_on_time} s, expected below wrench_period, "
                 f"{self.wrench_period} s"
             )
-        if self.max_on_time < self.wrench_period:  # else no large wrench would be taken
+        if self.max_on_time < self.wrench_period:  # otherwise no large wrench would be accepted
             raise SettingError(
                 f"max_on_time is {self.max_on_time} s, expected at least wrench_period, "
                 f"{self.wrench_period} s"
             )
 
     def valves(self) -> npt.NDArray[np.float64]:
-        """Force along x and y [N] and torque [N m] of each valve, (8, 3)."""
+        """Return force along x and y [N] and torque [N m] of each valve, (8, 3)."""
         if self.layout:
             return np.reshape(self.layout, (VALVES, 3))
         return layout(self.thrust, self.lever)
 
     def key(self) -> bytes | None:
-        """The key that frames are signed under, if any.
+        """Return the key for the signatures of frames, if any.
 
         Raises:
             ValueError: keys are configured, but none for the board.
@@ -201,7 +201,7 @@ class BaseSettings(Settings):
 
 @dataclass(frozen=True)
 class ValveSettings(Settings):
-    """Of one valve, while the node runs: wrenches are given without those that do not work."""
+    """Parameters of one valve that can change at runtime; stuck valves get no share of wrenches."""
 
     stuck_open: float = setting(0.0, "1: the valve does not close", check=between(0.0, 1.0))
     stuck_closed: float = setting(0.0, "1: the valve does not open", check=between(0.0, 1.0))
@@ -209,7 +209,7 @@ class ValveSettings(Settings):
 
 @dataclass(frozen=True)
 class GyroSettings(Settings):
-    """Of the gyro, while the node runs."""
+    """Parameters of the gyro that can change at runtime."""
 
     scale: float = setting(1e-6, "rate of turn of one count; may be negative", unit="rad/s",
                            check=FINITE)  # fmt: skip
@@ -217,13 +217,13 @@ class GyroSettings(Settings):
 
 
 def live_kinds() -> dict[str, type]:
-    """The parameters of a BaseNode that may be set while it runs, by prefix."""
+    """Return the parameters of a BaseNode that can change at runtime, by prefix."""
     return {**{f"valve_{i}": ValveSettings for i in range(1, VALVES + 1)}, "gyro": GyroSettings}
 
 
 @dataclass(frozen=True)
 class FogSettings(Settings):
-    """The parameters of a FogNode."""
+    """Parameters of a FogNode."""
 
     device: str = setting("/dev/ttyUSB0", "serial port that the gyro is on")
     baud: int = setting(BAUD, "rate of the serial port", unit="1/s", check=between(300, 4_000_000))
@@ -237,7 +237,7 @@ class FogSettings(Settings):
 
 @dataclass(frozen=True)
 class FogCorrection(Settings):
-    """Of the gyro's rates, while the node runs."""
+    """Correction of the gyro's rates that can change at runtime."""
 
     scale: float = setting(1.0, "factor of its rates; -1 turns the gyro over", check=FINITE)
     bias: float = like(GyroSettings, "bias")

@@ -1,4 +1,4 @@
-"""What the command `subjects` does."""
+"""Implementation of the command `subjects`."""
 
 import argparse
 import sys
@@ -31,7 +31,7 @@ UNITS = ("[1/s]", "[ms]", "p50, p99 [ms]", "[ms]", "[m]", "[m]", "[deg]", "")
 
 @dataclass
 class Heard:
-    """What was heard of one subject."""
+    """Messages received of one subject."""
 
     stamps: list[int] = field(default_factory=list)  # [ns]
     arrivals: list[int] = field(default_factory=list)  # [ns]
@@ -39,7 +39,7 @@ class Heard:
     unusable: int = 0  # occluded or not finite
 
     def take(self, message: Any) -> None:
-        """Count a message."""
+        """Record a message."""
         self.arrivals.append(time.time_ns())
         self.stamps.append(stamp_ns(message.header.stamp))
         if pose := seen_pose(message):
@@ -48,7 +48,7 @@ class Heard:
             self.unusable += 1
 
     def row(self) -> list[str]:
-        """The cells of COLUMNS."""
+        """Return the cells of COLUMNS."""
         stamps, arrivals = np.array(self.stamps, float), np.array(self.arrivals, float)
         late = np.percentile((arrivals - stamps) / SECOND * 1e3, (50, 99))
         between = np.diff(stamps) / SECOND
@@ -68,7 +68,7 @@ class Heard:
 
 
 class Listener(Node):
-    """Listens to every topic of poses under a prefix."""
+    """Node that subscribes to all topics of poses under a prefix."""
 
     def __init__(self, prefix: str) -> None:
         super().__init__("subjects", enable_rosout=False, start_parameter_services=False)
@@ -77,7 +77,7 @@ class Listener(Node):
         self.create_timer(0.2, self.look)
 
     def look(self) -> None:
-        """Listen to topics that have turned up."""
+        """Subscribe to new topics."""
         for topic, kinds in self.get_topic_names_and_types():
             pose = "geometry_msgs/msg/PoseStamped" in kinds and topic.startswith(self.prefix)
             if pose and topic not in self.heard:
@@ -86,7 +86,7 @@ class Listener(Node):
 
 
 def table(heard: dict[str, Heard]) -> Table:
-    """What was heard, to print."""
+    """Return the received subjects as a table."""
     shown = Table("topic", *map("\n".join, zip(COLUMNS, UNITS, strict=True)), box=None)
     for topic, subject in sorted(heard.items()):
         shown.add_row(topic, *(subject.row() if subject.stamps else ["silent"]))
@@ -107,7 +107,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def listen(given: argparse.Namespace) -> int:
-    """Listen, and print what was heard."""
+    """Receive for a while, and print the table."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     interrupt_at_end()
     try:

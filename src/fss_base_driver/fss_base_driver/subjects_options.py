@@ -1,4 +1,4 @@
-"""The command `subjects`: which subjects are seen, how often, how late and how steadily."""
+"""The command `subjects`: visible subjects with rate, jitter, latency and longest gap."""
 
 import argparse
 
@@ -6,7 +6,7 @@ from fss_arm_ros.command_line import Parser
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the command-line parser."""
     command = Parser(
         prog="subjects",
         description="Which subjects motion capture sees: rate, jitter of the stamps, latency from "

@@ -1,14 +1,14 @@
-"""What a valve pushes with, from how the base moves before and after one pulse of it.
+"""Estimation of a valve's thrust from the base's motion before and after one pulse.
 
-Base and arm, its joints held, are one rigid body of mass M, inertia I about its centre of mass c,
-which lies at c in the base's frame. A pulse from t = 0 to T adds to the motion of c, and to the
-heading, along each axis
+Base and arm, with joints held, are one rigid body of mass M and inertia I about its centre of mass,
+which is at c in the base's frame. A pulse from t = 0 to T adds to the motion of the centre of mass
+along each axis, and in the same way to the heading:
 
     x(t) = x_0 + v_0 t + a t^2 / 2 + dv s(t),   s(t) = 0, t^2 / 2T, t - T/2   before, in, after it
 
-where a is what else pushes (a tilted table, a hose). The gyro sees the heading's rate with a bias
-of its own. Least squares give dv and domega; force and torque about the base's origin are, in its
-axes,
+where a is the acceleration by other forces (a tilted table, a hose). The gyro measures the
+heading's rate with a bias of its own. Least squares give dv and domega. Force and torque about the
+base's origin, in its axes, are
 
     F = M R(-theta) dv / T,   tau = I domega / T + c x F
 """
@@ -24,15 +24,15 @@ from fss_arm_model.dynamics import inertia_matrix
 
 Floats = npt.NDArray[np.float64]
 
-LEAST = 20  # poses before a pulse, and after it
+LEAST = 20  # least number of poses before a pulse, and after it
 
 
 class TrackError(ValueError):
-    """A track is too short to say anything; the message says what is missing."""
+    """Failure because a track is too short; the message says what is missing."""
 
 
 class Body(NamedTuple):
-    """Base and arm with its joints held."""
+    """Rigid body of base and arm, joints held."""
 
     mass: float  # [kg]
     inertia: float  # about its centre of mass [kg m^2]
@@ -40,7 +40,7 @@ class Body(NamedTuple):
 
     @classmethod
     def of(cls, arm: Arm, q: npt.ArrayLike) -> "Body":
-        """An arm at joint angles q, (n) [rad]."""
+        """Return the body with the arm at joint angles q, (n) [rad]."""
         H = inertia_matrix(arm.vector(), np.concatenate([np.zeros(3), np.asarray(q, float)]))
         mass = float(H[0, 0])
         x, y = float(H[1, 2]) / mass, -float(H[0, 2]) / mass
@@ -57,19 +57,19 @@ class Thrust:
 
     @property
     def size(self) -> float:
-        """[N]."""
+        """Magnitude of the force [N]."""
         return float(np.hypot(*self.force))
 
 
 def estimate(
     body: Body, poses: npt.ArrayLike, rates: npt.ArrayLike, begin: float, duration: float
 ) -> Thrust:
-    """What pushed the base for `duration` from `begin` on [s].
+    """Estimate the thrust that acted on the base for `duration` from `begin` on [s].
 
     Args:
-        body: what is pushed.
+        body: base and arm.
         poses: (k, 4) time [s], x, y [m], heading [rad, without jumps] of the base.
-        rates: (m, 2) time [s] and rate of turn by the gyro [rad/s]; m may be 0.
+        rates: (m, 2) time [s] and turn rate by the gyro [rad/s]; m may be 0.
         begin: of the pulse [s].
         duration: of the pulse [s].
 
@@ -90,7 +90,7 @@ def estimate(
     omega, blur = _turned(design, heading, gyro[:, 0] - begin, gyro[:, 1], duration)
     middle = turn[np.abs(t - 0.5 * duration).argmin()]
     force = body.mass * complex(*push) / duration / middle
-    offset = complex(*body.com).conjugate() * force  # whose imaginary part is c x F
+    offset = complex(*body.com).conjugate() * force  # the imaginary part is c x F
     of_force = body.mass * float(np.hypot(*spread)) / duration / np.sqrt(2.0)
     of_torque = np.hypot(body.inertia * blur / duration, abs(complex(*body.com)) * of_force)
     return Thrust(
@@ -101,13 +101,13 @@ def estimate(
 
 
 def _gained(t: Floats, duration: float) -> Floats:
-    """s(t) [s]."""
+    """Return s(t) [s]."""
     inside = np.clip(t, 0.0, duration)
     return 0.5 * inside * inside / duration + np.maximum(t - duration, 0.0)
 
 
 def _fit(design: Floats, y: Floats) -> tuple[float, float]:
-    """The last coefficient and its deviation, by the scatter about the fit."""
+    """Return the last coefficient and its standard deviation, from the scatter about the fit."""
     solution = np.linalg.lstsq(design, y, rcond=None)[0]
     left = y - design @ solution
     variance = left @ left / (len(y) - design.shape[1])
@@ -117,7 +117,7 @@ def _fit(design: Floats, y: Floats) -> tuple[float, float]:
 def _turned(
     design: Floats, heading: Floats, t: Floats, rate: Floats, duration: float
 ) -> tuple[float, float]:
-    """Change of the rate of turn and its deviation [rad/s], by heading and gyro together."""
+    """Return the change of the turn rate and its deviation [rad/s], from heading and gyro."""
     results = [_fit(design, heading)]
     if len(t) >= LEAST:
         ramp = np.clip(t / duration, 0.0, 1.0)
@@ -128,7 +128,7 @@ def _turned(
 
 
 def order(layout: npt.ArrayLike) -> list[int]:
-    """All valves, from 0, each next one that leaves the base as slow as can be."""
+    """Return all valves, from 0, in an order in which each next one leaves the base slowest."""
     rows = np.asarray(layout, float)
     rows = rows / np.maximum(np.abs(rows).max(axis=0), 1e-12)
     total, rest, done = np.zeros(3), list(range(len(rows))), []
@@ -141,13 +141,13 @@ def order(layout: npt.ArrayLike) -> list[int]:
 
 
 def verdict(found: Thrust, layout: npt.ArrayLike, valve: int, tolerance: float = 0.2) -> str:
-    """What of a valve, from 0, does not fit its layout, in words; empty: all fits.
+    """Return how a valve deviates from its layout; empty if it does not.
 
     Args:
-        found: by the base's motion.
-        layout: (k, 3) as the node `base` has it.
+        found: measured from the base's motion.
+        layout: (k, 3) of the node `base`.
         valve: from 0.
-        tolerance: of thrust and lever, as a part of them.
+        tolerance: relative tolerance of thrust and lever.
     """
     rows = np.asarray(layout, float)
     sizes = np.hypot(rows[:, 0], rows[:, 1])

@@ -7,7 +7,7 @@ from fss_arm_driver.session import CommandError
 
 IN_PLANE = "force.x", "force.y", "torque.z"
 OUT_OF_PLANE = "force.z", "torque.x", "torque.y"
-TOLERANCE = 1e-3  # of components out of the plane [N, N m]
+TOLERANCE = 1e-3  # limit of components out of the plane [N, N m]
 
 
 def planar_wrench(message: Any, frame: str, limit: float) -> tuple[float, float, float]:

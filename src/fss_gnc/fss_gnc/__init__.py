@@ -1,1 +1,1 @@
-"""Navigation and control of the floating base: pose and twist, wrenches by valves."""
+"""Guidance, navigation and control of the floating base: pose and twist, wrenches by valves."""

@@ -15,7 +15,7 @@ MAX_HEADING = 1000.0  # [rad], 159 turns; headings are wrapped
 MAX_DURATION = 86_400.0  # [s], one day
 MAX_TWIST = (1.0, 1.0, 3.0)  # motion capture rejects a faster base [m/s, m/s, rad/s]
 MAX_ACCELERATION = (1.0, 1.0, 3.0)  # [m/s^2, m/s^2, rad/s^2]
-BRAKING_TIME = 3.0  # for which a moving reference may be beyond the table's edge [s]
+BRAKING_TIME = 3.0  # time for which a moving reference may be beyond the table's edge [s]
 ROUNDING = 1e-9  # of interpolated numbers
 
 UNITS = (("m", "m", "rad"), ("m/s", "m/s", "rad/s"), ("m/s^2", "m/s^2", "rad/s^2"))
@@ -36,7 +36,7 @@ def check_all(values: Floats, limits: Floats, field: Callable[..., tuple[str, st
     Args:
         values: of any shape.
         limits: of the same shape.
-        field: name and unit of a value, by its indices.
+        field: function that returns name and unit of a value, given its indices.
     """
     beyond = np.argwhere(~(np.abs(values) <= limits + ROUNDING))
     if len(beyond):
@@ -46,7 +46,7 @@ def check_all(values: Floats, limits: Floats, field: Callable[..., tuple[str, st
 
 
 def duration(name: str, value: float) -> float:
-    """Return a duration [s] that is not negative and at most a day."""
+    """Return a duration [s] if it is not negative and at most one day."""
     return check(name, value, 0.0, MAX_DURATION, "s")
 
 
@@ -77,7 +77,7 @@ def twists(name: str, values: npt.ArrayLike) -> Floats:
 
 
 def knot_times(name: str, values: npt.ArrayLike, step: float) -> Floats:
-    """Return times (k,) [s] that rise by more than `step` from 0 on, within a day."""
+    """Return times (k,) [s] if they increase by more than `step` from 0 on, within a day."""
     times = np.array(values, dtype=float)
     for k, value in enumerate(times.tolist()):
         duration(f"{name}[{k}]", value)
@@ -90,7 +90,7 @@ def knot_times(name: str, values: npt.ArrayLike, step: float) -> Floats:
 
 
 def check_stamp(stamp: int, now: int, end: float, timeout: float) -> None:
-    """Raise ValueError if a path is not for the present.
+    """Raise ValueError if a path is too far in the future or in the past.
 
     Args:
         stamp: time from which the times of its points count [ns]; 0: none is given.
@@ -110,18 +110,18 @@ def check_stamp(stamp: int, now: int, end: float, timeout: float) -> None:
 def check_reference(path: Path, table: Sequence[float]) -> None:
     """Raise ValueError if a reference leaves the table or moves faster than a base can.
 
-    A base that cannot stop before the edge has its reference beyond it while it brakes: a
-    reference that moves may be beyond the edge by its speed times BRAKING_TIME.
+    The reference of a base that cannot stop before the edge is beyond the edge while the base
+    brakes. So a moving reference may be beyond the edge by its speed times BRAKING_TIME.
 
     Args:
-        path: of the base, as base/trajectory has it.
+        path: of the base, from base/trajectory.
         table: its sides along x and y [m], about the origin.
     """
     last = len(path.times) - 1
     for k in (0, last):
         duration(f"points[{k}].time_from_start", float(path.times[k]))
     _check_states(path.knots, table, lambda k, d: f"points[{k}].{POINT_FIELDS[d]}.")
-    times, states = (each[:-1] for each in path.resolved(float(path.times[0])))  # then it rests
+    times, states = (each[:-1] for each in path.resolved(float(path.times[0])))  # end: at rest
     _check_states(states[:, :2], table, lambda k, _: f"reference at {times[k]:g} s, ")
 
 

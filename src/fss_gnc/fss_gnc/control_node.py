@@ -1,7 +1,7 @@
-"""The node `control`: from where the base is and is to be to the wrench on it.
+"""Node `control`: computes the wrench on the base from its state and its reference.
 
-It is silent, which closes the valves, while it does not know base, joints or trajectory, and while
-a trajectory without points asks it to coast.
+It publishes nothing, so that the valves close, while base, joints or trajectory are unknown, and
+while a trajectory without points asks it to coast.
 """
 
 import sys
@@ -36,7 +36,7 @@ from fss_gnc.reference import Body, Floats, Path, Reference
 
 
 class ControlNode(Node):
-    """Publishes base/wrench so that the base follows base/trajectory, whatever the arm does."""
+    """Publish base/wrench so that the base follows base/trajectory, whatever the arm does."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("control", **options)
@@ -51,8 +51,8 @@ class ControlNode(Node):
         self.joints = Latest[Floats]("arm/joint_states", s.max_age)
         self.trajectory = Latest[tuple[int, Path | None]]("base/trajectory", s.timeout)
         self.used, self.holds = 0.0, False
-        self.place: Floats | None = None  # of what is held, in the last link's frame
-        self.measured: tuple[Target, Floats] | None = None  # it and its place, once known
+        self.place: Floats | None = None  # of the held target, in the last link's frame
+        self.measured: tuple[Target, Floats] | None = None  # held body and its place, once measured
         self.trouble, self.acting = "", False
         self.polled: list[PolledSubscription] = []
         for topic in (self.base, self.target):
@@ -72,11 +72,11 @@ class ControlNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def now(self) -> int:
-        """The node's clock [ns]."""
+        """Return the node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
     def listen(self, kind: type, topic: Latest[Any], read: Any) -> None:
-        """Keep the newest message of a topic that makes sense."""
+        """Keep the newest valid message of a topic."""
 
         def take(message: Any) -> None:
             try:
@@ -87,15 +87,15 @@ class ControlNode(Node):
         self.polled.append(PolledSubscription(self, kind, topic.name, take))
 
     def reject(self, topic: str, error: ValueError) -> None:
-        """Count and log a message that makes no sense, as one that the rule of its type rejects."""
+        """Count and log a rejected message, as the validation rule of its type does."""
         next(each for each in validators(self) if each.topic == topic).refuse(str(error))
 
     def on_trajectory(self, message: MultiDOFJointTrajectory) -> None:
-        """Follow it from now on."""
+        """Follow a new trajectory from now on; reject it if it is out of bounds."""
         now, stamp = self.now(), stamp_ns(message.header.stamp)
         try:
             path = messages.path(message)
-            if path is not None:  # one without points may always close the valves
+            if path is not None:  # a message without points may always close the valves
                 bounds.check_stamp(stamp, now, path.end, self.settings.timeout)
                 bounds.check_reference(path, self.settings.table)
             self.trajectory.take(now, (stamp, path))
@@ -103,31 +103,31 @@ class ControlNode(Node):
             self.reject("base/trajectory", error)
 
     def on_planned(self, message: JointTrajectory) -> None:
-        """Remember the rates planned for the joints."""
+        """Store the rates planned for the joints."""
         try:
             self.planned.take(*messages.planned_rates(message, self.arm))
         except ValueError as error:
             self.reject("arm/planned", error)
 
     def on_propellant(self, message: Float64) -> None:
-        """What is left of it; a sensor that is off may say less than nothing."""
+        """Compute the used propellant; a sensor with an offset may report a negative mass."""
         self.used = self.settings.full_tank - max(message.data, 0.0)
 
     def on_gripper(self, message: GripperState) -> None:
-        """Whether the target is part of the arm."""
+        """Store whether the target is part of the arm."""
         self.holds = message.holds
         if not message.holds:
             self.place = self.measured = None
 
     def on_mass(self, message: MassProperties) -> None:
-        """What is held, as the navigation has found it."""
+        """Store the held body's mass properties as estimated by the navigation."""
         try:
             self.measured = messages.mass_properties(message) if self.holds else None
         except ValueError as error:
             self.reject("target/mass_properties", error)
 
     def tick(self) -> None:
-        """Publish the wrench for the next period; none to act: once zero, then nothing."""
+        """Publish the wrench for the next period; without one, publish zero once, then nothing."""
         for subscription in self.polled:
             subscription.poll()
         wrench = self.following()
@@ -140,7 +140,7 @@ class ControlNode(Node):
         self.acting = wrench is not None
 
     def following(self) -> Floats | None:
-        """The wrench for the next period, or None: there is none to act."""
+        """Return the wrench for the next period; None if the valves must stay closed."""
         now, period = self.now(), 1.0 / self.settings.rate
         self.trouble = self.base.trouble(now) or self.joints.trouble(now)
         base, joints, heard = self.base.at(now), self.joints.value, self.trajectory.at(now)
@@ -150,7 +150,7 @@ class ControlNode(Node):
         if path is None:
             return None
         base, (q_m, qd_m, _) = base.after(self.base.age(now)), joints
-        if self.joints.at(now) is None:  # links hold when nobody commands them any more
+        if self.joints.at(now) is None:  # links stop without commands
             qd_m = np.zeros_like(qd_m)
         q = np.concatenate([base.pose, q_m + self.joints.age(now) * qd_m])
         self.control.p = self.mass(q, now)
@@ -159,7 +159,9 @@ class ControlNode(Node):
         return self.control.wrench(q, np.concatenate([base.twist, qd_m]), reference, period, qdd_m)
 
     def mass(self, q: Floats, now: int) -> Floats:
-        """Parameters of base and arm as they are now, (8 + 6 n,): less gas, with what is held.
+        """Return the present parameters of base and arm, (8 + 6 n,).
+
+        Used gas is subtracted, and a held body is added.
 
         Args:
             q: (3 + n,) state.
@@ -181,7 +183,7 @@ class ControlNode(Node):
         self.wrench.publish(message)
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the health for diagnostics."""
         held = self.place is not None or self.measured is not None
         values = {"holds the target": held, "propellant used [kg]": self.used}
         if self.trouble:

@@ -1,8 +1,8 @@
-"""The node `guidance`: one activity at a time, from actions to what base and arm are to do.
+"""Node `guidance`: runs one activity at a time, from actions to commands for base and arm.
 
-It ends whatever goes on, valves closed and joints at rest, on base/stop and arm/stop, and when it
-does not know any more where the base or the joints are. If it dies itself, control and arm forget
-what it wanted.
+It ends the running activity, with valves closed and joints at rest, on base/stop and arm/stop, and
+when the base or the joints are no longer known. If the node itself dies, its last commands to
+control and arm expire.
 """
 
 import sys
@@ -50,38 +50,38 @@ from fss_gnc.programs import guidance as main
 from fss_gnc.reference import Body
 
 STEP = 0.25  # between points of base/trajectory [s]
-PICTURED = 32  # most poses of a path in mission/state
-FORGETFUL = 2.0  # age at which gripper and tank are not known any more [s]
+PICTURED = 32  # largest number of poses of a path in mission/state
+FORGETFUL = 2.0  # age after which the state of gripper and tank is unknown [s]
 
 
 @dataclass
 class Flight:
-    """An activity under way."""
+    """A running activity."""
 
     kind: Kind
     handle: ServerGoalHandle
     activity: Activity
     begun: int  # [ns]
     budget: Budget
-    over: Future = field(default_factory=Future)  # how it ended
-    rates: bool = False  # whether it has moved the arm
-    trouble: str = ""  # why it aborts or brakes, after the phase; empty: it does not
+    over: Future = field(default_factory=Future)  # result of the activity
+    rates: bool = False  # True once it has commanded the arm
+    trouble: str = ""  # why it aborts or brakes, after the phase; empty: neither
 
 
 class GuidanceNode(Node):
-    """Does what base/* and mission/* actions ask for, one at a time."""
+    """Run the base/* and mission/* actions, one at a time."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("guidance", **options)
         self.settings = s = declare(self, MissionSettings)
         self.craft = Craft(described(s.arm), s)
-        Budget(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels: that takes long
+        Budget(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels, which takes long
         capture.load(self.craft)
         self.flight: Flight | None = None
         self.base = Latest[Body]("base/state", s.max_age)
         self.target = Latest[Body]("target/state", s.max_age)
         self.joints = Latest[Floats]("arm/joint_states", s.max_age)
-        self.held: Held | None = None  # what the gripper holds, as the navigation has found it
+        self.held: Held | None = None  # held body as estimated by the navigation
         self.valves = ThrusterHealth()
         self.holds = Latest[bool]("gripper/state", FORGETFUL)
         self.propellant = Latest[float]("base/propellant", FORGETFUL)
@@ -101,7 +101,7 @@ class GuidanceNode(Node):
         self.rates = self.create_publisher(JointState, "arm/joint_commands", lives)
         self.grip = self.create_publisher(Bool, "gripper/command", COMMAND)
         self.state = self.create_publisher(MissionState, "mission/state", LATCHED)
-        group = ReentrantCallbackGroup()  # activities take their time; all else goes on
+        group = ReentrantCallbackGroup()  # activities take long; other callbacks must run meanwhile
         self.servers = [
             ActionServer(
                 self, kind.action, kind.name, partial(self.on_execute, kind),
@@ -114,28 +114,28 @@ class GuidanceNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def close(self) -> None:
-        """Give back what a node does not destroy by itself."""
+        """Destroy the action servers, which the node does not destroy by itself."""
         for server in self.servers:
             server.destroy()
 
     def now(self) -> int:
-        """The node's clock [ns]."""
+        """Return the node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
     def look(self) -> None:
-        """See where base and target are."""
+        """Poll the states of base and target."""
         for subscription in self.polled:
             subscription.poll()
 
     def on_body(self, topic: Latest[Body], message: Odometry) -> None:
-        """Where base or target is; nothing if that is no number."""
+        """Store the state of base or target; reject it if it is not finite."""
         try:
             topic.take(stamp_ns(message.header.stamp), messages.body(message))
         except ValueError as error:
             self.get_logger().warning(f"{topic.name}: {error}", throttle_duration_sec=1.0)
 
     def on_joints(self, message: JointState) -> None:
-        """Where all joints are."""
+        """Store the state of all joints."""
         try:
             found = messages.joints(message, self.craft.arm.n)
             self.joints.take(stamp_ns(message.header.stamp), found)
@@ -143,12 +143,12 @@ class GuidanceNode(Node):
             self.get_logger().warning(f"arm/joint_states: {error}", throttle_duration_sec=1.0)
 
     def on_gripper(self, message: GripperState) -> None:
-        """Whether the gripper holds the target."""
+        """Store whether the gripper holds the target."""
         self.holds.take(self.now(), message.holds)
         self.held = self.held if message.holds else None
 
     def on_mass(self, message: MassProperties) -> None:
-        """What that is."""
+        """Store the mass properties of the held target."""
         try:
             self.held = messages.mass_properties(message) if self.holds.value else None
         except ValueError as error:
@@ -156,20 +156,20 @@ class GuidanceNode(Node):
             self.get_logger().warning(words, throttle_duration_sec=1.0)
 
     def on_valves(self, message: ThrusterHealth) -> None:
-        """Which of them do not close."""
+        """Store the health of the valves."""
         self.valves = message
 
     def on_propellant(self, message: Float64) -> None:
-        """What is left."""
+        """Store the remaining propellant."""
         self.propellant.take(self.now(), message.data)
 
     def on_stop(self, name: str, _: Empty) -> None:
-        """Whatever goes on ends at once."""
+        """End the running activity at once."""
         if self.flight:
             self.end(self.flight, Ended(False, f"stopped by {name}"))
 
     def seen(self, begun: int) -> Seen:
-        """What is known now, base and target moved on to it."""
+        """Return what is known now, with base, target and joints extrapolated to the present."""
         self.look()
         now = self.now()
 
@@ -189,13 +189,13 @@ class GuidanceNode(Node):
         )  # fmt: skip
 
     def trouble(self) -> str:
-        """What of base and joints is not known, in words; empty: all is."""
+        """Return why base or joints are unknown; empty if both are known."""
         self.look()
         now = self.now()
         return self.base.trouble(now) or self.joints.trouble(now)
 
     async def on_execute(self, kind: Kind, handle: ServerGoalHandle) -> Any:
-        """Begin what a goal asks for, and wait for its end; one that is refused is aborted."""
+        """Start the activity of a goal and wait for its end; abort a goal that is rejected."""
         try:
             flight = self.begin(kind, handle)
         except ActivityError as error:
@@ -213,10 +213,10 @@ class GuidanceNode(Node):
         return kind.action.Result(message=ended.message, **fields)
 
     def begin(self, kind: Kind, handle: ServerGoalHandle) -> Flight:
-        """Begin an activity, in the place of one that it preempts.
+        """Start an activity; it replaces one that it preempts.
 
         Raises:
-            ActivityError: it cannot be begun; what is under way goes on.
+            ActivityError: it cannot start; the running activity continues.
         """
         other = self.flight
         if other and not other.kind.name.startswith(kind.preempts):
@@ -234,7 +234,7 @@ class GuidanceNode(Node):
         return self.flight
 
     def tick(self) -> None:
-        """Step what is under way."""
+        """Step the running activity."""
         if not (flight := self.flight):
             return
         seen = self.seen(flight.begun)
@@ -249,7 +249,7 @@ class GuidanceNode(Node):
         )
 
     def step(self, flight: Flight, seen: Seen) -> Orders:
-        """An activity's orders; its end if it cannot go on."""
+        """Return an activity's orders; its end if it cannot continue."""
         if seen.t < 0.0:
             return Orders("abort", ended=Ended(False, "the clock was set back"))
         if flight.handle.is_cancel_requested:
@@ -262,7 +262,7 @@ class GuidanceNode(Node):
             return Orders("abort", ended=Ended(False, str(error)))
 
     def order(self, flight: Flight, orders: Orders, seen: Seen) -> None:
-        """Publish what an activity wants."""
+        """Publish the commands of an activity."""
         now, trouble = self.now(), orders.reason and f"{orders.phase}: {orders.reason}"
         if trouble not in ("", flight.trouble):
             self.get_logger().warning(f"{flight.kind.name}, {trouble}")
@@ -278,7 +278,7 @@ class GuidanceNode(Node):
         self.state.publish(self.mission(flight, orders))
 
     def end(self, flight: Flight, ended: Ended, coast: bool = True) -> None:
-        """An activity is over: valves closed, joints at rest, unless another one goes on."""
+        """End an activity: close the valves and stop the joints, unless another follows."""
         self.flight = None
         now = self.now()
         if coast:
@@ -294,14 +294,14 @@ class GuidanceNode(Node):
         flight.over.set_result(ended)
 
     def joint_rates(self, rates: Floats, now: int) -> JointState:
-        """Rates of all joints [rad/s] as a command."""
+        """Return rates of all joints [rad/s] as a command."""
         names = [f"joint_{i + 1}" for i in range(len(rates))]
         message = JointState(name=names, velocity=np.asarray(rates, dtype=float).tolist())
         message.header.stamp = to_time(now)
         return message
 
     def mission(self, flight: Flight | None, orders: Orders) -> MissionState:
-        """What goes on, and what it has taken so far."""
+        """Return the state of the mission, and the resources that it has used."""
         budget = flight.budget if flight else Budget(self.craft)
         state = MissionState(
             mission=flight.kind.name.partition("/")[2] if flight else "",
@@ -319,7 +319,7 @@ class GuidanceNode(Node):
         return state
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the health for diagnostics."""
         if flight := self.flight:
             words = ", ".join(filter(None, (flight.kind.name, flight.trouble)))
             return Health(WARN if flight.trouble else OK, words)
@@ -328,7 +328,7 @@ class GuidanceNode(Node):
 
 
 def at_rest(n: int) -> Seen:
-    """Base, target and n joints, all at zero."""
+    """Return a state of base, target and n joints, all zero and at rest."""
     body, zero = Body(np.zeros(3), np.zeros(3)), np.zeros(n)
     return Seen(0.0, body, body, zero, zero)
 

@@ -1,4 +1,4 @@
-"""The newest that a topic has said, for as long as it is not too old."""
+"""The newest message of a topic, valid until it is too old."""
 
 from typing import Generic, TypeVar
 
@@ -8,11 +8,11 @@ T = TypeVar("T")
 
 
 class Latest(Generic[T]):
-    """One topic's newest value with its stamp.
+    """Newest value of one topic, with its stamp.
 
     Args:
         name: of the topic.
-        max_age: of a value, and most that it may be ahead of the clock [s].
+        max_age: largest age of a value, and largest lead of its stamp over the clock [s].
     """
 
     def __init__(self, name: str, max_age: float) -> None:
@@ -21,19 +21,19 @@ class Latest(Generic[T]):
         self.value: T | None = None
 
     def take(self, stamp: int, value: T) -> None:
-        """Keep what was said at a time [ns]."""
+        """Store a value with its stamp [ns]."""
         self.stamp, self.value = stamp, value
 
     def age(self, now: int) -> float:
-        """Since it was said [s]; infinite: never."""
+        """Return the age of the value [s]; infinite if there is none."""
         return float("inf") if self.stamp is None else (now - self.stamp) / SECOND
 
     def at(self, now: int) -> T | None:
-        """The value; None if there is none that still holds [ns]."""
+        """Return the value; None if there is none that is valid at `now` [ns]."""
         return self.value if abs(self.age(now)) <= self.max_age else None
 
     def trouble(self, now: int) -> str:
-        """Why there is no value, in words; empty: there is one."""
+        """Return why there is no valid value; empty if there is one."""
         if self.stamp is None:
             return f"{self.name} was not heard yet"
         if (age := self.age(now)) > self.max_age:

@@ -1,4 +1,4 @@
-"""What control and guidance hear and say, as messages."""
+"""Conversion of the messages that control and guidance receive and publish."""
 
 from math import atan2, cos, hypot, isfinite, sin
 from typing import Any
@@ -14,18 +14,18 @@ from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, 
 from fss_gnc import bounds
 from fss_gnc.reference import Body, Floats, Path
 
-BASE, WORLD = "fss", "world"  # the one "joint" of a base's trajectory, and its frame
-HEIGHTS = (-10.0, 10.0)  # of a base's origin over the table, which control ignores [m]
-MAX_TILT = 0.1  # of its z axis [rad]
-ASIDE = 1e-3  # motion out of the plane [m/s, rad/s, m/s^2, rad/s^2]
+BASE, WORLD = "fss", "world"  # name of the one "joint" of a base trajectory, and its frame
+HEIGHTS = (-10.0, 10.0)  # allowed heights of a base's origin, ignored by control [m]
+MAX_TILT = 0.1  # of the base's z axis [rad]
+ASIDE = 1e-3  # allowed motion out of the plane [m/s, rad/s, m/s^2, rad/s^2]
 MAX_OVERSPEED = 3.0  # planned rate of a joint, as a multiple of its drive's max_velocity
 
 
 def body(message: Any) -> Body:
-    """Pose and twist in the world of an Odometry, whose twist is along its own axes.
+    """Return the pose and twist of an Odometry in the world; its twist is in the body's axes.
 
     Raises:
-        PoseError: a number is not finite, or the pose says nothing.
+        PoseError: a number is not finite, or the pose is invalid.
     """
     pose = np.array(planar_pose(message.pose.pose))
     v, c, s = message.twist.twist, cos(pose[2]), sin(pose[2])
@@ -36,7 +36,7 @@ def body(message: Any) -> Body:
 
 
 def joints(message: Any, n: int) -> Floats:
-    """Angles, rates and efforts (3, n) of a JointState that has all joints; efforts may be NaN.
+    """Return angles, rates and efforts (3, n) of a JointState with all joints; efforts may be NaN.
 
     Raises:
         ValueError: joints are missing, or a number is not finite.
@@ -51,10 +51,10 @@ def joints(message: Any, n: int) -> Floats:
 
 
 def mass_properties(message: Any) -> tuple[Target, Floats]:
-    """MassProperties as a body and its place (3,) in the last link's frame (held.py).
+    """Return MassProperties as a body and its place (3,) in the last link's frame (held.py).
 
     Raises:
-        ValueError: it is no body.
+        ValueError: the values are not those of a body.
     """
     place = np.array([*message.com, 0.0])
     if not np.isfinite(place).all():
@@ -63,10 +63,10 @@ def mass_properties(message: Any) -> tuple[Target, Floats]:
 
 
 def planned_rates(message: Any, arm: Arm) -> tuple[int, Floats, Floats]:
-    """Stamp [ns], times since (k,) [s] and rates (k, n) [rad/s] of a JointTrajectory.
+    """Return stamp [ns], times since (k,) [s] and rates (k, n) [rad/s] of a JointTrajectory.
 
     Raises:
-        ValueError: a name, a number or a count is not one of this arm; the message names it.
+        ValueError: a name, a number or a count does not fit this arm; the message names it.
     """
     names, points = [f"joint_{i}" for i in range(1, arm.n + 1)], message.points
     if list(message.joint_names) != names:
@@ -90,7 +90,15 @@ def planned_rates(message: Any, arm: Arm) -> tuple[int, Floats, Floats]:
 
 
 def trajectory(path: Path | None, t: float, stamp: int, horizon: float, step: float) -> Any:
-    """A path from its time t on, for `horizon` [s], as said at `stamp` [ns]; None: no points."""
+    """Return a message with a path from its time t on; no points if there is no path.
+
+    Args:
+        path: of the base, or None.
+        t: present time on the path [s].
+        stamp: of the message [ns].
+        horizon: length of the published part [s].
+        step: between two points [s].
+    """
     message = MultiDOFJointTrajectory(joint_names=[BASE])
     message.header.stamp, message.header.frame_id = to_time(stamp), WORLD
     if path is not None:
@@ -118,10 +126,12 @@ def _planar(values: Floats) -> Twist:
 
 
 def path(message: Any) -> Path | None:
-    """A MultiDOFJointTrajectory of the base as a path by seconds since its stamp; None: no points.
+    """Return a MultiDOFJointTrajectory of the base as a path; None if it has no points.
+
+    The times of the path are seconds since the stamp.
 
     Raises:
-        ValueError: it is no planar path in the world; the message names what is wrong.
+        ValueError: it is not a planar path in the world; the message names the fault.
     """
     if list(message.joint_names) != [BASE]:
         raise ValueError(f"joint_names is {_short(message.joint_names)}, expected ['{BASE}']")
@@ -171,5 +181,5 @@ def _twist(twist: Any) -> tuple[float, float, float]:
 
 
 def _short(names: Any) -> str:
-    """Names of joints for an error, however many there are."""
+    """Return the names of joints for an error message, shortened."""
     return str(list(names[:8]))[:80]

@@ -1,4 +1,4 @@
-"""The node `navigation`: where base and target are and how they move, as all others read it."""
+"""Node `navigation`: estimates pose and twist of base and target for all other nodes."""
 
 import sys
 from collections import Counter, defaultdict
@@ -46,17 +46,17 @@ from fss_gnc.navigation.settings import NavigationSettings
 from fss_gnc.navigation.valve_faults import Faults
 from fss_gnc.programs import navigation as main
 
-MAX_LEAD = SECOND  # of a stamp over the present; more is believed after MIN_SAMPLES in a row
+MAX_LEAD = SECOND  # of a stamp; larger ones are accepted after MIN_SAMPLES in a row [ns]
 GYRO_TIMEOUT = SECOND // 2  # [ns]
 
 
 class Body:
-    """A body's filter, and who hears of it."""
+    """Filter of a body, and the publisher of its state."""
 
     def __init__(self, filter_: BodyFilter, publish: Callable[[Any], None]) -> None:
         self.filter, self.publish = filter_, publish
-        self.published = -1  # time of the newest state that was [ns]
-        self.lost = "not seen yet"  # why nothing is published; empty: it is
+        self.published = -1  # time of the newest published state [ns]
+        self.lost = "not seen yet"  # why nothing is published; empty: the state is published
 
     def tell(self, t: int) -> None:
         """Publish the state, if it is known at t [ns] and newer than the last one."""
@@ -67,11 +67,12 @@ class Body:
 
 
 class NavigationNode(Node):
-    """Publishes base/state and target/state, which go on through outages until it is not known.
+    """Publish base/state and target/state, through outages too, until the state is unknown.
 
-    It merges poses of motion capture with the gyro, and predicts with the pulses of the thrusters
-    and with what the joints do. When it no longer knows where a body is it ceases to publish that,
-    and says why in diagnostics.
+    The node merges poses of motion capture with the gyro. It predicts with the pulses of the
+    thrusters
+    and with the motion of the joints. When the state of a body becomes unknown, the node stops
+    publishing it and reports the reason in diagnostics.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -81,7 +82,7 @@ class NavigationNode(Node):
         self.known = Calibrated(described(s.arm))
         self.latency = round(s.latency * SECOND)
         self.refused: Counter[str] = Counter()
-        self.pulses = 0  # commands to the valves that were heard
+        self.pulses = 0  # number of accepted commands to the valves
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
         self.target = self.create_publisher(Odometry, "target/state", SENSOR)
         self.held = self.create_publisher(MassProperties, "target/mass_properties", SENSOR)
@@ -107,22 +108,25 @@ class NavigationNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def begin(self) -> None:
-        """Know nothing of where base and target are."""
+        """Reset the estimates of base and target."""
         s = self.settings
         self.navigation = Navigation(self.known.arm, s, s.of_target(), s.body(), s)
         self.base = Body(self.navigation.base, self.publish_base)
         self.free = Body(self.navigation.target, self.publish_target)
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
-        self.ahead: Counter[str] = Counter()  # in a row, by topic
+        self.ahead: Counter[str] = Counter()  # consecutive stamps from the future, by topic
         self.tell(self.navigation.valves.found)
-        self.newest = self.heard = -1  # stamp of the base's newest pose; when it came [ns]
+        self.newest = self.heard = -1  # stamp of the base's newest pose, and its arrival [ns]
 
     def now(self) -> int:
-        """The present by the stamps of the base's poses [ns]; of whatever came before the first."""
+        """Return the present in the time of the base's stamps [ns].
+
+        Before the base's first pose, the first stamp of any topic is used instead.
+        """
         return self.newest + max(self.clock.now().nanoseconds - self.heard, 0)
 
     def is_timely(self, topic: str, t: int) -> bool:
-        """Whether a stamp [ns] may be; where the base's poses are set back or forth, begin anew."""
+        """Return True if a stamp [ns] is plausible; reset if the base's stamps jump."""
         if self.newest >= 0 and t > self.now() + MAX_LEAD:
             self.refused[f"{topic} from the future"] += 1
             self.ahead[topic] += 1
@@ -139,15 +143,15 @@ class NavigationNode(Node):
         return True
 
     def on_base(self, message: PoseStamped) -> None:
-        """A PoseStamped of the base."""
+        """Process a pose of the base."""
         self.on_pose(self.settings.base_topic, message)
 
     def on_target(self, message: PoseStamped) -> None:
-        """A PoseStamped of the target."""
+        """Process a pose of the target."""
         self.on_pose(self.settings.target_topic, message)
 
     def on_pose(self, topic: str, message: PoseStamped) -> None:
-        """A PoseStamped of either."""
+        """Process a pose of base or target."""
         is_base = topic == self.settings.base_topic
         try:
             pose = planar_pose(message.pose)
@@ -167,7 +171,7 @@ class NavigationNode(Node):
             self.navigation.base.rate(t, message.angular_velocity.z)
 
     def on_joints(self, message: JointState) -> None:
-        """Readings of one link or more."""
+        """Process readings of one link or more."""
         t = stamp_ns(message.header.stamp)
         if self.is_timely(self.settings.joints_topic, t):
             for i, q, qd, _ in joint_readings(message):
@@ -175,7 +179,7 @@ class NavigationNode(Node):
                     self.navigation.joint(i - 1, t, q, qd)
 
     def on_planned(self, message: JointTrajectory) -> None:
-        """What the joints are to do from now on."""
+        """Store the planned rates of the joints."""
         try:
             plan = messages.planned_rates(message, self.known.arm)
         except ValueError:
@@ -184,7 +188,7 @@ class NavigationNode(Node):
             self.navigation.inputs.plan(*plan)
 
     def on_pulses(self, message: ThrusterCommand) -> None:
-        """Valves were opened."""
+        """Process a command to the valves."""
         t = stamp_ns(message.header.stamp)
         timely = self.is_timely("thrusters/pulses", t)
         if timely and self.navigation.pulses(t, message.on_time):
@@ -193,11 +197,11 @@ class NavigationNode(Node):
             self.refused["thrusters/pulses refused"] += 1
 
     def on_gripper(self, message: GripperState) -> None:
-        """Whether the target is held."""
+        """Process the gripper's report that it holds the target, or does not."""
         self.navigation.gripper(message.holds)
 
     def on_calibration(self, topic: str, message: Any) -> None:
-        """Know the arm better, if it passed."""
+        """Use an accepted calibration of the arm."""
         try:
             known = self.known.of_same_links(topic, message)
         except ValueError as error:
@@ -219,7 +223,7 @@ class NavigationNode(Node):
         self.target.publish(odometry(state, self.settings.world_frame, self.settings.target_frame))
 
     def go_on(self) -> None:
-        """Predict what is not seen, and publish it as long as it is known."""
+        """Predict bodies that are not seen, and publish their states while they are known."""
         now = self.now()
         for body in (self.base, self.free):
             body.lost = body.filter.lost(now)
@@ -232,7 +236,7 @@ class NavigationNode(Node):
             self.tell(faults)
 
     def learn(self, now: int) -> None:
-        """Publish what is held, if more is known of it."""
+        """Publish the mass properties of the held body, if there is a new estimate."""
         n = self.navigation
         found = n.observe(now)
         if found is None or n.caught is None:
@@ -246,7 +250,7 @@ class NavigationNode(Node):
         self.held.publish(message)
 
     def tell(self, faults: Faults) -> None:
-        """Publish which valves do not do what they are told."""
+        """Publish which valves do not follow their commands."""
         message = ThrusterHealth(
             stuck_open=[i in faults.open for i in range(COUNT)],
             stuck_closed=[i in faults.closed for i in range(COUNT)], pushed=faults.pushed,
@@ -258,7 +262,7 @@ class NavigationNode(Node):
             self.get_logger().warning(words)
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the health for diagnostics."""
         now, n = self.now(), self.navigation
         values: dict[str, Any] = {
             "base": self.base.lost or "known",
@@ -276,7 +280,7 @@ class NavigationNode(Node):
         return Health(WARN if (words := self.troubles(now)) else OK, words or "knows", values)
 
     def troubles(self, now: int) -> str:
-        """What is wrong, in words."""
+        """Return all present problems as one line; empty if there are none."""
         n, words = self.navigation, []
         if self.base.lost:
             words.append(f"base {self.base.lost}")
@@ -296,14 +300,14 @@ class NavigationNode(Node):
 
 
 def valve_words(faults: Faults) -> list[str]:
-    """What is wrong with the valves."""
+    """Return the faults of the valves as sentences."""
     words = [f"valve {i + 1} does not close" for i in sorted(faults.open)]
     words += [f"valve {i + 1} does not open" for i in sorted(faults.closed)]
     return words + ["something pushes that is not known"] * faults.pushed
 
 
 def mean(values: Any) -> float:
-    """Of numbers; NaN: of none."""
+    """Return the mean; NaN if there are no values."""
     return sum(values) / len(values) if values else float("nan")
 
 

@@ -1,7 +1,7 @@
-"""Where the base is to be, at a moment and along a path in time.
+"""Reference of the base: state at one time, and path over time.
 
-Between two knots a path is, in each coordinate, the polynomial of least degree that has what is
-known at both: poses (linear), twists too (cubic), accelerations too (quintic).
+Between two knots each coordinate of a path is the polynomial of least degree that has the known
+values at both: poses (linear), also twists (cubic), also accelerations (quintic).
 """
 
 from dataclasses import dataclass
@@ -16,23 +16,23 @@ from fss_arm_model.planar import wrap
 
 Floats = npt.NDArray[np.float64]
 
-SEGMENT_STEPS = 8  # between two knots, where a path is checked as a whole
+SEGMENT_STEPS = 8  # samples per segment between two knots when a whole path is checked
 
 
 class Body(NamedTuple):
-    """Base or target as they are, in the world."""
+    """State of base or target, in the world."""
 
     pose: Floats  # (3,) x, y [m], heading [rad]
     twist: Floats  # (3,) [m/s, m/s, rad/s]
 
     def after(self, dt: float) -> "Body":
-        """The same motion a little later [s]."""
+        """Return the state after dt [s] at constant twist."""
         return Body(self.pose + dt * self.twist, self.twist)
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Where the base is to be: pose, twist and acceleration in the world, (3,) each."""
+    """Desired pose, twist and acceleration of the base in the world, (3,) each."""
 
     pose: Floats
     twist: Floats
@@ -40,19 +40,19 @@ class Reference:
 
     @staticmethod
     def at_rest(pose: npt.ArrayLike) -> "Reference":
-        """A pose to hold."""
+        """Return the reference that holds a pose."""
         return Reference(np.array(pose, dtype=float), np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
 class Path:
-    """Knots of a path of the base; at rest before the first and after the last.
+    """Path of the base through knots; at rest before the first and after the last.
 
     Raises:
-        ValueError: there is no knot, times do not rise, or a number is not finite.
+        ValueError: there is no knot, times do not increase, or a number is not finite.
     """
 
-    times: Floats  # (k,) rising [s]
+    times: Floats  # (k,) increasing [s]
     knots: Floats  # (k, d, 3) the first d of pose, twist and acceleration at each, in the world
 
     def __post_init__(self) -> None:
@@ -69,22 +69,22 @@ class Path:
 
     @staticmethod
     def between(begin: Reference, end: npt.ArrayLike, start: float, duration: float) -> "Path":
-        """From a state at the time `start` [s] to a pose at rest."""
+        """Return the path from a state at the time `start` [s] to a pose at rest."""
         first = [begin.pose, begin.twist, begin.acceleration]
         last = [np.asarray(end), np.zeros(3), np.zeros(3)]
         return Path(np.array([start, start + duration]), np.array([first, last]))
 
     @property
     def end(self) -> float:
-        """When the last knot is reached [s]."""
+        """Time of the last knot [s]."""
         return float(self.times[-1])
 
     def at(self, t: float) -> Reference:
-        """Where the base is to be at a time [s]."""
+        """Return the reference at a time [s]."""
         return Reference(*self.states(np.array([t]))[0])
 
     def states(self, t: Floats) -> Floats:
-        """Pose, twist and acceleration at times (m,) [s], (m, 3, 3)."""
+        """Return pose, twist and acceleration at times (m,) [s], (m, 3, 3)."""
         found = np.zeros((len(t), 3, 3))
         found[:, 0] = np.where(t[:, None] < self.times[0], self.knots[0, 0], self.knots[-1, 0])
         on = (self.times[0] <= t) & (t < self.times[-1])
@@ -99,19 +99,19 @@ class Path:
 
     @cached_property
     def _coefficients(self) -> Floats:
-        """(k - 1, 2 d, 3) of the polynomials, each in s from 0 to 1."""
+        """Coefficients of the polynomials in s from 0 to 1, (k - 1, 2 d, 3)."""
         steps, depth = np.diff(self.times), self.knots.shape[1]
         scale = steps[:, None] ** np.arange(depth)  # from time to s
         ends = np.stack([self.knots[:-1], self.knots[1:]], axis=1) * scale[:, None, :, None]
         return _solved(depth) @ ends.reshape(len(steps), 2 * depth, 3)
 
     def sampled(self, begin: float, count: int = 65) -> tuple[Floats, Floats]:
-        """Times from `begin` to the end, (count,), and the states then, (count, 3, 3)."""
+        """Return times from `begin` to the end, (count,), and the states then, (count, 3, 3)."""
         times = np.linspace(min(begin, self.end), self.end, count)
         return times, self.states(times)
 
     def resolved(self, begin: float) -> tuple[Floats, Floats]:
-        """Times of `sampled`, and SEGMENT_STEPS more in each segment, and the states then."""
+        """Return the times of `sampled` and SEGMENT_STEPS more per segment, and the states then."""
         even, share = self.sampled(begin)[0], np.arange(SEGMENT_STEPS) / SEGMENT_STEPS
         inside = (self.times[:-1, None] + np.diff(self.times)[:, None] * share).ravel()
         times = np.union1d(even, inside[inside >= begin])
@@ -124,7 +124,7 @@ _BENDS = _POWERS[2:] * _POWERS[1:-1]
 
 @cache
 def _solved(depth: int) -> Floats:
-    """From what is known at s = 0 and s = 1 to the coefficients of the polynomial in s."""
+    """Return the matrix from the values at s = 0 and s = 1 to the polynomial's coefficients."""
     size = 2 * depth
     rows = [
         [factorial(j) / factorial(j - d) * s ** (j - d) if j >= d else 0.0 for j in range(size)]
@@ -135,7 +135,7 @@ def _solved(depth: int) -> Floats:
 
 
 def off(pose: npt.ArrayLike, wanted: npt.ArrayLike) -> Floats:
-    """A pose less another, (3,), the heading the shorter way."""
+    """Return the difference of two poses, (3,), with the heading wrapped to the shorter turn."""
     apart = np.asarray(pose, dtype=float) - np.asarray(wanted, dtype=float)
     apart[2] = wrap(apart[2])
     return apart

@@ -1,1 +1,1 @@
-"""The free-floating test bed, simulated: plant, sensors, link electronics."""
+"""Simulation of the free-floating test bed: plant, sensors, link electronics."""

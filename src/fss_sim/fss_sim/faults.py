@@ -1,11 +1,12 @@
-"""What goes wrong in the test bed: kinds of faults, those in force, and scripts of them.
+"""Faults of the test bed: kinds of faults, active faults, and fault scripts.
 
-A script is YAML, a list of
+A script is a YAML list with entries such as
 
     {at: 12.0, part: link_2, fault: loss, value: 0.2, duration: 30.0}
 
-`at` and `duration` in seconds of the simulation, without `duration` to its end; `part` link_<i>,
-drive_<i>, fss, end_effector, target, fog, board, radio or valve_<i>; `value` 1 by default.
+`at` and `duration` are in seconds of simulation time. Without `duration` the fault lasts until the
+end. `part` is link_<i>, drive_<i>, fss, end_effector, target, fog, board, radio or valve_<i>.
+`value` is 1 by default.
 """
 
 from collections.abc import Sequence
@@ -27,17 +28,17 @@ from fss_arm_model.thrusters import COUNT
 
 
 class FaultError(ValueError):
-    """There is no such fault, or not of this size; the message says what there is."""
+    """Exception for an unknown fault or an invalid value; the message says what is valid."""
 
 
 def fault(about: str, unit: str = "", least: float = 0.0, most: float = 1.0) -> Any:
-    """A field of a class of faults; 0 is no fault."""
+    """Return a field of a class of faults; 0 means no fault."""
     return setting(0.0, about, unit=unit, check=between(least, most))
 
 
 @dataclass(frozen=True)
 class LinkFaults(Settings):
-    """Between a link, or the board, and its driver, each way alike, and its power."""
+    """Faults of a link's or board's power, and of both directions of communication."""
 
     loss: float = fault("share of the datagrams that are lost")
     delay: float = fault("delay of every datagram", "s", most=10.0)
@@ -52,7 +53,7 @@ class LinkFaults(Settings):
 
 @dataclass(frozen=True)
 class DriveFaults(Settings):
-    """Of a link's servo drive, its motor, its encoder and its joint."""
+    """Faults of a link's servo drive, its motor, its encoder and its joint."""
 
     short_circuit: float = fault("1: the motor's cable is short-circuited")
     overcurrent: float = fault("1: the motor takes more current than it should")
@@ -76,7 +77,7 @@ class DriveFaults(Settings):
 
 @dataclass(frozen=True)
 class SubjectFaults(Settings):
-    """Of a VICON subject."""
+    """Faults of a VICON subject."""
 
     dropout: float = fault("share of the frames that are not published")
     occlusion: float = fault("share of the frames without the subject: pose and quaternion zero")
@@ -90,7 +91,7 @@ class SubjectFaults(Settings):
 
 @dataclass(frozen=True)
 class GyroFaults(Settings):
-    """Of the FOG."""
+    """Faults of the FOG."""
 
     dropout: float = fault("share of the samples that are not published")
     bias: float = fault("step of the bias", "rad/s", -1.0, 1.0)
@@ -98,14 +99,14 @@ class GyroFaults(Settings):
 
 @dataclass(frozen=True)
 class RadioFaults(Settings):
-    """Of the radio channel, if links and base share one."""
+    """Faults of the radio channel, if links and base share one."""
 
     interference: float = fault("share of the airtime that others take", most=0.95)
 
 
 @dataclass(frozen=True)
 class ValveFaults(Settings):
-    """Of a thruster's valve, whatever it is told."""
+    """Faults of a thruster's valve, which override its commands."""
 
     stuck_open: float = fault("1: the valve does not close")
     stuck_closed: float = fault("1: the valve does not open, and draws no current")
@@ -119,7 +120,7 @@ NO_FAULTS, NO_DRIVE_FAULTS = LinkFaults(), DriveFaults()
 
 
 def kinds(n: int) -> dict[str, type]:
-    """The parts of a test bed of n links, and what faults each can have."""
+    """Return the parts of a test bed with n links, and the class of each part's faults."""
     links = {f"link_{i}": LinkFaults for i in range(1, n + 1)}
     drives = {f"drive_{i}": DriveFaults for i in range(1, n + 1)}
     others = {**dict.fromkeys((BASE, TIP, TARGET), SubjectFaults), GYRO: GyroFaults}
@@ -129,7 +130,7 @@ def kinds(n: int) -> dict[str, type]:
 
 @dataclass(frozen=True)
 class Event(Settings):
-    """One fault of a script."""
+    """Entry of a fault script."""
 
     at: float = setting(MISSING, "when the fault begins", unit="s", check=NOT_NEGATIVE)
     part: str = setting(MISSING, "part of the test bed that has the fault")
@@ -141,14 +142,14 @@ class Event(Settings):
 
 
 class Faults:
-    """The faults in force: those that were set, and over them those of a script.
+    """Active faults: those set by hand, overridden by those of a script.
 
     Args:
         n: number of links.
-        script: its events; of two at once of the same kind, the later one counts.
+        script: events of the script; if two of the same kind overlap, the later one counts.
 
     Raises:
-        FaultError: an event is of no part or no fault, or not of this size.
+        FaultError: if an event has an unknown part or fault, or an invalid value.
     """
 
     def __init__(self, n: int, script: Sequence[Event] = ()) -> None:
@@ -162,16 +163,16 @@ class Faults:
             self._changed(groups, event.part, event.fault, event.value)
 
     def set(self, part: str, name: str, value: float) -> None:
-        """Set a fault by hand; 0 ends it.
+        """Set a fault by hand; 0 removes it.
 
         Raises:
-            FaultError: there is no such fault, or not of this size.
+            FaultError: if the fault is unknown or the value invalid.
         """
         self._set = self._changed(self._set, part, name, value)
         self._renew()
 
     def advance(self, now: float) -> bool:
-        """Let the script go on to a time [s]; return whether that changed anything."""
+        """Advance the script to a time [s]; return True if the active faults have changed."""
         self._now = now
         passed = False
         while self._edges and self._edges[-1] <= now:
@@ -184,7 +185,7 @@ class Faults:
         return before != self._all
 
     def in_force(self) -> list[tuple[str, str, float]]:
-        """What is wrong: of what part, which fault, how much."""
+        """Return part, name and value of each active fault."""
         return [
             (part, f.name, getattr(group, f.name))
             for part, group in self._all.items()
@@ -229,10 +230,10 @@ class Faults:
 
 
 def read_script(text: str) -> list[Event]:
-    """The events of a fault script; none if it is empty.
+    """Return the events of a fault script; none if it is empty.
 
     Raises:
-        FaultError: it is none; the message says why.
+        FaultError: if the text is not a valid script; the message says why.
     """
     try:
         given = read_yaml(text)

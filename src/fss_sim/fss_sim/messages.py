@@ -1,4 +1,4 @@
-"""Messages of the test bed, which can run ten times as fast as real time."""
+"""Messages of the test bed, made fast enough for ten times real time."""
 
 from collections.abc import Sequence
 from math import cos, inf, sin
@@ -18,17 +18,17 @@ from fss_sim.sensors import Seen
 
 STAMP = 4  # offset of the stamp, after CDR's encapsulation header [bytes]
 DOUBLE = 8  # [bytes]
-EDGE = "table edge"  # as clearances name it
+EDGE = "table edge"  # name in clearances
 
 
 class SerializedMessage:
-    """A serialized message (CDR, little-endian) that starts with a stamp and ends with doubles.
+    """Serialized message (CDR, little-endian) that starts with a stamp and ends with doubles.
 
-    Making and serializing a message takes several times as long as publishing its bytes.
+    To create and serialize a message takes several times as long as to publish its bytes.
 
     Args:
-        message: template for everything else in it.
-        doubles: number of doubles at its end.
+        message: template for all other fields.
+        doubles: number of doubles at the end of the message.
     """
 
     def __init__(self, message: Any, doubles: int) -> None:
@@ -51,13 +51,13 @@ class SerializedMessage:
 
 
 class SerializedPose(SerializedMessage):
-    """A PoseStamped as the common VICON receivers publish it."""
+    """Serialized PoseStamped, as the common VICON receivers publish it."""
 
     def __init__(self, frame_id: str) -> None:
         super().__init__(pose_stamped(0, frame_id, (0.0, 0.0, 0.0)), 7)
 
     def of(self, stamp: int, seen: Seen) -> bytes:
-        """What is seen in a frame; of an occluded subject pose and quaternion are zero."""
+        """Return the message for a subject; pose and quaternion are zero if it is occluded."""
         x, y, heading = seen.pose
         self.set_stamp(stamp - seen.before)
         if seen.occluded:
@@ -68,7 +68,7 @@ class SerializedPose(SerializedMessage):
 
 
 class SerializedGyro(SerializedMessage):
-    """An Imu of which the rate about z is measured alone, with a standard deviation [rad/s]."""
+    """Serialized Imu with only the rate about z, which has a standard deviation [rad/s]."""
 
     def __init__(self, frame_id: str, deviation: float) -> None:
         imu = Imu()
@@ -78,20 +78,20 @@ class SerializedGyro(SerializedMessage):
         super().__init__(imu, 37)
 
     def of(self, stamp: int, rate: float) -> bytes:
-        """A rate [rad/s]."""
+        """Return the message for a rate [rad/s]."""
         self.set_stamp(stamp)
         self.set_doubles(TURN_RATE, rate)
         return self.bytes()
 
 
 class SerializedClock(SerializedMessage):
-    """A Clock."""
+    """Serialized Clock."""
 
     def __init__(self) -> None:
         super().__init__(Clock(), 0)
 
     def of(self, stamp: int) -> bytes:
-        """A time [ns]."""
+        """Return the message for a time [ns]."""
         self.set_stamp(stamp)
         return self.bytes()
 
@@ -99,7 +99,7 @@ class SerializedClock(SerializedMessage):
 def truth(
     stamp: int, frame_id: str, plant: Vehicle, frame: int = 0, markers: Sequence[int] = (0, 0, 0)
 ) -> SimTruth:
-    """A vehicle as it is, with the books of all that is on its table, and VICON's frame."""
+    """Return a vehicle's true state, with the audit of its table and VICON's frame number."""
     bed = plant.bed
     audit, error = bed.audit, bed.imbalance.tolist()
     pose, twist = (bed.targets[0].state if bed.targets else np.zeros((2, 3))).tolist()
@@ -134,7 +134,10 @@ def truth(
 
 
 def clearances(plant: Vehicle) -> list[Clearance]:
-    """All two parts of which one, at least, is the vehicle's, and that are not neighbours."""
+    """Return the gaps of all pairs of parts of which at least one belongs to the vehicle.
+
+    Neighbouring parts of a chain and the table's edge are excluded.
+    """
     its, found = f"{plant.name} " if plant.name else "", plant.bed.clearances()
     return [
         c for c in found if c.other != EDGE and (c.one.startswith(its) or c.other.startswith(its))
@@ -142,7 +145,7 @@ def clearances(plant: Vehicle) -> list[Clearance]:
 
 
 def gripper_state(stamp: int, frame_id: str, plant: Vehicle) -> GripperState:
-    """The gripper by its sensors."""
+    """Return the state of the gripper as its sensors measure it."""
     seen = plant.approach
     message = GripperState(
         closed=plant.closed,

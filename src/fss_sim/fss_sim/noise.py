@@ -1,4 +1,4 @@
-"""How large the errors of all instruments are."""
+"""Sizes of the errors of all instruments."""
 
 from dataclasses import dataclass, replace
 from math import radians
@@ -8,13 +8,13 @@ from fss_arm_model.settings import NOT_NEGATIVE, Check, Settings, between, setti
 
 
 def error(about: str, unit: str = "", check: Check = NOT_NEGATIVE) -> Any:
-    """A field of Noise; 0 is none."""
+    """Return a field of Noise; 0 means no error."""
     return setting(0.0, about, unit=unit, check=check)
 
 
 @dataclass(frozen=True)
 class Noise(Settings):
-    """Errors of the instruments, none by default."""
+    """Sizes of the errors of the instruments; no errors by default."""
 
     position_noise: float = error("white noise of a VICON pose, each axis, 1 sigma", "m")
     heading_noise: float = error("white noise of a VICON pose's heading, 1 sigma", "rad")
@@ -68,7 +68,7 @@ class Noise(Settings):
 
     @property
     def markers(self) -> bool:
-        """Whether VICON's poses come from single markers."""
+        """Return True if VICON's poses are computed from single markers."""
         each = self.marker_noise, self.vicon_edge_error, self.vicon_merge_distance
         return any(each) or self.vicon_occlusion > 0.0
 
@@ -88,8 +88,8 @@ _DEFAULT = Noise(
     clock_drift=2e-5,
 )
 
-#: VICON by its markers, in place of poses with white noise: what `laboratory` has of it.
-#: Of markers, 0.2 to 0.3 mm is usual in motion; the rest are assumptions, and no measurement's.
+#: VICON errors of `laboratory`: markers with errors, in place of poses with white noise.
+#: A noise of 0.2 to 0.3 mm is usual for markers in motion; the other values are assumptions.
 VICON = {
     "position_noise": 0.0,
     "heading_noise": 0.0,
@@ -102,8 +102,8 @@ VICON = {
     "vicon_merge_swap": 0.3,
 }
 
-#: `paper`: the errors of a rest that give the residuals of Sec. 4.1, 0.015 m and 0.683 degrees.
-#: `laboratory`: with the joints as they are, plant/joints.py.
+#: `paper`: errors of each rest that give the residuals of Sec. 4.1, 0.015 m and 0.683 degrees.
+#: `laboratory`: used with the realistic joints of plant/joints.py.
 PRESETS = {
     "ideal": Noise(),
     "default": _DEFAULT,

@@ -1,4 +1,4 @@
-"""When frames are due."""
+"""Pace of the simulation: the times at which frames are due."""
 
 import time
 from collections.abc import Callable
@@ -7,38 +7,38 @@ from typing import Protocol
 from fss_arm_model.units import SECOND
 from fss_sim.testbed import FRAME
 
-LEAD = 40  # frames that may pass without a word from a driver that sends five times a second
+LEAD = 40  # largest number of frames without a datagram of a driver, which sends at 5 Hz
 MIN_REST = 0.005  # real time between two checks [s]: each /clock message wakes every node
-STRIDE = 10  # frames made at once at most, so that the node remains responsive
-DRIVER_TIMEOUT = 1_000_000_000  # a driver silent for this long of real time has ended [ns]
+STRIDE = 10  # largest number of frames per check, so that the node remains responsive
+DRIVER_TIMEOUT = 1_000_000_000  # real time after which a silent driver has stopped [ns]
 
 
 class Pace(Protocol):
-    """How fast time passes in the test bed."""
+    """Interface of a pace: it determines the number of frames that are due."""
 
     epoch: int  # time of frame 0 by the clock that it follows [ns]
-    jumps: int  # of that clock
-    rest: float  # real time from one check of it to the next [s]
+    jumps: int  # number of jumps of that clock
+    rest: float  # real time between two checks of that clock [s]
 
     def due(self, frame: int) -> int:
-        """How many frames are due after the last one made."""
+        """Return the number of frames that are due after the last simulated one."""
 
     def late(self, frame: int) -> int:
-        """Time since the last frame made [ns]."""
+        """Return the time since the last simulated frame [ns]."""
 
     def hear(self, link: int, frame: int) -> None:
-        """A link's driver has said something."""
+        """Record that a datagram of a link's driver was received."""
 
 
 class Clocked:
-    """Frames at their rate by some clock [ns]; a late frame is made up for and never skipped.
+    """Pace that follows a clock [ns]; late frames are simulated later, never skipped.
 
     Args:
         now: reads the clock.
-        frame: the last one made.
-        back: a clock that is further behind the last frame was set, not late [ns].
-        ahead: one that is further ahead of it was set, too; the pace goes on from the new time.
-        speed: of that clock, in multiples of real time.
+        frame: last simulated frame.
+        back: a clock further behind the last frame than this has jumped [ns].
+        ahead: a clock further ahead of it has jumped, too; the pace resumes at the new time [ns].
+        speed: speed of that clock, in multiples of real time.
     """
 
     def __init__(
@@ -50,7 +50,10 @@ class Clocked:
         self.jumps = 0
 
     def late(self, frame: int) -> int:
-        """Time since the frame, by the clock [ns]; from FRAME on, the next one is due."""
+        """Return the time since the frame, by the clock [ns]; from FRAME on, the next is due.
+
+        If the clock has jumped, count the jump, resume at its new time and return 0.
+        """
         late = self.now() - self.epoch - frame * FRAME
         if -self.back <= late <= self.ahead:
             return late
@@ -59,15 +62,15 @@ class Clocked:
         return 0
 
     def due(self, frame: int) -> int:
-        """As many as the clock says."""
+        """Return the number of frames that are due by the clock."""
         return self.late(frame) // FRAME
 
     def hear(self, link: int, frame: int) -> None:
-        """A clock waits for nobody."""
+        """Do nothing: this pace does not depend on the drivers."""
 
 
 class FlatOut:
-    """As fast as frames can be computed and the links' drivers follow.
+    """Pace as fast as frames can be computed and the links' drivers can follow.
 
     Args:
         now: reads the clock of real time [ns].
@@ -81,15 +84,15 @@ class FlatOut:
         self._heard: dict[int, tuple[int, int]] = {}  # last frame and real time [ns], by link
 
     def due(self, frame: int) -> int:
-        """As many as leave no driver behind that is there."""
+        """Return the number of frames by which no active driver falls too far behind."""
         now = self.now()
         there = [k for k, t in self._heard.values() if now - t <= DRIVER_TIMEOUT]
         return max(0, min(STRIDE, *(k + LEAD - frame for k in there)) if there else STRIDE)
 
     def late(self, frame: int) -> int:
-        """Nothing happens between frames."""
+        """Return 0: no time passes between frames."""
         return 0
 
     def hear(self, link: int, frame: int) -> None:
-        """Its driver has followed to this frame."""
+        """Record that the link's driver has followed up to this frame."""
         self._heard[link] = frame, self.now()

@@ -1,21 +1,21 @@
-"""Random numbers of the sensors: each a function of the seed, a stream and a counter alone."""
+"""Random numbers of the sensors; each depends only on the seed, a stream and a counter."""
 
 from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
 
-BLOCK = 256  # frames whose random numbers are drawn at once
+BLOCK = 256  # number of frames whose random numbers are drawn together
 
 
 class Stream(IntEnum):
-    """What the numbers are for; a new use takes a new stream, so that the others stay."""
+    """Purpose of random numbers; a new purpose takes a new stream, so that no other changes."""
 
     FRAME, REST, RUN, CHANCE, WALK, TARGET, MARKER, DISTORTION, MERGE, JITTER = range(10)
 
 
 class RandomNumbers:
-    """Random numbers by frame, `width` of each kind: normal and uniform ones."""
+    """Random numbers of each frame: `width` normal and `width` uniform ones."""
 
     def __init__(self, seed: int, width: int, stream: Stream = Stream.FRAME) -> None:
         self._seed, self._width, self._stream = seed, width, stream
@@ -23,13 +23,13 @@ class RandomNumbers:
         self._normal = self._uniform = np.empty((0, 0))
 
     def normal(self, frame: int) -> npt.NDArray[np.float64]:
-        """(width,) of mean 0 and deviation 1."""
+        """Return normal numbers of mean 0 and standard deviation 1, (width,)."""
         self._draw(frame // BLOCK)
         row: npt.NDArray[np.float64] = self._normal[frame % BLOCK]
         return row
 
     def uniform(self, frame: int) -> list[float]:
-        """(width,) from 0 to 1."""
+        """Return uniform numbers from 0 to 1, (width,)."""
         self._draw(frame // BLOCK)
         row: list[float] = self._uniform[frame % BLOCK].tolist()
         return row
@@ -44,5 +44,5 @@ class RandomNumbers:
 
 
 def drawn(seed: int, stream: Stream, *counters: int) -> np.random.Generator:
-    """The generator of one counter's numbers, or of some counters'."""
+    """Return the random generator of a seed and a stream for one or more counters."""
     return np.random.default_rng((seed, int(stream), *counters))

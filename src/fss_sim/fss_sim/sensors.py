@@ -1,7 +1,7 @@
-"""What the overhead cameras (VICON) and the fibre-optic gyro (FOG) make of the true motion.
+"""Models of the overhead cameras (VICON) and of the fibre-optic gyro (FOG).
 
-Every error is a function of the seed and of a counter alone, of the frame or of the rest, so that
-a run can be resumed anywhere and repeats itself whatever the pace it is computed at.
+Every error depends only on the seed and on a counter: of frames or of rests. A run can therefore be
+resumed at any time, and it is reproducible at any simulation speed.
 """
 
 from collections import deque
@@ -19,40 +19,40 @@ from fss_sim.noise import Noise
 from fss_sim.random_numbers import RandomNumbers, Stream, drawn
 from fss_sim.vicon import ABSENT, BASE, TARGET, TIP, Look, Pose
 
-RATE = 100  # frames of VICON and samples of the FOG a second
-MOVING = 1e-3  # a joint faster than this moves [rad/s]
-REST = RATE // 5  # frames without a moving joint that make a rest
-MEMORY = RATE  # frames that VICON's latency may last
+RATE = 100  # frames of VICON and samples of the FOG per second
+MOVING = 1e-3  # speed above which a joint is moving [rad/s]
+REST = RATE // 5  # number of frames without a moving joint that count as a rest
+MEMORY = RATE  # largest latency of VICON [frames]
 
-SEEN, HEARD = SubjectFaults(), GyroFaults()  # nothing is wrong
+SEEN, HEARD = SubjectFaults(), GyroFaults()  # no faults
 
 
 class Seen(NamedTuple):
-    """What a VICON receiver publishes of a subject."""
+    """Data that a VICON receiver publishes for a subject."""
 
-    pose: Pose  # in the world
-    occluded: bool = False  # the pose says nothing
-    before: int = 0  # the frame's end it is stamped [ns]
+    pose: Pose  # in the world frame
+    occluded: bool = False  # if True, the pose is invalid
+    before: int = 0  # time from the stamp to the frame's end [ns]
 
 
 class Sight(NamedTuple):
-    """What the sensors report at one instant; None: nothing."""
+    """Readings of the sensors at one instant; None: no reading."""
 
     base: Seen | None
-    tip: Seen | None  # of the end effector
-    rate: float | None  # of the base, by the FOG [rad/s]
+    tip: Seen | None  # end effector
+    rate: float | None  # angular rate of the base, from the FOG [rad/s]
     target: Seen | None = None
 
 
 class Walk:
-    """A random walk that is 0 at time 0 and has the deviation sqrt(t) at time t [s]."""
+    """Random walk that is 0 at time 0 and has the standard deviation sqrt(t) at time t [s]."""
 
     def __init__(self, seed: int) -> None:
         self._random = drawn(seed, Stream.WALK, 0)
-        self._values = np.zeros(1)  # at 0, 1, 2, ... s
+        self._values = np.zeros(1)  # values at 0, 1, 2, ... s
 
     def at(self, frame: int) -> float:
-        """Its value at a frame; straight from one second to the next."""
+        """Return the value at a frame, interpolated linearly between whole seconds."""
         second, part = divmod(frame, RATE)
         while second + 1 >= len(self._values):
             steps = np.cumsum(self._random.standard_normal(len(self._values)))
@@ -62,7 +62,7 @@ class Walk:
 
 
 class Camera:
-    """One subject as VICON reports it, late and with its faults."""
+    """VICON data of one subject, with latency and faults."""
 
     def __init__(self, latency: int) -> None:
         self._latency = latency  # [frames]
@@ -72,14 +72,14 @@ class Camera:
     def report(
         self, pose: Pose | None, faults: SubjectFaults, lost: float, hidden: float, before: int = 0
     ) -> Seen | None:
-        """What comes of a picture that has this pose, None: it has none.
+        """Return the published data for a picture with this pose; None: nothing is published.
 
         Args:
-            pose: in the world.
-            faults: in force.
-            lost: chance, from 0 to 1, against which a dropout is held.
-            hidden: the same of an occlusion.
-            before: how much before the frame's end the pose is stamped [ns].
+            pose: pose in the world frame; None if the picture does not show the subject.
+            faults: present faults of the subject.
+            lost: uniform random number from 0 to 1, which decides about a dropout.
+            hidden: uniform random number from 0 to 1, which decides about an occlusion.
+            before: time from the stamp of the pose to the frame's end [ns].
         """
         self._poses.append(pose)
         late = min(self._latency + round(faults.latency * RATE), len(self._poses) - 1)
@@ -93,12 +93,12 @@ class Camera:
 
 
 class Sensors:
-    """VICON and FOG, looking at one frame after the other.
+    """VICON and FOG, which observe one frame after another.
 
     Args:
-        noise: the sensors' errors.
-        seed: of all of them.
-        rests: how many rests there were before, when a run is resumed.
+        noise: sizes of the sensors' errors.
+        seed: seed of all errors.
+        rests: number of previous rests, if a run is resumed.
     """
 
     def __init__(self, noise: Noise, seed: int, rests: int = 0) -> None:
@@ -129,23 +129,23 @@ class Sensors:
         looks: Mapping[int, Look] | None = None,
         target_faults: SubjectFaults = SEEN,
     ) -> Sight:
-        """What is seen in a frame.
+        """Return the readings of the sensors in a frame.
 
-        The end effector seen from the base, which is what a calibration observes, is off by
-        exactly the error of the rest; white noise of either pose comes on top.
+        A calibration uses the pose of the end effector relative to the base. The error of this pose
+        is exactly the error of the rest, plus the white noise of both poses.
 
         Args:
-            frame: its number, which selects the noise.
-            base: true pose of the base in the world.
-            tip: true pose of the end effector in the frame of the base.
+            frame: number of the frame, which selects the noise.
+            base: true pose of the base in the world frame.
+            tip: true pose of the end effector in the base frame.
             rate: true angular velocity of the base [rad/s].
-            qd: (n,) joint velocities [rad/s]; the error of a rest is redrawn when they leave 0.
-            base_faults: what is wrong with the base's markers.
-            tip_faults: what is wrong with the end effector's markers.
-            gyro_faults: what is wrong with the FOG.
-            target: true pose of the target in the world, if there is one.
-            looks: what VICON's picture gives of each subject, by kind; nothing: no single markers.
-            target_faults: what is wrong with the target's markers.
+            qd: (n,) joint velocities [rad/s]; the error of a rest is redrawn when the arm moves.
+            base_faults: faults of the base's markers.
+            tip_faults: faults of the end effector's markers.
+            gyro_faults: faults of the FOG.
+            target: true pose of the target in the world frame, if there is one.
+            looks: result of VICON's picture for each subject, by kind; None: no marker model.
+            target_faults: faults of the target's markers.
         """
         self._follow(qd)
         noise, chance = self.noise, self._chance.uniform(frame)
@@ -176,14 +176,14 @@ class Sensors:
         return _pose(self._white * self._target_chance.normal(frame) + pose)
 
     def _before(self, frame: int) -> int:
-        """How much before a frame's end its poses are stamped [ns]."""
+        """Return the time from the stamp of a frame's poses to the frame's end [ns]."""
         if not self.noise.vicon_jitter:
             return 0
         late = self.noise.vicon_jitter * abs(float(self._late.normal(frame)[0]))
         return round(SECOND * max(1.0 / RATE - late, 0.0))
 
     def _follow(self, qd: npt.NDArray[np.float64]) -> None:
-        """Count rests: one ends with the first motion after it, which redraws its error."""
+        """Count rests; a rest ends with the next motion, and then a new error is drawn."""
         if np.abs(qd).max() <= MOVING:
             self._still += 1
             return
@@ -199,7 +199,7 @@ class Sensors:
 
 
 def _off(pose: Pose | None, look: Look) -> Pose | None:
-    """A pose with the markers' errors; None of what is lost."""
+    """Return a pose with the errors of its markers; None if the subject is not visible."""
     return (*map(add, pose, look.error),) if pose and look.there else None
 
 
@@ -209,6 +209,6 @@ def _pose(values: npt.NDArray[np.float64]) -> Pose:
 
 
 def compose(a: Pose, b: Pose) -> Pose:
-    """The planar pose `b`, given in the frame of pose `a`, in the frame that `a` is given in."""
+    """Return the planar pose `b`, given relative to pose `a`, in the reference frame of `a`."""
     c, s = cos(a[2]), sin(a[2])
     return a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], a[2] + b[2]

@@ -1,4 +1,4 @@
-"""The parameters of the test-bed node, and what they amount to."""
+"""Parameters of the test-bed node, and the objects that they configure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -44,7 +44,7 @@ Wire = LinkSocket | LinkListener | LinkTerminal
 
 
 def _of_preset(kind: type[Settings], name: str) -> Any:
-    """A field for one of the numbers that a preset sets; below 0: what it says."""
+    """Return a field for a number that a preset sets; a value below 0 selects the preset's."""
     about = kind.__dataclass_fields__[name].metadata  # type: ignore[attr-defined]
     return field(
         default=-1.0,
@@ -53,13 +53,13 @@ def _of_preset(kind: type[Settings], name: str) -> Any:
 
 
 def _given(values: dict[str, float]) -> dict[str, float]:
-    """Those that are not left to the preset."""
+    """Return the values that override the preset."""
     return {name: value for name, value in values.items() if not value < 0.0}
 
 
 @dataclass(frozen=True)
 class PlantSettings(Settings):
-    """What base and arm are made of, what acts on them, and the target."""
+    """Parameters of base and arm, of the forces on them, and of the target."""
 
     preset: str = setting(
         "default", "preset of the joints and of all instruments' errors", check=one_of(*PRESETS)
@@ -139,7 +139,7 @@ class PlantSettings(Settings):
     wifi_patience: float = like(Radio, "patience")
 
     def joints(self) -> Joints:
-        """The preset's, with the numbers given in their places."""
+        """Return the joints of the preset, with the values that override it."""
         given = {
             "rotor_inertia": self.rotor_inertia,
             "viscous": self.viscous_friction,
@@ -157,7 +157,7 @@ class PlantSettings(Settings):
         return replace(JOINTS[self.preset], gear_ratio=self.gear_ratio, **_given(given), **stops)
 
     def world(self) -> World:
-        """What the plant is made of beside the arm."""
+        """Return the parameters of the plant, except those of the arm."""
         tether = self.tether_drag, self.tether_twist
         return World(
             self.joints(),
@@ -192,12 +192,12 @@ class PlantSettings(Settings):
         )
 
     def room(self) -> Room:
-        """Where VICON's cameras and markers are."""
+        """Return the positions of VICON's cameras and markers."""
         places = self.base_markers, self.tip_markers, self.target_markers
         return Room(self.vicon_cameras, *places, self.heights, self.marker_stalk)
 
     def radio(self) -> Radio | None:
-        """The channel that links and base share, if they do."""
+        """Return the radio channel that links and base share, if there is one."""
         if not self.wifi:
             return None
         given = (getattr(self, f"wifi_{f.name}") for f in fields(Radio))
@@ -206,7 +206,7 @@ class PlantSettings(Settings):
 
 @dataclass(frozen=True)
 class TestbedSettings(PlantSettings):
-    """The parameters of a TestbedNode."""
+    """Parameters of a TestbedNode."""
 
     vehicles: str = setting(
         "", "file of several vehicles (docs/how-to/vehicles.md), which has what is to differ from "
@@ -317,10 +317,10 @@ class TestbedSettings(PlantSettings):
                 f"speed is {self.speed} and paused {str(self.paused).lower()}, "
                 "expected 1 and false without keep_clock"
             )
-        _ = self.noise(), self.joints(), self.room()  # which refuse what they must
+        _ = self.noise(), self.joints(), self.room()  # these reject invalid values
 
     def description(self) -> Arm | Base:
-        """The true arm, or the base that has none."""
+        """Return the true arm, or the base if there is no arm."""
         arm = described(self.arm)
         if self.serials:
             if len(self.serials) != arm.n:
@@ -330,30 +330,30 @@ class TestbedSettings(PlantSettings):
         return arm.base if self.without_arm else arm
 
     def noise(self) -> Noise:
-        """The preset's deviations, with those given in their places."""
+        """Return the errors of the preset, with the values that override it."""
         given = {f.name: getattr(self, f.name) for f in fields(Noise)}
         return replace(PRESETS[self.preset], **_given(given))
 
     def vicon(self, seed: int, kinds: Sequence[int]) -> Vicon | None:
-        """What looks at the markers of all subjects of these kinds, if poses come from those."""
+        """Return the cameras for subjects of these kinds, if poses are computed from markers."""
         noise = self.noise()
         return Vicon(noise, self.room(), seed, kinds, self.table) if noise.markers else None
 
     def air(self, seed: str) -> Air | None:
-        """What links and boards send through, if they share a channel."""
+        """Return the radio channel of links and boards, if they share one."""
         radio = self.radio()
         return Air(radio, seed) if radio else None
 
     def power(self) -> Power:
-        """The batteries, and what lives on them."""
+        """Return the parameters of the batteries and their loads."""
         return Power(self.battery_energy, self.battery_resistance)
 
     def script(self) -> str:
-        """The fault script's text."""
+        """Return the text of the fault script."""
         return read_text(self.faults) if self.faults else ""
 
     def wires(self, n: int) -> list[Wire]:
-        """Open what each link is reached by."""
+        """Open the connection of each link."""
         usual = "serial" if self.terminals else "udp"
         kinds = n * (self.transports or (usual,)) if len(self.transports) < 2 else self.transports
         if len(kinds) != n:
@@ -371,7 +371,7 @@ class TestbedSettings(PlantSettings):
         return opened
 
     def board_wire(self) -> Wire | None:
-        """Open what the base's board is reached by, if there is one."""
+        """Open the connection of the base's board, if there is one."""
         if not (self.board_port or self.board_terminal):
             return None
         kind = "serial" if self.board_terminal else self.board_transport
@@ -383,20 +383,20 @@ class TestbedSettings(PlantSettings):
         return (LinkListener if kind == "tcp" else LinkSocket)(self.host, port)
 
     def link_ports(self, n: int) -> tuple[int, ...]:
-        """One port for each link."""
+        """Return one port for each link."""
         ports = self.ports or tuple(range(5001, 5001 + n))
         if len(ports) != n:
             raise ValueError(f"ports is {list(ports)}, expected {n}")
         return ports
 
     def begin(self, n: int) -> State:
-        """The state to begin with: the file's, else the one given."""
+        """Return the initial state: from the state file if it exists, else from the parameters."""
         if self.state_file and Path(self.state_file).exists():
             return State.load(Path(self.state_file), n).resumed()
         return self.fresh(n)
 
     def fresh(self, n: int) -> State:
-        """The state given."""
+        """Return the initial state from the parameters."""
         q = self.q or n * (0.0,)
         if len(q) != n:
             raise ValueError(f"q has {len(q)} angles, expected {n}")

@@ -1,6 +1,7 @@
-"""The whole test bed, frame by frame: plant, sensors, and the electronics of the links.
+"""Test bed, simulated frame by frame: plant, sensors, and electronics of links and board.
 
-Pure: time is what the caller lets pass, datagrams are bytes. One frame is one picture of VICON.
+This module does no communication: the caller advances the time, and datagrams are bytes. One frame
+is one picture of VICON.
 """
 
 import json
@@ -33,47 +34,47 @@ from fss_sim.sensors import RATE, Sensors, Sight, compose
 from fss_sim.vicon import ABSENT, BASE, TARGET, TIP, Look, Pose, Room, Vicon
 
 FRAME = SECOND // RATE  # [ns]
-OUTAGE = RATE  # frames: how far time moves on while a testbed is not running
-BOOT_NUMBERS = 65535  # from 1 on, which is what the field of the frames holds
+OUTAGE = RATE  # frames by which time advances while a test bed is not running
+BOOT_NUMBERS = 65535  # number of boot numbers: 1 to 65535, which fit into the frames' field
 
 
 class StateError(ValueError):
-    """A file does not hold the state of this test bed."""
+    """Exception for a file that does not contain the state of this test bed."""
 
 
 @dataclass(frozen=True)
 class State:
-    """The state of a test bed that survives a power loss: its bodies, and what it has counted.
+    """State of a test bed that survives a power loss: motion of its bodies, and counters.
 
-    The counts and the seed alone determine all errors. Boot numbers begin at a random offset, so
-    that a test bed without a state file does not repeat those of the last one.
+    All errors depend only on the counters and the seed. Boot numbers start at a random offset, so
+    that a test bed without a state file does not repeat those of its last run.
     """
 
     frame: int  # frames since the first start
     boots: int  # starts of the electronics
-    rests: int  # of the arm, each with its own error of the sensors
+    rests: int  # rests of the arm, each with its own error of the sensors
     q: tuple[float, ...]  # (3 + n)
     qd: tuple[float, ...]  # (3 + n)
-    target: tuple[float, ...] = 6 * (0.0,)  # its pose and twist
-    holds: bool = False  # the gripper, the target
-    propellant: float = 0.0  # used [kg]
+    target: tuple[float, ...] = 6 * (0.0,)  # pose and twist of the target
+    holds: bool = False  # True if the gripper holds the target
+    propellant: float = 0.0  # propellant used [kg]
     boot_offset: int = field(default_factory=partial(randbelow, BOOT_NUMBERS))  # of boot numbers
 
     @property
     def boot(self) -> int:
-        """Boot number of the newest start, as in frames."""
+        """Boot number of the newest start, as in the frames of the protocol."""
         return boot_number(self.boot_offset, self.boots)
 
     def save(self, path: Path) -> None:
-        """Write it to a file, which at any time is whole."""
+        """Write the state to a file, which is replaced atomically."""
         write_text(path, json.dumps(asdict(self)) + "\n")
 
     @classmethod
     def load(cls, path: Path, n: int) -> "State":
-        """Read what `save` wrote for a test bed of n links.
+        """Read a state that `save` wrote for a test bed with n links.
 
         Raises:
-            StateError: the file holds something else.
+            StateError: if the file does not contain such a state.
         """
         try:
             given = read_yaml(path)
@@ -96,43 +97,43 @@ class State:
         return cls(**numbers, q=q, qd=qd, target=target, holds=holds, propellant=propellant)
 
     def resumed(self) -> "State":
-        """The state at the next start; its time lies after all that was ever reported."""
+        """Return the state at the next start; its time is later than all published times."""
         return replace(self, frame=self.frame + OUTAGE, boots=self.boots + 1)
 
 
 def boot_number(offset: int, boots: int) -> int:
-    """Boot number of a test bed's n-th start, n being `boots`: 1 to 65535, and 1 again."""
+    """Return the boot number of a test bed's start number `boots`; 65535 is followed by 1."""
     return (offset + boots - 1) % BOOT_NUMBERS + 1
 
 
 class Report(NamedTuple):
-    """What comes out of one frame."""
+    """Outputs of one frame."""
 
     sight: Sight
-    telemetry: Sequence[Sequence[Datagram]]  # that arrives, of each link
-    faulted: bool  # the faults in force are others than before
-    board: Sequence[Datagram] = ()  # of its telemetry that arrives
+    telemetry: Sequence[Sequence[Datagram]]  # telemetry of each link that has arrived
+    faulted: bool  # True if the active faults have changed
+    board: Sequence[Datagram] = ()  # telemetry of the board that has arrived
 
 
 class Testbed:
-    """A floating arm with its links' electronics and the sensors that observe it.
+    """Floating arm with the electronics of its links and the sensors that observe it.
 
     Args:
-        arm: the true parameters.
-        noise: of the instruments.
-        seed: of all errors.
-        state: where to begin.
-        rate: of the links' telemetry [frames/s].
-        keys: by link, that frames are signed under.
-        torque_rate: samples of the torque converters a second.
-        charge: of all batteries, 0 to 1.
-        script: faults to come.
-        world: all that the plant is made of beside the arm.
-        board_rate: of the telemetry of the base's board [frames/s]; 0: there is none.
+        arm: true parameters of the arm.
+        noise: sizes of the instruments' errors.
+        seed: seed of all errors.
+        state: initial state.
+        rate: telemetry rate of the links [frames/s].
+        keys: for each link, the key that signs its frames; key 0 is that of the board.
+        torque_rate: samples of the torque converters per second.
+        charge: charge of all batteries, 0 to 1.
+        script: fault script.
+        world: parameters of the plant, except those of the arm.
+        board_rate: telemetry rate of the base's board [frames/s]; 0: there is no board.
         plant: the vehicle, if it shares the table with others (`together`).
-        power: what the batteries are like, and what lives on them.
-        air: the channel that links and board share, of all vehicles; None: what is sent is there.
-        vicon: what sees the markers on the table; None: one of its own, if noise is by markers.
+        power: parameters of batteries and loads.
+        air: radio channel of all vehicles; None: no radio, so that only faults delay datagrams.
+        vicon: cameras of the table; None: cameras of its own, if the noise model has markers.
     """
 
     def __init__(
@@ -162,7 +163,7 @@ class Testbed:
         kinds = [*self.subjects, *(TARGET for _ in self.plant.bed.targets)]
         alone = Vicon(noise, Room(), seed, kinds) if noise.markers else None
         self.vicon = vicon or alone
-        self.looks: dict[int, Look] = {}  # of the last frame, by what VICON sees of it
+        self.looks: dict[int, Look] = {}  # results of the last picture, by kind of subject
         self.faults = Faults(len(links), script)
         keys = keys or {}
         self.links = [
@@ -189,23 +190,23 @@ class Testbed:
 
     @property
     def now(self) -> int:
-        """Time of the last frame since the first begin [ns]."""
+        """Time of the last frame since the first start [ns]."""
         return self.frame * FRAME
 
     @property
     def boot(self) -> int:
-        """Boot number of the newest start, as in frames."""
+        """Boot number of the newest start, as in the frames of the protocol."""
         return boot_number(self._boot_offset, self._boots)
 
     def step(self) -> Report:
-        """Let one frame's time pass."""
+        """Advance by one frame."""
         return step([self])[0]
 
     def act(self) -> bool:
-        """Have drives, valves and gripper do what they are told until the next frame.
+        """Command drives, valves and gripper until the next frame.
 
         Returns:
-            Whether the faults in force are others than before.
+            True if the active faults have changed.
         """
         faulted = self.faults.advance(self.now / SECOND)
         self._supply()
@@ -218,13 +219,13 @@ class Testbed:
         return faulted
 
     def observe(self, faulted: bool) -> Report:
-        """What comes out of the frame that has passed."""
+        """Return the outputs of the past frame."""
         self._motions = self._measured()
         self.frame += 1
         plant, of = self.plant, self.faults
         rate, target = float(plant.qd[2]), self.target[0].tolist() if plant.bed.targets else None
-        # Without an arm nobody asks where its tip is. Drives rest while links still swing on their
-        # gears: errors of a rest are theirs.
+        # Without an arm the pose of the tip is not used. Rests are detected by the motion of the
+        # drives, as links can still oscillate on their gears while the drives are at rest.
         tip = plant.tip if plant.n else (0.0, 0.0, 0.0)
         qd = np.array([motion.qd for motion in self._motions] or [0.0])
         sight = self.sensors.observe(
@@ -241,37 +242,37 @@ class Testbed:
         return Report(sight, telemetry, faulted, board)
 
     def receive(self, link: int, data: bytes, peer: Any = None, late: int = 0) -> None:
-        """Hand a datagram to a link, counted from 0, `late` ns after the last frame.
+        """Pass a datagram to a link, counted from 0, `late` ns after the last frame.
 
-        A link's telemetry goes to the peer whose datagram it took last as a command.
+        A link sends its telemetry to the peer whose command it accepted last.
         """
         self.links[link].put(data, peer, self.now + late, self.faults.links[link])
 
     def receive_base(self, data: bytes, peer: Any = None, late: int = 0) -> None:
-        """Hand a datagram to the base's board, as to a link."""
+        """Pass a datagram to the base's board, as to a link."""
         if self.board:
             self.board.put(data, peer, self.now + late, self.faults.board)
 
     @property
     def subjects(self) -> dict[int, Pose]:
-        """True poses of what VICON sees of the vehicle."""
+        """True poses of the vehicle's VICON subjects."""
         base = self.plant.base
         return {BASE: base, TIP: compose(base, self.plant.tip)} if self.plant.n else {BASE: base}
 
     def bodies(self, room: Room) -> Floats:
-        """What of the vehicle stands in the cameras' way, by Room.bodies."""
+        """Return the vehicle's bodies that can hide markers, by Room.bodies."""
         around = self.plant.world.surroundings
         extents = Extents(around.table, around.base_radius, around.link_radius)
         return room.bodies(self.plant.p, self.plant.q, extents)
 
     @property
     def target(self) -> Floats:
-        """Pose and twist of the target, (2, 3); those given if there is none."""
+        """Pose and twist of the target, (2, 3); those of the initial state if there is none."""
         targets = self.plant.bed.targets
         return targets[0].state if targets else self._target
 
     def charge(self) -> None:
-        """Make all batteries full; what had an empty one starts again."""
+        """Charge all batteries; electronics with an empty battery start again."""
         for link in self.links:
             link.supply.battery.charge = 1.0
         if self.board:
@@ -282,7 +283,7 @@ class Testbed:
         return self.air.station(name) if self.air else None
 
     def _measured(self) -> list[Motion]:
-        """The motions, with the mean forces of the last frame if instruments show them."""
+        """Return the motions; with crosstalk, also the mean shear forces of the last frame."""
         motions = self.plant.motions()
         if not self._strained:
             return motions
@@ -292,14 +293,14 @@ class Testbed:
         return [m._replace(shear=f) for m, f in zip(motions, across, strict=True)]
 
     def _momenta(self) -> npt.NDArray[np.float64]:
-        """Momentum of what lies beyond each joint, (n, 2) [N s]."""
+        """Return the linear momentum of all links beyond each joint, (n, 2) [N s]."""
         return carried(self.plant.p, self.plant.q, self.plant.qd)
 
     def _electronics(self) -> list[Link | Board]:
         return [*self.links, self.board] if self.board else [*self.links]
 
     def _supply(self) -> None:
-        """Stop links and board that lose power; start those that get it back, disarmed."""
+        """Stop links and board that lose power; start those that regain it, disarmed."""
         faults = [*self.faults.links, self.faults.board]
         for part, its in zip(self._electronics(), faults, strict=False):
             powered = part.has_power(its)
@@ -310,7 +311,7 @@ class Testbed:
                 part.start(self.boot, self.now)
 
     def state(self) -> State:
-        """What to save."""
+        """Return the state to save."""
         plant = self.plant
         q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, self.target))
         holds = any(one.holder is plant for one in plant.bed.targets)
@@ -322,9 +323,9 @@ class Testbed:
 
 
 def together(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:
-    """Put vehicles on one table, with the target of the first one's world, as their states have it.
+    """Put vehicles on one table in their states, with the target of the first vehicle's world.
 
-    One that held another vehicle, or the target as the second one, has let go.
+    Only one vehicle can hold the target: the first one whose state says so. Other grips are open.
     """
     world = vehicles[0].world
     if world.target:
@@ -340,7 +341,7 @@ def together(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:
 
 
 def step(vehicles: Sequence[Testbed]) -> list[Report]:
-    """Let one frame's time pass for all vehicles of a table."""
+    """Advance all vehicles of a table by one frame."""
     first = vehicles[0]
     faulted = [one.act() for one in vehicles]
     if first.air:
@@ -352,7 +353,7 @@ def step(vehicles: Sequence[Testbed]) -> list[Report]:
 
 
 def look(vicon: Vicon, vehicles: Sequence[Testbed]) -> None:
-    """Tell all vehicles of a table what a picture of them all gives of each."""
+    """Take one picture of all vehicles of a table, and give each vehicle its results."""
     first, targets = vehicles[0], vehicles[0].plant.bed.targets
     subjects = [one.subjects for one in vehicles]
     poses = [pose for its in subjects for pose in its.values()]

@@ -1,8 +1,8 @@
-"""The simulated test bed as a node: VICON and FOG on topics, links on UDP, time on request.
+"""Node of the simulated test bed: VICON and FOG on topics, links on UDP, optionally the clock.
 
-Its services are for whoever keeps the clock: `sim/pause`, `sim/step` while paused, `sim/reset`;
-`sim/charge` is the charger of the batteries.
-Time passes in a thread of its own; callbacks of the executor hold the lock.
+The services `sim/pause`, `sim/step` (while paused) and `sim/reset` control the time; `sim/charge`
+charges the batteries.
+The simulation runs in a thread of its own; callbacks of the executor hold the lock.
 """
 
 import sys
@@ -36,19 +36,19 @@ from fss_sim.vehicle_topics import VehicleTopics, at_one_time
 from fss_sim.vehicles import vehicles
 from fss_sim.vicon import TARGET
 
-BURST = RATE  # frames made up for at once, so that the node remains responsive
-STALL = 0.3  # of a busy computer, in real time [s]
-TOGETHER = 5  # of them, for which the clock is published once
-TOLD = 0.5  # while time stands still it is told as often [s]
+BURST = RATE  # largest number of late frames per tick, so that the node remains responsive
+STALL = 0.3  # longest stall of a busy computer that is made up for, in real time [s]
+TOGETHER = 5  # number of frames for which the clock is published once
+TOLD = 0.5  # period of publishing the clock while paused [s]
 ROS_TIME = (
     "the time is ROS time as it is: start the test bed with -p keep_clock:=true, and all other "
     "nodes with -p use_sim_time:=true, to pause and step it"
 )
-MAX_FRAMES = 60 * RATE  # frames of one step, so that the node answers before long
+MAX_FRAMES = 60 * RATE  # largest number of frames of one step, so that the node responds soon
 
 
 class TestbedNode(Node):
-    """Free-floating vehicles and their links' electronics, seen by VICON and FOG."""
+    """Free-floating vehicles and their links' electronics, observed by VICON and FOG."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("testbed", **options)
@@ -62,7 +62,7 @@ class TestbedNode(Node):
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", SENSOR)
         self.clock_image = SerializedClock()
-        self.told = 0.0  # when the time was [s]
+        self.told = 0.0  # when the clock was last published [s]
         self.seed, self.paused = settings.seed, settings.paused
         self.begin([v.settings.begin(v.n) for v in self.vehicles])
         self.declare_faults()
@@ -80,16 +80,16 @@ class TestbedNode(Node):
 
     @property
     def testbed(self) -> Testbed:
-        """The first vehicle's, or the only one's."""
+        """Test bed of the first vehicle, or of the only one."""
         return self.vehicles[0].testbed
 
     @property
     def wires(self) -> list[Any]:
-        """What all links are reached by."""
+        """Connections of all links."""
         return [wire for vehicle in self.vehicles for wire in vehicle.wires]
 
     def begin(self, states: list[State]) -> None:
-        """Make the vehicles in these states, and let their time begin now."""
+        """Create the vehicles in these states, and start their time now."""
         plants: list[Any] = [None]
         if self.settings.vehicles:
             plants = [v.made(state) for v, state in zip(self.vehicles, states, strict=True)]
@@ -107,7 +107,7 @@ class TestbedNode(Node):
             vehicle.publish_faults()
 
     def declare_faults(self) -> None:
-        """Have each fault of each vehicle as a parameter."""
+        """Declare each fault of each vehicle as a parameter."""
         owners = {prefix: vehicle for vehicle in self.vehicles for prefix in vehicle.kinds()}
         found = {prefix: kind for v in self.vehicles for prefix, kind in v.kinds().items()}
 
@@ -119,22 +119,22 @@ class TestbedNode(Node):
         declare_live(self, found, on_fault)
 
     def new_pace(self) -> Pace:
-        """The pace that is asked for, from the present frame on."""
+        """Return the pace that the settings select, starting at the present frame."""
         frame = self.testbed.frame
         if not self.settings.keep_clock:
             return Clocked(self._ros_time, frame, back=SECOND, ahead=30 * SECOND)
         if not self.settings.speed:
             return FlatOut()
-        # What cannot be computed in time makes time run slower, but a stall is made up for.
+        # If frames cannot be computed in time, time runs slower, but a short stall is made up for.
         speed = self.settings.speed
         ahead = round(max(1.0, STALL * speed) * SECOND)
         return Clocked(self._own_time, frame, back=SECOND, ahead=ahead, speed=speed)
 
     def tick(self) -> float:
-        """Make the frames that are due, and hand on the datagrams that have come.
+        """Simulate the frames that are due, and pass on the received datagrams.
 
         Returns:
-            How long to wait before the next tick [s].
+            Time to wait before the next tick [s].
         """
         with self.lock:
             due = 0 if self.paused else self.pace.due(self.testbed.frame)
@@ -142,20 +142,20 @@ class TestbedNode(Node):
                 self.make_frames(min(due - made, TOGETHER))
                 if self.settings.keep_clock:
                     self.receive()
-            # Asked again: had it stood still since, all would be heard before its time.
+            # Check again: after a stall meanwhile, datagrams would be processed too early.
             if not self.paused and max(due, self.pace.due(self.testbed.frame)) <= BURST:
                 self.receive()
             if self.paused and time.monotonic() - self.told > TOLD:
-                self.tell_time(self.stamp())  # to nodes that have come meanwhile
+                self.tell_time(self.stamp())  # for nodes that have started meanwhile
         return self.pace.rest if due <= BURST else 0.0
 
     def on_failure(self) -> None:
-        """The thread has ended; so does the node."""
+        """Stop the node with the error of the thread, if the thread has failed."""
         if self.ticker.error and self.context.ok():
             raise self.ticker.error
 
     def make_frames(self, count: int) -> None:
-        """Let so many frames pass, the clock going before, so that nothing is early by it."""
+        """Simulate `count` frames; publish the clock first, so that no stamp is ahead of it."""
         if self.settings.keep_clock:
             self.tell_time(self.stamp() + count * FRAME)
         for _ in range(count):
@@ -164,12 +164,12 @@ class TestbedNode(Node):
                 vehicle.report(report)
 
     def tell_time(self, stamp: int) -> None:
-        """Publish it [ns] as the time that all nodes keep."""
+        """Publish a time [ns] on /clock, for all nodes."""
         self.clock.publish(self.clock_image.of(stamp))
         self.told = time.monotonic()
 
     def receive(self) -> None:
-        """Hand datagrams on, as arrived now, or at the last frame if time is kept."""
+        """Pass on datagrams as received now, or at the last frame if keep_clock is set."""
         frame = self.testbed.frame
         late = 0 if self.settings.keep_clock else self.pace.late(frame)
         late = min(max(late, 0), FRAME - 1)
@@ -180,7 +180,7 @@ class TestbedNode(Node):
             before += len(vehicle.wires)
 
     def on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Let time stand still, or go on."""
+        """Pause or resume the time."""
         if not self.settings.keep_clock:
             response.message = ROS_TIME
             return response
@@ -190,7 +190,7 @@ class TestbedNode(Node):
         return response
 
     def on_step(self, request: StepTime.Request, response: StepTime.Response) -> StepTime.Response:
-        """Simulate frames; commands received before the request act from the first of them on."""
+        """Simulate frames; commands received before the request act from the first frame on."""
         receive_pending(self)
         with self.lock:
             if not self.paused:
@@ -209,7 +209,7 @@ class TestbedNode(Node):
     def on_reset(
         self, request: ResetTestbed.Request, response: ResetTestbed.Response
     ) -> ResetTestbed.Response:
-        """Start over from the parameters and not the state file; only boot numbers count on."""
+        """Restart from the parameters, not from the state file; only boot numbers continue."""
         with self.lock:
             self.seed = request.seed if request.seed >= 0 else self.seed
             for wire in self.all_wires():
@@ -221,7 +221,7 @@ class TestbedNode(Node):
         return response
 
     def on_charge(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Charge the links' batteries, at once."""
+        """Charge all batteries immediately."""
         with self.lock:
             for vehicle in self.vehicles:
                 vehicle.testbed.charge()
@@ -229,12 +229,12 @@ class TestbedNode(Node):
         return response
 
     def stamp(self) -> int:
-        """Time of the last frame [ns]; the time kept begins at 1 s, as 0 is "no time" to ROS."""
+        """Return the time of the last frame [ns]; /clock starts at 1 s, as 0 is no time in ROS."""
         epoch = SECOND if self.settings.keep_clock else self.pace.epoch
         return epoch + self.testbed.frame * FRAME
 
     def health(self) -> Health:
-        """Whether time passes as it should; what the simulation is like, if of one vehicle."""
+        """Return the status of the time; with only one vehicle, also that of the vehicle."""
         frame, now = self.testbed.frame, time.monotonic()
         before, then = self._counted
         self._counted = frame, now
@@ -253,7 +253,7 @@ class TestbedNode(Node):
         return Health(max(level, found.level), words, {**values, **found.values})
 
     def health_of(self, vehicle: VehicleTopics, apart: str = "") -> Health:
-        """What a vehicle is like; `apart`: what to say of one that touches nothing."""
+        """Return the status of a vehicle; `apart` is the message if there is no problem."""
         words = [vehicle.unwritten] if vehicle.unwritten else []
         if vehicle.touches():
             words += ["bodies touch each other or the table's border"]
@@ -262,7 +262,7 @@ class TestbedNode(Node):
         return Health(WARN if words else OK, ", ".join(words) or apart, vehicle.values())
 
     def close(self) -> None:
-        """Keep the state and give the ports back."""
+        """Save the state and close the ports."""
         self.ticker.close()
         for vehicle in self.vehicles:
             vehicle.save()
@@ -270,7 +270,7 @@ class TestbedNode(Node):
             wire.close()
 
     def all_wires(self) -> list[Any]:
-        """What links and boards are reached by."""
+        """Return the connections of links and boards."""
         return [wire for vehicle in self.vehicles for wire in vehicle.all_wires()]
 
     def _own_time(self) -> int:
@@ -281,7 +281,7 @@ class TestbedNode(Node):
 
 
 def check_keys(vehicles: Sequence[VehicleTopics]) -> None:
-    """Raise SettingError if links of two vehicles would take each other's commands."""
+    """Raise SettingError if links of two vehicles would accept each other's commands."""
     for one, other in combinations(vehicles, 2):
         if set(one.keys.values()) & set(other.keys.values()):
             raise SettingError(f"{one.name} and {other.name} have a key in common")

@@ -1,4 +1,4 @@
-"""A thread that keeps time, whatever the executor is busy with."""
+"""Thread that advances the simulation independently of the executor."""
 
 from collections.abc import Callable
 from threading import Event, Thread
@@ -6,11 +6,11 @@ from typing import Any
 
 
 class Ticker(Thread):
-    """Calls `tick` again and again, and waits in between as long as that says [s].
+    """Thread that calls `tick` repeatedly, and then waits for the time that it returns [s].
 
     Args:
-        tick: what to do.
-        guard: a guard condition, triggered if `tick` fails; `error` then says how.
+        tick: function to call.
+        guard: guard condition that is triggered if `tick` raises; `error` is then the exception.
     """
 
     def __init__(self, tick: Callable[[], float], guard: Any) -> None:
@@ -21,7 +21,7 @@ class Ticker(Thread):
         self.start()
 
     def run(self) -> None:
-        """Tick until closed."""
+        """Call `tick` until the thread is closed."""
         try:
             while not self._closing.wait(self.tick()):
                 pass
@@ -30,6 +30,6 @@ class Ticker(Thread):
             self.guard.trigger()
 
     def close(self) -> None:
-        """End the thread."""
+        """Stop the thread."""
         self._closing.set()
         self.join()

@@ -1,4 +1,4 @@
-"""One vehicle of the test bed: its topics, its links' wires, its faults."""
+"""Topics, connections and faults of one vehicle of the test bed."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -27,21 +27,21 @@ from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import Report, State, Testbed
 from fss_sim.vicon import ABSENT, BASE, MARKERS_AT_LEAST, TARGET, TIP, Vicon
 
-REMINDED = 10 * RATE  # from one telling of the faults to the next, for recorders that come late
-TOUCH = 1e-6  # [m]: nearer, bodies lean on each other
+REMINDED = 10 * RATE  # frames between two messages of the faults, for recorders that start later
+TOUCH = 1e-6  # gap below which bodies touch [m]
 SUBJECTS = {BASE: "base", TIP: "end effector", TARGET: "target"}
-SAVED = RATE // 5  # frames from one writing of the state file to the next
+SAVED = RATE // 5  # frames between two writes of the state file
 
 
 class VehicleTopics:
-    """Publishes what a vehicle's sensors see, and hands datagrams to its links and its board.
+    """Interface of one vehicle: publishes sensor data, passes datagrams to links and board.
 
     Args:
-        node: the test bed; a vehicle without a name has its topics, one with a name a namespace.
-        lock: that callbacks hold.
-        stamp: the time of the last frame [ns].
-        settings: the vehicle's.
-        name: of the vehicle.
+        node: node of the test bed; a vehicle with a name has its topics in a namespace.
+        lock: lock that callbacks hold.
+        stamp: returns the time of the last frame [ns].
+        settings: settings of the vehicle.
+        name: name of the vehicle; empty if it is the only one.
     """
 
     def __init__(
@@ -53,13 +53,13 @@ class VehicleTopics:
         name: str = "",
     ) -> None:
         self.node, self.lock, self.stamp = node, lock, stamp
-        self.unwritten = ""  # why its state file could not be written
-        self._saved_boot = 0  # boot number in that file
+        self.unwritten = ""  # reason why the state file could not be written
+        self._saved_boot = 0  # boot number in the state file
         self.settings, self.name = settings, name
         self.space, self.prefix = (f"/{name}/", f"{name}.") if name else ("", "")
         self.arm = settings.description()
         self.n = self.arm.n if isinstance(self.arm, Arm) else 0
-        self.subjects = (BASE, TIP) if self.n else (BASE,)  # to VICON
+        self.subjects = (BASE, TIP) if self.n else (BASE,)  # VICON subjects
         self.keys = load_keys(settings.keys) if settings.keys else {}
         self.script = settings.script()
         self.wires = settings.wires(self.n)
@@ -79,7 +79,7 @@ class VehicleTopics:
         self.set_faults: dict[tuple[str, str], float] = {}
 
     def take_base(self) -> None:
-        """Be the base's topics, as there is no board for the node `base`."""
+        """Create the base's topics, as there is no board for the node `base`."""
         node, space = self.node, self.space
         self.gyro = node.create_publisher(Imu, f"{space}fog/imu", SENSOR)
         if self.n:
@@ -89,7 +89,7 @@ class VehicleTopics:
         subscribe(node, ThrusterCommand, f"{space}thrusters/command", self.on_thrust, COMMAND)
 
     def made(self, state: State) -> Vehicle:
-        """The vehicle in a state, to be put on a table."""
+        """Return the vehicle in a state, not yet on a table."""
         world = self.settings.world()
         return Vehicle(self.arm, state.q, state.qd, world, state.propellant, self.name)
 
@@ -101,7 +101,7 @@ class VehicleTopics:
         air: Air | None = None,
         vicon: Vicon | None = None,
     ) -> None:
-        """Give electronics and sensors to a vehicle in this state; None: to one that is alone."""
+        """Create electronics and sensors of a vehicle in this state; plant None: it is alone."""
         settings = self.settings
         self.testbed = Testbed(
             self.arm,
@@ -139,7 +139,7 @@ class VehicleTopics:
             self.publish_faults()
 
     def publish(self, stamp: int, sight: Sight) -> None:
-        """Publish what the sensors see."""
+        """Publish the readings of the sensors."""
         settings, plant = self.settings, self.testbed.plant
         publishers = (self.base, sight.base), (self.tip, sight.tip), (self.target, sight.target)
         for publisher, seen in publishers:
@@ -158,7 +158,7 @@ class VehicleTopics:
                 self.gripper.publish(gripper_state(stamp, frame_id, plant))
 
     def receive(self, late: int) -> Iterator[int]:
-        """Hand datagrams to the links, as arrived `late` ns after the last frame; to which ones."""
+        """Pass datagrams on, as received `late` ns after the last frame; yield each one's link."""
         for link, wire in enumerate(self.wires):
             for data, sender in wire.receive():
                 yield link
@@ -167,7 +167,7 @@ class VehicleTopics:
             self.testbed.receive_base(data, sender, late)
 
     def on_thrust(self, command: ThrusterCommand) -> None:
-        """Open valves."""
+        """Open valves, and publish the accepted command."""
         with self.lock:
             try:
                 self.testbed.plant.thrust(command.on_time)
@@ -179,12 +179,12 @@ class VehicleTopics:
                 self.node.get_logger().warning(words)
 
     def on_grip(self, command: Bool) -> None:
-        """Close the gripper, or open it."""
+        """Close or open the gripper."""
         with self.lock:
             self.testbed.plant.closed = command.data
 
     def kinds(self) -> dict[str, type]:
-        """The parameters of its faults, by what their names begin with."""
+        """Return the classes of its faults, by the prefix of their parameters' names."""
         return {f"{self.prefix}{part}": kind for part, kind in kinds(self.n).items()}
 
     def set_fault(self, part: str, fault: str, value: float) -> None:
@@ -194,7 +194,7 @@ class VehicleTopics:
         self.publish_faults()
 
     def publish_faults(self) -> None:
-        """Publish what is wrong."""
+        """Publish the active faults."""
         message = SimFaults(script=self.script)
         message.header.stamp = to_time(self.stamp())
         for part, fault, value in self.testbed.faults.in_force():
@@ -204,15 +204,15 @@ class VehicleTopics:
         self.faults.publish(message)
 
     def touches(self) -> bool:
-        """Whether its bodies touch each other or the table's border."""
+        """Return True if its bodies touch each other or the table's border."""
         return min(self.gap(), self.testbed.plant.edge_clearance) < TOUCH
 
     def gap(self) -> float:
-        """The least between two bodies [m]."""
+        """Return the least gap between two bodies [m]."""
         return min((pair.gap for pair in clearances(self.testbed.plant)), default=inf)
 
     def values(self) -> dict[str, Any]:
-        """What it is like, for diagnostics."""
+        """Return the diagnostic values of the vehicle."""
         plant = self.testbed.plant
         values: dict[str, Any] = {
             "momentum and energy from nothing [N s, N m s, J]": abs(plant.bed.imbalance).max(),
@@ -232,7 +232,7 @@ class VehicleTopics:
         return values
 
     def save(self) -> None:
-        """Write the state file; log a full disk once, and carry on."""
+        """Write the state file; if that fails, log the error once and continue."""
         self._saved_boot = self.testbed.boot
         if not self.settings.state_file:
             return
@@ -245,11 +245,11 @@ class VehicleTopics:
                 self.node.get_logger().error(self.unwritten)
 
     def all_wires(self) -> list[Any]:
-        """What links and board are reached by."""
+        """Return the connections of links and board."""
         return [*self.wires, *([self.board_wire] if self.board_wire else [])]
 
 
 def at_one_time(states: list[State]) -> list[State]:
-    """The states of several vehicles, which are to begin with the same frame: the latest of all."""
+    """Return the states with the same frame, the latest of all."""
     frame = max(state.frame for state in states)
     return [replace(state, frame=frame) for state in states]

@@ -1,4 +1,4 @@
-"""The file of several vehicles: the settings of each, where they differ from the test bed's."""
+"""Reader of the vehicles file: for each vehicle, the settings that differ from the test bed's."""
 
 import re
 from dataclasses import fields, replace
@@ -13,7 +13,7 @@ from fss_sim.noise import Noise
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.settings import PlantSettings, TestbedSettings
 
-NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # of a vehicle, which is a namespace
+NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # name of a vehicle, which is also its namespace
 OF_THE_BED = {
     *("vehicles", "keep_clock", "speed", "paused", "truth_rate", "state_file", "world_frame"),
     *("tilt", "table", "tolerance", "contact", "restitution", "contact_friction"),
@@ -22,15 +22,15 @@ OF_THE_BED = {
     *("preset", "marker_noise", "vicon_cameras", "base_markers", "tip_markers"),
     *("heights", "marker_stalk"),
     "target_topic",
-}  # so no vehicle's own
+}  # settings of the whole test bed, which a vehicle cannot have of its own
 
 
 def vehicles(bed: TestbedSettings) -> dict[str, TestbedSettings]:
-    """The settings of each vehicle by its name; those of the only one if there is no file.
+    """Return the settings of each vehicle by name; without a file, those of the only vehicle.
 
     Raises:
-        OSError: the file of the vehicles cannot be read.
-        ValueError: it says something else.
+        OSError: if the vehicles file cannot be read.
+        ValueError: if its content is invalid.
     """
     file = bed.vehicles
     if not file:
@@ -48,7 +48,7 @@ def vehicles(bed: TestbedSettings) -> dict[str, TestbedSettings]:
 
 
 def _named(bed: TestbedSettings, name: str, k: int, given: Any) -> TestbedSettings:
-    """Those of vehicle k: what the file gives, or its name does, and else the test bed's."""
+    """Return the settings of vehicle k: from the file, or from its name, or the test bed's."""
     where = f"{bed.vehicles}: {name}"
     if not NAME.fullmatch(name):
         raise ContentError(f"{bed.vehicles}: a vehicle's name", name, "letters, digits and _")

@@ -1,15 +1,15 @@
-"""What VICON's cameras make of the subjects' markers: which are there, and what the pose is off by.
+"""Model of VICON's cameras and markers: the visible markers, and the resulting pose errors.
 
-A camera sees a marker if no body crosses the line between them; a marker is there if two cameras
-see it, a subject if three of its markers are. A marker is displaced by e_k, white noise and the
-cameras' common distortion; the pose of a rigid subject fitted to markers at r_k from their centroid
-c is then off by, to first order in e / r, at its origin o
+A camera sees a marker if no body crosses the line between them. A marker is visible if two cameras
+see it, and a subject if three of its markers are visible. A marker is displaced by e_k, which is
+white noise plus the common distortion of the cameras. The pose of a rigid subject is fitted to
+markers at r_k from their centroid c. To first order in e / r, its error at the origin o is then
 
     dtheta = sum r_k x e_k / sum |r_k|^2        dx = mean e_k + dtheta i (o - c)
 
-so that white noise of deviation s gives s / sqrt(N) in position at the centroid and
-s / (r sqrt(N)) in heading, r the root mean square of |r_k|. Markers of two subjects that come too
-near each other are one to the cameras: neither subject has them.
+White noise of standard deviation s gives s / sqrt(N) in position at the centroid and
+s / (r sqrt(N)) in heading, where r is the root mean square of |r_k|. The cameras cannot separate
+markers of two subjects that are too close: these markers are lost for both subjects.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from fss_sim.random_numbers import RandomNumbers, Stream, drawn
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
 CAMERAS_AT_LEAST, MARKERS_AT_LEAST = 2, 3
-BASE, TIP, TARGET = range(3)  # the subjects, and their places in Room.heights
+BASE, TIP, TARGET = range(3)  # kinds of subjects, and their indices in Room.heights
 
 _OVERHEAD = (
     3.0, 3.0, 3.0, 0.0, 3.2, 3.0, -3.0, 3.0, 3.0, -3.2, 0.0, 3.0,
@@ -39,7 +39,7 @@ _OVERHEAD = (
 
 
 def _places(default: tuple[float, ...], whose: str) -> tuple[float, ...]:
-    """A field for markers in the frame of a subject."""
+    """Return a field for markers in the frame of a subject."""
     about = f"markers of the {whose} in its subject's frame, x, y of each"
     made: tuple[float, ...] = setting(default, about, unit="m", check=FINITE)
     return made
@@ -47,7 +47,7 @@ def _places(default: tuple[float, ...], whose: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class Room(Settings):
-    """Where VICON's cameras are, and the markers; the places are assumed, not the paper's."""
+    """Positions of VICON's cameras and markers; they are assumed, not from the paper."""
 
     cameras: tuple[float, ...] = setting(
         _OVERHEAD, "VICON's cameras in the world, x, y, z of each", unit="m", check=FINITE
@@ -82,7 +82,7 @@ class Room(Settings):
                 raise RoomError(name, len(getattr(self, name)), each, least)
 
     def markers(self, kind: int) -> Floats:
-        """(k, 3) of a subject: x, y in its frame, and height above the table [m]."""
+        """Return a subject's markers (k, 3): x, y in its frame, height above the table [m]."""
         places = (self.base_markers, self.tip_markers, self.target_markers)[kind]
         flat = np.reshape(places, (-1, 2))
         return np.column_stack([flat, np.full(len(flat), self.heights[kind] + self.stalk)])
@@ -93,7 +93,9 @@ class Room(Settings):
         q: npt.ArrayLike,
         extents: Extents | None = None,
     ) -> Floats:
-        """A vehicle that stands in the way: (b, 6) line from x, y to x, y, radius about it, height.
+        """Return a vehicle's bodies, which can hide markers, (b, 6).
+
+        Each row is a line from x, y to x, y, a radius about it, and a height [m].
 
         Args:
             p: (8 + 6 n,) Arm.vector().
@@ -109,12 +111,12 @@ class Room(Settings):
         return np.concatenate([base, np.hstack([ends[:-1], ends[1:], wide])])
 
     def disc(self, kind: int, pose: Floats, radius: float) -> Floats:
-        """A round subject that stands in the way, as (1, 6) of `bodies`."""
+        """Return a round subject, which can hide markers, as a row (1, 6) of `bodies`."""
         return np.array([[*pose[:2], *pose[:2], radius, self.heights[kind]]])
 
 
 class RoomError(ValueError):
-    """The cameras' or markers' places are not whole, or too few."""
+    """Exception for an incomplete list of camera or marker positions, or one that is too short."""
 
     def __init__(self, name: str, given: int, each: int, least: int) -> None:
         super().__init__(
@@ -123,26 +125,26 @@ class RoomError(ValueError):
 
 
 class Look(NamedTuple):
-    """What a picture gives of a subject."""
+    """Result of a picture for one subject."""
 
-    error: Pose  # of its pose
-    markers: int  # that are there
-    taken_for: int  # the subject whose pose is taken for its own; itself, if all is well
-    there: bool = True  # whether it has a pose
+    error: Pose  # error of its pose
+    markers: int  # number of visible markers
+    taken_for: int  # subject whose pose is reported for this one; normally itself
+    there: bool = True  # True if it has a pose
 
 
 ABSENT = Look((0.0, 0.0, 0.0), 0, -1, there=False)
 
 
 class Vicon:
-    """All cameras of a room, which look at its subjects in one frame after the other.
+    """Cameras of a room, which observe its subjects in one frame after another.
 
     Args:
-        noise: markers' errors, and whether bodies hide them.
-        room: where all is.
-        seed: of the errors.
-        kinds: BASE, TIP or TARGET, of each subject.
-        volume: sides of what the cameras are calibrated for, about the origin [m].
+        noise: errors of the markers, and whether bodies hide them.
+        room: positions of cameras and markers.
+        seed: seed of the errors.
+        kinds: kind of each subject: BASE, TIP or TARGET.
+        volume: sides of the calibrated area, centred at the origin [m].
     """
 
     def __init__(
@@ -154,7 +156,7 @@ class Vicon:
         volume: tuple[float, ...] = (4.0, 4.0),
     ) -> None:
         self._noise, self._seed, self.room = noise, seed, room
-        self.hides = noise.vicon_occlusion > 0.0  # bodies, what is behind them
+        self.hides = noise.vicon_occlusion > 0.0  # True if bodies hide markers
         self._cameras = np.reshape(room.cameras, (-1, 3)).astype(float)
         markers = [room.markers(kind) for kind in kinds]
         self._markers = np.concatenate(markers)
@@ -164,18 +166,18 @@ class Vicon:
         edge = noise.vicon_edge_error * np.cos(angle), noise.vicon_edge_error * np.sin(angle)
         half = 0.5 * volume[0], 0.5 * volume[1]
         self._control = np.array([noise.marker_noise, *edge, *half, noise.vicon_merge_distance])
-        self._merges: dict[tuple[int, int], bool] = {}  # that last; whether they swap the subjects
+        self._merges: dict[tuple[int, int], bool] = {}  # present merges; True: subjects are swapped
 
     def look(
         self, frame: int, poses: npt.ArrayLike, bodies: npt.ArrayLike = (), drawn_at: int = -1
     ) -> list[Look]:
-        """What a picture gives of each subject.
+        """Return the result of a picture for each subject.
 
         Args:
-            frame: its number, which selects what chance decides.
-            poses: (s, 3) true poses in the world.
-            bodies: (b, 6) of Room.bodies; what hides nothing is left out.
-            drawn_at: number that selects the white noise, by default the frame's.
+            frame: number of the frame, which selects the random numbers.
+            poses: (s, 3) true poses in the world frame.
+            bodies: (b, 6) of Room.bodies; bodies that hide nothing can be omitted.
+            drawn_at: number that selects the white noise; by default that of the frame.
         """
         white = self._chance.normal(frame if drawn_at < 0 else drawn_at).reshape(-1, 2)
         hides = np.reshape(bodies, (-1, 6)) if self.hides else np.empty((0, 6))
@@ -191,9 +193,10 @@ class Vicon:
         ]
 
     def _taken_for(self, frame: int, partners: list[int]) -> list[int]:
-        """Whom each is taken for, by the subject with which it has markers merged (-1: none).
+        """Return for each subject the one whose pose is reported for it.
 
-        Each merge has its own lot, which is drawn when it begins.
+        `partners` are the subjects with which it has merged markers (-1: none). Whether a merge
+        swaps the subjects is drawn once, when the merge starts.
         """
         pairs = {(min(i, k), max(i, k)) for i, k in enumerate(partners) if k >= 0}
         for pair in pairs - self._merges.keys():

@@ -1,1 +1,1 @@
-"""How healthy bags are, and their repair."""
+"""Health checks and repair of bags."""

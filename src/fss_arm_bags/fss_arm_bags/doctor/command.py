@@ -1,4 +1,4 @@
-"""What the command `doctor` does."""
+"""The command `doctor`."""
 
 import sys
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Entry point.
 
     Returns:
-        0: the bags are whole and nothing is wrong with them; 1: not readable; 2: damaged, or
+        something is wrong with them.
         something is wrong.
     """
     options = parser().parse_args(args)
@@ -36,7 +36,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def examine(path: Path, mend: bool, console: Console) -> bool:
-    """Print what the bags of a path hold and what is wrong, and repair them if asked to."""
+    """Print the contents and the problems of the bags of a path; repair them first on request."""
     for bag in find(path) if mend else ():
         if recovered := repair(bag):
             console.print(f"repaired: {escape(str(recovered))}")
@@ -61,14 +61,14 @@ def examine(path: Path, mend: bool, console: Console) -> bool:
 
 
 def remedy(bag: Recovered) -> str:
-    """What can be done about a damaged bag, in words."""
+    """Return what the user can do about a damaged bag, in words."""
     if not bag.messages:
         return "nothing of it can be saved"
     return f"{'doctor --repair' if mends(bag.path) else 'ros2 bag reindex'} makes it whole"
 
 
 def table(path: Path, bags: Bags, heard: dict[str, Stream]) -> Table:
-    """Topics, their types, counts, rates and longest gaps."""
+    """Return a table of the topics: types, counts, rates and longest gaps."""
     begin, end = bags.span
     count = sum(topic.messages for topic in bags.topics.values())
     span = f"{seconds(end - begin):.3f} s" if count else "empty"

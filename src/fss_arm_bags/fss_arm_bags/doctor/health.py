@@ -1,4 +1,4 @@
-"""How fit a bag is to calibrate from: gaps, clocks, types and QoS, topic by topic."""
+"""Check whether a bag is fit for calibration: gaps, clocks, types and QoS, topic by topic."""
 
 import struct
 from collections.abc import Iterator
@@ -17,43 +17,43 @@ from fss_arm_bags.definitions import (
 from fss_arm_bags.reader import BagError, Bags, Topic, two_versions
 from fss_arm_ros.convert import SECOND
 
-PERIODS = 5  # of a steady topic; a longer silence is a gap
-SHORTEST_GAP = 3 * SECOND // 10  # [ns]; one link alone is heard each 0.2 s
-JUMP = SECOND // 2  # of stamps against times of receipt [ns]
-WINDOW = 2 * SECOND  # within which one message at least was not held up [ns]
-APART = 2 * SECOND  # stamps that far from the times of receipt are of another clock [ns]
+PERIODS = 5  # periods of a steady topic; a longer silence is a gap
+SHORTEST_GAP = 3 * SECOND // 10  # [ns]; a single link publishes every 0.2 s
+JUMP = SECOND // 2  # step between stamps and times of receipt that counts as a clock jump [ns]
+WINDOW = 2 * SECOND  # in this time at least one message arrives without delay [ns]
+APART = 2 * SECOND  # difference of stamps and times of receipt that means two different clocks [ns]
 
 STAMP = struct.Struct(
     "<4xiI"
-)  # of a message that begins with a header, little-endian as DDS writes it
+)  # stamp of a message that starts with a header, little-endian as DDS writes it
 
 
 @dataclass(frozen=True)
 class Stream:
-    """When the messages of a topic came, and when they say they were measured."""
+    """Times of receipt and stamps of the messages of a topic."""
 
     receipts: np.ndarray  # [ns]
-    stamps: np.ndarray  # [ns]; empty: they have none
+    stamps: np.ndarray  # [ns]; empty: the type has no stamp
     begins: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # of the bags [ns]
 
     @property
     def within(self) -> np.ndarray:
-        """Of each message but the last, whether no bag begins between it and the next."""
+        """Mask of the messages but the last: True if the next one is in the same bag."""
         return np.diff(np.searchsorted(self.begins, self.receipts, side="right")) == 0
 
     @property
     def rate(self) -> float:
-        """Messages a second; NaN: fewer than two."""
+        """Message rate [Hz]; NaN: fewer than two messages."""
         received = np.diff(self.receipts)[self.within]
         return float(len(received) * SECOND / total) if (total := received.sum()) else np.nan
 
     @property
     def silences(self) -> np.ndarray:
-        """From each message to the next [ns].
+        """Intervals between successive messages [ns].
 
-        By receipt and by stamp: a recorder that was held up received late, and lost nothing; a
-        clock that jumped forward did not make a pause. None from one bag to the next: nobody
-        recorded.
+        The smaller of two intervals counts, by receipt and by stamp. A recorder that was delayed
+        received late, but lost nothing; a clock that jumped forward did not make a pause. The
+        interval from one bag to the next is 0 because nothing was recorded.
         """
         received = np.diff(self.receipts) * self.within
         return np.minimum(received, np.diff(self.stamps)) if len(self.stamps) else received
@@ -65,17 +65,17 @@ class Stream:
 
 
 def streams(bags: Bags) -> dict[str, Stream]:
-    """The times of all messages, by topic.
+    """Return the times of all messages, by topic.
 
     Raises:
-        BagError: damage is met on the way.
+        BagError: a bag is damaged.
     """
     receipts: dict[str, list[int]] = {topic: [] for topic in bags.topics}
     stamps: dict[str, list[int]] = {topic: [] for topic in bags.topics}
     for topic, msgtype, receipt, data in bags.raw():
         receipts[topic].append(receipt)
         if bags.unchecked and not bags.topics[topic].mixed:
-            bags.deserialize(data, msgtype)  # which tells at least what is none of its type
+            bags.deserialize(data, msgtype)  # raises BagError if the data do not fit the type
         if msgtype in MEASUREMENTS:
             try:
                 sec, nanosec = STAMP.unpack_from(data)
@@ -92,7 +92,7 @@ def streams(bags: Bags) -> dict[str, Stream]:
 
 
 def remark(topic: Topic) -> str:
-    """What is worth knowing of a topic, though nothing is wrong; empty: nothing."""
+    """Return a note on a topic that has no problem; empty: there is none."""
     try:
         present = definition(topic.msgtype).hash
     except NotInstalledError:
@@ -103,7 +103,7 @@ def remark(topic: Topic) -> str:
 
 
 def findings(topic: Topic, stream: Stream, begin: int) -> Iterator[str]:
-    """What is wrong with a topic, a sentence each; times count from `begin` [ns]."""
+    """Yield the problems of a topic, one sentence each; times count from `begin` [ns]."""
     yield from _of_type(topic)
     if topic.msgtype not in MEASUREMENTS:
         return
@@ -117,7 +117,7 @@ def findings(topic: Topic, stream: Stream, begin: int) -> Iterator[str]:
 
 
 def _of_type(topic: Topic) -> Iterator[str]:
-    """Whether the type is installed in a version that the bag's can be read as."""
+    """Yield a problem if messages of this type cannot be read as the installed version."""
     try:
         present = definition(topic.msgtype).hash
     except NotInstalledError as error:
@@ -131,7 +131,7 @@ def _of_type(topic: Topic) -> Iterator[str]:
 
 
 def _gaps(stream: Stream, begin: int) -> Iterator[str]:
-    """Silences that are long for a steady topic."""
+    """Yield a problem if silences are long for a steady topic."""
     silences = stream.silences
     if not len(silences):
         return
@@ -145,9 +145,9 @@ def _gaps(stream: Stream, begin: int) -> Iterator[str]:
 
 
 def _clocks(stream: Stream, begin: int) -> Iterator[str]:
-    """Stamps that jump against the times of receipt, or are of another clock."""
+    """Yield problems of the stamps: jumps against the times of receipt, or another clock."""
     delays = stream.receipts - stream.stamps
-    # The least delay of some time, as a message that was held up says nothing of its clock.
+    # Least delay in each window: a delayed message carries no information about its clock.
     starts = np.flatnonzero(np.diff((stream.receipts - stream.receipts[0]) // WINDOW, prepend=-1))
     steps = np.diff(np.minimum.reduceat(delays, starts))
     jumps = np.flatnonzero(np.abs(steps) > JUMP)

@@ -7,7 +7,7 @@ from fss_arm_ros.command_line import Parser
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the parser of the command line."""
     p = Parser(
         prog="doctor",
         description=f"{__doc__} Exit code 0: healthy, or repaired to be so; 1: not readable; "

@@ -1,4 +1,4 @@
-"""A damaged bag replaced by what can be recovered of it."""
+"""Replace a damaged bag by what can be recovered of it."""
 
 from fcntl import LOCK_NB, LOCK_SH, flock
 from os import link
@@ -11,12 +11,12 @@ from fss_arm_bags.recovery import BagError, Recovered, recover
 
 
 def mends(path: Path) -> bool:
-    """Whether a damaged bag is of a kind that can be repaired."""
+    """Return True if a damaged bag is of a kind that can be repaired."""
     return all(file.suffix == ".mcap" for file in storage_files(path))
 
 
 def repair(path: Path) -> Recovered | None:
-    """Replace a damaged bag by what can be recovered of it; None: it was sound, or of another kind.
+    """Replace a damaged bag by what can be recovered; None: it is sound or of another kind.
 
     The damaged files stay beside it with `.damaged` appended to their names.
 
@@ -35,10 +35,10 @@ def repair(path: Path) -> Recovered | None:
     if any(map(_locked, files)):
         raise BagError(f"{path}: is being recorded; stop the recorder first")
     with TemporaryDirectory(dir=first.parent, prefix=".repair_") as folder:
-        copy = Path(folder, first.stem)  # its file has the name of the first, and takes its place
+        copy = Path(folder, first.stem)  # its file has the name of the first one and replaces it
         recovered = recover(path, copy, damage)
         metadata = path / "metadata.yaml"
-        if metadata.exists() and not _kept(first).exists():  # else of an interrupted repair
+        if metadata.exists() and not _kept(first).exists():  # exists after an interrupted repair
             _keep(metadata)
         for file in files:
             _keep(file)
@@ -51,7 +51,7 @@ def repair(path: Path) -> Recovered | None:
 
 
 def _locked(file: Path) -> bool:
-    """Whether a recorder has it open."""
+    """Return True if a recorder has the file open."""
     with file.open("rb") as stream:
         try:
             flock(stream, LOCK_SH | LOCK_NB)
@@ -63,17 +63,17 @@ def _locked(file: Path) -> bool:
 
 
 def _keep(file: Path) -> None:
-    """Let a damaged file be found beside what takes its place."""
+    """Keep a damaged file under another name, next to the file that replaces it."""
     kept = _kept(file)
     try:
         link(file, kept)
     except FileExistsError:
-        if not kept.samefile(file):  # else of a repair that was interrupted
+        if not kept.samefile(file):  # the link of an interrupted repair is the same file
             raise
-    except OSError:  # a file system without second names, as exFAT
+    except OSError:  # a file system without hard links, such as exFAT
         file.rename(kept)
 
 
 def _kept(file: Path) -> Path:
-    """Where a damaged file is kept."""
+    """Return the path under which a damaged file is kept."""
     return file.with_name(f"{file.name}.damaged")

@@ -1,4 +1,4 @@
-"""What a drift calibration concludes from its drifts, and what other nodes may take from it."""
+"""Drift calibration: solution, checks, and parameters for other nodes."""
 
 from collections.abc import Sequence
 
@@ -23,16 +23,16 @@ def calibrate(
     streams: Streams | None = None,
     source: str = LIVE,
 ) -> Outcome[Drift, Solution]:
-    """Solve for what acts on the base from outside, and check the result.
+    """Solve for the external forces and torques on the base, and check the result.
 
-    However short, drifts are solved: the deviations then say how little they determine.
+    Even very short drifts are solved. The standard deviations are then large.
 
     Args:
         drifts: in order of time.
-        arm: whose masses and inertias move.
-        settings: what is known, and criteria.
-        streams: what happened to the streams that the drifts are from.
-        source: of the drifts.
+        arm: arm with the masses and inertias that move.
+        settings: prior knowledge and criteria.
+        streams: events in the streams that the drifts come from.
+        source: name of the source of the drifts.
     """
     s, streams = settings or DriftSettings(), streams or Streams()
     used, known = [one for one in drifts if one.used], joints_known(streams, arm)
@@ -56,10 +56,10 @@ def calibrate(
 
 
 def parameters(outcome: Outcome[Drift, Solution]) -> str:
-    """What `dynamic` and `base_reaction` may be given, as a ROS parameter file.
+    """Return parameters for `dynamic` and `base_reaction`, as a ROS parameter file.
 
-    The first takes tilt and momentum as unknown within what was found, the second subtracts the
-    tilt and takes its deviation as uncertain.
+    `dynamic` treats tilt and momentum as unknown, with the deviations found here. `base_reaction`
+    subtracts the tilt and treats its deviation as uncertainty.
     """
     if outcome.solution is None:
         raise ValueError("nothing was found of what acts on the base")

@@ -1,4 +1,4 @@
-"""Whether to believe a drift calibration: its checks, each threshold beside its value."""
+"""Acceptance checks of a drift calibration; each reports its value and its threshold."""
 
 from collections.abc import Sequence
 
@@ -25,14 +25,14 @@ from fss_arm_model.units import GRAVITY
 
 
 def long_enough(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> Check:
-    """Whether the base drifted for long enough."""
+    """Check that the base drifted for long enough."""
     total = sum(drift.times[-1] for drift in drifts)
     reason = f"{total:.0f} s of drift, at least {s.min_time:g} s needed"
     return enough("time", total, s.min_time, reason, streams)
 
 
 def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
-    """The checks of a solution."""
+    """Evaluate the checks of a solution."""
     r, m = solution.result, solution.result.minimum
     tilt = float(np.sqrt(np.diag(r.covariance)[:2]).max()) / GRAVITY
     torque = r.hose_torque[1]

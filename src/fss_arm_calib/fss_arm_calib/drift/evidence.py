@@ -1,4 +1,4 @@
-"""What drifts say of an arm and of what acts on it: how it moves as one body."""
+"""Evidence from drifts for the joint estimate: base and arm move as one rigid body."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,29 +16,35 @@ from fss_arm_model.drifting import drift, whole, whole_sensitivities
 
 OWN = 6  # unknowns of each drift: pose and twist at its start
 
-#: As for a drift alone, then mass and inertia of the whole.
+#: Half differences as for a drift alone, then for mass and inertia of base and arm.
 _STEPS = np.array([*STEPS, 1e-3, 1e-4])
 
 
 @dataclass(frozen=True)
 class DriftEvidence:
-    """Drifts, each with its own pose and twist at the start; the whole's body is the arm's."""
+    """Evidence from drifts; unknown for each are its pose and twist at the start.
+
+    The rigid body of base and arm follows from the arm's parameters.
+    """
 
     drifts: Sequence[Drift]
-    sigma: Sequence[Floats]  # (m, 3) of each drift's poses
-    n: int  # links
+    sigma: Sequence[Floats]  # (m, 3) standard deviations of each drift's poses
+    n: int  # number of links
 
     @property
     def free(self) -> int:
-        """Coordinates of the poses, less the drifts' own unknowns."""
+        """Number of coordinates of the poses, less the drifts' own unknowns."""
         return sum(sigma.size - OWN for sigma in self.sigma)
 
     def begin(self) -> Floats:
-        """Each with its mean twist."""
+        """Return the initial guess: each drift has its mean twist."""
         return np.concatenate([begun(one) for one in self.drifts])
 
     def near(self, z: Floats, own: Floats) -> Linear:
-        """Poses of the base, divided by their deviations; as many rows of each as hold the same."""
+        """Linearize the residuals of the base's poses, divided by their standard deviations.
+
+        The rows of each drift are reduced by a QR decomposition, without loss of information.
+        """
         size = layout.size(self.n)
         p, acting, q = z[:size], z[size:], np.array([one.q for one in self.drifts])
         bodies, by_arm = whole(p, q), whole_sensitivities(p, q)
@@ -60,5 +66,5 @@ class DriftEvidence:
 
 
 def evidence(drifts: Sequence[Drift], arm: Arm, settings: DriftSettings) -> DriftEvidence:
-    """What drifts say."""
+    """Return the evidence from drifts."""
     return DriftEvidence(drifts, deviations(drifts, settings, np.ones(len(drifts))), arm.n)

@@ -1,4 +1,4 @@
-"""The drift calibration as a kind: its topics, its messages, its record."""
+"""Drift calibration as a calibration kind: topics, messages and record."""
 
 from collections.abc import Sequence
 from math import nan
@@ -25,12 +25,12 @@ from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 
 
 def inputs(s: DriftSettings, _: int) -> list[Input]:
-    """Joints and base."""
+    """Return the inputs: joints and base."""
     return [joints_input(s.joints_topic), poses_input(s.base_topic, BASE)]
 
 
 def to_message(outcome: Outcome[Drift, Solution], frame_id: str) -> msg.DriftCalibration:
-    """What is concluded, as it is published."""
+    """Convert the outcome to the message that is published."""
     message = msg.DriftCalibration(hose_torque=nan, hose_torque_deviation=nan)
     message.calibration = common_message("drift", outcome, frame_id)
     if found := outcome.solution:
@@ -42,7 +42,7 @@ def to_message(outcome: Outcome[Drift, Solution], frame_id: str) -> msg.DriftCal
 
 
 def drifts_message(drifts: Sequence[Drift], frame_id: str) -> msg.Drifts:
-    """All drifts so far, as they are published."""
+    """Convert all drifts to the message that is published."""
     ones = [
         msg.Drift(
             start=to_time(one.start),
@@ -61,7 +61,7 @@ def drifts_message(drifts: Sequence[Drift], frame_id: str) -> msg.Drifts:
 
 
 def drifts_of(message: msg.Drifts) -> list[Drift]:
-    """The drifts that a message holds."""
+    """Return the drifts in a message."""
     return [
         Drift(
             start=stamp_ns(one.start),
@@ -79,7 +79,7 @@ def drifts_of(message: msg.Drifts) -> list[Drift]:
 
 
 def rest(finder: DriftFinder) -> dict[str, object]:
-    """How long the arm has been at rest."""
+    """Report the time for which the arm has been at rest."""
     begin, end = finder.resting
     return {"arm rests for [s]": (end - begin) / SECOND}
 

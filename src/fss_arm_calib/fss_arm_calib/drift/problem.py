@@ -1,8 +1,8 @@
-"""What acts on the base from outside: the table's tilt and the hose, while base and arm drift.
+"""Drift problem: effects of the table's tilt and of the hose while base and arm drift.
 
-With the arm at rest they are one rigid body, as fss_arm_model.drifting has it. What acts on it is
-shared by all drifts; pose and twist at its start, and the centre of mass, each has for its own. The
-masses' errors scale torque and momentum.
+With the arm at rest, base and arm are one rigid body (fss_arm_model.drifting). All drifts share
+the parameters of tilt and hose. Each drift has its own pose and twist at the start and its own
+centre of mass. Errors of the masses scale torque and momentum.
 """
 
 from collections.abc import Sequence
@@ -32,14 +32,14 @@ NAMES = SURROUNDINGS
 UNITS = ("m/s^2", "m/s^2", "N m", "N m s", "N s/m")
 OWN = 8  # unknowns of each drift: pose, twist, centre of mass in the base
 
-#: Half the differences that derivatives are taken over: far above rounding, far below curvature.
+#: Half differences for numerical derivatives: far above rounding, with negligible curvature.
 STEPS = np.array([1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2])
-ALONE = 1e-9  # redundancy below which a drift alone determines something
-TOLERANCE = 1e-4  # of the last update [deviations]; integration errs by less
+ALONE = 1e-9  # redundancy below which one drift alone determines a direction
+TOLERANCE = 1e-4  # largest last update [deviations]; integration errors are smaller
 
 
 class Body(NamedTuple):
-    """Base and arm as one."""
+    """Rigid body of base and arm."""
 
     mass: float  # [kg]
     inertia: float  # about the centre of mass [kg m^2]
@@ -47,45 +47,48 @@ class Body(NamedTuple):
 
 
 def rigid_body(arm: Arm, q: Sequence[float]) -> Body:
-    """The floating body that an arm is at joint readings q."""
+    """Return the rigid body of base and arm at joint readings q."""
     mass, inertia, *com = drifting.whole(arm.vector(), q)
     return Body(mass, inertia, complex(*com))
 
 
 def begun(drift: Drift) -> Floats:
-    """(6,) where a drift begins, and its mean twist."""
+    """Return the first pose of a drift and its mean twist, (6,)."""
     first, last = np.array(drift.poses[0]), np.array(drift.poses[-1])
     return np.concatenate([first, (last - first) / (drift.times[-1] - drift.times[0])])
 
 
 @dataclass(frozen=True)
 class DriftProblem:
-    """Drifts, and what is known beforehand; deviations are 1 sigma, about 0, 0: it is 0."""
+    """Problem with drifts and prior knowledge.
+
+    Deviations are 1 sigma about 0; a deviation of 0 means that the value is 0.
+    """
 
     drifts: Sequence[Drift]
     bodies: Sequence[Body]
-    sigma: Sequence[Floats]  # (m, 3) of each drift's poses
-    torque: float = 0.05  # of the hose at rest [N m]
-    twist_damping: float = 0.01  # of its resistance to turning [N m s]
-    drag: float = 0.05  # and to moving [N s/m]
-    com: float = 0.01  # of the centre of mass, each axis, about the description's [m]
-    mass: float = 0.05  # of mass and inertia, relative
+    sigma: Sequence[Floats]  # (m, 3) standard deviations of each drift's poses
+    torque: float = 0.05  # deviation of the hose's torque at rest [N m]
+    twist_damping: float = 0.01  # deviation of the hose's resistance to turning [N m s]
+    drag: float = 0.05  # deviation of the hose's resistance to moving [N s/m]
+    com: float = 0.01  # deviation of the centre of mass, each axis, about the described one [m]
+    mass: float = 0.05  # relative deviation of mass and inertia
 
     @cached_property
     def start(self) -> Floats:
-        """All unknowns at the begin: nothing acts, and each drift has its mean twist."""
+        """Initial values of all unknowns: no external effects, and each drift's mean twist."""
         parts: list[Floats] = [np.zeros(len(NAMES))]
         for drift, body in zip(self.drifts, self.bodies, strict=True):
             parts += [begun(drift), np.array([body.com.real, body.com.imag])]
         return np.concatenate(parts)
 
     def motion(self, k: int, shared: Floats, own: Floats) -> tuple[Floats, Floats]:
-        """Poses (c, m, 3) of drift k, and its gain of spin K (omega_end - omega_start) (c,).
+        """Return poses (c, m, 3) of drift k and its gain of spin K (omega_end - omega_start) (c,).
 
         Args:
-            k: the drift.
-            shared: (c, 5), a row for each set of unknowns.
-            own: (c, 8).
+            k: index of the drift.
+            shared: (c, 5) shared parameters, a row for each set of unknowns.
+            own: (c, 8) the drift's own unknowns.
         """
         body = np.empty((len(own), 4))
         body[:, :2], body[:, 2:] = self.bodies[k][:2], own[:, 6:]
@@ -93,7 +96,7 @@ class DriftProblem:
         return found[..., :3], self.bodies[k].inertia * (found[:, -1, 3] - own[:, 5])
 
     def derivatives(self, unknowns: Floats) -> list[tuple[Floats, Floats, float, Floats]]:
-        """Of each drift: poses (m, 3), gain of spin, and their derivatives by 13 unknowns."""
+        """Return poses (m, 3), gain of spin and their derivatives by 13 unknowns, per drift."""
         found = []
         steps = STEPS * np.vstack([np.zeros((1, 13)), np.eye(13), -np.eye(13)])
         for k in range(len(self.drifts)):
@@ -106,13 +109,13 @@ class DriftProblem:
         return found
 
     def linearize(self, unknowns: Floats) -> Linear:
-        """Observations and priors near some values, divided by their deviations."""
+        """Linearize observations and priors, divided by their standard deviations."""
         residuals, rows = [], []
         for k, (poses, by, _, _) in enumerate(self.derivatives(unknowns)):
             weight = 1.0 / self.sigma[k].ravel()
             off = (np.array(self.drifts[k].poses) - poses).ravel() * weight
             every = np.column_stack([by.reshape(-1, 13) * weight[:, None], off])
-            few: Floats = np.linalg.qr(every)[1]  # as many rows as columns hold the same
+            few: Floats = np.linalg.qr(every)[1]  # one row per column, without loss
             residuals.append(few[:, -1])
             J = np.zeros((len(few), len(unknowns)))
             J[:, :5] = few[:, :5]
@@ -130,21 +133,21 @@ class DriftProblem:
 
     @cached_property
     def known(self) -> Floats:
-        """Deviations of all unknowns before anything is observed; inf: nothing known."""
+        """Prior standard deviations of all unknowns; inf: no prior."""
         none = [np.inf] * 6
         shared = [np.inf, np.inf, self.torque, self.twist_damping, self.drag]
         return np.array([*shared, *[*none, self.com, self.com] * len(self.drifts)])
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Observed coordinates less the unknowns of which nothing was known."""
+        """Number of observed coordinates, less the unknowns without a prior."""
         seen = sum(sigma.size for sigma in self.sigma)
         return seen - int(np.count_nonzero(np.isinf(self.known)))
 
 
 @dataclass(frozen=True)
 class DriftResult:
-    """What acts from outside, and the momentum that each drift began with; 1 sigma beside each."""
+    """Result of a drift calibration: external effects and initial momenta, with 1 sigma each."""
 
     problem: DriftProblem
     minimum: Minimum
@@ -152,12 +155,12 @@ class DriftResult:
 
     @property
     def values(self) -> Floats:
-        """(5,) NAMES in UNITS."""
+        """Values (5,) of the parameters NAMES in UNITS."""
         return self.minimum.x[:5]
 
     @cached_property
     def covariance(self) -> Floats:
-        """(5, 5) with the error of mass and inertia, which forces and torques scale with."""
+        """Covariance (5, 5), including the error of mass and inertia, which scales the forces."""
         scaled = np.concatenate([np.zeros(2), self.values[2:]]) * self.problem.mass
         return np.asarray(self.scatter[:5, :5] + np.outer(scaled, scaled))
 
@@ -167,18 +170,18 @@ class DriftResult:
 
     @property
     def _free(self) -> Mask:
-        """Which of all unknowns are estimated and at no bound."""
+        """Mask of the unknowns that are estimated and not at a bound."""
         return ~self.minimum.held & (self.problem.known > 0.0)
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Names of what acts from outside that the drifts cannot tell apart."""
+        """Names of external effects that the drifts do not separate."""
         lost = (self.minimum.basis.undetermined() > NOTICEABLE) & self._free
         return tuple(compress(NAMES, lost))
 
     @property
     def at_bound(self) -> tuple[str, ...]:
-        """Names of what acts from outside that the drifts would make negative."""
+        """Names of external effects that the drifts would make negative."""
         return tuple(compress(NAMES, self.minimum.held))
 
     @property
@@ -188,13 +191,13 @@ class DriftResult:
 
     @property
     def condition_number(self) -> float:
-        """Of the column-scaled regressor of the unknowns that are estimated."""
+        """Condition number of the column-scaled regressor of the estimated unknowns."""
         Phi = self.minimum.linear.regressor[:, self._free]
         return Decomposition.of(Phi).condition
 
     @cached_property
     def _hat(self) -> list[tuple[Floats, Floats]]:
-        """Each drift's part of the hat matrix, its own unknowns eliminated, and its residuals."""
+        """Hat matrix and residuals of each drift, after elimination of its own unknowns."""
         linear, shared, found = self.minimum.linear, self.scatter[:5, :5], []
         for k in range(len(self.problem.drifts)):
             own = np.arange(5 + OWN * k, 5 + OWN * (k + 1))
@@ -208,10 +211,11 @@ class DriftResult:
 
     @property
     def checks(self) -> tuple[Floats, Floats, Floats]:
-        """Of each drift against what the others say: leverage, error and redundancy, (s,) each.
+        """Leverage, error and redundancy of each drift relative to the others, (s,) each.
 
-        As in a dynamic calibration, its error is r' (1 - H)^-1 r, of which this is the root mean
-        square of a coordinate. What a drift alone determines leaves no residual: nothing of it.
+        As in a dynamic calibration, r' (1 - H)^-1 r is the sum of squares of a drift's errors. The
+        error here is its root mean square over the coordinates. Directions that only this drift
+        determines leave no residual, so they do not contribute.
         """
         free = [sigma.size - 6 for sigma in self.problem.sigma]
         inverses = [np.linalg.pinv(np.eye(len(r)) - H, ALONE, hermitian=True) for H, r in self._hat]
@@ -222,15 +226,15 @@ class DriftResult:
 
     @cached_property
     def residuals(self) -> list[Floats]:
-        """(m, 3) of each drift, observed less predicted [m, m, rad]."""
+        """Residuals (m, 3) of each drift, observed minus predicted [m, m, rad]."""
         pairs = zip(self.problem.drifts, self._predicted, strict=True)
         return [np.array(drift.poses) - poses for drift, (poses, *_) in pairs]
 
     @cached_property
     def hose_torque(self) -> tuple[float, float]:
-        """Mean torque on the whole about its centre of mass while it drifted [N m], and 1 sigma.
+        """Mean torque on base and arm about their centre of mass [N m], and 1 sigma.
 
-        What of it depends on the motion need not be told apart from what does not.
+        It is determined even if its constant part and its motion-dependent part are not.
         """
         total = sum(drift.times[-1] for drift in self.problem.drifts)
         by, mean = np.zeros(len(self.minimum.x)), 0.0
@@ -243,7 +247,10 @@ class DriftResult:
 
     @cached_property
     def momenta(self) -> tuple[Floats, Floats]:
-        """(s, 3) linear [N s] and, about the centre of mass, angular [N m s]; and 1 sigma."""
+        """Initial momenta (s, 3) and 1 sigma, (s, 3): linear [N s], angular [N m s].
+
+        The angular momentum is about the centre of mass.
+        """
         values, deviations = np.empty((2, len(self.problem.drifts), 3))
         for k, body in enumerate(self.problem.bodies):
             at = slice(5 + OWN * k, 5 + OWN * (k + 1))
@@ -262,9 +269,9 @@ class DriftResult:
 
 
 def solve(problem: DriftProblem) -> DriftResult:
-    """Least squares of what acts on the base; what resists motion is never below 0.
+    """Solve for the external effects by least squares; resistances to motion are at least 0.
 
-    It is left out at first, so that the steps from a rough start are short.
+    The first solution is without resistances, so that the steps from a rough start are short.
     """
     plain = replace(problem, twist_damping=0.0, drag=0.0, com=0.0)
     x = problem.start

@@ -1,4 +1,4 @@
-"""The report of a drift calibration."""
+"""Report of a drift calibration."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ WORDS = ("", "", "of it at rest", "resistance to turning", "resistance to moving
 
 
 def drift_report(outcome: Outcome[Drift, Solution], _: Arm | None = None) -> Report:
-    """Report what a drift calibration found; a description knows nothing of it."""
+    """Report the result of a drift calibration; a description holds none of its parameters."""
     o = outcome
     figures = (
         Figure("drift_drifts", "Each drift",

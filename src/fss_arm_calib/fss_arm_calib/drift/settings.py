@@ -1,4 +1,4 @@
-"""The settings of a drift calibration, live, replayed and offline alike."""
+"""Settings of a drift calibration; the same live, in a replay and offline."""
 
 from dataclasses import dataclass
 from math import radians
@@ -11,7 +11,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
 
 @dataclass(frozen=True)
 class DriftSettings(DriftFinderSettings, CalibrationSettings):
-    """What counts as a drift, what is known beforehand, and when to believe the result.
+    """Settings of a drift calibration: detection of drifts, prior knowledge and checks.
 
     Raises:
         SettingError: a setting is impossible.

@@ -1,4 +1,4 @@
-"""From drifts to what acts on the base: what is known, what is rejected, what is concluded."""
+"""Solution of a drift calibration: prior knowledge, outlier rejection and the estimate."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,25 +28,26 @@ from fss_arm_model.parameters import parameter_names, to_vector
 
 @dataclass(frozen=True)
 class Solution:
-    """A result, and which of s drifts it is from."""
+    """Result, and the drifts (of s) that it uses."""
 
-    result: DriftResult  # of those not rejected
-    kept: Mask  # (s,)
-    weights: Floats  # (s,) 1: used; 0: rejected; between: by a robust loss
-    reasons: tuple[str, ...]  # (s,) why it was rejected, else empty
-    errors: Floats  # (s,) predicted from the others, or when it was rejected [deviations]
+    result: DriftResult  # from the drifts that were not rejected
+    kept: Mask  # (s,) drifts that were not rejected
+    weights: Floats  # (s,) 1: used; 0: rejected; between: weight of a robust loss
+    reasons: tuple[str, ...]  # (s,) reason for the rejection, else empty
+    errors: Floats  # (s,) when predicted from the others, or at its rejection [deviations]
 
     def of_all(self, values: Floats) -> Floats:
-        """Rows of the drifts kept as rows of all; NaN of those rejected."""
+        """Expand rows of the kept drifts to rows of all drifts; NaN for rejected ones."""
         every = np.full((len(self.kept), *values.shape[1:]), nan)
         every[self.kept] = values
         return every
 
 
 def uncertainty(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[float, float]:
-    """Of the whole, deviations of its centre of mass, each axis [m], and of mass and inertia.
+    """Return the deviations of the centre of mass of base and arm, and of mass and inertia.
 
-    The largest at any drift, if the description tells how well all parameters are known.
+    The first is for each axis [m], the second is relative. If the description has a covariance of
+    all parameters, they are the largest at any drift; otherwise they are those of the settings.
     """
     names, told = parameter_names(arm.n), set(arm.known.names)
     if not drifts or not told.issuperset(names):
@@ -60,7 +61,7 @@ def uncertainty(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[fl
 
 
 def deviations(drifts: Sequence[Drift], s: DriftSettings, weights: Floats) -> list[Floats]:
-    """(m, 3) of each drift's poses, each weighed."""
+    """Return the deviations (m, 3) of each drift's poses, scaled by the drift's weight."""
     of_one = np.array([s.position_deviation, s.position_deviation, s.heading_deviation])
     sigma = []
     for drift, weight in zip(drifts, weights, strict=True):
@@ -72,7 +73,7 @@ def deviations(drifts: Sequence[Drift], s: DriftSettings, weights: Floats) -> li
 def problem_of(
     drifts: Sequence[Drift], arm: Arm, s: DriftSettings, weights: Floats
 ) -> DriftProblem:
-    """The problem that drifts make, each weighed."""
+    """Return the drift problem of weighted drifts."""
     return DriftProblem(
         drifts, [rigid_body(arm, drift.q) for drift in drifts], deviations(drifts, s, weights),
         s.torque_deviation, s.twist_deviation, s.drag_deviation, *uncertainty(drifts, arm, s),
@@ -80,7 +81,7 @@ def problem_of(
 
 
 def solution_of(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> Solution:
-    """Solve with the loss asked for; reject as many outliers as allowed, one after the other."""
+    """Solve with the loss of the settings, and reject outliers one by one up to the limit."""
     weights = np.zeros(len(drifts))
 
     def solved(mask: Mask) -> tuple[DriftResult, Floats]:
@@ -99,7 +100,7 @@ def solution_of(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> Solution
 
 
 def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
-    """What is estimated, as every kind of calibration has it."""
+    """Convert the solution to the estimate that all kinds of calibration share."""
     initial = np.zeros(len(NAMES))
     if solution is None:
         return Estimate(NAMES, UNITS, initial, reasons=len(drifts) * ("",))

@@ -1,1 +1,1 @@
-"""The drives' own parameters: torque constant, friction, torque sensor, rotor."""
+"""Calibration of drives: torque constant, friction, torque sensor, rotor."""

@@ -1,4 +1,4 @@
-"""What a calibration of drives concludes from its excitations."""
+"""Calibration of drives from excitations: the solution and its checks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -18,14 +18,14 @@ from fss_arm_calib.segments.telemetry import since_homed
 from fss_arm_model.description import Arm, Link
 
 NEEDED = ("torque_constant", "torque_gain", "viscous", "coulomb")
-FEWEST = 50  # samples of a link
+FEWEST = 50  # smallest number of samples of a link
 
 
 @dataclass(frozen=True)
 class Telemetry:
-    """What a link reported in all excitations, raw as LinkTelemetry has it: (k,) each."""
+    """Telemetry of a link in all excitations, in the units of LinkTelemetry: (k,) each."""
 
-    stamps: Stamps  # of the measurement, rising [ns]
+    stamps: Stamps  # of the measurement, increasing [ns]
     position: Floats  # [counts]
     velocity: Floats  # [0.1 counts/s]
     current: Floats  # [0.01 A]
@@ -34,7 +34,7 @@ class Telemetry:
 
     @classmethod
     def of(cls, excitations: Sequence[Excitation], i: int) -> "Telemetry":
-        """That of link i, from 0."""
+        """Collect the telemetry of link i, counted from 0."""
         columns = {
             f.name: [x for one in excitations for x in getattr(one.links[i], f.name)]
             for f in fields(cls)
@@ -45,7 +45,7 @@ class Telemetry:
         return cls(stamps, **numbers)
 
     def samples(self, link: Link, origin: int) -> Samples:
-        """The same in SI units, times from `origin` [ns] on."""
+        """Convert to SI units, with times relative to `origin` [ns]."""
         drive, sensor = link.drive, link.torque_sensor
         count = drive.direction * 2.0 * np.pi / drive.counts_per_turn
         return Samples(
@@ -68,11 +68,11 @@ def calibrate(
     """Estimate each joint's drive, and check the result.
 
     Args:
-        excitations: in order of time; those before a joint was homed last are left out.
+        excitations: in order of time; those before the last homing of a joint are left out.
         arm: its masses set the scale; its torque constants and sensors are the guess.
-        settings: what is known, and criteria.
-        streams: what happened to the streams that the excitations are from.
-        source: of the excitations.
+        settings: prior knowledge and criteria.
+        streams: events in the streams that the excitations come from.
+        source: name of the source of the excitations.
     """
     s, streams = settings or DrivesSettings(), streams or Streams()
     used = since_homed([one for one in excitations if one.used])
@@ -106,7 +106,7 @@ def calibrate(
 def estimate_of(
     drives: Sequence[Drive], names: tuple[str, ...], units: tuple[str, ...], guess: Floats
 ) -> Estimate:
-    """What is estimated, as every kind of calibration has it; joints are independent."""
+    """Convert to the estimate that all kinds of calibration share; joints are independent."""
     size = len(NAMES)
     covariance = np.zeros((len(names),) * 2)
     for k, one in enumerate(drives):
@@ -117,7 +117,7 @@ def estimate_of(
 
 
 def evaluate(drives: Sequence[Drive]) -> list[Check]:
-    """The checks of a result; what is refused has one each, which says why."""
+    """Evaluate the checks of a result, with one check and reason for each refused parameter."""
     checks = []
     for i, one in enumerate(drives, 1):
         for name, reason in one.refused.items():
@@ -131,7 +131,7 @@ def evaluate(drives: Sequence[Drive]) -> list[Check]:
 
 
 def calibrated(arm: Arm, drives: Sequence[Drive]) -> Arm:
-    """The arm with the torque constants and torque sensors that were found."""
+    """Return the arm with the estimated torque constants and torque sensors."""
     links = []
     for link, one in zip(arm.links, drives, strict=True):
         K, gain, zero = one.values[[KT, GAIN, ZERO]].tolist()

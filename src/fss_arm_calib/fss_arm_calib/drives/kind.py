@@ -1,4 +1,4 @@
-"""The calibration of drives as a kind: its topics, its messages, its record."""
+"""Calibration of drives as a calibration kind: topics, messages and record."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -18,7 +18,7 @@ COLUMNS = ("position", "velocity", "current", "torque", "torque_age")
 
 
 def inputs(_: DrivesSettings, n: int) -> list[Input]:
-    """The telemetry of n links."""
+    """Return the inputs: the telemetry of n links."""
     return [_input(i) for i in range(1, n + 1)]
 
 
@@ -32,7 +32,7 @@ def _input(i: int) -> Input:
 
 
 def to_message(outcome: Outcome[Excitation, list[Drive]], frame_id: str) -> msg.DrivesCalibration:
-    """What is concluded, as it is published."""
+    """Convert the outcome to the message that is published."""
     found = outcome.solution or []
     return msg.DrivesCalibration(
         calibration=common_message("drives", outcome, frame_id),
@@ -43,7 +43,7 @@ def to_message(outcome: Outcome[Excitation, list[Drive]], frame_id: str) -> msg.
 
 
 def excitations_message(excitations: Sequence[Excitation], frame_id: str) -> msg.Excitations:
-    """All excitations so far, as they are published."""
+    """Convert all excitations to the message that is published."""
     ones = [
         msg.Excitation(
             start=to_time(one.start),
@@ -65,7 +65,7 @@ def _frames_message(frames: Frames) -> msg.LinkFrames:
 
 
 def excitations_of(message: msg.Excitations) -> list[Excitation]:
-    """The excitations that a message holds."""
+    """Return the excitations in a message."""
     return [
         Excitation(
             start=stamp_ns(one.start),

@@ -1,13 +1,13 @@
-"""How the arm moves by its encoders, and what torque and force its joints then pass.
+"""Motion of the arm from its encoders, and the torques and forces that its joints transmit.
 
-An encoder on a harmonic drive's motor is off twice a turn of the motor, by P = 2 N periods a turn
-of the joint (Tuttle & Seering 1996):
+An encoder on a harmonic drive's motor has an error of two periods per turn of the motor, that is,
+P = 2 N periods per turn of the joint (Tuttle & Seering 1996):
 
     reading = q + A sin(P q) + B cos(P q)
 
-The error is small, but P^2 of it in accelerations is not. Reported rates are the reading's own, so
-that samples far apart betray it: a joint at constant acceleration satisfies the trapezoidal rule,
-and its readings do not.
+The error is small, but in accelerations it is multiplied by P^2. The reported rates are derivatives
+of the reading, with the same error. It shows in samples that are far apart: at constant
+acceleration, the joint satisfies the trapezoidal rule, but its readings do not.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,31 +28,31 @@ from fss_arm_model.layout import (
     reach,
 )
 
-APART = 0.2  # samples between which the trapezoidal rule is asked for, about [s]
-KNOTS = 0.05  # least time between samples that the motion is interpolated from [s]
-ROUNDS = 10  # of weighing residuals: the rule does not hold where the acceleration changes
+APART = 0.2  # approximate time between samples for the trapezoidal rule [s]
+KNOTS = 0.05  # least time between samples used to interpolate the motion [s]
+ROUNDS = 10  # reweighting iterations: the rule does not hold where the acceleration changes
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A link's telemetry in SI units, in order of time, (k,) each."""
+    """Telemetry of a link in SI units, in order of time, (k,) each."""
 
     t: Floats  # [s]
     q: Floats  # [rad]
     qd: Floats  # [rad/s]
     current: Floats  # counter-clockwise positive [A]
-    torque: Floats  # by the described gain and zero [N m]
-    age: Floats  # of the torque at t [s]
+    torque: Floats  # with the described gain and zero [N m]
+    age: Floats  # age of the torque sample at t [s]
 
     @property
     def period(self) -> float:
-        """Between samples [s]."""
+        """Median time between samples [s]."""
         return float(np.median(np.diff(self.t)))
 
 
 @dataclass(frozen=True)
 class Moving:
-    """The arm at some moments."""
+    """Motion of the arm at k times."""
 
     q: Floats  # (k, n) [rad]
     qd: Floats  # [rad/s]
@@ -60,7 +60,7 @@ class Moving:
 
 
 def ripple(s: Samples, periods: float) -> tuple[float, float]:
-    """A and B of the encoder's error [rad]."""
+    """Estimate A and B of the encoder's error [rad]."""
     step = max(1, round(APART / s.period))
     t, q, qd = s.t[::step], s.q[::step], s.qd[::step]
     half = 0.5 * np.diff(t)
@@ -86,7 +86,7 @@ def ripple(s: Samples, periods: float) -> tuple[float, float]:
 
 
 def straightened(s: Samples, periods: float, of: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Angles and rates without the encoder's error."""
+    """Return angles and rates without the encoder's error."""
     q = s.q
     for _ in range(3):
         off = of[0] * np.sin(periods * q) + of[1] * np.cos(periods * q)
@@ -96,7 +96,7 @@ def straightened(s: Samples, periods: float, of: tuple[float, float]) -> tuple[F
 
 
 def heard(samples: Sequence[Samples], gap: float) -> Iterator[tuple[float, float]]:
-    """Times from and to which all links are heard, without a silence longer than `gap` [s]."""
+    """Yield time spans in which all links send telemetry, without gaps longer than `gap` [s]."""
     last = max(s.t[0] for s in samples)
     steps = ((s.t, np.flatnonzero(np.diff(s.t) > gap)) for s in samples)
     for begin, end in sorted((t[k], t[k + 1]) for t, which in steps for k in which.tolist()):
@@ -106,42 +106,44 @@ def heard(samples: Sequence[Samples], gap: float) -> Iterator[tuple[float, float
 
 
 class Motion:
-    """The motion of all joints between their samples."""
+    """Motion of all joints, interpolated between their samples."""
 
     def __init__(self, samples: Sequence[Samples], periods: float, gap: float) -> None:
-        from scipy.interpolate import CubicHermiteSpline  # takes long, and no --help needs it
+        from scipy.interpolate import CubicHermiteSpline  # slow import, not needed by --help
 
         self._splines = []
         for s in samples:
             q, qd = straightened(s, periods, ripple(s, periods))
             step = max(1, round(KNOTS / s.period))
             self._splines.append(CubicHermiteSpline(s.t[::step], q[::step], qd[::step]))
-        self.width = [max(KNOTS, s.period) for s in samples]  # to differentiate rates over [s]
+        self.width = [max(KNOTS, s.period) for s in samples]  # step to differentiate rates [s]
         margin = 2.0 * max(self.width)
         every = ((begin + margin, end - margin) for begin, end in heard(samples, gap))
-        self.runs = [(begin, end) for begin, end in every if begin < end]  # when it is known [s]
+        self.runs = [(begin, end) for begin, end in every if begin < end]  # known motion [s]
 
     def known(self, t: Floats) -> Mask:
-        """Whether the motion is known at times (k,)."""
+        """Return a mask (k,), True where the motion is known at times t."""
         return np.any([(t > begin) & (t < end) for begin, end in self.runs], axis=0)
 
     def at(self, t: Floats) -> Moving:
-        """The motion at times (k,)."""
+        """Return the motion at times (k,)."""
         q, qd, qdd = (np.column_stack([f(t, k) for f in self._splines]) for k in range(3))
         return Moving(q, qd, qdd)
 
     def rates(self, t: Floats, j: int) -> Floats:
-        """The rates (k,) of joint j, counted from 0."""
+        """Return the rates (k,) of joint j, counted from 0."""
         return np.asarray(self._splines[j](t, 1))
 
 
 def passed(arm: Arm, m: Moving) -> tuple[Floats, Floats]:
-    """What the joints of the floating arm pass on, nothing acting on it from outside.
+    """Return torques and forces transmitted by the joints of the floating arm.
+
+    There are no external forces and no momentum. The motion of the base follows from
 
         H_b a_b = -(H_bm qdd + h_b),    H_b v_b = -H_bm qd
 
-    and then, from link to link, the torque and the force that its mass and all beyond it take. A
-    tilted table pulls at all alike and does not show.
+    For each link, torque and force are those that accelerate its mass and all masses beyond it. A
+    tilt of the table accelerates all masses equally and has no effect.
 
     Returns:
         torque (k, n) [N m], and the force across each link (k, n) [N].

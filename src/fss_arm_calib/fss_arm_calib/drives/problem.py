@@ -1,29 +1,31 @@
-"""The parameters of each joint's drive and torque sensor, by two linear regressions.
+"""Parameters of each joint's drive and torque sensor, by two linear regressions.
 
-The arm's known masses set the scale. Over windows weighed by phi, a Hann window of the length W,
-what the sensor shows is what the rigid arm passes (motion.py), less what its links' swinging on
-their gears takes, which phi'' leaves little of (modulating functions, Shinbrot 1957):
+The arm's known masses set the scale. The torque s and the force f that a rigid arm would transmit
+are computed in motion.py. Averages are taken over windows with weights phi, a Hann window of length
+W. In these averages, the sensor's torque is s minus the torque of the links that swing on their
+gears. phi'' reduces the latter (modulating functions, Shinbrot 1957):
 
     <phi, seen> = g (<phi, s> + X <phi, f> - c <phi'', M s> + zero + drift t)
 
-with g = described / true gain, the crosstalk X of the force f across the link, the reduced inertia
-M, and c a compliance that is fitted for the sake of the others: backlash is in it as well.
+Here g = described / true gain, X is the crosstalk of the force f across the link, M is the reduced
+inertia, and c is a compliance. c is a nuisance parameter: it also absorbs backlash.
 
-The drive's current then tells its torque constant K and the friction while the joint turns:
+The drive's current then gives its torque constant K and the friction while the joint turns:
 
     K i = s + J v' + viscous v + (coulomb + more exp(-(v / v_s)^2)) sign v + ripple(q)
 
-with s = seen / g - zero - drift t - X f and a ripple of P periods a turn. Its solution has Z' (i -
-A x) = 0. Frames close together tell the rotor's inertia J by how the links swing, and Z is A.
-Between frames far apart J is taken as known, and nobody knows how the links have swung from when a
-torque was sampled to when a current was: least squares would find 1 / K too small by some percent.
-What the rigid arm passes is not in that error and stands for s in Z (instrumental variables: Young
-1970; Janot, Vandanjon & Gautier 2014).
+with s = seen / g - zero - drift t - X f and a ripple of P periods per turn. The solution satisfies
+Z' (i - A x) = 0. If the frames are dense, the swinging of the links determines the rotor's inertia
+J, and Z = A. If the frames are far apart, J is assumed. The swinging between the sample of a torque
+and that of a current is then unknown, so that least squares would underestimate 1 / K by some
+percent. The torque of the rigid arm does not have this error and replaces s in Z (instrumental
+variables: Young 1970; Janot, Vandanjon & Gautier 2014).
 
-Swinging links are no white noise: residuals belong together for BLOCK seconds. Deviations are the
-jackknife's, of both regressions without each block (Bell & McCaffrey 2002; MacKinnon, Nielsen &
-Webb 2023), so that what the second has from the first, and blocks that tell more than others, are
-in them. Their number makes them Student's.
+The swinging of the links is not white noise: residuals are correlated within BLOCK seconds.
+Standard deviations are therefore computed by a jackknife that leaves out one block after the other
+in both regressions (Bell & McCaffrey 2002; MacKinnon, Nielsen & Webb 2023). It covers the errors
+that the second regression inherits from the first, and blocks of unequal information. The number of
+blocks determines the degrees of freedom of the Student distribution.
 """
 
 from collections.abc import Sequence
@@ -38,14 +40,14 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix
 
-GRID = 0.02  # of the integrals [s]
-BLOCK = 4.0  # in which residuals may depend on each other [s]
-SPEEDS = np.geomspace(0.01, 0.3, 18)  # among which Stribeck's is looked for [rad/s]
+GRID = 0.02  # step of the integrals [s]
+BLOCK = 4.0  # time within which residuals may be correlated [s]
+SPEEDS = np.geomspace(0.01, 0.3, 18)  # candidates for the Stribeck speed [rad/s]
 
-SCALE, DRIFT, CROSSTALK, COMPLIANCE = range(1, 5)  # of the sensor's regression; 0: its zero
-MORE, STEP, INERTIA = range(7, 10)  # of the drive's
+SCALE, DRIFT, CROSSTALK, COMPLIANCE = range(1, 5)  # columns of the sensor's regression; 0: zero
+MORE, STEP, INERTIA = range(7, 10)  # columns of the drive's regression
 
-#: Of each joint, in this order, with units.
+#: Parameters of each joint, in this order, with units.
 NAMES = {
     "torque_constant": "N m/A",
     "torque_gain": "N m/count",
@@ -63,33 +65,33 @@ KT, GAIN, ZERO, CROSS, VISCOUS, COULOMB, STATIC, SPEED, ROTOR, STIFFNESS, BAND =
 
 
 _NAME = tuple(NAMES)
-JOINED = 0.2  # samples that are taken together where they are dense [s]
+JOINED = 0.2  # time over which dense samples are averaged [s]
 STEPS = 8
-DENSE = 0.015  # time between frames that tell how links swing [s]
-ROTOR_KNOWN = 0.1  # deviation of a rotor's inertia by its data sheet, against it
-SURE = 3.0  # deviations by which something differs from nothing
-CROSSTALK_KNOWN = 0.003  # largest deviation of a crosstalk that is told [m]
+DENSE = 0.015  # largest time between frames that resolves the links' swinging [s]
+ROTOR_KNOWN = 0.1  # relative deviation of a rotor's inertia from its data sheet
+SURE = 3.0  # standard deviations by which a significant value differs from zero
+CROSSTALK_KNOWN = 0.003  # largest deviation of a reported crosstalk [m]
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What is found of one joint."""
+    """Estimated drive of one joint."""
 
     values: Floats  # (11,) in the order of NAMES; NaN: refused
     covariance: Floats  # (11, 11)
-    refused: dict[str, str]  # why, by name
-    moving: float  # time for which it turned [s]
+    refused: dict[str, str]  # reason by name of the parameter
+    moving: float  # time for which the joint turned [s]
     residuals: tuple[float, float]  # root mean square of the sensor's [N m] and the drive's [A]
 
 
 def regression(A: Floats, y: Floats, Z: Floats) -> Floats:
-    """The x of Z' (y - A x) = 0, 0 in columns of nothing; with Z = A, that of least squares."""
+    """Solve Z' (y - A x) = 0 for x, with 0 for empty columns; Z = A gives least squares."""
     a, z = (np.where(norm, norm, 1.0) for norm in np.linalg.norm([A, Z], axis=1))
     return np.asarray(np.linalg.pinv((Z / z).T @ (A / a), rcond=1e-10) @ ((Z / z).T @ y) / a)
 
 
 class Windows:
-    """What the rigid arm passes, over windows in which its motion is known."""
+    """Torques and forces of the rigid arm, averaged over windows of known motion."""
 
     def __init__(self, arm: Arm, samples: Sequence[Samples], s: DrivesSettings) -> None:
         self.arm, self.length = arm, s.window
@@ -100,7 +102,7 @@ class Windows:
         self.t, self.torque, self.force, self.swing = map(np.concatenate, columns)
 
     def _of(self, begin: float, end: float) -> tuple[Floats, Floats, Floats, Floats]:
-        """Middles (w,), and torque, force and swing (w, n), between two times."""
+        """Return middles (w,), and torque, force and swing (w, n), between two times."""
         t = np.arange(begin, end, GRID)
         moving = self.motion.at(t)
         torque, force = passed(self.arm, moving)
@@ -117,7 +119,7 @@ class Windows:
         return t[middles], _over(torque, phi, middles), _over(force, phi, middles), swing
 
     def seen(self, one: Samples) -> tuple[Floats, Floats]:
-        """Mean (w,) of a sensor's samples in each window, and how many there are."""
+        """Return mean and number of a sensor's samples in each window, (w,) each."""
         half, means, counts = 0.5 * self.length, [], []
         low = np.searchsorted(one.t, self.t - half)
         high = np.searchsorted(one.t, self.t + half)
@@ -129,20 +131,20 @@ class Windows:
 
 
 def _over(x: Floats, kernel: Floats, middles: np.ndarray) -> Floats:
-    """Integrals (w, n) of columns (k, n) with a kernel about each middle."""
+    """Integrate columns (k, n) with a kernel about each middle, (w, n)."""
     every = [np.convolve(column, kernel[::-1], "same") for column in x.T]
     return np.column_stack(every)[middles]
 
 
 def _reduced(arm: Arm, q: Floats) -> Floats:
-    """Inertia (k, n, n) that the joints of the floating arm feel."""
+    """Return the reduced inertia (k, n, n) at the joints of the floating arm."""
     H = inertia_matrix(arm.vector(), np.concatenate([np.zeros((len(q), 3)), q], axis=1))
     free = np.linalg.solve(H[:, :3, :3], H[:, :3, 3:])
     return np.asarray(H[:, 3:, 3:] - np.swapaxes(H[:, :3, 3:], 1, 2) @ free)
 
 
 class Equations(NamedTuple):
-    """A x = y, of which Z' (y - A x) = 0 is solved."""
+    """Equations A x = y, solved as Z' (y - A x) = 0."""
 
     A: Floats  # (k, p)
     y: Floats  # (k,)
@@ -150,13 +152,13 @@ class Equations(NamedTuple):
     Z: Floats  # (k, p)
 
     def solved(self, without: float = -1.0) -> Floats:
-        """The x (p,) of all blocks but one."""
+        """Return the solution x (p,) from all blocks except block `without`."""
         keep = self.t // BLOCK != without
         return regression(self.A[keep], self.y[keep], self.Z[keep])
 
 
 def sensor(w: Windows, one: Samples, j: int) -> Equations:
-    """What a torque sensor shows against what the arm passes: zero, scale, drift, X, c."""
+    """Return the equations of a torque sensor, with unknowns zero, scale, drift, X and c."""
     seen, counts = w.seen(one)
     keep = counts >= 0.7 * w.length / one.period
     t = w.t[keep]
@@ -170,31 +172,31 @@ def sensor(w: Windows, one: Samples, j: int) -> Equations:
 
 @dataclass(frozen=True)
 class Turning:
-    """Samples of a drive while its joint turns, several next to each other as one."""
+    """Samples of a drive while its joint turns; groups of neighbours are averaged."""
 
     t: Floats  # (k,) [s]
     v: Floats  # (k,) [rad/s]
     current: Floats  # (k,) [A]
-    torque: Floats  # (k,) as its sensor shows it [N m]
-    passed: Floats  # (k,) by the rigid arm [N m]
+    torque: Floats  # (k,) sensor torque [N m]
+    passed: Floats  # (k,) torque transmitted by the rigid arm [N m]
     force: Floats  # (k,) [N]
-    gain: Floats  # (k,) of the rate [rad/s^2]
-    others: Floats  # (k, 6) of the regression: zero, drift, friction, ripple
+    gain: Floats  # (k,) joint acceleration [rad/s^2]
+    others: Floats  # (k, 6) columns of the regression: zero, drift, friction, ripple
     every: Floats  # (k, joined) all rates [rad/s]
-    rotor: float | None  # its inertia; None: it is told [kg m^2]
+    rotor: float | None  # assumed inertia of the rotor [kg m^2]; None: it is estimated
 
     @property
     def joined(self) -> int:
-        """How many samples are one."""
+        """Number of samples that are averaged into one."""
         return self.every.shape[1]
 
     def equations(self, shown: Floats, speed: float, more: float = 0.0) -> Equations:
-        """Those of the current, with a curve of Stribeck's.
+        """Return the equations of the current, with a Stribeck curve.
 
         Args:
-            shown: (5,) what `sensor` says.
-            speed: of the curve [rad/s].
-            more: its height [A], for a step of its speed; 0: the step is none.
+            shown: (5,) solution of the equations of `sensor`.
+            speed: speed of the Stribeck curve [rad/s].
+            more: height of the curve [A], for its derivative by the speed; 0: that column is 0.
         """
         torque = self.torque - shown[CROSSTALK] * self.force
         bell = np.sign(self.every) * np.exp(-((self.every / speed) ** 2))
@@ -210,7 +212,7 @@ class Turning:
 
 
 def _turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Turning:
-    """What the drive of a joint shows while it turns."""
+    """Collect the samples of a drive while its joint turns."""
     gap = w.motion.width[j]
     v, before, after = (w.motion.rates(one.t + way, j) for way in (0.0, -gap, gap))
     turns = w.motion.known(one.t) & (np.abs(v) > s.min_speed)
@@ -220,7 +222,8 @@ def _turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Turning:
     which = np.flatnonzero(np.repeat(whole, joined))
     t, v, dense = one.t[which], v[which], one.period <= DENSE
     m = w.motion.at(t)
-    # An instrument halfway has as much in common with a torque before as with a current after it.
+    # The instrument is taken halfway between the torque's sample and that of the current, so that
+    # it is equally correlated with both.
     torque = passed(w.arm, w.motion.at(t - 0.5 * one.age[which]))[0][:, j]
     seen = (_now(one) if dense else one.torque)[which]
     phase = s.periods * m.q[:, j]
@@ -240,22 +243,22 @@ def _turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Turning:
 
 
 def _now(one: Samples) -> Floats:
-    """Torques at the frames' own times; lines between samples would flatten what swings."""
-    from scipy.interpolate import CubicSpline  # takes long, and no --help needs it
+    """Interpolate torques at the frames' own times; linear interpolation would damp swinging."""
+    from scipy.interpolate import CubicSpline  # slow import, not needed by --help
 
-    fresh = np.diff(one.torque, prepend=np.nan) != 0.0  # else the sample before is reported again
+    fresh = np.diff(one.torque, prepend=np.nan) != 0.0  # otherwise a repeated sample
     fresh[-1] = True
     t, which = np.unique((one.t - one.age)[fresh], return_index=True)
     return np.asarray(CubicSpline(t, one.torque[fresh][which])(one.t))
 
 
 def solve(arm: Arm, samples: Sequence[Samples], s: DrivesSettings) -> list[Drive]:
-    """The drives of all joints.
+    """Estimate the drives of all joints.
 
     Args:
-        arm: as it is known; its masses set the scale.
-        samples: of each link.
-        s: what is known and asked for.
+        arm: the described arm; its masses set the scale.
+        samples: samples of each link.
+        s: prior knowledge and required precision.
     """
     w = Windows(arm, samples, s)
     return [_drive(w, arm, samples[j], j, s) for j in range(arm.n)]
@@ -276,7 +279,7 @@ def _drive(w: Windows, arm: Arm, one: Samples, j: int, s: DrivesSettings) -> Dri
         return float(left @ left)
 
     speed, more = min(SPEEDS.tolist(), key=squares), 0.0
-    for k in range(STEPS):  # Gauss and Newton's, from there
+    for k in range(STEPS):  # Gauss-Newton iterations from the best candidate
         fit = rows.equations(shown, speed, more).solved()
         more = fit[MORE]
         if k:
@@ -292,7 +295,7 @@ def _drive(w: Windows, arm: Arm, one: Samples, j: int, s: DrivesSettings) -> Dri
     blocks = np.unique(np.concatenate([windows.t // BLOCK, turning]))
     shifts = np.array([found(block) for block in blocks]) - values
     freedom = len(turning) - 1
-    student = freedom / max(freedom - 2, 1)  # his variance, where a normal one's is 1
+    student = freedom / max(freedom - 2, 1)  # variance of the Student distribution
     covariance = student * freedom / len(turning) * shifts.T @ shifts
     if rows.rotor is not None:
         other = found(rows=replace(rows, rotor=(1.0 + ROTOR_KNOWN) * rows.rotor)) - values
@@ -304,12 +307,12 @@ def _drive(w: Windows, arm: Arm, one: Samples, j: int, s: DrivesSettings) -> Dri
 
 
 def _left(e: Equations) -> Floats:
-    """Residuals (k,)."""
+    """Return the residuals (k,)."""
     return e.y - e.A @ e.solved()
 
 
 def _parameters(shown: Floats, x: Floats, speed: float, arm: Arm, j: int) -> Floats:
-    """(11,) from what the regressions of a joint found, with a curve of a speed."""
+    """Return the parameters (11,) from the two regressions of a joint and the Stribeck speed."""
     g = shown[SCALE]
     K = 1.0 / (g * x[0])
     found = np.full(len(NAMES), np.nan)
@@ -324,7 +327,7 @@ def _parameters(shown: Floats, x: Floats, speed: float, arm: Arm, j: int) -> Flo
 def _refused(
     values: Floats, covariance: Floats, rows: Turning, one: Samples, s: DrivesSettings
 ) -> dict[str, str]:
-    """Why parameters cannot be told, by name; they become NaN."""
+    """Return the reason for each refused parameter, by name, and set its value to NaN."""
     sigma = np.sqrt(np.diag(covariance))
     why: dict[str, str] = {}
     for k in (KT, GAIN, VISCOUS, COULOMB, STATIC):

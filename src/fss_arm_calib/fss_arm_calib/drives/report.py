@@ -1,4 +1,4 @@
-"""The report of an estimate of drives: each parameter, and which were refused, and why."""
+"""Report of a calibration of drives: parameters, refused parameters and reasons."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from fss_arm_model.description import Arm
 
 
 def drives_report(outcome: Outcome[Any, list[Drive]], truth: Arm | None = None) -> Report:
-    """The report; `truth` is the simulated arm, to compare with."""
+    """Report the calibration; `truth` is the simulated arm to compare with."""
     title = f"Drive parameters of {outcome.arm.name}"
     found = outcome.solution
     tables = [_parameters(outcome, truth)]
@@ -49,7 +49,7 @@ def _parameters(outcome: Outcome[Any, list[Drive]], truth: Arm | None) -> Table:
 
 
 def _refused(found: list[Drive]) -> Table:
-    """Joints with the same reason in one row."""
+    """Tabulate the refused parameters; joints with the same reason share a row."""
     joints: dict[tuple[str, str], list[str]] = {}
     for i, one in enumerate(found, 1):
         for name, reason in one.refused.items():

@@ -1,4 +1,4 @@
-"""The settings of a calibration of drives."""
+"""Settings of a calibration of drives."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,7 +10,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
 
 @dataclass(frozen=True)
 class DrivesSettings(ExcitationSettings, KindSettings):
-    """What counts as an excitation, what is known beforehand, and what a result must meet to pass.
+    """Settings of a calibration of drives: excitations, prior knowledge and criteria.
 
     Raises:
         SettingError: a setting is impossible.
@@ -39,5 +39,5 @@ class DrivesSettings(ExcitationSettings, KindSettings):
 
     @property
     def periods(self) -> float:
-        """Of encoder's error and torque ripple, a turn of the joint."""
+        """Periods of the encoder's error and of the torque ripple per turn of the joint."""
         return 2.0 * self.gear_ratio

@@ -1,4 +1,4 @@
-"""What a dynamic calibration concludes from its maneuvers."""
+"""Dynamic calibration from maneuvers: the solution and its checks."""
 
 from collections.abc import Sequence
 
@@ -27,13 +27,13 @@ def calibrate(
 
     Args:
         maneuvers: in order of time.
-        arm: the initial guess, and what is assumed.
-        settings: what to estimate, what is known, and criteria.
-        streams: what happened to the streams that the maneuvers are from.
-        source: of the maneuvers.
+        arm: the initial guess, and the values of assumed parameters.
+        settings: parameters to estimate, prior knowledge, and criteria.
+        streams: events in the streams that the maneuvers come from.
+        source: name of the source of the maneuvers.
 
     Raises:
-        ValueError: maneuvers and arm do not fit, or a setting is impossible.
+        ValueError: the maneuvers do not match the arm, or a setting is impossible.
     """
     s, streams = settings or DynamicSettings(), streams or Streams()
     used = [one for one in maneuvers if one.used]

@@ -1,4 +1,4 @@
-"""Whether to believe a dynamic calibration: its checks, each threshold beside its value."""
+"""Acceptance checks of a dynamic calibration; each reports its value and its threshold."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -37,11 +37,11 @@ from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import wrap
 
-MOST_OFF = 0.2  # of the gyro's turns, of those that motion capture sees
+MOST_OFF = 0.2  # largest relative difference of the turns by gyro and by motion capture
 
 
 def number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings) -> Check:
-    """Whether there are maneuvers enough."""
+    """Check that the number of maneuvers is sufficient."""
     lost = [one for one in every if not one.used]
     found = len(every) - len(lost)
     reason = f"{count(found, 'maneuver')} (at least {s.min_maneuvers})"
@@ -51,7 +51,7 @@ def number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings) -> C
 
 
 def gyro_agrees(streams: Streams) -> Check:
-    """Whether the gyro turns as far as motion capture sees the base turn."""
+    """Check that gyro and motion capture agree on how far the base turns."""
     ratio = streams.gyro_ratio
     if isnan(ratio) or abs(ratio - 1.0) <= MOST_OFF:
         return Check("gyro", PASS, ratio, MOST_OFF, "")
@@ -64,9 +64,10 @@ def gyro_agrees(streams: Streams) -> Check:
 
 
 def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[Check]:
-    """Whether the end effector is where the description puts it; nothing if it was not seen.
+    """Check that the observed end effector agrees with the description; [] if it was not seen.
 
-    The base's motion does not show it: lengths of another arm hide in centres of mass.
+    The base's motion cannot show this, because wrong link lengths are absorbed by the estimated
+    centres of mass.
     """
     known = [one for one in used if one.tip]
     if not known:
@@ -75,7 +76,7 @@ def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> li
     q = np.array([[readings[0] for readings in one.q] for one in known])
     away = seen[:, :2] - tip_in_base(arm.vector(), q)[:, :2]
     distance = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
-    # Poses of base and end effector err by so much themselves.
+    # Errors of the observed poses of base and end effector widen the limit.
     reach = float(np.sqrt(np.mean(np.sum(seen[:, :2] ** 2, axis=1))))
     position, heading = assumed(s).deviations
     errors = hypot(2.0 * position, reach * heading)
@@ -86,7 +87,7 @@ def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> li
 
 
 def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
-    """The checks of a solution."""
+    """Evaluate the checks of a solution."""
     r, m = solution.result, solution.result.minimum
     left = solution.first.left
     fit = fitting(
@@ -113,7 +114,7 @@ def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
 
 
 def _measurable(r: DynamicResult) -> Check:
-    """Whether what is at a bound would be there by more than its own errors."""
+    """Check that no parameter is at a bound only because of its own errors."""
     names = [name for name in r.at_bound if name in r.beyond_reach]
     words = f"{', '.join(names)} not measurable from this: give a prior or leave it out"
     verdict = FAIL if names else PASS
@@ -121,7 +122,7 @@ def _measurable(r: DynamicResult) -> Check:
 
 
 def _within_bounds(r: DynamicResult) -> Check:
-    """Whether nothing that is well measured would have to be what it cannot be."""
+    """Check that no well-measured parameter is at a bound of what is physically possible."""
     held = [name for name in r.at_bound if name not in r.beyond_reach]
     words = f"at the bound of what is possible: {', '.join(held)}"
     words += "; of another arm, or its masses or lengths are others?"
@@ -137,7 +138,7 @@ def _determined(solution: Solution) -> Check:
 
 
 def _fits_swapped(problem: DynamicProblem, s: DynamicSettings) -> bool:
-    """Whether the maneuvers fit if the subject seen as the base is the end effector."""
+    """Return True if the maneuvers fit when the subject used as the base is the end effector."""
     p, n = problem.arm.vector(), problem.arm.n
     turns = problem.path.marks[..., : 2 * n]
     q = wrap(np.diff(np.arctan2(turns[..., 1::2], turns[..., ::2]), axis=-1, prepend=0.0))
@@ -155,9 +156,10 @@ def _fits_swapped(problem: DynamicProblem, s: DynamicSettings) -> bool:
 
 
 def _precise(r: DynamicResult, s: DynamicSettings) -> Check:
-    """The parameter known worst against what is asked.
+    """Check the least certain parameter against the required precision.
 
-    Of masses and inertias as described: a share of what was found would be asked by chance.
+    The limit for masses and inertias is a share of the described value. A share of the estimate
+    would make the limit depend on chance.
     """
     names, described = r.problem.names, r.problem.guess
     worst, at = 0.0, ""

@@ -1,4 +1,4 @@
-"""What maneuvers say of an arm and its table: where they leave the base."""
+"""Evidence from maneuvers for the joint estimate: poses of the base."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,21 +16,21 @@ from fss_arm_model.description import Arm
 
 @dataclass(frozen=True)
 class ManeuverEvidence:
-    """Maneuvers, each with its own pose and momentum at the start."""
+    """Evidence from maneuvers; unknown for each are its pose and momentum at the start."""
 
     problem: DynamicProblem
 
     @property
     def free(self) -> int:
-        """Coordinates of the poses, less the unknowns of which nothing is believed."""
+        """Number of coordinates of the poses, less the unknowns without a prior."""
         return int(self.problem.free.sum())
 
     def begin(self) -> Floats:
-        """At rest where the base is seen first."""
+        """Return the initial guess: each maneuver starts at rest at its first observed pose."""
         return self.problem.start[len(self.problem.names) :]
 
     def near(self, z: Floats, own: Floats) -> Linear:
-        """Poses of the base, divided by their deviations."""
+        """Linearize the residuals of the base's poses, divided by their standard deviations."""
         problem, size = self.problem, layout.size(self.problem.arm.n)
         states = np.zeros((len(problem.poses), 8))
         states[:, :3] = problem.poses[:, 0]
@@ -45,9 +45,9 @@ class ManeuverEvidence:
 def evidence(
     maneuvers: Sequence[Maneuver], arm: Arm, settings: DynamicSettings
 ) -> ManeuverEvidence:
-    """What maneuvers say.
+    """Return the evidence from maneuvers.
 
     Raises:
-        ValueError: maneuvers and arm do not fit.
+        ValueError: the maneuvers do not match the arm.
     """
     return ManeuverEvidence(problem_of(maneuvers, arm, settings))

@@ -1,4 +1,4 @@
-"""Drawings of a dynamic calibration."""
+"""Figures of a dynamic calibration."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -13,8 +13,8 @@ from fss_arm_calib.report_figures import figure
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.base_motion import base_poses
 
-FINE = 100  # predicted poses of a maneuver
-BETWEEN = 2.0  # drawn between two maneuvers [s]
+FINE = 100  # number of predicted poses drawn for a maneuver
+BETWEEN = 2.0  # gap drawn between two maneuvers [s]
 SCALES = (1e3, 1e3, float(np.degrees(1.0)))  # to mm, mm, deg
 STYLES: tuple[dict[str, Any], ...] = (
     {"color": "tab:orange", "linewidth": 1.5},
@@ -23,12 +23,12 @@ STYLES: tuple[dict[str, Any], ...] = (
 
 
 def _edges(outcome: Outcome[Maneuver, Solution]) -> npt.NDArray[np.int64]:
-    """Where each maneuver's rows of residuals begin, and the end."""
+    """Return the index of each maneuver's first row of residuals, and the number of rows."""
     return np.cumsum([0, *(len(one.marks) for one in outcome.used)])
 
 
 def motion(outcome: Outcome[Maneuver, Solution]) -> Any:
-    """The base in each maneuver, as measured at rest and as predicted all the way between."""
+    """Plot the base's pose in each maneuver: measured at its marks, predicted throughout."""
     drawing = figure((14, 9))
     axes = drawing.subplots(3, 1, sharex=True)
     begin, middles = 0.0, []
@@ -56,7 +56,7 @@ def motion(outcome: Outcome[Maneuver, Solution]) -> Any:
 def _predictions(
     outcome: Outcome[Maneuver, Solution],
 ) -> Iterator[tuple[int, Maneuver, Floats, Floats]]:
-    """Each maneuver that is kept, with its number, times (k,) [s], and predicted poses (k, 3)."""
+    """Yield each kept maneuver with its number, times (k,) [s] and predicted poses (k, 3)."""
     if outcome.solution is None:
         return
     problem, x = outcome.solution.result.problem, outcome.solution.result.minimum.x
@@ -70,7 +70,7 @@ def _predictions(
 
 
 def residuals(outcome: Outcome[Maneuver, Solution]) -> Any:
-    """Of each pose of each maneuver, maneuvers side by side."""
+    """Plot the residual of each pose, with the maneuvers side by side."""
     rows, edges = outcome.estimate.residuals, _edges(outcome)
     drawing = figure((14, 6))
     position, heading = drawing.subplots(2, 1, sharex=True)

@@ -1,7 +1,7 @@
-"""What a dynamic calibration can determine at all, what its data did, and what they hardly see.
+"""Identifiability analysis of a dynamic calibration.
 
-Of the masses, centres of mass and inertias of n links on a known base, motion depends on 2 n + 1
-combinations only (see fss_arm_model.base_motion):
+For n links on a known base, the motion depends on only 2 n + 1 combinations of the masses, centres
+of mass and inertias (see fss_arm_model.base_motion):
 
     m = sum_k m_k
     S_j = m_j g_j + a_j sum_{k>j} m_k
@@ -24,23 +24,23 @@ from fss_arm_model.parameters import to_vector, values
 
 INVISIBLE, HARDLY, SEEN = "invisible", "hardly seen", "seen"
 
-#: Singular values below this, of the largest, are rounding.
+#: Singular values below this share of the largest are rounding errors.
 RANK = 1e-9
 
-#: A component of a direction below this is not worth a word.
+#: Components of a direction below this are not printed.
 WORTH = 0.1
 
 
 @dataclass(frozen=True)
 class Direction:
-    """A combination of the parameters, each in units of how well it was known before."""
+    """Combination of parameters, each in units of its prior standard deviation."""
 
     weights: Floats  # (p,) of unit length
-    gain: float  # that deviation over the one that the data alone leave
-    kind: str  # INVISIBLE to any experiment; HARDLY seen: gain below 1; SEEN
+    gain: float  # prior standard deviation divided by the one from the data alone
+    kind: str  # INVISIBLE to any experiment; HARDLY seen: gain below 1; SEEN otherwise
 
     def text(self, names: tuple[str, ...]) -> str:
-        """Its largest components, as `+0.7 b_1 -0.7 I_1`."""
+        """Return its largest components as text, such as `+0.7 b_1 -0.7 I_1`."""
         order = np.argsort(-np.abs(self.weights))
         sign = np.sign(self.weights[order[0]])
         worth = [k for k in order if abs(self.weights[k]) >= WORTH]
@@ -49,24 +49,25 @@ class Direction:
 
 @dataclass(frozen=True)
 class Combination:
-    """A combination that motion depends on."""
+    """Combination of parameters that the motion depends on."""
 
     name: str
     unit: str
     value: float
-    before: float  # deviation by what was known beforehand; inf: nothing
-    deviation: float  # of the result; inf: not determined
+    before: float  # prior standard deviation; inf: no prior
+    deviation: float  # standard deviation of the result; inf: not determined
 
 
 def invisible(arm: Arm, choice: Choice, scale: Floats) -> Floats:
-    """Combinations of the chosen parameters that no maneuver whatever depends on.
+    """Return combinations of the chosen parameters that no maneuver depends on.
 
-    Found from the sensitivities of maneuvers rich enough to see all that can be seen.
+    They are computed from the sensitivities of random maneuvers that excite every observable
+    combination.
 
     Args:
-        arm: where.
-        choice: p parameters.
-        scale: (p,) the unit of each.
+        arm: arm at which the sensitivities are evaluated.
+        choice: the p parameters.
+        scale: (p,) unit of each parameter.
 
     Returns:
         (k, p) orthonormal directions in these units.
@@ -82,7 +83,7 @@ def invisible(arm: Arm, choice: Choice, scale: Floats) -> Floats:
 
 
 def _swing(n: int, rng: np.random.Generator) -> Law:
-    """Each joint swings at its own pace."""
+    """Return a law of motion in which each joint swings at its own frequency."""
     reach, pace, phase = rng.uniform([[0.3], [0.5], [0.0]], [[1.5], [2.0], [6.0]], (3, n))
 
     def law(t: Floats) -> tuple[Floats, Floats]:
@@ -93,7 +94,7 @@ def _swing(n: int, rng: np.random.Generator) -> Law:
 
 
 def units(result: DynamicResult, knowledge: Knowledge) -> Floats:
-    """(p,) how well each parameter was known before, or a typical such value where it was not."""
+    """Return the prior standard deviation of each parameter (p,); a typical one if no prior."""
     choice, known = result.problem.choice, result.problem.known
     typical = choice.basis.T @ knowledge.deviations(result.problem.arm.n)
     typical = typical / choice.basis.sum(axis=0)
@@ -102,7 +103,7 @@ def units(result: DynamicResult, knowledge: Knowledge) -> Floats:
 
 
 def directions(result: DynamicResult, knowledge: Knowledge) -> list[Direction]:
-    """All p directions, those best seen first, by what the data say without the priors."""
+    """Return all p directions, best observed first, from the data without the priors."""
     problem, scale = result.problem, units(result, knowledge)
     unseen = np.zeros((0, len(scale)))
     if chosen := len(problem.choice.names):
@@ -121,7 +122,10 @@ def directions(result: DynamicResult, knowledge: Knowledge) -> list[Direction]:
 
 
 def _gradients(arm: Arm) -> tuple[Floats, Floats]:
-    """The 2 n + 1 combinations and their derivatives by all parameters, (2 n + 1, 5 n + 6)."""
+    """Return the 2 n + 1 combinations and their derivatives by all parameters.
+
+    The derivatives have shape (2 n + 1, 5 n + 6).
+    """
     n, v = arm.n, values(arm)
     a, m, b, inertia = v[4 : 4 + n], *v[2 * n + 6 :].reshape(3, n)
     g, beyond = a - b, np.cumsum(m[::-1])[::-1] - m
@@ -141,7 +145,7 @@ def _gradients(arm: Arm) -> tuple[Floats, Floats]:
 
 
 def combinations(result: DynamicResult) -> list[Combination]:
-    """The combinations that motion depends on, and how well they are known now."""
+    """Return the combinations that the motion depends on, with their uncertainty."""
     problem = result.problem
     n, chosen = problem.arm.n, problem.choice.basis
     combined, G = _gradients(result.calibrated())
@@ -169,7 +173,7 @@ def combinations(result: DynamicResult) -> list[Combination]:
 
 
 def _beyond_reach(result: DynamicResult, by_x: Floats) -> list[bool]:
-    """Whether a gradient reaches into directions that the solution left out."""
+    """Return, for each gradient, True if it has components in undetermined directions."""
     basis, size = result.minimum.basis, by_x.shape[1]
     rows = np.pad(by_x, ((0, 0), (0, len(result.values) - size))) / basis.scale
     rest = rows - rows @ basis.Vt.T @ basis.Vt

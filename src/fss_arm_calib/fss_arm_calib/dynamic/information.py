@@ -1,4 +1,4 @@
-"""How much maneuvers tell before anything is solved, and how well parameters then are known."""
+"""Information of maneuvers before they are solved, and the resulting covariance."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,10 +8,13 @@ from fss_arm_calib.estimation.least_squares import Floats
 
 
 def information(problem: DynamicProblem, unknowns: npt.ArrayLike | None = None) -> Floats:
-    """Phi' W Phi of the observations alone, priors left out, each maneuver's own unknowns gone.
+    """Return Phi' W Phi of the observations, without the priors.
+
+    The unknowns of each maneuver are eliminated.
 
     Returns:
-        (M, p + c, p + c), by the parameters and what is assumed, for each maneuver: they add up.
+        (M, p + c, p + c) information on estimated and assumed parameters for each maneuver. The
+        information of several maneuvers is the sum.
     """
     x = problem.start if unknowns is None else np.asarray(unknowns, dtype=float)
     columns = np.concatenate([problem.to_model, problem.by_unsure], axis=1)
@@ -21,11 +24,12 @@ def information(problem: DynamicProblem, unknowns: npt.ArrayLike | None = None) 
 
 
 def propagated(problem: DynamicProblem, total: Floats) -> Floats:
-    """Covariance (..., p, p) of what would be estimated, with the uncertainty of what is assumed.
+    """Return the covariance (..., p, p) of an estimate, with that of the assumed parameters.
 
     Args:
-        problem: what is estimated, and known beforehand.
-        total: (..., p + c, p + c) information of all observations; with the priors it is regular.
+        problem: the estimated parameters and the prior knowledge.
+        total: (..., p + c, p + c) information of all observations. It need not be regular by
+            itself, only together with the priors.
     """
     p, rows, S = len(problem.names), problem.prior_rows, problem.unsure
     random = np.linalg.inv(total[..., :p, :p] + rows.T @ rows)

@@ -1,4 +1,4 @@
-"""The dynamic calibration as a kind: its topics, its messages, its record."""
+"""Dynamic calibration as a calibration kind: topics, messages and record."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -30,7 +30,7 @@ from fss_arm_ros.convert import stamp_ns, to_time
 
 
 def inputs(s: DynamicSettings, n: int) -> list[Input]:
-    """Joints and base; gyro, end effector and the links' telemetry may be absent."""
+    """Return the inputs: joints and base; gyro, end effector and telemetry may be absent."""
     return [
         *telemetry_inputs(n),
         joints_input(s.joints_topic),
@@ -41,7 +41,7 @@ def inputs(s: DynamicSettings, n: int) -> list[Input]:
 
 
 def to_message(outcome: Outcome[Maneuver, Solution], frame_id: str) -> msg.DynamicCalibration:
-    """What is concluded, as it is published."""
+    """Convert the outcome to the message that is published."""
     message, found = msg.DynamicCalibration(), outcome.solution
     message.calibration = common_message("dynamic", outcome, frame_id)
     if not found:
@@ -67,7 +67,7 @@ def to_message(outcome: Outcome[Maneuver, Solution], frame_id: str) -> msg.Dynam
 
 
 def maneuvers_message(maneuvers: Sequence[Maneuver], frame_id: str) -> msg.Maneuvers:
-    """All maneuvers so far, as they are published."""
+    """Convert all maneuvers to the message that is published."""
     ones = [
         msg.Maneuver(
             start=to_time(m.start),
@@ -91,7 +91,7 @@ def maneuvers_message(maneuvers: Sequence[Maneuver], frame_id: str) -> msg.Maneu
 
 
 def maneuvers_of(message: msg.Maneuvers) -> list[Maneuver]:
-    """The maneuvers that a message holds."""
+    """Return the maneuvers in a message."""
 
     def of_joints(one: msg.Maneuver, numbers: Any) -> tuple[tuple[float, ...], ...]:
         edges = pairwise(np.cumsum([0, *one.samples]))

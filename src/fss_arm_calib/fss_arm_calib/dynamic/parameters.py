@@ -1,8 +1,8 @@
-"""What a dynamic calibration may estimate or assume, by name, and how well it was known before.
+"""Parameters of a dynamic calibration: names, choices and prior knowledge.
 
-A choice of the parameters, those of fss_arm_model.parameters, is written as words: a name; `b_i`
-for that of each link; `I` for one value that all links share; `com_0` and `mount` for the base's
-centre of mass and for the first joint's place.
+A choice of the parameters of fss_arm_model.parameters is written as words: a name; `b_i` for the
+parameter b of each link; `I` for one value that all links share; `com_0` and `mount` for the
+base's centre of mass and for the first joint's pose.
 """
 
 from dataclasses import dataclass
@@ -24,10 +24,10 @@ GROUPS = {
 
 @dataclass(frozen=True)
 class Knowledge(Settings):
-    """How well each kind of value of a description is known, 1 sigma.
+    """Prior standard deviation of each kind of value of a description.
 
-    Of lengths, angles and the mount, what the description itself tells counts instead; of all else
-    only if asked for.
+    For lengths, angles and the mount, an uncertainty in the description itself replaces these
+    values. For all other parameters it does so only if `told` is set.
 
     Raises:
         SettingError: a deviation is negative or not finite.
@@ -83,7 +83,7 @@ class Knowledge(Settings):
     )
 
     def deviations(self, n: int) -> Floats:
-        """(5 n + 6,) of all parameters."""
+        """Return the standard deviations (5 n + 6,) of all parameters."""
         com = self.base_com_deviation
         base = [self.base_mass_deviation, self.base_inertia_deviation, com, com]
         angles = [self.offset_deviation] * (n - 1)
@@ -92,10 +92,10 @@ class Knowledge(Settings):
         return np.array([*base, *[self.length_deviation] * n, *angles, *mount, *links])
 
     def covariance(self, arm: Arm) -> Floats:
-        """(5 n + 6, 5 n + 6) of all parameters of an arm, as its kinematic calibration left them.
+        """Return the covariance (5 n + 6, 5 n + 6) of all parameters of an arm.
 
-        What a description tells of masses is no knowledge, unless `told`: it may be from the very
-        same maneuvers.
+        The kinematic part is that of the arm's kinematic calibration. The description's covariance
+        of masses is ignored unless `told` is set, because it may come from the same maneuvers.
         """
         sigma, which = self.deviations(arm.n), slice(4, 2 * arm.n + 6)
         which = slice(None) if self.told else which
@@ -104,7 +104,7 @@ class Knowledge(Settings):
         return C
 
     def believed(self, arm: Arm, words: str) -> npt.NDArray[np.intp]:
-        """(k,) indices of what counts as an observation: what words name, and what is `told`."""
+        """Return indices (k,) of parameters with a prior: named by words, or covered by `told`."""
         chosen = np.empty(0, dtype=np.intp)
         if words.strip():
             chosen = Choice.of(words, arm.n, "priors").indices
@@ -114,14 +114,14 @@ class Knowledge(Settings):
 
 @dataclass(frozen=True)
 class Choice:
-    """p parameters to estimate; a parameter of the arm is basis @ x where it is one of them."""
+    """Choice of p parameters to estimate; the chosen parameters of the arm are basis @ x."""
 
     names: tuple[str, ...]
-    basis: Floats  # (5 n + 6, p) of 0 and 1
+    basis: Floats  # (5 n + 6, p) matrix of 0 and 1
 
     @classmethod
     def of(cls, words: str, n: int, setting: str = "estimate") -> "Choice":
-        """Read a choice, that of a setting.
+        """Parse the words of a setting.
 
         Raises:
             ValueError: a word names nothing, or a parameter is named twice.
@@ -144,12 +144,12 @@ class Choice:
 
     @property
     def indices(self) -> npt.NDArray[np.intp]:
-        """Of the chosen among all parameters."""
+        """Indices of the chosen parameters among all parameters."""
         return np.flatnonzero(self.basis.any(axis=1))
 
 
 def _members(word: str, n: int) -> list[tuple[str, list[str]]]:
-    """The values that a word of a choice stands for: name, and parameters that have it."""
+    """Return the values that a word of a choice means: name, and the parameters that share it."""
     every = parameter_names(n)
     if word in GROUPS:
         return [(name, [name]) for name in GROUPS[word]]

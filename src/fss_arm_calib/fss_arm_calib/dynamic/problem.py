@@ -1,19 +1,19 @@
-"""Dynamic calibration: masses, centres of mass and inertias from how the base reacts (Eq. 6-10).
+"""Dynamic calibration: masses, centres of mass and inertias from the base's reaction (Eq. 6-10).
 
-A maneuver is a path of the joints and the base's poses at some marks before and after it. With d of
-Eq. 6 (fss_arm_model.base_motion),
+A maneuver consists of a path of the joints and of the base's poses at some marks before and after
+it. With d of Eq. 6 (fss_arm_model.base_motion), the update
 
     Delta q_0f = q_0f observed - d(b, m, I, theta(t))                         (Eq. 7)
     Delta q_0f = Phi_d Delta xi_d                                             (Eq. 8)
     Delta xi_d = (Phi_d' W Phi_d)^-1 Phi_d' W Delta q_0f                      (Eq. 9)
 
-is iterated. Each maneuver has unknowns of its own, the pose and momentum that it begins with, which
-are eliminated from its rows; the tilt of the table is one of the shared parameters. Headings are
-not wrapped: a maneuver may turn the base by more than half a turn.
+is iterated. Each maneuver has its own unknowns, the pose and momentum at its start, which are
+eliminated from its rows. The tilt of the table is one of the shared parameters. Headings are not
+wrapped: a maneuver may turn the base by more than half a turn.
 
-What is known beforehand enters in two ways. Of estimated parameters it may be an observation of its
-own (a prior). Of those that are not estimated it is an assumption: with C their regressor, an error
-dc of theirs moves the estimate by P Phi_d' W C dc, which the covariance includes.
+Prior knowledge enters in two ways. For an estimated parameter, it may be an additional observation
+(a prior). For a parameter that is not estimated, it is an assumption: an error dc of the assumed
+parameters, with regressor C, moves the estimate by P Phi_d' W C dc. The covariance includes this.
 """
 
 from dataclasses import dataclass, replace
@@ -35,23 +35,23 @@ TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
 
 @dataclass(frozen=True)
 class DynamicProblem:
-    """M maneuvers with m marks each, and what is known beforehand; deviations are 1 sigma.
+    """Problem with M maneuvers of m marks each, and prior knowledge; deviations are 1 sigma.
 
     Raises:
         ValueError: an array has the wrong shape, or nothing is observed.
     """
 
-    path: Path  # of the joints, M of them
-    poses: Floats  # (..., M, m, 3) of the base at the marks [m, m, rad], headings counting turns;
-    #                leading dimensions are a batch of draws, whose unknowns have them, too
-    sigma: Floats  # (M, m, 3) their deviations; inf: not observed
-    arm: Arm  # the initial guess, and the values of what is assumed
-    choice: Choice  # what is estimated
-    prior: Floats  # (c,) deviations of the guess of what is estimated; inf: nothing known
-    assumed: Floats  # (5 n + 6, 5 n + 6) covariance of all parameters; of those estimated only
-    #                  how their priors go with each other and with what is assumed
-    momentum: Floats  # (3,) of the momentum at the start, about 0 [N s, N s, N m s]; 0: at rest
-    tilt: float = 0.0  # of the table's tilt, about 0 [m/s^2]; 0: level
+    path: Path  # M paths of the joints
+    poses: Floats  # (..., M, m, 3) of the base at the marks [m, m, rad], headings not wrapped;
+    #                leading dimensions are a batch of draws; the unknowns then have them, too
+    sigma: Floats  # (M, m, 3) standard deviations of the poses; inf: not observed
+    arm: Arm  # the initial guess, and the values of assumed parameters
+    choice: Choice  # the estimated parameters
+    prior: Floats  # (c,) prior deviations of the estimated parameters; inf: no prior
+    assumed: Floats  # (5 n + 6, 5 n + 6) covariance of all parameters; for estimated parameters,
+    #                  only correlations of priors with each other and with assumed ones count
+    momentum: Floats  # (3,) deviation of the initial momentum [N s, N s, N m s]; 0: at rest
+    tilt: float = 0.0  # deviation of the table's tilt [m/s^2]; 0: level
 
     def __post_init__(self) -> None:
         count = len(self.path.nodes)
@@ -65,24 +65,24 @@ class DynamicProblem:
             raise ValueError("no heading is observed")
 
     def scaled(self, factors: Floats) -> "DynamicProblem":
-        """The same with other deviations of positions and headings, by factors (2,)."""
+        """Return the problem with deviations of positions and headings scaled by factors (2,)."""
         return replace(self, sigma=self.sigma * factors[[0, 0, 1]])
 
     def seeing(self, poses: Floats) -> "DynamicProblem":
-        """The same with other poses; what has been found of it and is not by them stays."""
+        """Return the problem with other poses; cached values independent of them are kept."""
         other = replace(self, poses=poses)
         kept = {name: x for name, x in vars(self).items() if name not in ("poses", "start")}
         vars(other).update(kept)
         return other
 
     def only(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "DynamicProblem":
-        """The same with some of the maneuvers."""
+        """Return the problem with only some of the maneuvers."""
         path = Path(*(part[which] for part in self.path))
         return replace(self, path=path, poses=self.poses[which], sigma=self.sigma[which])
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The p parameters estimated: those chosen, and the tilt if the table may have one."""
+        """Names of the p estimated parameters: the choice, and the tilt if it is unknown."""
         return self.choice.names + (TILT if self.tilt > 0.0 else ())
 
     @property
@@ -92,29 +92,29 @@ class DynamicProblem:
 
     @cached_property
     def own(self) -> npt.NDArray[np.intp]:
-        """(k,) which of pose and momentum at its start, 0 to 5, each maneuver has as unknowns."""
+        """Indices (k,), 0 to 5, of initial pose and momentum that are unknowns of each maneuver."""
         seen = np.isfinite(self.sigma).any(axis=(0, 1))
         return np.flatnonzero(np.concatenate([seen, seen & (self.momentum > 0.0)]))
 
     @cached_property
     def known(self) -> Floats:
-        """(p,) deviations of the initial values; inf: nothing known."""
+        """Prior standard deviations (p,) of the initial values; inf: no prior."""
         return np.concatenate([self.prior, np.full(len(self.names) - len(self.prior), self.tilt)])
 
     @cached_property
     def believed(self) -> npt.NDArray[np.intp]:
-        """(k,) which parameters have a prior."""
+        """Indices (k,) of the parameters with a prior."""
         return np.flatnonzero(np.isfinite(self.known))
 
     @cached_property
     def _pooled(self) -> Floats:
-        """(k, 5 n + 6): parameters with a prior as means of those that they stand for."""
+        """Matrix (k, 5 n + 6): each parameter with a prior as the mean of those that share it."""
         weights = (self.choice.basis / self.choice.basis.sum(axis=0)).T
         return np.pad(weights, ((0, len(self.names) - len(weights)), (0, 0)))[self.believed]
 
     @cached_property
     def prior_rows(self) -> Floats:
-        """(k, p) the priors as rows of a regressor: the inverse root of their covariance."""
+        """Rows (k, p) of the regressor for the priors: the inverse root of their covariance."""
         C, sigma = self._pooled @ self.assumed @ self._pooled.T, self.known[self.believed]
         C[np.diag_indices(len(C))] = sigma**2
         rows = np.zeros((len(C), len(self.names)))
@@ -122,20 +122,20 @@ class DynamicProblem:
         return rows
 
     def prior_with(self, assumed: npt.NDArray[np.intp]) -> Floats:
-        """(k, c) covariance of the priors' errors with those of assumed parameters, as rows are."""
+        """Return the whitened covariance (k, c) of the priors' errors with assumed parameters."""
         between = self._pooled @ self.assumed[:, assumed]
         return np.asarray(self.prior_rows[:, self.believed] @ between)
 
     @cached_property
     def guess(self) -> Floats:
-        """(p,) initial values; unlike ones averaged where they count as one, a level table."""
+        """Initial values (p,): shared parameters are averaged, and the table is level."""
         basis = self.choice.basis
         x = basis.T @ values(self.arm) / basis.sum(axis=0)
         return np.concatenate([x, np.zeros(len(self.names) - len(x))])
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Least and largest values, (p,) each, of all that a parameter stands for."""
+        """Lower and upper bounds, (p,) each; a shared parameter meets the bounds of all members."""
         low, high = bounds(self.arm)
         members = self.choice.basis.T > 0.0
         free = np.full(len(self.names) - len(members), inf)
@@ -144,7 +144,7 @@ class DynamicProblem:
 
     @cached_property
     def start(self) -> Floats:
-        """All unknowns at the begin: the guess, and for each maneuver its first pose, at rest."""
+        """Initial values of all unknowns: the guess, and each maneuver's first pose, at rest."""
         batch, pose = self.poses.shape[:-3], self.poses[..., 0, :]
         first = np.concatenate([pose, np.zeros_like(pose)], axis=-1)[..., self.own]
         guess = np.broadcast_to(self.guess, (*batch, self.guess.size))
@@ -152,7 +152,7 @@ class DynamicProblem:
 
     @cached_property
     def to_model(self) -> Floats:
-        """(8 + 6 n + 8, p): how the p parameters change Arm.vector() and base_motion's state."""
+        """Matrix (8 + 6 n + 8, p) from the parameters to Arm.vector() and base_motion's state."""
         chosen = to_vector(self.arm.n) @ self.choice.basis
         p = len(self.names)
         columns = np.zeros((len(chosen) + 8, p))
@@ -163,28 +163,28 @@ class DynamicProblem:
 
     @cached_property
     def unsure(self) -> npt.NDArray[np.intp]:
-        """(c,) indices, in parameter_names(n), of what is assumed and not known exactly."""
+        """Indices (c,) in parameter_names(n) of assumed parameters not known exactly."""
         uncertain = np.diag(self.assumed) > 0.0
         return np.flatnonzero(uncertain & ~self.choice.basis.any(axis=1))
 
     @cached_property
     def by_unsure(self) -> Floats:
-        """(8 + 6 n + 8, c): how these change Arm.vector() and the state."""
+        """Matrix (8 + 6 n + 8, c) from these parameters to Arm.vector() and the state."""
         return np.pad(to_vector(self.arm.n)[:, self.unsure], ((0, 8), (0, 0)))
 
     @cached_property
     def origin(self) -> Floats:
-        """(8 + 6 n,) Arm.vector() with the estimated parameters at 0."""
+        """Arm.vector() (8 + 6 n,) with the estimated parameters set to 0."""
         chosen = self.choice.basis.any(axis=1) * values(self.arm)
         return self.arm.vector() - to_vector(self.arm.n) @ chosen
 
     def vector(self, unknowns: Floats) -> Floats:
-        """Arm.vector() with the estimated parameters in place of the guess, (8 + 6 n,)."""
+        """Return Arm.vector() (8 + 6 n,) with the estimated parameters in place of the guess."""
         size, p = len(self.origin), self.to_model.shape[1]
         return self.origin + unknowns[..., :p] @ self.to_model[:size].T
 
     def states(self, unknowns: Floats) -> Floats:
-        """(M, 8) of base_motion: pose and momentum at the start, the table's tilt."""
+        """Return the states (M, 8) of base_motion: initial pose and momentum, the table's tilt."""
         p = len(self.names)
         states = np.zeros((*self.poses.shape[:-2], 8))
         states[..., :3] = self.poses[..., 0, :]
@@ -194,38 +194,39 @@ class DynamicProblem:
         return states
 
     def predicted(self, unknowns: Floats) -> Floats:
-        """Poses at the marks, (M, m, 3)."""
+        """Return the predicted poses at the marks, (M, m, 3)."""
         return base_poses(self.vector(unknowns)[..., None, :], self.path, self.states(unknowns))
 
     @cached_property
     def looked_at(self) -> npt.NDArray[np.intp]:
-        """Which of the 3 m coordinates of poses are observed in any maneuver."""
+        """Indices of those of the 3 m pose coordinates that are observed in any maneuver."""
         return np.flatnonzero(np.isfinite(self.sigma).any(axis=0))
 
     @cached_property
     def weight(self) -> Floats:
-        """1 / sigma of those, (M, rows)."""
+        """Weights 1 / sigma of the observed coordinates, (M, rows)."""
         return 1.0 / self.sigma.reshape(len(self.sigma), -1)[:, self.looked_at]
 
     @cached_property
     def moving(self) -> npt.NDArray[np.intp]:
-        """Which components of the momentum are unknowns about which something is known."""
+        """Indices of the momentum components that are unknowns with a prior."""
         momenta = self.own[self.own >= 3] - 3
         return momenta[np.isfinite(self.momentum[momenta])]
 
     def reduced(self, unknowns: Floats, columns: Floats) -> Linear:
-        """The observations near some values, each maneuver's own unknowns eliminated.
+        """Linearize the observations and eliminate each maneuver's own unknowns.
 
         Args:
-            unknowns: all of them.
-            columns: (8 + 6 n + 8, c) what the regressor is by, as to_model.
+            unknowns: values of all unknowns.
+            columns: (8 + 6 n + 8, c) matrix from the columns of the regressor to Arm.vector() and
+                the state, as to_model.
         """
         return self.observed(self.vector(unknowns), self.states(unknowns), columns)
 
     def observed(self, vector: Floats, states: Floats, columns: Floats) -> Linear:
-        """The same near an arm, Arm.vector(), and states (M, 8)."""
+        """Linearize as `reduced` does, at an Arm.vector() and states (M, 8)."""
         poses, J = base_pose_sensitivities(vector[..., None, :], self.path, states)
-        batch = poses.shape[:-2]  # of which the last are the maneuvers
+        batch = poses.shape[:-2]  # the last of these dimensions is the maneuver
         rows = J.reshape(*batch, -1, J.shape[-1])[..., self.looked_at, :] * self.weight[..., None]
         away = (self.poses - poses).reshape(*batch, -1)[..., self.looked_at]
         r = np.where(self.weight > 0.0, away, 0.0) * self.weight
@@ -240,7 +241,7 @@ class DynamicProblem:
         return eliminate(A, B, r)
 
     def linearize(self, unknowns: Floats) -> Linear:
-        """The problem of the p parameters near some values, priors included."""
+        """Linearize the problem in the p parameters, priors included."""
         linear = self.reduced(unknowns, self.to_model)
         if not self.believed.size:
             return linear
@@ -255,11 +256,11 @@ class DynamicProblem:
 
     @property
     def free(self) -> npt.NDArray[np.intp]:
-        """(M,) observations of each maneuver, less its own unknowns."""
+        """Number of observations of each maneuver, less its own unknowns, (M,)."""
         seen = np.isfinite(self.sigma).sum(axis=(1, 2))
         return np.asarray(seen + self.moving.size - self.own.size)
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Observations and priors less the unknowns."""
+        """Number of observations and priors, less the unknowns."""
         return int(self.free.sum() + self.believed.size - len(self.names))

@@ -1,4 +1,4 @@
-"""The report of a dynamic calibration."""
+"""Report of a dynamic calibration."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,7 +30,7 @@ PAPER_HEADING_RESIDUAL = float(np.radians(1.54))  # section 4.2
 
 
 def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = None) -> Report:
-    """Report what a dynamic calibration found, beside the truth if that is known."""
+    """Report the result of a dynamic calibration, beside the true values if known."""
     o, found = outcome, outcome.solution
     figures = (
         Figure("dynamic_motion", "Base motion, predicted and measured", lambda: motion(o)),
@@ -52,23 +52,23 @@ def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = Non
 
 
 def _values(arm: Arm, names: Sequence[str]) -> Floats:
-    """An arm's values of the named parameters, averaged where several share one."""
+    """Return an arm's values of the named parameters, averaged where several share one."""
 
     def value(name: str) -> float:
         try:
             return float(np.mean(values(arm)[Choice.of(name, arm.n).indices]))
-        except ValueError:  # of the table, or of a link that the arm does not have
+        except ValueError:  # a parameter of the table, or of a link that the arm does not have
             return np.nan
 
     return np.array([value(name) for name in names])
 
 
 def _promised(plan: str) -> Mapping[str, float]:
-    """The deviations that a plan of `design` promised, by name.
+    """Return the standard deviations that a plan of `design` promised, by name.
 
     Raises:
-        ContentError: the file holds something else.
-        OSError: it cannot be read.
+        ContentError: the file is not such a plan.
+        OSError: the file cannot be read.
     """
     found = read_yaml(Path(plan))
     if not isinstance(found, dict) or "maneuvers" not in found:
@@ -80,7 +80,7 @@ def _promised(plan: str) -> Mapping[str, float]:
 
 
 def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Table:
-    """Beside the paper's Table 4 and, if known, the truth."""
+    """Tabulate the parameters beside the paper's Table 4 and, if known, the true values."""
     e, p, known = outcome.estimate, len(outcome.names), truth is not None
     paper = np.full(p, np.nan)
     if outcome.arm.n == paper_arm().n:
@@ -156,7 +156,7 @@ def _maneuvers(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
 
 
 def _directions(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
-    """Combinations of parameters, those that the data say least of first."""
+    """Tabulate the combinations of parameters, least observed first."""
     rows = [
         [one.kind, one.text(outcome.names), text(one.gain, ".3g")]
         for one in sorted(found.directions, key=lambda one: one.gain)
@@ -167,7 +167,7 @@ def _directions(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
 
 
 def _bias(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
-    """What wrong assumptions do, the parameter's deviations being the unit."""
+    """Tabulate the bias by wrong assumptions, in standard deviations of the parameters."""
     bias = found.result.bias / outcome.deviations[:, None]
     rows = [
         [name, *(text(value, "+.2f") for value in row)]

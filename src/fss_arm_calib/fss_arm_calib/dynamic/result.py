@@ -1,4 +1,4 @@
-"""What a dynamic calibration finds, how far to believe it, and what it leaves over."""
+"""Result of a dynamic calibration: estimates, uncertainty and residuals."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,56 +18,56 @@ from fss_arm_model.parameters import parameter_names, values, with_values
 
 @dataclass(frozen=True)
 class DynamicResult:
-    """p parameters from M maneuvers, and how far to believe them."""
+    """Estimate of p parameters from M maneuvers, with its uncertainty."""
 
     problem: DynamicProblem
     minimum: Minimum
 
     @property
     def values(self) -> Floats:
-        """(p,) in the order and units of problem.names and problem.units."""
+        """Estimates (p,) in the order and units of problem.names and problem.units."""
         return self.minimum.x[: len(self.problem.names)]
 
     @cached_property
     def random(self) -> Floats:
-        """(p, p) covariance by the errors of observations and priors alone."""
+        """Covariance (p, p) due to the errors of observations and priors alone."""
         return self.minimum.basis.covariance()
 
     @property
     def assumed(self) -> npt.NDArray[np.intp]:
-        """(c,) indices, in parameter_names(n), of those assumed and not known exactly."""
+        """Indices (c,) in parameter_names(n) of assumed parameters not known exactly."""
         return self.problem.unsure
 
     @property
     def assumed_names(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the assumed parameters not known exactly."""
         names = parameter_names(self.problem.arm.n)
         return tuple(names[k] for k in self.assumed)
 
     @property
     def assumed_deviations(self) -> Floats:
-        """(c,) 1 sigma of them."""
+        """Standard deviations (c,) of the assumed parameters not known exactly."""
         return np.sqrt(np.diag(self.problem.assumed)[self.assumed])
 
     @cached_property
     def by_assumed(self) -> Floats:
-        """(rows, c) regressor C of the assumed parameters, weighted and reduced as the others."""
+        """Regressor C (rows, c) of the assumed parameters, weighted and reduced as the others."""
         return self.problem.reduced(self.minimum.x, self.problem.by_unsure).regressor
 
     @cached_property
     def influence(self) -> Floats:
-        """(p, c) shift of the estimate by an error of each assumed parameter, true less assumed."""
+        """Shift (p, c) of the estimate per error (true - assumed) of each assumed parameter."""
         Phi = self.minimum.linear.regressor[: len(self.by_assumed)]
         return np.asarray(self.random @ (Phi.T @ self.by_assumed))
 
     @cached_property
     def bias(self) -> Floats:
-        """(p, c) shift of the estimate if a true value is 1 sigma above the one assumed."""
+        """Shift (p, c) of the estimate if a true value is 1 sigma above the assumed one."""
         return self.influence * self.assumed_deviations
 
     @cached_property
     def covariance(self) -> Floats:
-        """(p, p) with the uncertainty of what is assumed."""
+        """Covariance (p, p), including the uncertainty of the assumed parameters."""
         assumed = self.problem.assumed[np.ix_(self.assumed, self.assumed)]
         shared = self._with_assumed @ self.influence.T
         return np.asarray(
@@ -76,14 +76,14 @@ class DynamicResult:
 
     @cached_property
     def _with_assumed(self) -> Floats:
-        """(p, c) covariance that priors alone give the estimate's errors with the assumed ones."""
+        """Covariance (p, c) of estimated and assumed parameters due to the priors alone."""
         return np.asarray(
             self.random @ self.problem.prior_rows.T @ self.problem.prior_with(self.assumed)
         )
 
     @property
     def known(self) -> Known:
-        """What is known of all parameters now, those assumed included."""
+        """Knowledge of all parameters after the calibration, including the assumed ones."""
         basis, every = self.problem.choice.basis, parameter_names(self.problem.arm.n)
         size, assumed = basis.shape[1], self.problem.assumed[np.ix_(self.assumed, self.assumed)]
         cross = (self._with_assumed - self.influence @ assumed)[:size]
@@ -95,30 +95,33 @@ class DynamicResult:
 
     @cached_property
     def undetermined(self) -> Mask:
-        """(p,) which parameters the data cannot tell from others."""
+        """Mask (p,) of the parameters that the data do not determine."""
         return self.minimum.basis.undetermined() > NOTICEABLE
 
     @property
     def inseparable(self) -> tuple[str, ...]:
-        """Names of parameters that the data cannot tell apart, those at a bound left out."""
+        """Names of parameters that the data do not separate, except those at a bound."""
         return tuple(compress(self.problem.names, self.undetermined & ~self.minimum.held))
 
     @property
     def condition_number(self) -> float:
-        """Of the column-scaled regressor, priors included, parameters at a bound held."""
+        """Condition number of the column-scaled regressor.
+
+        The priors are included; parameters at a bound are left out.
+        """
         Phi = self.minimum.linear.regressor[:, ~self.minimum.held]
         return Decomposition.of(Phi).condition if Phi.size else 1.0
 
     @cached_property
     def deviations(self) -> Floats:
-        """(p,) 1 sigma of each parameter; inf where it is not determined."""
+        """Standard deviation (p,) of each parameter; inf if it is not determined."""
         return np.where(self.undetermined, inf, np.sqrt(np.diag(self.covariance)))
 
     @property
     def prior_share(self) -> Floats:
-        """(p,) how much of each estimate came from what was known beforehand, 0 to 1.
+        """Share (p,) of each estimate that comes from the prior, 0 to 1.
 
-        The diagonal of P Lambda_prior, 1 less the resolution of the data.
+        It is the diagonal of P Lambda_prior, that is, 1 minus the resolution of the data.
         """
         rows = self.problem.prior_rows
         return np.diag(self.random @ rows.T @ rows)
@@ -130,9 +133,11 @@ class DynamicResult:
 
     @cached_property
     def beyond_reach(self) -> tuple[str, ...]:
-        """Names of those at a bound that their own errors may have taken there.
+        """Names of parameters that the data alone do not measure.
 
-        They are known, bounds aside, to less than they are by the guess.
+        If such a parameter is at a bound, it may be there only because of its own errors. Without
+        bounds, it is undetermined, or it is less than 3 of its standard deviations from the
+        estimate while this deviation is more than half of the guess.
         """
         linear = self.minimum.linear
         free = Decomposition.of(linear.regressor)
@@ -147,20 +152,20 @@ class DynamicResult:
 
     @cached_property
     def residuals(self) -> Floats:
-        """(M, m, 3) observed less predicted poses [m, m, rad]; NaN where not observed."""
+        """Observed minus predicted poses (M, m, 3) [m, m, rad]; NaN where not observed."""
         away = self.problem.poses - self.problem.predicted(self.minimum.x)
         return np.where(np.isfinite(self.problem.sigma), away, np.nan)
 
     @property
     def momenta(self) -> Floats:
-        """(M, 3) momentum at each maneuver's start [N s, N s, N m s]."""
+        """Momentum (M, 3) at the start of each maneuver [N s, N s, N m s]."""
         return self.problem.states(self.minimum.x)[:, 3:6]
 
     @cached_property
     def _explained(self) -> tuple[Floats, Floats, Decomposition]:
-        """Residuals and regressor with the assumed parameters free within their deviations.
+        """Residuals, regressor and basis if assumed parameters may vary within their deviations.
 
-        To first order; rows of the priors follow those of the maneuvers.
+        This is a first-order result. The rows of the priors follow those of the maneuvers.
         """
         linear, C = self.minimum.linear, self.by_assumed
         w, V = np.linalg.eigh(self.problem.assumed[np.ix_(self.assumed, self.assumed)])
@@ -175,12 +180,12 @@ class DynamicResult:
 
     @property
     def chi_square(self) -> float:
-        """Weighted sum of squares, priors included, less what errors of assumed values explain."""
+        """Weighted sum of squares, priors included, not explained by errors of assumed values."""
         return float(np.sum(self._explained[0] ** 2))
 
     @cached_property
     def _hat(self) -> tuple[Floats, Floats]:
-        """Each maneuver's part of the hat matrix, (M, rows, rows), and its residuals."""
+        """Hat matrix of each maneuver, (M, rows, rows), and its residuals."""
         count, rows = len(self.problem.poses), len(self.by_assumed)
         r, A, basis = self._explained
         A, r = A[:rows].reshape(count, -1, A.shape[1]), r[:rows].reshape(count, -1, 1)
@@ -188,11 +193,11 @@ class DynamicResult:
 
     @cached_property
     def checks(self) -> tuple[Floats, Floats]:
-        """Leverage and error of each maneuver, (M,) each, against what the others say.
+        """Leverage of each maneuver, and its error when predicted from the others, (M,) each.
 
-        With the maneuver's part H of the hat matrix, r' (1 - H)^-1 r is the sum of squares of its
-        errors if it is held out and predicted from the others, in the deviations of that
-        prediction. Its root mean square is about 1.
+        Let H be the maneuver's part of the hat matrix. Then r' (1 - H)^-1 r is the sum of squares
+        of its errors, if it is held out and predicted from the others, in standard deviations of
+        that prediction. The root mean square is about 1.
         """
         H, r = self._hat
         squares = (np.swapaxes(r, 1, 2) @ np.linalg.solve(np.eye(H.shape[1]) - H, r)).ravel()
@@ -200,10 +205,11 @@ class DynamicResult:
 
     @property
     def left(self) -> Left:
-        """What the residuals of positions and headings tell of the deviations.
+        """Squared residuals and degrees of freedom of positions and headings, without priors.
 
-        Without what is known beforehand, of momenta above all, which may be far larger than they
-        are: then it adds nothing to the sum of squares, and much to its degrees of freedom.
+        The priors are left out, above all those of the momenta. Their deviations may be far larger
+        than the momenta: then they add nothing to the sum of squares, but much to its degrees of
+        freedom.
         """
         H, r = self._hat
         seen = self.problem.weight > 0.0
@@ -216,14 +222,14 @@ class DynamicResult:
 
     @property
     def redundancy(self) -> Floats:
-        """(M,) what share of an error of a maneuver shows in its residuals at least, squared."""
+        """Smallest share (M,) of a maneuver's error that shows in its residuals, squared."""
         return redundancy(self._hat[0])
 
     def calibrated(self) -> Arm:
-        """The initial arm with the estimated parameters.
+        """Return the initial arm with the estimated parameters.
 
         Raises:
-            DescriptionError: a value cannot be right.
+            DescriptionError: a value is impossible.
         """
         arm, basis = self.problem.arm, self.problem.choice.basis
         x = basis @ self.values[: basis.shape[1]]

@@ -1,4 +1,4 @@
-"""The settings of a dynamic calibration, live, replayed and offline alike."""
+"""Settings of a dynamic calibration; the same live, in a replay and offline."""
 
 from dataclasses import dataclass
 from math import radians
@@ -23,7 +23,7 @@ POSE, HEADING = "pose", "heading"
 
 @dataclass(frozen=True)
 class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
-    """What is known beforehand, what is estimated and how it is checked.
+    """Settings of a dynamic calibration: prior knowledge, estimated parameters and checks.
 
     Raises:
         SettingError: a setting is impossible.

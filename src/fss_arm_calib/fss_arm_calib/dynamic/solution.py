@@ -1,4 +1,4 @@
-"""From maneuvers to masses and inertias: what is known, what is rejected, what is concluded."""
+"""Solution of a dynamic calibration: prior knowledge, outlier rejection and the estimate."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,10 +28,10 @@ from fss_arm_model.units import GRAVITY
 def problem_of(
     maneuvers: Sequence[Maneuver], arm: Arm, settings: DynamicSettings
 ) -> DynamicProblem:
-    """The problem that maneuvers with poses make.
+    """Return the dynamic problem of maneuvers with poses.
 
     Raises:
-        ValueError: maneuvers and arm do not fit, or a word names no parameter.
+        ValueError: the maneuvers do not match the arm, or a word names no parameter.
     """
     s, n = settings, arm.n
     if others := [len(one.times) for one in maneuvers if len(one.times) != n]:
@@ -52,7 +52,7 @@ def problem_of(
 
 
 def pose_deviations(s: DynamicSettings) -> Floats:
-    """(3,) of the base's pose where errors are independent; inf: not looked at."""
+    """Return the deviations (3,) of a base pose with independent errors; inf: not used."""
     deviations = assumed(s).deviations[[0, 0, 1]]
     if s.residuals == HEADING:
         deviations[:2] = inf
@@ -62,7 +62,7 @@ def pose_deviations(s: DynamicSettings) -> Floats:
 def known_beforehand(
     arm: Arm, settings: DynamicSettings, path: Path, poses: Floats, sigma: Floats
 ) -> DynamicProblem:
-    """The problem of maneuvers, with what settings say is known."""
+    """Return the problem of maneuvers, with the prior knowledge from the settings."""
     s, n = settings, arm.n
     choice, C = Choice.of(s.estimate, n), s.covariance(arm)
     deviations = np.sqrt(np.diag(C))
@@ -78,7 +78,7 @@ def known_beforehand(
 
 
 def nothing_seen(arm: Arm, settings: DynamicSettings) -> DynamicProblem:
-    """The problem of no maneuver."""
+    """Return the problem without any maneuver."""
     n, none = arm.n, np.empty((0, 1, 3))
     nowhere = Path(np.empty((0, 1, 3 * n + 1)), np.empty((0, 1, 2 * n + 2)))
     return known_beforehand(arm, settings, nowhere, none, none)
@@ -86,29 +86,29 @@ def nothing_seen(arm: Arm, settings: DynamicSettings) -> DynamicProblem:
 
 @dataclass(frozen=True)
 class Solution:
-    """A result, which of M maneuvers it is from, and what motion can determine at all."""
+    """Result, the maneuvers (of M) that it uses, and what the motion can determine."""
 
-    result: DynamicResult  # of those not rejected
-    kept: Mask  # (M,)
-    weights: Floats  # (M,) 1: used; 0: rejected; between: by a robust loss
-    reasons: tuple[str, ...]  # (M,) why it was rejected, else empty
-    errors: Floats  # (M,) predicted from the others, or when it was rejected [deviations]
+    result: DynamicResult  # from the maneuvers that were not rejected
+    kept: Mask  # (M,) maneuvers that were not rejected
+    weights: Floats  # (M,) 1: used; 0: rejected; between: weight of a robust loss
+    reasons: tuple[str, ...]  # (M,) reason for the rejection, else empty
+    errors: Floats  # (M,) when predicted from the others, or at its rejection [deviations]
     leverage: Floats  # (M,)
     directions: tuple[Direction, ...]  # of the p parameters
     combinations: tuple[Combination, ...]
-    noise: Noise  # of poses fresh by `fresh_rate`
-    first: DynamicResult  # by the deviations that are given, or the largest to be believed
+    noise: Noise  # of poses that are independent according to `fresh_rate`
+    first: DynamicResult  # with the given deviations, or the largest plausible ones
 
     @property
     def momenta(self) -> Floats:
-        """(M, 3) at each maneuver's start [N s, N s, N m s]; NaN of those rejected."""
+        """Momentum (M, 3) at the start of each maneuver [N s, N s, N m s]; NaN if rejected."""
         momenta = np.full((len(self.kept), 3), nan)
         momenta[self.kept] = self.result.momenta
         return momenta
 
 
 def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
-    """Solve with the loss asked for; reject as many outliers as allowed, one after the other."""
+    """Solve with the loss of the settings, and reject outliers one by one up to the limit."""
     s, size = settings, len(problem.poses)
     weights = np.zeros(size)
 
@@ -150,7 +150,7 @@ def _weighed(problem: DynamicProblem, weights: Floats) -> tuple[DynamicResult, F
 def estimate_of(
     arm: Arm, s: DynamicSettings, used: Sequence[Maneuver], solution: Solution | None
 ) -> Estimate:
-    """What is estimated, as every kind of calibration has it."""
+    """Convert the solution to the estimate that all kinds of calibration share."""
     if solution is None:
         problem = nothing_seen(arm, s)
         reasons = len(used) * ("",)
@@ -177,7 +177,7 @@ def estimate_of(
 
 
 def _residuals(solution: Solution, used: Sequence[Maneuver]) -> Floats:
-    """(sum of marks, 3) of all maneuvers; NaN of those rejected."""
+    """Return the residuals (sum of marks, 3) of all maneuvers; NaN for rejected ones."""
     every = np.full((len(used), solution.result.residuals.shape[1], 3), nan)
     every[solution.kept] = solution.result.residuals
     rows = zip(every, used, strict=True)

@@ -1,4 +1,4 @@
-"""The masses, centres of mass and inertias that fit the maneuvers best (Eq. 9)."""
+"""Solver for the masses, centres of mass and inertias that fit the maneuvers best (Eq. 9)."""
 
 import numpy as np
 
@@ -6,18 +6,18 @@ from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.estimation.least_squares import Floats, Indices, Linear, minimize, minimize_all
 
-TOLERANCE = 1e-7  # of the last update [deviations]
+TOLERANCE = 1e-7  # largest last update [deviations]
 
-DRAWS = 128  # that are solved side by side: as many as the processor's caches hold
+DRAWS = 128  # draws solved in one batch, limited by the processor's caches
 
-FIRST = 2  # iterations of the maneuvers' own unknowns alone
+FIRST = 2  # first iterations, of only the maneuvers' own unknowns
 
 
 def underway(problem: DynamicProblem) -> Floats:
-    """The unknowns to begin with: the guess, and what each maneuver then must have begun with.
+    """Return the initial unknowns: the guess, and the matching initial states of the maneuvers.
 
-    The guess of a momentum is rest. Were the base to turn by radians more than that, the first step
-    of the parameters would lead far astray.
+    The guess of a momentum is zero. If the base turned by radians more than this predicts, the
+    first step of the parameters would diverge. So the maneuvers' own unknowns are updated first.
     """
     x = problem.start
     hold = np.zeros((*x.shape[:-1], len(problem.names)))
@@ -32,13 +32,13 @@ def solve(
 ) -> DynamicResult:
     """Iterate Eq. 9 from the guess.
 
-    Parameters that the data cannot tell apart stay as near to the guess as the others allow; the
-    result names them.
+    Parameters that are not identifiable stay as near to the guess as the others allow. The result
+    names them.
 
     Args:
-        problem: the maneuvers and what is known.
-        bounded: keep to problem.bounds; deviations are true where none is active.
-        tolerance: the update below which it has converged, in the parameter's deviations.
+        problem: the maneuvers and the prior knowledge.
+        bounded: keep to problem.bounds; deviations are correct only if no bound is active.
+        tolerance: update below which the iteration has converged, in standard deviations.
     """
     return DynamicResult(
         problem,
@@ -49,10 +49,10 @@ def solve(
 
 
 def solve_all(problem: DynamicProblem, poses: Floats, bounded: bool = True) -> list[DynamicResult]:
-    """What `solve` finds of each of many draws of the poses, (N, M, m, 3), as in a Monte Carlo."""
+    """Solve as `solve` does for N draws of the poses, (N, M, m, 3), as in a Monte Carlo study."""
     found = []
     for begin in range(0, len(poses), DRAWS):
-        # By the last ones: what has been found of the problem stays found.
+        # Derived from the previous batch, so that cached values of the problem are reused.
         some = problem = problem.seeing(poses[begin : begin + DRAWS])
 
         def linearize(x: Floats, which: Indices, some: DynamicProblem = some) -> Linear:

@@ -1,4 +1,7 @@
-"""What data of one kind say of an arm and of what acts on it, whoever estimates which of these."""
+"""Interface to data of one kind, as functions of the arm's parameters and its surroundings.
+
+It does not depend on which of these parameters are estimated.
+"""
 
 from typing import Protocol
 
@@ -6,18 +9,18 @@ from fss_arm_calib.estimation.least_squares import Floats, Linear
 
 
 class Evidence(Protocol):
-    """Data of one kind, with unknowns of their own that nobody else asks for.
+    """Data of one kind, with unknowns of their own that no other data depend on.
 
-    All else they may depend on is z, (8 + 6 n + 5): Arm.vector(), then SURROUNDINGS, as
-    fss_arm_model.drifting has them.
+    All other quantities that they depend on are in z, (8 + 6 n + 5): Arm.vector(), then
+    SURROUNDINGS of fss_arm_model.drifting.
     """
 
     @property
     def free(self) -> int:
-        """Observations, and what is believed of their own unknowns, less these."""
+        """Number of observations and of priors on their own unknowns, minus these unknowns."""
 
     def begin(self) -> Floats:
-        """Their own unknowns to begin with."""
+        """Return initial values of their own unknowns."""
 
     def near(self, z: Floats, own: Floats) -> Linear:
-        """The observations near some values, by z alone; `extend` appends the step of their own."""
+        """Linearize the observations in z; `extend` appends the step of their own unknowns."""

@@ -1,7 +1,7 @@
-"""Weighted nonlinear least squares by Gauss-Newton steps, kept downhill and within bounds.
+"""Weighted nonlinear least squares by Gauss-Newton steps that descend and stay within bounds.
 
-Residuals and regressors are given divided by the observations' deviations, so that the inverse of
-Phi' Phi is the covariance of what is estimated.
+Residuals and regressors are divided by the standard deviations of the observations, so that the
+inverse of Phi' Phi is the covariance of the estimate.
 """
 
 from collections.abc import Callable
@@ -18,14 +18,14 @@ Indices = npt.NDArray[np.intp]
 
 
 class Loss(NamedTuple):
-    """What an observation costs, and weighs, by its squared length d2 in deviations."""
+    """Cost and weight of an observation, as functions of its squared length d2 in deviations."""
 
     cost: Callable[[Floats], Floats]  # rho(d2)
     weight: Callable[[Floats], Floats]  # rho'(d2)
 
 
-KNEE = 2.8  # 95% of all observations are shorter
-SCALE = 4.0  # of a Cauchy loss, for an efficiency of about 95%
+KNEE = 2.8  # of the Huber loss [deviations]; 95% of all observations are shorter
+SCALE = 4.0  # of the Cauchy loss [deviations], for an efficiency of about 95%
 
 SQUARE, HUBER, CAUCHY = "square", "huber", "cauchy"
 LOSSES = {
@@ -40,16 +40,16 @@ LOSSES = {
 }
 
 
-#: A step below this changes a parameter by no more than rounding does, in its unit.
+#: A smaller step is within rounding errors, in the unit of the parameter.
 ROUNDING = 1e-13
 
-#: A step below this is taken without asking whether it lowers the sum of squares [deviations].
+#: A smaller step is accepted without a check that it lowers the sum of squares [deviations].
 SHORT = 1e-6
 
-#: Beyond this condition number of the column-scaled regressor rounding has the say.
+#: Above this condition number of the column-scaled regressor, rounding errors dominate.
 MAX_CONDITION = 1e6
 
-#: A parameter's share in undetermined directions from which on it is named.
+#: Share of a parameter in undetermined directions above which the parameter is reported.
 NOTICEABLE = 1e-6
 
 MAX_ITERATIONS = 50
@@ -58,7 +58,8 @@ MAX_ITERATIONS = 50
 class Decomposition(NamedTuple):
     """Singular values of the column-scaled regressor, Phi / scale = U diag(s) Vt.
 
-    Those too small against the largest are left out: along them the observations say nothing.
+    Singular values that are too small relative to the largest are omitted: the observations contain
+    no information in these directions.
     """
 
     scale: Floats  # (p,)
@@ -69,51 +70,51 @@ class Decomposition(NamedTuple):
 
     @classmethod
     def of(cls, Phi: Floats, max_condition: float = MAX_CONDITION) -> "Decomposition":
-        """Decompose a regressor (m, p); a column of zeros stands for a parameter held."""
+        """Decompose a regressor (m, p); a column of zeros belongs to a parameter that is fixed."""
         scale, U, s, Vt = _scaled(Phi)
         keep = s * max_condition > s[0]
         condition = s[0] / s[-1] if len(s) == len(scale) and s[-1] > 0.0 else inf
         return cls(scale, U[:, keep], s[keep], Vt[keep], float(condition))
 
     def step(self, residuals: Floats, damping: float = 0.0) -> Floats:
-        """The step (p,) to the least squares; damping turns it to steepest descent (Levenberg)."""
+        """Return the least-squares step (p,); damping turns it to steepest descent (Levenberg)."""
         return self.Vt.T @ (self.s / (self.s**2 + damping) * (self.U.T @ residuals)) / self.scale
 
     def covariance(self) -> Floats:
-        """Inverse of Phi' Phi, (p, p); 0 along the directions left out."""
+        """Return the inverse of Phi' Phi, (p, p); 0 in the omitted directions."""
         root = self.Vt.T / self.s / self.scale[:, None]
         return root @ root.T
 
     def undetermined(self) -> Floats:
-        """(p,) share of each parameter in the directions left out, 0 to 1."""
+        """Return the share (p,) of each parameter in the omitted directions, 0 to 1."""
         return 1.0 - np.sum(self.Vt**2, axis=0)
 
 
 class Linear(NamedTuple):
-    """A problem near some x: residuals - regressor @ dx; leading dimensions are a batch of them."""
+    """Problem linearized at x: residuals - regressor @ dx; leading dimensions are a batch."""
 
     residuals: Floats  # (m,)
     regressor: Floats  # (m, p)
-    cost: Floats  # () the sum of squares that is to become least
+    cost: Floats  # () the sum of squares to minimize
     extend: Callable[[Floats], Floats] | None = None  # from dx (p,) to a step of all unknowns
-    taken: Floats = np.empty(0)  # (rows,) share of each that unknowns eliminated take
+    taken: Floats = np.empty(0)  # (rows,) share of each row that eliminated unknowns absorb
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where the sum of squares is least."""
+    """Minimum of the sum of squares."""
 
     x: Floats  # all unknowns
-    linear: Linear  # there
-    basis: Decomposition  # there, parameters at a bound held
-    held: Mask  # (p,) which are at a bound that they would cross
+    linear: Linear  # at x
+    basis: Decomposition  # at x, with parameters at a bound fixed
+    held: Mask  # (p,) True for parameters at a bound that they would cross
     iterations: int
-    last_update: float  # the largest step that would be next, in the parameter's deviations
+    last_update: float  # largest component of the next step, in the parameter's deviations
     converged: bool
 
     @property
     def cost(self) -> float:
-        """The sum of squares there."""
+        """Sum of squares at the minimum."""
         return float(self.linear.cost)
 
 
@@ -125,15 +126,16 @@ def minimize(
     max_iterations: int = MAX_ITERATIONS,
     max_condition: float = MAX_CONDITION,
 ) -> Minimum:
-    """Gauss-Newton; a step that would not lower the sum of squares is damped until it does.
+    """Minimize by Gauss-Newton; damp a step until it lowers the sum of squares.
 
     Args:
-        linearize: the problem near x.
-        start: all unknowns, the p parameters first; those that follow are eliminated by `extend`.
-        bounds: least and largest value of each parameter, (p,) each.
-        tolerance: the update below which it has converged, in the parameter's deviations.
-        max_iterations: it gives up after so many, `converged` then is False.
-        max_condition: of the column-scaled regressor, beyond it parameters count as inseparable.
+        linearize: returns the problem linearized at x.
+        start: all unknowns, the p parameters first; the others are eliminated, see `extend`.
+        bounds: smallest and largest value of each parameter, (p,) each.
+        tolerance: update below which the solution has converged, in the parameter's deviations.
+        max_iterations: limit of the iterations; if it is reached, `converged` is False.
+        max_condition: condition number of the column-scaled regressor above which parameters are
+            inseparable.
     """
     x, linear = start, linearize(start)
     p = linear.regressor.shape[1]
@@ -149,14 +151,14 @@ def minimize(
         there = x + (linear.extend(step) if linear.extend else step)
         there[:p] = np.minimum(np.maximum(there[:p], low), high)
         following = linearize(there)
-        # A step so short changes the sum of squares by its square: less than rounding does.
+        # The change by such a short step is quadratic in its length and below rounding errors.
         if update < SHORT or following.cost <= linear.cost:
             x, linear = there, following
             damping = damping / 10.0 if damping > 1e-3 else 0.0
         else:
             damping = max(10.0 * damping, 1e-3)
     if not converged and negligible:
-        # The damped steps became negligible: what matters is whether the free one is.
+        # The damped steps became negligible: check whether the undamped one is, too.
         basis, held, step = _step(linear, x[:p], low, high, 0.0, max_condition)
         update = _largest(step, basis)
         converged = update < tolerance
@@ -169,14 +171,14 @@ def minimize_all(
     bounds: tuple[Floats, Floats] | None = None,
     tolerance: float = 1e-9,
 ) -> list[Minimum | None]:
-    """`minimize` of many problems side by side, as far as plain Gauss-Newton steps lead.
+    """Minimize N problems in parallel with plain Gauss-Newton steps.
 
-    None of those that it does not: where a step goes uphill or to a bound, or where parameters are
-    inseparable. `minimize` has more patience with each of them.
+    The result is None for problems that these steps do not solve: where a step goes uphill or
+    crosses a bound, or where parameters are inseparable. Solve these with `minimize`.
 
     Args:
-        linearize: the problems of such numbers, a batch, near x (batch, unknowns).
-        start: (N, unknowns), else as in `minimize`.
+        linearize: linearizes a batch of problems at x (batch, unknowns), given their indices.
+        start: (N, unknowns), otherwise as in `minimize`.
         bounds: as in `minimize`.
         tolerance: as in `minimize`.
     """
@@ -186,7 +188,7 @@ def minimize_all(
     low, high = bounds if bounds else (np.full(p, -inf), np.full(p, inf))
     downhill = np.full(len(start), True)
     for iteration in range(MAX_ITERATIONS + 1):
-        with np.errstate(all="ignore"):  # of those that are inseparable
+        with np.errstate(all="ignore"):  # problems with inseparable parameters
             scale, U, s, Vt = _scaled(linear.regressor)
             roots = np.swapaxes(Vt, 1, 2) / s[:, None] / scale[..., None]
             step = _times(roots, _times(np.swapaxes(U, 1, 2), linear.residuals))
@@ -213,14 +215,14 @@ def minimize_all(
 
 
 def _scaled(Phi: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Lengths of the columns of (..., m, p), 1 of zeros, and U, s, Vt of Phi over them."""
+    """Return the column norms of Phi (..., m, p), 1 if zero, and U, s, Vt of the scaled Phi."""
     norms = np.sqrt(np.einsum("...ij,...ij->...j", Phi, Phi))
     scale = np.where(norms > 0.0, norms, 1.0)
     return scale, *np.linalg.svd(Phi / scale[..., None, :], full_matrices=False)
 
 
 def _largest(step: Floats, basis: Decomposition) -> float:
-    """The largest part of a step, in the parameter's deviations."""
+    """Return the largest component of a step, in the parameter's deviations."""
     deviations = np.sqrt(np.diag(basis.covariance()))
     sizes = np.abs(step[deviations > 0.0]) / deviations[deviations > 0.0]
     return float(np.max(sizes, initial=0.0))
@@ -229,9 +231,9 @@ def _largest(step: Floats, basis: Decomposition) -> float:
 def _step(
     linear: Linear, x: Floats, low: Floats, high: Floats, damping: float, max_condition: float
 ) -> tuple[Decomposition, Mask, Floats]:
-    """The step, and which parameters it takes to a bound that they would cross.
+    """Return the decomposition, a mask of the parameters fixed at a bound, and the step.
 
-    Those are put there, and the step of the others is the best that then remains.
+    Parameters that would cross a bound are moved to it; the others take the best step given that.
     """
     held, fixed = np.zeros(len(x), dtype=bool), np.zeros(len(x))
     while True:
@@ -245,21 +247,21 @@ def _step(
 
 
 def _times(A: Floats, x: Floats) -> Floats:
-    """Of matrices (..., m, p) and vectors (..., p)."""
+    """Multiply matrices (..., m, p) by vectors (..., p)."""
     return np.asarray((A @ x[..., None])[..., 0])
 
 
 def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
-    """Blocks of rows, each with unknowns of its own, reduced to the p parameters they share.
+    """Eliminate the own unknowns of each block of rows; the p shared parameters remain.
 
     Dimensions before the blocks are those of a batch.
 
     With B = Q R of a block, its rows are projected: r - Q Q' r and A - Q Q' A. For a step dx of the
-    shared parameters the block's own follow as R^-1 Q' (r - A dx).
+    shared parameters, the step of the block's own unknowns is R^-1 Q' (r - A dx).
 
     Args:
         A: (..., blocks, rows, p) regressors of the shared parameters.
-        B: (..., blocks, rows, k) of each block's own, of full rank; k may be 0.
+        B: (..., blocks, rows, k) regressors of each block's own unknowns, of full rank; k may be 0.
         r: (..., blocks, rows) residuals.
     """
     Q, R = np.linalg.qr(B)

@@ -1,13 +1,15 @@
-"""How large the errors of observations are, by what residuals a solution leaves.
+"""Estimation of the standard deviations of observations from the residuals of a solution.
 
-Of one kind of coordinate, as positions, the squares of residuals in assumed deviations add up to
-S. Of their number, nu are left by what the parameters take (the trace of 1 - hat). If the true
-deviation is f times the assumed one, S / f^2 is chi-square with nu degrees of freedom, and
+S is the sum of the squared residuals of one kind of coordinate (e.g. positions) in assumed
+deviations, and nu its degrees of freedom: the trace of 1 - hat, since the parameters absorb the
+rest. If the true deviation is f times the assumed one, S / f^2 is chi-square with nu degrees of
+freedom, and
 
     f^2 = S / (nu - 2)
 
-is the mean of 1 / chi-square's inverse: with it the covariance of the parameters is as large on
-average as their squared errors are, though f is known to about 1 / sqrt(2 nu) only.
+follows from the mean of the inverse of chi-square, 1 / (nu - 2). With it, the covariance of the
+parameters is on average as large as their squared errors, although f itself is known only to about
+1 / sqrt(2 nu).
 """
 
 from collections.abc import Callable
@@ -19,9 +21,9 @@ import numpy as np
 from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.estimation.statistics import probability
 
-FEWEST = 4.0  # degrees of freedom by which a kind's own deviation is estimated
-LEAST = 1e-3  # of the largest deviation: nothing is seen better, and exact data have some
-ROUNDS, SETTLED = 20, 1e-4  # of estimating anew, and the change of f that ends it
+FEWEST = 4.0  # degrees of freedom needed to estimate the deviation of a kind of coordinate
+LEAST = 1e-3  # smallest estimate, as a fraction of the largest deviation; for exact data
+ROUNDS, SETTLED = 20, 1e-4  # most iterations, and the relative change that stops them
 
 
 R = TypeVar("R")
@@ -29,52 +31,52 @@ S = TypeVar("S", bound=Any)
 
 
 class Limits(Protocol):
-    """What is said of positions and headings, by settings."""
+    """Settings for the deviations of positions and headings."""
 
     @property
     def position_deviation(self) -> float:
-        """1 sigma [m]; 0: to be estimated."""
+        """Standard deviation of a position [m]; 0: estimate it."""
 
     @property
     def heading_deviation(self) -> float:
-        """1 sigma [rad]; 0: to be estimated."""
+        """Standard deviation of a heading [rad]; 0: estimate it."""
 
     @property
     def max_position_deviation(self) -> float:
-        """Largest estimate to believe [m]."""
+        """Largest accepted estimate of the position deviation [m]."""
 
     @property
     def max_heading_deviation(self) -> float:
-        """Largest estimate to believe [rad]."""
+        """Largest accepted estimate of the heading deviation [rad]."""
 
     @property
     def min_probability(self) -> float:
-        """Of residuals: less likely ones are not of noise of such deviations."""
+        """Probability of residuals below which they are not explained by noise alone."""
 
 
 class Left(NamedTuple):
-    """What a solution leaves of positions and headings, (2,) each."""
+    """Residuals of positions and headings after a solution, (2,) each."""
 
-    squares: Floats  # of residuals, in the deviations that were assumed
+    squares: Floats  # sums of squared residuals, in the assumed deviations
     freedom: Floats  # degrees of freedom left
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Deviations of positions [m] and headings [rad], (2,) each."""
+    """Standard deviations of positions [m] and headings [rad], (2,) each."""
 
     deviations: Floats
-    uncertainty: Floats  # 1 sigma of these; 0: given
-    largest: Floats  # that are believed
-    freedom: float  # by which all are known; inf: given
+    uncertainty: Floats  # standard deviations of `deviations`; 0: given
+    largest: Floats  # largest accepted deviations
+    freedom: float  # degrees of freedom of the estimate; inf: given
 
     @property
     def given(self) -> Mask:
-        """(2,) which are not estimated."""
+        """Mask (2,), True for deviations that are given, not estimated."""
         return np.asarray(self.uncertainty == 0.0)
 
     def given_to(self, settings: S) -> S:
-        """Settings by which these deviations are given."""
+        """Return the settings with these deviations as given values."""
         position, heading = self.deviations.tolist()
         return replace(settings, position_deviation=position, heading_deviation=heading)
 
@@ -83,7 +85,7 @@ class Noise:
         for k, (scale, unit) in enumerate(((1e3, "mm"), (np.degrees(1.0), "degrees"))):
             value, by = scale * self.deviations[k], scale * self.uncertainty[k]
             expected = f"up to {scale * self.largest[k]:.3g} expected"
-            if value > scale * self.largest[k]:  # else they would not be believed
+            if value > scale * self.largest[k]:  # accepted only because the excess is by chance
                 expected += ", more within chance"
             found = f"± {by:.1g} {unit} ({expected})" if by else unit
             texts.append(f"{value:.2g} {found}")
@@ -91,15 +93,15 @@ class Noise:
 
 
 class Solved(NamedTuple, Generic[R]):
-    """What was solved with the deviations that its residuals have."""
+    """Solution with the deviations estimated from its residuals."""
 
     result: R
     noise: Noise
-    first: R  # with what is given, and the largest of what is estimated
+    first: R  # with the given deviations, and the largest accepted ones of those to estimate
 
 
 def assumed(s: Limits) -> Noise:
-    """What is given, and the largest of what is to be estimated."""
+    """Return the given deviations, and the largest accepted ones of those to estimate."""
     given = np.array([s.position_deviation, s.heading_deviation])
     largest = np.array([s.max_position_deviation, s.max_heading_deviation])
     deviations = np.where(given > 0.0, given, largest)
@@ -109,15 +111,16 @@ def assumed(s: Limits) -> Noise:
 def estimated(
     s: Limits, solve: Callable[[Floats], tuple[R, Left | None]], used: Mask | None = None
 ) -> Solved[R]:
-    """Solve, and again with the deviations that its residuals have, until these stay.
+    """Solve repeatedly with the deviations estimated from the residuals, until these converge.
 
-    If the residuals are larger than the largest deviations explain, they are not of noise alone:
-    then these are kept.
+    If the residuals are larger than the largest accepted deviations explain, they are not caused by
+    noise alone; the largest accepted deviations are then kept.
 
     Args:
-        s: what is given, and what is believed.
-        solve: with deviations of positions and headings (2,); what is left, None: nothing is known.
-        used: (2,) whether they are observed at all.
+        s: given deviations and limits of the estimated ones.
+        solve: solves with deviations of positions and headings (2,); returns the result and its
+            residuals, or None in their place if these are not known.
+        used: (2,) True if positions, headings are observed.
     """
     noise = assumed(s)
     free = np.array([s.position_deviation == 0.0, s.heading_deviation == 0.0])
@@ -143,9 +146,9 @@ def estimated(
 
 
 def _factors(left: Left, free: Mask) -> tuple[Floats, Floats] | None:
-    """(2,) by what to multiply deviations, and the degrees of freedom; None: too few."""
+    """Return the factors of the deviations (2,) and the degrees of freedom; None: too few."""
     squares, freedom = left
-    if (freedom[free] < FEWEST).any():  # one factor for all
+    if (freedom[free] < FEWEST).any():  # use one factor for both
         squares = np.full(2, np.sum(squares[free]))
         freedom = np.full(2, np.sum(freedom[free]))
     if (freedom[free] < FEWEST).any():

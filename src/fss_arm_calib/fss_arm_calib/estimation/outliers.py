@@ -1,4 +1,4 @@
-"""Solving without data that contradict the others, or with less weight for them."""
+"""Solutions that reject data which contradict the others, or give them less weight."""
 
 from collections.abc import Callable
 from typing import Generic, NamedTuple, Protocol, TypeVar
@@ -7,31 +7,31 @@ import numpy as np
 
 from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE, Floats, Mask
 
-ROUNDS = 20  # of weighing data anew by a robust loss
+ROUNDS = 20  # iterations of the weights of a robust loss
 
 
 class Limits(Protocol):
-    """What may be done about outliers."""
+    """Settings for outliers."""
 
     @property
     def outlier(self) -> float:
-        """The error above which a datum is one, in its deviations."""
+        """Error above which a datum is an outlier, in its deviations."""
 
     @property
     def max_outliers(self) -> int:
-        """Most to reject."""
+        """Largest number of data to reject."""
 
 
 R = TypeVar("R")
 
 
 class Kept(NamedTuple, Generic[R]):
-    """A result, and which of s data it is from."""
+    """Result, with a mask of the s data that it is computed from."""
 
-    result: R  # of those kept
-    mask: Mask  # (s,)
-    reasons: tuple[str, ...]  # (s,) why it was rejected, else empty
-    errors: Floats  # (s,) of each, or when it was rejected [deviations]
+    result: R  # from the data kept
+    mask: Mask  # (s,) True for data kept
+    reasons: tuple[str, ...]  # (s,) why a datum was rejected; empty if it was kept
+    errors: Floats  # (s,) error of each datum; of a rejected one when it was rejected [deviations]
 
 
 def without_outliers(
@@ -41,21 +41,21 @@ def without_outliers(
     fewest: int,
     what: str,
 ) -> Kept[R]:
-    """Solve, and reject as many outliers as allowed, one after the other.
+    """Solve, and reject outliers one by one up to the allowed number.
 
     Args:
-        solve: from data chosen by a mask (size,), the result and the error of each of them.
+        solve: takes a mask (size,) of data; returns the result and the errors of these data.
         size: number of data.
-        limits: what is an outlier, and how many may be rejected.
-        fewest: data that must remain.
-        what: the error is, in words.
+        limits: definition of an outlier, and how many may be rejected.
+        fewest: number of data that must remain.
+        what: name of the error.
     """
     mask, reasons, errors = np.ones(size, dtype=bool), [""] * size, np.zeros(size)
     while True:
         result, errors[mask] = solve(mask)
         worst = int(np.argmax(np.where(mask, errors, 0.0)))
         length, rejected = float(errors[worst]), int(np.sum(~mask))
-        enough = size - rejected > fewest  # to do without one
+        enough = size - rejected > fewest  # one more can be rejected
         if length <= limits.outlier or rejected >= limits.max_outliers or not enough:
             return Kept(result, mask, tuple(reasons), errors)
         mask[worst] = False
@@ -65,16 +65,16 @@ def without_outliers(
 def weighed(
     solve: Callable[[Floats], tuple[R, Floats]], size: int, loss: str
 ) -> tuple[R, Floats, Floats]:
-    """Solve with each datum weighed by a loss of its error against the others.
+    """Solve with each datum weighted by a loss of its error.
 
     Args:
-        solve: by weights (size,), the result and the error of each datum as weighed, each the root
-            mean square of a coordinate.
+        solve: takes weights (size,); returns the result and the weighted error of each datum, the
+            root mean square of its coordinates.
         size: number of data.
-        loss: one of LOSSES, of three coordinates.
+        loss: one of LOSSES, for three coordinates.
 
     Returns:
-        The result, the weights and the errors (size,) in deviations not weighed.
+        The result, the weights and the unweighted errors (size,) in deviations.
     """
     weights = np.ones(size)
     for _ in range(1 if loss == SQUARE else ROUNDS):

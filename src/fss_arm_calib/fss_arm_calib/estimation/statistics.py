@@ -1,4 +1,4 @@
-"""How probable residuals are, and how far data check each other."""
+"""Statistics of residuals: probability, and redundancy of the data."""
 
 from math import inf, isinf, nan
 
@@ -8,18 +8,20 @@ from fss_arm_calib.estimation.least_squares import Floats
 
 
 def root_mean_square(values: Floats) -> float:
-    """About zero, of those that are finite; NaN of none."""
+    """Return the root mean square of the finite values; NaN if there are none."""
     seen = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(seen**2))) if seen.size else nan
 
 
 def probability(chi_square: float, freedom: float, known_by: float = inf) -> float:
-    """Of a sum of squares of normal errors as large as found, or larger; 1 without any freedom.
+    """Return the probability of a sum of squared normal errors at least this large.
+
+    The probability is 1 if there are no degrees of freedom.
 
     Args:
         chi_square: the sum, in deviations.
         freedom: its degrees of freedom.
-        known_by: those by which the deviations were estimated; inf: they are known.
+        known_by: degrees of freedom from which the deviations were estimated; inf: they are known.
     """
     from scipy.special import fdtrc, gammaincc
 
@@ -31,12 +33,12 @@ def probability(chi_square: float, freedom: float, known_by: float = inf) -> flo
 
 
 def as_if_known(error: float, freedom: float, known_by: float) -> float:
-    """An error as improbable in known deviations as this one is in estimated ones.
+    """Return the error in known deviations that has the same probability as this one.
 
     Args:
-        error: length of it, in the deviations.
+        error: length of the error, in estimated deviations.
         freedom: degrees of freedom of its square.
-        known_by: those by which the deviations were estimated; inf: they are known.
+        known_by: degrees of freedom from which the deviations were estimated; inf: they are known.
     """
     from scipy.special import chdtri, fdtrc
 
@@ -47,13 +49,13 @@ def as_if_known(error: float, freedom: float, known_by: float) -> float:
 
 
 def redundancy(hat: Floats) -> Floats:
-    """(s,) what share of an error of a datum shows in its residual at least, squared.
+    """Return the smallest squared share (s,) of a datum's error that its residual shows.
 
-    The least eigenvalue of 1 - hat, of each datum's diagonal block of the hat matrix. An error e
-    (in deviations) along it has a normalized residual of e sqrt(redundancy); 0: it moves the
-    parameters alone.
+    This is the smallest eigenvalue of 1 - hat, for each datum's diagonal block of the hat matrix.
+    An error e (in deviations) along its eigenvector has a normalized residual of
+    e sqrt(redundancy). If the redundancy is 0, the error changes only the parameters.
 
     Args:
-        hat: (s, k, k).
+        hat: (s, k, k) diagonal blocks of the hat matrix.
     """
-    return np.maximum(1.0 - np.linalg.norm(hat, 2, axis=(1, 2)), 0.0)  # but for rounding
+    return np.maximum(1.0 - np.linalg.norm(hat, 2, axis=(1, 2)), 0.0)  # >= 0 despite rounding

@@ -1,1 +1,1 @@
-"""The experiment: which postures and maneuvers, and the node that makes them."""
+"""Experiment: choice of postures and maneuvers, and the node that executes them."""

@@ -1,12 +1,12 @@
-"""Maneuvers worth making: those that determine chosen parameters best, before the arm moves.
+"""Design of maneuvers that determine chosen parameters best, before the arm moves.
 
-Candidates stay within joint limits and torque, off the table's edge and the arm's own links, and
-within a time. One after the other, that one is taken which shrinks the volume of the chosen
-parameters' uncertainty most for the time that it takes, rest included (D-optimality); with a goal,
-the sum of their variances by those asked for (A-optimality), which the worst rules. Errors of what
-is assumed count as well: what no maneuver can mend is not sought. Each maneuver has its start's
-pose and momentum as unknowns, and the table may be tilted: what counts is what a drifting base
-leaves visible.
+Candidates respect the limits of joints, torques and time, and keep clear of the table's edge and of
+the arm's own links. The design is greedy: it adds the candidate that most reduces the volume of the
+chosen parameters' uncertainty per time, rest included (D-optimality). With a goal, it reduces the
+sum of their variances, relative to the requested ones (A-optimality); the worst parameter dominates
+this sum. Errors of assumed parameters are included, so the design does not try to reduce
+uncertainty that no maneuver can reduce. Each maneuver has its initial pose and momentum as
+unknowns, and the table may be tilted, so only information that remains with a drifting base counts.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,14 +31,14 @@ from fss_arm_model.joint_path import Path, path, stack
 from fss_arm_motion.guard import Guard, GuardError
 
 STEP = np.radians(5.0)  # joint angles are multiples of it
-BETWEEN = slice(None, -1), slice(1, None)  # waypoints: where moves begin, and where they end
-ATTEMPTS = 3  # plans for a goal, of which the shortest is taken
+BETWEEN = slice(None, -1), slice(1, None)  # start and end waypoints of the moves
+ATTEMPTS = 3  # number of plans for a goal; the shortest is taken
 
 
 def candidates(
     arm: Arm, begin: Floats, count: int, conditions: Conditions, rng: np.random.Generator
 ) -> list[Planned]:
-    """Random maneuvers from a posture that keep to the conditions, at most so many."""
+    """Draw at most `count` random maneuvers from a posture that satisfy the conditions."""
     found: list[Planned] = []
     guard, left = Guard(arm, conditions), 3 * count
     try:
@@ -72,9 +72,9 @@ def candidates(
 def within(
     guard: Guard, some: Sequence[tuple[str, Floats]], conditions: Conditions
 ) -> list[Planned]:
-    """Of maneuvers, each a kind and waypoints, those that keep to the conditions."""
+    """Select the maneuvers, each a kind and waypoints, that satisfy the conditions."""
     arm, counts = guard.arm, np.array([len(knots) - 1 for _, knots in some])
-    first = np.cumsum(counts) - counts  # of each one's moves, one after the other
+    first = np.cumsum(counts) - counts  # index of each maneuver's first move
     begins, ends = (np.concatenate([knots[part] for _, knots in some]) for part in BETWEEN)
     way = ends - begins
 
@@ -92,7 +92,7 @@ def within(
 
 
 def _clear(guard: Guard, plan: Sequence[Planned]) -> Mask:
-    """Whether the arm stays clear on each maneuver."""
+    """Return a mask of the maneuvers on which the arm stays clear."""
     (law, edges), clear = together(plan), np.empty(len(plan), dtype=bool)
     q, qd = law(edges)
     counts = np.array([len(one.durations) for one in plan])
@@ -104,7 +104,10 @@ def _clear(guard: Guard, plan: Sequence[Planned]) -> Mask:
 
 
 def windowed(plan: Sequence[Planned], settings: DynamicSettings, rest: float) -> tuple[Path, float]:
-    """The paths, knots in the windows before and after them, and independent poses in each."""
+    """Return the paths with marks in the windows before and after each maneuver.
+
+    The second value is the number of independent poses at each mark.
+    """
     window = min(settings.max_duration, (rest - settings.settle_time) / 2.0)
     bins = max(1, round(window / settings.bin))
     middles = window / bins * (np.arange(bins) + 0.5)
@@ -120,14 +123,14 @@ def problem(
     rest: float,
     before: DynamicProblem | None = None,
 ) -> DynamicProblem:
-    """What would be solved after a plan, its poses those predicted for an arm as described.
+    """Return the dynamic problem after a plan, with the poses predicted for the described arm.
 
     Args:
-        arm: as far as it is known.
+        arm: the arm as currently known.
         plan: the maneuvers.
-        settings: what will be estimated and what is known beforehand.
-        rest: before and after a maneuver [s].
-        before: maneuvers made already.
+        settings: parameters to estimate and prior knowledge.
+        rest: rest before and after a maneuver [s].
+        before: maneuvers already executed.
     """
     batch, fresh = windowed(plan, settings, rest)
     sigma = np.tile(pose_deviations(settings) / np.sqrt(fresh), (*batch.marks.shape[:2], 1))
@@ -149,7 +152,7 @@ def expected(
     rest: float,
     before: DynamicProblem | None = None,
 ) -> DynamicResult:
-    """The result to expect of a plan, as `problem` has it: its deviations are what counts."""
+    """Return the expected result of a plan (see `problem`); only its deviations are meaningful."""
     return solve(problem(arm, plan, settings, rest, before), bounded=False)
 
 
@@ -167,24 +170,24 @@ def design(
     progress: Callable[[int], None] = lambda _: None,
     enough: Callable[[Sequence[Planned]], bool] = lambda _: False,
 ) -> list[Planned]:
-    """Maneuvers, each beginning where the last one ended.
+    """Choose maneuvers, each of which starts where the last one ended.
 
     Args:
-        arm: as far as it is known.
-        count: how many, at most.
-        settings: what will be estimated and what is known beforehand.
-        conditions: what maneuvers keep to.
-        chosen: names of the parameters that matter; all that are estimated by default.
-        goal: deviations to come near to, by name; it chooses.
-        before: maneuvers made already.
-        begin: (n) where the arm is [rad]; 0 by default.
-        seed: of the candidates.
-        tried: candidates for each maneuver.
+        arm: the arm as currently known.
+        count: largest number of maneuvers.
+        settings: parameters to estimate and prior knowledge.
+        conditions: conditions that all maneuvers satisfy.
+        chosen: names of the parameters that matter; all estimated ones by default.
+        goal: requested deviations by name; if given, its names replace `chosen`.
+        before: maneuvers already executed.
+        begin: (n) initial posture of the arm [rad]; 0 by default.
+        seed: seed of the random candidates.
+        tried: number of candidates for each maneuver.
         progress: called with the number of maneuvers found.
-        enough: whether a plan so far will do.
+        enough: returns True if a plan suffices; the design then stops.
 
     Raises:
-        NoManeuver: nothing keeps to the conditions.
+        NoManeuver: no candidate satisfies the conditions.
         ValueError: a name is not estimated.
     """
     conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
@@ -235,9 +238,9 @@ def to_goal(
     seed: int = 0,
     progress: Callable[[int], None] = lambda _: None,
 ) -> list[Planned]:
-    """Of several plans that promise the deviations asked for, the one that takes the least time.
+    """Return the shortest of several plans that promise the requested deviations.
 
-    The first one, if none promises them. Arguments and errors are those of `design`.
+    If none promises them, return the first plan. Arguments and errors are those of `design`.
     """
     best: list[Planned] = []
 
@@ -251,17 +254,17 @@ def to_goal(
         )  # fmt: skip
         if plan and (kept(plan) or not best):
             best = plan
-            if kept(plan):  # the next one is to be shorter
+            if kept(plan):  # the next plan must be shorter
                 span = conditions.rest + sum(one.length + conditions.rest for one in plan)
                 conditions = replace(conditions, total=span)
     return best
 
 
 def goal_of(words: str, names: Sequence[str]) -> dict[str, float]:
-    """The deviations asked for, by name, of words as `b_i 0.002 I_4 0.001`, in SI units.
+    """Parse the requested deviations by name, such as `b_i 0.002 I_4 0.001`, in SI units.
 
     Raises:
-        ValueError: a word names nothing estimated, or what follows it is no positive number.
+        ValueError: a word names no estimated parameter, or no positive number follows it.
     """
     goal = dict[str, float]()
     for word, asked in asked_for(words):
@@ -275,15 +278,16 @@ def goal_of(words: str, names: Sequence[str]) -> dict[str, float]:
 
 
 def meets(result: DynamicResult, goal: Mapping[str, float]) -> bool:
-    """Whether the deviations are as small as asked for."""
+    """Return True if the deviations are as small as requested."""
     sigma = dict(zip(result.problem.names, result.deviations, strict=True))
     return all(sigma[name] <= asked for name, asked in goal.items())
 
 
 def _vague(model: DynamicProblem, settings: DynamicSettings) -> Floats:
-    """Information (p + c, p + c) of what is vaguely known where there is no prior.
+    """Return the information (p + c, p + c) of weak priors for parameters without a prior.
 
-    Without it the first few maneuvers, which cannot determine all parameters, had no order.
+    The first few maneuvers cannot determine all parameters. Without weak priors they could not be
+    ranked.
     """
     basis = model.choice.basis
     typical = basis.T @ settings.deviations(model.arm.n) / basis.sum(axis=0)
@@ -293,7 +297,10 @@ def _vague(model: DynamicProblem, settings: DynamicSettings) -> Floats:
 
 
 def _size(covariance: Floats, asked: Floats) -> Floats:
-    """Logarithm of the determinant, or of the sum of variances by those of what is asked for."""
+    """Return the logarithm of the size of a covariance.
+
+    The size is the determinant or, with a goal, the sum of variances relative to requested ones.
+    """
     if len(asked):
         shares = np.diagonal(covariance, axis1=-2, axis2=-1) / asked**2
         return np.asarray(np.log(shares.sum(axis=-1)))

@@ -1,4 +1,4 @@
-"""What the command `design` does."""
+"""Implementation of the command `design`."""
 
 import argparse
 import sys
@@ -37,22 +37,22 @@ from fss_arm_model.description_file import described, from_yaml
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.command_line import in_one_line
 
-MANY = 1000  # maneuvers, more than time allows
+MANY = 1000  # maneuvers, more than the time allows
 
 
 class Before(NamedTuple):
-    """What is known before an experiment."""
+    """Knowledge before an experiment."""
 
     arm: Arm
-    settings: DynamicSettings  # by the noise that there is
-    maneuvers: DynamicProblem | None = None  # made already
+    settings: DynamicSettings  # with the estimated noise, if known
+    maneuvers: DynamicProblem | None = None  # already executed
 
 
 def made(bag: str, arm: Arm, settings: DynamicSettings) -> Before:
-    """What the maneuvers in a bag tell: the arm, if that passes, and the noise.
+    """Return the knowledge from a bag's maneuvers: the noise and, if accepted, the arm.
 
     Raises:
-        BagError: it cannot be read, or none of them can be used.
+        BagError: the bag cannot be read, or none of its maneuvers can be used.
     """
     with open_bags(bag) as bags:
         finder = DYNAMIC.finder(arm, settings, [])
@@ -70,7 +70,7 @@ def made(bag: str, arm: Arm, settings: DynamicSettings) -> Before:
 
 
 def table(plan: Sequence[Planned]) -> report.Table:
-    """The maneuvers of a plan."""
+    """Tabulate the maneuvers of a plan."""
     rows = [
         [str(k), one.kind, f"{one.length:.1f}", "  ".join(
             str(np.degrees(q).round().astype(int).tolist()) for q in one.waypoints[1:])]
@@ -80,7 +80,7 @@ def table(plan: Sequence[Planned]) -> report.Table:
 
 
 def outlook(result: DynamicResult) -> report.Table:
-    """The deviations to expect."""
+    """Tabulate the expected standard deviations."""
     names, units = result.problem.names, result.problem.units
     random = np.sqrt(np.diag(result.random))
     rows = [
@@ -94,7 +94,10 @@ def outlook(result: DynamicResult) -> report.Table:
 
 
 def comparison(arm: Arm, settings: DynamicSettings, given: Conditions, count: int) -> report.Table:
-    """Each kind alone, in as much floating time as `count` of the longest maneuvers take."""
+    """Compare the kinds of maneuvers at equal floating time.
+
+    The time is that of `count` maneuvers of the longest duration.
+    """
     total = count * (given.duration + given.rest)
     names: tuple[str, ...] = ()
     columns, head = [], ["parameter"]
@@ -113,7 +116,7 @@ def comparison(arm: Arm, settings: DynamicSettings, given: Conditions, count: in
 def propose_postures(
     options: argparse.Namespace, arm: Arm, conditions: Conditions, console: Console
 ) -> None:
-    """Postures for the kinematic calibration."""
+    """Propose postures for the kinematic calibration."""
     q = postures.design(arm, options.count, options.seed, settings=conditions)
     result = solve(KinematicProblem(q, tip_in_base(arm.vector(), q), arm, FULL))
     rows = [
@@ -142,7 +145,7 @@ def propose_postures(
 def propose_excitation(
     options: argparse.Namespace, arm: Arm, conditions: Conditions, console: Console
 ) -> None:
-    """Moves of single joints for the estimate of drives."""
+    """Propose moves of single joints for the calibration of drives."""
     plan = excitation(arm, conditions.repeats, conditions, options.seed)
     _show(console, table(plan))
     minutes = sum(one.length + conditions.rest for one in plan) / 60.0
@@ -161,7 +164,7 @@ def _write(
 
 
 def propose(options: argparse.Namespace, console: Console) -> None:
-    """Find maneuvers, say what to expect of them, and write them."""
+    """Choose maneuvers, show the expected deviations, and write the plan."""
     settings = DynamicSettings(
         **{f.name: getattr(options, f.name) for f in fields(DynamicSettings)}
     )
@@ -216,7 +219,10 @@ def propose(options: argparse.Namespace, console: Console) -> None:
 
 
 def missing(result: DynamicResult, plan: Sequence[Planned], goal: Mapping[str, float]) -> str:
-    """By what a goal is missed most, and the assumption that has the largest part in it."""
+    """Return a text with the parameter that misses the goal most, and its main cause.
+
+    The cause is the assumed parameter with the largest influence on it.
+    """
     names = result.problem.names
     k = max(
         (names.index(name) for name in goal), key=lambda k: result.deviations[k] / goal[names[k]]

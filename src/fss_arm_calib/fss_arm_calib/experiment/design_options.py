@@ -1,4 +1,4 @@
-"""Propose maneuvers, or postures, and what to expect of them: the command `design`."""
+"""Propose maneuvers or postures and predict their results: the command `design`."""
 
 import argparse
 
@@ -8,11 +8,11 @@ from fss_arm_calib.experiment.settings import JOINT, KINDS, Conditions
 from fss_arm_ros.command_line import Parser
 
 GUARD = ("table", "base_radius", "link_radius", "margin", "edge_margin")
-CONDITIONS = ("duration", "rest", "repeats", *GUARD)  # that are options
+CONDITIONS = ("duration", "rest", "repeats", *GUARD)  # available as options
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the parser of the command line."""
     p = Parser("design", description=__doc__)
     p.add_argument("--kinematic", action="store_true", help="propose postures to rest in instead")
     p.add_argument("--count", type=int, default=16, help="how many (default: 16)")

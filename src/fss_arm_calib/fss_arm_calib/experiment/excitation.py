@@ -1,8 +1,9 @@
-"""Moves that make the drives' own parameters visible: each joint alone, to and fro.
+"""Excitation of the drives' own parameters: each joint alone moves back and forth.
 
-At speed viscous friction and the torque's scale show, near rest Stribeck's curve; both directions
-tell friction from the torque sensor's zero. Two postures let the other links' pull differ. No two
-moves take the same time, so that slow telemetry meets swinging links at another phase each time.
+Fast moves show viscous friction and the torque's scale, slow moves the Stribeck curve. Moves in
+both directions separate friction from the zero of the torque sensor. Two postures vary the load by
+the other links. All moves have different durations, so that slow telemetry samples the swinging of
+the links at different phases.
 """
 
 import numpy as np
@@ -14,25 +15,25 @@ from fss_arm_model.description import Arm
 from fss_arm_motion.guard import Guard, GuardError
 from fss_arm_motion.guard_settings import GuardSettings
 
-WAYS = (1.2, 0.8, 1.0, 0.3, 0.12, 0.06)  # [rad]
-TIMES = (3.0, 2.4, 4.0, 3.0, 3.0, 3.0)  # of each way [s]
-BENDS = (0.2, 0.7, -1.0, 0.9)  # of the joints of a posture, in turn; of the other one negated [rad]
-UNEVEN = 0.1  # share by which times differ at most
+WAYS = (1.2, 0.8, 1.0, 0.3, 0.12, 0.06)  # amplitudes of the moves [rad]
+TIMES = (3.0, 2.4, 4.0, 3.0, 3.0, 3.0)  # least duration of each move [s]
+BENDS = (0.2, 0.7, -1.0, 0.9)  # joint angles of a posture, cyclic; negated for the other [rad]
+UNEVEN = 0.1  # largest relative variation of the durations
 
 
 def excitation(
     arm: Arm, repeats: int = 1, settings: GuardSettings | None = None, seed: int = 0
 ) -> list[Planned]:
-    """For each posture and joint one maneuver of moves to and fro.
+    """Plan one maneuver of back-and-forth moves for each posture and joint.
 
     Args:
-        arm: whose drives' limits, joints' ranges and clearance are kept to.
-        repeats: of all maneuvers.
-        settings: of the guard; the base is at the table's centre.
-        seed: of the times.
+        arm: the arm, with the limits of its drives and joints.
+        repeats: number of repeats of all maneuvers.
+        settings: settings of the guard; the base is at the table's centre.
+        seed: seed of the durations.
 
     Raises:
-        NoManeuver: a joint cannot move so far, even by less.
+        NoManeuver: a joint cannot move even with reduced amplitudes.
     """
     guard, rng = Guard(arm, settings), np.random.default_rng(seed)
     low, high = (0.95 * np.array([getattr(k, q) for k in arm.links]) for q in ("q_min", "q_max"))
@@ -47,7 +48,11 @@ def excitation(
 def _to_and_fro(
     guard: Guard, begin: Floats, j: int, span: tuple[float, float], rng: np.random.Generator
 ) -> Planned:
-    """The longest ways of a joint, towards its farther end if possible, that keep the arm clear."""
+    """Plan the largest moves of a joint that keep the arm clear, towards its farther limit first.
+
+    Raises:
+        NoManeuver: no moves keep the arm clear.
+    """
     sides = sorted((span[0] - begin[j], span[1] - begin[j]), key=abs, reverse=True)
     for share in (1.0, 0.5, 0.25):
         for side in sides:

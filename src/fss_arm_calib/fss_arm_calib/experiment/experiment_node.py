@@ -1,4 +1,4 @@
-"""The node `experiment`: moves the arm through postures to be observed, or through maneuvers."""
+"""Node `experiment`: moves the arm through postures to be observed, or through maneuvers."""
 
 import sys
 import time
@@ -43,36 +43,38 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.validation import subscribe
 
-ROUNDS = 3  # of repeating the rejected rests, or a maneuver, at most
-STALL = 2.0  # of this process, after which only a person has the arm move on [s]
+ROUNDS = 3  # largest number of repeats of the rejected rests, or of a maneuver
+STALL = 2.0  # longest tolerated stall of this process [s]; then only the operator may resume
 
 
 @dataclass
 class Progress:
-    """How far the experiment is."""
+    """Progress of the experiment."""
 
-    begun: int = 0  # stamp [ns], 0: not yet; what was observed before does not count
-    done: int = 0  # postures
+    begun: int = 0  # start time [ns], 0: not started; earlier observations are ignored
+    done: int = 0  # number of completed postures
 
 
 class Stop(NamedTuple):
-    """Where the arm is to go."""
+    """Posture that the arm moves to."""
 
     q: Floats  # (n) [rad]
-    duration: float = 0.0  # of the move there [s]; 0: as fast as the arm's limits allow
-    pause: float = -1.0  # rest there [s]; < 0: until it has been observed
+    duration: float = 0.0  # duration of the move [s]; 0: as fast as the arm's limits allow
+    pause: float = -1.0  # rest at the posture [s]; < 0: until it has been observed
 
 
 class ExperimentNode(Node):
-    """Takes the arm through a list of postures, or of maneuvers, and ends when all are done.
+    """Node that moves the arm through a list of postures or maneuvers, and then exits.
 
-    Each posture is left when it has been observed, or after a rest if nobody observes; a maneuver
-    goes from one posture to the next at once, and ends with a pause. If somebody observes, what
-    is rejected for a gap is repeated; a maneuver after going back the way it came. With a `goal` it
-    ends sooner, as soon as a calibration that passes knows what is asked for; and if none does at
-    its end, it fails. It never arms a
-    link: until somebody has, as after any failed or lost move, it asks for the move again. It ends
-    if its process stood still, as the arm has stopped then, and nobody may expect it to move on.
+    The arm leaves a posture when it has been observed, or after a rest if no calibration node
+    observes. A maneuver goes from one posture to the next at once, and ends with a pause. If a
+    calibration node observes, rejected rests and maneuvers are repeated; before a maneuver is
+    repeated, the arm goes back the same way. With a `goal`, the node stops early, as soon as a
+    calibration passes with the requested deviations. If none does by the end, the node fails.
+
+    The node never arms a link. Until the operator has armed the links, and after a failed or lost
+    move, it requests the move again. It exits if its process was stalled: the arm has stopped by
+    then, and must not resume unexpectedly.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -83,20 +85,20 @@ class ExperimentNode(Node):
         self.promised = plan.get("promised", {})  # deviations, by name
         self.writes = state.Writes(self.get_logger())
         self.progress = self.restore()
-        self.progress.done = min(self.progress.done, len(self.stops))  # less what was repeated
+        self.progress.done = min(self.progress.done, len(self.stops))  # without repeated rests
         self.mover = ActionClient(self, MoveArm, "arm/move")
         self.alive = self.create_publisher(UUID, "arm/move/alive", 10)
-        self.ticked = 0.0  # in real time [s]
+        self.ticked = 0.0  # real time of the last tick [s]
         self.observed: list[tuple[int, tuple[float, ...]]] = []  # end [ns], readings [rad]
         self.rejected: list[Floats] = []  # readings [rad]
-        self.rounds = 0  # of repeating all rejected rests, or the present maneuver
-        self.observer = False  # somebody observes
-        self.seen: list[tuple[int, str]] = []  # maneuvers' ends [ns], and why rejected
-        self.departed = 0  # end of the last pause, or when it began [ns]
-        self.reached = ""  # how well the goal's parameters are known
-        self.met = False  # as well as asked for
-        self.solved = 0  # end of the last datum that is known of [ns]
-        self.way_back: deque[Stop] = deque()  # to where a maneuver began that is to be repeated
+        self.rounds = 0  # repeats of all rejected rests, or of the current maneuver
+        self.observer = False  # True once a calibration node publishes observations
+        self.seen: list[tuple[int, str]] = []  # end [ns] and rejection reason of each maneuver
+        self.departed = 0  # end of the last pause, or start of the experiment [ns]
+        self.reached = ""  # text with the deviations of the goal's parameters
+        self.met = False  # True if the goal is met
+        self.solved = 0  # stamp of the last calibration result: end of its data [ns]
+        self.way_back: deque[Stop] = deque()  # back to the start of a maneuver to repeat
         subscribe(
             self, KinematicObservations, "calibration/observations", self.on_observations, LATCHED
         )
@@ -106,14 +108,14 @@ class ExperimentNode(Node):
             topic = f"calibration/{'dynamic' if s.maneuvers else 'kinematic'}"
             subscribe(self, kind, topic, self.on_result, LATCHED)
         self.phase: Callable[[int], None] = self.go
-        self.since = 0  # start of the phase, or of the last sign of life in it [ns]
+        self.since = 0  # start of the phase, or last feedback in it [ns]
         self.goal, self.outcome = Future(), Future()
         self.said = ""
         self.create_timer(0.1, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health)
 
     def restore(self) -> Progress:
-        """Where a run before this one came to."""
+        """Read the progress of a previous run."""
         path = self.settings.state_file
         try:
             progress = Progress(**state.read(path, {})) if path else Progress()
@@ -124,13 +126,13 @@ class ExperimentNode(Node):
         return progress
 
     def save(self) -> None:
-        """Keep the progress for a run after this one."""
+        """Save the progress for a later run."""
         if path := self.settings.state_file:
             self.writes.trouble = ""
             self.writes(lambda: state.write(path, asdict(self.progress)))
 
     def on_observations(self, message: KinematicObservations) -> None:
-        """What has been observed so far."""
+        """Store the observations received."""
         self.observed = [(stamp_ns(o.end), tuple(o.q)) for o in message.observations if o.used]
         self.rejected = [
             np.array(o.q)
@@ -139,11 +141,11 @@ class ExperimentNode(Node):
         ]
 
     def on_maneuvers(self, message: Maneuvers) -> None:
-        """What has been observed so far of maneuvers."""
+        """Store the end and the rejection reason of the maneuvers received."""
         self.seen = [(stamp_ns(m.end), "" if m.used else m.reason) for m in message.maneuvers]
 
     def on_result(self, message: Any) -> None:
-        """How well the calibration knows what the goal asks for."""
+        """Compare a calibration result with the goal."""
         result = common(message)
         self.solved = stamp_ns(result.header.stamp)
         try:
@@ -161,15 +163,15 @@ class ExperimentNode(Node):
 
     @property
     def stop(self) -> Stop:
-        """Where it goes, or is."""
+        """Current stop, which the arm moves to or is at."""
         return self.way_back[0] if self.way_back else self.stops[self.progress.done]
 
     def tick(self) -> None:
-        """Ten times a second, go on with whatever is next."""
+        """Run the current phase, ten times per second."""
         self.show_life()
         now = self.now()
         if not now:
-            return  # simulated time has not begun
+            return  # simulated time has not started
         if not self.progress.begun:
             self.progress.begun = now
             self.save()
@@ -186,7 +188,10 @@ class ExperimentNode(Node):
             self.end(now)
 
     def end(self, now: int) -> None:
-        """All is done; a goal is met by now, or as soon as the last data are solved from."""
+        """Exit after the last posture, with failure if a goal is not met.
+
+        If there is a goal, first wait until the calibration has used the last data.
+        """
         s, waited = self.settings, now - self.departed
         ends = [end for end, _ in self.observed] + [end for end, why in self.seen if not why]
         behind = self.solved < max(ends, default=0)
@@ -199,12 +204,12 @@ class ExperimentNode(Node):
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing is under way: neither a move nor the rest of a maneuver."""
+        """True if neither a move nor a maneuver is in progress."""
         before = self.stops[self.progress.done - 1] if self.progress.done else None
         return self.phase == self.go and not self.way_back and (not before or before.pause != 0.0)
 
     def show_life(self) -> None:
-        """Keep the move under way alive, unless this process has stood still."""
+        """Publish the keep-alive of the current move, or exit if this process was stalled."""
         before, self.ticked = self.ticked, time.monotonic()
         if before and (late := self.ticked - before) > STALL:
             left = self.unfinished() or "at the end"
@@ -213,14 +218,17 @@ class ExperimentNode(Node):
             self.alive.publish(self.goal.result().goal_id)
 
     def unfinished(self) -> str:
-        """How far it is, unless it is done."""
+        """Return the progress as text, or an empty string if all postures are done."""
         done, path = self.progress.done, self.settings.state_file
         later = f"goes on from {path}" if path else "begins anew, as there is no state_file"
         words = f"after {done} of {len(self.stops)} postures; the next run {later}"
         return words if done < len(self.stops) else ""
 
     def repeat(self) -> bool:
-        """Go again to where a rest was rejected, as the verdict asks for it."""
+        """Append the postures of rejected rests; return True if there are any.
+
+        The verdict of the calibration requires that these rests are repeated.
+        """
         missing = [
             q
             for q in self.rejected
@@ -236,7 +244,7 @@ class ExperimentNode(Node):
         return True
 
     def go(self, now: int) -> None:
-        """Ask for the move to the next posture."""
+        """Request the move to the next posture."""
         if not self.waited(now, self.settings.retry):
             return
         if not self.mover.server_is_ready():
@@ -250,7 +258,7 @@ class ExperimentNode(Node):
         self.enter(self.move, now)
 
     def on_answer(self, answer: Future) -> None:
-        """The goal is accepted: its result will come; or it makes no sense to this arm."""
+        """Wait for the result if the goal is accepted; retry if it is rejected."""
         if answer is self.goal and answer.result().accepted:
             self.outcome = answer.result().get_result_async()
         elif answer is self.goal:
@@ -258,7 +266,7 @@ class ExperimentNode(Node):
             self.enter(self.go, self.now())
 
     def on_feedback(self, _: Any) -> None:
-        """The move is under way, unless it is one given up before."""
+        """Log the current move and reset its timeout."""
         if self.phase != self.move:
             return
         self.since = self.now()
@@ -266,7 +274,7 @@ class ExperimentNode(Node):
         self.say(f"{self.title}: moving to {degrees.tolist()} degrees")
 
     def move(self, now: int) -> None:
-        """Await the end of the move."""
+        """Wait for the end of the move."""
         if self.outcome.done():
             result = self.outcome.result().result
             if result.reached:
@@ -279,7 +287,7 @@ class ExperimentNode(Node):
             self.enter(self.go, now)
 
     def watch(self, now: int) -> None:
-        """Await the observation."""
+        """Wait for the observation."""
         posture, _, pause = self.stop
         if pause >= 0.0:
             if self.waited(now, pause):
@@ -296,7 +304,7 @@ class ExperimentNode(Node):
             self.leave("done, nobody observes")
 
     def conclude(self, now: int) -> None:
-        """Go on if the maneuver that ends here has been observed, back if it was rejected."""
+        """Continue if the maneuver that ends here was observed; go back if it was rejected."""
         stop, first = self.stop, self.began
         planned = stop.pause > 0.0 and self.progress.done > 0 and not self.way_back
         reasons = [reason for end, reason in self.seen if end >= self.departed]
@@ -314,11 +322,11 @@ class ExperimentNode(Node):
 
     @property
     def began(self) -> int:
-        """Where the present maneuver began: the last posture before it with a pause."""
+        """Index of the posture where the current maneuver started: the last one with a pause."""
         return max((k for k in range(self.progress.done) if self.stops[k].pause), default=0)
 
     def leave(self, how: str) -> None:
-        """Go on to the next posture."""
+        """Continue with the next posture."""
         self.say(f"{self.title}: {how}")
         if self.stop.pause:
             self.departed = self.now()
@@ -331,39 +339,39 @@ class ExperimentNode(Node):
         self.enter(self.go, 0)
 
     def enter(self, phase: Callable[[int], None], now: int) -> None:
-        """Begin a phase; a start of 0 makes any wait be over."""
+        """Enter a phase; with now = 0, all its waiting times have already passed."""
         self.phase, self.since = phase, now
 
     def waited(self, now: int, seconds: float) -> bool:
-        """Whether the phase lasts longer than that, or time has jumped back."""
+        """Return True if the phase is older than `seconds`, or if time has jumped back."""
         return not 0 <= now - self.since < seconds * SECOND
 
     def now(self) -> int:
-        """The node's clock [ns]; 0 before simulated time begins."""
+        """Return the time of the node's clock [ns]; 0 before simulated time starts."""
         return int(self.get_clock().now().nanoseconds)
 
     @property
     def title(self) -> str:
-        """Which posture it is."""
+        """Text that names the current posture."""
         return f"posture {self.progress.done + 1} of {len(self.stops)}"
 
     def say(self, text: str) -> None:
-        """Log what is new."""
+        """Log a text if it differs from the last one."""
         if text != self.said:
             self.said = text
             self.get_logger().info(text)
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the status for diagnostics."""
         trouble, values = self.writes.trouble, {"postures done": self.progress.done}
         return Health(WARN if trouble else OK, trouble or self.said or "starting", values)
 
 
 def stops(settings: ExperimentSettings) -> list[Stop]:
-    """Where to go, one after the other.
+    """Return the stops in order.
 
     Raises:
-        ValueError: they do not suit the arm, or the way from one to the next is not clear.
+        ValueError: the stops do not match the arm, or a move between two of them is not clear.
         OSError: a file cannot be read.
     """
     s = settings
@@ -380,7 +388,7 @@ def stops(settings: ExperimentSettings) -> list[Stop]:
 
 
 def through(plan: Sequence[Planned], pause: float) -> list[Stop]:
-    """The postures of maneuvers: a pause before the first and after each."""
+    """Return the stops of maneuvers, with a pause before the first and after each."""
     found = [Stop(plan[0].waypoints[0], 0.0, pause)] if plan else []
     for one in plan:
         moves = zip(one.waypoints[1:], one.durations.tolist(), strict=True)
@@ -390,7 +398,7 @@ def through(plan: Sequence[Planned], pause: float) -> list[Stop]:
 
 
 def back(stops: Sequence[Stop]) -> deque[Stop]:
-    """From the last of some postures to the first, as one went from the first to the last."""
+    """Return the stops of the way back, from the last to the first with the same durations."""
     found = deque(Stop(a.q, b.duration, 0.0) for a, b in pairwise(stops))
     found.reverse()
     found[-1] = found[-1]._replace(pause=stops[0].pause)

@@ -1,7 +1,7 @@
-"""Maneuvers to make, and the file that a plan of them is.
+"""Planned maneuvers, and the file format of a plan.
 
-A maneuver is a sequence of straight moves in joint space, each from rest to rest with the trapezoid
-of the drives.
+A maneuver is a sequence of straight moves in joint space. Each move is from rest to rest, with the
+trapezoidal speed profile of the drives.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,39 +19,39 @@ from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.free_floating import free_torques
 from fss_arm_model.joint_path import Law
 
-RAMP = 1.0 / 3.0  # share of a move's time in which it accelerates, and again decelerates
-PAUSE = 0.5  # between two moves of a maneuver, in which the arm is found to have arrived [s]
-STRENGTH = 0.7  # of the drives' torque, to leave them some to correct with
+RAMP = 1.0 / 3.0  # share of a move's time for acceleration, and the same for deceleration
+PAUSE = 0.5  # time between two moves of a maneuver, to detect that the arm has arrived [s]
+STRENGTH = 0.7  # share of the drives' torque that a plan may use; the rest is for control
 
 
 class NoManeuver(ValueError):  # noqa: N818
-    """No maneuver keeps to the conditions."""
+    """Error raised if no maneuver satisfies the conditions."""
 
 
 @dataclass(frozen=True)
 class Planned:
-    """A maneuver to make."""
+    """Planned maneuver."""
 
     kind: str
-    waypoints: Floats  # (w + 1, n) joint readings, the first is where it begins [rad]
-    durations: Floats  # (w,) of each move [s]
+    waypoints: Floats  # (w + 1, n) joint readings, the first is the start [rad]
+    durations: Floats  # (w,) duration of each move [s]
 
     @cached_property
     def length(self) -> float:
-        """How long it takes [s]."""
+        """Duration of the maneuver [s]."""
         return float(self.durations.sum() + PAUSE * (len(self.durations) - 1))
 
     def law(self) -> tuple[Law, Floats]:
-        """Angles and rates over time, and the times between which they are smooth."""
+        """Return angles and rates as a function of time, and the edges of its smooth parts."""
         return moves(self.waypoints, self.durations)
 
 
 def moves(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
-    """Angles and rates over time of one move after the other, and what times they are smooth from.
+    """Return angles and rates of successive moves over time, and the edges of smooth parts.
 
     Args:
-        waypoints: (..., w + 1, n) [rad].
-        durations: (..., w) of each move [s]; infinite of those that only fill up a batch.
+        waypoints: (..., w + 1, n) joint readings [rad].
+        durations: (..., w) duration of each move [s]; infinite for padding of a batch.
     """
     way, real = np.diff(waypoints, axis=-2), np.isfinite(durations)
     begins = np.cumsum(durations + PAUSE, axis=-1)
@@ -59,7 +59,7 @@ def moves(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
     n, first = way.shape[-1], np.arange(durations[..., 0].size).reshape(*durations.shape[:-1], 1)
 
     def law(t: Floats) -> tuple[Floats, Floats]:
-        k = first * durations.shape[-1]  # which move is on, of all in the batch
+        k = first * durations.shape[-1]  # index of the current move in the batch
         for begin in np.moveaxis(begins[..., 1:], -1, 0):
             k = k + (t >= begin[..., None])
         k = np.broadcast_to(k, t.shape)
@@ -76,7 +76,7 @@ def moves(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
 
 
 def together(plan: Sequence[Planned]) -> tuple[Law, Floats]:
-    """The same for each of several maneuvers, as one batch; times that fill it up are 0."""
+    """Return the law and edges of several maneuvers as one batch; padded edges are 0."""
     counts = np.array([len(one.durations) for one in plan])
     k = np.arange(counts.max() + 1)
     durations = np.full((len(plan), counts.max()), inf)
@@ -87,7 +87,7 @@ def together(plan: Sequence[Planned]) -> tuple[Law, Floats]:
 
 
 def profile(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Way from 0 to 1 of a move, its rate and acceleration, over the share x of its time."""
+    """Return position (0 to 1), rate and acceleration of a move at the share x of its time."""
     x = np.clip(x, 0.0, 1.0)
     top = 1.0 / (1.0 - RAMP)
     y = np.minimum(x, 1.0 - x)
@@ -99,12 +99,12 @@ def profile(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def torques(arm: Arm, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-    """Joint torques of the floating arm without momentum, (..., n) each [N m]."""
+    """Return the joint torques of the floating arm without momentum, (..., n) [N m]."""
     return free_torques(arm.vector(), q, qd, qdd)[0]
 
 
 def least_time(arm: Arm, way: Floats) -> Floats:
-    """How long moves by `way` (..., n) take by the drives' speed and acceleration alone [s]."""
+    """Return the least time of moves by `way` (..., n), limited by speed and acceleration [s]."""
     top = 1.0 / (1.0 - RAMP)
     speeds = np.array([link.drive.max_velocity for link in arm.links])
     gains = np.array([link.drive.max_acceleration for link in arm.links])
@@ -114,9 +114,9 @@ def least_time(arm: Arm, way: Floats) -> Floats:
 
 
 def timed(arm: Arm, begin: Floats, end: Floats) -> Floats:
-    """The shortest times for moves (..., n) that the drives' torque allows, too, (...) [s].
+    """Return the least time of moves (..., n), also limited by the drives' torque, (...) [s].
 
-    Without momentum the torques of a path scale with the inverse square of its time.
+    Without momentum, the torques of a path scale with the inverse square of its duration.
     """
     limits = STRENGTH * np.array(
         [link.drive.torque_constant * link.drive.max_current for link in arm.links]
@@ -129,7 +129,7 @@ def timed(arm: Arm, begin: Floats, end: Floats) -> Floats:
 
 
 def to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None) -> str:
-    """A plan as `experiment` reads it, and the deviations it promises for a report to compare."""
+    """Write a plan for `experiment`, with the promised deviations for a later report."""
     rows = [
         {
             "kind": one.kind,
@@ -145,11 +145,11 @@ def to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None
 
 
 def read(path: str | Path, n: int) -> list[Planned]:
-    """The plan that a file has, as to_yaml wrote it.
+    """Read a plan from a file written by to_yaml.
 
     Raises:
-        ContentError: it is something else, or for another number of joints.
-        OSError: it cannot be read.
+        ContentError: the file is not a plan, or has another number of joints.
+        OSError: the file cannot be read.
     """
     given = read_yaml(Path(path))
     rows = given.get("maneuvers") if isinstance(given, dict) else None

@@ -1,4 +1,4 @@
-"""Postures to observe: those that determine the parameters best, in an order of short moves."""
+"""Postures that determine the kinematic parameters best, in an order of short moves."""
 
 from itertools import combinations, pairwise
 
@@ -11,10 +11,10 @@ from fss_arm_model.kinematics import tip_regressor
 from fss_arm_motion.guard import Guard, GuardError
 from fss_arm_motion.guard_settings import GuardSettings
 
-APART = np.radians(45.0)  # two postures differ by as much in some joint at least
-ROUNDS = 20  # of exchanges at most: about five are enough, unless too many crowd a single joint
+APART = np.radians(45.0)  # least difference of two postures in at least one joint
+ROUNDS = 20  # most rounds of exchanges: about five suffice, except for many postures of one joint
 
-#: What design(paper_arm(), seed=5) finds, for the paper's arm and those like it, (13, 4) [rad].
+#: Result of design(paper_arm(), seed=5), for the paper's arm and similar ones, (13, 4) [rad].
 DEFAULT: Floats = np.radians(
     [
         [0, -5, 10, 10],
@@ -35,7 +35,7 @@ DEFAULT: Floats = np.radians(
 
 
 def default(arm: Arm, settings: GuardSettings | None = None) -> Floats:
-    """Postures for an arm: the table above for four links, else designed for it, (s, n) [rad]."""
+    """Return postures for an arm, (s, n) [rad]: DEFAULT for four links, else a design for it."""
     return DEFAULT if arm.n == 4 else design(arm, max(13, 2 * arm.n + 2), settings=settings)
 
 
@@ -49,17 +49,17 @@ def design(
 ) -> Floats:
     """Choose postures by their joint information about all 2n+2 parameters (D-optimality).
 
-    From seeded random candidates within the joints' limits and +-`reach`, in which the guard finds
-    the arm clear of itself and the base, one posture after the other is exchanged for the candidate
-    that raises det(Phi' W Phi) most among those APART from the others, until none does, or for
-    ROUNDS. The first is the candidate nearest to zero. The order then is a short way through them,
-    in moves that keep clear as well.
+    Candidates are seeded random postures within the joints' limits and +-`reach`, for which the
+    guard finds the arm clear of itself and of the base. One posture after the other is replaced by
+    the candidate that increases det(Phi' W Phi) most, among those that are APART from the others.
+    This is repeated until nothing changes, at most ROUNDS times. The first posture is the candidate
+    nearest to zero. Finally the postures are put in an order of short moves that keep clear, too.
 
     Returns:
-        (count, n) [rad], in whole multiples of 5 degrees.
+        (count, n) postures [rad], in whole multiples of 5 degrees.
 
     Raises:
-        ValueError: too few candidates keep clear.
+        ValueError: too few candidates keep the arm clear.
     """
     step = np.radians(5.0)
     low = np.ceil(np.maximum([k.q_min for k in arm.links], -reach) / step)
@@ -79,7 +79,7 @@ def design(
         before = list(chosen)
         for k in range(1, count):
             others = information[chosen[:k] + chosen[k + 1 :]].sum(axis=0)
-            # det(A + Phi' Phi) = det(A) det(1 + Phi A^-1 Phi'), A kept regular from the start
+            # det(A + Phi' Phi) = det(A) det(1 + Phi A^-1 Phi'), with A regularized
             inverse = np.linalg.inv(others + 1e-6 * np.eye(len(others)))
             gain = np.linalg.det(np.eye(3) + Phi @ inverse @ np.swapaxes(Phi, 1, 2))
             gain[~_apart(q, q[chosen[:k] + chosen[k + 1 :]])] = 0.0
@@ -90,16 +90,16 @@ def design(
 
 
 def _apart(q: Floats, others: Floats) -> np.ndarray:
-    """Which postures differ from all others by APART in some joint at least, (c,).
+    """Return a mask (c,) of postures that differ from all others by APART in at least one joint.
 
-    Where there is none, as with few joints and many postures, less will do.
+    If there is none, as with few joints and many postures, the limit is smaller.
     """
     nearest = np.min(np.max(np.abs(q[:, None] - others), axis=-1), axis=1)
     return nearest >= min(APART, np.max(nearest))
 
 
 def clear(guard: Guard, begin: Floats, end: Floats) -> bool:
-    """Whether a straight move between two postures (n) keeps the arm clear of itself."""
+    """Return True if a straight move between two postures (n) keeps the arm clear of itself."""
     try:
         guard.check_path((0.0, 1.0), (begin, end), np.zeros((2, len(begin))))
     except GuardError:
@@ -108,7 +108,7 @@ def clear(guard: Guard, begin: Floats, end: Floats) -> bool:
 
 
 def _short_way(guard: Guard, q: Floats) -> list[int]:
-    """An order of postures, the first staying first, improved by reversing parts of it (2-opt)."""
+    """Return a short order of postures by 2-opt (reversal of parts); the first stays first."""
     cost = np.zeros((len(q), len(q)))
     for i, j in combinations(range(len(q)), 2):
         blocked = not clear(guard, q[i], q[j])

@@ -1,4 +1,4 @@
-"""The parameters of the experiment, and what its maneuvers must keep to."""
+"""Parameters of the experiment, and conditions on its maneuvers."""
 
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -19,11 +19,11 @@ from fss_arm_motion.guard_settings import GuardSettings
 
 SINGLE, SWEEP, LOOP = "single", "sweep", "loop"
 KINDS = (SINGLE, SWEEP, LOOP)
-JOINT = "joint"  # kind of maneuvers that show the drives
+JOINT = "joint"  # kind of maneuvers for the calibration of drives
 
 
 def asked_for(goal: str) -> list[tuple[str, float]]:
-    """The names and deviations of a goal, as `b_i 0.002 I_4 0.001`.
+    """Parse the names and deviations of a goal, such as `b_i 0.002 I_4 0.001`.
 
     Raises:
         SettingError: a name is not followed by a positive number.
@@ -42,7 +42,7 @@ def asked_for(goal: str) -> list[tuple[str, float]]:
 
 @dataclass(frozen=True)
 class ExperimentSettings(Settings):
-    """The parameters of an ExperimentNode."""
+    """Parameters of an ExperimentNode."""
 
     arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
     postures: tuple[float, ...] = setting(
@@ -83,7 +83,10 @@ class ExperimentSettings(Settings):
         asked_for(self.goal)
 
     def guarded(self) -> GuardSettings:
-        """What keeps the arm clear of itself; where the base is, the experiment does not know."""
+        """Return the guard settings that keep the arm clear of itself.
+
+        The experiment does not know where the base is on the table.
+        """
         return GuardSettings(
             base_radius=self.base_radius, link_radius=self.link_radius, margin=self.margin
         )
@@ -91,7 +94,7 @@ class ExperimentSettings(Settings):
 
 @dataclass(frozen=True)
 class Conditions(GuardSettings):
-    """What a maneuver must keep to; the base begins at rest at the table's centre.
+    """Conditions on a maneuver; the base starts at rest at the table's centre.
 
     Raises:
         SettingError: a condition is impossible.

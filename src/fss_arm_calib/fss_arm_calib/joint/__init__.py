@@ -1,1 +1,1 @@
-"""The joint estimate: one arm from all data of many sessions, with one covariance."""
+"""Joint estimate: one arm from all data of many sessions, with one covariance."""

@@ -1,4 +1,4 @@
-"""What a joint estimate concludes from the data of several sessions."""
+"""Joint estimate from the data of several sessions: the solution and its checks."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -42,19 +42,19 @@ UNITS = {"torque": "N m", "twist_damping": "N m s", "drag": "N s/m"}
 
 @dataclass(frozen=True)
 class Session:
-    """Data between which neither tilt, hose nor a joint's zero changed, by kind."""
+    """Data by kind, all recorded with the same tilt, hose and joint zeros."""
 
     name: str
     data: Mapping[str, Sequence[Any]]
     streams: Mapping[str, Streams] = field(default_factory=dict)
 
     def of(self, kind: str) -> Streams:
-        """What happened to the streams that data of a kind are from."""
+        """Return the events in the streams that data of a kind come from."""
         return self.streams.get(kind, Streams())
 
 
 def split(session: Session) -> Iterator[Session]:
-    """Sessions in each of which no joint was homed, by what rests tell of that."""
+    """Split a session where a rest shows that a joint was homed."""
     rests = [one for one in session.data.get("kinematic", ()) if one.used]
     cuts = [b.start for a, b in pairwise(rests) if homed(a, b)]
     for k, (begin, end) in enumerate(zip([0, *cuts], [*cuts, 2**63], strict=True), 1):
@@ -68,16 +68,19 @@ def split(session: Session) -> Iterator[Session]:
 
 @dataclass(frozen=True)
 class Stage:
-    """What the calibrations of single kinds made of a session, one after the other."""
+    """Results of the single calibrations of a session, one after the other."""
 
-    arm: Arm  # that those which passed leave
-    used: dict[str, list[Any]]  # data that they did not reject
+    arm: Arm  # with the results of the calibrations that passed
+    used: dict[str, list[Any]]  # data that were not rejected
     outcomes: dict[str, Outcome[Any, Any]]
-    settings: dict[str, Any]  # of each kind, with the deviations that it found of observations
+    settings: dict[str, Any]  # of each kind, with the estimated deviations of observations
 
 
 def stages(session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]) -> Stage:
-    """Each kind of calibration of a session's data, where it can beginning from the one before."""
+    """Run each kind of calibration on a session's data.
+
+    Each starts from the arm of the last calibration that passed.
+    """
     used, outcomes, known = {}, {}, dict(settings)
     for name, kind in kinds.items():
         data = session.data.get(name, ())
@@ -88,32 +91,32 @@ def stages(session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]
         kept = weights > 0.0 if len(weights) else np.ones(len(outcome.used), dtype=bool)
         used[name] = [one for one, well in zip(outcome.used, kept, strict=True) if well]
         outcomes[name] = outcome
-        if noise := getattr(outcome.solution, "noise", None):  # those of drifts are given
+        if noise := getattr(outcome.solution, "noise", None):  # drifts have given deviations
             known[name] = noise.given_to(settings[name])
         arm = from_yaml(outcome.description) if outcome.description else arm
     return Stage(arm, used, outcomes, known)
 
 
 class Own(NamedTuple):
-    """A parameter that a session has for its own."""
+    """Parameter of a single session."""
 
     session: str
     name: str
     unit: str
-    value: float  # of a joint's zero, against that of the last session
+    value: float  # for a joint's zero, relative to the last session
     deviation: float
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A result, and the sessions that it is from."""
+    """Result, and the sessions that it uses."""
 
     result: JointResult
     sessions: tuple[str, ...]
-    number: tuple[dict[str, int], ...]  # of data by kind that each contributes
+    number: tuple[dict[str, int], ...]  # number of data by kind, for each session
 
     def own(self) -> Iterator[Own]:
-        """What each session had for its own."""
+        """Yield the parameters of each session."""
         for k, session in enumerate(self.sessions):
             names, (values, deviations) = self.result.problem.own_names(k), self.result.session(k)
             for name, *numbers in zip(names, values.tolist(), deviations.tolist(), strict=True):
@@ -128,18 +131,18 @@ def problem_of(
     settings: Mapping[str, Any],
     own: Sequence[Mapping[str, Any]] = (),
 ) -> JointProblem:
-    """The problem that the data of sessions make.
+    """Return the joint problem of the data of all sessions.
 
     Args:
         used: the data of each session, by kind.
         arm: the initial guess.
-        s: what is known.
-        kinds: of calibration, the table.
-        settings: of the kinds.
-        own: settings of each session, if they differ in the deviations of its observations.
+        s: prior knowledge.
+        kinds: table of the calibration kinds.
+        settings: settings of the kinds.
+        own: settings of each session, if the deviations of observations differ between sessions.
 
     Raises:
-        ValueError: data and arm do not fit.
+        ValueError: the data do not match the arm.
     """
     sessions = []
     for data, its in zip(used, own or len(used) * [settings], strict=True):
@@ -162,7 +165,7 @@ def problem_of(
 
 
 def begin(problem: JointProblem, arms: Sequence[Arm]) -> Floats:
-    """All unknowns to begin with, from the arms that stages found in the sessions."""
+    """Return initial values of all unknowns, from the arms that the stages found per session."""
     n, last = problem.arm.n, arms[-1]
     zeros = [*range(4 + n, 3 + 2 * n), 2 * n + 5]
     moved = []
@@ -186,14 +189,14 @@ def calibrate(
 
     Args:
         sessions: in order of time.
-        arm: the initial guess, and what is known of it.
-        settings: what is known, and criteria.
-        kinds: of calibration, the table.
-        of_kinds: their settings.
-        source: of the data.
+        arm: the initial guess, with its covariance.
+        settings: prior knowledge and criteria.
+        kinds: table of the calibration kinds.
+        of_kinds: settings of the kinds.
+        source: name of the source of the data.
 
     Raises:
-        ValueError: data and arm do not fit, or a setting is impossible.
+        ValueError: the data do not match the arm, or a setting is impossible.
     """
     s = settings
     kinematic = replace(of_kinds["kinematic"], theta_e=s.theta_e)
@@ -239,7 +242,7 @@ def _end(one: Datum) -> int:
 
 
 def _clocks(sessions: Sequence[Session], of_kinds: Mapping[str, Any]) -> Check:
-    """Whether no clock ran back so far that it may have hidden what happened, in any session."""
+    """Check that no clock of any session jumped back by so much that events may be hidden."""
     every = (
         clocks_kept(streams, of_kinds[kind].joint_gap)
         for session in sessions
@@ -255,7 +258,7 @@ def _numbers(used: Sequence[Mapping[str, Sequence[Any]]], kinds: Kinds) -> str:
 
 
 def _told(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
-    """All settings, as YAML."""
+    """Write all settings as YAML."""
     kinds = ((name, type(one), one) for name, one in of_kinds.items())
     told = {
         name: {f.name: getattr(one, f.name) for f in fields(kind)}
@@ -265,7 +268,7 @@ def _told(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
 
 
 def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
-    """The checks of a result."""
+    """Evaluate the checks of a result."""
     m, problem = r.minimum, r.problem
     held = r.at_bound
     words = f"at the bound of what is possible: {', '.join(held)}" if held else ""
@@ -293,7 +296,7 @@ def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
 
 
 def _precise(r: JointResult, s: JointSettings) -> Check:
-    """The parameter known worst against what is asked."""
+    """Check the least certain parameter against the required precision."""
     sigma, units = np.sqrt(np.diag(r.covariance)), np.array(r.problem.units)
     limits = np.select(
         [np.isin(units, ["kg", "kg m^2"]), units == "m"],
@@ -306,7 +309,7 @@ def _precise(r: JointResult, s: JointSettings) -> Check:
 
 
 def estimate_of(r: JointResult) -> Estimate:
-    """What is estimated, as every kind of calibration has it."""
+    """Convert the result to the estimate that all kinds of calibration share."""
     m = r.minimum
     return Estimate(
         r.problem.names, r.problem.units, r.problem.guess, r.values, r.covariance,

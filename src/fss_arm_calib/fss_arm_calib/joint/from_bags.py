@@ -1,4 +1,4 @@
-"""One arm from all rests, maneuvers and drifts of one bag or many: `from_bag --joint`."""
+"""Joint estimate from all rests, maneuvers and drifts of one or more bags: `from_bag --joint`."""
 
 import argparse
 from collections.abc import Mapping
@@ -24,11 +24,11 @@ from fss_arm_model.files import ContentError, read_yaml
 
 
 def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:
-    """The settings of each kind of calibration, some of them by a ROS parameter file.
+    """Return the settings of each kind of calibration, overridden by a ROS parameter file.
 
     Raises:
-        ValueError: the file holds something else, or a setting is impossible.
-        OSError: it cannot be read.
+        ValueError: the file has other content, or a setting is impossible.
+        OSError: the file cannot be read.
     """
     given: Any = read_yaml(Path(path)) if path else {}
     if not isinstance(given, dict) or not all(isinstance(one, dict) for one in given.values()):
@@ -48,10 +48,13 @@ def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:
 def session_of(
     path: str, arm: Arm, settings: Mapping[str, Any], namespace: str
 ) -> tuple[Session, str]:
-    """The data of all kinds in a bag, and its source in words; of what topics it lacks, none.
+    """Return the data of all kinds in a bag, and a text that names its source.
+
+    Kinds whose topics are missing have no data.
 
     Raises:
-        BagError: it cannot be read, has not the topics of any kind, or one is of another type.
+        BagError: the bag cannot be read, lacks the topics of all kinds, or a topic has a wrong
+            type.
     """
     data, streams, missing = {}, {}, list[Input]()
     with open_bags(path) as bags:
@@ -71,10 +74,10 @@ def session_of(
 
 
 def estimated(options: argparse.Namespace, console: Console) -> Outcome[Any, Solution]:
-    """Solve, show and write what was asked for.
+    """Solve, show the result, and write the requested files.
 
     Raises:
-        ValueError: a bag or a file holds something else, or a setting is impossible.
+        ValueError: a bag or a file has other content, or a setting is impossible.
         OSError: a file cannot be read or written.
     """
     s = JointSettings(**{f.name: getattr(options, f.name) for f in fields(JointSettings)})

@@ -1,4 +1,4 @@
-"""What a live joint estimate is from: the data that nodes of other kinds have found and hold."""
+"""Data of a live joint estimate, received from the nodes of the other kinds."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,60 +13,60 @@ from fss_arm_calib.segments.streams import Streams
 
 @dataclass(frozen=True)
 class Gathered:
-    """A session as those nodes hold it: data by kind, and how each node weighs its own."""
+    """Session of the other nodes: data by kind, and the settings of each node."""
 
     kinematic: tuple[Observation, ...] = ()
     dynamic: tuple[Maneuver, ...] = ()
     drift: tuple[Drift, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)  # by kind, as Provenance has them
-    set_back: Mapping[str, float] = field(default_factory=dict)  # by kind: of a clock, too far [s]
+    set_back: Mapping[str, float] = field(default_factory=dict)  # by kind: backward clock jump [s]
 
     @property
     def data(self) -> dict[str, tuple[Datum, ...]]:
-        """By kind; none of a node whose settings are not known."""
+        """Data by kind, except those of nodes with unknown settings."""
         return {kind: getattr(self, kind) for kind in self.settings}
 
     @property
     def start(self) -> int:
-        """Of the first datum [ns]."""
+        """Start of the first datum [ns]."""
         return min((one.start for some in self.data.values() for one in some), default=0)
 
     @property
     def end(self) -> int:
-        """Of the last datum [ns]."""
+        """End of the last datum [ns]."""
         return max((one.end for some in self.data.values() for one in some), default=0)
 
     @property
     def used(self) -> bool:
-        """Always: what may not be used its nodes say of each datum."""
+        """Always True: the nodes mark the single data that are not used."""
         return True
 
     @property
     def reason(self) -> str:
-        """None."""
+        """Always empty: a session is never rejected as a whole."""
         return ""
 
 
 class Gatherer:
-    """Told what the nodes of other kinds hold, gives a session whenever that has changed.
+    """Collector of the data of the other nodes; it returns a session whenever they change.
 
-    What a node tells takes the place of what it told before: what it has forgotten is gone. Of a
-    node that has ended, or of a run before this one, the last is kept.
+    A message of a node replaces its previous one, so data that the node discarded are discarded
+    here, too. The last message of a node that stopped, or of a previous run, is kept.
 
     Args:
-        n: number of joints of the arm that data must be of.
+        n: number of joints of the arm; other data are rejected.
         kinds: names of the nodes.
-        kept: by a run before this one.
+        kept: sessions kept by a previous run.
     """
 
     def __init__(self, n: int, kinds: Sequence[str], kept: Sequence[Gathered] = ()) -> None:
         self.n, self.kinds = n, kinds
         self.gathered = kept[-1] if kept else Gathered()
         self.rejected: dict[str, int] = {}
-        self._joints: dict[str, int] = {}  # that the data of a kind were last of
+        self._joints: dict[str, int] = {}  # in the last data of each kind
 
     def data(self, kind: str, found: Sequence[Any]) -> list[Gathered]:
-        """All data of a kind; those of another arm are rejected."""
+        """Take all data of a kind; data of another arm are rejected."""
         others = (joints for joints in map(_joints, found) if joints != self.n)
         self._joints[kind] = next(others, self.n)
         if self._joints[kind] != self.n:
@@ -79,7 +79,7 @@ class Gatherer:
         return [] if same or kind not in self.gathered.settings else [self.gathered]
 
     def result(self, kind: str, settings: str, back: float) -> list[Gathered]:
-        """By which settings a node solves, and how far a clock of its ran back, if too far [s]."""
+        """Take a node's settings and its backward clock jump, if excessive [s]."""
         before = self.gathered
         self.gathered = replace(
             before,
@@ -96,11 +96,11 @@ class Gatherer:
         self.rejected[what] = self.rejected.get(what, 0) + 1
 
     def close(self) -> list[Gathered]:
-        """None: the nodes tell what they find at once."""
+        """Return nothing: the nodes publish their data immediately."""
         return []
 
     def streams(self) -> Streams:
-        """Which joints their data are of, if not of the arm's; of whom there are none yet."""
+        """Report joints that are missing in the data or unknown, and nodes without data."""
         others = [joints for joints in self._joints.values() if joints != self.n]
         fewest, most = min([self.n, *others]), max([self.n, *others])
         silent = [f"joint_{i}" for i in range(fewest + 1, self.n + 1)]
@@ -112,10 +112,10 @@ class Gatherer:
 
 
 def _joints(one: Any) -> int:
-    """How many a datum is of."""
+    """Return the number of joints of a datum."""
     return len(one.q)
 
 
 def _identity(one: Datum) -> tuple[int, int, bool, str]:
-    """What tells two data of a kind apart."""
+    """Return the fields that identify a datum among those of its kind."""
     return one.start, one.end, one.used, one.reason

@@ -1,4 +1,4 @@
-"""The joint estimate as a kind: from what the nodes of the others publish, and its own messages."""
+"""Joint estimate as a calibration kind: its inputs from the other nodes, and its messages."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ Found = Outcome[Gathered, Solution]
 
 
 def inputs(_: JointSettings, n: int) -> list[Input]:
-    """Of each other kind its data, and its results for how these are to be weighed."""
+    """Return the inputs: data and results of each other kind; results contain the deviations."""
     return [one for kind in JOINED.values() for one in (_data_input(kind), _result_input(kind))]
 
 
@@ -46,7 +46,7 @@ def _result_input(kind: AnyKind) -> Input:
         told = found.provenance.parameters
         try:
             settings_of(told, kind.settings)
-        except (TypeError, ValueError):  # of another version
+        except (TypeError, ValueError):  # settings of another version
             gatherer.reject(f"{kind.topic} not understood")
             return []
         clocks = (check for check in found.checks if check.name == "clocks")
@@ -59,7 +59,7 @@ def _result_input(kind: AnyKind) -> Input:
 def of_session(
     sessions: Sequence[Gathered], arm: Arm, s: JointSettings, streams: Streams, source: str
 ) -> Found:
-    """Solve from what the nodes hold, each kind's data by the settings of its node."""
+    """Solve from the data of the nodes, each kind with the settings of its node."""
     one = sessions[-1] if sessions else Gathered()
     of_kinds = {name: kind.settings() for name, kind in JOINED.items()}
     for name, told in one.settings.items():
@@ -75,7 +75,7 @@ def of_session(
 
 
 def to_message(outcome: Found, frame_id: str) -> msg.JointCalibration:
-    """What is concluded, as it is published."""
+    """Convert the outcome to the message that is published."""
     message = msg.JointCalibration(calibration=common_message("joint", outcome, frame_id))
     if found := outcome.solution:
         own = list(found.own())
@@ -88,7 +88,7 @@ def to_message(outcome: Found, frame_id: str) -> msg.JointCalibration:
 
 
 def session_message(sessions: Sequence[Gathered], frame_id: str) -> msg.CalibrationSession:
-    """What the nodes hold, as it is published."""
+    """Convert the data of the nodes to the message that is published."""
     one = sessions[-1] if sessions else Gathered()
     message = msg.CalibrationSession(
         kinds=[*one.settings], settings=[*one.settings.values()], set_back=[*one.set_back.values()]
@@ -100,7 +100,7 @@ def session_message(sessions: Sequence[Gathered], frame_id: str) -> msg.Calibrat
 
 
 def sessions_of(message: msg.CalibrationSession) -> list[Gathered]:
-    """What a message says that the nodes hold; nothing if it is of no node."""
+    """Return the session in a message; an empty list if the message has no data of a node."""
     if not message.kinds:
         return []
     settings = dict(zip(message.kinds, message.settings, strict=True))
@@ -117,13 +117,13 @@ def _field(kind: AnyKind) -> str:
 
 
 def held(gatherer: Gatherer) -> dict[str, object]:
-    """Number of data of each kind."""
+    """Report the number of data of each kind."""
     data = gatherer.gathered.data
     return {_field(kind): len(data.get(name, ())) for name, kind in JOINED.items()}
 
 
 def stale(outcome: Found, _: Streams) -> str:
-    """Whether a clock ran back at one of the nodes."""
+    """Return a message if a clock jumped back at one of the nodes, else an empty string."""
     back = outcome.data[-1].set_back if outcome.data else {}
     spoilt = [f"{name}/forget" for name, by in back.items() if by > 0.0]
     return f"a clock ran back: {', '.join(spoilt)} begins anew" if spoilt else ""
@@ -148,7 +148,7 @@ JOINT = Calibration(
     to_message=to_message,
     numbers=("own_values", "own_deviations"),
     report=joint_report,
-    clocks=lambda streams, _: clocks_kept(streams, inf),  # it has none: see `stale`
+    clocks=lambda streams, _: clocks_kept(streams, inf),  # no clock of its own: see `stale`
     stale=stale,
     health=held,
     lacks={

@@ -1,15 +1,17 @@
-"""One arm from rests, maneuvers and drifts of many sessions, by maximum likelihood.
+"""Joint problem: one arm from the rests, maneuvers and drifts of many sessions.
 
-The unknowns are those x of the arm, which all sessions share; those y_s of each session, in which
-tilt, hose and the joints' zeros stay as they are; and those of each datum, as its pose and momentum
-at the start. With e the observations divided by their deviations, of covariance 1,
+The method is maximum likelihood. The unknowns are x of the arm, shared by all sessions; y_s of each
+session, in which tilt, hose and the joints' zeros are constant; and w_d of each datum, such as its
+pose and momentum at the start. Let e be the errors of the observations divided by their standard
+deviations, with unit covariance. Then
 
     e = r - A dx - B_s dy_s - C_d dw_d
 
-so the regressor is an arrow of blocks. The w_d are eliminated from the rows of their datum, then
-the y_s from those of their session, each by an orthogonal projection (estimation.least_squares),
-and p + 1 rows of each session remain: time and memory grow linearly with the number of sessions.
-Then dy_s, dw_d follow from dx backwards. The covariance of x includes that of all others.
+so the regressor is a block arrowhead matrix. The w_d are eliminated from the rows of their datum,
+then the y_s from those of their session, each by an orthogonal projection
+(estimation.least_squares). p + 1 rows of each session remain, so time and memory grow linearly with
+the number of sessions. Back substitution then gives dy_s and dw_d from dx. The covariance of x
+includes the uncertainty of all other unknowns.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,51 +39,52 @@ from fss_arm_model.description import Arm
 from fss_arm_model.drifting import SURROUNDINGS
 from fss_arm_model.parameters import bounds, parameter_names, to_vector, unit, values, with_values
 
-TOLERANCE = 1e-5  # of the last update [deviations]; differences as derivatives err by less
-FIRST = 2  # iterations of the data's own unknowns alone
+TOLERANCE = 1e-5  # largest last update [deviations]; numerical derivatives have smaller errors
+FIRST = 2  # first iterations, of only the data's own unknowns
 
 
 class Part(NamedTuple):
-    """What a session's data of one kind say near some values, and where their unknowns stand."""
+    """Linearized data of one kind in a session, and the slice of their own unknowns."""
 
     kind: str
-    linear: Linear  # by z
-    own: slice  # of all unknowns
+    linear: Linear  # in z
+    own: slice  # within all unknowns
 
 
 @dataclass(frozen=True)
 class JointProblem:
-    """Evidence of S sessions, by kind, and what is known beforehand; deviations are 1 sigma.
+    """Joint problem of S sessions with evidence by kind and prior knowledge.
 
-    The joints' zeros are those of the last session; before it they were off from that by so much.
+    Deviations are 1 sigma. The joints' zeros are those of the last session; earlier sessions have
+    offsets relative to it.
     """
 
     arm: Arm  # the initial guess
     sessions: Sequence[Mapping[str, Evidence]]
     prior: Floats  # (p, p) covariance of the guess
-    believed: npt.NDArray[np.intp]  # which parameters it is a prior of
-    surroundings: Floats  # (5,) of SURROUNDINGS, about 0; 0: nothing acts
-    zeros: float = 0.0  # of how far a joint's zero moves between sessions [rad]; 0: it does not
+    believed: npt.NDArray[np.intp]  # indices of the parameters that have a prior
+    surroundings: Floats  # (5,) deviations of SURROUNDINGS, about 0; 0: no such effect
+    zeros: float = 0.0  # deviation of a joint's zero between sessions [rad]; 0: constant zeros
     theta_e: bool = False  # estimate the heading offset of the end effector's subject, too
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The p parameters of the arm."""
+        """Names of the p parameters of the arm."""
         return parameter_names(self.arm.n) + (("theta_E",) if self.theta_e else ())
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each."""
+        """Unit of each parameter."""
         return tuple(unit(name) for name in self.names)
 
     @cached_property
     def guess(self) -> Floats:
-        """(p,) the arm's values."""
+        """Initial values (p,) of the arm's parameters."""
         return np.array([*values(self.arm), *([self.arm.theta_E] if self.theta_e else [])])
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Least and largest values, (p,) each."""
+        """Lower and upper bounds, (p,) each."""
         low, high = bounds(self.arm)
         free = np.full(len(self.names) - len(low), inf)
         return np.append(low, -free), np.append(high, free)
@@ -92,7 +95,7 @@ class JointProblem:
 
     @cached_property
     def by_arm(self) -> Floats:
-        """(8 + 6 n + 5, p): how z changes with the arm's parameters."""
+        """Derivative (8 + 6 n + 5, p) of z by the arm's parameters."""
         T = np.zeros((self._size + len(SURROUNDINGS), len(self.names)))
         T[: self._size, : 5 * self.arm.n + 6] = to_vector(self.arm.n)
         if self.theta_e:
@@ -100,19 +103,22 @@ class JointProblem:
         return T
 
     def own_names(self, session: int) -> tuple[str, ...]:
-        """Parameters of a session's own: zeros, of all but the last, and what acts from outside."""
+        """Return the names of a session's own parameters: zeros and external effects.
+
+        The last session has no zeros of its own.
+        """
         zeros = [*parameter_names(self.arm.n)[4 + self.arm.n : 3 + 2 * self.arm.n], "theta_BJ1"]
         moved = zeros if self.zeros > 0.0 and session < len(self.sessions) - 1 else []
         acting = zip(SURROUNDINGS, self.surroundings, strict=True)
         return (*moved, *(name for name, sigma in acting if sigma > 0.0))
 
     def own_deviations(self, session: int) -> Floats:
-        """What is known of them beforehand: 0 is expected."""
+        """Return the prior standard deviations of a session's own parameters, about 0."""
         sigma = dict(zip(SURROUNDINGS, self.surroundings.tolist(), strict=True))
         return np.array([sigma.get(name, self.zeros) for name in self.own_names(session)])
 
     def by_session(self, session: int) -> Floats:
-        """(8 + 6 n + 5, k): how z changes with them."""
+        """Return the derivative (8 + 6 n + 5, k) of z by a session's own parameters."""
         names = self.own_names(session)
         T, every = np.zeros((self._size + len(SURROUNDINGS), len(names))), list(self.names)
         for k, name in enumerate(names):
@@ -124,7 +130,7 @@ class JointProblem:
 
     @cached_property
     def _places(self) -> list[tuple[slice, dict[str, slice]]]:
-        """Where the unknowns of each session, and of its data by kind, stand among all."""
+        """Slices of the unknowns of each session, and of its data by kind, among all unknowns."""
         at, found = len(self.names), []
         for k, session in enumerate(self.sessions):
             own = slice(at, at := at + len(self.own_names(k)))
@@ -135,11 +141,11 @@ class JointProblem:
         return found
 
     def own(self, session: int) -> slice:
-        """Where a session's own parameters stand among all unknowns."""
+        """Return the slice of a session's own parameters among all unknowns."""
         return self._places[session][0]
 
     def start(self, moved: Sequence[Floats] = (), arm: Floats | None = None) -> Floats:
-        """All unknowns to begin with, and what the data's own then must have been.
+        """Return initial values of all unknowns; those of the data are fitted to the others.
 
         Args:
             moved: each session's own parameters; 0 by default.
@@ -157,19 +163,19 @@ class JointProblem:
         return x
 
     def z(self, x: Floats, session: int) -> Floats:
-        """What the data of a session depend on besides their own unknowns."""
+        """Return z, the quantities that a session's data depend on besides their own unknowns."""
         z = self.by_arm @ (x[: len(self.names)] - self.guess)
         z[: self._size] += self.arm.vector()
         return np.asarray(z + self.by_session(session) @ x[self.own(session)])
 
     def parts(self, x: Floats, session: int) -> list[Part]:
-        """What a session's data say near some values of all unknowns, by kind."""
+        """Linearize a session's data, by kind."""
         z, (_, places) = self.z(x, session), self._places[session]
         every = self.sessions[session].items()
         return [Part(kind, one.near(z, x[places[kind]]), places[kind]) for kind, one in every]
 
     def rows(self, x: Floats, session: int, parts: Sequence[Part]) -> tuple[Floats, Floats, Floats]:
-        """A session's observations: regressors by the arm's parameters and its own, residuals."""
+        """Return a session's regressors by the arm's and by its own parameters, and residuals."""
         own, sigma = x[self.own(session)], self.own_deviations(session)
         R = np.concatenate(
             [*(part.linear.regressor for part in parts), np.zeros((0, len(self.by_arm)))]
@@ -180,18 +186,18 @@ class JointProblem:
 
     @cached_property
     def prior_rows(self) -> Floats:
-        """(k, p) the priors as rows of a regressor: the inverse root of their covariance."""
+        """Rows (k, p) of the regressor for the priors: the inverse root of their covariance."""
         rows = np.zeros((len(self.believed), len(self.names)))
         C = self.prior[np.ix_(self.believed, self.believed)]
         rows[:, self.believed] = np.linalg.inv(np.linalg.cholesky(C)) if len(C) else C
         return rows
 
     def linearize(self, x: Floats, without: str = "") -> Linear:
-        """The problem of the p parameters of the arm near some values of all unknowns.
+        """Linearize the problem in the p parameters of the arm.
 
         Args:
-            x: all unknowns.
-            without: a kind of data to leave out.
+            x: values of all unknowns.
+            without: kind of data to leave out.
         """
         p, cost, few, found = len(self.names), np.zeros(()), [], []
         for k in range(len(self.sessions)):
@@ -218,47 +224,50 @@ class JointProblem:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Of the data that there are."""
+        """Kinds of data in the sessions."""
         return tuple(dict.fromkeys(kind for session in self.sessions for kind in session))
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Observations and priors less the unknowns; a session's own have a prior each."""
+        """Number of observations and priors, less the unknowns.
+
+        Each of a session's own parameters has a prior, so these cancel.
+        """
         free = sum(one.free for session in self.sessions for one in session.values())
         return free + len(self.believed) - len(self.names)
 
 
 def _step(linear: Linear, dz: Floats) -> Floats:
-    """The step of data's own unknowns."""
+    """Return the step of the data's own unknowns for a step dz."""
     assert linear.extend is not None
     return linear.extend(dz)[len(dz) :]
 
 
 def _compressed(rows: Floats) -> Floats:
-    """As few rows as hold the same, as to products of columns."""
+    """Reduce the number of rows by a QR decomposition; products of columns are unchanged."""
     return np.linalg.qr(rows)[1] if len(rows) > len(rows.T) else rows
 
 
 @dataclass(frozen=True)
 class JointResult:
-    """p parameters of the arm from all data, those of each session, and how far to believe them."""
+    """Estimate of the arm's p parameters and of each session's own, with the uncertainty."""
 
     problem: JointProblem
     minimum: Minimum
 
     @property
     def values(self) -> Floats:
-        """(p,) in the order and units of problem.names and problem.units."""
+        """Estimates (p,) in the order and units of problem.names and problem.units."""
         return self.minimum.x[: len(self.problem.names)]
 
     @cached_property
     def covariance(self) -> Floats:
-        """(p, p) of the values."""
+        """Covariance (p, p) of the values."""
         return self.minimum.basis.covariance()
 
     @cached_property
     def undetermined(self) -> tuple[str, ...]:
-        """Names of parameters that the data cannot tell apart, those at a bound left out."""
+        """Names of parameters that the data do not separate, except those at a bound."""
         lost = (self.minimum.basis.undetermined() > NOTICEABLE) & ~self.minimum.held
         return tuple(compress(self.problem.names, lost))
 
@@ -268,7 +277,7 @@ class JointResult:
         return tuple(compress(self.problem.names, self.minimum.held))
 
     def session(self, k: int) -> tuple[Floats, Floats]:
-        """Values and deviations of a session's own parameters."""
+        """Return values and standard deviations of a session's own parameters."""
         problem, x = self.problem, self.minimum.x
         A, B, _ = problem.rows(x, k, problem.parts(x, k))
         by_arm = np.linalg.lstsq(B, A)[0]
@@ -277,7 +286,7 @@ class JointResult:
 
     @cached_property
     def fits(self) -> dict[str, tuple[float, int]]:
-        """Of each kind of data, the sum of squares of its residuals, and observations less own."""
+        """Sum of squared residuals, and observations less own unknowns, for each kind of data."""
         found = dict.fromkeys(self.problem.kinds, (0.0, 0))
         for k, session in enumerate(self.problem.sessions):
             for kind, linear, _ in self.problem.parts(self.minimum.x, k):
@@ -287,7 +296,7 @@ class JointResult:
 
     @cached_property
     def without(self) -> dict[str, Floats]:
-        """(p,) deviations that would be left without the data of a kind; inf: not determined."""
+        """Standard deviations (p,) without the data of each kind; inf: not determined."""
         found = {}
         for kind in self.problem.kinds:
             Phi = self.problem.linearize(self.minimum.x, kind).regressor
@@ -297,10 +306,10 @@ class JointResult:
         return found
 
     def calibrated(self) -> Arm:
-        """The initial arm with all values, and what is known of them.
+        """Return the initial arm with all estimates and their covariance.
 
         Raises:
-            DescriptionError: a value cannot be right.
+            DescriptionError: a value is impossible.
         """
         problem, size = self.problem, 5 * self.problem.arm.n + 6
         arm = with_values(problem.arm, self.values[:size])
@@ -313,12 +322,12 @@ def solve(
     start: Floats | None = None,
     bounded: bool = True,
 ) -> JointResult:
-    """The most probable values of all unknowns.
+    """Solve for the most probable values of all unknowns.
 
     Args:
-        problem: the data and what is known.
-        start: all unknowns; problem.start() by default.
-        bounded: keep to problem.bounds; deviations are true where none is active.
+        problem: the data and the prior knowledge.
+        start: initial values of all unknowns; problem.start() by default.
+        bounded: keep to problem.bounds; deviations are correct only if no bound is active.
     """
     begin = problem.start() if start is None else start
     bounds = problem.bounds if bounded else None

@@ -1,4 +1,4 @@
-"""The report of a joint estimate: one arm, what told it, and what each session had for its own."""
+"""Report of a joint estimate: the arm, the share of each kind of data, and the sessions."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ from fss_arm_model.parameters import values
 
 
 def joint_report(outcome: Outcome[Any, Solution], truth: Arm | None = None) -> Report:
-    """The report; `truth` is the simulated arm, to compare with."""
+    """Report the joint estimate; `truth` is the simulated arm to compare with."""
     found = outcome.solution
     title = f"Joint estimate of {outcome.arm.name}"
     if found is None:
@@ -32,7 +32,7 @@ def joint_report(outcome: Outcome[Any, Solution], truth: Arm | None = None) -> R
 
 
 def _parameters(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | None) -> Table:
-    """Guess, estimate, and how much larger its deviation were without the data of a kind."""
+    """Tabulate guess, estimate, and by how much the deviation grows without a kind of data."""
     r, e = found.result, outcome.estimate
     without = r.without
     sigma = where_known(e, e.deviations)
@@ -61,7 +61,7 @@ def _parameters(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | N
 
 
 def _fits(found: Solution) -> Table:
-    """How well the data of each kind fit."""
+    """Tabulate how well the data of each kind fit."""
     rows = [
         [kind, str(sum(one.get(kind, 0) for one in found.number)), f"{cost:.1f}", str(free),
          f"{probability(cost, free):.2g}"]
@@ -72,7 +72,7 @@ def _fits(found: Solution) -> Table:
 
 
 def _sessions(found: Solution) -> Table:
-    """What each session had for its own."""
+    """Tabulate the parameters of each session."""
     rows = [
         [one.session, one.name, shown_unit(one.unit), _small(one.value, one.unit),
          _small(one.deviation, one.unit)]

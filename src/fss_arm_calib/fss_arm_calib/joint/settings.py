@@ -1,4 +1,4 @@
-"""The settings of a joint estimate; those of its data are those of their kinds."""
+"""Settings of a joint estimate; its data have the settings of their calibration kinds."""
 
 from dataclasses import dataclass
 from math import radians
@@ -11,7 +11,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, like, setting
 
 @dataclass(frozen=True)
 class JointSettings(Knowledge):
-    """What is known beforehand, and what a result must meet to pass.
+    """Settings of a joint estimate: prior knowledge and criteria.
 
     Raises:
         SettingError: a setting is impossible.

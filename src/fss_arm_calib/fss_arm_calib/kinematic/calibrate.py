@@ -1,4 +1,4 @@
-"""What a kinematic calibration concludes from its observations."""
+"""Kinematic calibration from observations: the solution and its checks."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,15 +29,15 @@ def calibrate(
     """Solve for the arm's kinematics and check the result.
 
     Args:
-        observations: in order of time; those from before a link was homed last are left out, as
-            the offsets have changed by it.
+        observations: in order of time. Observations from before the last homing of a link are
+            left out, because homing changes the joint offsets.
         arm: the initial guess.
-        settings: parametrization, deviations of an observation and criteria.
-        streams: what happened to the streams that the observations are from.
-        source: of the observations.
+        settings: parametrization, standard deviations of an observation, and criteria.
+        streams: events in the streams that the observations come from.
+        source: name of the source of the observations.
 
     Raises:
-        ValueError: observations and arm do not fit, or a setting is impossible.
+        ValueError: the observations do not match the arm, or a setting is impossible.
     """
     s, streams = settings or KinematicSettings(), streams or Streams()
     comparable = since_homed(observations)

@@ -1,4 +1,4 @@
-"""Whether to believe a kinematic calibration: its checks, each threshold beside its value."""
+"""Acceptance checks of a kinematic calibration; each reports its value and its threshold."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -37,7 +37,7 @@ from fss_arm_model.planar import inverse
 
 
 def homings(observations: Sequence[Observation]) -> Check:
-    """What is from before a homing is left out, which is no reason not to believe the rest."""
+    """Report the observations left out because a joint was homed later; this always passes."""
     joints = sorted({i for o in observations for i in homed(o, observations[-1])})
     left_out = len(observations) - len(since_homed(observations))
     names = ", ".join(f"joint_{i}" for i in joints)
@@ -46,7 +46,10 @@ def homings(observations: Sequence[Observation]) -> Check:
 
 
 def rests(observations: Sequence[Observation], needed: int, s: KinematicSettings) -> Check:
-    """A rejected rest need not be repeated once those used since then are enough by themselves."""
+    """Check that each rejected rest was repeated.
+
+    A rest need not be repeated once the observations used since then suffice by themselves.
+    """
     used = [o for o in observations if o.used]
     since = used[-needed].start if len(used) >= needed else 0
     lost = [o for o in unrepeated(observations, s.same_posture) if o.end >= since]
@@ -57,7 +60,7 @@ def rests(observations: Sequence[Observation], needed: int, s: KinematicSettings
 
 
 def number(problem: KinematicProblem, streams: Streams, s: KinematicSettings) -> Check:
-    """Whether the observations are enough for the parameters."""
+    """Check that the observations suffice for the parameters."""
     found, needed = len(problem.q), fewest(problem, s)
     reason = f"{count(found, 'observation')} (at least {needed})"
     if found < needed:
@@ -67,7 +70,7 @@ def number(problem: KinematicProblem, streams: Streams, s: KinematicSettings) ->
 
 
 def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
-    """The checks of a solution."""
+    """Evaluate the checks of a solution."""
     r = solution.result
     checks = [_determined(solution.first, s)]
     if r.undetermined:
@@ -96,7 +99,7 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
 
 
 def _determined(r: KinematicResult, s: KinematicSettings) -> Check:
-    """Joints that stood still explain what cannot be told apart."""
+    """Check that all parameters are determined; name the joints that hardly moved."""
     span = np.ptp(r.problem.q, axis=0)
     still = [f"joint_{i + 1}" for i in np.flatnonzero(span < s.same_posture)]
     hint = f"; {', '.join(still)} hardly moved" if still else ""
@@ -104,7 +107,10 @@ def _determined(r: KinematicResult, s: KinematicSettings) -> Check:
 
 
 def _lengths_kept(solution: Solution, s: KinematicSettings) -> Check:
-    """Whether the links are about as long as described: data of another arm fit as well."""
+    """Check that the link lengths are close to the description.
+
+    Data of another arm would fit just as well.
+    """
     problem = solution.problem
     described = np.array([link.a for link in problem.arm.links])
     lengths = problem.all_parameters(solution.result.values)[: len(described)]
@@ -121,7 +127,10 @@ def _lengths_kept(solution: Solution, s: KinematicSettings) -> Check:
 
 
 def _told_apart(solution: Solution) -> float:
-    """Probability that lengths taken as equal leave residuals so much larger than unlike ones."""
+    """Return the probability that chance explains the larger residuals of equal lengths.
+
+    The residuals are compared with those of a fit with a separate length for each link.
+    """
     equal = solution.result
     full = fit(replace(equal.problem, parametrization=FULL), max_condition=ANY)
     more = len(full.values) - len(equal.values)
@@ -133,9 +142,10 @@ def _told_apart(solution: Solution) -> float:
 
 
 def _averaged(problem: KinematicProblem) -> str:
-    """What is said of links described with unlike lengths of which one is estimated.
+    """Return a remark if one length is estimated for links with different described lengths.
 
-    No more, as the lengths of a full calibration scatter by as much: from 13 postures, 9 mm.
+    This is only a remark because the lengths of a full calibration scatter by as much: 9 mm with
+    13 postures.
     """
     lengths = [link.a for link in problem.arm.links[:-1]]
     if not problem.shares_length or max(lengths) - min(lengths) <= ALIKE:
@@ -145,10 +155,11 @@ def _averaged(problem: KinematicProblem) -> str:
 
 
 def _checked(solution: Solution, s: KinematicSettings) -> Check:
-    """Whether the others check each observation.
+    """Check that each observation is verified by the others.
 
-    Where they hardly do, lengths and mount may: if these came out as described, an error can only
-    hide in the angles, which leaves the others more to check it by.
+    If the redundancy is too small, the described lengths and mount may help. If their estimates
+    agree with the description, an error can only hide in the angles. The redundancy is then
+    computed for the angles alone, which is larger.
     """
     r = solution.result
     regressor = r.problem.linear(r.values).regressor
@@ -165,7 +176,7 @@ def _checked(solution: Solution, s: KinematicSettings) -> Check:
 
 
 def _redundancy(regressor: Floats) -> Floats:
-    """(s,) of each three rows."""
+    """Return the redundancy of each observation, that is of three rows each, (s,)."""
     Q = np.linalg.qr(regressor)[0].reshape(-1, 3, regressor.shape[1])
     return redundancy(Q @ np.swapaxes(Q, 1, 2))
 
@@ -184,19 +195,19 @@ def _predicted(solution: Solution, s: KinematicSettings) -> Check:
 
 
 def _fits_swapped(result: KinematicResult, problem: KinematicProblem, s: KinematicSettings) -> Mask:
-    """Which observations would fit with base and end effector exchanged, (s,)."""
+    """Return a mask of the observations that would fit if base and tip were swapped, (s,)."""
     swapped = replace(problem, tip=inverse(problem.tip))
     return np.asarray(result.predicted(swapped).normalized <= s.outlier)
 
 
 def why_off(result: KinematicResult, problem: KinematicProblem, s: KinematicSettings) -> list[str]:
-    """(s,) what explains that an observation does not fit; empty: nothing known."""
+    """Return the reason why each observation does not fit, (s,); empty if unknown."""
     words = ": base and end effector are swapped"
     return [words if swapped else "" for swapped in _fits_swapped(result, problem, s)]
 
 
 def _swap_hint(solution: Solution, s: KinematicSettings) -> str:
-    """Whether exchanged subjects explain what does not fit; empty if not."""
+    """Return a message if swapped subjects explain the bad fit, else an empty string."""
     problem = solution.problem.only(solution.kept).with_deviations(solution.noise.largest)
     all_swapped = fit(replace(problem, tip=inverse(problem.tip)), max_condition=s.max_condition)
     check = by_chance(

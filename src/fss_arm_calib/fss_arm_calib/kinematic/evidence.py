@@ -1,4 +1,4 @@
-"""What rests say of an arm: where its end effector is seen from the base."""
+"""Evidence from rests for the joint estimate: end-effector poses relative to the base."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ from fss_arm_model.kinematics import tip_regressor
 
 @dataclass(frozen=True)
 class RestEvidence:
-    """Rests, which have no unknowns of their own."""
+    """Evidence from rests, which have no unknowns of their own."""
 
     problem: KinematicProblem
 
     @property
     def free(self) -> int:
-        """Coordinates of the poses."""
+        """Number of coordinates of the poses."""
         return self.problem.tip.size
 
     def begin(self) -> Floats:
-        """Nothing."""
+        """Return an empty vector: rests have no unknowns of their own."""
         return np.empty(0)
 
     def near(self, z: Floats, own: Floats) -> Linear:
-        """Poses of the end effector, divided by their deviations."""
+        """Linearize the pose residuals near z, divided by their standard deviations."""
         problem, n = self.problem, self.problem.arm.n
         p = z[: layout.size(n)]
         J = np.zeros((*problem.tip.shape, len(z)))
@@ -43,9 +43,9 @@ class RestEvidence:
 
 
 def evidence(rests: Sequence[Observation], arm: Arm, settings: KinematicSettings) -> RestEvidence:
-    """What rests say.
+    """Return the evidence from rests.
 
     Raises:
-        ValueError: rests and arm do not fit.
+        ValueError: the rests do not match the arm.
     """
     return RestEvidence(problem_of(rests, arm, settings))

@@ -1,4 +1,4 @@
-"""Drawings of a kinematic calibration."""
+"""Figures of a kinematic calibration."""
 
 from math import floor, log10
 from typing import Any
@@ -19,9 +19,10 @@ PAPER_HEADING_RESIDUAL = float(np.radians(0.683))
 
 
 def postures(outcome: Outcome[Observation, Solution]) -> Any:
-    """The arm at the observed postures with magnified residuals, and the residuals.
+    """Draw the arm at the observed postures with magnified residuals, and plot the residuals.
 
-    Postures whose observation was rejected are dashed; their residuals would dwarf all others.
+    Postures whose observation was rejected are dashed. Their residuals are not shown, because
+    they would dwarf all others.
     """
     e, found = outcome.estimate, outcome.solution
     errors = (found.noise if found else assumed(outcome.settings)).deviations
@@ -52,7 +53,7 @@ def postures(outcome: Outcome[Observation, Solution]) -> Any:
 
 
 def _draw_postures(axes: Any, joints: Floats, tip: Floats, residuals: Floats) -> None:
-    """The arm in the base's frame, (s, n + 1, 2), and residuals as arrows at its end, if any."""
+    """Draw the arm in the base's frame, (s, n + 1, 2), with residuals as arrows at its tip."""
     from matplotlib import colormaps
 
     colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(joints)))
@@ -87,7 +88,7 @@ def _draw_postures(axes: Any, joints: Floats, tip: Floats, residuals: Floats) ->
 
 
 def _finish(axes: Any, label: str, levels: Floats) -> None:
-    """Zero line, standard deviations found, assumed and the paper's."""
+    """Draw the zero line and the standard deviations: estimated, assumed and the paper's."""
     found, assumed, paper = levels
     axes.axhline(0.0, color="0.3", linewidth=0.8)
     axes.axhspan(-assumed, assumed, color="0.92", zorder=0, label=f"± assumed sigma, {assumed:.3g}")
@@ -104,7 +105,10 @@ def _finish(axes: Any, label: str, levels: Floats) -> None:
 
 
 def _magnification(residuals: Floats) -> float:
-    """A round factor, 1, 2 or 5 times a power of ten, that makes the largest about 0.25 m."""
+    """Return a round factor that scales the largest residual to at most 0.25 m.
+
+    The factor is 1, 2 or 5 times a power of ten.
+    """
     largest = float(np.nanmax(np.linalg.norm(residuals, axis=1)))
     if largest == 0.0:
         return 1.0
@@ -113,7 +117,7 @@ def _magnification(residuals: Floats) -> float:
 
 
 def _joints(outcome: Outcome[Observation, Solution], q: Floats) -> Floats:
-    """Joints and end effector in the base's frame, (s, n + 1, 2)."""
+    """Return the positions of joints and end effector in the base's frame, (s, n + 1, 2)."""
     vector, n = outcome.arm.vector(), q.shape[1]
     index = dict(zip(kinematic_names(n), kinematic_index(n), strict=True))
     for name, value in zip(outcome.names, outcome.values, strict=True):

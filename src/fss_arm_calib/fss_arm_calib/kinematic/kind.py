@@ -1,4 +1,4 @@
-"""The kinematic calibration as a kind: its topics, its messages, its record."""
+"""Kinematic calibration as a calibration kind: topics, messages and record."""
 
 from collections.abc import Sequence
 
@@ -29,7 +29,7 @@ from fss_arm_ros.convert import stamp_ns, to_time
 
 
 def inputs(s: KinematicSettings, n: int) -> list[Input]:
-    """Joints, base, end effector, and the links' reports of their zeros."""
+    """Return the inputs: joints, base, end effector, and the links' homing reports."""
     return [
         *telemetry_inputs(n),
         joints_input(s.joints_topic),
@@ -39,12 +39,12 @@ def inputs(s: KinematicSettings, n: int) -> list[Input]:
 
 
 def finder(arm: Arm, s: KinematicSettings, kept: Sequence[Observation]) -> RestFinder:
-    """Does not observe again the rest that lasts since before the node was started."""
+    """Return a rest finder that skips the rest already observed before the node started."""
     return RestFinder(arm.n, s, kept[-1].q if kept and kept[-1].used else None)
 
 
 def to_message(outcome: Outcome[Observation, Solution], frame_id: str) -> KinematicCalibration:
-    """What is concluded, as it is published."""
+    """Convert the outcome to the message that is published."""
     message, last = KinematicCalibration(), outcome.used[-1:]
     message.calibration = common_message("kinematic", outcome, frame_id)
     for one in last:
@@ -59,7 +59,7 @@ def to_message(outcome: Outcome[Observation, Solution], frame_id: str) -> Kinema
 def observations_message(
     observations: Sequence[Observation], frame_id: str
 ) -> KinematicObservations:
-    """All observations so far, as they are published."""
+    """Convert all observations to the message that is published."""
     message = KinematicObservations(subject=TIP)
     ones = [
         KinematicObservation(
@@ -83,7 +83,7 @@ def observations_message(
 
 
 def observations_of(message: KinematicObservations) -> list[Observation]:
-    """The observations that a message holds."""
+    """Return the observations in a message."""
     return [
         Observation(
             start=stamp_ns(one.start),
@@ -104,7 +104,7 @@ def observations_of(message: KinematicObservations) -> list[Observation]:
 
 
 def stale(outcome: Outcome[Observation, Solution], streams: Streams) -> str:
-    """Whether a joint's zero may have changed since."""
+    """Return a message if a joint was homed or restarted since, else an empty string."""
     again = homed(outcome.used[-1], streams) if outcome.used else []
     names = ", ".join(f"joint_{i}" for i in again)
     return f"{names} homed or restarted since: calibrate the offsets" if again else ""

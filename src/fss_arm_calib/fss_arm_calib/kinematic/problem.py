@@ -1,27 +1,32 @@
-"""Kinematic calibration: the arm's lengths and angles from end-effector poses (Eq. 1-5).
+"""Kinematic calibration: link lengths and angles from end-effector poses (Eq. 1-5).
 
-An observation is a joint reading q (n,) and the end effector's pose seen from the base, (3,) x, y
-[m], heading [rad]. With the difference of observed and predicted poses, headings wrapped,
+An observation is a joint reading q (n,) and the end effector's pose relative to the base, (3,)
+x, y [m], heading [rad]. The difference between observed and predicted poses, with wrapped
+headings, gives the update
 
     Delta x_EE = x_observed - k(q, xi)                                        (Eq. 2)
     Delta x_EE = Phi_k Delta xi                                               (Eq. 3)
     Delta xi = (Phi_k' W Phi_k)^-1 Phi_k' W Delta x_EE                        (Eq. 4)
 
-is iterated until Delta xi is negligible. W holds the observations' known deviations (the paper
-weighs metres and radians alike), so that the estimate has a covariance, (Phi_k' W Phi_k)^-1.
+which is iterated until Delta xi is negligible. W is the inverse covariance of the observations, so
+that the estimate has the covariance (Phi_k' W Phi_k)^-1. (The paper weighs metres and radians
+equally.)
 
-Readings are off from the joints' angles as well, by gears and encoders: by sines of unknown phase,
-two periods a turn of the wave generator and one a turn of the joint. Of deviations sigma_r, sigma_e
-of these, what is read at q and q' by one joint is off by errors of the covariance
+Gears and encoders cause reading errors as well. These are sines of unknown phase: the ripple has
+two periods per turn of the wave generator, the eccentricity error one per turn of the joint. Their
+standard deviations are sigma_r and sigma_e. The errors of readings q and q' of one joint have the
+covariance
 
     k(q, q') = sigma_r^2 cos 60 (q - q') + sigma_e^2 cos (q - q')
 
-With Phi_q, derivatives of the pose by the readings, k(q, q) Phi_q Phi_q' is part of W^-1. That
-errors come again at other rests, so that they do not average out, is added to the covariance of the
-estimate: P Phi_k' W Phi_q K Phi_q' W Phi_k P, with P as above and K without its diagonal.
+Phi_q is the derivative of the pose with respect to the readings; k(q, q) Phi_q Phi_q' is part of
+W^-1. The same errors repeat at other rests, so they do not average out. This adds
+P Phi_k' W Phi_q K Phi_q' W Phi_k P to the covariance of the estimate, where P is the covariance
+above and K has no diagonal.
 
-A robust loss rho turns the sum of squares into sum_k rho(d_k^2), d_k being the length of
-observation k's difference in deviations; each step then weighs an observation by rho'(d_k^2).
+A robust loss rho replaces the sum of squares by sum_k rho(d_k^2), where d_k is the length of the
+difference of observation k in standard deviations. Each step then weighs observation k by
+rho'(d_k^2).
 """
 
 from dataclasses import dataclass, replace
@@ -39,20 +44,20 @@ from fss_arm_model.planar import wrap
 
 FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
 PARAMETRIZATIONS = (FULL, EQUAL, OFFSETS)
-DESCRIBED = "described"  # of settings: one of these, by the description
+DESCRIBED = "described"  # in settings: FULL or EQUAL, depending on the description
 
-ALIKE = 0.01  # described lengths that differ by no more are as good as equal [m]
+ALIKE = 0.01  # described lengths that differ by at most this count as equal [m]
 
-#: The per-observation errors that give residuals such as the paper's 0.015 m and 0.683 degrees.
+#: Errors of an observation that give residuals like the paper's 0.015 m and 0.683 degrees.
 POSITION_DEVIATION = 0.0177  # [m], each axis
 HEADING_DEVIATION = float(np.radians(0.715))
 
-RIPPLE = 60  # periods a turn of a joint: two a turn of the wave generator, at 30 : 1
+RIPPLE = 60  # periods per turn of a joint: two per turn of the wave generator, at 30 : 1
 
 
 @dataclass(frozen=True)
 class KinematicProblem:
-    """s observations of an arm of n links, and what is known beforehand.
+    """Problem with s observations of an arm of n links, and prior knowledge.
 
     Raises:
         ValueError: an array has the wrong shape or is not finite, or a setting is impossible.
@@ -60,8 +65,8 @@ class KinematicProblem:
 
     q: Floats  # (s, n) joint readings [rad]
     tip: Floats  # (s, 3) end effector in the base's frame [m, m, rad]
-    arm: Arm  # the initial guess, and what is not estimated
-    parametrization: str = EQUAL  # FULL: all; EQUAL: one length but for the last; OFFSETS: angles
+    arm: Arm  # initial guess, and the values of parameters that are not estimated
+    parametrization: str = EQUAL  # FULL: all; EQUAL: one length except the last; OFFSETS: angles
     position_deviation: float = POSITION_DEVIATION  # of an observation, each axis, 1 sigma [m]
     heading_deviation: float = HEADING_DEVIATION  # of an observed heading, 1 sigma [rad]
     ripple_deviation: float = 0.0  # sigma_r, of readings [rad]
@@ -91,27 +96,27 @@ class KinematicProblem:
                 raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
 
     def only(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "KinematicProblem":
-        """The same with some of the observations."""
+        """Return the problem with only the chosen observations."""
         return replace(self, q=self.q[chosen], tip=self.tip[chosen])
 
     def with_deviations(self, deviations: Floats) -> "KinematicProblem":
-        """The same with other deviations of positions and headings, (2,)."""
+        """Return the problem with other deviations of positions and headings, (2,)."""
         position, heading = map(float, deviations)
         return replace(self, position_deviation=position, heading_deviation=heading)
 
     @property
     def shares_length(self) -> bool:
-        """Whether several links have one length among them."""
+        """True if several links share one length parameter."""
         return self.parametrization == EQUAL and self.arm.n > 2
 
     @property
     def all_names(self) -> tuple[str, ...]:
-        """(2n+3) kinematic_names(n), then theta_E."""
+        """Names of all 2n+3 parameters: kinematic_names(n), then theta_E."""
         return (*kinematic_names(self.arm.n), "theta_E")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The p parameters, of kinematic_names(n); if equal, `a` stands for a_1 .. a_{n-1}."""
+        """Names of the p estimated parameters; if lengths are equal, `a` means a_1 .. a_{n-1}."""
         every, n = kinematic_names(self.arm.n), self.arm.n
         chosen = ("a", *every[n - 1 :]) if self.shares_length else every
         if self.parametrization == OFFSETS:
@@ -125,7 +130,7 @@ class KinematicProblem:
 
     @cached_property
     def basis(self) -> Floats:
-        """(2n+3, p): all parameters are fixed + basis @ xi."""
+        """Matrix (2n+3, p) such that all parameters are fixed + basis @ xi."""
         basis = (np.array(self.all_names)[:, None] == np.array(self.names)).astype(float)
         if self.shares_length:
             basis[: self.arm.n - 1, 0] = 1.0
@@ -141,73 +146,76 @@ class KinematicProblem:
 
     @cached_property
     def fixed(self) -> Floats:
-        """(2n+3,) what is not estimated, as `arm` has it; 0 for what is."""
+        """Values from `arm` of the parameters not estimated, (2n+3,); 0 for the estimated ones."""
         return np.where(self.basis.any(axis=1), 0.0, self._guess[self._index])
 
     def chosen(self, values: Floats) -> Floats:
-        """(p,) the parameters in (2n+3,) values, unlike lengths averaged where they are equal."""
+        """Return the p estimated parameters of (2n+3,) values; shared lengths are averaged."""
         return np.asarray(np.linalg.lstsq(self.basis, values)[0])
 
     @property
     def initial(self) -> Floats:
-        """(p,) the parameters of `arm`."""
+        """Initial guess of the p parameters, from `arm`."""
         return self.chosen(self._guess[self._index])
 
     def all_parameters(self, xi: Floats) -> Floats:
-        """(2n+3,) in the order of all_names."""
+        """Return all parameters (2n+3,) in the order of all_names."""
         return self.fixed + self.basis @ xi
 
     @property
     def sigma(self) -> Floats:
-        """(3,) deviation of an observed pose."""
+        """Standard deviation of an observed pose, (3,)."""
         return np.array([self.position_deviation] * 2 + [self.heading_deviation])
 
     @property
     def reading_deviation(self) -> float:
-        """Of a reading from its joint's angle, 1 sigma [rad]."""
+        """Standard deviation of a joint reading [rad]."""
         return hypot(self.ripple_deviation, self.eccentricity_deviation)
 
     @cached_property
     def _whitening(self) -> Floats:
-        """(s, 3, 3) inverse roots of the observations' covariances, seen from the guess."""
+        """Inverse roots (s, 3, 3) of the observations' covariances, evaluated at the guess."""
         by_reading = self.reading_deviation * self.by_readings(self.initial)
         covariance = np.diag(self.sigma**2) + by_reading @ np.swapaxes(by_reading, 1, 2)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
     def in_deviations(self, x: Floats) -> Floats:
-        """What is said of poses, (s, 3, c), with the observations' errors white and of size 1."""
+        """Whiten quantities of the poses, (s, 3, c), so that their errors have unit covariance."""
         if self.reading_deviation == 0.0:
             return x / self.sigma[:, None]
         return self._whitening @ x
 
     def by_readings(self, xi: Floats) -> Floats:
-        """Phi_q, derivative of the poses by the readings: as by their joints' offsets (s, 3, n)."""
+        """Return Phi_q (s, 3, n), the derivative of the poses with respect to the readings.
+
+        It equals the derivative with respect to the joints' offsets.
+        """
         n = self.arm.n
         Phi = tip_regressor(self.vector(xi), self.q)
         return Phi[..., [2 * n + 1, *range(n, 2 * n - 1)]]
 
     def vector(self, xi: Floats) -> Floats:
-        """The model's parameters with xi in place of the guess, (8 + 6n,)."""
+        """Return the model's parameters with xi in place of the guess, (8 + 6n,)."""
         vector = self._guess.copy()
         vector[self._index] = self.all_parameters(xi)
         return vector
 
     def residuals(self, xi: Floats) -> Floats:
-        """Observed minus predicted poses (Eq. 2), (s, 3) [m, m, rad], the headings wrapped."""
+        """Return observed minus predicted poses (Eq. 2), (s, 3) [m, m, rad], headings wrapped."""
         return self.away(self.vector(xi))
 
     def away(self, p: Floats) -> Floats:
-        """The same of an arm, Arm.vector()."""
+        """Return observed minus predicted poses for the arm parameters p = Arm.vector()."""
         away = self.tip - tip_in_base(p, self.q)
         away[:, 2] = wrap(away[:, 2])
         return away
 
     def regressor(self, xi: Floats) -> Floats:
-        """Phi_k (Eq. 5), rows weighted by the root of W: (3s, p)."""
+        """Return Phi_k (Eq. 5), with rows weighted by the root of W, (3s, p)."""
         return self._whitened(xi, self.basis)
 
     def _whitened(self, xi: Floats, basis: Floats) -> Floats:
-        """The regressor by any combinations, (2n+3, c), of the parameters and theta_E: (3s, c)."""
+        """Return the whitened regressor (3s, c) for combinations (2n+3, c) of all parameters."""
         Phi = tip_regressor(self.vector(xi), self.q)
         by_theta_E = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(self.q), 3, 1))
         Phi = np.concatenate([Phi, by_theta_E], axis=-1) @ basis
@@ -215,18 +223,18 @@ class KinematicProblem:
 
     @cached_property
     def assumed(self) -> Floats:
-        """(2n+3, 2n+3) covariance of what is not estimated, as the description tells; else 0."""
+        """Covariance (2n+3, 2n+3) of parameters not estimated, from the description; else 0."""
         C = self.arm.known.over(self.all_names, np.zeros(len(self.all_names)))
         estimated = self.basis.any(axis=1)
         C[estimated] = C[:, estimated] = 0.0
         return C
 
     def normalized(self, residuals: Floats) -> Floats:
-        """Residuals (s, 3) in deviations."""
+        """Return the whitened residuals (s, 3)."""
         return self.in_deviations(residuals[..., None])[..., 0]
 
     def repeated(self, xi: Floats, P: Floats) -> Floats:
-        """What errors of readings that come again add to the covariance P of xi, (p, p)."""
+        """Return what repeated reading errors add to the covariance P of xi, (p, p)."""
         if self.reading_deviation == 0.0:
             return np.zeros_like(P)
         apart = self.q[:, None] - self.q
@@ -239,24 +247,24 @@ class KinematicProblem:
         return np.asarray(P @ np.einsum("kjp,klj,ljr->pr", G, K, G) @ P)
 
     def distances(self, xi: Floats) -> Floats:
-        """d_k^2, the squared length of each difference in deviations, (s,)."""
+        """Return d_k^2, the squared length of each whitened residual, (s,)."""
         return np.asarray(np.sum(self.normalized(self.residuals(xi)) ** 2, axis=1))
 
     def influence(self, xi: Floats, P: Floats) -> Floats:
-        """(p, 2n+3) shift of the estimate by an error of each parameter, true less assumed."""
+        """Return the shift (p, 2n+3) of the estimate per error (true - assumed) of a parameter."""
         weights = np.repeat(self.weights(xi), 3)[:, None]
         return P @ (weights * self.regressor(xi)).T @ self._whitened(xi, np.eye(len(self.basis)))
 
     def cost(self, xi: Floats) -> float:
-        """What the iteration minimizes, sum_k rho(d_k^2)."""
+        """Return the cost that the iteration minimizes, sum_k rho(d_k^2)."""
         return float(np.sum(LOSSES[self.loss].cost(self.distances(xi))))
 
     def weights(self, xi: Floats) -> Floats:
-        """(s,) rho'(d_k^2)."""
+        """Return the weights rho'(d_k^2), (s,)."""
         return LOSSES[self.loss].weight(self.distances(xi))
 
     def linear(self, xi: Floats) -> Linear:
-        """The weighted problem near xi."""
+        """Return the weighted problem, linearized at xi."""
         distances = self.distances(xi)
         root = np.repeat(np.sqrt(LOSSES[self.loss].weight(distances)), 3)
         return Linear(
@@ -266,14 +274,14 @@ class KinematicProblem:
         )
 
     def is_mirrored(self, xi: Floats) -> bool:
-        """Whether a length is negative."""
+        """Return True if a length is negative."""
         return bool((self.all_parameters(xi)[: self.arm.n] < 0.0).any())
 
     def folded(self, xi: Floats) -> Floats:
-        """The mirror image without negative lengths: such a link is turned by pi.
+        """Return the mirror image without negative lengths: such a link is turned by pi.
 
-        The end effector stays where it is. Its heading does unless the last link is turned and
-        theta_E is not there to turn it back.
+        The position of the end effector does not change. Its heading changes only if the last
+        link is turned and theta_E is not estimated, so that it cannot compensate.
         """
         n = self.arm.n
         values = self.all_parameters(xi)

@@ -1,4 +1,4 @@
-"""The report of a kinematic calibration."""
+"""Report of a kinematic calibration."""
 
 from collections.abc import Sequence
 
@@ -23,7 +23,7 @@ from fss_arm_model.layout import kinematic_index, kinematic_names
 
 
 def kinematic_report(outcome: Outcome[Observation, Solution], truth: Arm | None = None) -> Report:
-    """Report what a kinematic calibration found, beside the truth if that is known."""
+    """Report the result of a kinematic calibration, beside the true values if known."""
     o = outcome
     labels = [_label(name, o.arm.n) for name in o.names]
     figures = (
@@ -45,7 +45,7 @@ def kinematic_report(outcome: Outcome[Observation, Solution], truth: Arm | None 
 
 
 def _parameters(outcome: Outcome[Observation, Solution], truth: Arm | None) -> Table:
-    """Beside the paper's Tables 2-3 and, if known, the truth."""
+    """Tabulate the parameters beside the paper's Tables 2-3 and, if known, the true values."""
     e, n, p = outcome.estimate, outcome.arm.n, len(outcome.names)
     paper = _values(paper_arm(), e.names) if n == paper_arm().n else np.full(p, np.nan)
     true = np.full(p, np.nan) if truth is None else _values(truth, e.names)
@@ -116,7 +116,7 @@ def _observations(outcome: Outcome[Observation, Solution]) -> Table:
 
 
 def _values(arm: Arm, names: Sequence[str]) -> Floats:
-    """An arm's values of the named parameters; NaN for those it does not have."""
+    """Return an arm's values of the named parameters; NaN for those it does not have."""
     values = arm.vector()[kinematic_index(arm.n)]
     known = dict(zip(kinematic_names(arm.n), values, strict=True))
     known["a"] = float(np.mean(values[: max(arm.n - 1, 1)]))

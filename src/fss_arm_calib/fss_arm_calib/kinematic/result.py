@@ -1,4 +1,4 @@
-"""What a kinematic calibration finds, how far to believe it, and what it predicts."""
+"""Result of a kinematic calibration: estimates, uncertainty and predictions."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,16 +14,16 @@ from fss_arm_model.description import Arm
 
 
 class Prediction(NamedTuple):
-    """What a result says of k observations that it is not from."""
+    """Prediction of k observations that the result was not estimated from."""
 
     residuals: Floats  # (k, 3) observed minus predicted [m, m, rad]
-    normalized: Floats  # (k,) their lengths by the covariance of each, as in KinematicResult
-    chi_square: float  # of all together, 3k degrees of freedom
+    normalized: Floats  # (k,) lengths, normalized by their covariance, as in KinematicResult
+    chi_square: float  # of all k observations, with 3k degrees of freedom
 
 
 @dataclass(frozen=True)
 class KinematicResult:
-    """p parameters from s observations, and how far to believe them.
+    """Estimate of p parameters from s observations, with its uncertainty.
 
     With a robust loss the covariance is that of the weighted observations.
     """
@@ -31,25 +31,25 @@ class KinematicResult:
     problem: KinematicProblem
     values: Floats  # (p,) in the order and units of problem.names and problem.units
     covariance: Floats  # (p, p)
-    weighted: Floats  # (p, p) the part of it that the weights stand for, (Phi_k' W Phi_k)^-1
+    weighted: Floats  # (p, p) part of it due to observation errors, (Phi_k' W Phi_k)^-1
     residuals: Floats  # (s, 3) observed minus predicted [m, m, rad]
-    weights: Floats  # (s,) of the loss: 1, or less for an observation far off
+    weights: Floats  # (s,) weights of the loss: less than 1 for large residuals
     chi_square: float  # weighted sum of squared residuals
     condition_number: float  # of the column-scaled regressor
     iterations: int
-    last_update: float  # largest change in the last iteration, in the parameter's deviations
+    last_update: float  # largest change in the last iteration, in standard deviations
     converged: bool
-    undetermined: tuple[str, ...] = ()  # parameters that the observations cannot tell apart
-    missing: int = 0  # combinations of them that are undetermined
+    undetermined: tuple[str, ...] = ()  # parameters that the observations do not separate
+    missing: int = 0  # number of undetermined combinations of them
 
     @property
     def deviations(self) -> Floats:
-        """(p,) 1 sigma of each parameter."""
+        """Standard deviation of each parameter, (p,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def degrees_of_freedom(self) -> int:
-        """3s - p."""
+        """Degrees of freedom, 3s - p."""
         return self.residuals.size - self.values.size
 
     @property
@@ -63,13 +63,13 @@ class KinematicResult:
         return root_mean_square(self.residuals[:, 2])
 
     def _spread(self, problem: KinematicProblem, covariance: Floats) -> Floats:
-        """(s, 3, 3) what the parameters' covariance makes of predictions, in deviations."""
+        """Return the whitened covariance (s, 3, 3) of predictions due to the parameters."""
         Phi = problem.regressor(self.values).reshape(-1, 3, len(self.values))
         return np.asarray(Phi @ covariance @ np.swapaxes(Phi, 1, 2))
 
     @property
     def left(self) -> Left | None:
-        """What the residuals of positions and headings tell of the deviations."""
+        """Squared residuals and degrees of freedom of positions and headings."""
         if self.undetermined:
             return None
         hat = np.diagonal(self._spread(self.problem, self.weighted), axis1=1, axis2=2)
@@ -80,24 +80,26 @@ class KinematicResult:
 
     @cached_property
     def leverage(self) -> Floats:
-        """(s,) how far an observation determines its own prediction, 0 to 1.
+        """Leverage (s,): how much an observation determines its own prediction, 0 to 1.
 
-        The mean of its three diagonal elements of the hat matrix; p / 3s on average.
+        It is the mean of the observation's three diagonal elements of the hat matrix. The average
+        is p / 3s.
         """
         hat = self.weights * np.trace(self._spread(self.problem, self.weighted), axis1=1, axis2=2)
         return np.asarray(hat / 3.0)
 
     @cached_property
     def normalized_residuals(self) -> Floats:
-        """(s,) lengths of the residuals by their own covariance, 1 - hat.
+        """Lengths (s,) of the residuals, normalized by their own covariance, 1 - hat.
 
-        The squares of correct ones are distributed as chi-square with 3 degrees of freedom.
+        For correct observations, the squares have a chi-square distribution with 3 degrees of
+        freedom.
         """
         hat = self.weights[:, None, None] * self._spread(self.problem, self.weighted)
         return _lengths(self.problem.normalized(self.residuals), np.eye(3) - hat)
 
     def predicted(self, problem: KinematicProblem) -> Prediction:
-        """Predict observations that were not solved from."""
+        """Predict observations that were not used for the estimate."""
         residuals = problem.residuals(self.values)
         z, Phi = problem.normalized(residuals), problem.regressor(self.values)
         # z' (1 + Phi C Phi')^-1 z, by the matrix inversion lemma
@@ -108,7 +110,7 @@ class KinematicResult:
         return Prediction(residuals, _lengths(z, np.eye(3) + self._spread(problem, C)), chi_square)
 
     def calibrated(self) -> Arm:
-        """The initial arm with the estimated parameters.
+        """Return the initial arm with the estimated parameters.
 
         Raises:
             DescriptionError: a length is not positive.
@@ -125,6 +127,6 @@ class KinematicResult:
 
 
 def _lengths(z: Floats, covariance: Floats) -> Floats:
-    """sqrt(z' covariance^-1 z) of each, (s,), along the directions that have any."""
+    """Return sqrt(z' covariance^-1 z) of each, (s,), where the covariance is not singular."""
     inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
     return np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", z, inverse, z), 0.0))

@@ -1,4 +1,4 @@
-"""The settings of a kinematic calibration, live, replayed and offline alike."""
+"""Settings of a kinematic calibration; the same live, in a replay and offline."""
 
 from dataclasses import dataclass
 from math import radians
@@ -20,7 +20,7 @@ from fss_arm_model.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class KinematicSettings(CalibrationSettings):
-    """What is estimated of lengths and angles, and how it is checked.
+    """Settings of a kinematic calibration: estimated parameters and checks.
 
     Raises:
         SettingError: a setting is impossible.

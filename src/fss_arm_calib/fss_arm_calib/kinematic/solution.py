@@ -1,4 +1,4 @@
-"""From observations to lengths and angles: what is rejected and what is held out."""
+"""Solution of a kinematic calibration: outlier rejection and held-out observations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,31 +19,32 @@ from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.description import Arm
 
-#: Condition number with estimated deviations: whether all is determined is judged without them, as
-#: headings seen much better than positions make it large, and no parameter less certain.
+#: Limit of the condition number for solutions with estimated deviations. Whether all parameters are
+#: determined is checked with the assumed deviations: very accurate headings increase the condition
+#: number, but make no parameter less certain.
 ANY = 1e6
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A result, which observations it is from, and how well it predicts without some of them."""
+    """Result, the observations that it uses, and a prediction of held-out observations."""
 
-    problem: KinematicProblem  # of all s observations
-    result: KinematicResult  # of those kept
-    kept: Mask  # (s,)
-    reasons: tuple[str, ...]  # (s,) why it was rejected, else empty
-    errors: Floats  # (s,) normalized residuals; of those rejected, predicted
-    held_out: npt.NDArray[np.intp]  # (h,)
-    prediction: Prediction  # of those held out, by a solution without them
-    noise: Noise  # of the observations, as the problem has it
-    first: KinematicResult  # by the deviations that are given, or the largest to be believed
+    problem: KinematicProblem  # with all s observations
+    result: KinematicResult  # from the observations that were kept
+    kept: Mask  # (s,) observations that were not rejected
+    reasons: tuple[str, ...]  # (s,) reason for the rejection, else empty
+    errors: Floats  # (s,) normalized residuals; predicted ones for rejected observations
+    held_out: npt.NDArray[np.intp]  # (h,) indices of the held-out observations
+    prediction: Prediction  # of the held-out observations, by a solution without them
+    noise: Noise  # of the observations, as in `problem`
+    first: KinematicResult  # with the given deviations, or the largest plausible ones
 
 
 def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> KinematicProblem:
-    """The problem that observations make.
+    """Return the kinematic problem of the used observations.
 
     Raises:
-        ValueError: observations and arm do not fit.
+        ValueError: the observations do not match the arm.
     """
     position, heading = assumed(s).deviations.tolist()
     return KinematicProblem(
@@ -61,7 +62,7 @@ def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> K
 
 
 def parametrization(arm: Arm, s: KinematicSettings) -> str:
-    """What is estimated of an arm's lengths."""
+    """Return the parametrization of the arm's lengths."""
     if s.parametrization != DESCRIBED:
         return s.parametrization
     lengths = [link.a for link in arm.links[:-1]] or [0.0]
@@ -69,12 +70,12 @@ def parametrization(arm: Arm, s: KinematicSettings) -> str:
 
 
 def fewest(problem: KinematicProblem, s: KinematicSettings) -> int:
-    """Observations that are needed."""
+    """Return the number of observations needed."""
     return max(s.min_observations, len(problem.names) // 3 + 1)
 
 
 def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solution:
-    """Solve, reject as many outliers as allowed, one after the other, and hold some out."""
+    """Solve, reject outliers one by one up to the limit, and predict held-out observations."""
     s = settings
 
     largest = problem.sigma[1:].tolist()
@@ -94,7 +95,8 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
         found = solved_only(mask)
         errors = found.result.normalized_residuals
         if not found.noise.given.all() and np.sum(mask) > fewest(problem, s):
-            # The worst by the errors of the others: it makes its own deviation larger, and hides.
+            # Judge the worst by the noise of the others: an outlier inflates the estimated
+            # deviation and so hides itself.
             worst, others = int(np.argmax(errors)), mask.copy()
             others[np.flatnonzero(mask)[worst]] = False
             without = solved_only(others)
@@ -119,7 +121,7 @@ def _held_out(
     s: KinematicSettings,
     max_condition: float,
 ) -> tuple[npt.NDArray[np.intp], Prediction]:
-    """Observations predicted by a solution without them; none if too few remain."""
+    """Predict held-out observations by a solution without them; none if too few remain."""
     held_out = (
         np.flatnonzero(kept)[s.held_out - 1 :: s.held_out] if s.held_out else np.array([], int)
     )
@@ -135,7 +137,7 @@ def _held_out(
 
 
 def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimate:
-    """What is estimated, as every kind of calibration has it."""
+    """Convert the solution to the estimate that all kinds of calibration share."""
     names, units, initial = problem.names, problem.units, problem.initial
     if solution is None:
         freedom = max(problem.tip.size - len(names), 0)

@@ -1,4 +1,4 @@
-"""The lengths and angles that fit the observations best (Eq. 4), from several starts."""
+"""Solver for the lengths and angles that fit the observations best (Eq. 4)."""
 
 from itertools import compress
 
@@ -10,14 +10,14 @@ from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_calib.kinematic.result import KinematicResult
 from fss_arm_model.planar import wrap
 
-#: A parameter's share in the undetermined directions from which on it is named.
+#: A parameter is reported if its share in the undetermined directions is larger.
 NOTICEABLE = 1e-3
 
 MAX_ITERATIONS = 200
 
 
 class NotIdentifiable(ValueError):  # noqa: N818
-    """The observations cannot tell some parameters apart; the message names them."""
+    """Error raised if some parameters are not identifiable; the message names them."""
 
     def __init__(self, parameters: tuple[str, ...], undetermined: int, condition: float) -> None:
         self.parameters, self.undetermined, self.condition = parameters, undetermined, condition
@@ -33,10 +33,10 @@ def solve(
     max_condition: float = 1e3,
     start: npt.ArrayLike | None = None,
 ) -> KinematicResult:
-    """As `fit`, all parameters determined.
+    """Fit as `fit` does, and require that all parameters are determined.
 
     Raises:
-        NotIdentifiable: the observations are too few or too alike for all parameters.
+        NotIdentifiable: the observations are too few or too similar for all parameters.
     """
     result = fit(problem, tolerance, max_condition, start)
     if result.undetermined:
@@ -50,16 +50,17 @@ def fit(
     max_condition: float = 1e3,
     start: npt.ArrayLike | None = None,
 ) -> KinematicResult:
-    """Iterate Eq. 4 (Gauss-Newton) to the lowest cost that its starts lead to.
+    """Iterate Eq. 4 (Gauss-Newton) from several starts and return the solution of lowest cost.
 
-    It starts from the guess with its lengths and mount solved for, as these are linear once the
-    angles are known, and from the closed form. Mirrored solutions are folded back. Parameters that
-    the observations cannot tell apart are named in the result.
+    One start is the guess, with lengths and mount solved linearly for the guessed angles. The
+    other start is the closed form. Mirrored solutions are folded back. The result names the
+    parameters that are not identifiable.
 
     Args:
         problem: observations and initial guess.
-        tolerance: the update below which it has converged, in the parameter's deviations.
-        max_condition: of the column-scaled regressor, beyond it parameters count as inseparable.
+        tolerance: update below which the iteration has converged, in standard deviations.
+        max_condition: condition number of the column-scaled regressor above which parameters
+            count as inseparable.
         start: (p,) guess in place of the arm's, which cannot have lengths of zero.
     """
     guess = problem.initial if start is None else np.asarray(start, dtype=float)
@@ -84,7 +85,7 @@ def fit(
         if problem.is_mirrored(fit.x):
             fit = iterate(fit.x)
         if fit.converged and fit.cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
-            break  # no other minimum can be so much better that chance does not explain it
+            break  # any better minimum would be better only by chance
     best = min(fits, key=lambda fit: (not fit.converged, fit.cost))
     missing = len(best.x) - len(best.basis.s)
     lost = best.basis.undetermined() > NOTICEABLE
@@ -109,14 +110,14 @@ def fit(
 
 
 def _turns(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
-    """exp(i Q_i) with Q_i = q_1 + .. + q_i, (s, n)."""
+    """Return exp(i Q_i) with Q_i = q_1 + .. + q_i, (s, n)."""
     return np.asarray(np.exp(1j * np.cumsum(problem.q, axis=1)))
 
 
 def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
-    """The start with xi's angles and the lengths and mount that suit them best.
+    """Return a start with the angles of xi and the best lengths and mount for them.
 
-    What the observations do not determine stays as it is in xi.
+    Lengths and mount that the observations do not determine keep their values in xi.
     """
     n = problem.arm.n
     values = problem.all_parameters(xi)
@@ -134,9 +135,9 @@ def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
 
 
 def _closed_form(problem: KinematicProblem) -> list[Floats]:
-    """A start that needs no guess, from the positions alone; none if they do not suffice.
+    """Return a start from the positions, without a guess; none if they do not suffice.
 
-    With complex numbers for the plane's vectors and Q_i = q_1 + .. + q_i, the end effector is at
+    With complex numbers as vectors in the plane and Q_i = q_1 + .. + q_i, the end effector is at
 
         x + i y = m + sum_i z_i exp(i Q_i)
         z_i = a_i exp(i (theta_BJ1 + theta_0_2 + .. + theta_0_i))

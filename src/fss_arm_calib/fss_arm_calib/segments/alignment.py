@@ -1,13 +1,14 @@
 """The offset between the joints' stamps and motion capture's, from the arm's own moves.
 
-Seen from the base, the end effector's heading is the sum of the joints' readings and a constant,
-whatever the lengths. If a joint's stamp is delta more than motion capture's of the same moment,
+In the base's frame, the end effector's heading is the sum of the joints' readings and a constant,
+whatever the lengths. If a joint's stamp is delta more than motion capture's of the same instant,
 
     psi(t) = c + Q(t + delta),    Q = q_1 + .. + q_n
 
-over the frames t of a move. delta is searched for on a grid and refined by Gauss-Newton. Errors of
-the readings' interpolation last for about the time between two readings, so that frames within it
-count as one: a move's deviation is rather too large. Several moves show theirs by their scatter.
+over the frames t of a move. delta is searched on a grid and refined by Gauss-Newton. Errors of the
+readings' interpolation last for about the time between two readings, so that frames within this
+time count as one. The deviation of a move is therefore conservative. With several moves, the
+scatter of their offsets gives the deviation.
 """
 
 from collections import deque
@@ -21,18 +22,18 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.joints import Joint
 from fss_arm_calib.segments.samples import SECOND
 
-LONGEST_MOVE = 20.0  # of a move, only so much at its end is used [s]
-LEAST_TURN = 0.1  # a move that turns the end effector less shows nothing [rad]
+LONGEST_MOVE = 20.0  # length of the last part of a move that is used [s]
+LEAST_TURN = 0.1  # a move that turns the end effector less is ignored [rad]
 GRID = 0.02  # step of the search [s]
-WORST = 0.05  # a move that determines the offset no better shows nothing [s]
-FRAME = 0.01  # at which a move is looked at [s]
-ENOUGH = 5  # moves to estimate their scatter from
-NEWEST = 100  # moves that the mean is of: clocks drift, and a day has thousands
+WORST = 0.05  # a move whose offset has a larger deviation is ignored [s]
+FRAME = 0.01  # sample period of a move [s]
+ENOUGH = 5  # number of moves from which their scatter is estimated
+NEWEST = 100  # number of moves in the mean; limited because clocks drift
 
 
 @dataclass(frozen=True)
 class Offset:
-    """Of the joints' stamps against motion capture's [s]."""
+    """Offset of the joints' stamps relative to motion capture's, with its deviation [s]."""
 
     value: float = nan
     deviation: float = inf
@@ -41,18 +42,18 @@ class Offset:
 def offset_of_move(
     t: Floats, q: list[tuple[Floats, Floats]], seen: Floats, psi: Floats, search: float
 ) -> Offset:
-    """The offset that makes a move in the readings the one that motion capture saw.
+    """Return the offset that best aligns a move in the readings with the one in motion capture.
 
     Args:
-        t: (2,) begin and end of the move, by the joints' stamps [s].
+        t: (2,) start and end of the move, by the joints' stamps [s].
         q: stamps [s] and readings [rad] of each joint, from before the move until after it.
         seen: (k,) stamps of motion capture [s].
-        psi: (k,) the end effector's heading seen from the base, unwrapped [rad].
-        search: largest offset to look for [s].
+        psi: (k,) the end effector's heading in the base's frame, unwrapped [rad].
+        search: largest offset to search for [s].
 
     Returns:
-        The offset; NaN if the move hardly turns the end effector, an end of the search, of infinite
-        deviation, if the offset lies outside.
+        The offset; NaN if the move hardly turns the end effector. If the offset lies outside the
+        search, a limit of the search with infinite deviation.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -81,7 +82,7 @@ def offset_of_move(
 
 
 def last_move(joints: Sequence[Joint], end: int, threshold: float) -> tuple[int, int] | None:
-    """Begin and end of the last move before `end` [ns], as far as it is used; None: none."""
+    """Return start and end of the used part of the last move before `end` [ns]; None: no move."""
     moving = []
     for joint in joints:
         t, q, _ = joint.within(end - round(LONGEST_MOVE * SECOND), end)
@@ -92,19 +93,19 @@ def last_move(joints: Sequence[Joint], end: int, threshold: float) -> tuple[int,
 
 
 class Alignment:
-    """The mean offset of the newest moves.
+    """Mean offset of the newest moves.
 
     Args:
-        search: largest offset that they are searched for [s].
+        search: largest offset to search for [s].
     """
 
     def __init__(self, search: float) -> None:
         self.search = search
         self.offset = Offset()
-        self.moves: deque[Offset] = deque(maxlen=NEWEST)  # that turned what was looked at
+        self.moves: deque[Offset] = deque(maxlen=NEWEST)  # with a finite offset
 
     def learn(self, move: Offset) -> None:
-        """Learn from another move."""
+        """Update the mean with another move."""
         if isfinite(move.value):
             self.moves.append(move)
         if move.deviation <= WORST:
@@ -112,17 +113,17 @@ class Alignment:
 
     @property
     def beyond(self) -> float:
-        """What the offset is more than by most moves, once there are ENOUGH, else 0 [s]."""
+        """Lower limit of the offset if it is outside the search for most moves, else 0 [s]."""
         outside = sum(move.deviation == inf for move in self.moves)
         most = outside >= ENOUGH and 2 * outside > len(self.moves)
         return self.search if most else 0.0
 
 
 def mean_offset(moves: Collection[Offset]) -> Offset:
-    """The mean weighted by deviations; the scatter of ENOUGH moves gives its deviation.
+    """Return the weighted mean of the moves; with ENOUGH moves, their scatter gives its deviation.
 
-    The error over what a scatter of n moves gives is distributed as Student's t with n - 1 degrees
-    of freedom, of variance (n - 1) / (n - 3).
+    The ratio of the error to the deviation from a scatter of n moves is distributed as Student's t
+    with n - 1 degrees of freedom, of variance (n - 1) / (n - 3).
     """
     values = np.array([move.value for move in moves])
     weights = np.array([move.deviation for move in moves]) ** -2.0

@@ -1,7 +1,7 @@
-"""Drifts out of streams: while the arm rests, the base floats as it will.
+"""Drifts found in streams: the base floats freely while the arm rests.
 
-A rest of at least `min_duration`, less the time to settle, is a drift; a longer one than
-`max_duration` is taken as several.
+A rest of at least `min_duration`, after the time to settle, is a drift. A rest longer than
+`max_duration` is split into several drifts.
 """
 
 from dataclasses import dataclass
@@ -15,43 +15,43 @@ from fss_arm_calib.segments.poses import FROZEN, bins
 from fss_arm_calib.segments.samples import SECOND
 from fss_arm_calib.segments.settings import DriftFinderSettings
 
-FEWEST = 10  # averaged poses of a drift
+FEWEST = 10  # smallest number of averaged poses in a drift
 
 
 @dataclass(frozen=True)
 class Drift:
-    """The base's averaged poses while the arm rests."""
+    """Averaged poses of the base while the arm rests."""
 
-    start: int  # of the first pose [ns]
+    start: int  # time of the first pose [ns]
     end: int
     q: tuple[float, ...]  # (n) joint readings [rad]
-    times: tuple[float, ...]  # (m) of the poses, from `start` on [s]
-    poses: tuple[tuple[float, ...], ...]  # (m) x, y [m], heading [rad], counting turns
-    frames: tuple[int, ...]  # (m) averaged
-    seconds: tuple[float, ...]  # (m) over which [s]
+    times: tuple[float, ...]  # (m) times of the poses since `start` [s]
+    poses: tuple[tuple[float, ...], ...]  # (m) x, y [m], unwrapped heading [rad]
+    frames: tuple[int, ...]  # (m) number of frames averaged
+    seconds: tuple[float, ...]  # (m) averaging time [s]
     used: bool = True
     reason: str = ""  # why it is not used
 
 
 class Interval(NamedTuple):
-    """A rest, or a part of a long one [ns]."""
+    """Rest, or part of a long rest [ns]."""
 
     begin: int
     end: int
 
 
 class DriftFinder(Finder[Interval, Drift]):
-    """Fed samples of n joints and the base, gives the drifts that they complete."""
+    """Finder of drifts in the samples of n joints and the base."""
 
     settings: DriftFinderSettings
 
     def __init__(self, n: int, settings: DriftFinderSettings | None = None) -> None:
         super().__init__(n, settings or DriftFinderSettings())
-        self._since = -1  # what was before has been taken [ns]
+        self._since = -1  # end of the last interval proposed as a drift [ns]
 
     @property
     def resting(self) -> Interval:
-        """The arm's present rest, as far as all joints have been heard."""
+        """Present rest of the arm, up to the time that all joints confirm."""
         begin = max(self._since, self.rests.begin)
         return Interval(begin, max(begin, self.rests.end))
 
@@ -63,7 +63,7 @@ class DriftFinder(Finder[Interval, Drift]):
             self._propose(begin, end)
 
     def _propose(self, begin: int, end: int) -> None:
-        """A rest is over, or long enough to count as one."""
+        """Queue an interval at rest as a candidate if it is long enough."""
         self._since = max(self._since, end)
         if end - begin >= self.min_duration:
             self._pending.append(Interval(begin, end))
@@ -74,12 +74,12 @@ class DriftFinder(Finder[Interval, Drift]):
         return super()._collect(closing)
 
     def _segment(self, candidate: Interval, closing: bool) -> Drift | None:
-        """The drift of a rest; None if nobody knows how some joint stood, or saw the base."""
+        """Return the drift in a rest; None if readings of a joint or enough poses are missing."""
         begin, end = candidate.begin + self.settle_time, candidate.end
         readings = [joint.within(begin, end)[1] for joint in self.joints]
         if not all(map(len, readings)):
             return None
-        # What floats never has the very same pose for long: that is a receiver repeating itself.
+        # The pose of a floating base never stays exactly the same: the receiver repeated it.
         self.base.rejected[FROZEN] += self.base.frozen(begin, end, begin - 1)
         t, poses = self.base.within(begin, end, begin - 1)
         poses[:, 2] = np.unwrap(poses[:, 2])

@@ -1,9 +1,9 @@
-"""Excitations out of links' telemetry: what all links report while a joint turns.
+"""Excitations found in the links' telemetry: frames of all links while a joint turns.
 
-Time is cut into blocks of BLOCK, at its multiples. A block is an excitation if a joint turns in it,
-or did in the one before: links swing on, and what a torque sensor shows at rest is its zero. It is
-decided once all links have passed it, or are waited for no longer, so that what is found is a
-function of the data alone, as with other finders.
+Time is divided into blocks at multiples of BLOCK. A block is an excitation if a joint turns in it
+or turned in the block before: links keep swinging, and a torque sensor at rest shows its zero. A
+block is evaluated when all links have passed it or have timed out. The result therefore depends on
+the data alone, as with other finders.
 """
 
 from collections import deque
@@ -20,29 +20,29 @@ from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 
 BLOCK = 4 * SECOND  # [ns]
-TOGETHER = 15  # excitations that are given at once, unless the arm rests: each has all solved anew
+TOGETHER = 15  # excitations returned together while the arm moves: each return triggers a solve
 LATE = "late"
 
 
 class Frame(NamedTuple):
-    """What a link reports at once, raw as LinkTelemetry has it."""
+    """Telemetry frame of a link, with the raw values of LinkTelemetry."""
 
     position: float  # [counts]
     velocity: float  # [0.1 counts/s]
     current: float  # [0.01 A]
     torque: float  # [counts]
     torque_age: float  # [ms]
-    boot: int  # start of its electronics
-    homings: int  # how often its drive was referenced since; 0: not known
+    boot: int  # identifies the start of the link's electronics
+    homings: int  # number of homings of the drive since then; 0: not known
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Successive ones of a link, (k) each, in order of time."""
+    """Successive frames of a link, (k) values each, in order of time."""
 
-    boot: int  # of the last one
-    homings: int  # of the last one that told
-    stamps: tuple[int, ...]  # of the measurement [ns]
+    boot: int  # of the last frame
+    homings: int  # of the last frame in which they are known
+    stamps: tuple[int, ...]  # times of measurement [ns]
     position: tuple[float, ...]
     velocity: tuple[float, ...]
     current: tuple[float, ...]
@@ -52,9 +52,9 @@ class Frames:
 
 @dataclass(frozen=True)
 class Excitation:
-    """What all links reported while a joint turned."""
+    """Frames of all links while a joint turned."""
 
-    start: int  # of the first frame [ns]
+    start: int  # time of the first frame [ns]
     end: int
     links: tuple[Frames, ...]  # (n)
     used: bool = True
@@ -62,30 +62,30 @@ class Excitation:
 
     @property
     def boots(self) -> tuple[int, ...]:
-        """(n) start of each link's electronics; 0: not known."""
+        """Start of each link's electronics (n); 0: not known."""
         return tuple(one.boot for one in self.links)
 
     @property
     def homings(self) -> tuple[int, ...]:
-        """(n) how often its drive was referenced since; 0: not known."""
+        """Number of homings of each drive since then (n); 0: not known."""
         return tuple(one.homings for one in self.links)
 
 
 class Reports(Stream):
-    """A link's frames that are not decided on yet."""
+    """Frames of a link that are not evaluated yet."""
 
     def __init__(self, name: str, horizon: int) -> None:
         super().__init__(name, horizon)
         self.waiting: deque[tuple[int, Frame]] = deque()
 
     def append(self, t: int, frame: Frame) -> None:
-        """Take what the link reports."""
+        """Append a frame of the link."""
         for sample in self.admit(t, frame):
             self.newest = sample[0]
             self.waiting.append(sample)
 
     def before(self, end: int) -> list[tuple[int, Frame]]:
-        """Those before a time [ns], which wait no longer."""
+        """Remove and return the frames before a time [ns]."""
         found = []
         while self.waiting and self.waiting[0][0] < end:
             found.append(self.waiting.popleft())
@@ -93,12 +93,12 @@ class Reports(Stream):
 
 
 class ExcitationFinder:
-    """Fed frames of an arm's links, gives the excitations that they complete.
+    """Finder of excitations in the telemetry frames of an arm's links.
 
     Args:
-        arm: whose encoders tell how fast joints turn.
-        settings: what counts as an excitation.
-        kept: by a run before this one.
+        arm: arm whose encoder resolutions convert velocities.
+        settings: definition of an excitation.
+        kept: excitations of a previous run.
     """
 
     def __init__(
@@ -111,25 +111,25 @@ class ExcitationFinder:
         self.horizon, self.joint_gap = (round(t * SECOND) for t in (s.horizon, s.joint_gap))
         self.links = [Reports(f"link_{i}", self.horizon) for i in range(1, arm.n + 1)]
         self._slow = [10.0 * s.min_speed * k.drive.counts_per_turn / tau for k in arm.links]
-        self._since = kept[-1].end + 1 if kept else 0  # what was before is decided [ns]
+        self._since = kept[-1].end + 1 if kept else 0  # earlier frames are evaluated [ns]
         self._turned = -2  # the last block in which a joint turned
         self._found: list[Excitation] = []
         for one in kept[-1:]:
             self._note(one.end // BLOCK, [link.velocity for link in one.links])
 
     def frame(self, i: int, t: int, frame: Frame) -> list[Excitation]:
-        """What link i, 1 to n, reports at t [ns]."""
+        """Process a frame of link i, 1 to n, at t [ns]; return the excitations it completes."""
         link = self.links[i - 1]
         link.append(t, frame)
         link.rejected[LATE] += len(link.before(self._since))
         return self._collect()
 
     def close(self) -> list[Excitation]:
-        """What can be said with no more frames to come: the last block counts, too."""
+        """Return the excitations if no frames follow, including the last block."""
         return self._collect(closing=True)
 
     def streams(self) -> Streams:
-        """What became of the streams so far."""
+        """Return the state of the streams."""
         return Streams(
             silent=tuple(one.name for one in self.links if one.newest < 0),
             rejected={
@@ -157,18 +157,18 @@ class ExcitationFinder:
         return found
 
     def _decided(self, end: int) -> bool:
-        """Whether all links have passed a time, or are waited for no longer."""
+        """Return True if all links have passed a time or have timed out."""
         newest = [one.newest for one in self.links]
         return min(newest) >= end or max(newest) - self.horizon > end
 
     def _note(self, block: int, velocities: Sequence[Sequence[float]]) -> None:
-        """Whether a joint turns in a block, by what each link reports."""
-        links = zip(velocities, self._slow, strict=False)  # of a state file there may be others
+        """Note the block if a joint turns in it, given the velocities of each link."""
+        links = zip(velocities, self._slow, strict=False)  # a state file may have other links
         if any(abs(velocity) > slow for those, slow in links for velocity in those):
             self._turned = block
 
     def _excitations(self, block: int) -> Iterator[Excitation]:
-        """That of a block, if it is one."""
+        """Yield the excitation in a block, if a joint turns."""
         rows = [one.before((block + 1) * BLOCK) for one in self.links]
         self._note(block, [[frame.velocity for _, frame in those] for those in rows])
         if block - self._turned > 1:
@@ -181,7 +181,7 @@ class ExcitationFinder:
     def _reasons(
         self, rows: Sequence[Sequence[tuple[int, Frame]]], start: int, end: int
     ) -> Iterator[str]:
-        """Why it is not used."""
+        """Yield reasons to reject an excitation."""
         for link, those in zip(self.links, rows, strict=True):
             homings = {frame.homings for _, frame in those} - {0}
             if len({frame.boot for _, frame in those}) > 1 or len(homings) > 1:
@@ -192,7 +192,7 @@ class ExcitationFinder:
 
 
 def _frames(rows: Sequence[tuple[int, Frame]]) -> Frames:
-    """As one."""
+    """Combine successive frames of a link."""
     every = [frame for _, frame in rows]
     told = [frame.homings for frame in every if frame.homings]
     return Frames(

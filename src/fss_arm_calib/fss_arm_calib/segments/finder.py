@@ -1,10 +1,10 @@
-"""What all finders have in common: they are fed streams, and give segments of them.
+"""Base class of all finders, which receive streams and return segments found in them.
 
-Streams arrive each in its own order and rate, and interleaved at will: samples are merged by their
-stamps, and nothing is decided before every stream has passed the moment in question. What is found
-is therefore a function of the data alone, the same live, replayed and read from a file, as long as
-no stream lags another by more than `horizon`. Streams that need not be there are waited for up to
-half of it, if they fall silent.
+Each stream arrives in its own order and rate, interleaved with the others in any way. Samples are
+merged by their stamps, and nothing is decided before every stream has passed the time in question.
+The result therefore depends on the data alone: it is the same live, replayed and read from a file,
+as long as no stream lags another by more than `horizon`. The timeout of an optional stream that
+falls silent is half of `horizon`.
 """
 
 from abc import ABC, abstractmethod
@@ -22,16 +22,16 @@ from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import Link
 
-OPTIONAL = 0.5  # of the horizon: how long streams that need not be there are waited for
-CLEANING = 1000  # samples from one forgetting to the next
+OPTIONAL = 0.5  # timeout of optional streams, as a fraction of the horizon
+CLEANING = 1000  # samples between two removals of old data
 
 
 class Candidate(Protocol):
-    """What may be a segment."""
+    """Candidate for a segment."""
 
     @property
     def end(self) -> int:
-        """Up to when all must be heard before it is decided [ns]."""
+        """Time that all streams must have passed before it is decided [ns]."""
 
 
 C = TypeVar("C", bound=Candidate)
@@ -39,18 +39,18 @@ S = TypeVar("S")  # a segment
 
 
 class Finder(ABC, Generic[C, S]):
-    """Fed samples of n joints and what else there is, gives the segments that they complete.
+    """Finder of segments in the samples of n joints and of the other streams.
 
-    Each feeding method returns the segments found by it, in order of time. Stamps are integer
-    nanoseconds.
+    Each method that takes samples returns the segments that they complete, in order of time. Stamps
+    are integer nanoseconds.
 
     Args:
         n: number of joints.
-        settings: what counts as a rest.
-        search: for an offset between the clocks [s].
+        settings: definition of a rest.
+        search: largest offset between the clocks to search for [s].
     """
 
-    needed: ClassVar[tuple[str, ...]] = (BASE,)  # subjects without which there are no segments
+    needed: ClassVar[tuple[str, ...]] = (BASE,)  # subjects that segments require
 
     def __init__(self, n: int, settings: RestSettings, search: float = 0.0) -> None:
         s = self.settings = settings
@@ -73,45 +73,45 @@ class Finder(ABC, Generic[C, S]):
         self._until_cleaning = CLEANING
 
     def joint(self, i: int, t: int, q: float, qd: float = nan) -> list[S]:
-        """A reading q [rad] and rate qd [rad/s] of joint i, 1 to n; NaN: no rate is known."""
+        """Add a reading q [rad] and rate qd [rad/s] of joint i, 1 to n; NaN: rate not known."""
         for ended in self.rests.add(i, t, q, qd):
             self._merged(ended)
         return self._fed()
 
     def pose(self, subject: str, t: int, pose: tuple[float, float, float] | None) -> list[S]:
-        """A pose x [m], y [m], heading [rad] of a subject; None: it was not visible."""
+        """Add a pose x [m], y [m], heading [rad] of a subject; None: it was not visible."""
         self.subjects[subject].append(t, pose)
         return self._fed()
 
     def poses(self, subject: str, t: Stamps, poses: Floats) -> list[S]:
-        """Many poses of a subject at once, (k,) and (k, 3); NaN: it was not visible."""
+        """Add k poses of a subject at once, (k,) and (k, 3); NaN: it was not visible."""
         self.subjects[subject].extend(t, poses)
         return self._fed(len(t))
 
     def rate(self, t: int, rate: float) -> list[S]:
-        """A turn rate of the base [rad/s]."""
+        """Add a turn rate of the base [rad/s]."""
         self.gyro.append(t, rate)
         return self._fed()
 
     def rates(self, t: Stamps, rates: Floats) -> list[S]:
-        """Many turn rates of the base at once, (k,) each."""
+        """Add k turn rates of the base at once, (k,) each."""
         self.gyro.extend(t, rates)
         return self._fed(len(t))
 
     def telemetry(self, i: int, t: int, armed: bool, boot: int, homings: int) -> list[S]:
-        """What link i, 1 to n, reports: whether it is armed, its start, and its homings since."""
+        """Add the state of link i, 1 to n: armed or not, its start, and the homings since then."""
         if 1 <= i <= len(self.links):
             self.links[i - 1].append(t, armed, boot, homings)
         return self._fed()
 
     def close(self) -> list[S]:
-        """What can be said with no more samples to come: the last rest counts, too."""
+        """Return the segments if no samples follow, including the last rest."""
         for ended in self.rests.drain():
             self._merged(ended)
         return self._collect(closing=True)
 
     def streams(self) -> Streams:
-        """What became of the streams so far."""
+        """Return the state of the streams."""
         boots, homings = self._references(inf)
         timed = [*self.joints, *self.subjects.values()]
         every: list[Stream] = [*timed, self.gyro, *self.links]
@@ -135,11 +135,11 @@ class Finder(ABC, Generic[C, S]):
         )
 
     def _doubts(self) -> Iterator[str]:
-        """What about the streams may hide all data, in words."""
+        """Describe problems of the streams that may hide all data."""
         seen = [one for one in self._poses if one.first >= 0]
         heard = [(joint.name, joint.begun, joint.newest) for joint in self.joints if joint.merged]
         heard += [(poses.name, poses.first, poses.newest) for poses in seen[1:]]
-        apart: dict[str, list[str]] = {}  # names by how far
+        apart: dict[str, list[str]] = {}  # names by distance
         for name, begin, end in heard if seen else ():
             steps = begin - seen[0].first, end - seen[0].newest
             if min(steps) > self.horizon or max(steps) < -self.horizon:
@@ -163,20 +163,20 @@ class Finder(ABC, Generic[C, S]):
 
     @property
     def _least_rest(self) -> int:
-        """How long the arm must rest [ns]."""
+        """Shortest time that the arm must rest [ns]."""
         return self.settle_time + self.min_duration
 
     @abstractmethod
     def _merged(self, ended: Rest | None) -> None:
-        """Another reading was merged; it may have ended a rest, however short."""
+        """Process another merged reading; `ended` is the rest that it ends, if any."""
 
     @abstractmethod
     def _segment(self, candidate: C, closing: bool) -> S | None:
-        """What a candidate is; None: nothing."""
+        """Return the segment of a candidate; None if it is none."""
 
     @abstractmethod
     def _needed_since(self) -> int:
-        """Since when samples may still be asked for [ns]."""
+        """Return the time of the oldest sample that is still needed [ns]."""
 
     def _fed(self, samples: int = 1) -> list[S]:
         found = self._collect()
@@ -186,29 +186,29 @@ class Finder(ABC, Generic[C, S]):
         return found
 
     def _collect(self, closing: bool = False) -> list[S]:
-        """What every stream has passed by now, or is waited for no longer."""
+        """Return the segments that every stream has passed, or whose streams have timed out."""
         found: list[S | None] = []
         while self._pending and (closing or self._decided(self._pending[0])):
             found.append(self._segment(self._pending.pop(0), closing))
         return [segment for segment in found if segment]
 
     def _decided(self, candidate: C) -> bool:
-        """Whether all has been heard of a candidate, or is waited for no longer."""
+        """Return True if all streams have passed a candidate or have timed out."""
         return candidate.end <= self._heard or candidate.end < self._newest - self.horizon
 
     @property
     def _newest(self) -> int:
-        """The newest stamp of what is needed; what is not has no say, its clock may be wrong."""
+        """Newest stamp of the needed streams; clocks of optional streams may be wrong."""
         return max(self.rests.newest, *(poses.newest for poses in self._poses))
 
     @property
     def _seen(self) -> int:
-        """Up to when the subjects needed have been heard."""
+        """Time up to which the needed subjects are received."""
         return min(poses.reached for poses in self._poses)
 
     @property
     def _heard(self) -> int:
-        """Up to when all has been heard that is waited for."""
+        """Time up to which all streams are received, except those that have timed out."""
         seen = self._seen
         late = seen - round(OPTIONAL * self.horizon)
         others: list[Stream] = [self.gyro, self.tip, *self.links]
@@ -219,23 +219,23 @@ class Finder(ABC, Generic[C, S]):
         return [self.subjects[name] for name in self.needed]
 
     def _references(self, t: float) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Starts and homings of all links as known at t."""
+        """Return starts and homings of all links as known at t."""
         boots, homings = zip(*(link.reference(t) for link in self.links), strict=True)
         return boots, homings
 
     def _learn(self, move: Offset) -> None:
-        """Allow for the clocks' offset that a move shows."""
+        """Update the offset between the clocks from a move, and correct for it."""
         self.alignment.learn(move)
         if self.alignment.offset.deviation < inf:
             self._lag(self.alignment.offset.value)
 
     def _lag(self, offset: float) -> None:
-        """Joints' stamps are so much more than motion capture's [s]."""
+        """Set the offset of the joints' stamps relative to motion capture's [s]."""
         for poses in self.subjects.values():
             poses.lag = round(offset * SECOND)
 
     def _forget(self) -> None:
-        """Drop what no segment will ask for, and what lies beyond what streams may lag by."""
+        """Drop samples that no segment needs, and those older than the largest lag of streams."""
         self._until_cleaning = CLEANING
         span = 2 * self.horizon + self.max_duration
         oldest = max(self._needed_since(), self._newest - span)

@@ -1,4 +1,4 @@
-"""The base's turn rates by stamp, and what it turned by where no camera saw it."""
+"""Turn rates of the base by stamp, and its rotation while no camera sees it."""
 
 from array import array
 
@@ -10,7 +10,7 @@ from fss_arm_model.planar import wrap
 
 
 class Gyro(Stream):
-    """The base's turn rates."""
+    """Stream of the base's turn rates."""
 
     def __init__(self, name: str, horizon: int) -> None:
         super().__init__(name, horizon)
@@ -18,7 +18,7 @@ class Gyro(Stream):
         self.columns.append((self.rate, 1))
 
     def append(self, t: int, rate: float) -> None:
-        """Take a rate [rad/s]."""
+        """Append a rate [rad/s]."""
         if not abs(rate) <= LARGEST:
             self.rejected[OUT_OF_RANGE] += 1
             return
@@ -28,7 +28,7 @@ class Gyro(Stream):
             self.rate.append(value)
 
     def extend(self, t: Stamps, rates: Floats) -> None:
-        """Take many, (k,) each."""
+        """Append k rates, (k,) each."""
         if not np.all(np.abs(rates) <= LARGEST) or not self.in_order(t):
             for stamp, rate in zip(t.tolist(), rates.tolist(), strict=True):
                 self.append(stamp, rate)
@@ -38,7 +38,7 @@ class Gyro(Stream):
             self.newest = self.t[-1]
 
     def angles(self, begin: int, end: int, gap: int) -> tuple[Stamps, Floats] | None:
-        """Stamps and angles turned since the first of them [rad]; None: there is a longer gap."""
+        """Return stamps and angles turned since the first [rad]; None: a gap exceeds `gap` [ns]."""
         around = self.around(begin, end)
         t, rate = np.array(self.t[around]), np.array(self.rate[around])
         if len(t) < 2 or t[0] > begin or t[-1] < end or np.diff(t).max() > gap:
@@ -47,16 +47,16 @@ class Gyro(Stream):
         return t, np.concatenate([[0.0], np.cumsum(steps)])
 
     def unwrap(self, t: Stamps, heading: Floats, step: int, gap: int) -> Floats | tuple[int, int]:
-        """Headings (k,) that count turns, the rates telling those between poses far apart.
+        """Unwrap headings (k,); the rates give the turns between poses that are far apart.
 
         Args:
-            t: (k,) their stamps [ns].
-            heading: (k,) as seen [rad].
-            step: the base turns by less than half a turn meanwhile [ns].
-            gap: longest in the rates [ns].
+            t: (k,) stamps of the headings [ns].
+            heading: (k,) wrapped headings [rad].
+            step: time in which the base turns by less than half a turn [ns].
+            gap: longest accepted gap in the rates [ns].
 
         Returns:
-            (k,) headings; or an interval in which the base may have turned unseen.
+            (k,) unwrapped headings; or an interval in which the base may have turned unseen.
         """
         bridge = np.zeros(len(t))
         for k in np.flatnonzero(np.diff(t) > step):

@@ -1,4 +1,4 @@
-"""Joints' readings, merged by their stamps, and where the arm rests."""
+"""Readings of the joints, merged by their stamps, and the rests of the arm."""
 
 from array import array
 from collections import deque
@@ -21,16 +21,16 @@ from fss_arm_model.stillness import Run
 
 
 class Joint(Stream):
-    """One joint's readings and rates, and its present run of still ones."""
+    """Readings and rates of a joint, and its present run of readings at rest."""
 
     def __init__(self, name: str, horizon: int) -> None:
         super().__init__(name, horizon)
-        self.waiting: deque[tuple[int, tuple[float, float]]] = deque()  # for the other joints
+        self.waiting: deque[tuple[int, tuple[float, float]]] = deque()  # for other joints
         self.q, self.qd = array("d"), array("d")
         self.columns += [(self.q, 1), (self.qd, 1)]
         self.run = Run()
-        self.stillest = -1  # longest time in which it kept still [ns]; -1: none was heard
-        self.merged, self.begun = 0, -1  # readings, and the first one's stamp [ns]
+        self.stillest = -1  # longest time at rest [ns]; -1: no reading yet
+        self.merged, self.begun = 0, -1  # number of readings, and stamp of the first [ns]
 
     @property
     def period(self) -> float:
@@ -39,7 +39,7 @@ class Joint(Stream):
         return (self.newest - self.begun) / SECOND / steps if steps > 0 else 0.0
 
     def append(self, t: int, q: float, qd: float) -> None:
-        """Let a reading [rad] and rate [rad/s] wait; NaN: no rate is known."""
+        """Queue a reading [rad] and rate [rad/s]; NaN: rate not known."""
         if not abs(q) <= LARGEST:
             self.rejected[OUT_OF_RANGE if isfinite(q) else NOT_FINITE] += 1
             return
@@ -51,44 +51,44 @@ class Joint(Stream):
             self.waiting.append(sample)
 
     def within(self, begin: int, end: int) -> tuple[Stamps, Floats, Floats]:
-        """Stamps, readings and rates from `begin` to `end`, both included."""
+        """Return stamps, readings and rates from `begin` to `end`, both included."""
         inside = self.inside(begin, end)
         return np.array(self.t[inside]), np.array(self.q[inside]), np.array(self.qd[inside])
 
 
 class Rest(NamedTuple):
-    """All joints still."""
+    """Interval in which all joints are at rest."""
 
     begin: int  # [ns]
-    end: int  # as far as all were heard; before `begin`: it is none
-    until: int  # when a joint moved
-    moved: int  # a moment just before, at which some joint was moving; -1: none is known
-    low: tuple[float, ...]  # least reading of each joint, whatever was forgotten of them [rad]
+    end: int  # up to which all joints confirm it; before `begin`: there is no rest
+    until: int  # time at which a joint moved
+    moved: int  # last time before the rest at which some joint was moving; -1: not known
+    low: tuple[float, ...]  # smallest reading of each joint, including dropped readings [rad]
     high: tuple[float, ...]
 
     @property
     def q(self) -> tuple[float, ...]:
-        """Amid all readings of each joint [rad]."""
+        """Midpoint of the readings of each joint [rad]."""
         return tuple(0.5 * (low + high) for low, high in zip(self.low, self.high, strict=True))
 
     def near(self, q: Sequence[float], threshold: float) -> bool:
-        """Whether the readings of each joint and that of another rest are so near each other."""
+        """Return True if each joint's readings and q are within `threshold` of each other."""
         rows = zip(self.low, self.high, q, strict=True)
         return all(max(high, at) - min(low, at) <= threshold for low, high, at in rows)
 
 
 class Rests:
-    """The readings of joints 1 to n in order of time, once every joint has passed them.
+    """Merged readings of joints 1 to n in order of time, once every joint has passed them.
 
-    A joint that lags the others by more than `horizon` [ns] is waited for no longer: theirs would
-    pile up while a link is silent. The arm rests while the readings of each joint stay within
+    A joint that lags the others by more than `horizon` [ns] times out, so that the queues stay
+    finite while a link is silent. The arm rests while the readings of each joint stay within
     `motion_threshold` [rad].
     """
 
     def __init__(self, n: int, motion_threshold: float, horizon: int) -> None:
         self.joints = [Joint(f"joint_{i}", horizon) for i in range(1, n + 1)]
-        self.unknown: set[int] = set()  # numbers heard that the arm does not have
-        self.others: set[str] = set()  # names heard that are not joint_<i>
+        self.unknown: set[int] = set()  # numbers received that the arm does not have
+        self.others: set[str] = set()  # names received that are not joint_<i>
         self.motion_threshold, self.horizon = motion_threshold, horizon
         self.begin, self.end = -1, -1  # of the present rest
 
@@ -98,7 +98,7 @@ class Rests:
         return max(joint.newest for joint in self.joints)
 
     def add(self, i: int, t: int, q: float, qd: float = nan) -> Iterator[Rest | None]:
-        """Take a reading of joint i; for each that is merged, the rest that it ends, if any."""
+        """Add a reading of joint i; yield for each merged reading the rest that it ends, if any."""
         if not 1 <= i <= len(self.joints):
             self.unknown.add(i)
             return
@@ -107,12 +107,12 @@ class Rests:
             yield self._merge(joint)
 
     def drain(self) -> Iterator[Rest | None]:
-        """The same with no more to come."""
+        """Merge the queued readings if none follow; yield as `add` does."""
         while joint := self._next(closing=True):
             yield self._merge(joint)
 
     def present(self, until: int = -1) -> Rest:
-        """The present rest, as far as all joints confirm it."""
+        """Return the present rest, up to the time that all joints confirm."""
         runs = [joint.run for joint in self.joints]
         low, high = tuple(run.low for run in runs), tuple(run.high for run in runs)
         moved = max(run.moved for run in runs)
@@ -134,7 +134,7 @@ class Rests:
         return ended
 
     def _next(self, closing: bool = False) -> Joint | None:
-        """The joint whose oldest reading is next, if nothing older may come."""
+        """Return the joint with the oldest queued reading, if no older one can arrive."""
         waiting = [joint for joint in self.joints if joint.waiting]
         if not waiting:
             return None

@@ -1,15 +1,16 @@
-"""Maneuvers out of streams: the arm rests, moves and rests again, and the base has reacted.
+"""Maneuvers found in streams: the arm rests, moves and rests again, and the base reacts.
 
-A pause too short to settle and for two windows is part of the motion. The second half of a rest,
-up to `max_duration`, is the window before the next maneuver, the first half that after the last
-one: no pose counts twice. In a window the base may drift, so its poses are averaged over short
-bins, each a knot of the path.
+A pause that is too short to settle and for two windows is part of the motion. The second half of a
+rest, up to `max_duration`, is the window before the next maneuver. The first half is the window
+after the last one, so that no pose counts twice. In a window the base may drift, so its poses are
+averaged over short bins, each a knot of the path.
 
-A joint that moves while its link reports that it is not armed is moved by hand: then the base is
-held, and what it does says nothing of the arm.
+A joint that moves while its link reports that it is not armed is moved by hand. The operator then
+holds the base, and its motion contains no information about the arm.
 
-How the base turns, by its gyro and by motion capture, gives the offset between their clocks; the
-gyro's stamps are of the joints' clock. What was learned by then shifts the windows that follow.
+The base's rotation by its gyro and by motion capture gives the offset between their clocks; the
+gyro's stamps are of the joints' clock. The offset known at that time shifts the windows that
+follow.
 """
 
 from dataclasses import dataclass, replace
@@ -30,76 +31,76 @@ from fss_arm_calib.segments.settings import ManeuverSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.joint_path import Path, path, sampled
 
-LOOK = SECOND // 10  # over which a pose on the base's way is averaged [ns]
-LEAST_SEEN = 1.0  # squares of the base's turns, of all frames, that the gyro is compared by [rad^2]
+LOOK = SECOND // 10  # averaging time of a pose of the base during the motion [ns]
+LEAST_SEEN = 1.0  # sum of squared base angles needed for a gyro ratio, over all frames [rad^2]
 
 
 @dataclass(frozen=True)
 class Maneuver:
-    """A motion of the arm between two rests, and what the base did."""
+    """Motion of the arm between two rests, and the motion of the base."""
 
-    start: int  # of the window before [ns]
-    end: int  # of the window after
-    times: tuple[tuple[float, ...], ...]  # (n) of each joint's samples, from `start` on [s]
-    q: tuple[tuple[float, ...], ...]  # (n) readings then [rad]; at rest before and after
-    qd: tuple[tuple[float, ...], ...]  # (n) rates then [rad/s]
-    marks: tuple[float, ...] = ()  # (m) of the base's averaged poses, from `start` on [s]
-    poses: tuple[tuple[float, ...], ...] = ()  # (m) x, y [m], heading [rad], counting turns
-    frames: tuple[int, ...] = ()  # (m) averaged
-    seconds: tuple[float, ...] = ()  # (m) over which [s]
+    start: int  # start of the window before [ns]
+    end: int  # end of the window after
+    times: tuple[tuple[float, ...], ...]  # (n) times of each joint's samples since `start` [s]
+    q: tuple[tuple[float, ...], ...]  # (n) readings at these times [rad]; first and last at rest
+    qd: tuple[tuple[float, ...], ...]  # (n) rates at these times [rad/s]
+    marks: tuple[float, ...] = ()  # (m) times of the base's averaged poses since `start` [s]
+    poses: tuple[tuple[float, ...], ...] = ()  # (m) x, y [m], unwrapped heading [rad]
+    frames: tuple[int, ...] = ()  # (m) number of frames averaged
+    seconds: tuple[float, ...] = ()  # (m) averaging time [s]
     tip: tuple[float, ...] = ()  # end effector in the base's frame, before [m, m, rad]
-    time_offset: float = 0.0  # of the joints' stamps against motion capture's, as allowed for [s]
+    time_offset: float = 0.0  # joints' stamps minus motion capture's, as corrected for [s]
     used: bool = True
     reason: str = ""  # why it is not used
 
     @cached_property
     def path(self) -> Path:
-        """The joints' path, with the base's poses as its marks."""
+        """Path of the joints, with marks at the times of the base's poses."""
         return self.path_at(self.marks)
 
     def path_at(self, marks: npt.ArrayLike) -> Path:
-        """The joints' path with marks of one's own, (k,) from `start` on [s]."""
+        """Return the joints' path with other marks, (k,) times since `start` [s]."""
         law, edges = sampled(self.times, self.q, self.qd)
         return path(law, edges, marks)
 
     @property
     def underway(self) -> npt.NDArray[np.bool_]:
-        """(m,) which marks are amid the motion."""
+        """Mask (m,), True for marks during the motion."""
         ways = [t for t in self.times if len(t) > 1]
         begin, end = (min(t[0] for t in ways), max(t[-1] for t in ways)) if ways else (inf, -inf)
         return (np.array(self.marks) > begin) & (np.array(self.marks) < end)
 
     @property
     def moved(self) -> tuple[int, ...]:
-        """Which joints moved, from 1."""
+        """Numbers of the joints that moved, from 1."""
         return tuple(i for i, t in enumerate(self.times, 1) if len(t) > 1)
 
 
 class Window(NamedTuple):
-    """Where the base is averaged in a rest [ns]."""
+    """Interval of a rest in which the base's poses are averaged [ns]."""
 
     begin: int
     end: int
-    moved: int  # a moment before, at which some joint was moving; -1: none is known
+    moved: int  # last time before at which some joint was moving; -1: not known
 
 
 class Motion(NamedTuple):
-    """The windows before and after."""
+    """Windows before and after a motion."""
 
     before: Window
     after: Window
 
     @property
     def end(self) -> int:
-        """Of the window after [ns]."""
+        """End of the window after the motion [ns]."""
         return self.after.end
 
 
 class ManeuverFinder(Finder[Motion, Maneuver]):
-    """Fed samples of n joints, the base and its gyro, gives the maneuvers that they complete.
+    """Finder of maneuvers in the samples of n joints, the base and its gyro.
 
-    The gyro may be absent: it is needed only where the base was not seen for long. So may the end
-    effector, which only shows whose arm it is, and the links' telemetry.
+    The gyro is optional: it is needed only where the base was not seen for long. Also optional are
+    the end effector, which only identifies the arm, and the links' telemetry.
     """
 
     settings: ManeuverSettings
@@ -108,8 +109,8 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         s = settings or ManeuverSettings()
         super().__init__(n, s, search=0.5)
         self._lag(s.time_offset)
-        self._turns = np.zeros(2)  # of gyro and motion capture together, and of the latter alone
-        self._before: Rest | None = None  # the rest that the next maneuver begins with
+        self._turns = np.zeros(2)  # sums of gyro * motion capture and motion capture^2 [rad^2]
+        self._before: Rest | None = None  # the rest before the next maneuver
 
     def _merged(self, ended: Rest | None) -> None:
         if ended and self._window(ended) >= self.min_duration:
@@ -117,11 +118,11 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
             self._before = ended
 
     def _window(self, rest: Rest) -> int:
-        """How long a window at each end of a rest may last [ns]."""
+        """Return the longest window at each end of a rest [ns]."""
         return min(self.max_duration, (rest.end - rest.begin - self.settle_time) // 2)
 
     def _propose(self, rest: Rest) -> bool:
-        """A maneuver may end with a rest; one that was solved amid the rest has done so before."""
+        """Queue the maneuver that ends with a rest; return False if there is no new one."""
         before = self._before
         if not before or rest.begin <= before.end:
             return False
@@ -137,13 +138,13 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         if closing:
             self._merged(self.rests.present())
         elif full and self._propose(self.rests.present()):
-            self._before = None  # the window after a maneuver is known before a long rest is over
+            self._before = None  # a long rest need not end: the window after is complete
         return super()._collect(closing)
 
     def _segment(self, candidate: Motion, closing: bool) -> Maneuver | None:
-        """What happened between two rests; None if no joint moved far enough to be called so."""
+        """Return the maneuver between two rests; None if no joint moved far enough."""
         start, end = candidate.before.begin, candidate.end
-        if end - start > self.horizon:  # its begin is forgotten
+        if end - start > self.horizon:  # its first samples are dropped already
             lasts, most = (end - start) / SECOND, self.settings.horizon
             nothing = ((),) * len(self.joints)
             reason = f"it lasts {lasts:.0f} s, at most {most:g} s are followed"
@@ -168,7 +169,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         return maneuver
 
     def _joint_gaps(self, joint: Joint, motion: Motion) -> list[Gap]:
-        """Silences of a joint that hide where it went meanwhile."""
+        """Return the gaps in a joint's readings that hide its motion."""
         start, end = motion.before.begin, motion.end
         t, q, _ = joint.within(start, end)
         if not len(q):
@@ -177,12 +178,12 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         t = np.concatenate([[start], t, [end]])
         late = np.flatnonzero((np.diff(t) > self.joint_gap) & moved)
         gaps = [Gap(int(t[k]), int(t[k + 1]), joint.name) for k in late]
-        # A joint that rests may be silent for `joint_gap`, which may be longer than a window.
+        # A joint at rest may be silent for `joint_gap`, which may be longer than a window.
         empty = [w for w in motion if not len(joint.within(w.begin, w.end)[0])]
         return gaps + [Gap(w.begin, w.end, joint.name) for w in empty]
 
     def _frozen(self, motion: Motion) -> list[Gap]:
-        """Windows with poses that the base has had since before the arm came to rest."""
+        """Return the windows with frozen poses: unchanged since before the arm came to rest."""
         gaps = []
         for window in motion:
             if number := self.base.frozen(*window):
@@ -191,7 +192,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         return gaps
 
     def _rejected(self, maneuver: Maneuver) -> str:
-        """What telemetry says against a maneuver; empty: nothing."""
+        """Return a reason from the telemetry to reject a maneuver; empty if there is none."""
         span = maneuver.start, maneuver.end
         for i, (joint, link) in enumerate(zip(self.joints, self.links, strict=True), 1):
             if link.homed(*span):
@@ -203,7 +204,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         return ""
 
     def _averaged(self, maneuver: Maneuver, motion: Motion) -> Maneuver:
-        """The maneuver with the base's poses, averaged over bins."""
+        """Return the maneuver with the base's poses, averaged over bins."""
         t, poses = self.base.within(maneuver.start, maneuver.end)
         step = round(pi / self.settings.max_base_turn * SECOND)
         heading = self.gyro.unwrap(t, poses[:, 2], step, self.vicon_gap)
@@ -225,7 +226,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         return replace(maneuver, marks=marks, poses=means, frames=frames, seconds=seconds)
 
     def _align(self, begin: int, end: int) -> None:
-        """Learn the clocks' offset from how the base turned."""
+        """Update the clocks' offset from the rotation of the base."""
         turned = self.gyro.angles(begin, end, self.vicon_gap)
         if turned is None or self.base.gaps(begin, end, self.vicon_gap):
             return
@@ -240,13 +241,13 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
             self._learn(replace(found, value=found.value + self.base.lag / SECOND))
 
     def _compare(self, turned: tuple[Stamps, Floats], t: Stamps, psi: Floats) -> None:
-        """Learn how far the gyro turns as motion capture sees it turn."""
+        """Update the ratio of the base's rotation by the gyro to that by motion capture."""
         angle = np.interp(t - t[0], turned[0] - t[0], turned[1])
         a, p = angle - np.mean(angle), psi - np.mean(psi)
         self._turns += [float(a @ p), float(p @ p)]
 
     def streams(self) -> Streams:
-        """With what the gyro says of the base's turns."""
+        """Return the state of the streams, with the gyro ratio."""
         common, own = self._turns
         ratio = common / own if own > LEAST_SEEN else nan
         return replace(super().streams(), gyro_ratio=ratio)
@@ -259,9 +260,9 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
 def joint_path(
     joint: Joint, before: Window, after: Window, threshold: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Times from the start [s], readings and rates: at rest, the averages of both windows.
+    """Return times since the start [s], readings and rates, with the window averages at the ends.
 
-    Of a joint that did not move, one sample; of one without readings at rest, none.
+    A joint that did not move has one sample; a joint without readings at rest has none.
     """
     t, q, qd = joint.within(before.end + 1, after.begin - 1)
     ends = [joint.within(window.begin, window.end)[1] for window in (before, after)]

@@ -1,7 +1,7 @@
-"""One motion-capture subject's poses by stamp, without those that cannot be true.
+"""Poses of a motion-capture subject by stamp, without impossible ones.
 
-Receivers publish zeros or NaN for an occluded subject, repeat its last pose for ever with fresh
-stamps, or take one subject's markers for another's. None of these may enter an average.
+Receivers publish zeros or NaN for an occluded subject, repeat its last pose indefinitely with new
+stamps, or confuse the markers of two subjects. None of these poses may enter an average.
 """
 
 from array import array
@@ -27,7 +27,7 @@ from fss_arm_model.planar import wrap
 
 BASE, TIP = "fss", "end_effector"  # the two subjects, as the motion capture system names them
 
-#: What noise of two poses may amount to beside the motion between them.
+#: Largest difference of two poses caused by noise, in addition to the motion between them.
 POSITION_NOISE = 0.1  # [m]
 HEADING_NOISE = 0.2  # [rad]
 
@@ -35,25 +35,25 @@ OCCLUDED, JUMP, FROZEN = "occluded", "jump", "frozen"
 
 
 class Poses(Stream):
-    """The poses of a subject.
+    """Poses of a subject.
 
-    It is asked in the joints' time, `lag` more than motion capture's. Poses that it has had since
-    before `moved`, a moment at which the subject was moving, are frozen.
+    Methods take and return times of the joints' clock, `lag` later than motion capture's. A pose
+    that has not changed since before `moved`, a time at which the subject was moving, is frozen.
 
     Args:
-        name: of the subject.
-        horizon: as a Stream's [ns].
-        max_speed: a pose that is farther from the last one than this allows is rejected [m/s].
-        max_turn: a heading that is farther from the last one than this allows [rad/s].
+        name: name of the subject.
+        horizon: as in Stream [ns].
+        max_speed: a pose that would need a faster motion from the last one is rejected [m/s].
+        max_turn: a pose that would need a faster turn from the last one is rejected [rad/s].
     """
 
     def __init__(self, name: str, horizon: int, max_speed: float, max_turn: float) -> None:
         super().__init__(name, horizon)
         self.max_speed, self.max_turn = max_speed, max_turn
-        self.first = -1  # the first stamp of all [ns]
-        self.frame = ""  # id of the frame that its poses are in
+        self.first = -1  # first stamp of the stream [ns]
+        self.frame = ""  # frame id of the poses
         self.xyh = array("d")
-        self.since = array("q")  # when the subject first had the very pose it has at t
+        self.since = array("q")  # time since which the pose at t has not changed
         self.columns += [(self.xyh, 3), (self.since, 1)]
 
     def append(self, t: int, pose: tuple[float, float, float] | None) -> None:
@@ -79,7 +79,7 @@ class Poses(Stream):
             self.first = t
 
     def extend(self, t: Stamps, poses: Floats) -> None:
-        """Add many, (k,) and (k, 3); a row that is not finite was not visible."""
+        """Add k poses, (k,) and (k, 3); in rows that are not finite the subject was not visible."""
         seen = np.isfinite(poses).all(axis=1)
         if not seen.all():
             self.rejected[OCCLUDED] += int(np.sum(~seen))
@@ -97,7 +97,7 @@ class Poses(Stream):
         self.newest = self.t[-1]
 
     def _plain(self, t: Stamps, poses: Floats) -> bool:
-        """Whether there is nothing to reject in them."""
+        """Return True if none of the poses is to be rejected."""
         if not self.in_order(t) or np.any(np.abs(poses) > LARGEST):
             return False
         seconds = np.diff(t, prepend=self.newest) / SECOND
@@ -117,11 +117,11 @@ class Poses(Stream):
         )
 
     def within(self, begin: int, end: int, moved: int = -1) -> tuple[Stamps, Floats]:
-        """Stamps and poses (k, 3) of an interval, without frozen ones."""
+        """Return stamps and poses (k, 3) in an interval, without frozen ones."""
         return self._fresh(self.inside(begin, end), moved)
 
     def about(self, begin: int, end: int, moved: int = -1) -> tuple[Stamps, Floats]:
-        """The same, with the last one before and the first one after it."""
+        """Return as `within`, with the last pose before and the first one after the interval."""
         return self._fresh(self.around(begin, end), moved)
 
     def _fresh(self, part: slice, moved: int) -> tuple[Stamps, Floats]:
@@ -130,11 +130,11 @@ class Poses(Stream):
         return np.array(self.t[part])[fresh] + self.lag, poses[fresh]
 
     def frozen(self, begin: int, end: int, moved: int) -> int:
-        """How many poses of an interval are frozen."""
+        """Return the number of frozen poses in an interval."""
         return int(np.sum(np.array(self.since[self.inside(begin, end)]) <= moved - self.lag))
 
     def gaps(self, begin: int, end: int, max_gap: int, moved: int = -1) -> list[Gap]:
-        """Silences longer than `max_gap` [ns] that reach into an interval."""
+        """Return the gaps longer than `max_gap` [ns] that overlap an interval."""
         stamps = self.about(begin, end, moved)[0]
         return [
             Gap(a, b, self.name, FROZEN if self.frozen(a, b, moved) else "silent")
@@ -145,9 +145,10 @@ class Poses(Stream):
 def seen_from(
     base: Poses, other: Poses, begin: int, end: int, moved: int = -1
 ) -> tuple[Stamps, Floats]:
-    """Stamps and poses (k, 3) of one subject in the frame of another, within an interval.
+    """Return stamps and poses (k, 3) of one subject in the frame of another, in an interval.
 
-    Without those frozen since before `moved`, a moment at which the subjects were moving.
+    Poses that are frozen since before `moved`, a time at which the subjects were moving, are
+    omitted.
     """
     t, seen = other.about(begin, end, moved)
     t_base, poses = base.about(begin, end, moved)
@@ -161,13 +162,13 @@ def seen_from(
 
 
 def mean_pose(poses: Floats) -> Floats:
-    """Of poses (k, 3) that differ by noise; headings are averaged on the circle."""
+    """Return the mean of poses (k, 3) that differ by noise; headings are averaged on the circle."""
     heading = np.angle(np.mean(np.exp(1j * poses[:, 2])))
     return np.array([*poses[:, :2].mean(axis=0), heading])
 
 
 def near_most(seen: Floats) -> npt.NDArray[np.bool_]:
-    """Which poses (k, 3) are near most others: at rest the end effector stays where it is."""
+    """Return a mask of the poses (k, 3) near the median: at rest the end effector does not move."""
     x, y = (seen[:, :2] - np.median(seen[:, :2], axis=0)).T
     mean = np.angle(np.median(np.cos(seen[:, 2])) + 1j * np.median(np.sin(seen[:, 2])))
     away = np.abs(wrap(seen[:, 2] - mean))
@@ -175,20 +176,20 @@ def near_most(seen: Floats) -> npt.NDArray[np.bool_]:
 
 
 class Bin(NamedTuple):
-    """Poses of a drifting subject, averaged."""
+    """Averaged poses of a drifting subject."""
 
     time: float  # [s]
-    pose: tuple[float, float, float]  # x, y [m], heading [rad], counting turns
-    frames: int
-    seconds: float  # over which
+    pose: tuple[float, float, float]  # x, y [m], unwrapped heading [rad]
+    frames: int  # number of frames averaged
+    seconds: float  # averaging time [s]
 
 
 def bins(
     t: Stamps, poses: Floats, begin: int, end: int, width: float, origin: int
 ) -> Iterator[Bin]:
-    """Poses (k, 3) of an interval averaged over about `width` [s], with times from `origin` on.
+    """Yield poses (k, 3) in an interval averaged over about `width` [s], timed from `origin` [ns].
 
-    Bins of fewer than two poses are left out.
+    Bins with fewer than two poses are omitted.
     """
     edges = np.linspace(begin, end, max(1, round((end - begin) / SECOND / width)) + 1)
     for low, high in pairwise(edges):
@@ -201,11 +202,11 @@ def bins(
 
 
 def independent(frames: npt.ArrayLike, seconds: npt.ArrayLike, rate: float) -> Floats:
-    """As how many poses averages (m,) count whose errors are independent at a rate [1/s]."""
+    """Return the number of independent poses in averages (m,), for a rate of such poses [1/s]."""
     return np.minimum(frames, np.maximum(1.0, rate * np.asarray(seconds)))
 
 
 def _interpolated(t: Stamps, stamps: Stamps, poses: Floats) -> Floats:
-    """Poses at other times, exactly those given where the stamps are equal."""
+    """Interpolate poses at other times; where the stamps are equal, the poses are unchanged."""
     columns = [poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])]
     return np.column_stack([np.interp(t, stamps, column) for column in columns])

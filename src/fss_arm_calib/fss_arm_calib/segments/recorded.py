@@ -1,4 +1,4 @@
-"""What was heard of a bag, kept to be heard again with something changed."""
+"""Streams recorded in a bag, kept in memory to replay them with modifications."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,18 +10,18 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.samples import SECOND, Stamps
 
-PIECE = 10 * SECOND  # of streams, fed one after the other [ns]
+PIECE = 10 * SECOND  # length of the pieces in which streams are replayed in turn [ns]
 
 
 class Track(NamedTuple):
-    """k samples of a stream."""
+    """Stream of k samples."""
 
-    t: Stamps  # (k,) their stamps [ns]
-    receipt: Stamps  # (k,) [ns]
+    t: Stamps  # (k,) stamps [ns]
+    receipt: Stamps  # (k,) times of receipt [ns]
     values: Floats  # (k, c)
 
     def thinned(self, period: float) -> "Track":
-        """Without samples that follow another one by less than a period [s], about."""
+        """Return every n-th sample, so that their mean distance is about a period [s]."""
         if len(self.t) < 2:
             return self
         found = max(float(np.median(np.abs(np.diff(self.t)))) / SECOND, 1e-9)
@@ -29,27 +29,27 @@ class Track(NamedTuple):
         return Track(self.t[::step], self.receipt[::step], self.values[::step])
 
     def since(self, begin: int) -> "Track":
-        """What was received from `begin` on [ns]."""
+        """Return the samples received at or after `begin` [ns]."""
         late = self.receipt >= begin
         return Track(self.t[late], self.receipt[late], self.values[late])
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was heard of the joints, of subjects and of the gyro."""
+    """Recorded streams of the joints, the subjects and the gyro."""
 
-    joints: Mapping[str, Track]  # by name, whatever it is: readings [rad] and rates [rad/s]
+    joints: Mapping[str, Track]  # by any recorded name: readings [rad] and rates [rad/s]
     poses: Mapping[str, Track]  # by subject: x, y, z [m], quaternion x, y, z, w
-    rates: Track | None = None  # of the base [rad/s]
+    rates: Track | None = None  # turn rates of the base [rad/s]
     frames: Mapping[str, str] = field(default_factory=dict)  # frame id of each subject
 
     @property
     def tracks(self) -> list[Track]:
-        """All of them."""
+        """List of all streams."""
         return [*self.joints.values(), *self.poses.values(), *([self.rates] if self.rates else [])]
 
     def brief(self, longest: float, joints: float, poses: float) -> "Recorded":
-        """Its last part [s], with periods no shorter than these [s]."""
+        """Return the last `longest` [s], thinned to periods of `joints` and `poses` [s]."""
         ends = [int(track.receipt[-1]) for track in self.tracks if len(track.t)]
         begin = max(ends, default=0) - round(longest * SECOND)
         return replace(
@@ -60,15 +60,15 @@ class Recorded:
         )
 
     def with_joints(self, change: Callable[[str, Track], Track]) -> "Recorded":
-        """The same with other readings."""
+        """Return the recording with modified readings."""
         return replace(self, joints={name: change(name, t) for name, t in self.joints.items()})
 
     def with_poses(self, change: Callable[[str, Track], Track]) -> "Recorded":
-        """The same with other poses."""
+        """Return the recording with modified poses."""
         return replace(self, poses={name: change(name, t) for name, t in self.poses.items()})
 
     def play(self, finder: Finder[Any, Any]) -> Sequence[Any]:
-        """What a finder makes of it."""
+        """Replay the streams to a finder and return the segments that it finds."""
         planar = {name: seen_from_above(track.values) for name, track in self.poses.items()}
         names = {f"joint_{i}": i for i in range(1, len(finder.joints) + 1)}
         heard = [int(t) for one in self.tracks if len(one.t) for t in one.receipt[[0, -1]]]
@@ -93,7 +93,7 @@ def _piece(track: Track, begin: int) -> slice:
 
 
 def seen_from_above(numbers: Floats) -> Floats:
-    """(k, 3) x, y [m] and heading [rad] of poses (k, 7); NaN where nothing was seen."""
+    """Return x, y [m] and heading [rad], (k, 3), of poses (k, 7); NaN where nothing was seen."""
     x, y, z, w = numbers[:, 3:].T
     heading = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
     seen = np.isfinite(numbers).all(axis=1) & (x * x + y * y + z * z + w * w >= 0.25)

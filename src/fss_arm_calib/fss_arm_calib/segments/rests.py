@@ -1,9 +1,9 @@
-"""Observations out of streams: where the arm rested, and the average of each rest.
+"""Observations found in streams: the rests of the arm, and the average of each rest.
 
-An arm rests while every joint's readings stay within the motion threshold of each other; once it
+An arm rests while every joint's readings stay within the motion threshold of each other. After it
 has settled, the first interval of `max_duration` without a gap in any stream becomes one
-Observation, or, if the arm moves on earlier, the longest such interval of at least `min_duration`.
-There is one observation for each rest, whoever moved the arm.
+Observation. If the arm moves earlier, it is the longest such interval of at least `min_duration`.
+There is one observation for each rest, no matter what moved the arm.
 """
 
 from collections.abc import Sequence
@@ -36,24 +36,27 @@ MOST_CONTRADICTING = 0.1  # share of a rest's poses that may be rejected as jump
 
 @dataclass(frozen=True)
 class Observation:
-    """One rest of the arm: the end effector seen from the base, and the joints' readings."""
+    """Rest of the arm: pose of the end effector in the base's frame, and readings of the joints."""
 
-    start: int  # of the averaged interval [ns]
+    start: int  # start of the averaged interval [ns]
     end: int
     q: tuple[float, ...]  # (n) averaged readings [rad]
     tip: tuple[float, ...] = (nan, nan, nan)  # end effector in the base's frame [m, m, rad]
-    scatter: tuple[float, ...] = (nan, nan, nan)  # of single frames about tip, 1 sigma
-    joint_samples: int = 0  # fewest readings of one joint averaged
-    vicon_frames: int = 0  # pairs of poses averaged
-    time_offset: float = 0.0  # of the joints' stamps against motion capture's, as allowed for [s]
+    scatter: tuple[float, ...] = (nan, nan, nan)  # standard deviation of frames
+    joint_samples: int = 0  # smallest number of readings averaged of a joint
+    vicon_frames: int = 0  # number of pairs of poses averaged
+    time_offset: float = 0.0  # joints' stamps minus motion capture's, as corrected for [s]
     boots: tuple[int, ...] = ()  # (n) start of each link's electronics; 0: not known
-    homings: tuple[int, ...] = ()  # (n) how often its drive was referenced since; 0: not known
+    homings: tuple[int, ...] = ()  # (n) homings of each drive since then; 0: not known
     used: bool = True
     reason: str = ""  # why it is not used
 
 
 def unrepeated(observations: Sequence[Observation], tolerance: float) -> list[Observation]:
-    """The rejected ones whose posture has not been observed otherwise within `tolerance` [rad]."""
+    """Return the rejected observations without a used one of the same posture.
+
+    Postures are the same if all readings agree within `tolerance` [rad].
+    """
     seen = [np.array(o.q) for o in observations if o.used]
     return [
         o
@@ -63,13 +66,13 @@ def unrepeated(observations: Sequence[Observation], tolerance: float) -> list[Ob
 
 
 class RestFinder(Finder[Rest, Observation]):
-    """Fed samples of n joints and two subjects, gives the observations that they complete.
+    """Finder of observations in the samples of n joints and two subjects.
 
     Args:
         n: number of joints.
-        settings: what counts as a rest.
-        resting_at: (n) posture of the last observation made before the finder was started; if the
-            arm has not moved since, it is not observed again.
+        settings: definition of a rest.
+        resting_at: (n) posture of the last observation before the finder was started; if the arm
+            has not moved since, it is not observed again.
     """
 
     needed = (BASE, TIP)
@@ -82,9 +85,9 @@ class RestFinder(Finder[Rest, Observation]):
     ) -> None:
         s = settings or RestSettings()
         super().__init__(n, s, search=s.settle_time + s.min_duration)
-        self._observed = False  # the present rest is done with
-        self._whole_since = 0  # the present rest had a gap until then, as far as known
-        self._aligned = 0  # begin of the last rest that the clocks were aligned for
+        self._observed = False  # the present rest has been observed
+        self._whole_since = 0  # end of the last known gap in the present rest
+        self._aligned = 0  # start of the last rest that the clocks were aligned for
         self._resting_at = resting_at
 
     def _merged(self, ended: Rest | None) -> None:
@@ -94,12 +97,15 @@ class RestFinder(Finder[Rest, Observation]):
             self._observed, self._resting_at, self._whole_since = False, None, 0
 
     def _done(self, rest: Rest) -> bool:
-        """Whether the present rest needs no observation any more."""
+        """Return True if the present rest needs no further observation."""
         at = self._resting_at
         return self._observed or (at is not None and rest.near(at, 2.0 * self.motion_threshold))
 
     def _settled(self, rest: Rest) -> Rest | None:
-        """What may be averaged of a rest: not the time to settle; a joint may end it by silence."""
+        """Return the rest without the time to settle, or None if it is too short.
+
+        If a joint was silent before it moved, the rest extends to the motion.
+        """
         end = rest.until if rest.until - rest.end > self.joint_gap else rest.end
         begin = rest.begin + self.settle_time
         return rest._replace(begin=begin, end=end) if rest.end > begin else None
@@ -112,13 +118,13 @@ class RestFinder(Finder[Rest, Observation]):
         return found
 
     def _observe_present(self, closing: bool) -> Observation | None:
-        """The observation of the present rest, if it is long enough by now, or nothing follows."""
+        """Return the observation of the present rest if it is long enough, or if closing."""
         begin = self.rests.begin + self.settle_time
         early = self.rests.end - begin < self.min_duration and not closing
         if early or (self._observed and self._aligned == begin):
             return None
         self._align(begin, self.rests.end)
-        # Without arrays: it may hold an interval of full length.
+        # Cheap test, without arrays, whether the rest can contain an interval of full length.
         until = min(self._heard, self.rests.end)
         if not closing and until - max(begin, self._whole_since) < self.max_duration:
             return None
@@ -132,7 +138,7 @@ class RestFinder(Finder[Rest, Observation]):
         if not super()._decided(candidate):
             return False
         self._align(candidate.begin, candidate.end)
-        return super()._decided(candidate)  # by the new offset
+        return super()._decided(candidate)  # with the new offset
 
     def _segment(self, candidate: Rest, closing: bool) -> Observation | None:
         self._align(candidate.begin, candidate.end)
@@ -141,7 +147,7 @@ class RestFinder(Finder[Rest, Observation]):
         return self._observe(candidate, over=True, missing=missing)
 
     def _align(self, begin: int, end: int) -> None:
-        """Learn the clocks' offset from the move before a rest that all have heard of by now."""
+        """Update the clocks' offset from the move before a rest that all streams have passed."""
         heard = begin + self.min_duration
         if self._aligned == begin or min(end, self._seen) < heard:
             return
@@ -163,8 +169,8 @@ class RestFinder(Finder[Rest, Observation]):
         self._learn(offset_of_move(ends, paths, frames, psi, self.alignment.search))
 
     def _observe(self, rest: Rest, over: bool, missing: Sequence[Gap] = ()) -> Observation | None:
-        """The observation of a rest; None if it is too short, or may yet become longer."""
-        # A stream that has not begun is no gap; what is older than the horizon may be forgotten.
+        """Return the observation of a rest; None if it is too short, or can still become longer."""
+        # A stream that has not started is no gap. Samples older than the horizon may be dropped.
         begun = max(poses.first + poses.lag for poses in self._poses)
         begin = max(rest.begin, begun, rest.end - self.horizon - self.max_duration)
         if rest.end - begin < self.min_duration or any(p.first < 0 for p in self._poses):
@@ -185,14 +191,14 @@ class RestFinder(Finder[Rest, Observation]):
             poses.rejected[FROZEN] += poses.frozen(begin, rest.end, rest.moved)
         if whole:
             return self._average(rest, *whole[0])
-        # What is beyond the rest is not said: it may have been forgotten, or not heard yet.
+        # Do not report gaps beyond the rest: samples there may be dropped, or not received yet.
         inside = [
             gap._replace(start=max(gap.start, begin), end=min(gap.end, rest.end)) for gap in gaps
         ]
         return self._unused(rest, str(max(inside, key=lambda gap: gap.end - gap.start)))
 
     def _average(self, rest: Rest, begin: int, end: int) -> Observation:
-        """The averages of an interval of a rest without gaps."""
+        """Average an interval of a rest that has no gaps."""
         readings = [joint.within(begin, end)[1] for joint in self.joints]
         for joint, q in zip(self.joints, readings, strict=True):
             if not len(q):
@@ -232,5 +238,5 @@ class RestFinder(Finder[Rest, Observation]):
         since = self._pending[0].begin if self._pending else self.rests.end
         if not self._observed:
             since = min(since, self.rests.begin)
-        # A rest's clocks are aligned by the move before it.
+        # The move before a rest is needed to align the clocks.
         return since - round((LONGEST_MOVE + 2.0 * self.alignment.search) * SECOND)

@@ -1,4 +1,4 @@
-"""Samples by stamp, kept until nothing asks for them any more; which are rejected, and why."""
+"""Buffers of samples by stamp, with the reasons for rejected samples."""
 
 from array import array
 from bisect import bisect_left, bisect_right
@@ -13,8 +13,8 @@ import numpy.typing as npt
 Stamps = npt.NDArray[np.int64]
 
 SECOND = 1_000_000_000  # [ns]
-CONFIRMED = SECOND  # how long samples must go on from a doubted one [ns]
-LARGEST = 1e3  # nothing on a test bed reads more [rad, rad/s, m]
+CONFIRMED = SECOND  # time for which samples must follow a suspect one to confirm it [ns]
+LARGEST = 1e3  # largest valid value on a test bed [rad, rad/s, m]
 
 NOT_FINITE, OUT_OF_RANGE = "not finite", "out of range"
 REPEATED, OUT_OF_ORDER, ASTRAY = "repeated", "out of order", "astray in time"
@@ -24,7 +24,7 @@ HOUR, YEARS = 3600.0, 1e8  # [s]
 
 
 def span(by: float) -> str:
-    """By how much a clock is ahead of, or behind, another one [s], in words."""
+    """Describe in words how far a clock is ahead of or behind another one [s]."""
     direction, by = "ahead of" if by > 0.0 else "behind", abs(by)
     hours = round(by / HOUR)
     if by > YEARS:
@@ -35,7 +35,7 @@ def span(by: float) -> str:
 
 
 class Gap(NamedTuple):
-    """An interval without samples."""
+    """Interval without samples."""
 
     start: int  # [ns]
     end: int
@@ -49,23 +49,23 @@ class Gap(NamedTuple):
 class Stream:
     """Samples in order of their stamps [ns].
 
-    A stamp farther than `horizon` [ns] from the stream's last one, the very first too, is doubted
-    until the samples after it have gone on from it for CONFIRMED: then a clock was set, or a long
-    gap has ended. Else they are astray, and rejected by themselves.
+    A stamp farther than `horizon` [ns] from the stream's last one, or the first stamp, is suspect
+    until samples have followed it for CONFIRMED: then a clock was set, or a long gap has ended.
+    Otherwise only the suspect samples are rejected, as astray in time.
     """
 
     def __init__(self, name: str, horizon: int) -> None:
         self.name, self.horizon = name, horizon
-        self.newest = -1  # -1: none was heard
-        self.lag = 0  # by which it is asked in a later time than its own [ns]
+        self.newest = -1  # newest stamp [ns]; -1: none received
+        self.lag = 0  # time in queries minus time of the stream's own stamps [ns]
         self.rejected: Counter[str] = Counter()
         self.set_back = 0  # longest step back of the stamps [ns]
         self.t = array("q")
-        self.columns: list[tuple[array[Any], int]] = [(self.t, 1)]  # and how many for each stamp
+        self.columns: list[tuple[array[Any], int]] = [(self.t, 1)]  # arrays, values per stamp
         self.doubted: list[tuple[int, Any]] = []
 
     def admit(self, t: int, value: Any) -> Sequence[tuple[int, Any]]:
-        """What is to be taken now: this sample, perhaps with those doubted till now, or none."""
+        """Return the samples to accept: this one, this one with confirmed suspect ones, or none."""
         if self.doubted:
             since = t - self.doubted[-1][0]
             if since == 0:
@@ -98,7 +98,7 @@ class Stream:
         self.set_back = max(self.set_back, self.newest - t)
 
     def in_order(self, t: Stamps) -> bool:
-        """Whether all of many are to be taken, one after the other."""
+        """Return True if all samples with these stamps are to be accepted."""
         if self.newest < 0 or self.doubted:
             return False
         steps = np.diff(t, prepend=self.newest)
@@ -106,33 +106,36 @@ class Stream:
 
     @property
     def reached(self) -> int:
-        """The newest stamp."""
+        """Newest stamp, in the time of queries [ns]."""
         return self.newest + self.lag
 
     def around(self, begin: int, end: int) -> slice:
-        """Samples of an interval, with the last one before and the first one after it."""
+        """Return the slice of an interval, with the last sample before and the first one after."""
         before = max(bisect_right(self.t, begin - self.lag) - 1, 0)
         return slice(before, bisect_left(self.t, end - self.lag) + 1)
 
     def inside(self, begin: int, end: int) -> slice:
-        """Samples of an interval, both ends included."""
+        """Return the slice of the samples in an interval, both ends included."""
         return slice(bisect_left(self.t, begin - self.lag), bisect_right(self.t, end - self.lag))
 
     def gaps(self, begin: int, end: int, max_gap: int) -> list[Gap]:
-        """Silences longer than `max_gap` [ns] that reach into an interval."""
+        """Return the gaps longer than `max_gap` [ns] that overlap an interval."""
         stamps = np.array(self.t[self.around(begin, end)]) + self.lag
         return [Gap(a, b, self.name) for a, b in silences(stamps, begin, end, max_gap)]
 
     def forget(self, before: int) -> None:
-        """Drop all but the last one of what is older."""
+        """Drop all samples before a time [ns] except the last one of them."""
         k = self.around(before, before).start
         for column, width in self.columns:
             del column[: k * width]
 
 
 def silences(t: Stamps, begin: int, end: int, max_gap: int) -> list[tuple[int, int]]:
-    """Steps longer than `max_gap` between stamps in and around an interval, or its ends [ns]."""
-    # Samples missing at either end: forgotten, or the stream has ended.
+    """Return steps longer than `max_gap` between stamps in and around an interval [ns].
+
+    If no sample precedes or follows the interval, its start or end takes the place of a stamp.
+    """
+    # Samples missing at the start were dropped; at the end the stream has stopped.
     before = [begin] if not len(t) or t[0] > begin else []
     after = [end] if not len(t) or t[-1] < end else []
     t = np.concatenate([before, t, after]).astype(np.int64)
@@ -140,7 +143,7 @@ def silences(t: Stamps, begin: int, end: int, max_gap: int) -> list[tuple[int, i
 
 
 def between(begin: int, end: int, gaps: Sequence[Gap]) -> list[tuple[int, int]]:
-    """What gaps leave of an interval."""
+    """Return the parts of an interval that are outside all gaps."""
     edges = [begin]
     for gap in sorted(gaps):
         edges += [max(edges[-1], gap.start), max(edges[-1], gap.end)]

@@ -1,4 +1,4 @@
-"""What counts as a rest, a maneuver, a drift or an excitation, each setting with its meaning."""
+"""Settings that define a rest, a maneuver, a drift and an excitation."""
 
 from dataclasses import dataclass
 
@@ -7,10 +7,10 @@ from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError,
 
 @dataclass(frozen=True)
 class StreamSettings(Settings):
-    """How silent streams may be, and how late.
+    """Settings for the gaps and lags of streams.
 
     Raises:
-        SettingError: a setting is impossible.
+        SettingError: a setting is invalid.
     """
 
     joint_gap: float = setting(
@@ -21,10 +21,10 @@ class StreamSettings(Settings):
 
 @dataclass(frozen=True)
 class RestSettings(StreamSettings):
-    """What counts as a rest.
+    """Settings that define a rest.
 
     Raises:
-        SettingError: a setting is impossible.
+        SettingError: a setting is invalid.
     """
 
     motion_threshold: float = setting(
@@ -59,10 +59,10 @@ class RestSettings(StreamSettings):
 
 @dataclass(frozen=True)
 class ManeuverSettings(RestSettings):
-    """What counts as a maneuver.
+    """Settings that define a maneuver.
 
     Raises:
-        SettingError: a setting is impossible.
+        SettingError: a setting is invalid.
     """
 
     max_duration: float = setting(
@@ -105,10 +105,10 @@ class ManeuverSettings(RestSettings):
 
 @dataclass(frozen=True)
 class DriftFinderSettings(RestSettings):
-    """What counts as a drift.
+    """Settings that define a drift.
 
     Raises:
-        SettingError: a setting is impossible.
+        SettingError: a setting is invalid.
     """
 
     min_duration: float = setting(
@@ -122,10 +122,10 @@ class DriftFinderSettings(RestSettings):
 
 @dataclass(frozen=True)
 class ExcitationSettings(StreamSettings):
-    """What counts as an excitation.
+    """Settings that define an excitation.
 
     Raises:
-        SettingError: a setting is impossible.
+        SettingError: a setting is invalid.
     """
 
     joint_gap: float = setting(

@@ -1,4 +1,4 @@
-"""What became of the streams that a result is from, and which results to keep."""
+"""State of the streams that a result is computed from, and selection of the data to keep."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,38 +10,38 @@ from fss_arm_calib.segments.alignment import Offset
 
 @dataclass(frozen=True)
 class Streams:
-    """What became of the streams that a result is from."""
+    """State of the streams that a result is computed from."""
 
-    silent: tuple[str, ...] = ()  # not heard yet
-    unknown: tuple[str, ...] = ()  # joints heard that the arm does not have
-    others: tuple[str, ...] = ()  # names of joints heard that are not joint_<i>
+    silent: tuple[str, ...] = ()  # streams without any sample yet
+    unknown: tuple[str, ...] = ()  # joints received that the arm does not have
+    others: tuple[str, ...] = ()  # names of joints received that are not joint_<i>
     rejected: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
     set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
     offset: Offset = field(default_factory=Offset)  # between the clocks
-    offset_beyond: float = 0.0  # what it is more than, by most moves [s]
+    offset_beyond: float = 0.0  # lower limit of the offset if it was outside the search [s]
     frames: Mapping[str, str] = field(default_factory=dict)  # frame id of each subject seen
-    doubts: tuple[str, ...] = ()  # what about them may hide all data
-    gyro_ratio: float = nan  # of the base's turns by the gyro to those by motion capture
-    boots: tuple[int, ...] = ()  # as an Observation's, at last
+    doubts: tuple[str, ...] = ()  # problems that may hide all data
+    gyro_ratio: float = nan  # base's rotation by the gyro over that by motion capture
+    boots: tuple[int, ...] = ()  # latest values, as in Observation
     homings: tuple[int, ...] = ()
 
 
 class Found(Protocol):
-    """What a finder finds: to be solved from, or kept for its reason why not."""
+    """Datum found by a finder: used in a solution, or kept for the reason why not."""
 
     @property
     def used(self) -> bool:
-        """Whether it is solved from."""
+        """True if it is used in a solution."""
 
 
 F = TypeVar("F", bound=Found)
 
 
 def newest(found: Sequence[F], most: int) -> list[F]:
-    """The newest `most` of those used, and since then at most as many of those that are not.
+    """Return the newest `most` used data, and at most as many unused data since the first of these.
 
-    What is rejected thus never takes the place of what is well. To be called as things are found:
-    it leaves what it would leave of all at once.
+    Rejected data therefore never displace used data. The function can be called whenever data are
+    found: repeated calls keep the same data as one call for all of them.
     """
     used = [k for k, one in enumerate(found) if one.used]
     first = used[-most] if len(used) >= most else 0

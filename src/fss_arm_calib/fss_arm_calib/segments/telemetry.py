@@ -1,4 +1,4 @@
-"""What a link reports of itself: whether it is armed, and its zero."""
+"""State of a link from its telemetry: armed or not, and the reference of its zero."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -12,22 +12,22 @@ UNKNOWN = (0, 0)
 
 
 class State(NamedTuple):
-    """What holds from a moment on."""
+    """State of a link from a time on."""
 
     t: int  # [ns]
     armed: bool
-    reference: tuple[int, int]  # start of the electronics, homings since; no homings: not known
+    reference: tuple[int, int]  # start of the electronics, homings since then; 0: not known
 
 
 class Link(Stream):
-    """A link's telemetry, wherever it changed."""
+    """Telemetry of a link, stored at changes."""
 
     def __init__(self, name: str, horizon: int) -> None:
         super().__init__(name, horizon)
         self.states: list[State] = []
 
     def append(self, t: int, armed: bool, boot: int, homings: int) -> None:
-        """Take what a link reports; it knows of no homings until its drive does."""
+        """Append the state of a link; 0 homings: the drive has not reported them yet."""
         for stamp, (is_armed, reference) in self.admit(t, (armed, (boot, homings))):
             self.newest = stamp
             last = self.states[-1] if self.states else State(stamp, not is_armed, UNKNOWN)
@@ -36,7 +36,7 @@ class Link(Stream):
                 self.states.append(state)
 
     def reference(self, t: float) -> tuple[int, int]:
-        """Start of the electronics and homings as known at t [ns], or first, if later."""
+        """Return start of the electronics and homings known at t [ns], or else the first known."""
         known = [state for state in self.states if state.reference[1]]
         if known:
             return known[max(bisect_right(known, t, key=itemgetter(0)) - 1, 0)].reference
@@ -44,43 +44,46 @@ class Link(Stream):
         return once if once[1] else UNKNOWN
 
     def disarmed(self, begin: int, end: int) -> list[tuple[int, int]]:
-        """The parts of an interval, both ends included, in which it was not armed."""
+        """Return the parts of an interval, both ends included, in which it was not armed."""
         states = self._during(begin, end)
         edges = [*(max(begin, state.t) for state in states), end + 1]
         parts = zip(states, pairwise(edges), strict=True)
         return [(a, b - 1) for state, (a, b) in parts if not state.armed]
 
     def homed(self, begin: int, end: int) -> bool:
-        """Whether it was referenced anew meanwhile, or restarted, the drive perhaps with it."""
+        """Return True if in an interval the drive was homed again, or the electronics restarted.
+
+        The drive may have restarted with the electronics.
+        """
         states = self._during(begin, end)
         return len({state.reference for state in states if state.reference[1]}) > 1
 
     def _during(self, begin: int, end: int) -> list[State]:
-        """What held at the begin of an interval, and what changed until its end."""
+        """Return the state at the start of an interval, and the changes until its end."""
         a, b = (bisect_right(self.states, t, key=itemgetter(0)) for t in (begin, end))
         return self.states[max(a - 1, 0) : b]
 
     def forget(self, before: int) -> None:
-        """Drop what no longer held then."""
+        """Drop the states that were outdated at a time [ns]."""
         del self.states[: max(bisect_right(self.states, before, key=itemgetter(0)) - 1, 0)]
 
 
 class Referenced(Protocol):
-    """What holds as long as the joints keep their zeros."""
+    """Datum with the references of the joints' zeros."""
 
     @property
     def boots(self) -> tuple[int, ...]:
-        """(n) start of each link's electronics; 0: not known."""
+        """Start of each link's electronics (n); 0: not known."""
 
     @property
     def homings(self) -> tuple[int, ...]:
-        """(n) how often its drive was referenced since; 0: not known."""
+        """Number of homings of each drive since then (n); 0: not known."""
 
 
 def homed(before: Referenced, after: Referenced) -> list[int]:
-    """Numbers of the joints whose zeros may have changed in between.
+    """Return the numbers of the joints whose zeros may have changed between two data.
 
-    The drive was referenced anew, or the link's electronics restarted, perhaps the drive with it.
+    Either the drive was homed again, or the link's electronics restarted, perhaps with the drive.
     """
     keys = zip(before.boots, before.homings, after.boots, after.homings, strict=False)
     return [i for i, (a, m, b, n) in enumerate(keys, 1) if m and n and (a, m) != (b, n)]
@@ -90,5 +93,5 @@ R = TypeVar("R", bound=Referenced)
 
 
 def since_homed(found: Sequence[R]) -> list[R]:
-    """Those with the same zeros of the joints as the last one: only they have offsets in common."""
+    """Return the data with the same joint zeros as the last one, so with the same offsets."""
     return [one for one in found if not homed(one, found[-1])]

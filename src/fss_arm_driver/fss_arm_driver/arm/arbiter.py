@@ -1,7 +1,7 @@
-"""Arbitration of who moves the arm: one motion at a time.
+"""Arbitration between motions of the arm: one motion at a time.
 
-A trajectory or a stream that begins takes the turn from whatever has it; a move waits for nobody,
-it is refused. A stop ends whatever there is.
+A trajectory or a stream that starts preempts the current motion. A move does not preempt: it is
+rejected during another motion. A stop ends any motion.
 """
 
 from collections.abc import Callable
@@ -14,18 +14,18 @@ Plan = Callable[[int], tuple[Any, Any]]  # angles and rates (n) at a time [ns]
 
 @dataclass(eq=False)
 class Motion:
-    """What has the turn, or had it."""
+    """Motion of the arm, current or past."""
 
     name: str
-    until: int | None = None  # it is over by itself then [ns]
+    until: int | None = None  # time at which it expires [ns]
     ended: str = ""  # why it must end, in words
     plan: Plan | None = None
 
 
 class Arbiter:
-    """Who moves the arm, for several threads. Times are the caller's, in nanoseconds.
+    """Arbiter of the arm's motions, thread-safe. Times are the caller's, in nanoseconds.
 
-    Who holds `lock` keeps the turn from changing.
+    While a thread holds `lock`, the current motion does not change.
     """
 
     def __init__(self) -> None:
@@ -33,22 +33,22 @@ class Arbiter:
         self._motion: Motion | None = None
 
     def holder(self, now: int) -> str:
-        """The motion under way, in words; empty: none."""
+        """Return the name of the current motion; empty: none."""
         motion = self._motion
         over = motion is None or (motion.until is not None and now > motion.until)
         return "" if motion is None or over or motion.ended else motion.name
 
     def planned(self, now: int) -> Plan | None:
-        """The plan of the motion under way; None: there is none."""
+        """Return the plan of the current motion; None: there is none."""
         motion = self._motion
         return motion.plan if motion and self.holder(now) else None
 
     def has(self, motion: Motion | None, now: int) -> bool:
-        """Whether this motion is under way."""
+        """Return True if this motion is the current one."""
         return motion is self._motion and bool(self.holder(now))
 
     def take(self, name: str, now: int, until: int | None = None) -> Motion:
-        """Begin a motion; the one under way, if any, shall end."""
+        """Start a motion; it preempts the current one, if any."""
         with self.lock:
             if self._motion and self.holder(now):
                 self._motion.ended = f"preempted by {name}"
@@ -62,7 +62,7 @@ class Arbiter:
                 self._motion = None
 
     def stop(self) -> None:
-        """End whatever is under way."""
+        """End the current motion, if any."""
         with self.lock:
             if self._motion:
                 self._motion.ended = "stopped"

@@ -1,4 +1,4 @@
-"""The action `arm/move`: all joints to given angles, arriving together."""
+"""Action `arm/move`: moves all joints to given angles, with simultaneous arrival."""
 
 import time
 from math import degrees
@@ -20,16 +20,16 @@ from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.validation import subscribe
 
-ASKING = "arm/move/_action/get_result"  # the service that whoever asked for a move is a client of
+ASKING = "arm/move/_action/get_result"  # service that the clients of the action use
 
 
 class MoveAction:
-    """Executes moves, one at a time; whoever asked for one must stay alive."""
+    """Server that executes moves, one at a time; the client of a move must stay alive."""
 
     def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
         self.links, self.guard, node = links, guard, links.node
-        self.moving = b""  # the goal's id
-        self.ended = ""  # why the last one did, if it was not reached
+        self.moving = b""  # id of the goal
+        self.ended = ""  # why the last move ended, if its goal was not reached
         self.client = GoalClient(0.0, 0.0)
         subscribe(node, UUID, "arm/move/alive", self.on_alive, 10)
         self.server = ActionServer(
@@ -39,16 +39,16 @@ class MoveAction:
             self.on_move,
             goal_callback=self.on_goal,
             cancel_callback=self.on_cancel,
-            callback_group=ReentrantCallbackGroup(),  # moves take their time; all else goes on
+            callback_group=ReentrantCallbackGroup(),  # other callbacks run during a move
         )
 
     def on_alive(self, goal: UUID) -> None:
-        """Whoever asked for a move still wants it."""
+        """Note that the client of a move is alive."""
         if goal.uuid.tobytes() == self.moving:
             self.client.heard = time.monotonic()
 
     def on_goal(self, goal: MoveArm.Goal) -> GoalResponse:
-        """Reject a goal that makes no sense; the log says why, as an answer has no room for it."""
+        """Reject an invalid goal; the reason is logged, because the response cannot contain it."""
         try:
             check(self.links.arm, goal.q, goal.duration, goal.keep_alive)
         except MoveError as error:
@@ -57,7 +57,7 @@ class MoveAction:
         return GoalResponse.ACCEPT
 
     def on_cancel(self, _: Any) -> CancelResponse:
-        """Whoever asked for a move does not want it any more."""
+        """Accept that the client cancels a move."""
         self.links.wake()
         return CancelResponse.ACCEPT
 
@@ -73,18 +73,18 @@ class MoveAction:
         elif handle.is_cancel_requested:
             handle.canceled()
         else:
-            if message != self.ended:  # whoever waits to move asks again and again
+            if message != self.ended:  # a waiting client repeats its goal
                 self.links.node.get_logger().warning(f"move ended: {message}")
             handle.abort()
         self.ended = message
         return MoveArm.Result(reached=not message, message=message, q=self.links.q())
 
     async def begin(self, handle: ServerGoalHandle) -> None:
-        """Send the links where they shall go until they are there.
+        """Plan and execute a move until its goal is reached.
 
         Raises:
-            MotionError: it cannot be begun, or ended before.
-            GuardError: bodies would come too near.
+            MotionError: the move cannot start, or ended early.
+            GuardError: bodies would come too close.
         """
         links, request = self.links, handle.request
         if other := links.arbiter.holder(links.now()):
@@ -125,7 +125,7 @@ class MoveAction:
             self.guard.check_move(links.states, move.profiles, longest - elapsed)
 
     def check(self, handle: ServerGoalHandle, motion: Motion) -> None:
-        """Raise MotionError if a move cannot or shall not go on."""
+        """Raise MotionError if a move cannot or must not continue."""
         if handle.is_cancel_requested:
             raise MotionError("cancelled")
         self.links.check(motion)
@@ -134,7 +134,7 @@ class MoveAction:
             raise MotionError(gone)
 
     def reached(self, move: Move) -> bool:
-        """Whether all joints are at their goals and at rest."""
+        """Return True if all joints are at their goals and at rest."""
         s = self.links.settings
         return all(
             abs(self.links.states[i].q - part.target) <= s.tolerance
@@ -143,13 +143,13 @@ class MoveAction:
         )
 
     def farthest(self, move: Move) -> str:
-        """The joint that is farthest from its goal, in words."""
+        """Describe the joint that is farthest from its goal."""
         off = [abs(q - p.target) for q, p in zip(self.links.q(), move.profiles, strict=True)]
         return f"joint {off.index(max(off)) + 1} is off by {degrees(max(off)):.2f} deg"
 
 
 def position(part: Profile) -> LinkCommand:
-    """One joint's part in a move as a command."""
+    """Convert one joint's part of a move to a command."""
     return LinkCommand(
         mode=LinkCommand.POSITION,
         set_point=part.target,

@@ -1,4 +1,4 @@
-"""What the links reported last, and the joints' states brought to one time."""
+"""Last reports of the links, and joint states extrapolated to a common time."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 from fss_arm_driver.protocol import NO_TORQUE, State
 from fss_arm_driver.scale import Scale
 
-PATH_SHIFT = 16  # of a path's number in a LinkTelemetry's `path`
+PATH_SHIFT = 16  # of the path's number in LinkTelemetry.path
 SECOND = 1_000_000_000  # [ns]
 
 
 @dataclass(frozen=True)
 class LinkState:
-    """What one link reported last."""
+    """Last report of one link."""
 
-    heard: int  # by a clock that nobody sets [ns]
-    measured: int  # by the time of day [ns]
+    heard: int  # in a clock that is never set [ns]
+    measured: int  # in the time of day [ns]
     q: float  # [rad]
     qd: float  # [rad/s]
     effort: float  # of the torque sensor [N m]; NaN: unknown
@@ -29,7 +29,7 @@ class LinkState:
 
 
 def link_state(message: Any, scale: Scale, measured: int, heard: int) -> LinkState:
-    """A LinkTelemetry in SI units."""
+    """Convert a LinkTelemetry to SI units."""
     flags = message.flags
     known = message.torque_age < NO_TORQUE
     return LinkState(
@@ -47,7 +47,7 @@ def link_state(message: Any, scale: Scale, measured: int, heard: int) -> LinkSta
 
 
 class Joints(NamedTuple):
-    """All joints at one time, each (n)."""
+    """States of all joints at one time, (n) each."""
 
     q: list[float]  # [rad]
     qd: list[float]  # [rad/s]
@@ -55,11 +55,11 @@ class Joints(NamedTuple):
 
 
 def together(links: Mapping[int, LinkState], n: int, at: int, most: float) -> Joints | str:
-    """All joints at a time, extrapolated by their rates, or why that cannot be said.
+    """Extrapolate all joints to a time by their rates, or return why that is not possible.
 
     Args:
-        links: by number, as far as they were heard.
-        n: how many there are.
+        links: last reports by number; links without a report are missing.
+        n: number of links.
         at: the time [ns].
         most: longest extrapolation [s].
     """

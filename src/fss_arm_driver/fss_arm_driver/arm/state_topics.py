@@ -1,4 +1,4 @@
-"""What the arm's node says of the arm: all joints in one message, transforms, the description."""
+"""State topics of the arm's node: all joints in one message, transforms, the description."""
 
 from dataclasses import replace
 from functools import partial
@@ -26,19 +26,19 @@ CALIBRATIONS = (
     ("calibration/dynamic", DynamicCalibration),
 )
 
-STEP, PLANNED = 100_000_000, 6  # between points of arm/planned [ns], and how many there are
+STEP, PLANNED = 100_000_000, 6  # interval [ns] and number of the points of arm/planned
 
 
-PORTION = 0.005  # of propellant; the base is described anew for each that is used [kg]
+PORTION = 0.005  # of propellant; the description is updated for each one used [kg]
 
 
 class StateTopics:
-    """Publishes `arm/joint_states`, `arm/planned`, /tf, /tf_static and `robot_description`."""
+    """Publisher of `arm/joint_states`, `arm/planned`, /tf, /tf_static and `robot_description`."""
 
     def __init__(self, links: LinkTopics) -> None:
         self.links, node, s = links, links.node, links.settings
         self.calibrated = Calibrated(links.arm)
-        self.used = 0.0  # propellant that the base has no more [kg]
+        self.used = 0.0  # propellant that the base has used [kg]
         self.withheld = ""  # why there are no joint states, in words
         self.joint_states = node.create_publisher(JointState, "arm/joint_states", SENSOR)
         self.planned = node.create_publisher(JointTrajectory, "arm/planned", SENSOR)
@@ -54,7 +54,7 @@ class StateTopics:
         self.describe()
 
     def on_calibration(self, topic: str, message: Any) -> None:
-        """Describe the arm as a calibration found it, if that has passed."""
+        """Update the description from a valid calibration."""
         try:
             found = self.calibrated.of_same_links(topic, message)
         except ValueError as error:
@@ -65,14 +65,14 @@ class StateTopics:
             self.describe()
 
     def on_propellant(self, message: Float64) -> None:
-        """Describe the base as heavy as it is with what is left of it."""
+        """Update the base's mass in the description from the remaining propellant."""
         used = self.links.settings.full_tank - message.data
         if abs(used - self.used) >= PORTION and used < self.calibrated.arm.base.mass:
             self.used = used
             self.describe()
 
     def describe(self) -> None:
-        """Publish the description, and what does not move in it."""
+        """Publish the description and its fixed transforms."""
         base = self.calibrated.arm.base
         arm = replace(self.calibrated.arm, base=replace(base, mass=base.mass - self.used))
         self.description.publish(String(data=urdf(arm)))
@@ -103,7 +103,7 @@ class StateTopics:
             self.tf.publish(TFMessage(transforms=moving))
 
     def transform(self, frame: Frame, q: float, at: int) -> TransformStamped:
-        """A link's pose in its parent's frame, its joint at q [rad]."""
+        """Return a link's pose in its parent's frame, with its joint at q [rad]."""
         prefix = self.links.settings.frame_prefix
         message = TransformStamped(child_frame_id=prefix + frame.name)
         message.header.stamp, message.header.frame_id = to_time(at), prefix + frame.parent
@@ -113,7 +113,7 @@ class StateTopics:
         return message
 
     def ahead(self, joints: Joints, now: int) -> JointTrajectory:
-        """What is planned for the joints from now on; without a plan, what they do now."""
+        """Return the joints' planned motion from now on; without a plan, the present state."""
         message = JointTrajectory(joint_names=[f"joint_{i}" for i in self.links.numbers])
         message.header.stamp = to_time(now)
         plan = self.links.arbiter.planned(now)

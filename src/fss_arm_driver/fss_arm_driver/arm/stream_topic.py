@@ -1,4 +1,4 @@
-"""The topic `arm/joint_commands`: each message is passed on to the links as it comes."""
+"""Topic `arm/joint_commands`: each message is passed on to the links when it is received."""
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -14,25 +14,25 @@ from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.subscriptions import SubscriptionThread, Topic
 
 TOPIC = "arm/joint_commands"
-#: Of any publisher, and only what is newest: one that was lost is not worth another try.
+#: Matches any publisher; keeps only the newest message and does not resend a lost one.
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class StreamTopic:
-    """Has the links do what a stream says, in a thread of its own."""
+    """Subscriber that passes a stream to the links, in a separate thread."""
 
     def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
         self.links, self.guard = links, guard
         self.lives = links.settings.stream_time_to_live
         self.stream = Stream(links.arm, self.lives)
         self.motion: Motion | None = None
-        self.commands = {i: LinkCommand() for i in links.numbers}  # as making one takes long
+        self.commands = {i: LinkCommand() for i in links.numbers}  # reused, as creation is slow
         topic = Topic(JointState, TOPIC, NEWEST, self.on_command)
         self.thread = SubscriptionThread(links.node, [topic])
         self.close = self.thread.close
 
     def on_command(self, message: JointState) -> None:
-        """Pass a message on, or refuse it; of refusals in a row for one reason, one is logged."""
+        """Pass a message on, or refuse it; repeated refusals for one reason are logged once."""
         now = self.links.now()
         try:
             given = self.stream.given(stamp_ns(message.header.stamp), now)
@@ -52,7 +52,7 @@ class StreamTopic:
             self.links.send(commands, given, motion, self.lives)
 
     def check(self, points: list[SetPoint]) -> None:
-        """Raise StreamError if the joints cannot move, or shall not."""
+        """Raise StreamError if the joints cannot or must not move."""
         if why := self.links.interruption():
             raise StreamError("links", why)
         referenced = any(point.mode == Mode.POSITION for point in points)
@@ -64,9 +64,9 @@ class StreamTopic:
             raise StreamError("guard", str(error)) from None
 
     def plan(self, points: list[SetPoint]) -> Plan | None:
-        """What rates do as long as the stream lives, all other joints at rest.
+        """Return the motion that commanded rates cause, with all other joints at rest.
 
-        Angles and currents are no plan: how the joints get there is the drives' business.
+        Angles and currents have no plan, because the drives determine the motion.
         """
         if any(point.mode != Mode.VELOCITY for point in points):
             return None
@@ -80,7 +80,7 @@ class StreamTopic:
         return at
 
     def take_turn(self, points: list[SetPoint], given: int, now: int) -> Motion:
-        """Prolong the stream, or begin one: what moved before ends, all other joints rest."""
+        """Extend the stream, or start one: it preempts the motion, and all other joints rest."""
         arbiter, until = self.links.arbiter, given + round(self.lives * SECOND)
         if self.motion and arbiter.has(self.motion, now):
             self.motion.until = until

@@ -1,1 +1,1 @@
-"""A Copley servo drive straight on the computer's serial port, without a micro-controller."""
+"""Copley servo drive directly on the computer's serial port, without a microcontroller."""

@@ -1,8 +1,8 @@
-"""A servo drive at the other end of a serial line: bytes in, bytes out, and the time.
+"""Driver of a servo drive on a serial line, without I/O: bytes in, bytes out, and the time.
 
-The drive is given a demand; what to say to get there follows from what it answers and from the mode
-that it reports, so that a lost reply, a pulled cable or a drive that was off needs no care. The
-conversation is a script that stops wherever it must wait.
+The caller sets a demand. The lines to send follow from the drive's answers and from the mode that
+it reports, so a lost reply, a disconnected cable or a drive that was off needs no special case. The
+dialogue is a generator that yields wherever it must wait.
 """
 
 from collections.abc import Callable, Generator
@@ -32,28 +32,28 @@ from fss_arm_driver.protocol import Mode
 
 MILLISECOND = 1000  # [us]
 REPLY_TIME = 200 * MILLISECOND  # at most
-LINE_TIME = 50 * MILLISECOND  # for what is still under way after a failure
-SWITCH_TIME = 150 * MILLISECOND  # for the order to leave at the old rate, and the drive's own
-REST_TIMEOUT = 3000 * MILLISECOND  # with a joint that does not come to rest and shall be released
+LINE_TIME = 50 * MILLISECOND  # to discard late bytes after a failure
+SWITCH_TIME = 150 * MILLISECOND  # to send the command at the old rate, and for the drive to switch
+REST_TIMEOUT = 3000 * MILLISECOND  # for a joint to come to rest before the drive is switched off
 MOTION_THRESHOLD = 1000  # a slower drive is at rest [0.1 counts/s]
 STATE_VARIABLES = (
     *(Variable.VELOCITY, Variable.CURRENT, Variable.STATUS),
     *(Variable.TRAJECTORY_STATUS, Variable.DESIRED_STATE),
 )
-STATE = put(Variable.DESIRED_STATE, 0).removesuffix(b"0\r")  # what orders a mode begin with
+STATE = put(Variable.DESIRED_STATE, 0).removesuffix(b"0\r")  # start of the commands that set a mode
 SLOW = (Variable.FAULTS, Variable.SUPPLY, Variable.TEMPERATURE, Variable.ABORT_DECELERATION)
 
 
 class Goal(IntEnum):
-    """What the drive is to do."""
+    """Goal of the drive."""
 
     RELEASE = 0  # decelerate, then switch off
-    HOLD = 1  # decelerate, then hold that place
+    HOLD = 1  # decelerate, then hold the position
     HOME = 2
     CURRENT = 3
     VELOCITY = 4
     POSITION = 5
-    FOLLOW = 6  # the velocity that `steer` says, at each position
+    FOLLOW = 6  # the velocity that `steer` returns for each position
 
 
 MODES = {
@@ -66,22 +66,22 @@ MODES = {
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """A goal, in the drive's units."""
+    """Goal with its set point and limits, in the drive's units."""
 
     goal: Goal = Goal.RELEASE
     set_point: int = 0
     velocity: int = 0
-    acceleration: int = 0  # [10 counts/s^2]; 0: as the drive has it
+    acceleration: int = 0  # [10 counts/s^2]; 0: the drive's own setting
 
     @property
     def mode(self) -> Mode:
-        """That the goal needs."""
+        """Mode that the goal needs."""
         return MODES.get(self.goal, Mode.POSITION)
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The drive's state; all that belongs to a round was read after the one before."""
+    """State of the drive; all values of a round are read after the previous round."""
 
     clock: int = 0  # when the position was read [us]
     position: int = 0
@@ -94,25 +94,28 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class _Ask:
-    """A line that is answered."""
+    """Line that the drive answers."""
 
     line: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class _Tell:
-    """A line that is not; then a time in which nothing that comes is meant for us [us]."""
+    """Line that is not answered, and a pause in which received bytes are discarded [us]."""
 
     line: bytes
     pause: int
 
 
 class _NoAnswerError(Exception):
-    """Nothing came in time, or nothing that a drive would say."""
+    """Error of a missing, late or invalid answer."""
 
 
 class _ResetError(Exception):
-    """It was reset or switched off by others: it is met anew, so that nothing goes on by itself."""
+    """Error of a drive that was reset or switched off externally.
+
+    The connection is set up again, so that no motion resumes by itself.
+    """
 
 
 Script = Generator[_Ask | _Tell, Reply | None, None]
@@ -120,12 +123,12 @@ Steer = Callable[[int, int, int], int | None]
 
 
 class Drive:
-    """One drive. Set `demand`; `reading` is the last whole round, None while it does not answer.
+    """Drive. Set `demand`; `reading` is the last complete round, None while it does not answer.
 
     Args:
-        baud: the rate to work at; the drive begins at 9600.
-        steer: told each position [counts] with its time [us] and the last velocity
-            [0.1 counts/s]; says what velocity to FOLLOW with, or None.
+        baud: working rate; the drive starts at 9600.
+        steer: receives each position [counts] with its time [us] and the last velocity
+            [0.1 counts/s]; returns the velocity for FOLLOW, or None.
     """
 
     def __init__(self, baud: int = 115_200, steer: Steer = lambda *_: None) -> None:
@@ -134,12 +137,12 @@ class Drive:
         self.reading: Reading | None = None
         self.slow = dict.fromkeys(SLOW, 0)
         self.homings = 0
-        self.refusal = ""  # of the present demand, in the drive's words
-        self.let_go = False  # it refused even to hold, and is switched off whatever is demanded
-        self._done: Demand | None = None  # the demand that was sent to the drive last, in full
-        self._mode = int(Mode.OFF)  # that the drive is in, as read or acknowledged
-        self._referenced = False  # as read; not since it was ordered to home
-        self.baud = FIRST_BAUD  # that the line must be set to now
+        self.refusal = ""  # of the present demand, with the drive's error
+        self.let_go = False  # it refused even to hold, and is switched off despite the demand
+        self._done: Demand | None = None  # the last demand that was sent completely
+        self._mode = int(Mode.OFF)  # of the drive, as read or acknowledged
+        self._referenced = False  # as read; False after a command to home
+        self.baud = FIRST_BAUD  # to which the line must be set now
         self._fast, self._steer = baud, steer
         self._now = self._until = 0
         self._buffer = b""
@@ -149,12 +152,12 @@ class Drive:
 
     @property
     def referenced(self) -> bool:
-        """Whether it is homed; not while it is ordered to home and has not begun, or refuses to."""
+        """True if the drive is homed, and no command to home is pending or refused."""
         begun = self.demand.goal != Goal.HOME or (self.demand == self._done and not self.refusal)
         return bool(self.reading) and self._referenced and begun
 
     def poll(self, data: bytes, now: int) -> bytes:
-        """Take what has come until `now` [us]; return what to send, at `baud`."""
+        """Process the bytes received until `now` [us]; return the bytes to send, at `baud`."""
         self._now = now
         self._buffer += data
         while True:
@@ -201,11 +204,11 @@ class Drive:
                 self.reading = None
 
     def _connect(self, baud: int) -> Script:
-        """Find the drive at this rate, and set it to the one to work at."""
+        """Find the drive at this rate, and set it to the working rate."""
         self.baud = baud
-        self._done = None  # what a drive does that was out of reach is not known
+        self._done = None  # the drive's state is unknown after a loss
         self._mode, self._referenced = Mode.OFF, False
-        yield _Tell(b"\r", LINE_TIME)  # ends whatever is left in the drive's buffer
+        yield _Tell(b"\r", LINE_TIME)  # ends an incomplete line in the drive's buffer
         yield _Ask(get(Variable.STATUS))
         if baud != self._fast:
             yield _Tell(put(Variable.BAUD, self._fast), SWITCH_TIME)
@@ -213,7 +216,7 @@ class Drive:
             yield _Ask(get(Variable.STATUS))
 
     def _value(self, variable: Variable) -> Generator[_Ask | _Tell, Reply | None, int]:
-        """Read a variable; twice, if the first answer is none."""
+        """Read a variable; try again once if the answer is missing or invalid."""
         try:
             reply = yield _Ask(get(variable))
         except _NoAnswerError:
@@ -226,7 +229,7 @@ class Drive:
         raise _NoAnswerError
 
     def _read(self, slow: Variable) -> Generator[_Ask | _Tell, Reply | None, Reading]:
-        """A round of readings."""
+        """Read one round of variables."""
         last = self.reading
         clock, position = yield from self._track()
         values = []
@@ -249,7 +252,7 @@ class Drive:
         return reading
 
     def _track(self) -> Generator[_Ask | _Tell, Reply | None, tuple[int, int]]:
-        """Read the position and when it was; a drive that follows is steered by it."""
+        """Read the position and its time; update the velocity of a drive that follows a path."""
         position = yield from self._value(Variable.POSITION)
         clock, demand = self._now, self.demand
         speed = self._steer(position, clock, self.reading.velocity if self.reading else 0)
@@ -259,7 +262,7 @@ class Drive:
         return clock, position
 
     def _act(self) -> Script:
-        """Say what brings the drive to what is demanded of it."""
+        """Send the commands that bring the drive to the demand."""
         reading, demand = self.reading, self.demand
         assert reading
         if self.clear_faults and reading.mode == Mode.OFF:
@@ -269,18 +272,18 @@ class Drive:
             return
         self._done, self.refusal, self.let_go = None, "", False
         done = yield from self._pursue(demand, demand)
-        if not done and demand.goal > Goal.HOLD:  # what cannot be done is held,
+        if not done and demand.goal > Goal.HOLD:  # a joint with a refused demand is held,
             yield from self._read(Variable.FAULTS)
             done = yield from self._pursue(Demand(Goal.HOLD), demand)
         self.let_go = not done
-        while not done:  # and what cannot be held is switched off
+        while not done:  # and a drive that refuses to hold is switched off
             yield from self._read(Variable.FAULTS)
             done = yield from self._say([put(Variable.DESIRED_STATE, Mode.OFF)])
         if demand == self.demand:
             self._done = demand
 
     def _pursue(self, goal: Demand, demand: Demand) -> Generator[_Ask | _Tell, Reply | None, bool]:
-        """Bring the drive to a goal while `demand` is what is asked; False: it refuses."""
+        """Bring the drive to a goal while `demand` is unchanged; return False if it refuses."""
         reading = self.reading
         assert reading
         if goal.goal <= Goal.HOLD or reading.mode != goal.mode:
@@ -298,7 +301,7 @@ class Drive:
         return (yield from self._say(_program(goal, reading.mode)))
 
     def _say(self, lines: list[bytes]) -> Generator[_Ask | _Tell, Reply | None, bool]:
-        """Give orders until one is refused; whether none was."""
+        """Send commands until one is refused; return True if none was."""
         for line in lines:
             reply = yield _Ask(line)
             if isinstance(reply, Error):
@@ -314,12 +317,12 @@ class Drive:
 
 
 def _limit(acceleration: int) -> int:
-    """An acceleration [10 counts/s^2] as velocity mode has it [1000 counts/s^2]."""
+    """Convert an acceleration [10 counts/s^2] to the unit of velocity mode [1000 counts/s^2]."""
     return max(1, acceleration // 100)
 
 
 def _brake(mode: int, abort: int) -> list[bytes]:
-    """Orders that bring the joint to rest, by the drive's own abort deceleration."""
+    """Return commands that bring the joint to rest, with the drive's own abort deceleration."""
     if mode == Mode.OFF:
         return []
     if mode == Mode.POSITION:
@@ -330,9 +333,9 @@ def _brake(mode: int, abort: int) -> list[bytes]:
 
 
 def _program(demand: Demand, mode: int | None) -> list[bytes]:
-    """Orders for what is demanded of a joint at rest, or moving in the mode that it needs.
+    """Return commands for the demand of a joint at rest, or moving in the required mode.
 
-    The mode comes last where a set-point left over from before would be followed.
+    The mode is set last where the drive would otherwise follow an old set point.
     """
     state = [] if mode == demand.mode else [put(Variable.DESIRED_STATE, demand.mode)]
     acceleration = demand.acceleration

@@ -1,7 +1,7 @@
-"""The ASCII language of Copley's servo drives: lines to the drive, and what it answers.
+"""ASCII language of Copley's servo drives: lines to the drive, and its answers.
 
-One line at a time, ended by CR, without a checksum; the host speaks first, after power-up at 9600
-baud, 8N1. What is known of it, and how surely, is in docs/start/hardware.md.
+One line at a time, ended by CR, without a checksum. The host sends first; after power-up at 9600
+baud, 8N1. docs/start/hardware.md lists what is known of the language, and how reliably.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ MAX_LENGTH = 64  # of a line; a longer one is noise
 
 
 class Variable(IntEnum):
-    """The drive's variables that are used here, in RAM."""
+    """Variables of the drive that are used here, in RAM."""
 
     COMMANDED_CURRENT = 0x02  # [0.01 A]
     CURRENT = 0x0C  # [0.01 A]
@@ -37,10 +37,10 @@ class Variable(IntEnum):
 
 
 class Trajectory(IntEnum):
-    """What `t` asks for."""
+    """Argument of the command `t`."""
 
     ABORT = 0
-    START = 1  # or update a move under way
+    START = 1  # or update a running move
     HOME = 2
 
 
@@ -83,24 +83,24 @@ ERRORS = {
 
 
 class LineError(ValueError):
-    """A line that no drive would send."""
+    """Error of a line that is not a valid answer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ok:
-    """The order was taken; which is not to say that anything moves."""
+    """Answer that the command was accepted; the joint need not move."""
 
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """What a variable holds."""
+    """Answer with the value of a variable."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """The order was refused."""
+    """Answer that the command was refused."""
 
     code: int
 
@@ -112,25 +112,25 @@ Reply = Ok | Value | Error
 
 
 def get(variable: Variable) -> bytes:
-    """Ask for a variable."""
+    """Encode the command that reads a variable."""
     return f"g r0x{variable:02x}\r".encode()
 
 
 def put(variable: Variable, number: int) -> bytes:
-    """Set a variable."""
+    """Encode the command that sets a variable."""
     return f"s r0x{variable:02x} {number}\r".encode()
 
 
 def trajectory(order: Trajectory) -> bytes:
-    """Abort, start or home."""
+    """Encode the command to abort, start or home."""
     return f"t {order:d}\r".encode()
 
 
 def parse(line: bytes) -> Reply:
-    """What a line without its CR says.
+    """Decode a line without its CR.
 
     Raises:
-        LineError: nothing that a drive would say.
+        LineError: the line is not a valid answer.
     """
     if line == b"ok":
         return Ok()

@@ -1,4 +1,4 @@
-"""A drive without electronics of ours before it, in the part of a link: frames in, frames out."""
+"""Link made of a Copley drive alone, without the link's electronics: frames in, frames out."""
 
 from collections import deque
 
@@ -19,8 +19,8 @@ from fss_arm_driver.protocol import (
 from fss_arm_driver.protocol import Goal as Intent
 
 PERIOD = 200_000  # of telemetry [us]
-LEAD = 10_000  # half the time for which a velocity is set, and what it takes to set it [us]
-TAKEN = 1024  # commands remembered: as many as may come during one round of readings
+LEAD = 10_000  # half the time a velocity is applied, plus the time to set it [us]
+TAKEN = 1024  # commands remembered: at least those of one round of readings
 SLOW = {
     Slow.FAULTS: Variable.FAULTS,
     Slow.SUPPLY: Variable.SUPPLY,
@@ -36,32 +36,32 @@ GOALS = {
 
 
 class DriveLink:
-    """Takes commands and makes telemetry by docs/reference/protocol.md, and lets the drive do it.
+    """Link that executes commands with the drive, and makes telemetry (docs/reference/protocol.md).
 
     Args:
         number: of the link.
-        boot: of this start, 1 to 65535.
-        key: that frames are signed under, if any.
-        baud: the rate to work at.
+        boot: number of this start, 1 to 65535.
+        key: key that signs the frames, if any.
+        baud: working rate.
     """
 
     def __init__(self, number: int, boot: int, key: bytes | None, baud: int) -> None:
         self.state = LinkState(Gate(number, boot, key))
         self._baud = baud
-        self._speed: int | None = None  # to follow a path with, as of the last position
+        self._speed: int | None = None  # velocity on a path, from the last position
         self.drive = Drive(baud, self._steer)
         self._periods = 0
         self._sequence, self._measured = 0, 0
         self._taken: deque[tuple[int, int]] = deque(maxlen=TAKEN)  # arrivals and clocks
 
     def restart(self) -> None:
-        """The line was opened anew; the drive's state is not known."""
+        """Reset the drive's state, which is unknown after the line was reopened."""
         homings = self.drive.homings
         self.drive = Drive(self._baud, self._steer)
         self.drive.homings = homings
 
     def receive(self, data: bytes, clock: int) -> None:
-        """Take or refuse a command, or a segment of a path."""
+        """Accept or refuse a command, or a segment of a path."""
         if self.state.receive(data, clock):
             command = self.state.gate.command
             assert command
@@ -70,7 +70,7 @@ class DriveLink:
                 self.drive.clear_faults = True
 
     def poll(self, data: bytes, clock: int) -> tuple[bytes, bytes]:
-        """Take bytes from the drive; return those to send to it, and a telemetry frame or none."""
+        """Process bytes from the drive; return bytes for it, and a telemetry frame if due."""
         reading = self.drive.reading
         if reading is None or blocking(reading.status, 0) or self.drive.let_go:
             self.state.drop()
@@ -87,7 +87,7 @@ class DriveLink:
         return _commanded(command) if goal is Intent.OBEY else Demand(Goal.HOLD)
 
     def _steer(self, position: int, clock: int, velocity: int) -> int | None:
-        """Follow a path, if one is to be followed, from where the joint is."""
+        """Return the velocity on the commanded path, if any, from the joint's position."""
         follows = self.state.goal(clock) is Intent.FOLLOW
         self._speed = self.state.velocity(clock, position, velocity, LEAD) if follows else None
         return self._speed
@@ -124,7 +124,7 @@ class DriveLink:
         return encode(frame, gate.key)
 
     def _taken_before(self, clock: int) -> tuple[int, int]:
-        """Arrival and clock of the last command that had been taken then."""
+        """Return arrival and clock of the last command accepted until `clock`."""
         while len(self._taken) > 1 and self._taken[1][0] <= clock:
             self._taken.popleft()
         return self._taken[0] if self._taken and self._taken[0][0] <= clock else (clock, 0)
@@ -149,6 +149,6 @@ def _commanded(command: Command) -> Demand:
 
 
 def _signed(value: int, bits: int) -> int:
-    """The nearest integer of so many bits."""
+    """Clamp `value` to the range of a signed integer of `bits` bits."""
     limit = 1 << bits - 1
     return max(-limit, min(value, limit - 1))

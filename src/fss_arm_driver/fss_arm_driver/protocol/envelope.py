@@ -1,6 +1,6 @@
-"""What all frames share: their beginning, their CRC and signature, and how damage is refused.
+"""Common parts of all frames: header, CRC and signature, and the rejection of damaged frames.
 
-A `Codec` is a set of kinds of frames, each a dataclass and the layout of its own 32 bytes.
+A `Codec` is a set of kinds of frames. Each kind has a dataclass and the layout of its own 32 bytes.
 """
 
 import struct
@@ -25,17 +25,17 @@ _CRC_AT = _SIGNATURE_AT - _CRC.size
 
 
 def unsigned(bits: int) -> Any:
-    """A field of a frame."""
+    """Define an unsigned field of a frame."""
     return field(metadata={"range": (0, (1 << bits) - 1)})
 
 
 def signed(bits: int) -> Any:
-    """A field of a frame, two's complement."""
+    """Define a signed field of a frame, two's complement."""
     return field(metadata={"range": (-(1 << bits - 1), (1 << bits - 1) - 1)})
 
 
 class Refusal(Enum):
-    """Why bytes are not a frame, in the order of the checks."""
+    """Reason why bytes are not a valid frame, in the order of the checks."""
 
     LENGTH = "length"
     MAGIC = "magic"
@@ -47,7 +47,7 @@ class Refusal(Enum):
 
 
 class FrameError(ValueError):
-    """These bytes are not a frame, or these values do not make one; `reason` says why."""
+    """Error of bytes or values that are not a valid frame; `reason` says why."""
 
     def __init__(self, reason: Refusal, message: str) -> None:
         super().__init__(message)
@@ -55,7 +55,7 @@ class FrameError(ValueError):
 
 
 class Head(Protocol):
-    """What every frame begins with."""
+    """Header of every frame."""
 
     @property
     def link(self) -> int:
@@ -63,47 +63,47 @@ class Head(Protocol):
 
     @property
     def flags(self) -> int:
-        """One bit each."""
+        """Flags, one bit each."""
 
     @property
     def boot(self) -> int:
-        """Tells the starts of the electronics apart."""
+        """Number that differs between starts of the electronics."""
 
     @property
     def sequence(self) -> int:
-        """Counts the sender's frames, modulo 2^32."""
+        """Count of the sender's frames, modulo 2^32."""
 
     @property
     def clock(self) -> int:
-        """The sender's [us]."""
+        """Clock of the sender [us]."""
 
 
 class Heard(Head, Protocol):
-    """What all telemetry has; of its flags, 1 is armed, 2 stopped, 4 watchdog."""
+    """Common fields of all telemetry; of its flags, 1 is armed, 2 stopped, 4 watchdog."""
 
     @property
     def echo(self) -> int:
-        """Low 32 bits of the `clock` of the last command taken; 0: none yet."""
+        """Low 32 bits of the `clock` of the last accepted command; 0: none yet."""
 
     @property
     def turnaround(self) -> int:
-        """From that command's arrival to the measurement [us]."""
+        """Time from that command's arrival to the measurement [us]."""
 
     @property
     def slow_id(self) -> int:
-        """Which of the slow fields the frame has."""
+        """Number of the slow field that the frame has."""
 
     @property
     def slow_value(self) -> int:
-        """What that is."""
+        """Value of that slow field."""
 
 
 class Ordered(Head, Protocol):
-    """What all commands have; of their flags, 1 is arm, 2 stop."""
+    """Common fields of all commands; of their flags, 1 is arm, 2 stop."""
 
     @property
     def expiry(self) -> int:
-        """In the receiver's clock [us]; 0: none."""
+        """Expiry in the receiver's clock [us]; 0: none."""
 
     @property
     def watchdog(self) -> int:
@@ -115,15 +115,15 @@ F = TypeVar("F")
 
 @dataclass(frozen=True)
 class Kind(Generic[F]):
-    """One kind of frame.
+    """Kind of frame.
 
     Args:
-        number: in the frame.
-        frame: its dataclass, whose fields stand in the frame's order.
-        body: layout of its own 32 bytes, as struct has it; what is skipped there must be 0.
-        check: raises FrameError if values that fit their fields make no sense.
-        values: of the body, if they are not those of the fields.
-        restore: the fields from these, then.
+        number: of the kind, as in the frame.
+        frame: its dataclass, with the fields in the frame's order.
+        body: layout of its own 32 bytes, in the notation of struct; padding must be 0.
+        check: raises FrameError if values that fit their fields are not valid.
+        values: returns the values of the body, if they differ from those of the fields.
+        restore: returns the fields from these values.
     """
 
     number: int
@@ -135,12 +135,12 @@ class Kind(Generic[F]):
 
 
 def invalid(what: str) -> FrameError:
-    """That a field has no meaning."""
+    """Return a FrameError about an invalid field."""
     return FrameError(Refusal.FIELD, what)
 
 
 class _Coder(Generic[F]):
-    """Packs and unpacks one kind, CRC and signature excepted."""
+    """Coder of one kind of frame, without CRC and signature."""
 
     def __init__(self, kind: Kind[F]) -> None:
         self.number, self._frame, self._check = kind.number, kind.frame, kind.check
@@ -174,20 +174,20 @@ class _Coder(Generic[F]):
 
 
 class Codec(Generic[F]):
-    """Frames of some kinds to bytes and back; all other kinds are refused."""
+    """Conversion of some kinds of frames to bytes and back; other kinds are rejected."""
 
     def __init__(self, *kinds: Kind[Any]) -> None:
         self._coders = {kind.number: _Coder(kind) for kind in kinds}
         self._by_type = {kind.frame: self._coders[kind.number] for kind in kinds}
 
     def encode(self, frame: F, key: bytes | None = None) -> bytes:
-        """The 72 bytes of `frame`, or FrameError."""
+        """Encode `frame` as 72 bytes, or raise FrameError."""
         body = self._by_type[type(frame)].pack(frame)
         data = body + _CRC.pack(crc32(body))
         return data + sign(data, key)
 
     def decode(self, data: bytes, key: bytes | None = None) -> F:
-        """The frame that these bytes are, or FrameError."""
+        """Decode a frame, or raise FrameError."""
         if len(data) != FRAME_SIZE:
             raise FrameError(Refusal.LENGTH, f"{len(data)} bytes, expected {FRAME_SIZE}")
         magic, version, kind = _KIND.unpack_from(data)
@@ -209,16 +209,16 @@ class Codec(Generic[F]):
 
 
 def check_flags(frame: Head, known: int) -> None:
-    """Raise FrameError if a flag has no meaning."""
+    """Raise FrameError if an unknown flag is set."""
     if frame.flags & ~known:
         raise invalid(f"flags are {frame.flags:#x}, expected only {known:#x}")
 
 
 def newer(sequence: int, than: int) -> bool:
-    """Whether `sequence` comes after `than`, modulo 2^32 (RFC 1982)."""
+    """Return True if `sequence` is later than `than`, modulo 2^32 (RFC 1982)."""
     return 0 < (sequence - than) & 0xFFFFFFFF < 0x80000000
 
 
 def spoken(data: bytes) -> tuple[int, int]:
-    """Version and link of a frame of whatever version: 72 bytes that begin with the magic."""
+    """Return version and link of a frame of any version: 72 bytes that start with the magic."""
     return data[2], data[4]

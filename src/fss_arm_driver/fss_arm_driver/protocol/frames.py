@@ -1,7 +1,7 @@
-"""Telemetry, command and segment frames to bytes and back.
+"""Conversion of telemetry, command and segment frames to bytes and back.
 
-The layout and what both sides do with it are in docs/reference/protocol.md. Raw counts only:
-whoever holds the arm's description turns them into SI units.
+docs/reference/protocol.md defines the layout and how both sides use it. Values are raw counts;
+`Scale` converts them to SI units with the arm's description.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from fss_arm_driver.protocol.envelope import (
     unsigned,
 )
 
-NO_TORQUE = 255  # as the age of a torque sample: that old or older, or there is none [ms]
+NO_TORQUE = 255  # age of a torque sample that is that old or older, or missing [ms]
 
 VELOCITY_UNIT = 0.1  # [counts/s]
 ACCELERATION_UNIT = 10.0  # [counts/s^2]
@@ -30,13 +30,13 @@ DURATIONS = 1000, 60_000_000  # of a segment [us]
 
 
 class Mode(IntEnum):
-    """What the servo drive controls, by the drive's own numbers; PATH only in commands."""
+    """Control mode of the servo drive, by the drive's own numbers; PATH only in commands."""
 
     OFF = 0
     CURRENT = 1
     VELOCITY = 11
     POSITION = 21
-    PATH = 31  # the drive is in VELOCITY meanwhile
+    PATH = 31  # the drive then is in VELOCITY mode
 
 
 class State(IntEnum):
@@ -44,10 +44,10 @@ class State(IntEnum):
 
     ARMED = 1
     STOPPED = 2  # latched until a command frame with neither arm nor stop
-    WATCHDOG = 4  # commands ceased; disarmed for that reason
+    WATCHDOG = 4  # disarmed because no commands came
     REFERENCED = 8  # the encoder's zero is known
     FOLLOWING = 16  # a path moves the joint
-    BROKEN = 32  # the last path ended before its last knot
+    BROKEN = 32  # the last path was aborted before its last knot
 
 
 class Order(IntEnum):
@@ -57,11 +57,11 @@ class Order(IntEnum):
     STOP = 2  # disarm and latch it
     HOLD = 4  # decelerate and hold where the joint comes to rest
     CLEAR_FAULTS = 8
-    HOME = 16  # find the reference as the drive is set up to; only with ARM, position mode
+    HOME = 16  # home as the drive is configured to; only with ARM, in position mode
 
 
 class Slow(IntEnum):
-    """Fields that change slowly and take turns in `Telemetry.slow_value`."""
+    """Slowly changing fields, sent in turn as `Telemetry.slow_value`."""
 
     FAULTS = 1
     SUPPLY = 2
@@ -70,20 +70,20 @@ class Slow(IntEnum):
     FIRMWARE = 5
     HOMINGS = 6
     REFUSED = 7
-    PATH = 8  # newest path held * 65536 + its segments without a gap from the first
+    PATH = 8  # newest path held * 65536 + number of its segments up to the first gap
     SERIAL = 9  # of the physical link; 0: it has none
 
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """What a link reports: one measurement, in the servo drive's and torque converter's counts."""
+    """Measurement of a link, in the servo drive's and torque converter's counts."""
 
-    link: int = unsigned(8)  # 1 beside the base
+    link: int = unsigned(8)  # 1 next to the base
     flags: int = unsigned(8)  # State
     boot: int = unsigned(16)  # differs between starts of the link's electronics: 1 or more
     sequence: int = unsigned(32)  # counts the frames since the start, modulo 2^32
     clock: int = unsigned(64)  # the link's own clock at the measurement [us since its start]
-    echo: int = unsigned(32)  # low 32 bits of the `clock` of the last command taken; 0: none yet
+    echo: int = unsigned(32)  # low 32 bits of the `clock` of the last accepted command; 0: none
     turnaround: int = unsigned(32)  # from that command's arrival to the measurement [us]
     position: int = signed(32)  # [counts]
     velocity: int = signed(32)  # [0.1 counts/s]
@@ -98,42 +98,42 @@ class Telemetry:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a link shall do until `expiry` or the next command."""
+    """Command for a link, valid until `expiry` or the next command."""
 
     link: int = unsigned(8)
     flags: int = unsigned(8)  # Order
-    boot: int = unsigned(16)  # of the link that is meant; 0: not known yet, never with ARM
+    boot: int = unsigned(16)  # of the addressed link; 0: not known yet, never with ARM
     sequence: int = unsigned(32)  # counts the frames of one host session, modulo 2^32
     clock: int = unsigned(64)  # the host's stamp, echoed by the link [us]
     expiry: int = unsigned(64)  # in the link's clock [us]; 0: none, never with ARM
     mode: int = unsigned(8)  # Mode
     watchdog: int = unsigned(16)  # silence after which the link disarms itself [ms], 1 or more
     set_point: int = signed(32)  # [0.01 A], [0.1 counts/s], [counts] or a path's number, by mode
-    velocity: int = signed(32)  # of the profile, or a path's most [0.1 counts/s]
-    acceleration: int = signed(32)  # of the profile, or a path's most [10 counts/s^2]
+    velocity: int = signed(32)  # of the profile, or a path's limit [0.1 counts/s]
+    acceleration: int = signed(32)  # of the profile, or a path's limit [10 counts/s^2]
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """The piece of a path between two of its knots: the cubic through both (Hermite's)."""
+    """Segment of a path between two knots: a cubic Hermite polynomial."""
 
     link: int = unsigned(8)
     flags: int = unsigned(8)  # LAST
-    boot: int = unsigned(16)  # of the link that is meant
+    boot: int = unsigned(16)  # of the addressed link
     sequence: int = unsigned(32)  # counts the frames of one host session, modulo 2^32
     clock: int = unsigned(64)  # the host's stamp [us]
     path: int = unsigned(16)  # its number, 1 or more
     index: int = unsigned(16)  # of the segment in the path, from 0
-    begin: int = unsigned(64)  # by the link's clock [us]
+    begin: int = unsigned(64)  # start, in the link's clock [us]
     duration: int = unsigned(32)  # [us]
-    position: int = signed(32)  # at the beginning [counts]
-    velocity: int = signed(32)  # at the beginning [0.1 counts/s]
+    position: int = signed(32)  # at the start [counts]
+    velocity: int = signed(32)  # at the start [0.1 counts/s]
     end_position: int = signed(32)
     end_velocity: int = signed(32)  # 0 with LAST
 
     @property
     def end(self) -> int:
-        """By the link's clock [us]."""
+        """End in the link's clock [us]."""
         return self.begin + self.duration
 
 
@@ -192,7 +192,7 @@ def _check_command(frame: Command) -> None:
 
 
 def check_order(frame: Ordered) -> None:
-    """Raise FrameError if what all commands have makes no sense."""
+    """Raise FrameError if a common field of commands is not valid."""
     if frame.watchdog == 0:
         raise invalid("watchdog is 0 ms, expected 1 or more")
     if not frame.flags & Order.ARM:
@@ -206,7 +206,7 @@ def check_order(frame: Ordered) -> None:
 
 
 def _telemetry_values(frame: Telemetry) -> tuple[int, ...]:
-    """With the torque and its age in one word."""
+    """Return the values of the body, with the torque and its age in one word."""
     word = (frame.torque & 0xFFFFFF) | frame.torque_age << 24
     return (
         frame.echo, frame.turnaround, frame.position, frame.velocity, frame.current, frame.mode,
@@ -228,18 +228,18 @@ _CODEC: Codec[Frame] = Codec(
 
 
 def encode(frame: Frame, key: bytes | None = None) -> bytes:
-    """The 72 bytes of `frame`, signed if a key is given.
+    """Encode `frame` as 72 bytes, signed if a key is given.
 
     Raises:
-        FrameError: a value does not fit its field or its meaning; the message names it.
+        FrameError: a value does not fit its field or is not valid; the message names it.
     """
     return _CODEC.encode(frame, key)
 
 
 def decode(data: bytes, key: bytes | None = None) -> Frame:
-    """The frame that these bytes are, signed under the key; not signed at all without one.
+    """Decode a frame that is signed with the key; without a key, one that is not signed.
 
     Raises:
-        FrameError: they are none; nothing else is ever raised, whatever the bytes.
+        FrameError: the bytes are not such a frame. No bytes raise any other error.
     """
     return _CODEC.decode(data, key)

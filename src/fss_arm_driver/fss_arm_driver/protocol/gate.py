@@ -1,4 +1,4 @@
-"""Which commands and segments a link takes, for whatever plays a link or the base's board."""
+"""Acceptance of commands and segments, for programs that act as a link or the base's board."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -12,7 +12,7 @@ C = TypeVar("C", bound=Ordered)
 
 
 class Refused(Enum):
-    """Why a datagram is not taken as a command, or a segment of a path."""
+    """Reason why a datagram is not accepted as a command or a segment of a path."""
 
     FRAME = "not a frame"
     OTHER = "not to this link"
@@ -27,27 +27,28 @@ class Refused(Enum):
 
 
 class Language(NamedTuple, Generic[C]):
-    """What one kind of electronics is told."""
+    """Commands that one kind of electronics accepts."""
 
     command: type[C]
-    decode: Callable[[bytes, bytes | None], Head]  # or FrameError
-    watchdog: int  # silence after which it disarms itself until a command says otherwise [us]
+    decode: Callable[[bytes, bytes | None], Head]  # raises FrameError
+    watchdog: int  # silence after which it disarms itself, unless a command sets it [us]
 
 
 LINK = Language(Command, decode, 2_000_000)
 
 
 class Gate(Generic[C]):
-    """Lets through each command once, in order and in time, from the start of a link on.
+    """Filter that accepts each command once, in order and before it expires.
 
-    Of all else, as segments, it knows whether it is meant for this start of this link; how it fits
-    what came before is for others to judge.
+    Of segments it checks only whether they are for this start of this link, and, if they are
+    signed, whether they are later than the last command that did not arm. It does not check
+    whether they fit earlier segments.
 
     Args:
         number: of the link.
-        boot: which start this is, 1 to 65535.
-        key: that commands must be signed under; None: they must not be signed.
-        language: that it understands.
+        boot: number of this start, 1 to 65535.
+        key: key that commands must be signed with; None: they must not be signed.
+        language: commands that the electronics accept.
     """
 
     def __init__(
@@ -59,11 +60,11 @@ class Gate(Generic[C]):
     ) -> None:
         self.number, self.boot, self.key, self._language = number, boot, key, language
         self.refused: Counter[Refused] = Counter()
-        self.command: C | None = None  # the last one taken
-        self.arrival = 0  # of that command, by the link's clock [us]
-        self._newest = 0  # sequence
-        self._latest = -1  # stamp of the computer [us]
-        self._disarming = -1  # that of the last command that did not arm
+        self.command: C | None = None  # the last accepted command
+        self.arrival = 0  # of that command, in the link's clock [us]
+        self._newest = 0  # newest accepted sequence
+        self._latest = -1  # latest accepted stamp of the computer [us]
+        self._disarming = -1  # stamp of the last command that did not arm
 
     @property
     def watchdog(self) -> int:
@@ -71,17 +72,17 @@ class Gate(Generic[C]):
         return 1000 * self.command.watchdog if self.command else self._language.watchdog
 
     def take(self, data: bytes, clock: int) -> C | Segment | None:
-        """What these bytes are, come at `clock` [us]; None if they are not taken."""
+        """Return the command or segment received at `clock` [us]; None if it is refused."""
         frame = self._judge(data, clock)
         if isinstance(frame, Refused):
             self.refuse(frame)
             return None
-        if not isinstance(frame, Segment):  # so a command
+        if not isinstance(frame, Segment):  # so it is a command
             self._remember(frame, clock)
         return frame
 
     def refuse(self, reason: Refused) -> None:
-        """Count a datagram that is not taken."""
+        """Count a datagram that is refused."""
         self.refused[reason] += 1
 
     def _judge(self, data: bytes, clock: int) -> C | Segment | Refused:
@@ -117,11 +118,11 @@ class Gate(Generic[C]):
         self.command, self.arrival = command, clock
 
     def _follows(self, command: C, clock: int) -> bool:
-        """Whether it is newer than the last command, or may begin a session."""
+        """Return True if the command is newer than the last one, or may start a session."""
         if self.command is None or clock - self.arrival > self.watchdog:
             return not command.flags & Order.ARM
         return newer(command.sequence, self._newest)
 
     def _is_replayed(self, command: C) -> bool:
-        """Whether a signed command is not later than all that were taken."""
+        """Return True if a signed command is not later than every accepted command."""
         return bool(self.key) and command.clock <= self._latest

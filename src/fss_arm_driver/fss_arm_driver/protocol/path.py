@@ -1,27 +1,28 @@
-"""Paths in time that a link keeps and follows by itself (docs/reference/protocol.md).
+"""Timed paths that a link stores and follows autonomously (docs/reference/protocol.md).
 
-A `PathFollower` is the link's side, in counts: segments in, velocities for the drive out, times by
-the link's clock [us].
+A `PathFollower` is the link's side: it receives segments and computes velocities for the drive, in
+counts. Times are in the link's clock [us].
 """
 
 from fss_arm_driver.protocol.frames import LAST, VELOCITY_UNIT, Command, Segment
 from fss_arm_driver.protocol.gate import Refused
 
-KEPT = 32  # segments of a path
-FARTHEST = 120_000_000  # that a segment may lie ahead [us]
+KEPT = 32  # most segments stored of a path
+FARTHEST = 120_000_000  # longest time by which a segment may start ahead [us]
 GAIN = 4.0  # of the correction [1/s]
-REACH = 0.25  # for so long the most velocity covers the farthest a joint may be from its path [s]
+REACH = 0.25  # largest error of a joint on a path, in time at the path's largest velocity [s]
 REST = 100.0  # a slower joint is at rest [counts/s]
 
 
 def hermite(
     t: float, duration: float, p0: float, v0: float, p1: float, v1: float
 ) -> tuple[float, float]:
-    """Position and velocity, `t` after its beginning, of the cubic with these at its ends.
+    """Return position and velocity of a cubic Hermite polynomial, `t` after its start.
 
         p(s) = p0 + s (T v0 + s (3 D - T (2 v0 + v1) + s (T (v0 + v1) - 2 D)))
 
-    with s = t / T from 0 to 1, T = `duration` and D = p1 - p0 (Hermite's interpolation).
+    with s = t / T from 0 to 1, T = `duration` and D = p1 - p0; p0, v0, p1 and v1 are position and
+    velocity at its ends.
     """
     s, rise = t / duration, p1 - p0
     a, b = duration * v0, duration * v1
@@ -31,28 +32,28 @@ def hermite(
 
 
 def newer_path(number: int, than: int) -> bool:
-    """Whether a path's number comes after another, modulo 2^16."""
+    """Return True if a path's number is later than another, modulo 2^16."""
     return 0 < (number - than) & 0xFFFF < 0x8000
 
 
 class HeldPath:
-    """The segments of one path that have come and are not over."""
+    """Stored segments of one path that have not yet ended."""
 
     def __init__(self, number: int) -> None:
         self.number = number
-        self.first = 0  # index of the earliest segment that may still come
+        self.first = 0  # index of the earliest segment that is still accepted
         self._held: dict[int, Segment] = {}  # by index
 
     @property
     def missing(self) -> int:
-        """Index of the earliest segment that is still to come."""
+        """Index of the first segment that is not stored."""
         index = self.first
         while index in self._held:
             index += 1
         return index
 
     def take(self, new: Segment) -> Refused | None:
-        """Keep a segment, or say why it is refused."""
+        """Store a segment, or return why it is refused."""
         if not self.first <= new.index < self.first + KEPT:
             return Refused.INDEX
         for held in self._held.values():
@@ -67,13 +68,13 @@ class HeldPath:
         return None
 
     def begun(self, clock: int) -> bool:
-        """Whether the first segment that is held has begun."""
+        """Return True if the first stored segment has started."""
         return bool(self._held) and clock >= self._held[min(self._held)].begin
 
     def at(self, clock: int, lead: int = 0) -> tuple[float, float, bool] | None:
-        """Position [counts], velocity [counts/s] `lead` later, and whether the last knot is over.
+        """Return position [counts], velocity [counts/s] `lead` later, and whether the path ended.
 
-        None where no segment has come. What is before `clock` is forgotten.
+        None if no segment is stored for this time. Segments that end before `clock` are deleted.
         """
         for index in sorted(self._held):
             segment = self._held[index]
@@ -91,7 +92,7 @@ class HeldPath:
 
 
 def at(segment: Segment, clock: int) -> tuple[float, float]:
-    """Position [counts] and velocity [counts/s] of a segment, at a time within it [us]."""
+    """Return position [counts] and velocity [counts/s] of a segment at a time within it [us]."""
     return hermite(
         1e-6 * (clock - segment.begin),
         1e-6 * segment.duration,
@@ -103,38 +104,39 @@ def at(segment: Segment, clock: int) -> tuple[float, float]:
 
 
 def _told(segment: Segment) -> tuple[int, ...]:
-    """What a segment says: whether it is the last, its beginning, its end."""
+    """Return the contents of a segment: whether it is the last, its start, its end."""
     s = segment
     begin, end = (s.begin, s.position, s.velocity), (s.end, s.end_position, s.end_velocity)
     return s.flags, *begin, *end
 
 
 class PathFollower:
-    """Keeps the path that a link follows and the next one, and says how to follow.
+    """Controller that stores the active path of a link and the next one, and follows them.
 
-    It begins anew whenever the link is disarmed. `following` and `broken` are as in telemetry.
+    `LinkState` replaces it whenever the link is disarmed. `following` and `broken` are as in
+    telemetry.
     """
 
     def __init__(self) -> None:
         self.following = self.broken = False
         self._followed: HeldPath | None = None
         self._next: HeldPath | None = None
-        self._last = 0  # number of the path followed last, though it be gone; 0: none
+        self._last = 0  # number of the path followed last, even if deleted; 0: none
 
     @property
     def followed(self) -> int:
-        """Number of the path that is followed, also once its last knot is over; 0: none."""
+        """Number of the active path, also after its last knot; 0: none."""
         return self._followed.number if self._followed else 0
 
     @property
     def report(self) -> int:
-        """Slow field 8."""
+        """Value of slow field 8, PATH."""
         path = self._next or self._followed
         word = path.number << 16 | path.missing if path else 0
         return (word ^ 1 << 31) - (1 << 31)  # as a signed number of 32 bits
 
     def take(self, segment: Segment, clock: int) -> Refused | None:
-        """Keep a segment that came at `clock`, or say why it is refused."""
+        """Store a segment received at `clock`, or return why it is refused."""
         if segment.end <= clock or segment.begin > clock + FARTHEST:
             return Refused.TIME
         for path in (self._followed, self._next):
@@ -150,20 +152,20 @@ class PathFollower:
         return None
 
     def leave(self) -> None:
-        """The link is to do something else: the path that it follows is gone."""
+        """Delete the active path, because the link must do something else."""
         self.following, self._followed = False, None
 
     def follow(
         self, command: Command, clock: int, position: float, velocity: float, lead: int = 0
     ) -> float | None:
-        """The velocity that the drive shall have [counts/s]; None: it shall hold.
+        """Return the velocity set point of the drive [counts/s]; None: the drive must hold.
 
         Args:
-            command: in force, of mode PATH.
+            command: the active command, of mode PATH.
             clock: now [us].
             position: of the joint [counts].
             velocity: of it [counts/s].
-            lead: the time until half of what is said is done [us].
+            lead: time until half of the commanded velocity step is reached [us].
         """
         number, fastest = command.set_point, VELOCITY_UNIT * command.velocity
         if self._next and number == self._next.number:

@@ -1,8 +1,8 @@
-"""Signatures of frames, and the file that the keys are kept in.
+"""Signatures of frames, and the file of keys.
 
-A signature is BLAKE2s (RFC 7693) under the link's key, cut to 16 bytes, over the 56 bytes before
-it. It says that a holder of the key made the frame; that it is not made up of old ones is for
-clocks and sequence numbers to say.
+A signature is the BLAKE2s hash (RFC 7693) of the 56 bytes before it, keyed with the link's key and
+16 bytes long. It proves that a holder of the key made the frame. It does not detect replayed
+frames: clocks and sequence numbers do.
 """
 
 import re
@@ -18,24 +18,24 @@ _LINE = re.compile(r"(\d{1,3})\s+((?:[0-9a-fA-F]{2}){16,32})")
 
 
 class KeyFileError(ValueError):
-    """A file does not hold keys, or not for its owner alone; the message shows no key."""
+    """Error of a key file that is invalid or accessible to others; the message shows no key."""
 
 
 def sign(data: bytes, key: bytes | None) -> bytes:
-    """The signature of `data` under a key of 16 to 32 bytes; zeros without a key."""
+    """Return the signature of `data` with a key of 16 to 32 bytes; zeros without a key."""
     return blake2s(data, digest_size=SIGNATURE_SIZE, key=key).digest() if key else UNSIGNED
 
 
 def is_signed(data: bytes, signature: bytes, key: bytes | None) -> bool:
-    """Whether `signature` is that of `data` (in a time that gives nothing of the key away)."""
+    """Return True if `signature` is that of `data` (comparison in constant time)."""
     return compare_digest(signature, sign(data, key))
 
 
 def parse_keys(text: str, name: str = "keys") -> Mapping[int, bytes]:
-    """Keys by link: one line each, its number (0: the base's board), 32 to 64 hexadecimal digits.
+    """Parse the links' keys. A line is a link's number (0: the board) and 32 to 64 hex digits.
 
     Raises:
-        KeyFileError: a line says something else, or a link or a key stands twice.
+        KeyFileError: a line has another form, or a link or a key appears twice.
     """
     keys: dict[int, bytes] = {}
     for number, line in enumerate(text.splitlines(), 1):
@@ -53,11 +53,11 @@ def parse_keys(text: str, name: str = "keys") -> Mapping[int, bytes]:
 
 
 def key_of(path: str, number: int, name: str) -> bytes | None:
-    """The key that the frames of a link are signed under, by its number; None without a file.
+    """Return the key that signs the frames of a link, by its number; None without a file.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it holds no keys, or none for the link of this name.
+        ValueError: the file is invalid, or has no key for the link of this name.
     """
     keys = load_keys(path) if path else {}
     if path and number not in keys:
@@ -70,7 +70,7 @@ def load_keys(path: str | Path) -> Mapping[int, bytes]:
 
     Raises:
         OSError: the file cannot be read.
-        KeyFileError: others than its owner may read or write it, or it does not hold keys.
+        KeyFileError: users other than its owner have access to it, or it is invalid.
     """
     with Path(path).open(encoding="utf-8", errors="replace") as file:
         mode = stat.S_IMODE(Path(path).stat().st_mode)

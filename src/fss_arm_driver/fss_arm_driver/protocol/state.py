@@ -1,4 +1,4 @@
-"""What a link is to do, by the commands that it takes and the time that passes."""
+"""State of a link, from the commands that it accepts and the time."""
 
 from collections.abc import Sequence
 from enum import Enum
@@ -17,7 +17,7 @@ from fss_arm_driver.protocol.path import PathFollower
 
 
 class Goal(Enum):
-    """What the servo drive is to do."""
+    """Goal of the servo drive."""
 
     RELEASE = "decelerate, then switch off"
     HOLD = "decelerate, then hold that place"
@@ -26,21 +26,21 @@ class Goal(Enum):
 
 
 class LinkState:
-    """Whether a link is armed, its latches, and its paths. Clocks are the link's own [us].
+    """State of a link: armed or not, latches and paths. Times are in the link's clock [us].
 
     Args:
-        gate: that commands come through.
+        gate: filter of the received commands.
     """
 
     def __init__(self, gate: Gate[Command]) -> None:
         self.gate = gate
         self.armed = self.stopped = self.watchdog_tripped = False
         self.paths = PathFollower()
-        self._dropped = False  # by a fault; not in telemetry
-        self._on = False  # the drive, from arming on: no stop switches it on
+        self._dropped = False  # disarmed by a fault; not in telemetry
+        self._on = False  # the drive is on since arming: a stop does not switch it on
 
     def receive(self, data: bytes, clock: int) -> bool:
-        """Take or refuse bytes that have come; whether they were taken as a command."""
+        """Process received bytes; return True if they were accepted as a command."""
         command = self.gate.take(data, clock)
         if isinstance(command, Segment):
             self._keep(command, clock)
@@ -57,23 +57,23 @@ class LinkState:
         return True
 
     def _keep(self, segment: Segment, clock: int) -> None:
-        """Keep a segment of a path, or refuse it."""
+        """Store a segment of a path, or refuse it."""
         self._watch(clock)
         why = self.paths.take(segment, clock) if self.armed else Refused.DISARMED
         if why:
             self.gate.refuse(why)
 
     def disarm(self) -> None:
-        """Brake, then off; latches are forgotten."""
+        """Disarm and clear the latches: the drive brakes, then switches off."""
         self.armed = self.stopped = self.watchdog_tripped = self._dropped = self._on = False
 
     def drop(self) -> None:
-        """The drive has a fault or does not answer: off, also if it only holds, until disarmed."""
+        """Handle a drive that has a fault or does not answer: switch it off until disarmed."""
         if self._on:
             self._dropped, self.armed, self._on = True, False, False
 
     def goal(self, clock: int) -> Goal:
-        """What to do now; lets the watchdog trip."""
+        """Return the present goal, after a check of the watchdog."""
         command = self.gate.command
         self._watch(clock)
         if not self.armed:
@@ -87,7 +87,7 @@ class LinkState:
         return Goal.OBEY if obeys else Goal.HOLD
 
     def velocity(self, clock: int, position: float, velocity: float, lead: int = 0) -> int | None:
-        """What the drive's velocity shall be to follow a path [0.1 counts/s]; None: it holds.
+        """Return the drive's velocity set point on a path [0.1 counts/s]; None: it must hold.
 
         Args:
             clock: now.
@@ -106,13 +106,13 @@ class LinkState:
             self.armed, self.watchdog_tripped = False, True
 
     def slow_field(self, sequence: int, fields: Sequence[Slow]) -> Slow:
-        """Which of the slow fields a frame has: they take turns; a path's, while it is held."""
+        """Return the slow field of a frame: they take turns; every other is PATH on a path."""
         if not self.paths.report:
             return fields[sequence % len(fields)]
         return Slow.PATH if sequence % 2 else fields[sequence // 2 % len(fields)]
 
     def flags(self, referenced: bool) -> int:
-        """As telemetry has them."""
+        """Return the flags for telemetry."""
         return (
             State.ARMED * self.armed
             | State.STOPPED * self.stopped

@@ -1,18 +1,18 @@
-"""The session with one link or the base's board, without I/O: datagrams in and out, times given.
+"""Session with one link or the base's board. It does no I/O: callers pass datagrams and times.
 
-| file | one concern each; its retry times and limits are the constants at its top |
+| file | one concern each; retry times and limits are the constants at the top |
 | --- | --- |
-| `session.py` | `Session`: composes the others, and says in words what is wrong |
+| `session.py` | `Session`: composes the others, and describes problems in words |
 | `link.py` | `LinkSession`: a link's set points, paths and measurements |
-| `arming.py` | arm, disarm, stop, clear faults: what is wanted of the drive, what is confirmed |
-| `orders.py` | the set point in force, until it expires |
-| `paths.py` | what of the paths in time the link is sent, and has |
-| `progress.py` | how far the link has come with it |
-| `reception.py` | which telemetry is believed; when the link is lost |
+| `arming.py` | arm, disarm, stop, clear faults: the requested and the confirmed state |
+| `orders.py` | the active set point, until it expires |
+| `paths.py` | the timed paths: which segments to send, which the link has |
+| `progress.py` | the progress of the active command |
+| `reception.py` | which telemetry is accepted; when the link is lost |
 | `clock.py` | the link's clock mapped to the host's |
 | `echoes.py` | stamps of commands and their echoes: delay, other drivers |
-| `status_log.py` | what has become of it, a line of the log for each change |
-| `battery.py` | how long the battery lasts |
+| `status_log.py` | one log line for each change of state |
+| `battery.py` | the remaining battery time |
 
 The rules and their reasons are in docs/reference/protocol.md.
 """

@@ -1,13 +1,13 @@
-"""Arming of one link: what the driver wants of its drive, and what the link has confirmed.
+"""Arming of one link: the state that the driver requests and what the link has confirmed.
 
-    DISARMED --arm--> ARMING --the link is armed, in answer to a later command--> ARMED
+    DISARMED --arm--> ARMING --the link is armed and echoes a later command--> ARMED
     ARMING --ARMING_TIMEOUT--> DISARMED
     ARMING, ARMED --a fault, loss, the link disarms itself--> DISARMED
     any --stop--> STOPPED --arm--> ARMING
     any --disarm--> DISARMED, and `released` once the link confirms that its drive is off
 
-Only a person leaves STOPPED, by arming or disarming. Each command repeats what is wanted, so a
-lost one costs nothing. Times are the caller's, in nanoseconds.
+Only the operator can leave STOPPED, by arming or disarming. Each command repeats the requested
+state, so a lost command does no harm. Times are read from the caller's clock, in nanoseconds.
 """
 
 from enum import Enum
@@ -15,13 +15,13 @@ from enum import Enum
 from fss_arm_driver.protocol import Heard, Order, State
 from fss_arm_driver.session.clock import SECOND
 
-ARMING_TIMEOUT = 2 * SECOND  # a link that has not armed by then is left disarmed
-RELEASE_TIMEOUT = 4 * SECOND  # a disarmed link's drive is off by then, its joint at rest or not
-CLEAR_FAULTS_TIME = 2 * SECOND  # for which commands ask to clear the drive's faults
+ARMING_TIMEOUT = 2 * SECOND  # a link that is not armed by then stays disarmed
+RELEASE_TIMEOUT = 4 * SECOND  # by then the drive is off, even if the joint still moves
+CLEAR_FAULTS_TIME = 2 * SECOND  # during which commands ask to clear the drive's faults
 
 
 class Arming(Enum):
-    """What the driver wants of the link, and how far that has come."""
+    """State that the driver requests of the link, with the progress of arming."""
 
     DISARMED = "disarmed"
     ARMING = "arming"
@@ -30,63 +30,67 @@ class Arming(Enum):
 
 
 class ArmingMachine:
-    """The state that the commands ask for, by what is asked and what the link reports.
+    """State machine that arms one partner, driven by requests and by its telemetry.
 
     Args:
-        name: of what is armed, for words.
-        latches: flags of its telemetry that forbid to arm until it was disarmed.
+        name: of the partner, for messages.
+        latches: telemetry flags that prevent arming until the partner has been disarmed.
     """
 
     def __init__(self, name: str, latches: int) -> None:
         self._name, self._latches = name, latches
         self.state = Arming.DISARMED
-        self.released = False  # the link has confirmed that its drive is off, as asked
-        self.releasing = False  # it may still confirm that
-        self._arm_time = self._disarm_time = 0  # when each was asked
+        self.released = False  # the link has confirmed that its drive is off, as requested
+        self.releasing = False  # the confirmation is still expected
+        self._arm_time = self._disarm_time = 0  # times of the last requests
         self._timeout = ARMING_TIMEOUT  # of arming
-        self._clear_end = 0  # of asking to clear faults
+        self._clear_end = 0  # end of the request to clear faults
 
     def arm(self, now: int, grace: int) -> None:
-        """Ask to arm, allowing `grace` beyond the usual time."""
+        """Request arming, with `grace` added to the usual timeout."""
         self.released = self.releasing = False
         if self.state is not Arming.ARMED:
             self.state, self._arm_time = Arming.ARMING, now
             self._timeout = ARMING_TIMEOUT + grace
 
     def disarm(self, now: int, lost: bool) -> None:
-        """Ask to switch the drive off, also after a stop; a lost link cannot confirm it."""
+        """Request that the drive switches off, also after a stop; a lost link cannot confirm it."""
         self.state, self._disarm_time = Arming.DISARMED, now
         self.released, self.releasing = False, not lost
 
     def drop(self) -> None:
-        """Disarm for another reason than a person's request: a stop stays."""
+        """Disarm for a reason other than the operator's request; a stop stays in effect."""
         if self.state is not Arming.STOPPED:
             self.state = Arming.DISARMED
 
     def stop(self) -> None:
-        """Stop, and hold that place until armed anew or disarmed."""
+        """Stop, and hold the position until armed again or disarmed."""
         self.state = Arming.STOPPED
 
     def clear_faults(self, now: int) -> None:
-        """Have the drive forget its latched faults, while disarmed."""
+        """Request that the drive clears its latched faults, while disarmed."""
         self._clear_end = now + CLEAR_FAULTS_TIME
 
     def forget(self) -> None:
-        """The caller's clock was set back: when to end asking means nothing any more."""
+        """Discard the times that are invalid once the caller's clock was set back."""
         self._clear_end = 0
 
     def tick(self, now: int, delay: int, lost: bool) -> None:
-        """Let time pass, the way to the link and back taking `delay`."""
-        timeout = self._timeout + 2 * delay  # its latches are cleared first
+        """Apply the timeouts at time `now`, with a round trip of `delay`."""
+        timeout = self._timeout + 2 * delay  # the latches are cleared first
         if self.state is Arming.ARMING and now - self._arm_time > timeout:
             self.state = Arming.DISARMED
         if lost or now - self._disarm_time > RELEASE_TIMEOUT:
             self.releasing = False
 
     def follow(self, frame: Heard, echoed: int | None, off: bool, faults: list[str]) -> str:
-        """Learn from telemetry that echoes a command sent at `echoed`; why to drop, if at all.
+        """Update the state from telemetry; return the reason to disarm, empty if there is none.
 
-        `off`: what must be off when disarmed is.
+        Args:
+            frame: the telemetry.
+            echoed: when the command that it echoes was sent, if that is known.
+            off: whether everything that must be off when disarmed is off.
+            faults: names of the faults that forbid motion.
         """
         armed = bool(frame.flags & State.ARMED)
         trouble = ""
@@ -101,9 +105,14 @@ class ArmingMachine:
         return trouble
 
     def flags(self, frame: Heard | None, answered: bool, now: int) -> int:
-        """Of the next command, the link's last frame being `frame`, and any command `answered`.
+        """Return the flags of the next command.
 
-        A link's latches are cleared, and a session begun, by a command that does not arm.
+        A command that does not arm clears the link's latches and starts a session.
+
+        Args:
+            frame: the link's last frame.
+            answered: whether the link has echoed any command.
+            now: the time.
         """
         if self.state is Arming.STOPPED:
             return Order.STOP

@@ -1,17 +1,17 @@
-"""How long a link's battery will last, from the line that its voltage has followed."""
+"""Remaining time of a link's battery, from a line fitted to its voltage."""
 
 from collections import deque
 from math import inf, nan
 
 from fss_arm_driver.session.clock import SECOND
 
-READING_INTERVAL = 10 * SECOND  # between the readings kept
-MAX_READINGS = 180  # kept: half an hour
-MIN_READINGS = 12  # for a line: two minutes
+READING_INTERVAL = 10 * SECOND  # between stored readings
+MAX_READINGS = 180  # stored: half an hour
+MIN_READINGS = 12  # to fit a line: two minutes
 
 
 class Battery:
-    """Fits a line to the voltage of the last half hour. Times are the caller's, in nanoseconds.
+    """Line fitted to the voltage of the last half hour. Times are the caller's, in nanoseconds.
 
     Args:
         empty: voltage at which the link must be switched off [V].
@@ -24,7 +24,7 @@ class Battery:
         self._next = 0
 
     def take(self, voltage: float, now: int) -> None:
-        """Learn a reading [V]."""
+        """Add a reading [V]."""
         self.voltage = voltage
         if now < self._next - READING_INTERVAL:  # the clock was set back
             self._readings.clear()
@@ -34,7 +34,10 @@ class Battery:
             self._next = now + READING_INTERVAL
 
     def time_left(self) -> float:
-        """Time until it is empty [s]; infinite while it does not fall, NaN before that is known."""
+        """Estimate the time until it is empty [s]; infinite if the voltage does not fall.
+
+        NaN while there are fewer than MIN_READINGS readings.
+        """
         if len(self._readings) < MIN_READINGS:
             return nan
         n = len(self._readings)

@@ -1,20 +1,21 @@
-"""The link's clock mapped to the host's, by round trips.
+"""Mapping of the link's clock to the host's clock, estimated from round trips.
 
-One-way delay looks like an offset between clocks, a round trip does not: a command sent at s
-that the link echoes with turn-around T in telemetry measured at C and received at r bounds
+A one-way delay cannot be distinguished from a clock offset, but a round trip bounds the offset. If
+a command is sent at s, and the link echoes it with turn-around T in telemetry that is measured at C
+and received at r, then
 
     host - link  in  [s - (C - T), r - C]
 
-an interval as wide as the datagrams' time under way, w = r - s - T. Its middle is off by half the
-difference of the two ways' delays, so little when w is little above the least possible one. The
-offset is a line over time, as the link's oscillator drifts,
+The width of this interval is the travel time of both datagrams, w = r - s - T. The error of its
+middle is half the difference of the two delays. This error is small when w is close to its minimum.
+The link's oscillator drifts, so the offset is modelled as a line over time,
 
     host - link = o + d (C - C_0),    d ~ N(0, DRIFT^2)
 
-fitted to the middles of the narrowest interval of each few seconds by weighted least squares: each
-deviates by half of what its interval is wider than the narrowest one, over sqrt(3). The line must
-pass through that one. Integer nanoseconds on the host's side, the protocol's microseconds on the
-link's.
+It is fitted by weighted least squares to the middles of the intervals; of each slot of time only
+the narrowest interval is used. The standard deviation of a middle is half the excess of its width
+over the narrowest width, divided by sqrt(3). The line must pass through the narrowest interval.
+Host times are in integer nanoseconds, link times in the protocol's microseconds.
 """
 
 from collections import deque
@@ -23,10 +24,10 @@ from math import inf, nan, sqrt
 from statistics import median_low
 
 MICROSECOND, SECOND = 1000, 1_000_000_000  # [ns]
-MAX_ROUND_TRIP = SECOND  # of an exchange worth learning from
+MAX_ROUND_TRIP = SECOND  # longer round trips are ignored
 DRIFT = 1e-4 / sqrt(3.0)  # of a link's oscillator against the host's, 1 sigma
-SLOT = 1_000_000  # of which the narrowest interval is kept [us]
-SLOTS = 300  # kept: how far a drift is taken as constant
+SLOT = 1_000_000  # one interval is stored for each slot, the narrowest [us]
+SLOTS = 300  # stored: the drift is assumed constant over this time
 JITTER = 20_000.0  # of reading clocks, 1 sigma [ns]
 
 
@@ -35,44 +36,47 @@ class _Exchange:
     """One round trip."""
 
     measured: int  # [us]
-    middle: int  # of the interval that the offset lies in [ns]
-    width: int  # of it [ns]
+    middle: int  # of the interval that contains the offset [ns]
+    width: int  # of the interval [ns]
 
 
 class LinkClock:
-    """Maps one run of a link's clock to host time.
+    """Map from one run of a link's clock to host time.
 
-    Before the first round trip the least delayed frame stands in: its delay is taken as zero,
-    and the deviation is infinite.
+    Before the first round trip the offset is that of the frame with the least delay: its delay is
+    assumed to be zero, and the deviation is infinite.
 
     Args:
         measured: the link's clock at a measurement [us].
         received: when the host received it [ns].
-        resolution: step of the host's clock, as of a simulated one [ns].
+        resolution: step of the host's clock, nonzero for a simulated clock [ns].
     """
 
     def __init__(self, measured: int, received: int, resolution: int = 0) -> None:
         self.drift = 0.0
-        self.round_trip = nan  # without the turn-around, of the narrowest exchange kept [s]
+        self.round_trip = nan  # of the narrowest stored exchange, without the turn-around [s]
         self._offset = received - measured * MICROSECOND  # host - link at _origin [ns]
         self._origin = measured  # [us]
         self._kept: deque[_Exchange] = deque(maxlen=SLOTS)
-        self._half_width = inf  # of the narrowest interval kept [ns]
+        self._half_width = inf  # of the narrowest stored interval [ns]
         self._drift_deviation = DRIFT
         self._resolution = resolution
 
     def one_way(self, measured: int, received: int) -> None:
-        """Learn from a frame that echoes no command known: it came after it was measured."""
+        """Update the offset from a frame that echoes no known command.
+
+        The frame can only be received after its measurement, which bounds the offset.
+        """
         if not self._kept:
             self._offset = min(self._offset, received - measured * MICROSECOND)
 
     def exchange(self, sent: int, turnaround: int, measured: int, received: int) -> None:
-        """Learn from a command sent at `sent` [ns] and its echo, `turnaround` in us.
+        """Update the estimate from a command sent at `sent` [ns] and its echo, `turnaround` in us.
 
-        An exchange that takes less than no time is none, and is ignored as is one of over 1 s.
-        One that leaves no room for what is known means that a clock was set: all begins anew.
+        An exchange of negative duration or of more than 1 s is ignored. An exchange that
+        contradicts the estimate means that a clock was set: the estimate is reset.
         """
-        received += self._resolution  # the clock's step before it may have been missed
+        received += self._resolution  # the clock's reading may be late by one step
         earliest = sent - (measured - turnaround) * MICROSECOND
         width = received - measured * MICROSECOND - earliest
         if not 0 <= width <= MAX_ROUND_TRIP:
@@ -89,10 +93,10 @@ class LinkClock:
         self._fit()
 
     def _fit(self) -> None:
-        """Bayesian linear regression of the offset: a line with a prior on its slope."""
+        """Fit the offset by Bayesian linear regression: a line with a prior on its slope."""
         last, narrowest = self._kept[-1], min(self._kept, key=lambda kept: kept.width)
         least, usual = narrowest.width, median_low(kept.width for kept in self._kept)
-        # The narrowest one is not yet the least possible: by about so much.
+        # Estimated excess of the narrowest width over the least possible width.
         excess = (usual - least) / sqrt(len(self._kept)) - least
         floor = (JITTER + 0.3 * self._resolution) ** 2
         a = b = c = u = v = 0.0  # normal equations [a b; b c] (offset, drift) = (u, v)
@@ -109,29 +113,29 @@ class LinkClock:
         self.drift = (a * v - b * u) / determinant
         self._drift_deviation = sqrt(a / determinant)
         self._half_width = 0.5 * least
-        # Whatever the many say: the offset lies in each interval, so in the narrowest one.
+        # The offset lies in every interval, so limit the fit to the narrowest one.
         off = self.offset(narrowest.measured) - narrowest.middle
         self._offset -= off - max(-least // 2, min(off, least // 2))
         self.round_trip = max(0, least - self._resolution) * 1e-9
 
     def offset(self, clock: int) -> int:
-        """What to add to the link's clock [ns] when it shows `clock` [us]."""
+        """Return the host's time minus the link's [ns] when the link's clock shows `clock` [us]."""
         return self._offset + round(self.drift * (clock - self._origin) * MICROSECOND)
 
     def half_width(self, now: int) -> float:
-        """The offset is known to plus or minus this [ns]."""
+        """Return the half-width of the interval that contains the offset [ns]."""
         age = max(0, now - self._offset - self._origin * MICROSECOND)
         return self._half_width + 3.0 * self._drift_deviation * age
 
     def deviation(self, now: int) -> float:
-        """Standard deviation of a mapped time [s], the offset being anywhere in its interval."""
+        """Return the standard deviation of a mapped time [s], for a uniform offset."""
         return 1e-9 * self.half_width(now) / sqrt(3.0)
 
     def to_host(self, clock: int) -> int:
-        """Host time [ns] of the link's clock [us]."""
+        """Convert the link's clock [us] to host time [ns]."""
         return clock * MICROSECOND + self.offset(clock)
 
     def to_link(self, now: int) -> int:
-        """The link's clock [us] at host time [ns]; not negative."""
+        """Convert host time [ns] to the link's clock [us]; not negative."""
         guess = (now - self._offset) // MICROSECOND
         return max(0, (now - self.offset(guess)) // MICROSECOND)

@@ -1,4 +1,4 @@
-"""The driver's side of one link: what it measures in SI units, set points and paths for it."""
+"""Driver side of one link: measurements in SI units, set points and paths."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,28 +29,28 @@ from fss_arm_driver.session.session import COUNTS as SHARED_COUNTS
 from fss_arm_driver.session.session import Partner, Session
 from fss_arm_model.description import Link
 
-FARTHEST = 120 * SECOND  # that a path may begin ahead
-PATIENCE = 2  # with a link that follows a path by itself [its watchdog times]
+FARTHEST = 120 * SECOND  # longest time ahead at which a path may start
+PATIENCE = 2  # timeout of a link that follows a path [watchdog times]
 COUNTS = (*SHARED_COUNTS, "segments", "commands_clamped")
 
 
 class Sample(NamedTuple):
-    """A telemetry frame that is believed, in host time and SI units."""
+    """Telemetry frame that was accepted, in host time and SI units."""
 
     frame: Telemetry
     stamp: int  # host time of the measurement [ns]
     position: float  # [rad]
     velocity: float  # [rad/s]
-    torque: float  # [N m]; NaN: none of the last 254 ms
+    torque: float  # [N m]; NaN: no sample in the last 254 ms
 
     @property
     def referenced(self) -> bool:
-        """Whether the encoder's zero is known, so that the position means something."""
+        """True if the encoder's zero is known, so that the position is valid."""
         return bool(self.frame.flags & State.REFERENCED)
 
 
 class Reports:
-    """What a link's telemetry can say: what its joint can do.
+    """Validity rules for telemetry frames, from the joint's limits.
 
     Args:
         scale: the link's units and limits.
@@ -60,30 +60,30 @@ class Reports:
         self._scale = scale
 
     def possible(self, frame: Telemetry) -> bool:
-        """Whether the joint can be there, turn so fast and take so much current."""
+        """Return True if position, velocity and current are within the link's bounds."""
         return self._scale.possible(frame)
 
     def reachable(self, before: Telemetry, frame: Telemetry) -> bool:
-        """Whether the joint can have come there."""
-        homed = frame.flags & ~before.flags & State.REFERENCED  # from now it counts anew
+        """Return True if the joint can have moved there since the frame `before`."""
+        homed = frame.flags & ~before.flags & State.REFERENCED  # homing resets the position
         turned, period = frame.position - before.position, frame.clock - before.clock
         return bool(homed) or self._scale.reachable(turned, period)
 
 
 class LinkSession(Session[Telemetry]):
-    """What the driver knows and wants of one link.
+    """Session with one link: its state, and the commands for it.
 
     Args:
         number: of the link, as in its frames.
         description: its units and limits.
         timeout: silence after which the link is lost [s].
-        watchdog: silence after which the link shall disarm itself [s].
+        watchdog: silence after which the link must disarm itself [s].
         resolution: step of the clock that the caller reads [s].
-        key: that frames are signed under; None: they are not signed.
+        key: key that signs the frames; None: they are not signed.
         empty: voltage of the link's battery at which it must be switched off [V].
-        epoch: what to add to the caller's clock to have the time of day [ns]: commands are
-            stamped with that, once, so that they come after those of an earlier session.
-        file: of the arm's description, to name where another serial number is expected.
+        epoch: time of day minus the caller's clock [ns]. Commands are stamped with the time of
+            day, so that they are later than those of an earlier session.
+        file: of the arm's description, named if the serial number is not the expected one.
     """
 
     def __init__(
@@ -115,21 +115,21 @@ class LinkSession(Session[Telemetry]):
         self.counts.update(dict.fromkeys(COUNTS, 0))
         self._orders = Orders(self.scale, self._timeout)
         self._paths = Paths()
-        self.breakage = ""  # how the last path broke off, in words; until another is followed
+        self.breakage = ""  # why the last path was aborted; until another is followed
 
     @property
     def progress(self) -> Progress | None:
-        """How far the last command has come."""
+        """Progress of the last command."""
         return self._orders.progress
 
     @property
     def follows(self) -> bool:
-        """Whether the link is to follow a path."""
+        """True if the link is commanded to follow a path."""
         return bool(self._orders.path)
 
     @property
     def path(self) -> int:
-        """What the link reports of its paths; if it holds none, the number of the last * 65536."""
+        """Slow field PATH of the link; if it holds no path, the number of the last * 65536."""
         return self.slow.get(Slow.PATH, 0) & 0xFFFFFFFF or self._paths.last << 16
 
     @property
@@ -147,39 +147,39 @@ class LinkSession(Session[Telemetry]):
 
     @property
     def nameless(self) -> str:
-        """That a serial number is expected and the link has told none, in words."""
+        """Message if a serial number is expected and the link has reported none, else empty."""
         if not self.serial or self.slow.get(Slow.SERIAL):
             return ""
         how = "has no" if Slow.SERIAL in self.slow else "has not yet told its"
         return f"link {self.number} {how} serial number, expected {self.serial}"
 
     def obstacle(self, now: int) -> str:
-        """Why the link cannot be armed, in words; empty: it can."""
+        """Return why the link cannot be armed, in words; empty if it can."""
         obstacle = super().obstacle(now)
         return obstacle or ("" if Slow.SERIAL in self.slow else self.nameless)
 
     @property
     def referenced(self) -> bool:
-        """Whether the encoder's zero is known, so that positions mean something."""
+        """True if the encoder's zero is known, so that positions are valid."""
         return bool(self.frame and self.frame.flags & State.REFERENCED)
 
     def clear_faults(self, now: int) -> None:
-        """Disarm, and have the drive forget its latched faults."""
+        """Disarm, and request that the drive clears its latched faults."""
         self.disarm()
         self._arming.clear_faults(now)
 
     def _end(self, why: str) -> None:
-        """Nothing is in force any more, and the link forgets its paths."""
+        """Cancel the active command and all paths."""
         self._orders.end(Status.ABORTED, why)
         self._paths = Paths()
 
     def set(
         self, mode: int, value: float, velocity: float, acceleration: float, expiry: int, now: int
     ) -> None:
-        """Take a command in SI units, in force until host time `expiry`.
+        """Accept a command in SI units, active until host time `expiry`.
 
         Raises:
-            CommandError: it cannot be followed; what was in force stays.
+            CommandError: it cannot be executed; the active command stays active.
         """
         self.tick(now)
         try:
@@ -212,18 +212,18 @@ class LinkSession(Session[Telemetry]):
         velocity: Sequence[float],
         now: int,
     ) -> None:
-        """Take a path in time for the link to keep; a command of mode PATH makes it follow.
+        """Accept a timed path to send to the link; a command of mode PATH starts it.
 
         Args:
-            number: of the path, 1 to 65535, newer than those before it.
-            begin: host time at which it begins.
-            time: (n) of the knots, since the path's beginning [s].
+            number: of the path, 1 to 65535, newer than those of earlier paths.
+            begin: host time at which it starts.
+            time: (n) of the knots, since the start of the path [s].
             position: (n) [rad].
             velocity: (n) [rad/s].
             now: host time.
 
         Raises:
-            CommandError: it cannot be followed; what was given before stays.
+            CommandError: it cannot be executed; the paths accepted before stay.
         """
         self.tick(now)
         try:
@@ -235,7 +235,7 @@ class LinkSession(Session[Telemetry]):
             raise
 
     def _path(self, number: int, begin: int, knots: Sequence[Knot]) -> SentPath:
-        """A path by the link's clock, as that is known now."""
+        """Convert a path to the link's clock, by the present clock estimate."""
         track, now = self._reception.track, self._now
         if not 1 <= number <= MAX_PATH:
             raise CommandError(f"path is {number}, expected 1 to {MAX_PATH}")
@@ -251,17 +251,17 @@ class LinkSession(Session[Telemetry]):
         return SentPath(self.number, boot, number, begins, rate, knots, now)
 
     def _patience(self) -> int:
-        """A link that follows a path does so by itself, and its own watchdog looks after it."""
+        """Return a longer timeout on a path, which the link follows under its own watchdog."""
         return PATIENCE * self._silence if self.follows else 0
 
     def _pass(self, now: int) -> None:
-        """Let time pass for set point and paths."""
+        """Advance set point and paths to time `now`."""
         self._orders.tick(now)
         if track := self._reception.track:
             self._paths.tick(self._orders.path, track.clock.to_link(now))
 
     def command(self, now: int) -> bytes:
-        """The frame to send now."""
+        """Encode the command frame to send now."""
         self.tick(now)
         flags, expiry, set_point = self._wanted(now)
         return encode(
@@ -277,7 +277,7 @@ class LinkSession(Session[Telemetry]):
         )
 
     def segments(self, now: int) -> list[bytes]:
-        """The frames of the paths to send now, after a command."""
+        """Encode the path segments to send now, after a command."""
         track = self._reception.track
         if not (self.armed and track):
             return []
@@ -290,7 +290,7 @@ class LinkSession(Session[Telemetry]):
         return replace(segment, sequence=self._sequence, clock=self._echoes.last_stamp())
 
     def _wanted(self, now: int) -> tuple[int, int, SetPoint]:
-        """Flags, host time of expiry and set point of the next command."""
+        """Return flags, host time of expiry and set point of the next command."""
         frame, flags = self.frame, self._flags(now)
         if frame is None or flags != Order.ARM:
             return flags, 0, NO_SET_POINT
@@ -298,20 +298,20 @@ class LinkSession(Session[Telemetry]):
         return flags | how, expiry, set_point
 
     def feed(self, data: bytes, now: int) -> Sample | None:
-        """Take a datagram; return what it says if it is to be believed."""
+        """Process a datagram; return its sample if it is accepted."""
         if sample := self.measure(data, now):
             self.follow(sample)
         return sample
 
     def measure(self, data: bytes, now: int) -> Sample | None:
-        """Take a datagram, as `feed` does, but leave its consequences to `follow`.
+        """Decode a datagram as `feed` does, but leave the update of the session to `follow`.
 
-        Whoever waits for the measurement need not wait for them.
+        The caller can publish the measurement before that update.
         """
         lost = self.lost
         if (taken := self._take(data, now)) is None:
             return None
-        if lost:  # another may have taken its place
+        if lost:  # the link may have been replaced
             self.slow.pop(Slow.SERIAL, None)
         (frame, stamp), scale = taken, self.scale
         return Sample(
@@ -323,15 +323,15 @@ class LinkSession(Session[Telemetry]):
         )
 
     def follow(self, sample: Sample) -> None:
-        """Learn from a sample what the link does."""
+        """Update the session from a sample."""
         self._follow(sample.frame)
 
     def _is_off(self, frame: Telemetry) -> bool:
-        """Whether the drive is."""
+        """Return True if the drive is off."""
         return frame.mode == Mode.OFF
 
     def _learn(self, frame: Telemetry, echoed: int | None) -> None:
-        """Learn how far the last command and the paths have come."""
+        """Update the progress of the last command and of the paths."""
         self._paths.follow(frame, echoed)
         self._orders.follow(frame, echoed, self._now, self._paths.find(self._orders.path))
         if self.progress and self.progress.broken:

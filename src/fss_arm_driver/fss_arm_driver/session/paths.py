@@ -1,7 +1,7 @@
-"""The paths in time that a link is sent ahead, and how much of them it has.
+"""Timed paths that are sent ahead to a link, and the record of the segments that it has.
 
-What is known here of the paths is what the link does with them (docs/reference/protocol.md): one is
-followed, one is next, and one that is gone does not come back. Times are the link's own [us].
+The link follows one path and stores the next one; a path that has ended cannot be resumed
+(docs/reference/protocol.md). Times are in the link's clock [us].
 """
 
 from bisect import bisect_left, bisect_right
@@ -11,23 +11,23 @@ from fss_arm_driver.knots import Knot
 from fss_arm_driver.protocol import KEPT, LAST, Segment, Slow, Telemetry, at, newer_path
 from fss_arm_driver.scale import CommandError
 
-HORIZON = 4_000_000  # segments that begin later are not sent yet [us]
-MOST = 12  # segments sent at once
-SAME = 10_000  # by less, the beginnings of a path given twice may differ [us]
-MARGIN = 2  # segments that the link may be behind by
+HORIZON = 4_000_000  # segments that start later are not sent yet [us]
+MOST = 12  # most segments sent at once
+SAME = 10_000  # largest difference of the start times of one path given twice [us]
+MARGIN = 2  # segments by which the link may lag
 
 
 class SentPath:
-    """One path, its knots by the link's clock.
+    """One path, with its knots timed by the link's clock.
 
     Args:
         link: number of the link.
         boot: of the link.
         number: of the path.
-        begin: by the link's clock [us].
-        rate: of the link's clock against that of the knots' times.
+        begin: start, in the link's clock [us].
+        rate: rate of the link's clock relative to the clock of the knots.
         knots: of the path.
-        given: when, by the caller's clock.
+        given: when it was given, in the caller's clock.
     """
 
     def __init__(
@@ -47,20 +47,20 @@ class SentPath:
 
     @property
     def begin(self) -> int:
-        """By the link's clock [us]."""
+        """Start in the link's clock [us]."""
         return self.clocks[0]
 
     @property
     def end(self) -> int:
-        """By the link's clock [us]."""
+        """End in the link's clock [us]."""
         return self.clocks[-1]
 
     def present(self, clock: int) -> int:
-        """Index of the segment at a time; before the path begins, of the first."""
+        """Return the index of the segment at a time; before the start, that of the first."""
         return max(0, bisect_right(self.clocks, clock) - 1)
 
     def segment(self, index: int) -> Segment:
-        """One of its segments, without sequence and stamp."""
+        """Return one segment, without sequence and stamp."""
         (_, q0, qd0), (_, q1, qd1) = self.knots[index : index + 2]
         begin, end = self.clocks[index : index + 2]
         return Segment(
@@ -80,21 +80,21 @@ class SentPath:
         )
 
     def due(self, clock: int) -> Iterator[Segment]:
-        """Segments to send now, the most urgent first."""
+        """Yield the segments to send now, the most urgent first."""
         present = self.present(clock)
         end = min(bisect_left(self.clocks, clock + HORIZON), len(self.clocks) - 1)
         for index in range(max(present, self.missing), min(end, present + KEPT - MARGIN)):
             yield self.segment(index)
 
     def position(self, clock: int) -> float:
-        """Where the joint should be at a time [counts]."""
+        """Return the desired position of the joint at a time [counts]."""
         last = len(self.clocks) - 2
         segment = self.segment(min(self.present(clock), last))
         return at(segment, min(max(clock, segment.begin), segment.end))[0]
 
 
 class Paths:
-    """The paths that are sent to one link while it is armed."""
+    """Paths that are sent to one link while it is armed."""
 
     def __init__(self) -> None:
         self.followed: SentPath | None = None
@@ -102,22 +102,23 @@ class Paths:
         self.last = 0  # number of the path followed last; 0: none
 
     def find(self, number: int) -> SentPath | None:
-        """The path of that number, if it is not over."""
+        """Return the path of that number, or None if it has ended or is not known."""
         for path in (self.followed, self.next):
             if path and path.number == number:
                 return path
         return None
 
     def check(self, number: int) -> None:
-        """Raise CommandError if the path of that number is over."""
+        """Raise CommandError if the path of that number has ended."""
         if self.last and not self.find(number) and not newer_path(number, self.last):
             raise CommandError(f"path {number} is over: expected one newer than {self.last}")
 
     def give(self, path: SentPath) -> None:
-        """Take a path; it takes the place of the next one.
+        """Accept a path as the next one.
 
         Raises:
-            CommandError: it is over, older than one that is not, or told otherwise before.
+            CommandError: it has ended, is older than the next one, or differs from an earlier path
+                of the same number.
         """
         self.check(path.number)
         known = self.find(path.number)
@@ -129,21 +130,24 @@ class Paths:
             raise CommandError(f"path {path.number} was given before, otherwise")
 
     def tick(self, ordered: int, clock: int) -> None:
-        """Let time pass, the link being ordered to follow the path `ordered`; 0: none."""
+        """Advance to time `clock`; the link is commanded to follow the path `ordered`, 0: none."""
         if ordered != self.last and not (ordered and newer_path(ordered, self.last)):
             self.followed = None
         if self.next and ordered == self.next.number and clock >= self.next.begin:
             self.followed, self.next, self.last = self.next, None, ordered
 
     def follow(self, frame: Telemetry, echoed: int | None) -> None:
-        """Learn from telemetry that echoes a command sent at `echoed` what the link has."""
+        """Update which segments the link has, from telemetry.
+
+        The frame echoes a command sent at `echoed`.
+        """
         word = frame.slow_value & 0xFFFFFFFF
         path = self.find(word >> 16) if frame.slow_id == Slow.PATH else None
         if path and echoed is not None and echoed >= path.given:
             path.missing = word & 0xFFFF
 
     def due(self, clock: int) -> list[Segment]:
-        """Segments to send now, at most MOST."""
+        """Return the segments to send now, at most MOST."""
         paths = [path for path in (self.followed, self.next) if path]
         due = [segment for path in paths for segment in path.due(clock)]
         return sorted(due, key=lambda segment: segment.begin)[:MOST]

@@ -1,4 +1,4 @@
-"""How far a link has come with a command, by its status words and not by its having taken it."""
+"""Progress of a command, by the link's status words and not by its receipt alone."""
 
 from enum import IntEnum
 
@@ -8,14 +8,14 @@ from fss_arm_driver.scale import Scale, SetPoint
 from fss_arm_driver.session.clock import SECOND
 from fss_arm_driver.session.paths import SentPath
 
-START_TIMEOUT = 2 * SECOND  # in which a link takes a command and begins to move
-STALL_TIME = SECOND  # at rest for so long away from its goal, a joint will not go on
-LATENESS = 100_000  # by which a link follows a path once it has begun [us]
-POSITION_TOLERANCE = 0.005  # a joint nearer to its goal has reached it [rad]
+START_TIMEOUT = 2 * SECOND  # within which a link must accept a command and start to move
+STALL_TIME = SECOND  # a joint at rest away from its goal this long has stalled
+LATENESS = 100_000  # within which a link must follow a path that has started [us]
+POSITION_TOLERANCE = 0.005  # a joint this close to its goal has reached it [rad]
 
 
 class Status(IntEnum):
-    """How far a command has come, by its numbers in CommandStatus."""
+    """Status of a command, by its numbers in CommandStatus."""
 
     REFUSED = 0
     ACCEPTED = 1
@@ -26,38 +26,38 @@ class Status(IntEnum):
 
 
 class Progress:
-    """Follows one command through the telemetry. All times are the caller's, in nanoseconds.
+    """Progress of one command, from telemetry. All times are the caller's, in nanoseconds.
 
     Args:
         order: the command.
-        given: when it was given first.
+        given: when it was first given.
         scale: the link's units.
     """
 
     def __init__(self, order: SetPoint, given: int, scale: Scale) -> None:
         self.order, self.given, self.scale = order, given, scale
         self.status, self.reason = Status.ACCEPTED, ""
-        self.broken = False  # it was a path, which the link has broken off
+        self.broken = False  # it was a path, which the link has aborted
         self._moved = given  # last seen moving
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more will come of it."""
+        """True if the status is final."""
         return self.status >= Status.REACHED
 
     def end(self, status: Status, reason: str) -> None:
-        """It ends like this, unless it has ended before."""
+        """Set the final status, unless there is one already."""
         if not self.ended:
             self.status, self.reason = status, reason
 
     def follow(self, frame: Telemetry, taken: bool, now: int, path: SentPath | None = None) -> None:
-        """Learn from a frame.
+        """Update the status from a frame.
 
         Args:
-            frame: the link's.
-            taken: it was measured after the link had taken the command.
-            now: when it came.
-            path: that the command is to follow, if it was given.
+            frame: telemetry of the link.
+            taken: whether it was measured after the link had accepted the command.
+            now: when it was received.
+            path: the path that the command follows, if it was given.
         """
         if not taken:
             if now - self.given > START_TIMEOUT:
@@ -93,7 +93,7 @@ class Progress:
             self.end(Status.TIMED_OUT, f"path {self.order.value}: {why}")
 
     def _breakage(self, frame: Telemetry, path: SentPath) -> str:
-        """Why the link broke off its path, as far as can be told from here."""
+        """Describe the probable reason why the link aborted its path."""
         name = f"path {path.number} of link {frame.link} broke off"
         if frame.clock < path.end and path.missing <= path.present(frame.clock):
             return f"{name}: no segment after {path.missing} of {len(path.knots) - 1} has come"
@@ -102,7 +102,7 @@ class Progress:
         return f"{name}: the joint is {off:.3g} rad off it, at most {reach:.3g} allowed"
 
     def _is_near(self, frame: Telemetry, position: int) -> bool:
-        """Whether the joint rests there [counts]."""
+        """Return True if the joint rests at `position` [counts]."""
         off = abs(self.scale.position(frame.position - position))
         return off < POSITION_TOLERANCE and not frame.status & IN_MOTION
 

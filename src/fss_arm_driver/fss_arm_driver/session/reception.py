@@ -1,4 +1,4 @@
-"""Which telemetry of a link is believed, and when it is lost (docs/reference/protocol.md)."""
+"""Acceptance of a link's telemetry, and detection of its loss (docs/reference/protocol.md)."""
 
 from collections import Counter, deque
 from enum import Enum
@@ -7,10 +7,10 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 from fss_arm_driver.protocol import Heard, newer
 from fss_arm_driver.session.clock import MICROSECOND, SECOND, LinkClock
 
-EARLY_TOLERANCE = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
-TRACK_MEMORY = 60 * SECOND  # how long a lost link and its clock are remembered
+EARLY_TOLERANCE = SECOND // 10  # delays vary: the most by which a frame may seem to be early
+TRACK_MEMORY = 60 * SECOND  # for which a lost link and its clock are remembered
 SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
-MAX_CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
+MAX_CANDIDATES = 16  # more than one, so that noise cannot displace a link that starts
 
 
 T = TypeVar("T", bound=Heard)
@@ -18,17 +18,17 @@ F = TypeVar("F", bound=Heard, contravariant=True)
 
 
 class Rules(Protocol[F]):
-    """What telemetry can say at all."""
+    """Validity rules for telemetry frames."""
 
     def possible(self, frame: F) -> bool:
-        """Whether it is plausible by itself."""
+        """Return True if the frame is plausible by itself."""
 
     def reachable(self, before: F, frame: F) -> bool:
-        """Whether it can be so, a while after another frame."""
+        """Return True if the frame can follow the frame `before`."""
 
 
 class Verdict(Enum):
-    """How a frame compares with an earlier one of the same link."""
+    """Result of the comparison of a frame with an earlier one of the same link."""
 
     FOLLOWS = "follows"
     STALE = "stale"
@@ -38,14 +38,14 @@ class Verdict(Enum):
 
 
 class Track(NamedTuple, Generic[T]):
-    """The last frame of a link, the clock that its frames are timed by, and their usual period."""
+    """Last frame of a link, the estimate of its clock, and the usual period of its frames."""
 
     frame: T
     clock: LinkClock
     period: float = 0.0  # in the link's clock [us]; 0: not known yet
 
     def then(self, frame: T) -> "Track[T]":
-        """The track with its next frame; a single late one hardly changes the usual period."""
+        """Return the track with its next frame; a single late frame hardly changes the period."""
         steps = (frame.sequence - self.frame.sequence) & 0xFFFFFFFF
         last = (frame.clock - self.frame.clock) / steps
         if 0.0 < self.period < last:
@@ -54,32 +54,35 @@ class Track(NamedTuple, Generic[T]):
 
 
 class Reception(Generic[T]):
-    """Compares each frame with those before it. All times are the caller's, in nanoseconds.
+    """Filter that compares each frame with earlier ones. Times are the caller's, in nanoseconds.
 
     Args:
-        rules: what the link could report at all.
+        rules: validity rules for its frames.
         timeout: silence after which the link is lost [ns].
         resolution: step of the clock that the caller reads [ns].
-        prove: believe only frames that echo this session's commands, as signed frames may be a
-            recording.
-        counts: what happened to the frames, by name.
+        prove: accept only frames that echo this session's commands, because signed frames may
+            be a recording.
+        counts: numbers of frames by outcome.
     """
 
     def __init__(
         self, rules: Rules[T], timeout: int, resolution: int, prove: bool, counts: Counter[str]
     ) -> None:
         self.lost = True
-        self.heard = 0  # when a frame was last believed
-        self.track: Track[T] | None = None  # believed; remembered for a while when lost
+        self.heard = 0  # when a frame was last accepted
+        self.track: Track[T] | None = None  # of accepted frames; kept for a while when lost
         self._rules, self._timeout, self._resolution = rules, timeout, resolution
         self._early = timeout if resolution else EARLY_TOLERANCE  # a simulated clock may lag
         self._prove, self._counts = prove, counts
         self._candidates: deque[Track[T]] = deque(maxlen=MAX_CANDIDATES)  # on probation
         self._stamp = 0  # of the last sample
-        self._echoed = 0  # when the command was sent that the last frame believed echoes
+        self._echoed = 0  # when the command echoed by the last accepted frame was sent
 
     def tick(self, now: int, patience: int = 0) -> bool:
-        """Let time pass; whether the link was lost by it, `patience` being the least timeout."""
+        """Return True if the link is lost at `now`, but was not before.
+
+        `patience` is the shortest timeout.
+        """
         lost = not self.lost and now - self.heard > max(self._timeout, patience)
         if lost:
             self.lost = True
@@ -89,15 +92,15 @@ class Reception(Generic[T]):
         return lost
 
     def forget(self, now: int) -> None:
-        """Begin anew: the clock was set back."""
+        """Reset, because the clock was set back."""
         self._counts["lost"] += not self.lost
         self.lost, self.heard, self.track, self._stamp, self._echoed = True, now, None, 0, 0
         self._candidates.clear()
 
     def take(self, frame: T, echoed: int | None, now: int) -> int | None:
-        """Host time of the measurement if `frame` is to be believed [ns].
+        """Return the host time of the measurement [ns] if `frame` is accepted, else None.
 
-        It echoes a command sent at `echoed`.
+        The frame echoes a command sent at `echoed`.
         """
         if not self._believes(frame, echoed, now) or self.track is None:
             return None
@@ -107,17 +110,17 @@ class Reception(Generic[T]):
         else:
             clock.exchange(echoed, frame.turnaround, frame.clock, now)
             self._echoed = echoed
-        # A better estimate of the clock never turns the stamps back.
+        # The stamps increase even when the clock estimate is corrected.
         self._stamp = max(clock.to_host(frame.clock), self._stamp + 1)
         return self._stamp
 
     def _believes(self, frame: T, echoed: int | None, now: int) -> bool:
-        """Whether to believe `frame`; it becomes the track's last one, or a candidate."""
+        """Return True if `frame` is accepted; it becomes the track's last frame or a candidate."""
         if not self._rules.possible(frame):
             self._counts["impossible"] += 1
             return False
         verdict = self._compare(self.track, frame, now, late=self._timeout)
-        if self.lost and verdict is Verdict.STALE:  # all are, once the host's clock was set forward
+        if self.lost and verdict is Verdict.STALE:  # all are if the host's clock was set forward
             verdict = Verdict.JUMP
         if verdict not in (Verdict.FOLLOWS, Verdict.JUMP):
             self._counts[verdict.value] += 1
@@ -129,17 +132,17 @@ class Reception(Generic[T]):
         return self._follow(verdict, frame, now)
 
     def _is_proven(self, frame: T, echoed: int | None, now: int, follows: bool) -> bool:
-        """Return True if the echo shows that `frame` is no recording.
+        """Return True if the echo shows that `frame` is not a recording.
 
-        A link takes commands in order, so its echo is never of an older one than before. A frame
-        that does not follow was also measured within the timeout, by the echo and its turnaround.
+        A link accepts commands in order, so its echoes never go back. A frame that does not follow
+        the track must also be measured within the timeout, by the echo and its turnaround.
         """
         if echoed is None or echoed < self._echoed:
             return False
         return follows or now - echoed - frame.turnaround * MICROSECOND <= self._timeout
 
     def _follow(self, verdict: Verdict, frame: T, now: int) -> bool:
-        """Believe a frame that follows, from the last one or a candidate; else keep it as one."""
+        """Accept a frame that follows the track or a candidate; else store it as a candidate."""
         if self.track and verdict is Verdict.FOLLOWS:
             self._believe(self.track, frame, now)
             return True
@@ -152,7 +155,7 @@ class Reception(Generic[T]):
         return False
 
     def _compare(self, track: Track[T] | None, frame: T, now: int, late: int) -> Verdict:
-        """Whether `frame` follows from `track` and is at most `late` [ns] older than it seems."""
+        """Compare `frame` with `track`; a frame older than `late` [ns] is stale."""
         if track is None or frame.boot != track.frame.boot:
             return Verdict.JUMP
         age = now - track.clock.to_host(frame.clock)
@@ -164,7 +167,7 @@ class Reception(Generic[T]):
             return Verdict.REORDERED
         period = frame.clock - track.frame.clock
         steps = (frame.sequence - track.frame.sequence) & 0xFFFFFFFF
-        # Frames that are said to have come between need their time; the next one is no leap.
+        # The missed frames take time, so a shorter period is a jump of the sequence.
         least = max(steps * SHORTEST_PERIOD, (steps - 1) * track.period / 2)
         if period < least or (age < -self._early and self._is_early(track, age, now)):
             return Verdict.JUMP
@@ -172,7 +175,7 @@ class Reception(Generic[T]):
         return Verdict.FOLLOWS if reachable else Verdict.JUMP
 
     def _is_early(self, track: Track[T], age: int, now: int) -> bool:
-        """Whether a frame is from the future by more than the clock's uncertainty, too."""
+        """Return True if a frame is early even beyond the clock's uncertainty."""
         known_to = track.clock.half_width(now)
         return age < -self._early - (known_to if known_to < self._timeout else 0)
 
@@ -180,7 +183,7 @@ class Reception(Generic[T]):
         self._counts["adopted"] += self.lost
         self._counts["believed"] += 1
         self._counts["missed"] += ((frame.sequence - track.frame.sequence) & 0xFFFFFFFF) - 1
-        # A link that was silent may not have counted meanwhile: its period is learned anew.
+        # A silent link may not have counted its frames: its period is estimated again.
         self.track = Track(frame, track.clock) if self.lost else track.then(frame)
         self._candidates.clear()
         self.heard, self.lost = now, False

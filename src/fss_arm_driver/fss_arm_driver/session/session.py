@@ -1,7 +1,7 @@
-"""The driver's side of one link, or of the base's board: datagrams in and out, no I/O, no clock.
+"""Driver side of one link, or of the base's board: datagrams in and out, no I/O, no clock.
 
-What is sent when it is lost, adopted, armed, commanded or stopped is as in
-docs/reference/protocol.md. All times are the caller's, in integer nanoseconds.
+docs/reference/protocol.md defines what is sent when the partner is lost, adopted, armed, commanded
+or stopped. All times are the caller's, in integer nanoseconds.
 """
 
 from abc import ABC, abstractmethod
@@ -18,9 +18,9 @@ from fss_arm_driver.session.clock import SECOND
 from fss_arm_driver.session.echoes import Echoes
 from fss_arm_driver.session.reception import Reception, Rules
 
-CLOCK_CORRECTION = SECOND // 10  # a simulated clock that is set back by less is being corrected
+CLOCK_CORRECTION = SECOND // 10  # a simulated clock set back by less is only corrected
 
-#: What may happen to a telemetry frame but to be believed.
+#: Outcomes of telemetry frames other than acceptance.
 TROUBLES = (
     *(reason.value for reason in Refusal),
     *("foreign", "impossible", "unproven"),
@@ -32,21 +32,21 @@ T = TypeVar("T", bound=Heard)
 
 
 class Partner(NamedTuple, Generic[T]):
-    """What a session talks to."""
+    """Partner of a session: a link or the base's board."""
 
     name: str  # in words
     number: int  # in its frames
     telemetry: type[T]
     decode: Callable[[bytes, bytes | None], Head]
     rules: Rules[T]  # of its telemetry
-    latches: int  # flags of its telemetry that forbid to arm until it was disarmed
+    latches: int  # telemetry flags that prevent arming until it is disarmed
     battery: int  # slow field of its battery's voltage [0.1 V]
-    refused: int  # that of the datagrams it refused
-    armed_by: str  # the command that a person arms it by
+    refused: int  # slow field of the number of datagrams that it refused
+    armed_by: str  # the operator's command that arms it
 
 
 class CommandHead(TypedDict):
-    """What all commands begin with."""
+    """Header of all commands."""
 
     link: int
     flags: int
@@ -57,17 +57,17 @@ class CommandHead(TypedDict):
 
 
 class Session(ABC, Generic[T]):
-    """What the driver knows and wants of a partner; a kind of partner adds its commands.
+    """Session with a partner. A subclass for each kind of partner adds the commands.
 
     Args:
-        partner: to talk to.
+        partner: the link or board.
         timeout: silence after which it is lost [s].
-        watchdog: silence after which it shall disarm itself [s].
+        watchdog: silence after which it must disarm itself [s].
         resolution: step of the clock that the caller reads [s].
-        key: that frames are signed under; None: they are not signed.
+        key: key that signs the frames; None: they are not signed.
         empty: voltage of its battery at which it must be switched off [V].
-        epoch: what to add to the caller's clock to have the time of day [ns]: commands are
-            stamped by that, once, so that they come after those of an earlier session.
+        epoch: time of day minus the caller's clock [ns]. Commands are stamped with the time of
+            day, so that they are later than those of an earlier session.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Session(ABC, Generic[T]):
         self.counts = Counter(dict.fromkeys(COUNTS, 0))
         self.slow: dict[int, int] = {}  # the last report of each slow field
         self.battery, self._empty = Battery(empty), empty
-        self._boot = 0  # of the partner that was followed last
+        self._boot = 0  # of the last accepted partner
         self._timeout = round(timeout * SECOND)
         self._watchdog = round(watchdog * 1000)  # [ms]
         self._silence = self._watchdog * SECOND // 1000  # the same [ns]
@@ -94,14 +94,14 @@ class Session(ABC, Generic[T]):
         )
         self._echoes = Echoes(epoch, self._timeout, self._silence, signed, partner.refused)
         self._arming = ArmingMachine(partner.name, partner.latches)
-        self.dropped = ""  # why it was disarmed last, in words, if nobody asked for that
-        self._version = VERSION  # of frames of this partner that are refused for it
+        self.dropped = ""  # why it was last disarmed, unless the operator requested it
+        self._version = VERSION  # of this partner's frames, if it is not ours
         self._sequence = 0
         self._now = 0
-        self._still = 0  # how long time stood still before `_woke`
-        self._woke = -1  # when time went on
+        self._still = 0  # how long this process was stalled before `_woke`
+        self._woke = -1  # when this process resumed
 
-    # What a kind of partner adds.
+    # Overridden for each kind of partner.
 
     @property
     def faults(self) -> list[str]:
@@ -110,85 +110,85 @@ class Session(ABC, Generic[T]):
 
     @abstractmethod
     def _is_off(self, frame: T) -> bool:
-        """Whether what must be off when disarmed is."""
+        """Return True if everything that must be off when disarmed is off."""
 
     @abstractmethod
     def _end(self, why: str) -> None:
-        """Nothing is in force any more."""
+        """Cancel the active command."""
 
     @abstractmethod
     def _pass(self, now: int) -> None:
-        """Let time pass for what is in force."""
+        """Advance the active command to time `now`."""
 
     @abstractmethod
     def _learn(self, frame: T, echoed: int | None) -> None:
-        """Learn how far what is in force has come from a frame that is believed."""
+        """Update the progress of the active command from an accepted frame."""
 
     def _patience(self) -> int:
-        """The least silence after which the partner is lost [ns]."""
+        """Return the shortest silence after which the partner is lost [ns]."""
         return 0
 
     @property
     def arming(self) -> Arming:
-        """What is wanted of the partner, and how far that has come."""
+        """State requested of the partner, with the progress of arming."""
         return self._arming.state
 
     @property
     def released(self) -> bool:
-        """Whether it has confirmed, since it was disarmed, that it is off."""
+        """True if the partner has confirmed that it is off since it was disarmed."""
         return self._arming.released
 
     @property
     def armed(self) -> bool:
-        """Whether it may act: this driver armed it, and it says so itself."""
+        """True if this driver armed the partner and the partner confirmed it."""
         return self.arming is Arming.ARMED
 
     @property
     def settled(self) -> bool:
-        """Whether what was asked last, to arm or to disarm, is done or has come to nothing."""
+        """True if the last request to arm or disarm has succeeded or failed."""
         return self.arming is not Arming.ARMING and not self._arming.releasing
 
     @property
     def lost(self) -> bool:
-        """Whether nothing believable has come for the timeout, or ever."""
+        """True if no frame was accepted within the timeout, or ever."""
         return self._reception.lost
 
     @property
     def frame(self) -> T | None:
-        """The last frame believed; None while the partner is lost."""
+        """Last accepted frame; None while the partner is lost."""
         track = self._reception.track
         return track.frame if track and not self.lost else None
 
     @property
     def round_trip(self) -> float:
-        """Time under way, there and back, of the exchange that maps the clock [s], or NaN."""
+        """Round trip of the exchange that the clock estimate is based on [s], or NaN."""
         track = self._reception.track
         return track.clock.round_trip if track else nan
 
     def deviation(self, now: int) -> float:
-        """Standard deviation of a stamp [s]; infinite before a round trip."""
+        """Return the standard deviation of a stamp [s]; infinite before a round trip."""
         track = self._reception.track
         return track.clock.deviation(now) if track else inf
 
     @property
     def offset(self) -> float:
-        """What to add to the partner's clock to have the host's [s]."""
+        """Host's clock minus the partner's [s]."""
         track = self._reception.track
         return 1e-9 * track.clock.offset(track.frame.clock) if track else nan
 
     @property
     def drift(self) -> float:
-        """How much faster than the partner's the host's clock runs."""
+        """Relative rate by which the host's clock is faster than the partner's."""
         track = self._reception.track
         return track.clock.drift if track else nan
 
     def silence(self, now: int) -> float:
-        """Time since a frame was last believed [s]; infinite if none ever was."""
+        """Return the time since a frame was last accepted [s]; infinite if none ever was."""
         return 1e-9 * (now - self._reception.heard) if self.counts["believed"] else inf
 
     @property
     def absence(self) -> str:
-        """For how long the partner was not heard, in words."""
+        """Message about how long no frame was received from the partner."""
         if self._version != VERSION:
             return self.dialect
         if (silence := self.silence(self._now)) == inf:
@@ -197,7 +197,7 @@ class Session(ABC, Generic[T]):
 
     @property
     def dialect(self) -> str:
-        """That the partner speaks another version of the protocol, in words."""
+        """Message if the partner uses another version of the protocol, else empty."""
         if self._version == VERSION:
             return ""
         what = "its firmware" if self._version < VERSION else "this computer's software"
@@ -208,13 +208,13 @@ class Session(ABC, Generic[T]):
 
     @property
     def rival(self) -> str:
-        """That another driver commands the partner, in words; this one does not, then."""
+        """Message if another driver commands the partner, else empty; this driver then disarms."""
         rival = self._echoes.rival(self._now)
         return f"another driver commands {self.partner.name}" if rival else ""
 
     @property
     def strain(self) -> str:
-        """What makes it hard to command the partner, in words: delay, frames of somebody else."""
+        """Message about a communication problem, else empty: delay, or another sender's frames."""
         if (way := self._echoes.delay) > self._timeout:
             most = 1e-9 * self._timeout
             return f"delay of {1e-9 * way:.2f} s there and back, at most {most:g} s"
@@ -224,11 +224,11 @@ class Session(ABC, Generic[T]):
 
     @property
     def standstill(self) -> str:
-        """That this process did nothing for longer than the watchdog time, in words."""
+        """Message if this process was last stalled beyond the watchdog time, else empty."""
         return f"stood still for {1e-9 * self._still:.1f} s" if self._still else ""
 
     def obstacle(self, now: int) -> str:
-        """Why the partner cannot be armed, in words; empty: it can."""
+        """Return why the partner cannot be armed, in words; empty if it can."""
         self.tick(now)
         name, echoes = self.partner.name, self._echoes
         if self.rival:
@@ -242,7 +242,7 @@ class Session(ABC, Generic[T]):
         return f"{name} has faults: {', '.join(self.faults)}" if self.faults else ""
 
     def arm(self, now: int) -> None:
-        """Ask the partner to arm, also after a stop; `arming` says how far that has come.
+        """Request that the partner arms, also after a stop; `arming` shows the progress.
 
         Raises:
             CommandError: there is an obstacle.
@@ -250,42 +250,41 @@ class Session(ABC, Generic[T]):
         if obstacle := self.obstacle(now):
             raise CommandError(obstacle)
         self.dropped = ""
-        # One that has yet to answer may wait for an earlier driver's watchdog.
+        # A partner that has not yet answered may wait for an earlier driver's watchdog.
         self._arming.arm(now, grace=0 if self._echoes.answered >= 0 else self._silence)
 
     def disarm(self) -> None:
-        """Switch off what can act, also after a stop.
+        """Switch the actuators off, also after a stop.
 
-        `released` says whether the partner has, once all is `settled`; a lost one cannot confirm
-        it.
+        Once `settled`, `released` is True if the partner has confirmed it; a lost partner cannot.
         """
         self._end("disarmed")
         self.dropped = ""
         self._arming.disarm(self._now, self.lost)
 
     def stop(self) -> None:
-        """Stop now, until armed anew or disarmed; what is off stays off."""
+        """Stop now, until armed again or disarmed; actuators that are off stay off."""
         self._end("stopped")
         self._arming.stop()
 
     def _drop(self, why: str) -> None:
-        """Disarm without a person's request: a stop stays."""
+        """Disarm without the operator's request; a stop stays in effect."""
         if self.arming in (Arming.ARMING, Arming.ARMED):
             self.dropped = why
         self._end(why)
         self._arming.drop()
 
     def require_armed(self) -> None:
-        """Raise CommandError if it is not armed."""
+        """Raise CommandError if the partner is not armed."""
         if not self.armed:
             name, how = self.partner.name, self.partner.armed_by
             raise CommandError(f"{name} is {self.arming.value}, not armed: {how} arms it")
 
     def tick(self, now: int) -> None:
-        """Let time pass: loss, expiry, arming that came to nothing, a simulated clock set back.
+        """Advance to time `now`: handle loss, expiry, arming timeouts, a simulated clock set back.
 
-        Time in which this was not called long enough for the partner to disarm itself, as the
-        process was stopped or the computer slept, is time that nobody watched it.
+        If this was not called for longer than the watchdog time, the process was stalled or the
+        computer slept. The partner was not monitored meanwhile, so it is disarmed.
         """
         if self._now and now - self._now > self._silence:
             self._still, self._woke = now - self._now, now
@@ -304,11 +303,11 @@ class Session(ABC, Generic[T]):
         self._arming.tick(now, self._echoes.delay, self.lost)
 
     def _flags(self, now: int) -> int:
-        """Of the next command."""
+        """Return the flags of the next command."""
         return self._arming.flags(self.frame, self._echoes.answered >= 0, now)
 
     def _head(self, flags: int, now: int) -> CommandHead:
-        """The beginning of a command that is sent now."""
+        """Return the header of a command that is sent now."""
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         self.counts["sent"] += 1
         frame = self.frame
@@ -322,12 +321,12 @@ class Session(ABC, Generic[T]):
         )
 
     def _by_its_clock(self, time: int) -> int:
-        """A host time in the partner's clock [us]; 0: none, or not known."""
+        """Convert a host time to the partner's clock [us]; 0: no time, or clock not known."""
         track = self._reception.track
         return track.clock.to_link(time) if track and time else 0
 
     def _take(self, data: bytes, now: int) -> tuple[T, int] | None:
-        """Take a datagram; the frame and when it was measured if it is to be believed [ns]."""
+        """Process a datagram; return the frame and its measurement time [ns] if it is accepted."""
         self.tick(now)
         self.counts["received"] += 1
         if (frame := self._decode(data)) is None:
@@ -340,12 +339,12 @@ class Session(ABC, Generic[T]):
             return None
         if self.rival:
             self._drop(self.rival)
-        if lost:  # nothing is wanted of a partner that was not followed until now
+        if lost:  # a partner that was lost until now must be armed again
             self._drop(f"{self.partner.name} was lost")
         return frame, stamp
 
     def _follow(self, frame: T) -> None:
-        """Learn from a frame that is believed: its slow values, arming, the last command."""
+        """Update slow values, arming and the last command from an accepted frame."""
         if frame.boot != self._boot:
             self._boot, self.slow, self.battery = frame.boot, {}, Battery(self._empty)
         self.slow[frame.slow_id] = frame.slow_value
@@ -357,7 +356,7 @@ class Session(ABC, Generic[T]):
             self._drop(why)
 
     def _decode(self, data: bytes) -> T | None:
-        """The telemetry of this partner that these bytes are, or None, counted."""
+        """Decode this partner's telemetry; count other data and return None."""
         try:
             frame: Any = self.partner.decode(data, self._key)
         except FrameError as error:

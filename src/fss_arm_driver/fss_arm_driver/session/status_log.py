@@ -1,4 +1,4 @@
-"""What has become of a link, or of the base's board, in words: a line for each change."""
+"""Log lines for each change of state of a link or of the base's board."""
 
 from typing import Any, NamedTuple
 
@@ -6,30 +6,30 @@ from fss_arm_driver.protocol import State
 from fss_arm_driver.session.arming import Arming
 from fss_arm_driver.session.session import Session
 
-PATIENCE = 5_000_000_000  # with a partner that was never heard [ns]
+PATIENCE = 5_000_000_000  # before a partner that never sent a frame is reported [ns]
 
 
 class Line(NamedTuple):
-    """A line of the log."""
+    """Line of the log."""
 
     words: str
     bad: bool = False
-    for_operator: bool = False  # it is worth a line in the log of events, too
+    for_operator: bool = False  # also reported in the log of events
 
 
 class StatusLog:
-    """Tells what is new of a session since it was asked last; times are in nanoseconds."""
+    """Reporter of the changes of a session since the last call; times are in nanoseconds."""
 
     def __init__(self, session: Session[Any]) -> None:
         self._session, self._name = session, session.partner.name
-        self._lost, self._heard = True, 0  # whether it is, and when it was heard last
-        self._begun, self._missed = 0, False  # since when it is asked, whether it was in vain
+        self._lost, self._heard = True, 0  # whether it was lost, and when a frame was last accepted
+        self._begun, self._missed = 0, False  # time of the first call, absence reported
         self._arming = Arming.DISARMED
         self._faults: list[str] = []
         self._tripped, self._still = False, ""
 
     def __call__(self, now: int) -> list[Line]:
-        """One line for each change; of a partner that was never heard one after PATIENCE."""
+        """Return a line for each change, and one after PATIENCE if no frame was ever accepted."""
         session, lines = self._session, self._standstill()
         if session.lost != self._lost:
             lines += [self._presence(now)]
@@ -45,14 +45,14 @@ class StatusLog:
         return lines
 
     def _standstill(self) -> list[Line]:
-        """Of the driver itself, whatever it then finds of the others."""
+        """Return a line if the driver itself was stalled."""
         before, self._still = self._still, self._session.standstill
         words = f"{self._name} is disarmed: its driver {self._still}"
         new = self._still and self._still != before
         return [Line(words, bad=True, for_operator=True)] if new else []
 
     def _presence(self, now: int) -> Line:
-        """Lost, or heard again: what it was told before does not hold any more."""
+        """Return a line that the partner is lost, or that it is received (again)."""
         name, session = self._name, self._session
         if session.lost:
             was = f"; it was {self._arming.value}" if self._arming is not Arming.DISARMED else ""
@@ -76,7 +76,10 @@ class StatusLog:
         return [Line(f"{self._name} is {state.value}", bad=stopped, for_operator=stopped)]
 
     def _watchdog(self) -> list[Line]:
-        """It disarmed itself, as commands ceased; arming clears it."""
+        """Return a line if the partner disarmed itself as it received no commands.
+
+        Arming clears this state.
+        """
         frame = self._session.frame
         before, self._tripped = self._tripped, bool(frame and frame.flags & State.WATCHDOG)
         words = f"{self._name}: its watchdog tripped, as it heard no commands"

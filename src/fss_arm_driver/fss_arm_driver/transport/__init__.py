@@ -1,4 +1,4 @@
-"""How frames reach a link. The driver's nodes know only `Transport`; a URL chooses which one."""
+"""Transports of frames to a link. The driver's nodes use `Transport`; a URL selects the kind."""
 
 from collections.abc import Sequence
 from urllib.parse import SplitResult, parse_qs, urlsplit
@@ -21,7 +21,7 @@ __all__ = [
     "readable",
 ]
 
-#: What a URL may be, by its scheme.
+#: Form of a URL, by its scheme.
 FORMS = {
     "udp": "udp://HOST:PORT?bind=PORT",
     "tcp": "tcp://HOST:PORT",
@@ -34,18 +34,18 @@ BAUD = 115_200
 def open_transport(
     url: str, link: int = 1, key: bytes | None = None, schemes: Sequence[str] = tuple(FORMS)
 ) -> Transport:
-    """Open what a URL names, one of FORMS by its scheme, of those that there may be.
+    """Open the transport that a URL names, in one of FORMS with one of the allowed `schemes`.
 
-    A UDP socket is bound to the local port `bind`, 0 for any; a serial port is opened at once,
-    by default at 115200 baud; a TCP connection is made when it can be. `link` and `key` are those
-    of the frames, which `copley` makes itself.
+    A UDP socket is bound to the local port `bind`, 0 for any. A serial port is opened at once, by
+    default at 115200 baud. A TCP connection is made as soon as possible. `link` and `key` are used
+    only by `copley`, which makes the frames itself.
 
     Raises:
         TransportError: the URL is not understood, its host is not known, or its port cannot be
             opened.
     """
     forms = {scheme: FORMS[scheme] for scheme in schemes}
-    if not url:  # whatever were taken instead might answer, and not be meant
+    if not url:  # a default might answer and be the wrong link
         raise TransportError(f"url is missing, expected {' or '.join(forms.values())}")
     scheme = url.partition(":")[0]
     expected = f"expected {forms.get(scheme) or ' or '.join(forms.values())}"
@@ -73,21 +73,21 @@ def open_transport(
 
 
 def is_exposed(url: str, keys: str) -> bool:
-    """Whether unsigned frames go over a network, and not only within this computer."""
+    """Return True if unsigned frames are sent over a network, not only within this computer."""
     place = urlsplit(url)
     local = place.hostname in ("127.0.0.1", "::1", "localhost")
     return not keys and place.scheme in ("udp", "tcp") and not local
 
 
 def _device(parts: SplitResult) -> str:
-    """The device's path: `serial:///dev/ttyUSB0` and `serial://ttyUSB0` are the same one."""
+    """Return the device's path; `serial:///dev/ttyUSB0` and `serial://ttyUSB0` are the same."""
     if not (parts.netloc or parts.path.strip("/")):
         raise ValueError("no device")
     return f"/dev/{parts.netloc}{parts.path}" if parts.netloc else parts.path
 
 
 def _option(parts: SplitResult, name: str = "", default: int = 0, among: range = range(0)) -> int:
-    """The integer `name` of a URL's query, which must hold nothing else."""
+    """Return the integer `name` of a URL's query, which must have no other entry."""
     query = parse_qs(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     text = query.pop(name, [str(default)])[-1]
     if query or parts.fragment:

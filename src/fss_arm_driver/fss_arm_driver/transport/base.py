@@ -1,31 +1,31 @@
-"""What all ways to a link have in common."""
+"""Common interface of all transports to a link."""
 
 from collections import Counter
 from collections.abc import Sequence
 from select import POLLIN, poll
 from typing import Protocol
 
-BATCH = 64  # frames read at once, so that a flood cannot keep a node from its other work
+BATCH = 64  # most frames read at once, so that a flood cannot block a node
 
 
 class TransportError(ValueError):
-    """A URL that names no transport, or one that cannot be opened."""
+    """Error of a URL that is not valid, or that cannot be opened."""
 
 
 class Line(Protocol):
-    """Something open that bytes come from: a socket, a serial port."""
+    """Open source of bytes: a socket or a serial port."""
 
     def fileno(self) -> int:
-        """Its file descriptor, which does not block."""
+        """Return its file descriptor, which is non-blocking."""
 
     def close(self) -> None:
         """Close it."""
 
 
 def readable(lines: Sequence[Line], timeout: float) -> list[Line]:
-    """Those of `lines` that have bytes or have ended; waits for one until `timeout` [s].
+    """Wait up to `timeout` [s] and return those of `lines` that have bytes or were closed.
 
-    Unlike `select`, of any file descriptor: a process may have more than a thousand.
+    Unlike `select` this works with file descriptors above 1023.
 
     Raises:
         ValueError: one of them is closed.
@@ -38,23 +38,23 @@ def readable(lines: Sequence[Line], timeout: float) -> list[Line]:
 
 
 class Transport(Protocol):
-    """Frames to and from one link. Nothing but `wait` blocks, and nothing raises once open.
+    """Transport of frames to and from one link. Only `wait` blocks; nothing raises once open.
 
-    `wait` is for a thread of its own; what was lost on the way is opened again by it. `trouble`
-    says in words what is wrong with the way, and is empty if nothing is known to be.
+    `wait` is called by a separate thread, and reopens a lost connection. `trouble` describes the
+    problem of the connection in words; it is empty if none is known.
     """
 
     counts: Counter[str]
     trouble: str
 
     def send(self, data: bytes) -> None:
-        """Send a frame; what cannot be sent is counted and dropped."""
+        """Send a frame; one that cannot be sent is counted and dropped."""
 
     def receive(self) -> list[bytes]:
-        """What has come, about BATCH frames at most; it need not be frames."""
+        """Return the received data, about BATCH frames at most; it may be invalid."""
 
     def wait(self, timeout: float) -> bool:
-        """Wait until there is something to receive, about `timeout` [s]; whether there is."""
+        """Wait about `timeout` [s] for data; return True if there is any to receive."""
 
     def close(self) -> None:
-        """Release it, once nobody waits; the other calls then do nothing."""
+        """Release it, when no thread waits; after that the other calls do nothing."""

@@ -1,4 +1,4 @@
-"""The drive's own language on a serial port, behind the face of a link."""
+"""Transport to a Copley drive on a serial port, with the interface of a link."""
 
 import os
 import random
@@ -18,17 +18,17 @@ from fss_arm_driver.transport.stream import open_port, set_rate
 if TYPE_CHECKING:
     from serial import Serial
 
-TICK = 0.005  # at which time passes for the drive [s]
-AGAIN = 0.5  # from one try to open the port to the next [s]
-RELEASE_TIMEOUT = 4.0  # at most, for the drive to be switched off when the process ends [s]
-DEAF = 3.0  # a drive that has not answered for so long is reported [s]
+TICK = 0.005  # longest time between two polls of the drive [s]
+AGAIN = 0.5  # between attempts to open the port [s]
+RELEASE_TIMEOUT = 4.0  # to switch the drive off when the process ends [s]
+DEAF = 3.0  # a drive that has not answered for this long is reported [s]
 
 
 class CopleyTransport:
-    """A thread that talks to the drive, whatever else the process does: its watchdog is ours.
+    """Transport whose thread controls the drive and implements the link's watchdog.
 
     Raises:
-        OSError: the port cannot be opened. (Once it was, it may come and go.)
+        OSError: the port cannot be opened. (Later it may disappear and return.)
     """
 
     def __init__(self, device: str, baud: int, link: int, key: bytes | None) -> None:
@@ -47,7 +47,7 @@ class CopleyTransport:
         self._thread.start()
 
     def send(self, data: bytes) -> None:
-        """Give the link a command frame."""
+        """Pass a command frame to the link."""
         if self._port is None:
             self.counts["send_failures"] += 1
         self._commands.append(data)
@@ -55,7 +55,7 @@ class CopleyTransport:
             self._ring.send(b"\0")
 
     def receive(self) -> list[bytes]:
-        """The telemetry frames made of what the drive said."""
+        """Return the telemetry frames made from the drive's answers."""
         self._came.clear()
         return [self._frames.popleft() for _ in range(len(self._frames))]
 
@@ -78,7 +78,7 @@ class CopleyTransport:
                     self._link.restart()
                     self.counts["connects"] += 1
                 self._turn(self._port)
-            except Exception as error:  # whatever it is: nobody else looks after the drive
+            except Exception as error:  # of any kind: only this thread monitors the drive
                 self._drop()
                 why = error.strerror or error if isinstance(error, OSError) else repr(error)
                 self.trouble = f"cannot use the port: {why}"
@@ -87,8 +87,8 @@ class CopleyTransport:
         self._drop()
 
     def _let_go(self) -> None:
-        """Bring the joint to rest and switch the drive off, if that can be done."""
-        begun = time.monotonic_ns() // 1000  # an older reading may miss the last order
+        """Bring the joint to rest and switch the drive off, if possible."""
+        begun = time.monotonic_ns() // 1000  # an older reading may precede the last command
         end = time.monotonic() + RELEASE_TIMEOUT
         with suppress(OSError, ValueError):
             while self._port and time.monotonic() < min(end, self._heard + DEAF):
@@ -99,7 +99,7 @@ class CopleyTransport:
                 self._turn(self._port)
 
     def _turn(self, port: "Serial") -> None:
-        """Wait a little for bytes or commands, and let the link go on."""
+        """Wait up to TICK for bytes or commands, and poll the link."""
         ready = readable([port, self._bell], TICK)
         data = b""
         if port in ready and not (data := os.read(port.fileno(), 4096)):
@@ -121,7 +121,7 @@ class CopleyTransport:
         self._judge(bool(drive.reading), drive.refusal)
 
     def _judge(self, answers: bool, refusal: str) -> None:
-        """Say what is wrong."""
+        """Update the description of the problem."""
         if refusal != self._refusal:
             self.counts["drive_refusals"] += bool(refusal)
         self._refusal = refusal

@@ -1,4 +1,4 @@
-"""Frames on a byte stream, TCP or RS-232, which may break and is then opened again."""
+"""Frames on a byte stream, TCP or RS-232, which is reopened when it is lost."""
 
 import errno
 import os
@@ -16,20 +16,20 @@ from fss_arm_driver.transport.base import BATCH, Line, readable
 if TYPE_CHECKING:
     from serial import Serial
 
-CONNECTING = 1.0  # how long opening may take [s]
-UNANSWERED = 2000  # a TCP connection whose bytes are not acknowledged for so long is dead [ms]
-NOISE = 1000  # bytes without a frame that are noise beyond doubt
+CONNECTING = 1.0  # timeout to open a stream [s]
+UNANSWERED = 2000  # unacknowledged for this long, a TCP connection is dead [ms]
+NOISE = 1000  # bytes without a frame after which they are reported as noise
 
 
 class StreamTransport:
-    """Frames over a byte stream that `connect` opens, and opens again when it is lost.
+    """Frames over a byte stream that `connect` opens, and reopens when it is lost.
 
-    Only `wait` opens and closes, and not while another thread sends: a file descriptor that is
-    closed may be another file's a moment later.
+    Once threads run, only `wait` opens and closes the stream, and not while another thread sends:
+    the number of a closed file descriptor may soon belong to another file.
 
     Args:
         connect: opens the stream within CONNECTING, or raises OSError.
-        doubt: what to suspect if bytes come that are no frames.
+        doubt: probable cause if the received bytes are not frames.
     """
 
     def __init__(self, connect: Callable[[], Line], doubt: str) -> None:
@@ -54,7 +54,7 @@ class StreamTransport:
         self.trouble = ""
 
     def send(self, data: bytes) -> None:
-        """Send a frame. One that does not fit into the system's buffer is torn and so lost."""
+        """Send a frame. One that does not fit into the system's buffer is truncated and lost."""
         packed = pack(data)
         try:
             with self._sending:
@@ -69,7 +69,7 @@ class StreamTransport:
         self.counts["send_failures"] += sent < len(packed)
 
     def receive(self) -> list[bytes]:
-        """The frames that have come."""
+        """Return the received frames."""
         frames: list[bytes] = []
         line = self._line
         try:
@@ -82,7 +82,7 @@ class StreamTransport:
         return frames
 
     def wait(self, timeout: float) -> bool:
-        """Wait for bytes; open the stream if it is lost."""
+        """Wait for bytes; reopen the stream if it is lost."""
         if self._line is None or self._broken:
             self._drop()
             try:
@@ -127,7 +127,7 @@ class StreamTransport:
 
 
 def tcp(host: str, port: int) -> StreamTransport:
-    """Frames over a TCP connection to a link that listens; opened by the first `wait`."""
+    """Return a transport over TCP to a link that listens; the first `wait` opens it."""
 
     def connect() -> socket.socket:
         line = socket.create_connection((host, port), CONNECTING)
@@ -140,7 +140,7 @@ def tcp(host: str, port: int) -> StreamTransport:
 
 
 def serial(device: str, baud: int) -> StreamTransport:
-    """Frames over a serial port, 8N1.
+    """Open a transport over a serial port, 8N1.
 
     Raises:
         OSError: the port cannot be opened. (Once it was, it may come and go.)
@@ -153,17 +153,17 @@ def serial(device: str, baud: int) -> StreamTransport:
 
 
 def open_port(device: str, baud: int) -> "Serial":
-    """A serial port, 8N1, not blocking, for this process alone.
+    """Open a serial port, 8N1, non-blocking, exclusively for this process.
 
     Raises:
         OSError: it cannot be opened, or cannot be set to this rate.
     """
-    # Links over UDP and TCP run without this library.
+    # Links over UDP and TCP do not need this library.
     from serial import EIGHTBITS, PARITY_NONE, STOPBITS_ONE, Serial, SerialException
 
     try:
         return Serial(device, baud, EIGHTBITS, PARITY_NONE, STOPBITS_ONE, timeout=0, exclusive=True)
-    except termios.error as error:  # which is no OSError: the device went meanwhile
+    except termios.error as error:  # not an OSError: the device was removed meanwhile
         raise OSError(*error.args) from None
     except (SerialException, ValueError) as error:
         number = getattr(error, "errno", None)

@@ -6,16 +6,16 @@ from collections import Counter
 from fss_arm_driver.protocol import FRAME_SIZE
 from fss_arm_driver.transport.base import BATCH, readable
 
-HELD = 1024  # frames that the system holds while nobody reads: 2 s of a link's at 500 Hz
-SKB = 768  # that Linux counts for a frame [bytes]; it grants twice what it is asked for
+HELD = 1024  # frames that the system buffers: 2 s of a link's at 500 Hz
+SKB = 768  # buffer space per frame in Linux [bytes]; it grants twice the request
 
 
 class UdpTransport:
-    """One UDP socket towards one peer; datagrams from anybody else are counted and dropped.
+    """UDP socket for one peer; datagrams from other senders are counted and dropped.
 
-    The socket is not connected: a peer that refuses, a route that is gone and an interface that
-    went down show as failures of single calls, and pass when the cause does. It holds as many
-    frames as HELD, or as the system's net.core.rmem_max allows.
+    The socket is not connected. A peer that refuses, a missing route or an interface that is down
+    makes single calls fail, only as long as the cause persists. The socket buffers HELD frames, or
+    fewer if the system's net.core.rmem_max limits them.
 
     Raises:
         OSError: the host is not known, or the local port is taken.
@@ -38,7 +38,7 @@ class UdpTransport:
 
     @property
     def port(self) -> int:
-        """The local port."""
+        """Local port."""
         return int(self._socket.getsockname()[1])
 
     def send(self, data: bytes) -> None:
@@ -52,7 +52,7 @@ class UdpTransport:
             self.trouble = ""
 
     def receive(self) -> list[bytes]:
-        """The peer's datagrams that have come, each at most one byte longer than a frame."""
+        """Return the peer's received datagrams, each cut to one byte more than a frame."""
         got = []
         for _ in range(BATCH):
             try:

@@ -1,4 +1,4 @@
-"""The joints' newest readings, and the motion through them."""
+"""Newest readings of the joints, and the motion interpolated through them."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from fss_arm_model.joint_path import Law, Path, path, sampled
 
-SPARE = 64  # readings that are kept beyond what is asked for, so that forgetting is rare
+SPARE = 64  # readings kept beyond those requested, so that lists are rarely shortened
 
 Floats = npt.NDArray[np.float64]
 
 
 class Joint:
-    """One joint's newest readings, in the order of their stamps."""
+    """Newest readings of one joint, in the order of their stamps."""
 
     def __init__(self) -> None:
         self.t: list[int] = []  # [ns]
@@ -24,7 +24,7 @@ class Joint:
         self.effort: list[float] = []  # [N m]
 
     def add(self, t: int, q: float, qd: float, effort: float) -> bool:
-        """Take a reading; False if it is not newer."""
+        """Add a reading; return False if it is not newer."""
         if self.t and t <= self.t[-1]:
             return False
         self.t.append(t)
@@ -34,40 +34,40 @@ class Joint:
         return True
 
     def last(self, t: int) -> int:
-        """The index of the last reading until t [ns], of the first one if there is none."""
+        """Return the index of the last reading at or before t [ns]; 0 if there is none."""
         return max(bisect_right(self.t, t) - 1, 0)
 
     def forget(self, until: int) -> None:
-        """Drop readings before the last one until then [ns]."""
+        """Drop readings older than the last one at or before `until` [ns], if they are many."""
         if (k := self.last(until)) > SPARE:
             for series in (self.t, self.q, self.qd, self.effort):
                 del series[:k]
 
     def moves(self, t: int, threshold: float) -> bool:
-        """Whether one of the readings around t [ns] is faster than a rate [rad/s]."""
+        """Return True if a reading next to t [ns] is faster than `threshold` [rad/s]."""
         k = bisect_right(self.t, t)
         return any(abs(qd) > threshold for qd in self.qd[max(k - 1, 0) : k + 1])
 
 
 class JointMotion(NamedTuple):
-    """The motion of all joints through their readings."""
+    """Motion of all joints, interpolated through their readings."""
 
-    origin: int  # [ns]; the law's times count from it [s]
+    origin: int  # [ns]; the law's times are relative to it [s]
     law: Law
     edges: Floats
 
     def at(self, *times: float) -> tuple[Floats, Floats]:
-        """Angles and rates at times [ns], (m, n) each."""
+        """Return angles and rates at times [ns], (m, n) each."""
         return self.law((np.array(times) - self.origin) * 1e-9)
 
     def path(self, begin: int, end: int) -> Path:
-        """The path between two moments [ns], for quadrature."""
+        """Return the path between two times [ns], for quadrature."""
         marks = [(begin - self.origin) * 1e-9, (end - self.origin) * 1e-9]
         return path(self.law, self.edges, marks)
 
 
 def joint_motion(joints: Sequence[Joint], begin: int, before: int) -> JointMotion:
-    """The motion from `begin` [ns] on, and for so much [ns] before it."""
+    """Return the motion from the time `begin` [ns] minus `before` [ns] to the last readings."""
     parts = [slice(joint.last(begin - before), None) for joint in joints]
     law, edges = sampled(
         [(np.array(j.t[k]) - begin) * 1e-9 for j, k in zip(joints, parts, strict=True)],

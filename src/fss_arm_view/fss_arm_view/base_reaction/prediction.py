@@ -1,4 +1,4 @@
-"""From a drift of the base to its later pose, by the joints' motion alone, and how well known."""
+"""Prediction of the base's pose from its drift and the joints' motion, with its deviation."""
 
 from typing import NamedTuple
 
@@ -17,28 +17,31 @@ Floats = npt.NDArray[np.float64]
 
 
 class Anchor(NamedTuple):
-    """Where a prediction begins."""
+    """Initial state of a prediction."""
 
     t: int  # [ns]
     pose: Floats  # (3,) x, y [m], heading [rad]
     momentum: Floats  # (3,) [N s, N s, N m s], angular about the system's centre of mass
-    covariance: Floats  # (6, 6) of both
+    covariance: Floats  # (6, 6) covariance of pose and momentum
     by_parameter: Floats  # (3, 8 + 6 n) derivatives of the momentum
 
 
 def fit_drift(
     p: Floats, t: int, times: Floats, poses: Floats, q: Floats, errors: SensorErrors, tilt: Floats
 ) -> Anchor:
-    """The system's centre of mass on a straight line, turning evenly, while the arm rests.
+    """Fit the drift of the base while the arm rests; return the initial state of a prediction.
+
+    Apart from the acceleration by the tilt, the system's centre of mass moves on a straight line
+    and the heading changes at a constant rate.
 
     Args:
         p: (8 + 6 n,) Arm.vector().
-        t: where the prediction is to begin [ns].
-        times: (m,) of the poses, counted from t [s]; m >= 3.
-        poses: (m, 3) of the base.
-        q: (n,) of the resting joints [rad].
+        t: start of the prediction [ns].
+        times: (m,) times of the poses relative to t [s]; m >= 3.
+        poses: (m, 3) poses of the base.
+        q: (n,) angles of the resting joints [rad].
         errors: standard deviations of the poses.
-        tilt: (2,) slope of the table [rad], along which all falls.
+        tilt: (2,) slope of the table [rad], along which the system accelerates.
     """
     states = np.column_stack([poses, np.tile(q, (len(poses), 1))])
     com = system_com(p, states) - 0.5 * times[:, None] ** 2 * (GRAVITY * tilt)
@@ -48,11 +51,11 @@ def fit_drift(
     lever = complex(*(com[-1] - poses[-1, :2])) * complex(np.cos(turn), np.sin(turn))
     pose = line - [lever.real, lever.imag, 0.0]
     state = np.concatenate([pose, q])
-    # Filtered poses are smoother than those the filter is fed; these give the deviations.
+    # Filtered poses are smoother than the filter's input; the input's errors give the deviations.
     of_pose = np.diag([errors.position_error, errors.position_error, errors.heading_error]) ** 2
     to_com = np.array([[1.0, 0.0, -lever.imag], [0.0, 1.0, lever.real], [0.0, 0.0, 1.0]])
     rates = np.zeros((3, len(state)))
-    rates[:, :3] = np.linalg.inv(to_com).T  # of the base, for each rate of the centre of mass
+    rates[:, :3] = np.linalg.inv(to_com).T  # base rates for unit rates of the centre of mass
     by_rate = momentum(p, state, rates).T
     J = np.block([[np.eye(3), np.zeros((3, 3))], [np.zeros((3, 3)), by_rate @ to_com]])
     rate = np.concatenate([np.linalg.solve(to_com, slope), np.zeros(len(q))])
@@ -66,18 +69,21 @@ def fit_drift(
 
 
 def _by_parameter(p: Floats, q: Floats, qd: Floats) -> Floats:
-    """Derivatives of the momentum by the parameters, (3, 8 + 6 n); at most cubic in them."""
+    """Return the derivatives of the momentum by the parameters, (3, 8 + 6 n).
+
+    The momentum is at most cubic in the parameters.
+    """
     step = 1e-4 * np.eye(len(p))
     up, down = (momentum(p + side * step, q, qd) for side in (1.0, -1.0))
     return ((up - down) / 2e-4).T
 
 
 class Prediction:
-    """The base's pose from an anchor on, and its derivatives.
+    """Prediction of the base's pose from an anchor on, with its derivatives.
 
     Args:
         p: (8 + 6 n,) Arm.vector().
-        anchor: where it begins.
+        anchor: initial state.
         tilt: (2,) slope of the table [rad].
     """
 
@@ -86,18 +92,18 @@ class Prediction:
         self.weight = inertia_matrix(p, np.zeros(3 + (len(p) - 8) // 6))[0, 0] * GRAVITY  # [N]
         self.tilt = tilt
         self.state = np.concatenate([anchor.pose, anchor.momentum, GRAVITY * tilt])
-        # By the parameters, by the anchor's two parts, and by the tilt.
+        # Derivatives of the pose by the parameters, by the anchor's pose and momentum, by the tilt.
         self.by_parameter = np.zeros((3, len(p)))
         self.by_pose, self.by_momentum = np.eye(3), np.zeros((3, 3))
         self.by_tilt = np.zeros((3, 2))
 
     @property
     def pose(self) -> Floats:
-        """The pose at t, (3,)."""
+        """Pose at t, (3,)."""
         return self.state[:3].copy()
 
     def advance(self, t: int, motion: JointMotion) -> None:
-        """Go on until t [ns], if that is later."""
+        """Advance the prediction to t [ns], if that is later."""
         if t <= self.t:
             return
         poses, J = base_pose_sensitivities(self.p, motion.path(self.t, t), self.state)
@@ -113,10 +119,10 @@ class Prediction:
         self.t = t
 
     def deviation(self, covariance: Floats, tilt_deviation: float) -> Floats:
-        """Standard deviations of the pose, (3,).
+        """Return the standard deviations of the pose, (3,).
 
         Args:
-            covariance: (8 + 6 n, 8 + 6 n) of Arm.vector().
+            covariance: (8 + 6 n, 8 + 6 n) covariance of Arm.vector().
             tilt_deviation: standard deviation of the tilt along each axis [rad].
         """
         by_anchor = np.hstack([self.by_pose, self.by_momentum])

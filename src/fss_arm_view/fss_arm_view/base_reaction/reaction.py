@@ -1,4 +1,4 @@
-"""A prediction that begins anew with each motion, and what follows from it at a moment."""
+"""Base reaction: a prediction that restarts with each motion, and its results at one time."""
 
 from bisect import bisect_right
 from collections import deque
@@ -19,22 +19,22 @@ from .prediction import Anchor, Prediction, fit_drift
 Floats = npt.NDArray[np.float64]
 
 _SECOND = 1_000_000_000  # [ns]
-_KEPT = 5 * _SECOND  # of the past
-_MAX_GAP = 60 * _SECOND  # without a moment of which all is known: a prediction ends
+_KEPT = 5 * _SECOND  # time for which measured base states are kept
+_MAX_GAP = 60 * _SECOND  # longer gaps without complete data end a prediction
 
 
 @dataclass(frozen=True)
 class Reaction:
-    """One moment; vectors are x, y, heading or along x, y and about z. NaN: not known."""
+    """Base reaction at one time; vectors are x, y, heading or along x, y, about z. NaN: unknown."""
 
     t: int  # [ns]
-    anchor: int  # when the prediction began [ns]
+    anchor: int  # start of the prediction [ns]
     predicted: Floats  # pose of the base (3,)
     predicted_deviation: Floats
     measured: Floats
     measured_deviation: Floats
     twist: Floats  # measured
-    momentum: Floats  # of the whole, angular about its centre of mass (3,) [N s, N s, N m s]
+    momentum: Floats  # of the system, angular about its centre of mass (3,) [N s, N s, N m s]
     momentum_deviation: Floats
     momentum_drift: Floats  # (3,) [N, N, N m]
     kinetic_energy: float  # [J]
@@ -42,15 +42,17 @@ class Reaction:
     torque: float  # of the base on link 1 about the first joint [N m]
     torque_measured: float  # link 1's sensor [N m]
     q: Floats  # (n,) joint readings [rad]
-    com: Floats  # (2,) centre of mass of the whole [m]
+    com: Floats  # (2,) centre of mass of the system [m]
 
 
 class BaseReaction:
-    """Follows the joints and the base, and gives a Reaction whenever all of them are known.
+    """Estimator of the base reaction from the motion of joints and base.
+
+    It returns a Reaction for times at which both are known.
 
     Args:
-        arm: the description that predictions rest on.
-        covariance: (8 + 6 n, 8 + 6 n) of Arm.vector(); None: known exactly.
+        arm: description used by predictions.
+        covariance: (8 + 6 n, 8 + 6 n) covariance of Arm.vector(); None: known exactly.
         settings: thresholds.
     """
 
@@ -69,7 +71,7 @@ class BaseReaction:
         self.describe(arm, covariance)
 
     def describe(self, arm: Arm, covariance: Floats | None = None) -> None:
-        """Predict with another description from the next rest on."""
+        """Use another description for predictions, from the next rest on."""
         self.p = arm.vector()
         size = len(self.p)
         self.covariance = np.zeros((size, size)) if covariance is None else covariance
@@ -77,35 +79,38 @@ class BaseReaction:
         self.momenta.clear()
 
     def joint(self, i: int, t: int, q: float, qd: float, effort: float) -> bool:
-        """Take a reading of joint i (0 to n - 1) at t [ns]; False if it is not newer."""
+        """Add a reading of joint i (0 to n - 1) at t [ns]; return False if it is not newer."""
         if t - self.t > _MAX_GAP:
             self.prediction, self.candidate, self.resting_since = None, None, -1
             self.joints[i].forget(t - _KEPT)
         return self.joints[i].add(t, q, qd, effort)
 
     def base(self, state: BodyState) -> None:
-        """Take the base's measured motion."""
+        """Add a measured state of the base."""
         self.past.append(state)
         while self.past[0].t < state.t - _KEPT:
             self.past.popleft()
 
     def moving(self) -> bool:
-        """Whether a joint moves, by its newest reading."""
+        """Return True if a joint moves, according to the newest readings."""
         return any(j.qd and abs(j.qd[-1]) > self.settings.motion_threshold for j in self.joints)
 
     def known_until(self) -> int:
-        """The last moment of which all is known [ns]; -1: none."""
+        """Return the last time at which joints and base are known [ns]; -1: none."""
         if not self.past or not all(joint.t for joint in self.joints):
             return -1
         return min(min(joint.t[-1] for joint in self.joints) - self.half, self.past[-1].t)
 
     def advance(self, t: int) -> Reaction | None:
-        """The reaction at t [ns], later than before and not after known_until()."""
+        """Return the reaction at t [ns], which must increase and not exceed known_until().
+
+        None: t is not later, the base is unknown at t, or there is no prediction yet.
+        """
         if t <= self.t:
             return None
         self.t = t
         measured = self._measured(t)
-        if measured is None:  # the base was not seen then
+        if measured is None:  # no pose of the base at that time
             return None
         rests = not any(joint.moves(t, self.settings.motion_threshold) for joint in self.joints)
         if rests:
@@ -124,7 +129,7 @@ class BaseReaction:
         return self._reaction(measured, motion, self.prediction)
 
     def _measured(self, t: int) -> BodyState | None:
-        """The motion at t, between the states around it."""
+        """Return the base state at t, interpolated between neighbours; None: none before t."""
         k = bisect_right(self.past, t, key=lambda e: e.t) - 1
         if k < 0:
             return None
@@ -134,7 +139,7 @@ class BaseReaction:
         return before._replace(t=t, pose=pose, twist=(1.0 - w) * before.twist + w * after.twist)
 
     def _drift(self, t: int) -> Anchor | None:
-        """The base's drift since the arm rests; None: not long enough."""
+        """Return the fit of the base's drift since the arm rests; None: the drift is too short."""
         s = self.settings
         begin = max(self.resting_since, t - int(s.max_drift_duration * _SECOND))
         drift = [state for state in self.past if begin <= state.t <= t]
@@ -153,7 +158,7 @@ class BaseReaction:
         rate = np.concatenate([measured.twist, qd[1]])
         P = momentum(p, state, rate)
         by_rate = np.column_stack([momentum(p, state, row) for row in np.eye(3 + n)[:3]])
-        # Without external force the base's acceleration follows from the joints'.
+        # Without external force the base's acceleration follows from the joint accelerations.
         H, h = inertia_matrix(p, state), bias(p, state, rate)
         qdd = (qd[2] - qd[0]) / (2.0 * s.half_difference)
         base = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ qdd + h[:3])
@@ -179,7 +184,7 @@ class BaseReaction:
         )
 
     def _slope(self, now: float, P: Floats) -> Floats:
-        """The slope of the momentum within the window, this one included; NaN: too few."""
+        """Add the momentum P; return its slope within the window. NaN: fewer than 3 values."""
         self.momenta.append((now, P))
         while self.momenta[0][0] < now - self.settings.drift_window:
             self.momenta.popleft()
@@ -191,7 +196,7 @@ class BaseReaction:
 
 
 def _force(p: Floats, state: Floats, rate: Floats, acceleration: Floats) -> Floats:
-    """On the base's centre of mass acts what link 1 answers: minus the force on the link."""
+    """Return the base's force on link 1: minus mass times acceleration of its centre of mass."""
     mass, com = p[0], complex(p[2], p[3])
     turn = complex(np.cos(state[2]), np.sin(state[2]))
     a = complex(*acceleration[:2]) + complex(-(rate[2] ** 2), acceleration[2]) * com * turn

@@ -1,1 +1,1 @@
-"""How well the tip can be moved: measure, best postures, maps."""
+"""Manipulability of the tip: measure, best postures, maps."""

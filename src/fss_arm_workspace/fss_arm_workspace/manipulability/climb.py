@@ -1,8 +1,8 @@
-"""The posture in which the arm moves its tip best while it is at a given point.
+"""Posture of largest manipulability with the tip at a given point.
 
-Arguments everywhere: p (..., 8 + 6 n) is Arm.vector(), q_m (..., n) the joint readings [rad],
-limits (..., n, 2) the lowest and highest of them, kind (2,) what is measured. Leading dimensions
-broadcast. The kernels' notation is self_motion.py's.
+Arguments of all functions: p (..., 8 + 6 n) is Arm.vector(), q_m (..., n) the joint readings [rad],
+limits (..., n, 2) the lowest and highest readings, kind (2,) the kind of measure (measure.py).
+Leading dimensions broadcast. The kernels use the notation of self_motion.py.
 """
 
 import math
@@ -21,14 +21,14 @@ from fss_arm_workspace.manipulability.self_motion import (
     _turned,
 )
 
-_AT_LIMIT = 1e-7  # distance from a limit that counts as none [rad]
-_SHORT = 1e-3  # step after which Newton's method leaves next to nothing [rad]
-_FLAT = 1e-8  # slope of w^2 that counts as none [m^4/rad]
+_AT_LIMIT = 1e-7  # distance below which a joint is at its limit [rad]
+_SHORT = 1e-3  # length of a step after which Newton's method has converged [rad]
+_FLAT = 1e-8  # slope of w^2 below which it counts as zero [m^4/rad]
 
 
 @helper
 def _gradient(p, d, e, kind, d2, e2, J, x, g):  # type: ignore[no-untyped-def]
-    """Write the derivative of w^2 by the joints, g (n,), by central differences."""
+    """Write the derivative of w^2 by the joint angles, g (n,), from central differences."""
     step = 1e-5
     x[:] = 0.0
     for k in range(g.size):
@@ -44,7 +44,7 @@ def _gradient(p, d, e, kind, d2, e2, J, x, g):  # type: ignore[no-untyped-def]
 def _let_go(limits: Floats, q: Floats, J: Floats, g: Floats, free: Floats) -> None:
     """Write which joints are free (n,): those within their limits, and those that gain by leaving.
 
-    With the multipliers y of the free joints, J^T y = g, joint k gains g_k - J_k . y a radian.
+    With the multipliers y of the free joints, J^T y = g, joint k gains g_k - J_k . y per radian.
     """
     for k in range(free.size):
         room = min(q[3 + k] - limits[k, 0], limits[k, 1] - q[3 + k])
@@ -73,7 +73,7 @@ def _curvature(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Write the second derivatives of w^2 along the self-motions Z, H (count, count).
 
-    Central differences of w^2 at points that are brought back to where the tip is.
+    They are central differences of w^2, after the tip has been moved back to its position.
     """
     step = 1e-3
     tip = 0j
@@ -103,7 +103,7 @@ def _curvature(  # type: ignore[no-untyped-def]
 
 @helper
 def _uphill(H: Floats, b: Floats, count: int, L: Floats, u: Floats) -> None:
-    """Write u = (mu I - H)^-1 b with the least mu >= 0 tried for which that leads uphill."""
+    """Write u = (mu I - H)^-1 b with the least tried mu >= 0 for which u leads uphill."""
     mu, good = 0.0, False
     while not good:
         good = True
@@ -152,7 +152,7 @@ def _climbed(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-u
         _held(d, J)
         _let_go(limits, q, J, g, free)
         steepest, longest, outward = 0.0, 0.0, 0
-        while outward >= 0:  # a step out of a limit holds that joint after all
+        while outward >= 0:  # a joint that the step would move beyond its limit is held
             count = _self_motions(J, free, Z)
             steepest = 0.0
             for i in range(count):
@@ -179,9 +179,9 @@ def _climbed(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-u
         if steepest <= _FLAT:
             break
         share = min(1.0, _MAX_STEP / longest)
-        done = True  # unless a step gains more than the next one would
+        done = True  # unless a step gains, and is too long for convergence
         for attempt in range(12):
-            if attempt == 1:  # no farther than to the first limit
+            if attempt == 1:  # shorten the step to the first limit
                 for k in range(n):
                     room = limits[k, 1] - q[3 + k] if x[k] > 0.0 else q[3 + k] - limits[k, 0]
                     if share * abs(x[k]) > room:
@@ -214,19 +214,19 @@ def climb(
     kind: npt.ArrayLike = FIXED,
     steps: int = 100,
 ) -> tuple[Floats, Floats]:
-    """From posture q_m, a local maximum of w with the tip at a point (..., 2) of the base's frame.
+    """Find a local maximum of w from posture q_m, with the tip at a point of the base's frame.
 
-    The tip is brought to the point by least motion; then w grows by Newton's method along the
-    self-motions of the joints that no limit holds, gradient and curvature of w^2 being central
-    differences.
+    First the tip is moved to the point by the least joint motion. Then Newton's method increases w
+    along the self-motions of the joints that are not held by a limit. Gradient and curvature of
+    w^2 are central differences.
 
     Args:
         p: parameters of the arm.
-        q_m: where to begin.
-        point: x, y [m].
-        limits: within which all of it happens.
-        kind: what is measured.
-        steps: of Newton's method, at most; with 0, the tip is brought to the point, and no more.
+        q_m: initial posture.
+        point: x, y (..., 2) [m].
+        limits: joint limits, which all postures respect.
+        kind: kind of measure.
+        steps: maximum number of Newton steps; with 0, the tip is only moved to the point.
 
     Returns:
         The posture (..., n) and its w (...); NaN where the point cannot be reached from q_m.

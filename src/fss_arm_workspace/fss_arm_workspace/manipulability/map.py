@@ -1,4 +1,4 @@
-"""Maps of the best posture's manipulability."""
+"""Maps of the largest manipulability over all postures."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from fss_arm_workspace.regions.grid import Grid
 
 @dataclass(frozen=True)
 class Map:
-    """The largest manipulability in each cell of a grid; NaN in cells that cannot be reached."""
+    """Largest manipulability in each cell of a grid; NaN in cells that cannot be reached."""
 
-    kind: Floats  # (2,) what is measured
+    kind: Floats  # (2,) kind of measure, see measure.py
     grid: Grid
-    region: Region  # the fixed vehicle workspace
+    region: Region  # fixed vehicle workspace
     w: Floats  # (height, width)
-    q: Floats  # (height, width, n) the postures that have it [rad]
+    q: Floats  # (height, width, n) postures with the largest w [rad]
 
 
 def manipulability_map(
@@ -34,15 +34,15 @@ def manipulability_map(
     workers: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Map:
-    """The map of the largest manipulability over the fixed vehicle workspace (Fig. 6).
+    """Compute the map of the largest manipulability over the fixed vehicle workspace (Fig. 6).
 
     Args:
         arm: the arm.
-        kind: what is measured.
+        kind: kind of measure, see measure.py.
         limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
         cell: size of a cell [m].
         workers: threads to use.
-        progress: called with the share that is done, now and then; what it raises ends the work.
+        progress: called regularly with the share that is done; its exceptions stop the work.
 
     Raises:
         ValueError: limits have the wrong shape or order, the arm has a single link, or no cell's

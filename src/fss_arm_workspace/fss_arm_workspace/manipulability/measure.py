@@ -1,11 +1,11 @@
-"""How well the tip can be moved: measure and ellipsoid.
+"""Manipulability measure and ellipsoid of the tip.
 
     w = sqrt(det(J J^T)) = product of J's singular values             (Yoshikawa 1985)
 
 J (r, n) are the first r rows of the tip's Jacobian: 2 for its position, 3 for its pose. On a fixed
-base that is J_m, on a floating one without momentum the generalized Jacobian J* (Umetani and
-Yoshida 1989). w does not depend on the base's own pose. What is measured is a `kind`, (2,): whether
-the base floats (1 or 0), and r.
+base the Jacobian is J_m, on a floating base without momentum the generalized Jacobian J* (Umetani
+and Yoshida 1989). w does not depend on the base's pose. The kind of measure is an array `kind`,
+(2,): 1 if the base floats, else 0; and r.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ FIXED_POSE, FLOATING_POSE = np.array([0.0, 3.0]), np.array([1.0, 3.0])
 
 @helper
 def _held(d: Complexes, J: Floats) -> complex:
-    """Write J_m (3, n); return the tip's position from the base's."""
+    """Write J_m (3, n); return the tip's position relative to the base."""
     arm = 0j
     for k in range(d.size - 1, 0, -1):
         arm += d[k]
@@ -34,7 +34,7 @@ def _held(d: Complexes, J: Floats) -> complex:
 
 @helper
 def _square(p: Floats, d: Complexes, e: Complexes, kind: Floats, J: Floats) -> float:
-    """w^2 = det(J J^T), J being scratch (3, n)."""
+    """Return w^2 = det(J J^T); J (3, n) is scratch."""
     if kind[0] > 0.0:
         _floating(p, d, e, J)
     else:
@@ -55,7 +55,7 @@ def _square(p: Floats, d: Complexes, e: Complexes, kind: Floats, J: Floats) -> f
 
 
 def jacobian(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
-    """J of the kind, in axes of the base's frame, (..., r, n).
+    """Return J of the kind, in axes of the base's frame, (..., r, n).
 
     Raises:
         ValueError: shapes do not fit.
@@ -69,7 +69,7 @@ def jacobian(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Float
 
 
 def measure(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
-    """Manipulability w of postures (..., n), (...) [m^2 for the position, m^2 rad for the pose].
+    """Return the manipulability w of postures (..., n), (...) [position: m^2, pose: m^2 rad].
 
     Raises:
         ValueError: shapes do not fit.
@@ -79,13 +79,19 @@ def measure(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats
 
 
 class Ellipsoid(NamedTuple):
-    """Twists that joint rates of norm 1 produce: axes[k] radii[k], r of them, longest first."""
+    """Ellipsoid of the twists for joint rates of norm 1: r semi-axes axes[k] radii[k].
+
+    The longest comes first.
+    """
 
     radii: Floats  # (..., r) singular values of J [m, or of mixed units for the pose]
     axes: Floats  # (..., r, r) unit vectors, one a row
 
 
 def ellipsoid(J: npt.ArrayLike) -> Ellipsoid:
-    """The manipulability ellipsoid of J (..., r, n): v^T (J J^T)^-1 v <= 1 (Yoshikawa 1985)."""
+    """Return the manipulability ellipsoid of J (..., r, n): v^T (J J^T)^-1 v <= 1.
+
+    Source: Yoshikawa (1985).
+    """
     U, radii, _ = np.linalg.svd(np.asarray(J, dtype=float), full_matrices=False)
     return Ellipsoid(radii, np.swapaxes(U, -1, -2))

@@ -1,4 +1,4 @@
-"""The posture of largest manipulability at any point."""
+"""Search for the posture of largest manipulability at any point."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -17,19 +17,19 @@ from fss_arm_workspace.regions.grid import Grid
 
 
 class Best(NamedTuple):
-    """The largest manipulability at points, and how to get it; NaN where they cannot be reached."""
+    """Largest manipulability at points, and its postures; NaN at points that cannot be reached."""
 
     w: Floats  # (m,)
     q: Floats  # (m, n) joint readings [rad]
 
 
 class Search:
-    """Finds the posture of largest w at any point, over all postures that reach it.
+    """Search for the posture of largest w at any point, over all postures that reach the point.
 
     Random postures are the first guesses at a coarse grid of points; each climbs to a local
-    maximum. Then each point tries its neighbours' postures, until none gains: whatever branch is
-    the best somewhere and was found at one point only spreads as far as it is the best. Any other
-    point begins from the coarse points next to it.
+    maximum. Then each point tries its neighbours' postures, until no point gains. So a branch that
+    was found at one point only spreads to all points where it is the best. Any other point starts
+    from the coarse points next to it.
     """
 
     def __init__(
@@ -46,11 +46,11 @@ class Search:
 
         Args:
             arm: the arm.
-            kind: what is measured.
+            kind: kind of measure, see measure.py.
             limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
-            spacing: of the coarse grid [m].
+            spacing: spacing of the coarse grid [m].
             workers: threads to use.
-            seed: of the random postures.
+            seed: seed of the random postures.
 
         Raises:
             ValueError: limits have the wrong shape or order, or the arm has a single link.
@@ -70,11 +70,11 @@ class Search:
         self.coarse = self._exchange(points, first)
 
     def at(self, points: npt.ArrayLike) -> Best:
-        """The best postures at points (m, 2) of the base's frame [m]."""
+        """Return the best postures at points (m, 2) of the base's frame [m]."""
         points = np.asarray(points, dtype=float)
         seeds = [*self.coarse.q[_nearest(self.tree, points, 4)].swapaxes(0, 1)]
         if self.arm.n <= 3 or self.kind[1] == 3.0:
-            # Where a branch can be so small that the grid misses it: try what reaches close by.
+            # A branch can be too small for the grid: also try random postures that reach nearby.
             seeds += [*self.random[_nearest(self.random_tree, points, 8)].swapaxes(0, 1)]
         best = _nothing(len(points), self.p)
         guesses = [self._climb(seed, points, steps=0) for seed in seeds]
@@ -82,13 +82,13 @@ class Search:
         rows = np.arange(len(points))
         for rank in order:
             guess = Best(*(np.stack(part)[rank, rows] for part in zip(*guesses, strict=True)))
-            # A guess may lie this far below the maximum that it leads to.
+            # A guess may have half the w of the maximum to which it leads.
             hopeful = ~(guess.w < 0.5 * best.w) & _differ(guess.q, best.q)
             best = self._improved(best, guess.q, points, hopeful)
         return best
 
     def _first(self, points: Floats, edge: Floats, rng: np.random.Generator) -> Best:
-        """Each point from its nearest random postures; those of the edge from their own, too."""
+        """Climb at each point from its nearest random postures; at the edge also from its own."""
         from scipy.spatial import cKDTree
 
         count = 40 * len(points)
@@ -107,7 +107,7 @@ class Search:
         return self._improved(best, own, points, at_edge)
 
     def _exchange(self, points: Floats, best: Best) -> Best:
-        """Let each point try its neighbours' postures until none gains."""
+        """Let each point try its neighbours' postures until no point gains."""
         near = _nearest(self.tree, points, 9)[:, 1:]
         changed = np.ones(len(points), dtype=bool)
         while changed.any():
@@ -123,7 +123,7 @@ class Search:
     def _improved(
         self, best: Best, guess: Floats, points: Floats, where: npt.NDArray[np.bool_]
     ) -> Best:
-        """The better of what is known and what climbing from a guess finds, where asked."""
+        """Return the better of `best` and the climb from a guess, for points with `where` True."""
         index = np.flatnonzero(where & np.isfinite(guess).all(axis=1))
         new = self._climb(guess[index], points[index])
         gains = ~(new.w <= best.w[index]) & np.isfinite(new.w)
@@ -140,14 +140,17 @@ class Search:
 
 
 def _nearest(tree: Any, points: Floats, count: int) -> npt.NDArray[np.intp]:
-    """Indices of the points of a tree next to each of some, (m, count), or all if it has fewer."""
+    """Return indices of the tree points nearest to each point, (m, count).
+
+    If the tree has fewer points than `count`, all are returned.
+    """
     return np.asarray(tree.query(points, k=np.arange(1, min(count, tree.n) + 1))[1])
 
 
 def _in_parts(
     work: Callable[[npt.NDArray[np.intp]], tuple[Floats, Floats]], count: int, workers: int
 ) -> tuple[Floats, Floats]:
-    """What `work` makes of the indices 0 .. count - 1, by several threads."""
+    """Apply `work` to the indices 0 .. count - 1 in several threads, and join its results."""
     index = np.arange(count)
     if workers == 1:
         return work(index)
@@ -163,10 +166,10 @@ def _nothing(count: int, p: Floats) -> Best:
 
 
 def _differ(q: Floats, other: Floats) -> npt.NDArray[np.bool_]:
-    """Which postures (m, n) are not neighbours of the others, on the same branch."""
+    """Return True for postures (m, n) that are not close to the others, on the same branch."""
     return ~(np.abs(q - other).max(axis=1) < 0.1)
 
 
 def pairs(points: Complexes) -> Floats:
-    """Complex points (m,) as x, y, (m, 2)."""
+    """Convert complex points (m,) to x, y, (m, 2)."""
     return np.stack([points.real, points.imag], axis=-1)

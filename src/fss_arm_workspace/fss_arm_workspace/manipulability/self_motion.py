@@ -1,8 +1,8 @@
-"""Joint motions that bring the tip to a point, and those that leave it there.
+"""Joint motions that move the tip to a point, and self-motions that leave it there.
 
-In-kernel functions: q (3 + n,) is a state whose base lies at the origin; d and e (n + 1,) are its
-bodies' vectors as in kinematics.py. Beside a state, at joints moved by small angles x (n,), these
-are only turned, and no trigonometric function is needed.
+Functions within kernels: q (3 + n,) is a state with the base at the origin; d and e (n + 1,) are
+its bodies' vectors as in kinematics.py. If joints move by small angles x (n,), these vectors are
+only turned, and no trigonometric function is needed.
 """
 
 import math
@@ -11,13 +11,13 @@ from fss_arm_model.kernels import Complexes, Floats, helper
 from fss_arm_model.kinematics import _chain, _dot
 from fss_arm_workspace.manipulability.measure import _held
 
-_CLOSED = 1e-12  # distance from the target that counts as none [m]
-_MAX_STEP = 0.3  # step of a joint [rad]
+_CLOSED = 1e-12  # distance below which the tip is at the target [m]
+_MAX_STEP = 0.3  # maximum step of a joint [rad]
 
 
 @helper
 def _fit(J: Floats, free: Floats, x: float, y: float) -> complex:
-    """(J J^T)^-1 (x, y), J being two rows of the free joints; zero if they lack a direction."""
+    """Return (J J^T)^-1 (x, y) for J's first two rows and the free joints; 0 if it is singular."""
     xx = xy = yy = 0.0
     for k in range(free.size):
         xx += free[k] * J[0, k] * J[0, k]
@@ -31,9 +31,10 @@ def _fit(J: Floats, free: Floats, x: float, y: float) -> complex:
 
 @helper
 def _close(p, limits, target, q, d, e, J, free, may):  # type: ignore[no-untyped-def]
-    """Bring the tip to the target by least motion within the limits, d and e too; False if in vain.
+    """Move the tip to the target by least motion within the limits; return False on failure.
 
-    Only joints with 1 in `may` (n,) move; J (3, n) and free (n,) are scratch.
+    q, d and e are updated. Only joints with 1 in `may` (n,) move; J (3, n) and free (n,) are
+    scratch.
     """
     for _ in range(30):
         _chain(p, q, d, e)
@@ -42,7 +43,7 @@ def _close(p, limits, target, q, d, e, J, free, may):  # type: ignore[no-untyped
             return True
         free[:] = may
         longest, stopped = 0.0, True
-        while stopped:  # joints that would leave their limits stay
+        while stopped:  # joints that would leave their limits are held
             y = _fit(J, free, error.real, error.imag)
             if y == 0j:
                 return False
@@ -64,7 +65,7 @@ def _close(p, limits, target, q, d, e, J, free, may):  # type: ignore[no-untyped
 def _turned(
     d: Complexes, e: Complexes, x: Floats, sign: float, d2: Complexes, e2: Complexes
 ) -> None:
-    """Write d2 and e2: d and e with the joints moved by the small angles sign x (n,)."""
+    """Write d2 and e2: d and e after the joints have moved by the small angles sign x (n,)."""
     d2[0], e2[0] = d[0], e[0]
     angle = 0.0
     for k in range(x.size):
@@ -76,7 +77,7 @@ def _turned(
 
 @helper
 def _rid(Z: Floats, count: int) -> float:
-    """Make row `count` of Z orthogonal to those before and of length 1; return what it was."""
+    """Orthonormalize row `count` of Z to those before; return its length before normalization."""
     for _ in range(2):
         for i in range(count):
             share = 0.0
@@ -98,7 +99,8 @@ def _rid(Z: Floats, count: int) -> float:
 def _self_motions(J: Floats, free: Floats, Z: Floats) -> int:
     """Write an orthonormal basis of the free joints' self-motions as rows of Z; return their count.
 
-    Gram and Schmidt: the Jacobian's two rows, then of the unit vectors the one with most left.
+    Gram-Schmidt method: first the Jacobian's two rows, then repeatedly the unit vector with the
+    largest remainder.
     """
     total = count = 0
     for k in range(free.size):

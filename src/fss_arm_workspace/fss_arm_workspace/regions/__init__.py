@@ -1,1 +1,1 @@
-"""Regions of the plane that a tip reaches, bounded by circular arcs."""
+"""Regions of the plane that the tip reaches, bounded by circular arcs."""

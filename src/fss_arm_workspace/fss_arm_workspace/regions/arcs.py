@@ -1,8 +1,8 @@
 """Circular arcs in the plane, and regions bounded by them.
 
-While one joint turns and the others rest, the tip runs along an arc about that joint. So each arc
-here also knows the posture at its first point and the joint that turns. Points are complex
-numbers, x + i y [m].
+While one joint turns and the others rest, the tip moves along an arc about that joint. So each arc
+also stores the posture at its first point and the joint that turns. Points are complex numbers,
+x + i y [m].
 """
 
 from collections.abc import Callable
@@ -18,16 +18,16 @@ Inside = Callable[[Complexes], npt.NDArray[np.bool_]]
 
 CLOSE = 1e-9  # two points, circles or arcs closer than this are the same [m]
 _ANGLE = 1e-11  # an angle this far outside an arc still counts as on it [rad]
-_TOUCH = 1e-13  # square of half a chord that counts as a point, over 1 m^2 and the radii's squares
-# Between consecutive arcs of a loop [m]. Where two run side by side closer than CLOSE, their pieces
-# may go amiss, which takes sqrt(2 r CLOSE) or so; a wider gap is no rounding error.
+_TOUCH = 1e-13  # (half chord)^2 / (1 m^2 + r_1^2 + r_2^2) below which two circles touch
+# Maximum gap between consecutive arcs of a loop [m]. Where two arcs run side by side closer than
+# CLOSE, pieces of about sqrt(2 r CLOSE) may be missing; a wider gap is not a rounding error.
 _GAP = 1e-3
-_CHUNK = 2**20  # numbers in a temporary array
+_CHUNK = 2**20  # maximum size of a temporary array
 
 
 @dataclass(frozen=True)
 class Arcs:
-    """k directed arcs: center + radius exp(i (start + t sweep)), t from 0 to 1."""
+    """Set of k directed arcs: center + radius exp(i (start + t sweep)), t from 0 to 1."""
 
     center: Complexes  # (k,) [m]
     radius: Floats  # (k,) [m]
@@ -43,51 +43,52 @@ class Arcs:
         return Arcs(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def at(self, t: npt.ArrayLike) -> Complexes:
-        """The point at t (k,) of each arc, (k,)."""
+        """Return the point at t (k,) of each arc, (k,)."""
         angle = self.start + np.asarray(t) * self.sweep
         return self.center + self.radius * np.exp(1j * angle)
 
     def posture(self, t: npt.ArrayLike) -> Floats:
-        """The joint readings at t (k,) of each arc, (k, n) [rad]."""
+        """Return the joint readings at t (k,) of each arc, (k, n) [rad]."""
         q = self.q.copy()
         q[np.arange(len(q)), self.joint] += np.asarray(t) * self.sweep
         return q
 
     def part(self, begin: npt.ArrayLike, end: npt.ArrayLike) -> "Arcs":
-        """Each arc from t = begin (k,) to t = end (k,); backwards if end is the smaller."""
+        """Return each arc from t = begin (k,) to t = end (k,), reversed where end < begin."""
         begin, end = np.asarray(begin, dtype=float), np.asarray(end, dtype=float)
         start, sweep = self.start + begin * self.sweep, (end - begin) * self.sweep
         return Arcs(self.center, self.radius, start, sweep, self.joint, self.posture(begin))
 
     def moved(self, turn: float = 0.0, by: complex = 0.0) -> "Arcs":
-        """Turned about the origin by `turn` [rad], then shifted."""
+        """Return the arcs turned about the origin by `turn` [rad], then shifted by `by` [m]."""
         center = self.center * np.exp(1j * turn) + by
         return Arcs(center, self.radius, self.start + turn, self.sweep, self.joint, self.q)
 
     def covers(self, angle: Floats) -> npt.NDArray[np.bool_]:
-        """Whether angles (..., k) seen from the arcs' centres lie on the arcs, ends included."""
+        """Return True for angles (..., k), seen from the centres, on the arcs including ends."""
         along = (np.sign(self.sweep) * (angle - self.start)) % (2.0 * pi)
         return (along <= np.abs(self.sweep) + _ANGLE) | (along >= 2.0 * pi - _ANGLE)
 
 
 def joined(parts: list[Arcs]) -> Arcs:
-    """All arcs of the parts as one."""
+    """Concatenate the arcs of all parts."""
     return Arcs(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Arcs)))
 
 
 def crossings(
     c: Complexes, r: Floats, center: Complexes, radius: Floats
 ) -> tuple[Complexes, Complexes]:
-    """Where circles (c, r) meet circles (center, radius), which broadcast; NaN where they do not.
+    """Return the intersections of circles (c, r) with circles (center, radius), or NaN.
 
-    Circles that touch, up to rounding, have one point, given twice; concentric ones none.
+    The arguments broadcast. Circles that touch, up to rounding, have one point, returned twice;
+    concentric circles have none.
     """
     between = np.asarray(center - c)
     d = np.abs(between)
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (d + (r - radius) * (r + radius) / d) / 2.0
         across = (r - along) * (r + along)
-        touch = _TOUCH * (1.0 + r**2 + radius**2)  # as rounding errors grow
+        touch = _TOUCH * (1.0 + r**2 + radius**2)  # proportional to rounding errors
         across = np.sqrt(np.where(np.abs(across) < touch, 0.0, across))
         unit = np.where(d > CLOSE, between / d, np.nan)
         return c + unit * (along + 1j * across), c + unit * (along - 1j * across)
@@ -95,23 +96,23 @@ def crossings(
 
 @dataclass(frozen=True)
 class Region:
-    """A part of the plane, bounded by loops of arcs that have it on their left.
+    """Region of the plane, bounded by loops of arcs that have it on their left.
 
     Outer boundaries run counter-clockwise, holes clockwise. A curve without width is a loop that
     runs along it and back.
     """
 
     arcs: Arcs  # in the order of the loops, none longer than half a circle
-    loop: npt.NDArray[np.intp]  # (k,) number of the loop that an arc belongs to
+    loop: npt.NDArray[np.intp]  # (k,) number of the loop of each arc
 
     @property
     def loops(self) -> list[Arcs]:
-        """The arcs of each loop."""
+        """Arcs of each loop."""
         return [self.arcs[self.loop == number] for number in range(self.loop.max(initial=-1) + 1)]
 
     @property
     def areas(self) -> list[float]:
-        """Area within each loop [m^2], of a hole negative, by Green's theorem on arcs.
+        """Area within each loop [m^2], negative for holes, by Green's theorem on arcs.
 
         A = 1/2 closed integral of x dy - y dx
         """
@@ -119,11 +120,11 @@ class Region:
 
     @property
     def area(self) -> float:
-        """Area [m^2], holes taken off."""
+        """Area [m^2] without the holes."""
         return float(sum(self.areas))
 
     def contains(self, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Which of the complex points (...) lie inside: those that the boundary winds around."""
+        """Return True for complex points (...) inside: those that the boundary winds around."""
         z = np.asarray(points, dtype=complex)
         inside = np.zeros(z.size, dtype=bool)
         size = max(1, _CHUNK // max(1, len(self.arcs)))
@@ -133,18 +134,18 @@ class Region:
         return inside.reshape(z.shape)
 
     def _winding(self, z: Complexes) -> Floats:
-        """The angle by which the boundary turns around each point (m,): 2 pi inside, else 0."""
+        """Return the angle by which the boundary winds around points (m,): 2 pi inside, else 0."""
         arcs = self.arcs
         first, last = arcs.at(0.0) - z[:, None], arcs.at(1.0) - z[:, None]
         turn = np.angle(last * first.conj())
-        # The arc turns as its chord does, unless the point lies between the two.
+        # The arc winds by the angle of its chord, unless the point lies between the two.
         within = np.abs(z[:, None] - arcs.center) < arcs.radius
         other_way = within & (np.sign(turn) != np.sign(arcs.sweep))
         turn += np.where(other_way, 2.0 * pi * np.sign(arcs.sweep), 0.0)
         return np.asarray(turn.sum(axis=1))
 
     def distance(self, points: npt.ArrayLike) -> Floats:
-        """Distance of the complex points (...) from the boundary [m]."""
+        """Return the distance of complex points (...) from the boundary [m]."""
         z = np.asarray(points, dtype=complex)
         arcs, flat = self.arcs, z.ravel()
         found = np.full(z.size, np.inf)
@@ -159,7 +160,7 @@ class Region:
         return found.reshape(z.shape)
 
     def extent(self, point: complex) -> tuple[float, float]:
-        """Least and greatest distance of the region from a point [m]."""
+        """Return the least and greatest distance of the region from a point [m]."""
         arcs = self.arcs
         toward = np.angle(point - arcs.center)
         corners = np.abs(np.concatenate([arcs.at(0.0), arcs.at(1.0)]) - point)
@@ -169,7 +170,7 @@ class Region:
         return float(nearest), float(farthest)
 
     def outlines(self, spacing: float) -> list[tuple[Complexes, Floats]]:
-        """Each loop as points at most `spacing` [m] apart, (m,), and their postures, (m, n)."""
+        """Return each loop as points at most `spacing` [m] apart, (m,), with postures, (m, n)."""
         lines = []
         for loop in self.loops:
             counts = np.ceil(np.abs(loop.sweep) * loop.radius / spacing).astype(int).clip(1)
@@ -183,22 +184,22 @@ class Region:
 def _area(loop: Arcs) -> float:
     first, last = loop.at(0.0), loop.at(1.0)
     chords = (loop.center.conj() * (last - first)).imag + loop.radius**2 * loop.sweep
-    gaps = (last.conj() * np.roll(first, -1)).imag  # next to nothing
+    gaps = (last.conj() * np.roll(first, -1)).imag  # almost zero
     return float((chords.sum() + gaps.sum()) / 2.0)
 
 
 def enclose(candidates: Arcs, inside: Inside) -> Region:
-    """The region whose boundary is among the candidates.
+    """Return the region whose boundary is among the candidates.
 
-    The candidates are cut where they meet. A piece bounds the region if just one of its two sides
-    lies inside.
+    The candidates are cut where they meet. A piece bounds the region if exactly one of its two
+    sides lies inside.
 
     Args:
         candidates: arcs that cover the boundary; they may cross, touch and coincide.
-        inside: says of complex points (m,) which belong to the region.
+        inside: function that returns True for complex points (m,) of the region.
 
     Raises:
-        ValueError: what is found does not close.
+        ValueError: the boundary found does not close.
     """
     whole = candidates[np.abs(candidates.sweep) * candidates.radius > CLOSE]
     pieces = _cut(_apart(_forward(whole)))
@@ -211,13 +212,13 @@ def enclose(candidates: Arcs, inside: Inside) -> Region:
 
 
 def _forward(arcs: Arcs) -> Arcs:
-    """The same arcs, each counter-clockwise."""
+    """Return the same arcs, each counter-clockwise."""
     back = arcs.sweep < 0.0
     return joined([arcs[~back], arcs[back].part(1.0, 0.0)])
 
 
 def _apart(arcs: Arcs) -> Arcs:
-    """Arcs that cover the same points, with none on top of another."""
+    """Return arcs that cover the same points without overlaps."""
     same = (np.abs(arcs.center[:, None] - arcs.center) < CLOSE) & (
         np.abs(arcs.radius[:, None] - arcs.radius) < CLOSE
     )
@@ -245,7 +246,7 @@ def _apart(arcs: Arcs) -> Arcs:
 
 
 def _cut(arcs: Arcs) -> Arcs:
-    """The arcs cut where they meet one another, and into halves where longer than half a circle."""
+    """Cut the arcs where they meet one another, and halve those longer than half a circle."""
     points = crossings(arcs.center[:, None], arcs.radius[:, None], arcs.center, arcs.radius)
     angles = np.stack([np.angle(p - arcs.center[:, None]) for p in points])
     others = np.stack([np.angle(p - arcs.center) for p in points])
@@ -267,7 +268,7 @@ def _cut(arcs: Arcs) -> Arcs:
 
 
 def _linked(arcs: Arcs) -> Region:
-    """The directed arcs as loops, consecutive pieces of one arc made one again.
+    """Link the directed arcs to loops, and merge consecutive pieces of one arc.
 
     Raises:
         ValueError: a loop does not close.
@@ -282,7 +283,7 @@ def _linked(arcs: Arcs) -> Region:
             order.append(k)
             loop.append(number)
             gap = np.where(left, np.abs(first - last[k]), np.inf)
-            gap[begin] = np.abs(first[begin] - last[k]) - CLOSE  # rather close than go on
+            gap[begin] = np.abs(first[begin] - last[k]) - CLOSE  # prefer to close the loop
             k = int(np.argmin(gap))
             if gap[k] > _GAP:
                 raise ValueError(f"the boundary has a gap of {gap[k]:.3g} m, expected none")
@@ -291,7 +292,7 @@ def _linked(arcs: Arcs) -> Region:
 
 
 def _merged(region: Region) -> Region:
-    """Consecutive arcs that continue one another made one, up to half a circle."""
+    """Merge consecutive arcs that continue one another, up to half a circle."""
     arcs, loop = region.arcs, region.loop
     same = (
         (loop[1:] == loop[:-1])

@@ -1,13 +1,15 @@
-"""Where the tip can be while the spacecraft holds its pose: the fixed vehicle workspace (Fig. 6).
+"""Fixed vehicle workspace: points that the tip reaches while the base holds its pose (Fig. 6).
 
-Joint by joint from the tip inwards: the points W_k that links k .. n reach, seen from joint k, are
-those of the outer links, W_{k+1}, put at the end of link k and turned through that joint's range,
+The region is computed joint by joint from the tip inwards. The points W_k that links k .. n reach,
+seen from joint k, are those of the outer links, W_{k+1}, moved to the end of link k and turned
+through the range of joint k,
 
     W_k = union of R(alpha) (a_k + W_{k+1}),   alpha from q_min,k + theta_0k to q_max,k + theta_0k
 
 Its boundary consists of the boundary of W_{k+1} turned to either end of the range, and of arcs
-about joint k through the points of that boundary which are nearest to it, farthest from it, or
-corners. All of these are circular arcs, so W_1 has a boundary of circular arcs too, found exactly.
+about joint k through the corners of that boundary and through its points nearest to and farthest
+from the joint. All of these are circular arcs. So the boundary of W_1 also consists of circular
+arcs, which are found exactly.
 """
 
 from dataclasses import replace
@@ -32,10 +34,10 @@ TURN = 2.0 * pi
 
 
 def joint_limits(arm: Arm, *, of_true_angle: bool = False) -> Floats:
-    """Lowest and highest reading of each joint, (n, 2) [rad].
+    """Return the lowest and highest reading of each joint, (n, 2) [rad].
 
     Args:
-        arm: its limits q_min and q_max.
+        arm: arm with the limits q_min and q_max.
         of_true_angle: the limits hold for q + theta_0, and not for the encoder's reading q.
     """
     limits = np.array([(link.q_min, link.q_max) for link in arm.links])
@@ -45,10 +47,10 @@ def joint_limits(arm: Arm, *, of_true_angle: bool = False) -> Floats:
 
 
 def fixed_workspace(arm: Arm, limits: npt.ArrayLike | None = None) -> Region:
-    """The points that the tip reaches, seen from the base, in the base's frame [m].
+    """Return the points that the tip reaches, in the base's frame [m].
 
     Args:
-        arm: lengths, offsets and mount.
+        arm: arm with lengths, offsets and mount.
         limits: lowest and highest reading of each joint, (n, 2) [rad]; the arm's by default. A
             joint whose range is a whole turn has no limits.
 
@@ -67,10 +69,10 @@ def fixed_workspace(arm: Arm, limits: npt.ArrayLike | None = None) -> Region:
 
 
 def checked_limits(arm: Arm, limits: npt.ArrayLike | None) -> Floats:
-    """The limits, (n, 2) [rad], the arm's by default.
+    """Return the limits, (n, 2) [rad], the arm's by default.
 
     Raises:
-        ValueError: they have the wrong shape or order.
+        ValueError: the limits have the wrong shape or order.
     """
     if limits is None:
         return joint_limits(arm)
@@ -83,11 +85,11 @@ def checked_limits(arm: Arm, limits: npt.ArrayLike | None) -> Floats:
 def chain_workspace(
     root: complex, lengths: npt.ArrayLike, offsets: npt.ArrayLike, limits: Floats
 ) -> Region:
-    """The points that the end of a chain of n revolute joints reaches.
+    """Return the points that the end of a chain of n revolute joints reaches.
 
     Args:
-        root: where joint 1 is [m].
-        lengths: of the links, (n,) [m].
+        root: position of joint 1 [m].
+        lengths: lengths of the links, (n,) [m].
         offsets: true angle of each joint at reading 0, (n,) [rad].
         limits: lowest and highest readings, (n, 2) [rad].
     """
@@ -105,19 +107,25 @@ def chain_workspace(
 
 
 def _curve(arc: Arcs) -> Region:
-    """An arc as a region without width: along it and back."""
+    """Return an arc as a region without width: along it and back."""
     t = np.array([0.0, 0.5, 1.0, 0.5, 0.0])
     there = joined([arc.part(t[i : i + 1], t[i + 1 : i + 2]) for i in range(4)])
     return Region(there, np.zeros(4, dtype=np.intp))
 
 
 def _turned(outer: Region, k: int, length: float, low: float, span: float, q_low: float) -> Region:
-    """W_k from W_{k+1}: at the end of link k, turned about joint k from low to low + span [rad]."""
+    """Return W_k: W_{k+1} at the end of link k, turned about joint k.
+
+    The joint's true angle runs from low to low + span [rad]; q_low is its reading at `low` [rad].
+    """
     arcs = outer.arcs.moved(by=length)
     at_end = Region(arcs, outer.loop)
 
     def inside(points: Complexes) -> npt.NDArray[np.bool_]:
-        """Turned backwards, the point meets W_{k+1}: at its first place, or at the boundary."""
+        """Return True for points that meet W_{k+1} when they are turned backwards through the span.
+
+        They are inside W_{k+1} at the first angle, or their arcs cross its boundary.
+        """
         first = points * np.exp(-1j * (low + span))
         back = Arcs(
             np.zeros(len(first), complex),
@@ -142,14 +150,14 @@ def _turned(outer: Region, k: int, length: float, low: float, span: float, q_low
 
 
 def _with(arcs: Arcs, k: int, reading: float) -> Arcs:
-    """The arcs with joint k at a reading [rad]."""
+    """Return the arcs with joint k at a reading [rad]."""
     q = arcs.q.copy()
     q[:, k] = reading
     return replace(arcs, q=q)
 
 
 def _circles(arcs: Arcs, k: int, low: float, span: float, q_low: float) -> Arcs:
-    """Arcs about the origin, joint k, through the ends and the extreme points of the arcs."""
+    """Return arcs about the origin, joint k, through the ends and extreme points of the arcs."""
     angle = np.angle(arcs.center)[None] + np.array([[0.0], [pi]])
     along = (np.sign(arcs.sweep) * (angle - arcs.start)) % TURN / np.abs(arcs.sweep)
     extreme = (along < 1.0) & (np.abs(arcs.center) > CLOSE)
@@ -172,7 +180,7 @@ def _circles(arcs: Arcs, k: int, low: float, span: float, q_low: float) -> Arcs:
 
 
 def _meets(some: Arcs, others: Arcs) -> npt.NDArray[np.bool_]:
-    """Which arcs (m,) have a point in common with any of the others (k,)."""
+    """Return True for each of the arcs (m,) that meets any of the others (k,)."""
     met = np.zeros(len(some), dtype=bool)
     for point in crossings(
         some.center[:, None], some.radius[:, None], others.center, others.radius

@@ -1,4 +1,4 @@
-"""Square cells over a region."""
+"""Grid of square cells over a region."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,9 @@ from fss_arm_workspace.regions.arcs import Complexes, Region
 
 @dataclass(frozen=True)
 class Grid:
-    """Square cells side by side, whose values belong to their centres."""
+    """Grid of square cells, whose values are those at the centres."""
 
-    x: float  # of the first cell's corner [m]
+    x: float  # lowest corner of the first cell [m]
     y: float
     cell: float  # [m]
     width: int
@@ -19,7 +19,7 @@ class Grid:
 
     @classmethod
     def around(cls, region: Region, cell: float) -> "Grid":
-        """The cells that cover a region; the origin is a corner of some."""
+        """Return the grid that covers a region; the origin lies on a corner of its lattice."""
         edge = np.concatenate([points for points, _ in region.outlines(cell)])
         low = np.floor(np.array([edge.real.min(), edge.imag.min()]) / cell).astype(int)
         high = np.ceil(np.array([edge.real.max(), edge.imag.max()]) / cell).astype(int)
@@ -28,12 +28,12 @@ class Grid:
 
     @property
     def centers(self) -> Complexes:
-        """(height, width) [m]."""
+        """Centres of the cells, (height, width) [m]."""
         x = self.x + self.cell * (np.arange(self.width) + 0.5)
         y = self.y + self.cell * (np.arange(self.height) + 0.5)
         return x + 1j * y[:, None]
 
     def inside(self, region: Region) -> Complexes:
-        """The centres that lie in a region, (m,) [m]."""
+        """Return the centres inside a region, (m,) [m]."""
         centers = self.centers
         return centers[region.contains(centers)]

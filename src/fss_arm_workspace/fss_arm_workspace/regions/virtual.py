@@ -1,14 +1,14 @@
-"""How far the tip can be from the system's centre of mass: the maximum reachable workspace.
+"""Maximum reachable workspace: distances of the tip from the system's centre of mass.
 
-While no external force acts, the centre of mass stays where it is. Seen from there, the tip is the
-end of a virtual manipulator with the arm's joint angles and shorter links (Vafa and Dubowsky 1990),
+While no external force acts, the centre of mass does not move. Seen from there, the tip is the end
+of a virtual manipulator with the arm's joint angles and shorter links (Vafa and Dubowsky 1990),
 
     b_i^VM = b_i (m_0 + .. + m_i) / m_tot                                              (Eq. 11)
     g_i^VM = g_i (m_0 + .. + m_{i-1}) / m_tot                                          (Eq. 12)
     R = sum over i = 0 .. n of b_i^VM + g_i^VM                                         (Eq. 13)
 
-Cyclic motion of the arm can turn the base to any attitude, so that the workspace is a disc of
-radius R about the centre of mass, less a hole where the joint limits leave one.
+Cyclic motion of the arm can turn the base to any attitude. So the workspace is a disc of radius R
+about the centre of mass, minus a hole if the joint limits leave one.
 """
 
 from dataclasses import dataclass, replace
@@ -35,16 +35,17 @@ from fss_arm_workspace.regions.fixed import chain_workspace, checked_limits
 
 
 def virtual_links(p: npt.ArrayLike) -> tuple[Floats, Floats, Complexes]:
-    """The virtual manipulator's b_i^VM and g_i^VM (Eq. 11, 12), and its links as vectors.
+    """Return the virtual manipulator's b_i^VM and g_i^VM (Eq. 11, 12), and its links as vectors.
 
-    Body 0 is the base: b_0 is from its centre of mass to joint 1, g_0 is 0. A centre of mass to the
-    side of its link's line bends the virtual link; without, it is b_i^VM + g_i^VM along the link.
+    Body 0 is the base: b_0 is from its centre of mass to joint 1, g_0 is 0. If a centre of mass
+    lies beside its link's line, the virtual link is bent. Otherwise it is b_i^VM + g_i^VM along the
+    link.
 
     Args:
         p: parameters of the arm, Arm.vector(), (..., 8 + 6 n).
 
     Returns:
-        (..., n + 1) each [m], the vectors complex and each in its body's frame.
+        (..., n + 1) each [m]; the vectors are complex, each in its body's frame.
     """
     p = np.asarray(p, dtype=float)
     masses = np.concatenate([p[..., MASS, None], each(p, LINK_MASS)], axis=-1)
@@ -62,7 +63,7 @@ def virtual_links(p: npt.ArrayLike) -> tuple[Floats, Floats, Complexes]:
 
 @dataclass(frozen=True)
 class VirtualManipulator:
-    """The virtual manipulator of an arm on a free base."""
+    """Virtual manipulator of an arm on a free base."""
 
     arm: Arm
 
@@ -78,16 +79,16 @@ class VirtualManipulator:
 
     @property
     def links(self) -> Complexes:
-        """The links as vectors in their bodies' frames, complex (n + 1,) [m]."""
+        """Links as vectors in their bodies' frames, complex (n + 1,) [m]."""
         return virtual_links(self.arm.vector())[2]
 
     @property
     def radius(self) -> float:
-        """R, the virtual manipulator's length [m] (Eq. 13)."""
+        """Length R of the virtual manipulator [m] (Eq. 13)."""
         return float(np.abs(self.links).sum())
 
     def workspace(self, limits: npt.ArrayLike | None = None) -> Region:
-        """Where the tip can be in axes of the base's frame through the system's centre of mass.
+        """Return the tip's workspace relative to the system's centre of mass, in base axes.
 
         Args:
             limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
@@ -102,9 +103,9 @@ class VirtualManipulator:
         return chain_workspace(base, np.abs(links), offsets, checked_limits(self.arm, limits))
 
     def reach(self, limits: npt.ArrayLike | None = None) -> tuple[float, float]:
-        """Least and greatest distance of the tip from the system's centre of mass [m].
+        """Return the least and greatest distance of the tip from the system's centre of mass [m].
 
-        The greatest is R where the joint limits let the virtual manipulator be straight.
+        The greatest is R if the joint limits allow the virtual manipulator to be straight.
 
         Raises:
             ValueError: limits have the wrong shape or order.
@@ -113,10 +114,10 @@ class VirtualManipulator:
 
 
 def base_mass_for(arm: Arm, radius: float) -> float:
-    """The base's mass [kg] with which R of Eq. 13 becomes `radius` [m].
+    """Return the base's mass [kg] for which R of Eq. 13 equals `radius` [m].
 
     Raises:
-        ValueError: no mass does; the message says between which radii R can be.
+        ValueError: there is no such mass; the message gives the possible range of R.
     """
     from scipy.optimize import brentq
 

@@ -1,1 +1,1 @@
-"""How far the tip goes in straight lines."""
+"""Straight-path workspace: lengths of the tip's straight paths."""

@@ -1,4 +1,4 @@
-"""The longest straight paths that a search over the redundancy finds."""
+"""Longest straight paths found by a search over the redundancy."""
 
 from dataclasses import replace
 from math import inf
@@ -33,25 +33,25 @@ def optimal_paths(
     generations: int = 12,
     seed: int = 0,
 ) -> tuple[Paths, Floats]:
-    """The longest straight paths that a search over the redundancy finds.
+    """Find the longest straight paths by a search over the redundancy.
 
-    Joint rates are preferred that are constant on each segment of the path; the cross-entropy
-    method chooses them. With unlimited self-motion the longest path is not defined; what is found
-    here is a path that exists, no shorter than those of the other rules that need no preference.
+    The preferred joint rates are constant on each segment of the path; the cross-entropy method
+    chooses them. With unlimited self-motion the longest path is not defined. The path returned is
+    feasible, and at least as long as those of the other rules that need no preference.
 
     Args:
         arm: the arm.
-        start: state to begin from, (3 + n,).
+        start: start state, (3 + n,).
         direction: (k,) in the world [rad].
-        rules: how paths are followed; the redundancy is this function's.
+        rules: settings of the paths; their redundancy is ignored.
         limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
-        population: preferences tried at once.
-        generations: how often.
-        seed: of the random choices.
+        population: number of preferences tried in a generation.
+        generations: number of generations.
+        seed: seed of the random choices.
 
     Returns:
-        The paths, and the preferred rates that give them, (k, c, n) [rad/m]; NaN where another
-        rule goes at least as far.
+        The paths, and their preferred rates, (k, c, n) [rad/m]; NaN where the path of another rule
+        is longer.
 
     Raises:
         ValueError: as straight_paths.

@@ -1,8 +1,8 @@
-"""How far the tip goes in straight lines: the straight-path workspace (Fig. 7).
+"""Straight-path workspace: the region that the tip reaches along straight lines (Fig. 7).
 
-From a start state without momentum the tip is drawn along a line, until a joint limit leaves no
-motion, all joints but one are at their limits, a singularity is met or the table ends. How the
-redundancy is resolved is part of the answer: see redundancy.py for the rules.
+From a start state without momentum the tip moves along a line, until a joint limit leaves no
+motion, all joints but one are at their limits, a singularity is met or the table ends. The result
+depends on how the redundancy is resolved: see redundancy.py for the rules.
 """
 
 from dataclasses import dataclass, replace
@@ -31,8 +31,8 @@ from fss_arm_workspace.straight_path.trace import trace
 FIXED, FLOATING, ZERO_REACTION = BASES
 MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED, PREFERRED = RULES
 
-GRAZED = 0.5  # share of the stopping rate that a path may reach and leave again unflagged
-NEAR = 5e-3  # length that a singularity may lie beyond a stop unflagged [m]
+GRAZED = 0.5  # peak rate above which a path grazes a singularity, as share of the stopping rate
+NEAR = 5e-3  # distance from a stop to the singularity above which a path grazes it [m]
 
 
 _EACH = ("direction", "distance", "reason", "last", "grazes")  # one row a path in Paths
@@ -40,10 +40,10 @@ _EACH = ("direction", "distance", "reason", "last", "grazes")  # one row a path 
 
 @dataclass(frozen=True)
 class PathSettings(Settings):
-    """How straight paths are followed on any base, and what ends them.
+    """Settings of straight paths on any base: how they are followed, and where they end.
 
     Raises:
-        SettingError: a setting is impossible.
+        SettingError: a setting is invalid.
     """
 
     redundancy: str = setting(
@@ -69,7 +69,7 @@ class PathSettings(Settings):
 
 @dataclass(frozen=True)
 class Rules(PathSettings):
-    """How straight paths are followed on one kind of base."""
+    """Settings of straight paths on one kind of base."""
 
     base: str = setting(FLOATING, "kind of base that straight paths are of", check=one_of(*BASES))
     step: float = setting(2e-3, "longest step along a straight path", unit="m", check=POSITIVE)
@@ -80,25 +80,25 @@ class Rules(PathSettings):
 
 @dataclass(frozen=True)
 class Paths:
-    """Straight paths from one start, k of them."""
+    """Set of k straight paths from one start."""
 
     start: Floats  # (3 + n,) state: the base's pose and joint readings
-    redundancy: str  # the rule that resolved it
-    tip: complex  # where they begin, in the world [m]
+    redundancy: str  # rule that resolved the redundancy
+    tip: complex  # start of the paths, in the world [m]
     direction: Floats  # (k,) in the world [rad]
     distance: Floats  # (k,) [m]
     reason: npt.NDArray[np.intp]  # (k,) index in trace.REASONS
     last: Floats  # (k, 3 + n) state at the end
-    grazes: npt.NDArray[np.bool_]  # (k,) the distance hangs on the stopping rate
+    grazes: npt.NDArray[np.bool_]  # (k,) True: the distance depends on the stopping rate
 
     @property
     def ends(self) -> npt.NDArray[np.complex128]:
-        """Where they end, in the world [m], complex (k,)."""
+        """Ends of the paths, in the world [m], complex (k,)."""
         return self.tip + self.distance * np.exp(1j * self.direction)
 
     @property
     def area(self) -> float:
-        """Area within the ends, which are in the order of their directions [m^2]."""
+        """Area [m^2] of the polygon of the ends, which are in the order of their directions."""
         ends = self.ends - self.tip
         return float(0.5 * (ends.conj() * np.roll(ends, -1)).imag.sum())
 
@@ -107,10 +107,11 @@ class Paths:
 
 
 def arch(arm: Arm) -> Floats:
-    """A start state: the base at the table's middle, joints bent by up to 45 degrees, tip ahead.
+    """Return a start state: base in the table's middle, joints bent by up to 45 deg, tip ahead.
 
-    In all they turn by three quarters of a circle at most, so that the tip of a long arm stays on
-    the table; and each keeps off the outer eighths of its range, where paths would end at once.
+    The joints turn by at most three quarters of a circle in total, so that the tip of a long arm
+    stays on the table. The first joint turns back by half the bends of the others. Each joint stays
+    out of the outer eighths of its range, where paths would end at once.
     """
     bend = min(pi / 4, 1.5 * pi / max(arm.n - 1, 1))
     q = np.full(3 + arm.n, bend)
@@ -132,9 +133,9 @@ def straight_paths(
 
     Args:
         arm: the arm.
-        start: state to begin from.
-        direction: of each path.
-        rules: how paths are followed.
+        start: start state.
+        direction: direction of each path.
+        rules: settings of the paths.
         limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
         preferred: joint rates of the rule "preferred", (..., c, n) [rad/m], one row a segment.
 
@@ -161,19 +162,19 @@ def straight_workspace(
     tolerance: float = 0.01,
     finest: float = 1e-4,
 ) -> Paths:
-    """Straight paths all around, in more directions where the boundary is not smooth.
+    """Compute straight paths in all directions, with more of them where the boundary is not smooth.
 
-    A gap between directions is halved as long as the path between differs by more than the
-    tolerance from the mean of the two, and down to the finest gap: there the boundary jumps.
+    A gap between two directions is halved as long as the length of the path between differs by more
+    than the tolerance from the mean of the two, down to the finest gap: there the boundary jumps.
 
     Args:
         arm: the arm.
-        start: state to begin from, (3 + n,).
-        rules: how paths are followed.
+        start: start state, (3 + n,).
+        rules: settings of the paths.
         limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
-        count: directions to begin with.
-        tolerance: of the boundary between directions [m].
-        finest: gap between directions [rad].
+        count: initial number of directions.
+        tolerance: tolerance of the boundary between directions [m].
+        finest: gap between directions that is not halved further [rad].
 
     Returns:
         The paths in the order of their directions, from 0 to 2 pi.
@@ -204,7 +205,11 @@ def straight_workspace(
 def _prepared(
     arm: Arm, start: npt.ArrayLike, direction: Floats, rules: Rules, limits: npt.ArrayLike | None
 ) -> tuple[Floats, Floats, complex, Floats]:
-    """Start, limits, the tip there, and the kernel's options (k, 9)."""
+    """Return start, limits, the tip's start position, and the kernel's options (k, 9).
+
+    Raises:
+        ValueError: the start lies outside the limits or the table, or shapes do not fit.
+    """
     start = np.asarray(start, dtype=float)
     if start.shape != (3 + arm.n,) or not np.isfinite(start).all():
         raise ValueError(f"start is {start.tolist()}, expected {3 + arm.n} finite numbers")
@@ -234,7 +239,7 @@ def _prepared(
 
 
 def joined(one: Paths, other: Paths) -> Paths:
-    """The paths of both."""
+    """Concatenate two sets of paths."""
     parts: dict[str, Any] = {
         name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in _EACH
     }

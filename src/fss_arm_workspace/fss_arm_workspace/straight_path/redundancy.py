@@ -1,12 +1,12 @@
-"""How the joints share the tip's motion along a straight line.
+"""Rules by which the joints share the tip's motion along a straight line.
 
 Along the line's length s, the joints move at the rates x = dq_m/ds that minimize
 
     (x - z)^T W (x - z)    with    A x = b    and no joint beyond its limits.
 
-A x = b are the line, the first two rows of the tip's Jacobian (J_m if the base is held, J* if it
-floats without momentum), x being in its direction; and for zero reaction a third row, the base's
-angular rate, which is to vanish. The rule that resolves the redundancy chooses z and W:
+A x = b keeps the tip on the line: A has the first two rows of the tip's Jacobian (J_m if the base
+is fixed, J* if it floats without momentum), and b is the line's direction. For zero reaction, a
+third row makes the base's angular rate zero. The rule that resolves the redundancy chooses z and W:
 
     minimum norm          z = 0                                W = 1
     away from limits      z_i = -gain (q_i - mid_i) / half_i   W = 1          (Liegeois 1977)
@@ -27,13 +27,13 @@ from fss_arm_workspace.manipulability.measure import _held
 BASES = ("fixed", "floating", "zero reaction")
 RULES = ("minimum norm", "away from limits", "weighted least norm", "preferred")
 
-_HEAVY = 1e-3  # distance from which on weights all but stop a joint, and it counts as held [rad]
-_MET = 1e-11  # distance from a limit that counts as none [rad]
+_HEAVY = 1e-3  # distance below which weights almost stop a joint, so that it is at its limit [rad]
+_MET = 1e-11  # distance below which a joint is at its limit [rad]
 
 
 @helper
 def _solve(C: Floats, rows: int, y: Floats) -> bool:
-    """Solve C y' = y in place, symmetric C (rows, rows) overwritten; False if it is singular."""
+    """Solve C y' = y in place; return False if C is singular. Symmetric C is overwritten."""
     for i in range(rows):
         scale = C[i, i]
         for k in range(i):
@@ -59,7 +59,7 @@ def _solve(C: Floats, rows: int, y: Floats) -> bool:
 def _least(
     A: Floats, rows: int, free: Floats, z: Floats, W: Floats, C: Floats, y: Floats, x: Floats
 ) -> bool:
-    """Write the free joints' x with A x = y nearest to z, and multipliers y; False if in vain."""
+    """Write the free joints' x with A x = y nearest to z, and multipliers y; False if singular."""
     for i in range(rows):
         for j in range(i + 1):
             C[i, j] = 0.0
@@ -92,7 +92,7 @@ def _rows(p: Floats, q: Floats, base: float, d: Complexes, e: Complexes, A: Floa
 
 @helper
 def _weight(low: float, high: float, here: float) -> float:
-    """1 + |dH/dq| of one joint."""
+    """Return 1 + |dH/dq| of one joint."""
     room = max(high - here, _MET) * max(here - low, _MET)
     side = (high - low) / (2.0 * room)
     return 1.0 + side * side * abs(2.0 * here - high - low)
@@ -102,7 +102,7 @@ def _weight(low: float, high: float, here: float) -> float:
 def _rates(  # type: ignore[no-untyped-def]
     limits, q, A, rows, rule, gain, preferred, direction, free, z, W, C, y, x,
 ):  # fmt: skip
-    """Write the rates x (n,) [rad/m] of the free joints by the rule; False if there are none."""
+    """Write the free joints' rates x (n,) [rad/m] by the rule; return False if there are none."""
     z[:] = 0.0
     W[:] = 1.0
     for k in range(x.size):
@@ -113,7 +113,7 @@ def _rates(  # type: ignore[no-untyped-def]
             W[k] = _weight(low, high, here)
         elif rule == 3.0:
             z[k] = preferred[k]
-    # W of a rate that itself depends on W: the sum is convex, so few rounds lead to its least.
+    # W depends on the rates and they on W; the cost is convex, so few iterations find its minimum.
     for _ in range(2 * x.size):
         y[0], y[1], y[2] = direction.real, direction.imag, 0.0
         if not _least(A, rows, free, z, W, C, y, x):
@@ -132,7 +132,7 @@ def _rates(  # type: ignore[no-untyped-def]
 
 @helper
 def _at_limit(limits: Floats, q: Floats, k: int, rule: float) -> float:
-    """-1 or 1 if joint k is at its lowest or highest reading, else 0."""
+    """Return -1 or 1 if joint k is at its lowest or highest reading, else 0."""
     near = _HEAVY if rule == 2.0 else _MET
     if q[3 + k] - limits[k, 0] <= near:
         return -1.0
@@ -145,10 +145,11 @@ def _at_limit(limits: Floats, q: Floats, k: int, rule: float) -> float:
 def _choose(  # type: ignore[no-untyped-def]
     limits, q, A, rows, options, wish, direction, free, rates, C, x,
 ):  # fmt: skip
-    """Write which joints move (n,), and their rates x; return whether they do, and their count.
+    """Write which joints are free (n,), and their rates x; return whether rates exist, and a count.
 
-    A joint that would leave its limit is held, the hastiest first, until none would; one whose
-    multiplier says that it would better move inwards is let go again.
+    The count is that of the free joints. Joints that would move beyond a limit are held, the
+    fastest first, until none would. A held joint is released if its multiplier shows that moving
+    inwards lowers the cost.
     """
     n = x.size
     z, W, y = rates[0, :n], rates[1, :n], rates[2]

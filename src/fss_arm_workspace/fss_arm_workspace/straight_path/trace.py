@@ -1,8 +1,8 @@
-"""The tip drawn along a straight line, from a start posture until no motion is left.
+"""Motion of the tip along a straight line, from a start posture until no motion is left.
 
-The base's heading is integrated with the joints (momentum is conserved but not integrable); its
-position follows from the centre of mass, which stays. Which limits hold is fixed within a step of
-the Runge-Kutta method of 4th order, and steps end where a joint meets its limit.
+The base's heading is integrated with the joints (momentum is conserved but not integrable). Its
+position follows from the centre of mass, which does not move. The set of joints held at limits is
+constant within a step of the 4th-order Runge-Kutta method; steps end where a joint meets its limit.
 """
 
 import math
@@ -29,16 +29,16 @@ REASONS = (
 )
 _TABLE, _LIMIT, _LIMITS, _SINGULAR = 0.0, 1.0, 2.0, 3.0
 
-_TURN = 0.02  # of a joint in a step, at most [rad]
-_GROWTH = 0.2  # of the rates in a step, at most
-_NEARING = 0.1  # of a joint to a limit in a step, where weights grow without bound, at most
-_SHORTEST = 1e-5  # step, unless a joint meets its limit within [m]
-_ON_LINE = 1e-6  # distance of the tip from its line that counts as none [m]
+_TURN = 0.02  # maximum rotation of a joint in a step [rad]
+_GROWTH = 0.2  # maximum relative growth of the rates in a step
+_NEARING = 0.1  # maximum share of the room to a limit used in a step, if weights are unbounded
+_SHORTEST = 1e-5  # minimum step, unless a joint meets its limit within it [m]
+_ON_LINE = 1e-6  # distance below which the tip is on its line [m]
 
 
 @helper
 def _com(p: Floats, d: Complexes, e: Complexes) -> complex:
-    """The system's centre of mass from the base's origin."""
+    """Return the system's centre of mass relative to the base's origin."""
     M, S, r = 0.0, 0j, 0j
     for k in range(d.size):
         m = _mass(p, k)
@@ -52,9 +52,9 @@ def _com(p: Floats, d: Complexes, e: Complexes) -> complex:
 def _advance(  # type: ignore[no-untyped-def]
     p, limits, options, preferred, direction, free, q, h, d, e, A, C, rates, stage, new,
 ):  # fmt: skip
-    """Write the state `new` a distance h on: heading and joints by a step of Runge and Kutta.
+    """Write the state `new` after a distance h: heading and joints by one Runge-Kutta step.
 
-    rates (4, n + 3) is scratch. False if a stage has no rates, or too high ones.
+    rates (4, n + 3) is scratch. Return False if a stage has no rates, or rates that are too high.
     """
     base, rule, gain, fastest = options[2], options[3], options[4], options[5]
     rows = 3 if base == 2.0 else 2
@@ -88,9 +88,9 @@ def _advance(  # type: ignore[no-untyped-def]
 def _settle(  # type: ignore[no-untyped-def]
     p, limits, base, com, origin, tip, free, q, d, e, A, C, rates,
 ):  # fmt: skip
-    """Put the base where the centre of mass (or the base itself) stays, and the tip on its line.
+    """Move the base so that the centre of mass (or the base) keeps its place, the tip to its line.
 
-    False if that takes more than a small correction, as it does past a singularity.
+    Return False if this needs more than a small correction, as it does past a singularity.
     """
     rows = 3 if base == 2.0 else 2
     z, W, y, x = rates[0], rates[1], rates[2], rates[3]
@@ -121,13 +121,13 @@ def _settle(  # type: ignore[no-untyped-def]
 
 @helper
 def _within(limits: Floats, free: Floats, q: Floats, new: Floats) -> float:
-    """Share of the step from q to `new` after which the first of the free joints is at a limit."""
+    """Return the share of the step from q to `new` after which a free joint first meets a limit."""
     share = 1.0
     for k in range(free.size):
         bound = limits[k, 1] if new[3 + k] > q[3 + k] else limits[k, 0]
         turn, room = abs(new[3 + k] - q[3 + k]), abs(bound - q[3 + k])
         if free[k] > 0.0 and turn - room > _MET:
-            # Vectorized, this is computed for joints at rest too, and must not divide by zero.
+            # Vectorized code also computes this for joints at rest; it must not divide by zero.
             share = min(share, room / max(turn, _MET))
     return share
 
@@ -177,9 +177,9 @@ def _traced(  # type: ignore[no-untyped-def]
             peak = max(peak, highest)
             highest = rate
         h = min(longest_step, far - s, _TURN / max(rate, 1e-9))
-        if slope > 0.0:  # towards a singularity
+        if slope > 0.0:  # rates grow towards a singularity
             h = min(h, max(_GROWTH * rate / slope, _SHORTEST))
-        if options[3] == 2.0:  # its weights grow as fast as the room shrinks
+        if options[3] == 2.0:  # weights of this rule grow as fast as the room to a limit shrinks
             for k in range(n):
                 if free[k] == 0.0:
                     continue
@@ -188,7 +188,7 @@ def _traced(  # type: ignore[no-untyped-def]
         if options[3] == 3.0:
             h = max(min(h, segment * (math.floor(s / segment) + 1.0) - s), 1e-9)
         good = False
-        for _ in range(60):  # until the step ends where the first joint meets its limit
+        for _ in range(60):  # shorten the step until it ends where the first joint meets its limit
             fits = _advance(
                 p, limits, options, wish, direction, free, q, h, d, e, A, C, rates, stage, new
             )
@@ -214,8 +214,8 @@ def _traced(  # type: ignore[no-untyped-def]
         s += h
         q[:] = new
     result[0], result[1], result[2] = s, reason, peak
-    # Near a singularity the rate grows as (s* - s)^-1/2, so that this much is left of the line.
-    # (Computed whatever the reason is, it must not divide by zero.)
+    # Near a singularity the rate grows as (s* - s)^-1/2; so this is the length left of the line.
+    # It is computed for all reasons, and must not divide by zero.
     left_over = 0.5 * rate / max(slope, 1e-300)
     result[3] = left_over if reason == _SINGULAR and slope > 0.0 else 0.0
 
@@ -227,11 +227,11 @@ def trace(
     options: npt.ArrayLike,
     preferred: npt.ArrayLike,
 ) -> tuple[Floats, Floats]:
-    """Draw the tip along straight lines.
+    """Move the tip along straight lines.
 
     Args:
         p: parameters of the arm.
-        q: start states (..., 3 + n), the base's pose in the world.
+        q: start states (..., 3 + n); the base's pose is in the world.
         limits: lowest and highest joint readings (..., n, 2) [rad].
         options: (..., 9) direction x, y (unit vector, world); index in BASES; index in RULES; gain
             [rad/m]; joint rate that counts as a singularity [rad/m]; longest step [m]; length at
@@ -239,8 +239,8 @@ def trace(
         preferred: z of the rule "preferred", (..., c, n) [rad/m], one row a segment.
 
     Returns:
-        The last state (..., 3 + n); and (..., 4): length [m], index in REASONS, highest rate that
-        was passed and sank again [rad/m], and estimated length between a stop for the rate and the
+        The last state (..., 3 + n); and (..., 4): length [m], index in REASONS, highest peak after
+        which the rate fell again [rad/m], and estimated length between a stop for the rate and the
         singularity itself [m].
 
     Raises:

@@ -1,4 +1,4 @@
-"""Motion capture: frames of a system, topics of other receivers, which poses to believe."""
+"""Motion capture: frames of a system, topics of other receivers, and plausibility of poses."""
 
 from fss_base_driver.mocap.receiving import Receiver as Receiver
 from fss_base_driver.mocap.relays import Relay as Relay

@@ -1,10 +1,10 @@
-"""Frames of a motion-capture system, taken by a process of their own.
+"""Reception of frames of a motion-capture system, in a separate process.
 
-The library motioncapture waits for a system that does not answer with Python's lock held, writes to
-the standard output, and reads datagrams of anybody on the network without looking at their sizes.
-So a process of its own runs it (`main` here), and is run again when it ends. It writes lines of
-JSON: null once the library has connected, then for each frame [time of arrival in ns,
-{name: pose}], and at the end a string if there is a reason to tell.
+While a system does not answer, the library motioncapture waits with Python's lock held. It writes
+to the standard output, and it reads datagrams from any sender on the network without a check of
+their sizes. Therefore a separate process runs it (`main` here), and is restarted when it ends. The
+process writes lines of JSON: null once the library has connected, then for each frame [time of
+arrival in ns, {name: pose}], and at the end a string if there is a reason to report.
 """
 
 import ctypes
@@ -20,19 +20,19 @@ from threading import Event, Thread
 from fss_base_driver.mocap.subjects import Pose
 
 PR_SET_PDEATHSIG = 1  # of prctl(2)
-PAUSE = 1.0  # before it is run again [s]
+PAUSE = 1.0  # before a restart [s]
 END = "the receiver ended"
 PROGRAM = f"import sys; from {__name__} import main; sys.exit(main())"
 
 
 class Receiver(Thread):
-    """Runs the receiving process, and calls `take(arrival, poses)` for each frame as it comes.
+    """Thread that runs the receiving process and calls `take(arrival, poses)` for each frame.
 
     Args:
         system: of the library, or its `mock`.
         options: of the system, as OPTION=VALUE.
-        take: in this thread; `arrival` is the time of day [ns].
-        ended: told in words why the process ended, if it was not asked to.
+        take: called in this thread; `arrival` is the time of day [ns].
+        ended: called with the reason why the process ended, unless it was closed.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Receiver(Thread):
         self.command = [sys.executable, "-c", PROGRAM, system, *options]
         self.take, self.ended = take, ended
         self.process: subprocess.Popen[str] | None = None
-        self.connected = False  # the library has; some of its systems only begin to try then
+        self.connected = False  # some systems start to connect only after that
         self._closing = Event()
         self.start()
 
@@ -55,14 +55,14 @@ class Receiver(Thread):
         while not self._closing.is_set():
             try:
                 why = self._receive()
-            except Exception as error:  # of whoever takes the frames, too
+            except Exception as error:  # including errors of the callback
                 why = f"{END}: {error}"
             if not self._closing.is_set():
                 self.ended(why)
             self._closing.wait(PAUSE)
 
     def _receive(self) -> str:
-        """Run the process until it ends; why it did."""
+        """Run the process until it ends; return why it ended."""
         self.connected = False
         with subprocess.Popen(self.command, stdout=subprocess.PIPE, text=True) as process:
             self.process = process
@@ -76,7 +76,7 @@ class Receiver(Thread):
         return why or f"{END} with {_in_words(process.returncode)}"
 
     def _read(self, process: "subprocess.Popen[str]") -> str:
-        """Take frames; return the reason that the process gives for its end, if it does."""
+        """Read frames; return the reason that the process gives for its end, if any."""
         why = ""
         for line in process.stdout or ():
             said = json.loads(line)
@@ -90,7 +90,7 @@ class Receiver(Thread):
         return why
 
     def close(self) -> None:
-        """End the process and this thread."""
+        """Stop the process and this thread."""
         self._closing.set()
         if self.process:
             self.process.kill()
@@ -102,13 +102,13 @@ def _in_words(code: int) -> str:
 
 
 def main() -> int:
-    """Receive until nobody listens."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # also if its owner is killed
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the owner's to decide
+    """Receive until the reader closes the pipe."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # also if the parent is killed
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     output = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     try:
-        import motioncapture  # takes a while, and memory, that only this process needs
+        import motioncapture  # slow and large; only this process needs it
 
         system, *options = sys.argv[1:]
         capture = motioncapture.connect(system, dict(option.split("=", 1) for option in options))
@@ -122,6 +122,6 @@ def main() -> int:
             output.write(json.dumps([arrival, poses]) + "\n")
     except BrokenPipeError:
         return 0
-    except Exception as error:  # the library's have no class of their own
+    except Exception as error:  # the library raises no class of its own
         output.write(json.dumps(str(error)) + "\n")
         return 1

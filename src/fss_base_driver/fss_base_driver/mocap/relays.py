@@ -1,4 +1,4 @@
-"""Messages of the receivers that laboratories run, as poses in metres by subject."""
+"""Conversion of the messages of common receivers to poses in metres by subject."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -11,28 +11,31 @@ MILLIMETRE = 1e-3
 
 
 class RelayError(ValueError):
-    """A topic's messages cannot be read; the message says why."""
+    """Failure to read a topic's messages; the message says why."""
 
 
 @dataclass
 class Relay:
-    """A topic to pass on."""
+    """A relayed topic."""
 
-    subject: str  # whose poses they are; empty: the messages say it, or else the topic's last name
+    subject: str  # of the poses; empty: the name in the messages, or else the topic's last name
     topic: str
-    lacks: str = "nobody publishes it"  # why it is not passed on yet, in words; empty: it is
+    lacks: str = "nobody publishes it"  # why it is not relayed yet; empty: it is
 
     @property
     def last_name(self) -> str:
-        """Of the topic."""
+        """Last name of the topic."""
         return self.topic.rpartition("/")[2]
 
 
 def message_type(names: Iterable[str]) -> Any:
-    """The class of the first of a topic's types, as geometry_msgs/msg/PoseStamped, that is one.
+    """Return the class of the first of a topic's types that holds poses.
+
+    Args:
+        names: the types, such as geometry_msgs/msg/PoseStamped.
 
     Raises:
-        RelayError: none of them tells a pose that we know of, or its package is not there.
+        RelayError: none of them is a known type of poses, or its package is not installed.
     """
     known = [name for name in names if name.rpartition("/")[2] in READERS]
     if not known:
@@ -46,12 +49,12 @@ def message_type(names: Iterable[str]) -> Any:
 
 
 def named_poses(message: Any, subject: str, scale: float) -> Iterator[tuple[str, Pose]]:
-    """The poses in a message, by subject.
+    """Yield the poses in a message, by subject.
 
     Args:
         message: of one of READERS.
-        subject: whose pose it is; empty: the message's own name for it, if it has one.
-        scale: of its lengths [m]; vicon_receiver's Position has millimetres in any case.
+        subject: name of the subject; empty: the name in the message, if there is one.
+        scale: length of one unit [m]; vicon_receiver's Position is always in millimetres.
     """
     return READERS[type(message).__name__](message, subject, scale)
 
@@ -73,7 +76,7 @@ def _named_pose_array(message: Any, subject: str, scale: float) -> Iterator[tupl
 
 
 def _position(message: Any, subject: str, scale: float) -> Iterator[tuple[str, Pose]]:
-    """Of OPT4SMART's ros2-vicon-receiver: lengths in millimetres."""
+    """Yield the pose of OPT4SMART's ros2-vicon-receiver, with lengths in millimetres."""
     m, mm = message, MILLIMETRE
     pose = m.x_trans * mm, m.y_trans * mm, m.z_trans * mm, m.x_rot, m.y_rot, m.z_rot, m.w
     yield subject or m.subject_name, pose

@@ -1,10 +1,10 @@
-"""Which poses of a frame are believed: those that are new, no jump, and not another subject's.
+"""Plausibility of poses: new ones that do not jump and do not belong to another subject.
 
-Motion-capture systems repeat the last pose of an occluded subject, and when they mistake markers a
-subject jumps, perhaps to where another one is. A pose is believed if the last one of its subject
-was, and it could have moved there since. A subject that jumped is believed again when it jumps
-back, or has moved on plausibly for a while. One that jumped to where another was, which is there no
-more, must jump back, or somebody must say that the names are right.
+Motion-capture systems repeat the last pose of an occluded subject. If they confuse markers, a
+subject jumps, perhaps to the place of another one. A pose is accepted if the last pose of its
+subject was accepted, and if the subject could have moved there since. A subject that jumped is
+accepted again when it jumps back, or after a time of plausible motion. If it jumped to the place of
+another subject, which has left it, it must jump back, or the operator must confirm the names.
 """
 
 from collections import Counter
@@ -16,36 +16,37 @@ Pose = tuple[float, float, float, float, float, float, float]
 """x, y, z [m], quaternion x, y, z, w."""
 
 SECOND = 1_000_000_000
-MOST = 100  # subjects that are looked after: whoever sends names may send any number of them
-NOISE, TURN_NOISE = 0.03, 0.2  # more than an undisturbed pose jumps [m], [rad]
+MOST = 100  # largest number of subjects; senders may use any number of names
+NOISE, TURN_NOISE = 0.03, 0.2  # largest jump of an undisturbed pose [m], [rad]
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What is plausible."""
+    """Limits of plausible motion."""
 
-    speed: float  # most of a subject [m/s]
-    turn: float  # most of a subject [rad/s]
-    settle_time: float  # after a jump, until a subject that moved on plausibly is believed [s]
+    speed: float  # largest speed of a subject [m/s]
+    turn: float  # largest turn rate of a subject [rad/s]
+    settle_time: float  # time of plausible motion after a jump, before poses are accepted [s]
 
 
 @dataclass
 class Subject:
-    """One subject."""
+    """State of one subject."""
 
     seen: tuple[int, Pose]  # the last pose, with its stamp [ns]
-    believed: tuple[int, Pose]  # the last that was believed
-    arrival: int  # of the last pose [ns]
-    jumped: int = 0  # arrival of the pose that last did [ns]; 0: it is believed
-    place_of: str = ""  # whose place it jumped to
+    believed: tuple[int, Pose]  # the last accepted pose
+    arrival: int  # arrival of the last pose [ns]
+    jumped: int = 0  # arrival of the pose that last jumped [ns]; 0: it is accepted
+    place_of: str = ""  # subject to whose place it jumped
     counts: Counter[str] = field(default_factory=Counter)
 
 
 class Subjects:
-    """Decides frame by frame which poses to believe.
+    """Filter that decides for each frame which poses to accept.
 
-    Stamps say how far a subject may have moved, and may be anybody's. How long ago something was
-    is told by times of arrival [ns], of a clock that nobody sets.
+    The stamps limit how far a subject may have moved; they may come from any clock. Ages are
+    measured
+    with times of arrival [ns] in a steady clock.
     """
 
     def __init__(self, bounds: Bounds) -> None:
@@ -54,7 +55,7 @@ class Subjects:
         self.left_out = 0  # poses of subjects beyond MOST
 
     def take(self, stamp: int, poses: Mapping[str, Pose], arrival: int) -> dict[str, Pose]:
-        """The poses of a frame that are believed."""
+        """Return the accepted poses of a frame."""
         believed, jumpers = {}, []
         for name, pose in poses.items():
             if not is_pose(pose):
@@ -84,12 +85,12 @@ class Subjects:
         return believed
 
     def accept(self) -> None:
-        """Believe all subjects where they are now."""
+        """Accept all subjects at their present poses."""
         for subject in self.subjects.values():
             subject.believed, subject.jumped, subject.place_of = subject.seen, 0, ""
 
     def doubts(self, now: int) -> dict[str, str]:
-        """By subject, why it is not believed, in words."""
+        """Return the reason for each subject that is not accepted."""
         return {
             name: f"jumped {(now - s.jumped) / SECOND:.1f} s ago"
             + (f" to where {s.place_of} was: swapped names?" if s.place_of else "")
@@ -98,7 +99,7 @@ class Subjects:
         }
 
     def silent(self, now: int, timeout: float) -> dict[str, float]:
-        """By subject, for how long no new pose came [s], if for longer than the timeout [s]."""
+        """Return the time since the last new pose [s] of each subject beyond the timeout [s]."""
         ages = {name: (now - s.arrival) / SECOND for name, s in self.subjects.items()}
         return {name: age for name, age in ages.items() if age > timeout}
 
@@ -118,7 +119,7 @@ class Subjects:
         return settled
 
     def _is_near(self, last: tuple[int, Pose], stamp: int, pose: Pose) -> bool:
-        """Whether a subject could have come from its last pose to this one."""
+        """Return True if a subject could have moved from its last pose to this one."""
         elapsed = abs(stamp - last[0]) / SECOND
         way, angle = dist(last[1][:3], pose[:3]), _angle(last[1][3:], pose[3:])
         return (
@@ -127,7 +128,7 @@ class Subjects:
         )
 
     def _whose_place(self, name: str, stamp: int, poses: Mapping[str, Pose]) -> str:
-        """The subject whose place this one may have taken; empty: nobody's."""
+        """Return the subject whose place this one may have taken; empty if there is none."""
         for other, subject in self.subjects.items():
             gone = other not in poses or subject.jumped
             if other != name and gone and self._is_near(subject.believed, stamp, poses[name]):
@@ -140,11 +141,11 @@ class Subjects:
 
 
 def is_pose(pose: Pose) -> bool:
-    """Whether these are finite numbers, and a quaternion that turns."""
+    """Return True if these are finite numbers with a valid quaternion."""
     return all(map(isfinite, pose)) and 0.25 < sum(x * x for x in pose[3:]) < 4.0
 
 
 def _angle(a: tuple[float, ...], b: tuple[float, ...]) -> float:
-    """Between the orientations of two quaternions, not necessarily of length 1 [rad]."""
+    """Return the angle between two quaternions, not necessarily of length 1 [rad]."""
     sizes = (sum(x * x for x in a) * sum(x * x for x in b)) ** 0.5
     return 2.0 * acos(min(abs(sum(x * y for x, y in zip(a, b, strict=True))) / sizes, 1.0))

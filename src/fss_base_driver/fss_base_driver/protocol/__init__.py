@@ -1,4 +1,4 @@
-"""The wire protocol of the base's board (docs/reference/base_protocol.md), and what it obeys."""
+"""Wire protocol of the base's board (docs/reference/base_protocol.md), and its behaviour."""
 
 from fss_base_driver.protocol.frames import (
     BOARD,

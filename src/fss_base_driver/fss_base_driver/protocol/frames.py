@@ -1,6 +1,7 @@
-"""Telemetry and command frames of the base's board to bytes and back.
+"""Encoding and decoding of the telemetry and command frames of the base's board.
 
-Raw counts and units of the wire: whoever knows the gyro's scale turns its counts into SI units.
+Values are raw counts and units of the wire. The caller converts the gyro's counts into SI units
+with the gyro's scale.
 """
 
 from dataclasses import dataclass
@@ -8,11 +9,11 @@ from enum import IntEnum
 
 from fss_arm_driver.protocol import Codec, Kind, check_flags, check_order, invalid, signed, unsigned
 
-BOARD = 0  # its number, where frames have that of a link
+BOARD = 0  # number of the board, in the field for a link
 VALVES = 8
-TIME_UNIT = 100  # of on times and of a pulse's age [us]
-LONGEST = 0xFFFF  # on time [TIME_UNIT]
-OLD = 0xFFFF  # as the age of a pulse: that or more
+TIME_UNIT = 100  # unit of on-times and of a pulse's age [us]
+LONGEST = 0xFFFF  # largest on-time [TIME_UNIT]
+OLD = 0xFFFF  # age of a pulse that is this old or older
 NO_ON_TIMES = (0,) * VALVES
 
 
@@ -21,8 +22,8 @@ class BaseState(IntEnum):
 
     ARMED = 1
     STOPPED = 2  # latched until a command frame with neither arm nor stop
-    WATCHDOG = 4  # commands ceased; disarmed for that reason
-    LIMITED = 8  # a valve was closed before its time by a limit
+    WATCHDOG = 4  # commands stopped; the board disarmed for that reason
+    LIMITED = 8  # a limit closed a valve early
     SPENT = 16  # the valves' total time is used up
 
 
@@ -34,7 +35,7 @@ class BaseOrder(IntEnum):
 
 
 class Gripper(IntEnum):
-    """What a command says to the gripper."""
+    """Command to the gripper."""
 
     KEEP = 0
     OPEN = 1
@@ -42,7 +43,7 @@ class Gripper(IntEnum):
 
 
 class Hand(IntEnum):
-    """What telemetry says of the gripper, one bit each."""
+    """State of the gripper in telemetry, one bit each."""
 
     TOLD_TO_CLOSE = 1
     CLOSED = 2
@@ -72,38 +73,38 @@ class BaseSlow(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class BaseTelemetry:
-    """What the board reports."""
+    """Telemetry frame of the board."""
 
     link: int = unsigned(8)  # BOARD
     flags: int = unsigned(8)  # BaseState
     boot: int = unsigned(16)  # differs between starts of the board: 1 or more
     sequence: int = unsigned(32)  # counts the frames since the start, modulo 2^32
     clock: int = unsigned(64)  # the board's own clock at the measurement [us since its start]
-    echo: int = unsigned(32)  # low 32 bits of the `clock` of the last command taken; 0: none yet
+    echo: int = unsigned(32)  # low 32 bits of the `clock` of the last accepted command; 0: none yet
     turnaround: int = unsigned(32)  # from that command's arrival to the measurement [us]
     gyro_sum: int = unsigned(32)  # of all samples since the start, modulo 2^32 [counts]
-    gyro_samples: int = unsigned(16)  # how many these are, modulo 2^16
+    gyro_samples: int = unsigned(16)  # number of these samples, modulo 2^16
     valves: int = unsigned(8)  # bit i: valve i + 1 is open
     gripper: int = unsigned(8)  # Hand
-    pulse: int = unsigned(16)  # number of the one begun last; 0: none since the start
-    pulse_age: int = unsigned(16)  # since that began [TIME_UNIT], or OLD
+    pulse: int = unsigned(16)  # number of the last started pulse; 0: none since the board started
+    pulse_age: int = unsigned(16)  # time since that pulse started [TIME_UNIT], or OLD
     slow_id: int = unsigned(8)  # BaseSlow
     slow_value: int = signed(32)  # of the field `slow_id`
 
 
 @dataclass(frozen=True, slots=True)
 class BaseCommand:
-    """What the board shall do until `expiry` or the next command."""
+    """Command to the board, valid until `expiry` or the next command."""
 
     link: int = unsigned(8)  # BOARD
     flags: int = unsigned(8)  # BaseOrder
-    boot: int = unsigned(16)  # of the board that is meant; 0: not known yet, never with ARM
+    boot: int = unsigned(16)  # of the addressed board; 0: not known yet, never with ARM
     sequence: int = unsigned(32)  # counts the frames of one host session, modulo 2^32
     clock: int = unsigned(64)  # the host's stamp, echoed by the board [us]
     expiry: int = unsigned(64)  # in the board's clock [us]; 0: none, never with ARM
     pulse: int = unsigned(16)  # its number; 0: all valves close
     watchdog: int = unsigned(16)  # silence after which the board disarms itself [ms], 1 or more
-    on_times: tuple[int, ...] = NO_ON_TIMES  # of the valves, from the pulse's begin [TIME_UNIT]
+    on_times: tuple[int, ...] = NO_ON_TIMES  # of the valves, from the pulse's start [TIME_UNIT]
     gripper: int = Gripper.KEEP
 
 
@@ -153,7 +154,7 @@ _CODEC: Codec[BaseFrame] = Codec(
 
 
 def encode(frame: BaseFrame, key: bytes | None = None) -> bytes:
-    """The 72 bytes of `frame`, signed if a key is given.
+    """Return the 72 bytes of `frame`, signed if a key is given.
 
     Raises:
         FrameError: a value does not fit its field or its meaning; the message names it.
@@ -162,9 +163,9 @@ def encode(frame: BaseFrame, key: bytes | None = None) -> bytes:
 
 
 def decode(data: bytes, key: bytes | None = None) -> BaseFrame:
-    """The frame that these bytes are, signed under the key; not signed at all without one.
+    """Return the frame in these bytes; it must be signed under the key, or unsigned without one.
 
     Raises:
-        FrameError: they are none; nothing else is ever raised, whatever the bytes.
+        FrameError: the bytes are no valid frame; no other exception is raised for any bytes.
     """
     return _CODEC.decode(data, key)

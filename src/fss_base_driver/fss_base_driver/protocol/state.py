@@ -1,6 +1,6 @@
-"""What the base's board does, by the commands that it takes and the time that passes.
+"""State of the base's board, as a function of accepted commands and time.
 
-All is integer arithmetic, exact in time: how often the board is asked changes nothing.
+All arithmetic is integer and exact in time: the result does not depend on how often it is polled.
 """
 
 from collections.abc import Mapping
@@ -29,54 +29,54 @@ _MASK = 0xFFFFFFFF
 
 
 def board_gate(boot: int, key: bytes | None = None) -> Gate[BaseCommand]:
-    """What the board's commands come through; `boot`: which start this is, 1 to 65535."""
+    """Return the gate for the board's commands; `boot` identifies the board's start, 1 to 65535."""
     return Gate(BOARD, boot, key, BOARD_LANGUAGE)
 
 
 @dataclass(frozen=True)
 class Limits:
-    """The board's own limits, which no frame changes."""
+    """Limits of the board, which no frame changes."""
 
-    longest: int = 1_000_000  # pulse [us]
-    allowance: int = 5_000_000  # of open time of a valve, full at the start [us]
-    duty: int = 50  # at which that fills again [%]
-    total: int = 300_000_000  # of all valves since the last order to disarm [us]
+    longest: int = 1_000_000  # longest pulse [us]
+    allowance: int = 5_000_000  # allowance of open time of a valve, full at the start [us]
+    duty: int = 50  # rate at which the allowance refills [%]
+    total: int = 300_000_000  # total open time of all valves since the last disarm command [us]
 
 
 class Measured(NamedTuple):
-    """What the board's instruments say."""
+    """Readings of the board's instruments."""
 
     gyro_sum: int = 0  # [counts]
     gyro_samples: int = 0
-    closed: bool = False  # the gripper
+    closed: bool = False  # the gripper is closed
     holds: bool = False
-    slow: Mapping[BaseSlow, int] = {}  # those fields that the board does not count itself
+    slow: Mapping[BaseSlow, int] = {}  # the fields that the board does not count itself
 
 
 class BoardState:
-    """Whether the board is armed, its latches, and which valves are open since when.
+    """State of the board: armed or not, latches, and open valves.
 
-    Clocks are the board's own [us], and never run back.
+    Times are those of the board's clock [us], which never runs backwards.
 
     Args:
-        gate: that commands come through.
+        gate: for the commands.
         limits: of the valves.
     """
 
     def __init__(self, gate: Gate[BaseCommand], limits: Limits | None = None) -> None:
         self.gate, self.limits = gate, limits or Limits()
         self.armed = self.stopped = self.watchdog_tripped = self.limited = self.spent = False
-        self.pulse = 0  # number of the one begun last
-        self.gripper = Gripper.KEEP  # what it was told last
-        self.left = self.limits.total  # of the valves' total time [us]
-        self.opened = [0] * VALVES  # how long each was open since the start [us]
-        self._begun = 0  # when the last pulse was
+        self.pulse = 0  # number of the last started pulse
+        self.gripper = Gripper.KEEP  # last command to the gripper
+        self.left = self.limits.total  # rest of the valves' total time [us]
+        self.opened = [0] * VALVES  # total open time of each since the start [us]
+        self._begun = 0  # start of the last pulse
         self._clock = 0
-        self._until = [0] * VALVES  # each is open up to then
+        self._until = [0] * VALVES  # end of each valve's open time
         self._allowance = [PERCENT * self.limits.allowance] * VALVES  # [us / PERCENT]
 
     def receive(self, data: bytes, clock: int) -> bool:
-        """Take or refuse bytes that have come; whether they were taken as a command."""
+        """Process received bytes; return True if they were accepted as a command."""
         self.tick(clock)
         command = self.gate.take(data, clock)
         if not isinstance(command, BaseCommand):
@@ -94,26 +94,26 @@ class BoardState:
         return True
 
     def tick(self, clock: int) -> None:
-        """Let time pass."""
+        """Advance the state to a time."""
         while self._clock < clock:
             self._pass(min(clock, self._next()))
             self._limit()
 
     def valves(self) -> int:
-        """Which are open: bit i is valve i + 1."""
+        """Return the open valves: bit i is valve i + 1."""
         return sum(1 << i for i in self._open())
 
     @property
     def until(self) -> tuple[int, ...]:
-        """Up to when each valve is open if nothing comes between; 0, or a past time: closed."""
+        """Planned closing time of each valve; 0 or a past time: closed."""
         return tuple(self._until)
 
     def remaining(self) -> list[int]:
-        """For how long each valve is still to be open if nothing comes between [us]."""
+        """Return the remaining planned open time of each valve [us]."""
         return [max(0, until - self._clock) for until in self._until]
 
     def flags(self) -> int:
-        """As telemetry has them."""
+        """Return the flags for telemetry."""
         return (
             BaseState.ARMED * self.armed
             | BaseState.STOPPED * self.stopped
@@ -123,7 +123,7 @@ class BoardState:
         )
 
     def telemetry(self, clock: int, sequence: int, measured: Measured) -> BaseTelemetry:
-        """The frame of that number, measured now."""
+        """Return the telemetry frame with that sequence number, measured now."""
         self.tick(clock)
         gate, command = self.gate, self.gate.command
         slow = list(BaseSlow)[sequence % len(BaseSlow)]
@@ -158,7 +158,7 @@ class BoardState:
         return measured.slow.get(slow, 0)
 
     def _obey(self, command: BaseCommand) -> None:
-        """Do what a command that arms says."""
+        """Execute a command that arms."""
         if command.gripper != Gripper.KEEP:
             self.gripper = Gripper(command.gripper)
         if not command.pulse:
@@ -181,7 +181,7 @@ class BoardState:
         return [i for i, until in enumerate(self._until) if until > self._clock]
 
     def _next(self) -> int:
-        """When something changes by itself, at the earliest; always later than now."""
+        """Return the earliest time of a change without a command; always later than now."""
         command, valves = self.gate.command, self._open()
         if not (self.armed and command):
             return 1 << 64
@@ -194,7 +194,7 @@ class BoardState:
         return max(min(times), self._clock) + 1
 
     def _pass(self, clock: int) -> None:
-        """Let time pass in which nothing changes."""
+        """Advance the time over an interval without changes."""
         passed, valves = clock - self._clock, self._open()
         full = PERCENT * self.limits.allowance
         for i, allowance in enumerate(self._allowance):
@@ -207,7 +207,7 @@ class BoardState:
         self._clock = clock
 
     def _limit(self) -> None:
-        """Close what must not be open any more."""
+        """Close the valves that must not be open any longer, and disarm if a limit requires it."""
         command, gate = self.gate.command, self.gate
         if not (self.armed and command):
             return
@@ -225,5 +225,5 @@ class BoardState:
 
 
 def _signed(value: int) -> int:
-    """As 32 bits, two's complement."""
+    """Return the value as 32 bits, two's complement."""
     return ((value & _MASK) ^ 1 << 31) - (1 << 31)

@@ -1,4 +1,4 @@
-"""Control of the base: a wrench that holds or leads it."""
+"""Control of the base: a wrench that holds it or makes it follow a path."""
 
 from .pose import PoseControl as PoseControl
 from .pose import PoseGains as PoseGains

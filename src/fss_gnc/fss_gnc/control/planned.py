@@ -1,12 +1,13 @@
-"""The joints' accelerations as a plan of their rates gives them, a period at a time.
+"""Joint accelerations from a plan of the joints' rates, one period at a time.
 
-What the wrench must balance over periods is the change of the joints' rates. The mean acceleration
-of a period is therefore from the rates that were reached before to those planned for its end: a
-plan that is told late, or a rate that jumps, is made up for in the next period.
+The wrench must balance the change of the joints' rates over a period. The mean acceleration of a
+period is therefore computed from the rates at the end of the last period to those planned for the
+end of this one. If a plan arrives late, or a rate jumps, the next period compensates for it.
 
-Rates for one time are no plan but what the joints do. To balance their noise would shake the base,
-which they feel, and with a heavy target at the end of the arm more at each period. A plan that is
-long over says nothing any more: whatever the joints have done since then, the base has felt.
+A plan with rates for one time only is a measurement of the joints' motion. Balancing its noise
+would shake the base, which in turn disturbs the joints; with a heavy target at the end of the arm
+this would grow with each period. A plan that ended long ago is ignored: the base has already
+reacted to whatever the joints have done since.
 """
 
 import numpy as np
@@ -15,11 +16,11 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 SECOND = 1_000_000_000
-OVER = 1.0  # past a plan's times, or before them, at which it says nothing [s]
+OVER = 1.0  # time before or after a plan's times at which it is ignored [s]
 
 
 class PlannedRates:
-    """Rates of n joints to come."""
+    """Planned rates of n joints."""
 
     def __init__(self) -> None:
         self._stamp, self._ahead = 0, np.zeros(1)
@@ -27,11 +28,11 @@ class PlannedRates:
         self._reached: Floats | None = None  # (n,) at the end of the last period
 
     def take(self, stamp: int, ahead: Floats, rates: Floats) -> None:
-        """Rates (k, n) [rad/s] are planned for times (k,), rising, after a stamp [ns]."""
+        """Store rates (k, n) [rad/s], planned for increasing times (k,) [s] after a stamp [ns]."""
         self._stamp, self._ahead, self._rates = stamp, ahead, rates
 
     def accelerations(self, now: int, period: float) -> Floats | None:
-        """Mean over the period [s] from now [ns] on, (n,) [rad/s^2]; None: nothing is planned."""
+        """Return the mean over a period [s] from now [ns], (n,) [rad/s^2]; None without a plan."""
         t = (now - self._stamp) / SECOND
         if self._rates is None or not -OVER < t < self._ahead[-1] + OVER:
             self.reset()
@@ -42,7 +43,7 @@ class PlannedRates:
         return (end - begin) / period if len(self._ahead) > 1 else np.zeros(end.size)
 
     def reset(self) -> None:
-        """Nothing was balanced in the last period."""
+        """Forget the rates that were reached: nothing was balanced in the last period."""
         self._reached = None
 
     def _at(self, t: float) -> Floats:

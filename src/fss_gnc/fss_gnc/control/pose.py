@@ -1,16 +1,16 @@
-"""Holding the base at a pose, or along a path of poses, while the arm moves.
+"""Control of the base at a pose, or along a path of poses, while the arm moves.
 
-With base coordinates x (x, y, theta) and the joints' q_m, the wrench at the base's origin that
-makes the base accelerate by a while the joints do what they are planned to do is (dynamics.py)
+Let x be the base coordinates (x, y, theta) and q_m the joint angles. If the joints move as planned,
+the wrench at the base's origin that makes the base accelerate by a is (dynamics.py)
 
     w = H_bb a + [H_bm qdd_m + h(q, qd)]_b
 
-of which the bracket is the arm's reaction. The acceleration follows the reference r:
+where the bracket is the arm's reaction. The acceleration follows the reference r:
 
     a = r'' + 2 zeta w_n (r' - x') + w_n^2 (r - x) + d,   d' = k_i w_n^3 (r - x)
 
-so that gains follow from a bandwidth w_n and from the mass and inertia of the present posture; d
-balances what is not modelled: the table's slope, the hose.
+The gains follow from a bandwidth w_n and from the mass and inertia of the present posture. The
+term d balances what is not modelled: the table's slope, the hose.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PoseGains(Settings):
-    """How the base follows its reference."""
+    """Gains of the controller that makes the base follow its reference."""
 
     bandwidth: float = setting(
         0.35, "bandwidth of the base's control", unit="rad/s", check=POSITIVE
@@ -48,14 +48,14 @@ class PoseGains(Settings):
 
 
 class PoseControl:
-    """From where base and arm are to the wrench on the base."""
+    """Controller from the state of base and arm to the wrench on the base."""
 
     def __init__(self, arm: Arm, gains: PoseGains | None = None) -> None:
-        self.p, self.gains = arm.vector(), gains or PoseGains()  # p as it is now
+        self.p, self.gains = arm.vector(), gains or PoseGains()  # p: the present parameters
         self.reset()
 
     def reset(self) -> None:
-        """Forget the steady disturbance."""
+        """Reset the estimate of the steady disturbance."""
         self._disturbance = np.zeros(3)
 
     def wrench(
@@ -66,15 +66,15 @@ class PoseControl:
         period: float,
         qdd_m: npt.ArrayLike | None = None,
     ) -> Floats:
-        """Force in the base's axes [N] and torque about its origin [N m], (3,).
+        """Return force in the base's axes [N] and torque about its origin [N m], (3,).
 
         Args:
             q: (3 + n,) state.
-            qd: (3 + n,) its rate.
-            reference: where the base is to be; its heading is taken the shorter way.
+            qd: (3 + n,) rate of the state.
+            reference: of the base; the heading error is wrapped to the shorter turn.
             period: since the last call [s].
             qdd_m: (n,) planned accelerations of the joints [rad/s^2]; None: the arm's reaction is
-                left to be felt.
+                not balanced in advance.
         """
         q, qd, g = np.asarray(q, float), np.asarray(qd, float), self.gains
         apart = off(reference.pose, q[:3])

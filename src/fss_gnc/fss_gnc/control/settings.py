@@ -1,4 +1,4 @@
-"""The parameters of the node `control`."""
+"""Parameters of the node `control`."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from fss_gnc.control.pose import PoseGains
 
 @dataclass(frozen=True)
 class ControlSettings(PoseGains):
-    """The parameters of a ControlNode."""
+    """Parameters of a ControlNode."""
 
     arm: str = setting("", "arm to control: paper, cad, truth or a file; empty: paper")
     rate: float = setting(10.0, "rate of base/wrench", unit="1/s", check=between(1.0, 200.0))

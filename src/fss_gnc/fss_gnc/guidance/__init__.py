@@ -1,1 +1,1 @@
-"""What base and arm are to do: activities, one at a time. No ROS but in `kinds`."""
+"""Guidance of base and arm by activities, one at a time. Only `kinds` depends on ROS."""

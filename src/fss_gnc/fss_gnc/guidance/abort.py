@@ -1,16 +1,19 @@
-"""An end that is safe: valves closed, joints held, and a drift that meets nothing.
+"""Abort of a mission: valves closed, joints at rest, and a drift without collision.
 
-The thrusters are used for one thing only: if base and arm as they drift would meet the target or
-the table's edge within the horizon, a short push gives them the least other motion that does not.
-As the joints come to rest they change that drift, so they do so first. Without knowledge of the
-base, or of whether the gripper holds the target, the thrusters are not used at all; once both are
-known again, they may be. Joints that are not heard any more are taken to rest where they were last,
-after a while, as links hold when nobody commands them, unless a target is held, too; those that are
-heard slow down within their torques. A target that is held stays so: let go, it would tumble beside
-the arm; one that is not is let go.
+The thrusters are used for one purpose only. If base and arm would drift into the target or to the
+table's edge within the horizon, a short push gives them the safe motion that needs the least push.
+The joints stop first, because stopping them changes the drift. The thrusters are not used while the
+base is unknown, or while it is unknown whether the gripper holds the target. They may be used once
+both are known again.
 
-Where a valve does not close, no drift is safe: the base comes to rest, with room about it, and is
-held there until the gas is spent: by what the tank tells, or else until the valves hold it no more.
+Joints that no longer send readings are assumed to rest at their last angles after a while,
+because links stop without commands; this does not apply while a target is held. Joints with
+readings slow down within their torque limits. The gripper keeps a held target, which would
+otherwise tumble beside the arm. If it holds none, it opens.
+
+If a valve does not close, no drift is safe. The base then comes to rest at a place with free space
+around it, and is held there until the gas is used up. That is known from the tank's sensor, or else
+from the valves no longer holding the base.
 """
 
 import numpy as np
@@ -25,21 +28,23 @@ from fss_gnc.reference import Body, Path, Reference, off
 
 Floats = npt.NDArray[np.float64]
 
-QUIET = 3.0  # for which the drift must be safe, joints at rest, before it is over [s]
-PATIENCE = 30.0  # without knowing the base [s]
-STILL = 0.01  # of a joint [rad/s]
-LATE = 2.0  # that joints may take longer to rest than they should, or once they are not heard [s]
-EMPTY = 5e-4  # of propellant, with which the valves move nothing any more [kg]
-HOLD = 60.0  # at a place with room, until it is tried again whether a valve leaks [s]
+QUIET = 3.0  # time for which the drift must be safe, joints at rest, before the abort ends [s]
+PATIENCE = 30.0  # longest time without a known base [s]
+STILL = 0.01  # rate below which a joint is at rest [rad/s]
+LATE = 2.0  # extra time for joints to stop, and time until silent joints count as stopped [s]
+EMPTY = 5e-4  # mass of propellant below which the valves have no effect [kg]
+HOLD = 60.0  # time at rest at a place, until it is checked again whether a valve leaks [s]
 
 
 class Abort:
-    """The activity. Requested as a mission of its own, it ends well if the drift is safe.
+    """Activity that aborts a mission.
+
+    If it is requested as its own mission, it succeeds if the drift is safe.
 
     Args:
         craft: base and arm.
         reason: why it aborts.
-        asked: whether it was requested for itself, and is not the end of another mission.
+        asked: True if it was requested itself, and is not the end of another mission.
     """
 
     blind = True
@@ -53,15 +58,15 @@ class Abort:
         self.joints = Stopping(self.torques)
         self.drift: Drift | None = None
         self._push: Path | None = None
-        self._busy = -np.inf  # until when it is pushed, or held [s]
-        self._leaks = False  # a valve
-        self._gone = False  # the base, from where it is held: the valves do not hold it any more
+        self._busy = -np.inf  # until when it pushes or holds the base [s]
+        self._leaks = False  # True if a valve leaks
+        self._gone = False  # True if the valves no longer hold the base at its place
         self._held: Floats | None = None  # place of the target in the gripper (held.py)
-        self._known = self._quiet = np.nan  # since when; NaN: it has not begun
-        self._heard = np.nan  # when the joints were last, or it began [s]
+        self._known = self._quiet = np.nan  # since when; NaN: not yet
+        self._heard = np.nan  # time of the last joint readings, or of the start [s]
 
     def step(self, seen: Seen) -> Orders:
-        """Orders now."""
+        """Return the orders for now."""
         if np.isnan(self._known):
             self._known = self._quiet = self._heard = seen.t
         rates = self.joints.rates(self.p, seen)
@@ -69,16 +74,16 @@ class Abort:
         return Orders("abort", path, rates, seen.keeping, reason=self.reason, ended=ended)
 
     def cancel(self, reason: str) -> None:
-        """Go on all the same: there is nothing safer."""
+        """Ignore a cancel request, because nothing is safer than the abort."""
 
     @property
     def safe(self) -> bool:
-        """Whether nothing will be hit within the horizon, as far as that is known."""
+        """True if no collision is predicted within the horizon, as far as that is known."""
         return self.drift is not None and self.drift.safe
 
     @property
     def target_clearance(self) -> float:
-        """Least distance to the target within the horizon [m]; NaN: there is none."""
+        """Least distance to the target within the horizon [m]; NaN if there is no target."""
         known = self.drift is not None and np.isfinite(self.drift.target)
         return self.drift.target if self.drift is not None and known else np.nan
 
@@ -125,7 +130,7 @@ class Abort:
         return self._push
 
     def _make_room(self, drifting: Drifting, t: float, q: Floats, target: Body | None) -> None:
-        """Move on from where the base is held, if it cannot stay there."""
+        """Move on from the place where the base is held, if it cannot stay there."""
         assert self._push is not None
         here = Reference.at_rest(self._push.knots[-1, 0])
         goal = drifting.refuge(np.concatenate([here.pose, q[3:]]), target)
@@ -153,19 +158,19 @@ class Abort:
 
 
 class Stopping:
-    """Joints that slow down within torques (n,) [N m], and then hold."""
+    """Joint motion that slows down within torque limits (n,) [N m], and then holds."""
 
     def __init__(self, torques: Floats) -> None:
         self.torques = torques
-        self._from: tuple[float, float, Floats] | None = None  # when, how long, rates then
+        self._from: tuple[float, float, Floats] | None = None  # start, duration and initial rates
 
     @property
     def end(self) -> float:
-        """When they rest [s]; infinite: they have not begun to slow down."""
+        """Time at which the joints rest [s]; infinite before they start to slow down."""
         return np.inf if self._from is None else self._from[0] + self._from[1]
 
     def rates(self, p: Floats, seen: Seen) -> Floats:
-        """Of the joints now [rad/s]."""
+        """Return the rates of the joints now [rad/s]."""
         if seen.q is None or seen.qd is None:
             return np.zeros(self.torques.size)
         if self._from is None:

@@ -1,7 +1,8 @@
-"""Activities: what the guidance can do, one at a time. No ROS, no clock.
+"""Activities of the guidance, one at a time, without ROS and without a clock.
 
-The node steps an activity at its rate with what is seen, and carries out the orders that it answers
-with, until they say how it ended. After that, and whenever the base is unknown, the base coasts.
+The node steps an activity at its rate with the known state. It executes the orders that the
+activity returns, until they contain a result. After that, and whenever the base is unknown, the
+base coasts.
 """
 
 from dataclasses import dataclass, field
@@ -21,12 +22,12 @@ Held = tuple[Target, Floats]  # a body and its place (3,) in the last link's fra
 
 
 class ActivityError(ValueError):
-    """An activity cannot begin, or go on; the message says why."""
+    """Failure to start or to continue an activity; the message says why."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What is known at a moment."""
+    """Known state at one time."""
 
     t: float  # since the activity began [s]
     base: Body | None = None  # None: not known now
@@ -34,16 +35,16 @@ class Seen:
     q: Floats | None = None  # (n,) [rad]; None: not all joints are known
     qd: Floats | None = None  # (n,) [rad/s]
     effort: Floats | None = None  # (n,) [N m]
-    holds: bool | None = None  # the gripper the target; None: not known
+    holds: bool | None = None  # whether the gripper holds the target; None: not known
     propellant: float = np.nan  # left [kg]; NaN: not known
-    last_q: Floats | None = None  # (n,) as the joints were last heard [rad]; None: never
-    held: Held | None = None  # what the gripper holds, as measured; None: it is not yet
-    open_valves: tuple[int, ...] = ()  # that do not close, from 1
-    pushed: bool = False  # momentum changes as nothing known explains
+    last_q: Floats | None = None  # (n,) last received joint angles [rad]; None: none yet
+    held: Held | None = None  # held body as measured; None: not measured yet
+    open_valves: tuple[int, ...] = ()  # valves that do not close, from 1
+    pushed: bool = False  # momentum changes without a known cause
 
     @property
     def keeping(self) -> bool | None:
-        """The order to the gripper that lets go of nothing: close if it holds, open if not."""
+        """Gripper order that keeps the present state: close if it holds a target, open if not."""
         return None if self.holds is None else bool(self.holds)
 
     @property
@@ -61,48 +62,51 @@ class Seen:
 
 
 class Ended(NamedTuple):
-    """How an activity ended."""
+    """Result of an activity."""
 
     well: bool
-    message: str = ""  # why not, if not
+    message: str = ""  # why it failed; empty if it succeeded
 
 
 @dataclass(frozen=True)
 class Orders:
-    """What to do until the next step; by default valves are closed and the arm is left alone."""
+    """Commands until the next step.
+
+    By default the valves are closed and the arm gets no commands.
+    """
 
     phase: str
     path: Path | None = None  # of the base, by the activity's time; None: coast
-    rates: Floats | None = None  # (n,) of the joints [rad/s]; None: the arm is left alone
-    close: bool | None = None  # the gripper; None: as it is
-    keep_out: float = 0.0  # radius about the target that it keeps off [m]
+    rates: Floats | None = None  # (n,) of the joints [rad/s]; None: no command
+    close: bool | None = None  # close the gripper, or open it; None: unchanged
+    keep_out: float = 0.0  # radius of the keep-out zone about the target [m]
     fixture_distance: float = np.nan  # from the end effector to the target's fixture [m]
-    reason: str = ""  # why it aborts or brakes; empty: it does not
+    reason: str = ""  # why it aborts or brakes; empty: neither
     ended: Ended | None = None
 
 
 class Activity(Protocol):
-    """Something that the guidance does."""
+    """Behaviour of the guidance, executed in steps."""
 
-    blind: bool  # whether it goes on while base or joints are unknown
+    blind: bool  # True if it continues while base or joints are unknown
 
     def step(self, seen: Seen) -> Orders:
-        """Orders for now.
+        """Return the orders for now.
 
         Raises:
-            ActivityError: it cannot go on, and so has failed.
+            ActivityError: it cannot continue, and so has failed.
         """
 
     def cancel(self, reason: str) -> None:
-        """Come to an end within the next steps."""
+        """End within the next steps."""
 
 
 @dataclass(frozen=True)
 class Craft:
-    """The spacecraft as the guidance knows it.
+    """Spacecraft model of the guidance.
 
     Raises:
-        SettingError: the posture is not one of this arm.
+        SettingError: the posture does not fit this arm.
     """
 
     arm: Arm

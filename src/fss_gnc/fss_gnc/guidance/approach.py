@@ -1,19 +1,21 @@
-"""The way of the base, arm held, to where the end effector stands before the target's fixture.
+"""Planning of the approach: motion of the base, joints held, to the stand-off from the fixture.
 
-Seen from the target, which drifts evenly, and by what the end effector points at:
+Seen from the target, which drifts uniformly, and in terms of where the end effector points:
 
     c = s (d - k),   s = exp(i phi),   theta = phi + pi - theta_E + psi
 
-with c the centre of mass from the target's, d the end effector's distance if it points straight
-at the target (psi = 0) from the side s, and k, theta_E the centre of mass seen from the end
-effector and the latter's heading in the base: d brings it in, phi takes it round the target, and
-psi turns it. Each is a polynomial of time that begins with the present motion and ends at rest.
+where c is the centre of mass relative to the target's. d is the distance of an end effector that
+points straight at the target (psi = 0) from the side s. k is the centre of mass seen from the end
+effector, and theta_E the end effector's heading in the base. d moves it inward, phi moves it around
+the target, and psi turns it. Each is a polynomial of time that starts with the present motion and
+ends at rest.
 
-The fixture turns with the target. For each time of arrival, earliest first, the side is the one
-that the fixture then faces, both ways round and several orders of going round and coming in are
-tried, and the first is taken that the valves can drive, that stays on the table and out of the
-keep-out zone, and does so, too, for a while whenever all thrust ends on it (passive safety, as for
-a visiting vehicle: Fehse, Automated Rendezvous and Docking of Spacecraft, 2003, section 4.4).
+The fixture turns with the target. Times of arrival are tried, earliest first. At each, the side is
+the one that the fixture then faces. Both directions around the target and several orders of moving
+inward and around are tried. The first trajectory is chosen that the valves can produce and that
+stays on the table and outside the keep-out zone. It must also do so for a while if all thrust ends
+at any point on it (passive safety, as for a visiting vehicle: Fehse, Automated Rendezvous and
+Docking of Spacecraft, 2003, section 4.4).
 """
 
 from collections.abc import Iterator
@@ -37,7 +39,7 @@ Complexes = npt.NDArray[np.complex128]
 
 
 class Points(NamedTuple):
-    """Poses of the base in the world, twists and accelerations, (k, 3) each."""
+    """Poses, twists and accelerations of the base in the world, (k, 3) each."""
 
     pose: Floats
     twist: Floats
@@ -45,7 +47,7 @@ class Points(NamedTuple):
 
 
 def quintic(begin: float, rate: float, end: float, duration: float, t: Floats) -> Floats:
-    """Value, rate and acceleration (3, k) from a value and a rate to rest at another value."""
+    """Return value, rate and acceleration (3, k), from a value and a rate to rest at another."""
     T, u = duration, np.clip(t / duration, 0.0, 1.0)
     way, kick = end - begin, rate * T
     a, b, c = 10 * way - 6 * kick, -15 * way + 8 * kick, 6 * way - 3 * kick
@@ -56,7 +58,7 @@ def quintic(begin: float, rate: float, end: float, duration: float, t: Floats) -
 
 
 class Rigid:
-    """Base and arm with joints held: where its centre of mass is, and what it points at."""
+    """Base and arm with joints held: centre of mass, and pointing direction of the end effector."""
 
     def __init__(self, p: Floats, q_m: npt.ArrayLike) -> None:
         self.p, self.q_m = p, np.array(q_m, dtype=float)
@@ -65,7 +67,10 @@ class Rigid:
         self.k = (self.com - complex(x, y)) * np.exp(-1j * self.tip_heading)
 
     def polar(self, pose: Floats, twist: Floats) -> tuple[Floats, Floats] | None:
-        """d, phi, psi and their rates, from the base's pose and twist seen from the target."""
+        """Return d, phi, psi and their rates from the base's pose and twist relative to the target.
+
+        None if the centre of mass is too close to the target.
+        """
         turned = np.exp(1j * pose[2]) * self.com
         c = complex(*pose[:2]) + turned
         v = complex(*twist[:2]) + 1j * twist[2] * turned
@@ -84,7 +89,13 @@ class Rigid:
         )
 
     def points(self, d: Floats, phi: Floats, psi: Floats) -> Points:
-        """Of the base, seen from the target; each given with rate and acceleration, (3, k)."""
+        """Return the base's motion seen from the target.
+
+        Args:
+            d: (3, k) value, rate and acceleration [m].
+            phi: (3, k) the same of the side's direction [rad].
+            psi: (3, k) the same of the turn [rad].
+        """
         s, arm = np.exp(1j * phi[0]), d[0] - self.k
         v = s * (d[1] + 1j * phi[1] * arm)
         a = s * (d[2] + 2j * phi[1] * d[1] + (1j * phi[2] - phi[1] ** 2) * arm)
@@ -104,7 +115,7 @@ def _rows(along: Complexes, turning: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Way:
-    """From where it begins to the stand-off, in the target's drifting frame."""
+    """Trajectory from the start to the stand-off, in the target's drifting frame."""
 
     body: Rigid
     begin: Floats  # (3,) d, phi, psi
@@ -114,7 +125,7 @@ class Way:
     order: "Order"
 
     def points(self, t: npt.ArrayLike) -> Points:
-        """At times since its begin [s], seen from the target."""
+        """Return the points at times since the start [s], seen from the target."""
         t, T, order = np.atleast_1d(np.asarray(t, dtype=float)), self.duration, self.order
         begin, speed, end = self.begin.tolist(), self.rate.tolist(), self.end.tolist()
         d = quintic(begin[0], speed[0], end[0], T, t)
@@ -131,18 +142,18 @@ class Way:
 
 
 class Order(NamedTuple):
-    """When it comes in and when it goes round, as shares of the duration."""
+    """Timing of the motions inward and around the target, as shares of the duration."""
 
-    round: tuple[float, float]  # from when to when phi changes
-    share: float = 0.0  # until when d goes elsewhere first
-    far: float | None = None  # and where that is [m]; None: straight in
+    round: tuple[float, float]  # start and end of the change of phi
+    share: float = 0.0  # end of a first motion of d to another distance
+    far: float | None = None  # that distance [m]; None: straight in
 
 
 class Planner:
-    """Finds ways.
+    """Planner of approach trajectories.
 
     Args:
-        p: Arm.vector(), as heavy as it is now.
+        p: Arm.vector(), with the present masses.
         settings: of the missions.
     """
 
@@ -155,30 +166,30 @@ class Planner:
         self._sizes = sizes(settings, settings.target_radius, settings.gripper_length)
 
     def standing(self) -> float:
-        """Distance of the end effector from the target's centre where the way ends [m]."""
+        """Return the end effector's distance from the target's centre after the approach [m]."""
         return float(abs(complex(*self.target.fixture[:2]))) + self.settings.stand_off
 
     def side(self, heading: float) -> float:
-        """Direction of the fixture from the target's centre, at a heading of it [rad]."""
+        """Return the fixture's direction from the target's centre, at a target heading [rad]."""
         return heading + float(np.angle(complex(*self.target.fixture[:2])))
 
     def load(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-        """Share of the valves' authority that the base's motion takes, (k,)."""
+        """Return the share of the valves' authority that the base's motion needs, (k,)."""
         w = inverse_dynamics(self.p, q, qd, qdd)[..., :3]
         return load(w, q[..., 2], self.settings)
 
     def find(self, q: Floats, qd: Floats, state: Floats, lead: float) -> Way | None:
-        """The quickest way, as `search` finds it; None: there is none."""
+        """Return the quickest trajectory of `search`; None if there is none."""
         return next((way for way in self.search(q, qd, state, lead) if way), None)
 
     def search(self, q: Floats, qd: Floats, state: Floats, lead: float) -> Iterator[Way | None]:
-        """Ways of base and arm from q, qd (3 + n,), the quickest first; None: a try that is none.
+        """Yield feasible trajectories of base and arm, the quickest first; None for a failed try.
 
         Args:
-            q: state; its joints are held.
-            qd: its rate; those of the joints do not count.
+            q: (3 + n,) state; its joints are held.
+            qd: (3 + n,) rate of the state; the joints' rates are ignored.
             state: (2, 3) pose and twist of the target.
-            lead: a way ends so long before the fixture faces the arm [s].
+            lead: time from the end of a trajectory until the fixture faces the arm [s].
         """
         body = Rigid(self.p, q[3:])
         drift = np.array([*state[1, :2], 0.0])
@@ -220,7 +231,7 @@ class Planner:
         drift = np.array([*state[1, :2], 0.0])
         target = state[0, :2] + t[:, None] * state[1, :2]
         pose = seen.pose + np.column_stack([target, np.zeros(t.size)])
-        # What is too near at the begin may become no nearer.
+        # A gap that is too small at the start must not become smaller.
         room = np.minimum(self._room, self.room(np.concatenate([pose[0], way.body.q_m]), state[0]))
         if (self.gaps_of(pose, way.body, target) < room - 1e-3).any():
             return False
@@ -232,11 +243,11 @@ class Planner:
         return True
 
     def room(self, q: Floats, target: Floats) -> Floats:
-        """The gaps of all bodies to target and edge, (g,)."""
+        """Return the gaps of all bodies to target and edge, (g,)."""
         return np.asarray(gaps(self.p, q, self._pairs, self._sizes, target[:2]))
 
     def gaps_of(self, pose: Floats, body: Rigid, target: Floats) -> Floats:
-        """The gaps with the base at poses (k, 3) and the target at (k, 2), (k, g)."""
+        """Return the gaps with the base at poses (k, 3) and the target at (k, 2), (k, g)."""
         q = np.column_stack([pose, np.broadcast_to(body.q_m, (len(pose), body.q_m.size))])
         return np.asarray(gaps(self.p, q, self._pairs, self._sizes, target))
 
@@ -247,7 +258,7 @@ class Planner:
 
 
 def coasted(pose: Floats, twist: Floats, com: complex, time: float | Floats) -> Floats:
-    """Poses (..., 3) of the base a time later [s], base and arm turning as one body."""
+    """Return poses (..., 3) of the base a time later [s], base and arm moving as one free body."""
     w = com * np.exp(1j * pose[..., 2])
     v = twist[..., 0] + 1j * twist[..., 1] + 1j * twist[..., 2] * w
     heading = pose[..., 2] + time * twist[..., 2]
@@ -256,9 +267,9 @@ def coasted(pose: Floats, twist: Floats, com: complex, time: float | Floats) -> 
 
 
 def load(wrench: Floats, heading: Floats, settings: MissionSettings) -> Floats:
-    """Share of the valves' authority that wrenches (..., 3) in world axes take, (...).
+    """Return the share of the valves' authority that wrenches (..., 3) in world axes need, (...).
 
-    Four valves of thrust T and lever l push along each axis: together they give what has
+    Four valves of thrust T and lever l push along each axis. Together they can produce
 
         |f_x|, |f_y| <= 2 T,   |f_x| + |f_y| + |tau| / l <= 4 T
     """

@@ -1,4 +1,4 @@
-"""What the guidance does with the base alone: hold it, take it to a pose, along a path."""
+"""Activities of the base alone: hold it, move it to a pose, move it along a path."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,18 +20,18 @@ MIN_DURATION = 1.0  # of a motion [s]
 
 
 class AlongPath:
-    """The base along a path, and then at its last pose for a while.
+    """Activity that moves the base along a path and then holds its last pose for a while.
 
-    It brakes, and then fails, where the rest of the way is no longer free; cancelled on the way it
-    brakes before it ends.
+    It brakes, and then fails, if the rest of the path is no longer free. If it is cancelled on the
+    path, it brakes before it ends.
 
     Args:
         craft: whose base.
-        phase: name of it while it is on its way.
-        path: begins at time 0.
+        phase: name of the phase during the motion.
+        path: starts at time 0.
         hold: how long to hold at the end [s]; inf: until it is cancelled.
-        patience: time after the path's end by which the base must be at rest there [s]; None: that
-            it is near to its reference is enough.
+        patience: time after the path's end by which the base must be at rest there [s]; None: it
+            only has to stay near its reference.
     """
 
     blind = False
@@ -41,14 +41,14 @@ class AlongPath:
     ) -> None:
         self.settings, self.free_space = craft.settings, FreeSpace(craft)
         self.phase, self.path, self.hold, self.patience = phase, path, hold, patience
-        self.reached: float | None = None  # when it was [s]
+        self.reached: float | None = None  # time at which the goal was reached [s]
         self.offset, self.largest_offset = np.zeros(3), np.zeros(3)  # from the reference
         self.remaining = inf  # [s]
-        self.cancelled = ""  # why it brakes, or holds no more
-        self.well = False  # to be cancelled now is no failure
+        self.cancelled = ""  # why it brakes, or stops holding
+        self.well = False  # True if a cancel request now is no failure
 
     def step(self, seen: Seen) -> Orders:
-        """Orders now."""
+        """Return the orders for now."""
         q, qd = seen.floating
         base = Body(q[:3], qd[:3])
         self._measure(seen.t, base)
@@ -65,7 +65,7 @@ class AlongPath:
         )  # fmt: skip
 
     def cancel(self, reason: str) -> None:
-        """Hold no more, or brake."""
+        """Stop holding, or brake."""
         self.cancelled = self.cancelled or reason
         self.well = self.well or self.reached is not None
 
@@ -107,16 +107,16 @@ class AlongPath:
 
 
 def hold(craft: Craft, seen: Seen, pose: npt.ArrayLike, duration: float) -> AlongPath:
-    """Keep the base at a pose near to where it is, (3,), or where it comes to rest, ().
+    """Hold the base at a pose near its present one, (3,), or where it comes to rest, ().
 
     Args:
         craft: whose base.
-        seen: at the begin.
-        pose: to keep [m, m, rad].
+        seen: state at the start.
+        pose: to hold [m, m, rad].
         duration: how long [s]; 0: until it is cancelled.
 
     Raises:
-        ActivityError: it makes no sense, the pose is too far, or the way to it is not free.
+        ActivityError: a value is invalid, the pose is too far, or the path to it is not free.
     """
     q, qd = seen.floating
     with _activity_errors():
@@ -135,17 +135,17 @@ def hold(craft: Craft, seen: Seen, pose: npt.ArrayLike, duration: float) -> Alon
 def go_to(
     craft: Craft, seen: Seen, pose: npt.ArrayLike, duration: float, hold_duration: float
 ) -> AlongPath:
-    """Take the base to a pose, (3,), on the straight way, and hold it there.
+    """Move the base straight to a pose, (3,), and hold it there.
 
     Args:
         craft: whose base.
-        seen: at the begin.
-        pose: to go to [m, m, rad]; the heading the shorter way.
-        duration: on the way [s]; 0: as short as the limits allow.
+        seen: state at the start.
+        pose: goal [m, m, rad]; the heading takes the shorter turn.
+        duration: of the motion [s]; 0: as short as the limits allow.
         hold_duration: at the end [s].
 
     Raises:
-        ActivityError: it makes no sense, the limits do not allow it, or the way is not free.
+        ActivityError: a value is invalid, the limits do not allow it, or the path is not free.
     """
     q, qd = seen.floating
     begin = Reference(q[:3], qd[:3], np.zeros(3))
@@ -166,17 +166,17 @@ def go_to(
 def follow(
     craft: Craft, seen: Seen, times: npt.ArrayLike, poses: npt.ArrayLike, twists: npt.ArrayLike
 ) -> AlongPath:
-    """Take the base along knots of a path.
+    """Move the base along the knots of a path.
 
     Args:
         craft: whose base.
-        seen: at the begin.
-        times: (k,) rising from 0 [s].
-        poses: (3 k,) [m, m, rad]; the first near to where the base is, headings the shorter way.
+        seen: state at the start.
+        times: (k,) increasing from 0 [s].
+        poses: (3 k,) [m, m, rad]; the first near the base, headings take the shorter turn.
         twists: (3 k,) in the world; (): those of the cubic spline that rests at both ends.
 
     Raises:
-        ActivityError: it makes no sense, the limits do not allow it, or the way is not free.
+        ActivityError: a value is invalid, the limits do not allow it, or the path is not free.
     """
     from scipy.interpolate import CubicSpline
 
@@ -208,7 +208,7 @@ def _along(craft: Craft, seen: Seen, phase: str, path: Path, hold: float) -> Alo
 
 
 def braking(settings: GuidanceSettings, base: Body, start: float = 0.0) -> Path:
-    """To rest from where the base is at the time `start` [s], within the limits."""
+    """Return a path that brings the base to rest within the limits, from the time `start` [s]."""
     v, omega = float(np.hypot(*base.twist[:2])), abs(float(base.twist[2]))
     lasts = 1.5 * max(v / settings.acceleration, omega / settings.turn_acceleration)
     lasts = max(MIN_DURATION, lasts)
@@ -217,19 +217,19 @@ def braking(settings: GuidanceSettings, base: Body, start: float = 0.0) -> Path:
 
 
 class Peak(NamedTuple):
-    """What of the limits a path needs most."""
+    """Largest share of a limit that a path takes, and its description."""
 
     share: float
     words: str
 
 
 def peak(settings: GuidanceSettings, path: Path, slack: Floats | None = None) -> Peak:
-    """The largest share of a limit that a path takes.
+    """Return the largest share of a limit that a path takes.
 
     Args:
         settings: the limits.
         path: of the base.
-        slack: (3,) twist that is allowed whatever the limits say, as the base has it already.
+        slack: (3,) twist that is allowed regardless of the limits, as the base already has it.
     """
     s, t = settings, np.zeros(3) if slack is None else slack
     times, found = path.resolved(float(path.times[0]))
@@ -249,7 +249,7 @@ def peak(settings: GuidanceSettings, path: Path, slack: Floats | None = None) ->
 
 
 def least_duration(settings: GuidanceSettings, begin: Reference, goal: Floats) -> float:
-    """Least time within the limits from a state to a pose at rest [s]."""
+    """Return the least time within the limits from a state to a pose at rest [s]."""
 
     def allowed(lasts: float) -> bool:
         path = Path.between(begin, goal, 0.0, lasts)
@@ -285,7 +285,7 @@ def _check_near(
 
 @contextmanager
 def _activity_errors() -> Iterator[None]:
-    """Raise what is wrong with a goal's number as an ActivityError."""
+    """Convert a ValueError about a goal's number to an ActivityError."""
     try:
         yield
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""What an activity has used so far, and clearances, for results and mission/state."""
+"""Resources that an activity has used, and clearances, for results and mission/state."""
 
 from dataclasses import dataclass, field
 
@@ -16,24 +16,24 @@ def _unknown() -> Floats:
 
 @dataclass
 class Budget:
-    """The account of one activity; NaN is unknown."""
+    """Resources and clearances of one activity; NaN is unknown."""
 
     craft: Craft
     elapsed: float = 0.0  # [s]
-    before: float = np.nan  # propellant at the begin [kg]
+    before: float = np.nan  # propellant at the start [kg]
     propellant: float = np.nan  # used since [kg]
     largest_torque: float = np.nan  # at a joint [N m]
     momentum: Floats = field(default_factory=_unknown)  # [N s, N s, N m s]
-    edge: float = np.nan  # from bodies to the table's edge [m]
-    target: float = np.nan  # from base and arm, but for the gripper, to the target [m]
+    edge: float = np.nan  # least gap of a body to the table's edge [m]
+    target: float = np.nan  # least gap of base and arm, without the gripper, to the target [m]
 
     def update(self, seen: Seen) -> None:
-        """Bring it up to date."""
+        """Update it from the known state."""
         self.elapsed = seen.t
         self.before = seen.propellant if np.isnan(self.before) else self.before
         self.propellant = self.before - seen.propellant
         if seen.effort is not None:
-            most = np.fmax.reduce(np.abs(seen.effort))  # of those that are known
+            most = np.fmax.reduce(np.abs(seen.effort))  # NaN is ignored
             self.largest_torque = float(np.fmax(self.largest_torque, most))
         self.momentum, self.edge, self.target = _unknown(), np.nan, np.nan
         if seen.base is None or seen.q is None:

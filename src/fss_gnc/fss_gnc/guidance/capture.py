@@ -1,10 +1,10 @@
-"""The capture of a tumbling target, phase by phase.
+"""Capture of a tumbling target, phase by phase.
 
-wait      until base, arm and target are known, and there is a clear way
+wait      until base, arm and target are known, and there is a free trajectory
 approach  along it, joints held, and stay before the target until the fixture is about to face
-reach     valves closed, so that momentum stays; the arm takes the gripper to the fixture
-grip      the gripper closes, the arm goes on following
-detumble  the target held, all comes to rest
+reach     valves closed, so that momentum stays; the arm moves the gripper to the fixture
+grip      the gripper closes, the arm continues to follow the fixture
+detumble  the target is held, everything comes to rest
 done
 abort     from any of them
 """
@@ -30,25 +30,25 @@ from fss_gnc.reference import Body, Path, off
 
 Floats = npt.NDArray[np.float64]
 
-AHEAD = np.linspace(0.0, 2.0, 9)  # of the reference that is told [s]
-SETTLED = 3.0  # for which all must be known, joints at rest, before a way is sought [s]
-TRIES = 24  # ways that are looked at in a step, which must not take long
-LONGEST = 6.0  # that a search may take; where all was then is too old [s]
-RETRY = 2.0  # on a way before another is sought [s]
-NEAR, STRAIGHT = 0.03, 0.05  # of the stand-off for the reach to begin [m], [rad]
-SLOW, SLOW_TURN = 0.008, 0.008  # past the target then [m/s], [rad/s]
-FACING = 0.25  # of the fixture's angle when the reach begins [rad]
-LOST_ANGLE, LOST_DISTANCE = 1.2, 0.35  # beyond which a reach is given up [rad], [m]
-LATE = 5.0  # before the end of a way, in which no other is sought [s]
-PATIENCE = 25.0  # to stay for the fixture to come round, else another side is sought [s]
+AHEAD = np.linspace(0.0, 2.0, 9)  # times of the published reference [s]
+SETTLED = 3.0  # time with everything known and joints at rest before the search starts [s]
+TRIES = 24  # trajectories tried per step, which must be quick
+LONGEST = 6.0  # longest search; after it the initial state is outdated [s]
+RETRY = 2.0  # time on a trajectory before another one is searched for [s]
+NEAR, STRAIGHT = 0.03, 0.05  # largest error at the stand-off when the reach starts [m], [rad]
+SLOW, SLOW_TURN = 0.008, 0.008  # largest error of the twist then [m/s], [rad/s]
+FACING = 0.25  # largest error of the fixture's angle when the reach starts [rad]
+LOST_ANGLE, LOST_DISTANCE = 1.2, 0.35  # errors beyond which a reach is abandoned [rad], [m]
+LATE = 5.0  # time before the end of a trajectory in which no other is searched for [s]
+PATIENCE = 25.0  # longest wait for the fixture, before another side is chosen [s]
 
 
 class Capture:
-    """The activity.
+    """Activity that captures a tumbling target.
 
     Args:
         craft: whose base and arm.
-        detumble: whether to take the motion away after the grip.
+        detumble: whether to stop the motion after the grip.
     """
 
     blind = True
@@ -62,17 +62,17 @@ class Capture:
         self.guard = Guard(craft.arm, settings)
         self.phase, self.since, self.attempts = "wait", 0.0, 0
         self.met: Approach | None = None
-        self.posture: Floats | None = None  # that the approach holds
+        self.posture: Floats | None = None  # joint angles held in the approach
         self.after: Detumble | Abort | None = None
         self.captured = False
-        self.momentum = np.full(3, np.nan)  # of both as valves close; a grip leaves it
-        self._way: tuple[float, Way] | None = None  # and when it begins
+        self.momentum = np.full(3, np.nan)  # total, when the valves close; a grip keeps it
+        self._way: tuple[float, Way] | None = None  # start of the trajectory, and the trajectory
         self._sought, self._moved = -np.inf, 0.0
         self._search: Iterator[Way | None] | None = None
         self._path: Path | None = None
 
     def step(self, seen: Seen) -> Orders:
-        """Orders now."""
+        """Return the orders for now."""
         if self.after is None:
             reason = self._reason(seen)
             if reason:
@@ -92,7 +92,7 @@ class Capture:
         return act[self.phase](seen, q, qd, state)
 
     def cancel(self, reason: str) -> None:
-        """Abort."""
+        """Abort the mission."""
         if isinstance(self.after, Detumble):
             self.after.cancel(reason)
         elif self.after is None:
@@ -135,7 +135,10 @@ class Capture:
         return Orders("wait", None, self._still(q), seen.keeping)
 
     def _seek(self, t: float, q: Floats, qd: Floats, state: Floats) -> None:
-        """Look for a way, a few tries in a step, from where base and arm are when it begins."""
+        """Search for a trajectory, a few tries per step.
+
+        It starts from the state of base, arm and target at the start of the search.
+        """
         if self._search is None or t > self._sought + LONGEST:
             assert self.posture is not None
             held = np.concatenate([q[:3], self.posture])
@@ -149,7 +152,7 @@ class Capture:
                 return
 
     def _still(self, q: Floats) -> Floats:
-        """Rates that take the joints to the posture of the approach, and hold them there."""
+        """Return rates that move the joints to the posture of the approach, and hold them there."""
         if self.posture is None:
             return np.zeros(q.size - 3)
         return np.clip(0.5 * (self.posture - q[3:]), -0.15, 0.15)
@@ -162,7 +165,7 @@ class Capture:
         left = begin + way.duration - seen.t
         facing = self._facing(state, way, max(left, 0.0) + self.settings.lead)
         if left > LATE and abs(facing) > FACING and seen.t > begin + RETRY:
-            self._seek(seen.t, q, qd, state)  # the target turns otherwise than it seemed to
+            self._seek(seen.t, q, qd, state)  # the target's rotation has changed
         elif left <= 0.0:
             self._arrived(seen, q, qd, state, way)
         return Orders(
@@ -190,12 +193,12 @@ class Capture:
                 self._seek(seen.t, q, qd, state)
 
     def _facing(self, state: Floats, way: Way, ahead: float) -> float:
-        """Angle that the fixture has to turn yet to face the arm, a time ahead [s]."""
+        """Return the angle that the fixture must still turn to face the arm, a time ahead [s]."""
         side = self.planner.side(float(state[0, 2] + ahead * state[1, 2]))
         return float(wrap(way.end[1] - side))
 
     def _reach(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
-        """Towards the fixture, and closing there; the arm goes on following while it closes."""
+        """Move the arm to the fixture and close the gripper; the arm follows while it closes."""
         assert self.met is not None
         s, met = self.settings, self.met
         near = met.distance < s.grip_distance and abs(met.angle) < s.grip_angle
@@ -211,7 +214,7 @@ class Capture:
         )
 
     def _retreat(self, t: float) -> None:
-        """Back off, gripper open, to another approach."""
+        """Back off with open gripper, to try another approach."""
         if self.attempts >= self.settings.attempts:
             self.cancel(f"not captured in {self.attempts} reaches")
             return
@@ -219,7 +222,7 @@ class Capture:
         self._begin("wait", t)
 
     def _guarded(self, rates: Floats, q: Floats, qd: Floats, state: Floats) -> Floats:
-        """The rates, or as much of them as keeps links off target and base."""
+        """Return the rates, scaled down until no link hits target or base; zero if that fails."""
         for share in (1.0, 0.5, 0.25):
             try:
                 self.guard.check_command(
@@ -242,7 +245,7 @@ class Capture:
 
 
 def load(craft: Craft) -> None:
-    """Load the kernels of the missions, which takes long, before one is under way."""
+    """Load the kernels of the missions in advance, because that takes long."""
     p, s, n = craft.arm.vector(), craft.settings, craft.arm.n
     q, rest = np.array([-1.0, -1.0, 0.0, *n * [0.3]]), np.zeros(3 + n)
     target = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
@@ -258,7 +261,13 @@ def load(craft: Craft) -> None:
 
 
 def on_target(points: Points, t: float, state: Floats) -> Path:
-    """Points AHEAD of t [s], seen from the target, in the world as it drifts."""
+    """Return a path in the world of points given relative to the drifting target.
+
+    Args:
+        points: seen from the target, at the times AHEAD after t.
+        t: present time [s].
+        state: (2, 3) pose and twist of the target.
+    """
     drift = np.array([*state[1, :2], 0.0])
     pose = points.pose + np.array([*state[0, :2], 0.0]) + AHEAD[:, None] * drift
     return Path(t + AHEAD, np.stack([pose, points.twist + drift, points.acceleration], axis=1))

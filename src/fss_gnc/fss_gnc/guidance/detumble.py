@@ -1,7 +1,7 @@
-"""Bring base, arm and what it holds to rest, by references that joints and valves can follow.
+"""Stop base, arm and held target, with references that joints and valves can follow.
 
-Before and after the base brakes, everything is left alone for a while with the valves closed: a
-push that is seen then is a leaking valve, and not a wrong mass of what is held.
+Before and after the base brakes, the base coasts for a while with the valves closed. A push that is
+measured then comes from a leaking valve, and not from a wrong mass of the held target.
 """
 
 import numpy as np
@@ -17,12 +17,12 @@ from fss_gnc.reference import Path
 Floats = npt.NDArray[np.float64]
 
 ARM_STILL = 0.01  # rate of a joint below which the base is slowed down [rad/s]
-CALM = 2.0  # for which all must be still [s]
-LEFT = 2.5  # alone, valves closed, before and after [s]
+CALM = 2.0  # time for which everything must be at rest [s]
+LEFT = 2.5  # time of coasting, valves closed, before and after the braking [s]
 
 
 class Detumble:
-    """The activity.
+    """Activity that stops base, arm and held target.
 
     Args:
         craft: whose base and arm.
@@ -41,12 +41,12 @@ class Detumble:
         self.twist = np.full(3, np.nan)  # of the base
         self._path: Path | None = None
         self._held = False
-        self._known: Held | None = None  # what it holds, as measured
+        self._known: Held | None = None  # held target as measured
         self._begun = self._moving = np.nan
-        self._resting, self._left = np.inf, np.inf  # since when joints do, and it is left alone
+        self._resting, self._left = np.inf, np.inf  # start of the joints' rest, start of coasting
 
     def step(self, seen: Seen) -> Orders:
-        """Orders now."""
+        """Return the orders for now."""
         if np.isnan(self._begun):
             self._begun = self._moving = seen.t
         if self.abort is None:
@@ -70,7 +70,7 @@ class Detumble:
         if not rates.any() and np.abs(qd[3:]).max() < ARM_STILL:
             self._resting = min(self._resting, seen.t)
         if self._path is None and seen.t >= self._resting + LEFT:
-            # What the joints give the base ended with their motion; the rest is momentum.
+            # The joints' effect on the base ended with their motion; the rest is momentum.
             self._path = braking(self.p, q, qd, self.settings, seen.t)
         if self._path is None or not self._is_still(qd):
             self._moving = seen.t
@@ -84,7 +84,7 @@ class Detumble:
         return Orders("detumble", None, rates, ended=Ended(True) if over else None)
 
     def cancel(self, reason: str) -> None:
-        """Abort."""
+        """Abort the mission."""
         self.abort = self.abort or Abort(self.craft, reason)
 
     def _is_still(self, qd: Floats) -> bool:

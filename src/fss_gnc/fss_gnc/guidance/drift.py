@@ -1,4 +1,4 @@
-"""What base and arm meet as they drift, joints held, and the least push that prevents it."""
+"""Prediction of collisions of base and arm in a drift, joints held, and pushes that avoid them."""
 
 from typing import NamedTuple
 
@@ -14,31 +14,31 @@ from fss_gnc.reference import Body
 
 Floats = npt.NDArray[np.float64]
 
-SAMPLES = 16  # on the way
+SAMPLES = 16  # per drift
 DIRECTIONS = 16
 SPEEDS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of the drift speed
-STRIDES = (0.1, 0.2, 0.3, 0.45, 0.6, 0.8)  # to a place to stay at [m]
-STAY, ROOM = 120.0, 0.2  # for which it must be free [s], and what about it [m]
-MORE = 0.1  # room that a push makes beyond the least, as it takes its time [m]
+STRIDES = (0.1, 0.2, 0.3, 0.45, 0.6, 0.8)  # distances to places to stay at [m]
+STAY, ROOM = 120.0, 0.2  # time for which a place must be free [s], and the room around it [m]
+MORE = 0.1  # extra room after a push, because the push takes time [m]
 
 
 class Drift(NamedTuple):
-    """How base and arm may drift."""
+    """Predicted drift of base and arm."""
 
-    twist: Floats  # (3,) of the base, at the begin
+    twist: Floats  # (3,) of the base, at the start
     edge: float  # least gap to the table's edge [m]
-    target: float  # and to the target [m]; inf: there is none
+    target: float  # least gap to the target [m]; inf: there is no target
     safe: bool
 
 
 class Drifting:
-    """Looks ahead along a drift with the joints held.
+    """Predictor of drifts with the joints held.
 
     Args:
-        p: (8 + 6 n,) Arm.vector(), as heavy as it is now.
+        p: (8 + 6 n,) Arm.vector(), with the present masses.
         settings: sizes and limits.
         held: (3,) place of a held target in the last link's frame (held.py), which must stay on
-            the table as well; None: nothing is held.
+            the table as well; None: no target is held.
     """
 
     def __init__(self, p: Floats, settings: MissionSettings, held: Floats | None = None) -> None:
@@ -48,7 +48,10 @@ class Drifting:
         self._sizes = sizes(settings, settings.target_radius, settings.gripper_length)
 
     def clearances(self, q: Floats, target: Floats | None) -> tuple[float, float]:
-        """Least gaps to the edge, and of base and links, without the gripper, to the target [m]."""
+        """Return the least gaps [m] to the edge, and to the target.
+
+        The gap to the target is that of base and links, without the gripper.
+        """
         edge = float(self._edge_gap(q))
         if target is None:
             return edge, np.inf
@@ -58,18 +61,18 @@ class Drifting:
     def as_is(
         self, q: Floats, qd: Floats, target: Body | None, horizon: float | None = None
     ) -> Drift:
-        """The drift that follows from the state q and its rate qd, (3 + n,) each.
+        """Return the drift that follows from the state q and its rate qd, (3 + n,) each.
 
         Args:
             q: state.
-            qd: its rate; those of the joints do not count.
+            qd: rate of the state; the joints' rates are ignored.
             target: which drifts as well; None: there is none, or it is held.
-            horizon: how far to look ahead [s]; drift_horizon by default.
+            horizon: of the prediction [s]; drift_horizon by default.
         """
         return self._looked(Rigid(self.p, q[3:]), q, np.atleast_2d(qd[:3]), target, horizon)[0]
 
     def away(self, q: Floats, qd: Floats, target: Body | None) -> Drift:
-        """The safe drift that asks for the least push; the one with most room if none is safe."""
+        """Return the safe drift that needs the least push; if none is safe, that with most room."""
         s, body = self.settings, Rigid(self.p, q[3:])
         w = body.com * np.exp(1j * q[2])
         around = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
@@ -84,7 +87,7 @@ class Drifting:
         return safe[0] if safe else max(found, key=lambda drift: min(drift.edge, drift.target))
 
     def refuge(self, q: Floats, target: Body | None) -> Floats:
-        """The nearest pose (3,) at which the base can rest; the one with most room if none."""
+        """Return the nearest pose (3,) at which the base can rest; if none, that with most room."""
         body, still = Rigid(self.p, q[3:]), np.zeros((1, 3))
         around = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
         steps = np.append(0j, np.outer(STRIDES, around).ravel())
@@ -98,7 +101,7 @@ class Drifting:
         return np.asarray(poses[safe[0] if safe else int(np.argmax(room))])
 
     def _edge_gap(self, states: Floats) -> Floats:
-        """Least gap to the edge in states (..., 3 + n), (...) [m]."""
+        """Return the least gap to the edge in states (..., 3 + n), (...) [m]."""
         least: Floats = gaps(self.p, states, self._edge, self._sizes).min(axis=-1)
         if self.held is None:
             return least
@@ -127,7 +130,8 @@ class Drifting:
             at = target.pose[:2] + ahead[:, None] * target.twist[:2]
             all_gaps = gaps(self.p, states, self._target, self._sizes, at).min(axis=2)
             near = all_gaps.min(axis=1)
-            # What is near already, as the gripper at the fixture is, comes no nearer.
+            # A gap that is small already, as of the gripper at the fixture, must not become
+            # smaller.
             kept = near >= np.minimum(s.least_target + more, all_gaps[:, 0] - 1e-3)
             kept &= all_gaps[:, -1] >= s.least_target + more
         kept &= edge >= np.minimum(s.least_edge + more, gap[:, 0] - 1e-3)

@@ -1,4 +1,4 @@
-"""Whether base, arm and what it holds have room along a path: table's edge, keep-out zone."""
+"""Free space of base, arm and held target along a path: table's edge, keep-out zone."""
 
 import numpy as np
 
@@ -8,11 +8,11 @@ from fss_arm_model.held import held_at, hold
 from fss_gnc.guidance.activity import ActivityError, Craft, Floats, Seen
 from fss_gnc.reference import Path
 
-SLACK = 1e-3  # by which what is too near already may come nearer still [m]
+SLACK = 1e-3  # by how much a gap that is too small may still shrink [m]
 
 
 def held_gap(p: Floats, states: Floats, place: Floats, radius: float, extents: Extents) -> Floats:
-    """Gap from a held target to the table's edge, (...) [m].
+    """Return the gap from a held target to the table's edge, (...) [m].
 
     Args:
         p: (8 + 6 n,) Arm.vector().
@@ -26,28 +26,28 @@ def held_gap(p: Floats, states: Floats, place: Floats, radius: float, extents: E
 
 
 class FreeSpace:
-    """The room about base and arm; the keep-out zone is a disc about the target's origin."""
+    """Free space around base and arm; the keep-out zone is a disc about the target's origin."""
 
     def __init__(self, craft: Craft) -> None:
         n, self.settings = craft.arm.n, craft.settings
         self.p = craft.arm.vector()
         self.edge, self.target = list(with_edge(n)), list(with_target(n))
-        self.names = [body_name(body, n) for body, _ in self.target]  # the edge's pairs alike
+        self.names = [body_name(body, n) for body, _ in self.target]  # the same as for the edge
         self.sizes = sizes(self.settings, self.settings.keep_out)
 
     def check(self, path: Path, begin: float, seen: Seen, whole: bool = False) -> None:
-        """Look along the rest of a path, the joints as they are, the target drifting on.
+        """Check the rest of a path, with the joints held and the target drifting on.
 
-        What is nearer than it should be already may move away, no nearer.
+        A body that is already closer than allowed may move away, but no closer.
 
         Args:
             path: of the base.
-            begin: where on it the base is [s].
-            seen: then; base and joints are known.
+            begin: time on the path at which the base is now [s].
+            seen: the state then; base and joints are known.
             whole: check each segment between two knots, which takes 0.15 s for 10,000 knots.
 
         Raises:
-            ActivityError: bodies would come too near to the edge or into the keep-out zone.
+            ActivityError: a body would come too close to the edge or into the keep-out zone.
         """
         times, found = path.resolved(begin) if whole else path.sampled(begin)
         here, _ = seen.floating

@@ -1,6 +1,6 @@
-"""The actions of the guidance: what their goals begin, and what they say of it.
+"""Actions of the guidance: the activities that their goals start, their results and feedback.
 
-A new one is a record in KINDS; the node makes its server from it.
+A new action is a record in KINDS; the node makes its server from it.
 """
 
 from collections.abc import Callable
@@ -18,14 +18,14 @@ MAX_REASON = 200  # characters
 
 @dataclass(frozen=True)
 class Kind:
-    """An action of the guidance."""
+    """Definition of one action of the guidance."""
 
     name: str
     action: Any  # its type; its results have a `message`
-    begin: Callable[[Craft, Seen, Any], Activity]  # from a goal, or ActivityError
-    result: Callable[[Any, Budget, Ended], dict[str, Any]]  # of an activity: the other fields
+    begin: Callable[[Craft, Seen, Any], Activity]  # from a goal; may raise ActivityError
+    result: Callable[[Any, Budget, Ended], dict[str, Any]]  # fields except `message`
     feedback: Callable[[Any, Orders], dict[str, Any]]
-    preempts: tuple[str, ...] = ()  # names begin so of the actions that it takes the place of
+    preempts: tuple[str, ...] = ()  # prefixes of the names of the actions that it preempts
 
 
 def _reached(motion: AlongPath, budget: Budget, ended: Ended) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The parameters of the missions beside those of the guidance: all of the node `guidance`'s."""
+"""Parameters of the node `guidance`: those of the base's motion, and those of the missions."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ from fss_gnc.guidance.settings import GuidanceSettings
 
 @dataclass(frozen=True)
 class MissionSettings(GuidanceSettings, GuardSettings):
-    """The parameters of a GuidanceNode, those of capture, detumble and abort included."""
+    """Parameters of a GuidanceNode, those of capture, detumble and abort included."""
 
     target_mass: float = like(Target, "mass")
     target_inertia: float = like(Target, "inertia")
@@ -71,12 +71,12 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     grip_speed: float = setting(
         0.08, "most speed past the fixture at which the gripper closes", unit="m/s", check=POSITIVE
     )
-    # the end of motion
+    # slowing down
     torque_share: float = setting(
         0.5, "share of the joints' largest torques that slowing down may take",
         check=above(0.0, 1.0),
     )  # fmt: skip
-    # when it is aborted
+    # limits that abort a mission
     wait_timeout: float = setting(60.0, "longest wait for a clear way", unit="s", check=POSITIVE)
     approach_timeout: float = setting(300.0, "longest approach", unit="s", check=POSITIVE)
     reach_timeout: float = setting(20.0, "longest reach, then it is tried anew", unit="s",
@@ -120,5 +120,5 @@ class MissionSettings(GuidanceSettings, GuardSettings):
 
     @property
     def target(self) -> Target:
-        """As known."""
+        """Target with its assumed mass, inertia and fixture."""
         return Target(self.target_mass, self.target_inertia, self.target_fixture)

@@ -1,13 +1,13 @@
-"""The reach: joint rates that take the end effector onto the fixture while the base floats.
+"""The reach: joint rates that move the end effector to the fixture while the base floats.
 
-The wanted twist of the end effector meets the fixture where that will be, as soon as its speed
-allows, and near to it follows it. With momentum kept, joint rates give the twist J* q' past the
-drift that the momentum gives (momentum.py); damped least squares,
+The desired twist of the end effector leads to the point where the fixture will be, as soon as the
+speed limit allows. Near the fixture it follows the fixture. While momentum is constant, joint rates
+add the twist J* q' to the drift that the momentum causes (momentum.py). Damped least squares give
 
     q' = J*' (J* J*' + lambda^2 1)^-1 W (v_wanted - v_drift) + N (q_middle - q) / T
 
-with rows of J* weighted by W, as to be there counts more than to be straight, and what is left
-over, N = 1 - J*' (..)^-1 J*, used to keep off the ends of the joints' ranges.
+The rows of J* are weighted by W, because position matters more than heading. The null space,
+N = 1 - J*' (..)^-1 J*, is used to keep the joints away from their limits.
 """
 
 from math import pi
@@ -26,14 +26,14 @@ Floats = npt.NDArray[np.float64]
 
 WEIGHT = np.array([1.0, 1.0, 0.1])  # of the twist's rows [1, 1, m]
 DAMPING = 1e-3  # lambda^2 [m^2]
-MEETINGS = np.linspace(1.0, 6.0, 26)  # when the fixture may be met, from now on [s]
-MOST_TURN = 0.2  # of the end effector [rad/s]
+MEETINGS = np.linspace(1.0, 6.0, 26)  # possible times until the end effector meets the fixture [s]
+MOST_TURN = 0.2  # largest turn rate of the end effector [rad/s]
 CENTRING = 10.0  # T [s]
-AHEAD = 0.3  # in which a joint must not come to its end [s]
+AHEAD = 0.3  # time within which a joint must not reach its limit [s]
 
 
 class Reach:
-    """By the generalized Jacobian, damped."""
+    """Controller of the reach, by the damped generalized Jacobian."""
 
     def __init__(self, arm: Arm, settings: MissionSettings) -> None:
         self.p, self.settings = arm.vector(), settings
@@ -42,11 +42,11 @@ class Reach:
         self.momentum = np.zeros(3)
 
     def begin(self, q: Floats, qd: Floats) -> None:
-        """Valves are closed: the momentum of the state q at the rate qd, (3 + n,) each, stays."""
+        """Store the momentum of state q and rate qd, (3 + n,) each; the valves must be closed."""
         self.momentum = momentum(self.p, q, qd)
 
     def rates(self, q: Floats, state: Floats) -> Floats:
-        """Rates of the joints now, (n,) [rad/s].
+        """Return the rates of the joints now, (n,) [rad/s].
 
         Args:
             q: (3 + n,) state of base and arm.
@@ -61,7 +61,7 @@ class Reach:
         return limited(rates, q[3:], self.lowest, self.highest, self.settings.joint_rate)
 
     def _wanted(self, tip: Floats, state: Floats) -> Floats:
-        """Twist of the end effector: to meet the fixture on its way, as soon as speed allows."""
+        """Return the end effector's twist that meets the fixture as soon as its speed allows."""
         ahead = fixtures(state, self.settings, MEETINGS)
         apart = ahead[:, 0] + 1j * ahead[:, 1] - complex(*tip[:2])
         in_time = np.abs(apart) <= self.settings.reach_speed * MEETINGS
@@ -71,7 +71,7 @@ class Reach:
         return np.array([v.real, v.imag, min(max(turn, -MOST_TURN), MOST_TURN)])
 
     def _drift(self, q: Floats) -> Floats:
-        """Twist of the end effector with the joints at rest and momentum as it is."""
+        """Return the twist of the end effector for joints at rest and the stored momentum."""
         H, c = inertia_matrix(self.p, q), complex(*system_com(self.p, q))
         x, y, L = self.momentum.tolist()
         moment = H[2, 2] - H[0, 0] * abs(c - complex(*q[:2])) ** 2
@@ -82,7 +82,7 @@ class Reach:
 
 
 def fixtures(state: Floats, settings: MissionSettings, ahead: Floats) -> Floats:
-    """Pose of an end effector that grips the target times ahead [s], (k, 3), drifting evenly."""
+    """Return poses (k, 3) of an end effector at the fixture, times ahead [s], at constant twist."""
     x, y, outward = settings.target_fixture
     pose = state[0] + ahead[:, None] * state[1]
     at = pose[:, 0] + 1j * pose[:, 1] + complex(x, y) * np.exp(1j * pose[:, 2])
@@ -90,12 +90,12 @@ def fixtures(state: Floats, settings: MissionSettings, ahead: Floats) -> Floats:
 
 
 def limited(rates: Floats, q_m: Floats, lowest: Floats, highest: Floats, most: float) -> Floats:
-    """Rates no greater than the most, all slowed down alike, and none into the end of a range."""
+    """Return the rates, scaled down together to `most`, and limited near the ends of the ranges."""
     rates = rates * min(1.0, most / max(float(np.abs(rates).max()), 1e-9))
     least, most_ = (np.minimum(lowest - q_m, 0.0) / AHEAD, np.maximum(highest - q_m, 0.0) / AHEAD)
     return np.clip(rates, least, most_)
 
 
 def shortened(vector: complex, most: float) -> complex:
-    """The vector, or the one along it that is so long."""
+    """Return the vector, shortened to the length `most` if it is longer."""
     return vector if abs(vector) <= most else vector * (most / abs(vector))

@@ -1,4 +1,4 @@
-"""To rest: base and joints slow down as gently as valves and joints' torques ask for."""
+"""Braking of base and joints within the limits of the valves and of the joints' torques."""
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from fss_gnc.reference import Path
 
 Floats = npt.NDArray[np.float64]
 
-SHORTEST, LONGEST = 0.5, 120.0  # time to come to rest [s]
+SHORTEST, LONGEST = 0.5, 120.0  # bounds of the time to come to rest [s]
 
 
 def braking(
@@ -23,15 +23,15 @@ def braking(
     start: float,
     to: npt.ArrayLike = (0.0, 0.0, 0.0),
 ) -> Path:
-    """Of the base from its twist to another, joints held, in the least time that valves allow.
+    """Return a path of the base from its twist to another, joints held, as short as valves allow.
 
     Args:
-        p: (8 + 6 n,) Arm.vector(), what is held included.
+        p: (8 + 6 n,) Arm.vector(), with the held target.
         q: (3 + n,) state.
-        qd: (3 + n,) its rate.
+        qd: (3 + n,) rate of the state.
         settings: of the missions.
-        start: when it begins [s].
-        to: twist at its end [m/s, m/s, rad/s].
+        start: time of the start [s].
+        to: twist at the end [m/s, m/s, rad/s].
     """
     end, still = np.asarray(to, dtype=float), np.zeros(q.size - 3)
     duration, twist = SHORTEST, np.concatenate([qd[:3], still])
@@ -47,7 +47,7 @@ def braking(
 
 
 def slowing(p: Floats, q: Floats, qd: Floats, torques: Floats) -> float:
-    """Time in which the joints come to rest within torques (n,), all afloat [s]."""
+    """Return the time in which the joints stop within torques (n,), the base floating [s]."""
     duration, L = SHORTEST, momentum(p, q, qd)[2]
     while duration < LONGEST:
         needed, _ = free_torques(p, q[3:], qd[3:], -qd[3:] / duration, L)

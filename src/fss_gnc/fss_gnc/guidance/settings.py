@@ -1,4 +1,4 @@
-"""The parameters of the node `guidance`."""
+"""Parameters of the base's motion by the node `guidance`."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from fss_arm_motion.guard_settings import GuardSettings
 
 @dataclass(frozen=True)
 class GuidanceSettings(Extents):
-    """The parameters of a GuidanceNode, as far as they are not a mission's alone."""
+    """Parameters of a GuidanceNode, without those of the missions."""
 
     arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
     rate: float = setting(

@@ -1,4 +1,4 @@
-"""The limits that abort a mission, checked in every step."""
+"""Limits that abort a mission, checked in every step."""
 
 import numpy as np
 
@@ -6,32 +6,32 @@ from fss_gnc.guidance.activity import Craft, Seen
 from fss_gnc.guidance.drift import Drifting
 from fss_gnc.reference import Path, off
 
-STOPPED = 6.0  # in which the valves stop the base [s]
-PATIENCE = 0.3  # for which a torque may exceed its limit [s]
-UNNAMED = 8.0  # for which the valves may balance a push: one that does not open is done without [s]
+STOPPED = 6.0  # time in which the valves stop the base [s]
+PATIENCE = 0.3  # time for which a torque may exceed its limit [s]
+UNNAMED = 8.0  # time to balance an unknown push, as of a valve that does not open [s]
 
 
 class Watch:
-    """Checks the limits of one mission."""
+    """Monitor of the limits of one mission."""
 
     def __init__(self, craft: Craft) -> None:
         self.settings = settings = craft.settings
         self.drifting = Drifting(craft.arm.vector(), settings)
-        self._had = np.nan  # propellant [kg]
-        self._strained: float | None = None  # since when [s]
-        self._pushed = np.inf  # since when something pushes that is not known [s]
+        self._had = np.nan  # propellant at the start [kg]
+        self._strained: float | None = None  # since when a torque exceeds its limit [s]
+        self._pushed = np.inf  # since when there is an unknown push [s]
 
     def reason(
         self, seen: Seen, path: Path | None, phase: str, timeout: float, since: float
     ) -> str:
-        """Why the mission must be aborted; empty if it need not be.
+        """Return why the mission must be aborted; empty if it need not be.
 
         Args:
-            seen: what is known now.
-            path: where the base should be; None: it drifts.
+            seen: state now.
+            path: reference of the base; None: it drifts.
             phase: name of the present phase.
-            timeout: longest that the phase may take [s].
-            since: when it began [s].
+            timeout: longest duration of the phase [s].
+            since: start of the phase [s].
         """
         s = self.settings
         if seen.open_valves:

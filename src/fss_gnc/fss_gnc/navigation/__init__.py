@@ -1,6 +1,6 @@
-"""Where base and target are and how they move, from what is measured of them.
+"""Estimation of the pose and twist of base and target from measurements.
 
-No ROS but in `messages`.
+Only `messages` depends on ROS.
 """
 
 from .body_filter import BodyFilter, BodyState

@@ -23,18 +23,18 @@ from .settings import Bounds, SensorErrors
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
 SECOND = 1_000_000_000
-FORGOTTEN = 60 * SECOND  # without a measurement: what was is of no use
-FAR = 1e4  # from the world's origin no body is [m]
-MEMORY = 1_000_000_000  # [ns]
-STRIDE = 20_000_000  # of a prediction, within which the heading counts as constant [ns]
-HELD_POSITION, HELD_HEADING = 0.003, 0.01  # deviations of what is held, by the arm [m], [rad]
-NONE = 0.0, 0.0, 0.0  # where nothing is measured
-LEVER = 0.5  # what changes the turn rate at once changes the speed by about so much of it [m]
-GATE = 5.0  # deviations beyond which a measurement is rejected
-NIS_KEPT = 200  # measurements of a kind
-#: What an event is: time passes, a pose, a rate, the pose of what is held, a push.
+FORGOTTEN = 60 * SECOND  # longest gap between measurements; after it the old state is obsolete
+FAR = 1e4  # largest plausible distance of a body from the world's origin [m]
+MEMORY = 1_000_000_000  # length of the stored history [ns]
+STRIDE = 20_000_000  # longest prediction step, in which the heading counts as constant [ns]
+HELD_POSITION, HELD_HEADING = 0.003, 0.01  # of a held body's pose, by the arm, 1 sigma [m], [rad]
+NONE = 0.0, 0.0, 0.0  # placeholder for events without a measurement
+LEVER = 0.5  # speed change per change of turn rate that a kick may cause [m]
+GATE = 5.0  # standard deviations beyond which a measurement is rejected
+NIS_KEPT = 200  # number of stored NIS values of each kind of measurement
+#: Kind of an event: time passes, a pose, a rate, the pose of a held body, a push.
 NOTHING, POSE, RATE, HELD, PUSH = 0.0, 1.0, 2.0, 3.0, 4.0
-#: Deviations at the begin: of speed [m/s], turn rate and the gyro's bias [rad/s].
+#: Initial standard deviations: speed [m/s] along x and y, turn rate and gyro bias [rad/s].
 AT_THE_BEGIN = 0.1, 0.1, 0.2, 0.01
 
 
@@ -44,19 +44,20 @@ def _step(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Predict by dt, then update with a measurement that lies within the gate.
 
-    A measurement beyond the gate is tried again as if the body had been kicked since the last one.
+    If a measurement lies beyond the gate, the update is repeated under the assumption that the body
+    was kicked since the last measurement.
 
     Args:
         x0: (7,) state.
-        P0: (7, 7) its covariance.
-        acceleration: (3,) known, in the body's axes.
+        P0: (7, 7) covariance of the state.
+        acceleration: (3,) known acceleration, in the body's axes.
         noise: (3, 3) density of its noise, in the body's axes.
         row: (5,) dt [s], the kind of event, the measurement.
         gate: largest squared normalized innovation.
         errors: (8,) density of the bias walk; variances of a rate, of a seen position and heading,
             of a held position and heading, of a kick in speed and in turn rate.
         x: (7,) state, written.
-        P: (7, 7) its covariance, written.
+        P: (7, 7) covariance of the state, written.
         out: (3,) the squared normalized innovation, and 1 if the measurement was used; written.
     """
     dt, what, z = row[0], row[1], row[2:]
@@ -98,7 +99,7 @@ def _step(  # type: ignore[no-untyped-def]
     if what in (NOTHING, PUSH):
         return
     numbers = 1 if what == RATE else 3
-    y, D, h = x.copy(), P.copy(), np.zeros(7)  # h: covariance of the state with what is measured
+    y, D, h = x.copy(), P.copy(), np.zeros(7)  # h: covariance of the state with the measurement
     for kicked in range(2):
         distance = 0.0
         for i in range(7):
@@ -114,7 +115,7 @@ def _step(  # type: ignore[no-untyped-def]
                 D[3 + i, i] += kick * dt
                 D[3 + i, 3 + i] += kick
         for number in range(numbers):
-            last = 6 if what == RATE else number  # a rate is that of the body and the bias
+            last = 6 if what == RATE else number  # a gyro rate includes the bias
             first = 5 if what == RATE else number
             off = z[number]
             S = errors[1] if what == RATE else heading if number == 2 else place
@@ -146,7 +147,10 @@ def _step(  # type: ignore[no-untyped-def]
 def _steps(  # type: ignore[no-untyped-def]
     x0, P0, acceleration, noise, rows, gate, errors, x, P, out
 ):  # fmt: skip
-    """One step for each row; acceleration and noise of each, or the same of all."""
+    """Run one step for each row.
+
+    Acceleration and noise have one entry for each row, or one for all rows.
+    """
     for k in range(rows.shape[0]):
         of = min(k, acceleration.shape[0] - 1)
         known = acceleration[of], noise[of], rows[k], gate[0], errors
@@ -157,25 +161,25 @@ def _steps(  # type: ignore[no-untyped-def]
 
 
 class BodyState(NamedTuple):
-    """A body at a moment, estimated."""
+    """Estimated state of a body at one time."""
 
     t: int  # [ns]
     pose: Floats  # (3,) x, y [m], unwrapped heading [rad]
     twist: Floats  # (3,) [m/s, m/s, rad/s], in the world
-    covariance: Floats  # (6, 6) of both
+    covariance: Floats  # (6, 6) of pose and twist
 
     @property
     def pose_variance(self) -> Floats:
-        """(3,)."""
+        """Variances of x, y [m^2] and heading [rad^2], (3,)."""
         return self.covariance.diagonal()[:3]
 
     @property
     def twist_variance(self) -> Floats:
-        """(3,)."""
+        """Variances of the twist's components, (3,)."""
         return self.covariance.diagonal()[3:]
 
     def at(self, t: int) -> "BodyState":
-        """The state at another time [ns], at constant twist; the covariance is left as it is."""
+        """Return the state at another time [ns], at constant twist; the covariance is unchanged."""
         return self._replace(t=t, pose=self.pose + (t - self.t) * 1e-9 * self.twist)
 
 
@@ -183,16 +187,16 @@ class Inputs(Protocol):
     """The known acceleration of a body."""
 
     def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
-        """Mean acceleration in each interval between k + 1 times [ns], in the body's axes.
+        """Return the mean acceleration in each interval between k + 1 times [ns].
 
         Returns:
-            The accelerations, (k, 3) [m/s^2, m/s^2, rad/s^2], and the densities of their noise,
-            (k, 3, 3); (1, 3) and (1, 3, 3) if they are the same in all intervals.
+            The accelerations in the body's axes, (k, 3) [m/s^2, m/s^2, rad/s^2], and the densities
+            of their noise, (k, 3, 3); (1, 3) and (1, 3, 3) if they are the same in all intervals.
         """
 
 
 class Free:
-    """No known acceleration, only noise.
+    """Inputs of a body without known acceleration, only noise.
 
     Args:
         errors: their accelerations are the noise.
@@ -203,12 +207,12 @@ class Free:
         self._known = np.zeros((1, 3)), np.diag([line, line, turn])[None]
 
     def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
-        """Of any time."""
+        """Return zero acceleration and constant noise, the same for all intervals."""
         return self._known
 
 
 class _Measured(NamedTuple):
-    """What was."""
+    """A stored event: time [ns], kind and measurement."""
 
     t: int
     what: float
@@ -216,7 +220,7 @@ class _Measured(NamedTuple):
 
 
 class _Event(NamedTuple):
-    """What was measured, and the estimate with it."""
+    """A stored event with the state and covariance after it."""
 
     measured: _Measured
     x: Floats
@@ -228,17 +232,17 @@ class _Event(NamedTuple):
 
 
 class BodyFilter:
-    """The filter of one body; measurements may come in any order within MEMORY.
+    """Kalman filter of one body; measurements may arrive in any order within MEMORY.
 
     A pose more than GATE standard deviations off is rejected and counted. If another body is at
-    that pose, it is counted under its name. Otherwise, once rejected poses have agreed with each
-    other for the settle time, the filter restarts at them.
+    that pose, the rejection is counted under that body's name. Otherwise the filter restarts at the
+    rejected poses once they have agreed with each other for the settle time.
 
     Args:
         errors: of the sensors, and the process noise.
         inputs: the known acceleration; none by default.
-        elsewhere: called with a time [ns], a pose and a distance [m]; the name of another body that
-            is nearer to the pose than that, or an empty string.
+        elsewhere: function of a time [ns], a pose and a distance [m]. It returns the name of
+            another body that is nearer to the pose than the distance, or an empty string.
         bounds: the state counts as unknown beyond them.
     """
 
@@ -253,14 +257,14 @@ class BodyFilter:
         self.inputs, self.bounds = inputs or Free(e), bounds or Bounds()
         self.elsewhere = elsewhere or (lambda t, pose, within: "")
         self.rejected: Counter[str] = Counter()
-        self.confused: tuple[int, str] | None = None  # when [ns], and with whom, it last was
-        self.begun = 0  # times
+        self.confused: tuple[int, str] | None = None  # time [ns] and other body of the last mix-up
+        self.begun = 0  # number of starts
         self.events: deque[_Event] = deque()
-        self.seen = self.turned = -1  # when the last pose, and the last rate, was taken [ns]
+        self.seen = self.turned = -1  # times of the last pose and of the last rate [ns]
         self.nis: dict[float, deque[float]] = {
             kind: deque(maxlen=NIS_KEPT) for kind in (POSE, RATE)
         }
-        self._doubt: tuple[int, int, Pose] | None = None  # since when and until when; the last one
+        self._doubt: tuple[int, int, Pose] | None = None  # first and last time, last pose
         place = e.volume_error, e.volume_error, e.volume_heading_error, 0.0, 0.0, 0.0
         self._place = np.diag(np.square(place))
         deviations = (
@@ -271,18 +275,18 @@ class BodyFilter:
 
     @property
     def t(self) -> int:
-        """Time of the estimate [ns]; -1: there is none yet."""
+        """Time of the estimate [ns]; -1 if there is none yet."""
         return self.events[-1].t if self.events else -1
 
     def pose(self, t: int, x: float, y: float, heading: float) -> bool:
-        """Update with a pose [m, m, rad] seen at t [ns]; whether it was accepted."""
+        """Update with a pose [m, m, rad] seen at t [ns]; return True if it was accepted."""
         pose = x, y, heading
         if not hypot(x, y) < FAR:
             self.rejected["pose far away"] += 1
             return False
         if not self.events or t > self.t + FORGOTTEN:
             return self._begin(t, pose)
-        if self.lost(t) and self._other(t, pose):  # whose pose may be within so wide a gate
+        if self.lost(t) and self._other(t, pose):  # the gate may be too wide
             return False
         if self._insert(t, POSE, pose):
             self.seen, self._doubt = max(self.seen, t), None
@@ -290,7 +294,7 @@ class BodyFilter:
         return t > self.events[0].t and self._settle(t, pose)
 
     def rate(self, t: int, omega: float) -> bool:
-        """Update with a gyro sample [rad/s] of the time t [ns]; whether it was accepted."""
+        """Update with a gyro sample [rad/s] taken at t [ns]; return True if it was accepted."""
         if not isfinite(omega):
             self.rejected["gyro not finite"] += 1
             return False
@@ -300,20 +304,22 @@ class BodyFilter:
         return True
 
     def revise(self, t: int) -> None:
-        """Repeat what followed t [ns], as the known inputs since then have changed."""
+        """Recompute the estimates after t [ns], because known inputs since then have changed."""
         if self.events and (again := self._since(t)):
             self._apply(again)
 
     def predict(self, t: int) -> None:
-        """Predict to t [ns], without a measurement."""
+        """Predict to t [ns] without a measurement."""
         while self.events and self.t < t:
             self._apply([_Measured(min(self.t + STRIDE, t), NOTHING, NONE)])
 
     def state(self) -> BodyState:
-        """The newest estimate; its covariance includes volume_error, which averages out nowhere.
+        """Return the newest estimate.
+
+        Its covariance includes volume_error, which averaging does not reduce.
 
         Raises:
-            IndexError: there is none yet.
+            IndexError: there is no estimate yet.
         """
         (t, _, _), x, P = self.events[-1]
         return BodyState(t, x[:3], x[3:6], P[:6, :6] + self._place)
@@ -324,23 +330,23 @@ class BodyFilter:
         return float(self.events[-1].x[6])
 
     def push(self, t: int, speed: float, turn_rate: float) -> None:
-        """Allow for a push at t [ns] of these standard deviations [m/s], [rad/s]."""
+        """Add the uncertainty of a push at t [ns], as standard deviations [m/s], [rad/s]."""
         if self.events:
             self._insert(t, PUSH, (speed**2, speed**2, turn_rate**2))
 
     def held(self, t: int, pose: Pose) -> bool:
-        """Update with the pose at t [ns] at which the gripper holds the body; as `pose`."""
+        """Update with the pose of the held body at t [ns]; return as `pose`."""
         return self._insert(t, HELD, pose) if self.events else self._begin(t, pose)
 
     def distance(self, t: int, pose: Pose) -> float:
-        """Mahalanobis distance of a pose at t [ns] from the newest estimate."""
+        """Return the Mahalanobis distance of a pose at t [ns] from the newest estimate."""
         last = self.events[-1]
         row = max(t - last.t, 0) * 1e-9, POSE, *pose
         _, _, out = self._stepped(last, [last.t, t], [row], -1.0)
         return float(out[0, 0] ** 0.5)
 
     def lost(self, t: int) -> str:
-        """Why the state at t [ns] counts as unknown; empty if it is known."""
+        """Return why the state at t [ns] counts as unknown; empty if it is known."""
         most = self.bounds
         if not self.events:
             return "not seen yet"
@@ -357,7 +363,7 @@ class BodyFilter:
         return ""
 
     def _begin(self, t: int, pose: Pose) -> bool:
-        """Begin at a pose; turns are counted on."""
+        """Start the filter at a pose; the number of full turns is kept."""
         e, turns = self.errors, 0.0
         if self.events:
             turns = 2.0 * pi * round((self.events[-1].x[2] - pose[2]) / (2.0 * pi))
@@ -369,7 +375,11 @@ class BodyFilter:
         return True
 
     def _insert(self, t: int, what: float, z: Pose) -> bool:
-        """Take a measurement at its time, and those after it again."""
+        """Insert a measurement at its time and repeat the later ones.
+
+        Returns:
+            True if the measurement was used.
+        """
         if not self.events[0].t < t <= self.t + FORGOTTEN:
             self.rejected["late"] += 1
             return False
@@ -382,22 +392,22 @@ class BodyFilter:
         return taken
 
     def _since(self, t: int) -> list[_Measured]:
-        """Forget the estimates after t [ns]; return what is to be taken again."""
+        """Remove the estimates after t [ns]; return their measurements, which must be repeated."""
         later = []
         while len(self.events) > 1 and self.events[-1].t > t:
             later.append(self.events.pop().measured)
         return later[::-1]
 
     def _apply(self, measured: Sequence[_Measured]) -> tuple[float, bool]:
-        """Go on by what was measured, in the order of time.
+        """Process measurements in the order of time, from the newest estimate on.
 
         Returns:
-            Of the first: the square of its innovation's distance, and whether it was taken.
+            Squared normalized innovation of the first measurement, and whether that was used.
         """
         last = self.events[-1]
         times, rows, ends = [last.t], [], []
         for t, what, z in measured:
-            while t - times[-1] > STRIDE:  # the heading turns meanwhile
+            while t - times[-1] > STRIDE:  # so that the heading is updated within a long prediction
                 times.append(times[-1] + STRIDE)
                 rows.append((STRIDE * 1e-9, NOTHING, *NONE))
             rows.append(((t - times[-1]) * 1e-9, what, *z))
@@ -420,7 +430,7 @@ class BodyFilter:
         return found
 
     def _other(self, t: int, pose: Pose) -> bool:
-        """Whether it is the pose of another body."""
+        """Return True if another body is at the pose."""
         (then, _, _), x, _ = self.events[-1]
         ahead = (t - then) * 1e-9
         off = hypot(pose[0] - x[0] - ahead * x[3], pose[1] - x[1] - ahead * x[4])
@@ -430,7 +440,7 @@ class BodyFilter:
         return bool(name)
 
     def _settle(self, t: int, pose: Pose) -> bool:
-        """Begin anew where rejected poses agree for the settle time; whether that is now."""
+        """Restart if rejected poses have agreed for the settle time; return True if so."""
         if self._other(t, pose):
             self._doubt = None
             return False

@@ -1,25 +1,26 @@
-"""Mass, centre of mass and inertia of what the gripper holds, from what momentum does.
+"""Estimation of the mass, centre of mass and inertia of a held body from momentum.
 
-What is held turns with the last link. With m its mass, c its centre of mass in the last link's
-frame and I its inertia about that, base and arm and it have the inertia and momentum
+The held body turns with the last link. With its mass m, its centre of mass c in the last link's
+frame and its inertia I about c, the inertia and the momentum of base, arm and body are
 
     H = H_arm + J' M J,   g = [H qd]_b,   M by m, S = R (c - tip) m and I + |S|^2 / m
 
-about the base's origin, J being the tip's Jacobian. In the world's frame g is what it was before
-the grip, that of the arm with that of a free body, and what the valves have given since. So the
-twist of the base is predicted,
+about the base's origin. J is the tip's Jacobian. In the world's frame g is the momentum before the
+grip, that of the arm plus that of the free body, plus the impulse of the valves since then. This
+predicts the twist of the base,
 
     x'_b = H_bb^-1 (g - H_bm q'_m),
 
-and m, c, I are those that predict the measured ones best: nonlinear least squares, whose unknowns
-are
+and m, c, I are the values that predict the measured twists best: nonlinear least squares, whose
+unknowns are
 
     log m, c, log I, the thrust's gain, twists of base and of the free body before the grip,
 
-each with what is known of it beforehand. As measurements enter on one side only, noise makes
-nothing visible: what no motion has shown yet keeps its prior's deviation. What else pushes is a
-random walk of momentum, whose effect on all predictions is correlated. More than that, as a valve
-that leaks, would pass for mass: the sum of squares tells (Bar-Shalom, Li, Kirubarajan 2001, 5.4).
+each with a prior. Measurements enter on one side of the equation only, so noise cannot make a
+parameter appear observable: what no motion has excited yet keeps the standard deviation of its
+prior. Other pushes are modelled as a random walk of momentum, whose effect correlates all
+predictions. A larger push, as of a leaking valve, would be mistaken for mass: the sum of squares
+detects it (Bar-Shalom, Li, Kirubarajan 2001, 5.4).
 """
 
 from dataclasses import dataclass, field
@@ -36,17 +37,17 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
 
 LOG_M, C, LOG_I, GAIN, BASE, FREE = 0, slice(1, 3), 3, 4, slice(5, 8), slice(8, 11)
 UNKNOWNS, OF_BODY = 11, 4
-SPACING = 1.0  # of samples at first; errors of a filtered twist last a quarter of that [s]
-MOST = 60  # samples that are kept; of more, every other one is
-ITERATIONS, SETTLED = 20, 1e-3  # of the solution; in deviations, when it ends
-VAGUE = 1.0  # what is known of the base's twist but by the samples [m/s, m/s, rad/s]
-CHANCE = 5.0  # deviations of a Gaussian that are as unlikely as a sum of squares that is believed
-STEP = 1e-5  # of differences, in deviations of what was known before
+SPACING = 1.0  # initial spacing of samples; errors of a filtered twist last a quarter of that [s]
+MOST = 60  # largest number of samples; beyond it every other one is dropped
+ITERATIONS, SETTLED = 20, 1e-3  # of the solver; step below which it stops, in standard deviations
+VAGUE = 1.0  # prior standard deviation of the base's twist [m/s, m/s, rad/s]
+CHANCE = 5.0  # a sum of squares as unlikely as this many deviations of a Gaussian is still accepted
+STEP = 1e-5  # step of finite differences, in prior standard deviations
 
 
 @dataclass(frozen=True)
 class CaughtErrors(Settings):
-    """What is known of the body beforehand, and how well momentum is."""
+    """Uncertainty of the body's prior, and random walk of the momentum."""
 
     mass_error: float = setting(
         0.7, "relative error of the target's mass and of its inertia, 1 sigma of the logarithm",
@@ -66,14 +67,14 @@ class CaughtErrors(Settings):
 
 
 class MassProperties(NamedTuple):
-    """Of a body in the gripper."""
+    """Mass, centre of mass and inertia of a held body, with covariance."""
 
     values: Floats  # (4,) mass [kg], centre of mass in the last link's frame [m, m], inertia
     covariance: Floats  # (4, 4)
 
     @staticmethod
     def assumed(body: Target, place: Floats, errors: CaughtErrors) -> "MassProperties":
-        """Of a body whose frame is at `place` (held.py) in the gripper."""
+        """Return the prior of a body whose frame is at `place` (held.py) in the gripper."""
         e = errors
         found = MassProperties(np.array([body.mass, *place[:2], body.inertia]), np.eye(OF_BODY))
         deviations = found.scale * (e.mass_error, e.com_error, e.com_error, e.mass_error)
@@ -81,43 +82,51 @@ class MassProperties(NamedTuple):
 
     @property
     def scale(self) -> Floats:
-        """(4,): what of each value is 1 as unknowns have it, of mass and inertia the logarithm."""
+        """Scale of the values, (4,): the value for mass and inertia (log unknowns), otherwise 1."""
         return np.array([self.values[0], 1.0, 1.0, self.values[3]])
 
     @property
     def deviations(self) -> Floats:
-        """(4,)."""
+        """Standard deviations of the values, (4,)."""
         found: Floats = np.sqrt(self.covariance.diagonal())
         return found
 
     @property
     def held(self) -> tuple[Target, Floats]:
-        """As a body and its place (3,) in the last link's frame (held.py)."""
+        """The held body and its place (3,) in the last link's frame (held.py)."""
         mass, x, y, inertia = self.values.tolist()
         return Target(mass, inertia), np.array([x, y, 0.0])
 
 
 class Sample(NamedTuple):
-    """Base and arm at a moment, the body held, or about to be."""
+    """State of base and arm at one time, shortly before the grip or while the body is held."""
 
     t: float  # [s]
     q: Floats  # (3 + n,)
     qd: Floats  # (3 + n,)
     base: Floats  # (3, 3) covariance of the base's twist
     joints: Floats  # (n,) deviations of the joints' rates [rad/s]
-    impulse: Floats  # (3,) of the valves since any time: [N s] and about the world's origin
+    impulse: Floats  # (3,) of the valves since a common start: [N s] and about the world's origin
 
 
 class FreeBody(NamedTuple):
-    """The body before the grip."""
+    """Motion of the body before the grip."""
 
-    tip: Floats  # (3,) pose of the last link's tip, were it in the gripper already
-    twist: Floats  # (3,) of that point of it
+    tip: Floats  # (3,) pose that the last link's tip would have if it already held the body
+    twist: Floats  # (3,) of the body at that point
     covariance: Floats  # (3, 3)
 
     @staticmethod
     def of(p: Floats, place: Floats, pose: Floats, twist: Floats, covariance: Floats) -> "FreeBody":
-        """By pose and twist (3,) of its frame, which will be at `place` in the gripper."""
+        """Return the body's motion from that of its frame, which will be at `place` in the gripper.
+
+        Args:
+            p: (8 + 6 n,) of base and arm.
+            place: (3,) of the frame in the gripper (held.py).
+            pose: (3,) of the frame.
+            twist: (3,) of the frame.
+            covariance: (3, 3) of the twist.
+        """
         heading = pose[2] - place[2]
         apart = (layout.reach(p, layout.count(p)) - complex(*place[:2])) * np.exp(1j * heading)
         x, y = apart.real, apart.imag
@@ -129,14 +138,14 @@ class FreeBody(NamedTuple):
 
 @dataclass
 class Caught:
-    """What is known of a body, from the grip on.
+    """Estimator of the mass properties of one body, from the grip on.
 
     Args:
         p: (8 + 6 n,) of base and arm alone.
-        prior: what is known of the body beforehand.
-        earlier: base and arm before the grip, in order.
-        free: the body before the grip, at any time.
-        errors: what else pushes.
+        prior: mass properties known before the grip.
+        earlier: samples of base and arm before the grip, in order.
+        free: motion of the body before the grip, at any time.
+        errors: random walk of the momentum.
         thrust_error: relative error of the valves' thrust.
     """
 
@@ -156,34 +165,34 @@ class Caught:
         ])  # fmt: skip
         scale = self.prior.scale
         covariance = self.prior.covariance / np.outer(scale, scale)
-        self._root = np.zeros((UNKNOWNS, UNKNOWNS))  # of the prior's covariance
+        self._root = np.zeros((UNKNOWNS, UNKNOWNS))  # square root of the prior's covariance
         self._root[:OF_BODY, :OF_BODY] = np.linalg.cholesky(covariance)
         self._root[GAIN, GAIN] = max(self.thrust_error, 1e-9)
         self._root[BASE, BASE] = VAGUE * np.eye(3)
         self._root[FREE, FREE] = np.linalg.cholesky(self.free.covariance)
-        self._z = np.zeros(UNKNOWNS)  # off from what was known, in its deviations
+        self._z = np.zeros(UNKNOWNS)  # in standard deviations from the prior mean
         self._covariance: Floats = np.eye(UNKNOWNS)
-        self._squares = 0.0  # of all that is off, in its deviations
+        self._squares = 0.0  # sum of squared normalized residuals, the prior's included
 
     def take(self, sample: Sample) -> None:
-        """Take what is measured while the body is held, errors independent of samples before."""
+        """Add a sample of the held body, with errors independent of earlier samples."""
         self.samples.append(sample)
         if len(self.samples) > MOST:
             self.samples, self.spacing = self.samples[::2], 2.0 * self.spacing
 
     def is_due(self, t: float) -> bool:
-        """Whether another sample is to be taken at a time [s]."""
+        """Return True if another sample is due at a time [s]."""
         return t >= (self.samples or self.earlier)[-1].t + self.spacing
 
     @property
     def explained(self) -> bool:
-        """Whether the solution explains the samples, by chance: Wilson and Hilferty's quantile."""
+        """True if chance can explain the residuals, by the quantile of Wilson and Hilferty."""
         free = 3.0 * len(self.earlier + self.samples)
         spread = 2.0 / (9.0 * free)
         return bool(self._squares < free * (1.0 - spread + CHANCE * spread**0.5) ** 3)
 
     def solve(self) -> MassProperties:
-        """By all samples, begun from the last solution."""
+        """Estimate the mass properties from all samples, starting at the last solution."""
         self._solve()
         x = self._known + self._root @ self._z
         covariance = self._root @ self._covariance @ self._root.T
@@ -192,7 +201,7 @@ class Caught:
         return found._replace(covariance=found.covariance * np.outer(found.scale, found.scale))
 
     def _solve(self) -> None:
-        """Gauss-Newton, damped (Levenberg and Marquardt), in deviations of what was known."""
+        """Run a damped Gauss-Newton (Levenberg-Marquardt) in prior standard deviations."""
         rows = _Rows(self.p, self.earlier, self.samples)
         white = self._correlations(rows)
         cost, off = self._cost(rows, white, self._z)
@@ -221,14 +230,18 @@ class Caught:
         return float(off @ off + z @ z), off
 
     def _off(self, rows: "_Rows", white: Floats, z: Floats) -> Floats:
-        """Twists measured less those predicted, in their deviations, (3 k,)."""
+        """Return measured less predicted twists, in their standard deviations, (3 k,)."""
         x = self._known + self._root @ z
         apart = rows.twist - self._predicted(rows, x)[0]
         found: Floats = white @ apart.ravel()
         return found
 
     def _predicted(self, rows: "_Rows", x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Twists of the base (k, 3), by momentum (k, 3, 3), and by the joints' rates (k, 3, n)."""
+        """Return the base's predicted twists and their Jacobians.
+
+        Returns:
+            Twists (k, 3), Jacobians by momentum (k, 3, 3) and by the joints' rates (k, 3, n).
+        """
         H = rows.inertia(x, self.place_of_tip)
         inverse = np.linalg.inv(H[:, :, :3])
         to_base = inverse @ rows.about_base
@@ -241,11 +254,15 @@ class Caught:
 
     @property
     def place_of_tip(self) -> Floats:
-        """(2,) in the last link's frame."""
+        """Position of the tip in the last link's frame, (2,) [m]."""
         return np.array([layout.each(self.p, layout.LENGTH)[-1], 0.0])
 
     def _before(self, x: Floats) -> tuple[Floats, Floats]:
-        """Momenta of base and arm and of the body before the grip, about the world's origin."""
+        """Return the momenta before the grip about the world's origin.
+
+        Returns:
+            Momentum (3,) of base and arm, and momentum (3,) of the body.
+        """
         q, qd = self.earlier[0].q, self.earlier[0].qd.copy()
         qd[:3] = x[BASE]
         arm = to_origin(q[:2], inertia_matrix(self.p, q)[:3] @ qd)
@@ -255,7 +272,7 @@ class Caught:
         return arm, to_origin(tip[:2], body)
 
     def _correlations(self, rows: "_Rows") -> Floats:
-        """What makes the errors of all twists independent ones of 1, (3 k, 3 k)."""
+        """Return the matrix that whitens the errors of all twists, (3 k, 3 k)."""
         k, e = len(rows.t), self.errors
         x = self._known + self._root @ self._z
         _, to_base, by_joints = self._predicted(rows, x)
@@ -269,7 +286,7 @@ class Caught:
 
 
 class _Rows:
-    """What is the same of the samples for whatever body is held."""
+    """Quantities of the samples that do not depend on the held body."""
 
     def __init__(self, p: Floats, earlier: list[Sample], later: list[Sample]) -> None:
         samples = earlier + later
@@ -286,13 +303,19 @@ class _Rows:
         self.about_base[:, 2, 0], self.about_base[:, 2, 1] = q[:, 1], -q[:, 0]
 
     def inertia(self, x: Floats, tip: Floats) -> Floats:
-        """The base's rows of H with the body x, (k, 3, 3 + n)."""
+        """Return the base's rows of H with the body x, (k, 3, 3 + n)."""
         body = self.held[:, None, None] * body_inertia(x, tip, self._headings)
         return self._arm + self._tip[:, :, :3].transpose(0, 2, 1) @ body @ self._tip
 
 
 def body_inertia(x: Floats, tip: Floats, headings: Floats) -> Floats:
-    """Of the body x (4 or more,) about the tip at headings (k,) of the last link, (k, 3, 3)."""
+    """Return the inertia of a body about the tip, (k, 3, 3).
+
+    Args:
+        x: (4 or more,) log m, c and log I.
+        tip: (2,) tip in the last link's frame.
+        headings: (k,) of the last link.
+    """
     mass, (u, v) = np.exp(x[LOG_M]), x[C] - tip
     S = mass * complex(u, v) * np.exp(1j * headings)
     M = np.zeros((len(headings), 3, 3))
@@ -304,6 +327,6 @@ def body_inertia(x: Floats, tip: Floats, headings: Floats) -> Floats:
 
 
 def to_origin(at: Floats, momentum: Floats) -> Floats:
-    """A momentum or impulse (3,) about a point `at` (2,), about the world's origin."""
+    """Return a momentum or impulse (3,) about a point `at` (2,) as one about the world's origin."""
     x, y, turn = momentum
     return np.array([x, y, turn + at[0] * y - at[1] * x])

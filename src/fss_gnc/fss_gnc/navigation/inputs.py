@@ -1,12 +1,13 @@
-"""What is known to accelerate the base: the valves that are open, and the arm's motion.
+"""Known acceleration of the base: by the open valves and by the arm's motion.
 
     a = M (w - [h(q, qd)]_b) + B qdd_m,   M = H_bb^-1,  B = -M H_bm
 
-in the base's axes, with the wrench w of the valves. The joints' accelerations are those that their
-readings show, change of rate by time: whoever moves the arm, and however its drives follow, the
-base feels what the joints do and not what was planned. So they are known when the next reading has
-come, and the filter takes what followed the last one again. Until then they are those planned, if a
-plan is heard; and a joint may change beside it as it did of late, which is noise.
+in the base's axes, with the wrench w of the valves. The joints' accelerations are the changes of
+their measured rates by time. The base reacts to the real motion of the joints and not to the
+planned one, whichever node commands the arm and however well the drives follow. So an acceleration
+is known once the next reading has arrived; the filter then recomputes the estimates since the last
+one. Until then the planned accelerations are used, if a plan was received. In addition a joint may
+change its rate as it did recently, which is modelled as noise.
 """
 
 from collections.abc import Sequence
@@ -25,14 +26,14 @@ from .settings import EstimatorSettings
 from .valve_faults import Faults
 
 SECOND = 1_000_000_000
-UNHEARD = 0.5  # a joint that is silent for longer may do anything [s]
-FOLLOWS = 0.2  # how long a joint may be off from its plan in the same way [s]
-RESTS = 1e-4  # change of a joint's rate that the base does not feel [rad/s]
-LATELY = 0.5  # [s]
-RATE_ERROR = 5e-4  # of a joint's rate that is read, at least [rad/s]
-FASTEST = 100.0  # a joint's rate beyond which a reading is no measurement [rad/s]
-#: Kept of each joint and of commands to the valves, at 50 a second more than the filter's MEMORY,
-#: within which it may compute anew; and of a plan.
+UNHEARD = 0.5  # after this time without a reading, a joint's motion is unknown [s]
+FOLLOWS = 0.2  # correlation time of a joint's deviation from its plan [s]
+RESTS = 1e-4  # change of a joint's rate without effect on the base [rad/s]
+LATELY = 0.5  # window of recent changes of a joint's rate [s]
+RATE_ERROR = 5e-4  # smallest error of a measured joint rate [rad/s]
+FASTEST = 100.0  # joint rate beyond which a reading is rejected [rad/s]
+#: Number of stored readings of each joint, of valve commands and of points of a plan. At 50 a
+#: second the first two span more than the filter's MEMORY, within which it may recompute.
 READINGS, PULSES, POINTS = 64, 64, 16
 NEVER, FOREVER = -np.inf, np.inf
 
@@ -41,7 +42,7 @@ NEVER, FOREVER = -np.inf, np.inf
 def _linearized(  # type: ignore[no-untyped-def]
     p, angles, read_at, rates, leaks, quiet, control, mobility, by_joint, still, read, tail,
 ):  # fmt: skip
-    """M, B and M (w - h) at a time, and the noise before and after the joints' last readings.
+    """Return M, B and M (w - h) at a time, and the noise before and after the last readings.
 
     Args:
         p: (8 + 6 n,) Arm.vector().
@@ -49,9 +50,9 @@ def _linearized(  # type: ignore[no-untyped-def]
         read_at: (n, k) times of readings, the newest last [s].
         rates: (n, k) [rad/s].
         leaks: (3,) wrench w of valves that stay open.
-        quiet: (3, 3) density of the noise beside the joints'.
+        quiet: (3, 3) density of the noise that does not come from the joints.
         control: (5,) the time [s], the base's turn rate [rad/s], relative errors of a joint's rate
-            and of its change, random walk of the rate of a joint that is not heard.
+            and of its change, random walk of the rate of a joint without recent readings.
         mobility: (3, 3) M, written.
         by_joint: (3, n) B, written.
         still: (3,) M (w - h), written.
@@ -67,7 +68,7 @@ def _linearized(  # type: ignore[no-untyped-def]
         is_heard = age <= UNHEARD
         qd[3 + i] = rates[i, -1] if is_heard else 0.0
         q[3 + i] = angles[i] + qd[3 + i] * (age if is_heard else 0.0)
-        late = 0.0  # square of the change between two readings by time: the larger of the last two
+        late = 0.0  # squared change between two readings by time, the larger of the last two
         for k in range(at.size - 2, at.size):
             if at[k - 1] > NEVER:
                 late = max(late, (rates[i, k] - rates[i, k - 1]) ** 2 / (at[k] - at[k - 1]))
@@ -90,10 +91,11 @@ def _over(  # type: ignore[no-untyped-def]
     begins, ends, read_at, rates, opened, closed, valves, mobility, by_joint, still, read, tail,
     planned_at, planned, control, acceleration, noise,
 ):  # fmt: skip
-    """Mean acceleration (3,) and noise (3, 3) of the base from begin to end, in its own axes.
+    """Compute the mean acceleration (3,) and noise (3, 3) of the base in an interval, in its axes.
 
-    Newest entries stand last, times never used are NEVER. The control: until when all joints were
-    read, relative variance of the thrust, variance of a plan's acceleration by its square.
+    The newest entries are last; unused times are NEVER. `control` is the time until which all
+    joints were read, the relative variance of the thrust, and the variance of a planned
+    acceleration relative to its square.
     """
     begin, end = begins[0], ends[0]
     span = end - begin
@@ -145,11 +147,11 @@ def _over(  # type: ignore[no-untyped-def]
 
 
 class KnownInputs:
-    """Remembers pulses of the valves and readings of the joints, and the newest plan for them.
+    """History of valve pulses and joint readings, and the newest plan for the joints.
 
     Args:
         p: (8 + 6 n,) Arm.vector().
-        settings: thrusters, and how well thrust and joints are known.
+        settings: thrusters, and errors of thrust and joint rates.
     """
 
     def __init__(self, p: npt.ArrayLike, settings: EstimatorSettings | None = None) -> None:
@@ -159,33 +161,33 @@ class KnownInputs:
         self._quiet = np.diag(np.square([s.acceleration, s.acceleration, s.angular_acceleration]))
         self._opened, self._closed = np.full(PULSES, NEVER), np.full((PULSES, COUNT), NEVER)
         self._control = np.array([0.0, s.thrust_error**2, s.joint_change_error**2 * FOLLOWS])
-        self._origin: int | None = None  # what times in arrays count from [ns]
+        self._origin: int | None = None  # time at which the times in the arrays are zero [ns]
         self._joints(count(np.asarray(p)))
         self.describe(p)
 
     def _joints(self, n: int) -> None:
-        """There are n, of which nothing is known."""
+        """Reset to n joints without readings or plan."""
         self.n = n
         self._read_at, self._rates = np.full((n, READINGS), NEVER), np.zeros((n, READINGS))
         self._angles = np.zeros(n)
-        self._newest, self._omega = NEVER, 0.0  # of what the model is linearized about
+        self._newest, self._omega = NEVER, 0.0  # point of linearization
         self._planned_at, self._planned = np.full(POINTS, NEVER), np.zeros((POINTS, n))
 
     def _seconds(self, t: int) -> float:
-        """A time [ns] as in the arrays [s]."""
+        """Return a time [ns] in the unit and from the origin of the arrays [s]."""
         if self._origin is None:
             self._origin = t
         return (t - self._origin) * 1e-9
 
     def describe(self, p: npt.ArrayLike) -> None:
-        """Use other parameters (8 + 6 n,): after a calibration, or with what the gripper holds."""
+        """Use new parameters (8 + 6 n,), after a calibration or with a held body."""
         self.p = np.asarray(p, dtype=float)
         if count(self.p) != self.n:
             self._joints(count(self.p))
         self._model(self._newest, self._omega)
 
     def fail(self, faults: Faults) -> None:
-        """Predict with valves that stay open or closed, whatever they are told."""
+        """Predict with valves that stay open or closed, whatever their commands are."""
         self.faults = faults
         self._leaks = self.valves[list(faults.open)].sum(axis=0)
         self._driven = self.valves.copy()
@@ -193,14 +195,14 @@ class KnownInputs:
         self._model(self._newest, self._omega)
 
     def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
-        """Take a command of the valves, which replaces the one before.
+        """Store a command to the valves; it replaces the one before.
 
         Args:
             t: when it was sent [ns].
-            on_times: (8,) for how long each opens [s].
+            on_times: (8,) on-time of each valve [s].
 
         Returns:
-            False if it was ignored: a number makes no sense, or a later command is known.
+            False if it was ignored: a number is invalid, or a later command is known.
         """
         times = np.asarray(on_times, dtype=float)
         if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
@@ -213,13 +215,13 @@ class KnownInputs:
         return True
 
     def joint(self, i: int, t: int, q: float, qd: float, omega: float) -> int | None:
-        """Take a reading of a joint.
+        """Store a reading of a joint.
 
         Args:
             i: the joint, from 0.
             t: when it was read [ns].
-            q: its angle [rad].
-            qd: its rate [rad/s].
+            q: angle of the joint [rad].
+            qd: rate of the joint [rad/s].
             omega: turn rate of the base then [rad/s].
 
         Returns:
@@ -231,7 +233,7 @@ class KnownInputs:
         if not (isfinite(q) and abs(qd) < FASTEST) or now <= at[-1]:
             return None
         before = float(at[-1])
-        if now - before > UNHEARD:  # what it did meanwhile is not known
+        if now - before > UNHEARD:  # its motion in the meantime is unknown
             at[:], before, rates[-1] = NEVER, now, qd
         changed = abs(qd - rates[-1]) > RESTS
         at[:-1], rates[:-1] = at[1:], rates[1:]
@@ -240,11 +242,11 @@ class KnownInputs:
         return t - round((now - before) * SECOND) if changed else None
 
     def plan(self, stamp: int, ahead: Floats, rates: Floats) -> None:
-        """Take a plan of the joints' rates, which replaces the one before.
+        """Store a plan of the joints' rates; it replaces the one before.
 
         Args:
-            stamp: when it begins [ns].
-            ahead: (k,) times since then, rising [s]; those after the first POINTS do not count.
+            stamp: when it starts [ns].
+            ahead: (k,) increasing times since then [s]; only the first POINTS are used.
             rates: (k, n) of the joints at these times [rad/s].
         """
         t, qd = self._seconds(stamp) + ahead[:POINTS], rates[:POINTS]
@@ -255,9 +257,9 @@ class KnownInputs:
             self._planned[-k:-1] = np.diff(qd, axis=0) / np.diff(t)[:, None]
 
     def open_times(self, begin: int, end: int) -> Floats:
-        """How long each valve was open from one time [ns] to another, (8,) [s].
+        """Return how long each valve was open from one time [ns] to another, (8,) [s].
 
-        Only the last PULSES commands are remembered.
+        Only the last PULSES commands are stored.
         """
         first, last = self._seconds(begin), self._seconds(end)
         following = np.append(self._opened[1:], FOREVER)
@@ -269,15 +271,15 @@ class KnownInputs:
 
     @property
     def heard(self) -> bool:
-        """Whether every joint has been read."""
+        """True if every joint has been read."""
         return bool((self._read_at[:, -1] > NEVER).all())
 
     def heard_at(self, t: int) -> bool:
-        """Whether every joint was read less than UNHEARD before t [ns]."""
+        """Return True if every joint was read less than UNHEARD before t [ns]."""
         return self.heard and bool((self._read_at[:, -1] > self._seconds(t) - UNHEARD).all())
 
     def joints_at(self, t: int) -> tuple[Floats, Floats]:
-        """Angles [rad] and rates [rad/s] of the joints at t [ns], (n,) each, extrapolated."""
+        """Return extrapolated angles [rad] and rates [rad/s] of the joints at t [ns], (n,) each."""
         return self._extrapolated(self._seconds(t))
 
     def _extrapolated(self, t: float) -> tuple[Floats, Floats]:
@@ -286,10 +288,11 @@ class KnownInputs:
         return self._angles + qd * np.where(age <= UNHEARD, age, 0.0), qd
 
     def loose(self) -> Floats:
-        """Standard deviations of the joints' rates, (n,) [rad/s].
+        """Return standard deviations of the joints' rates, (n,) [rad/s].
 
-        They include what the rates changed by lately, as it takes the filter LATELY to see what the
-        joints' reaction really was.
+        They include recent changes of the rates, because the filter needs the time LATELY to
+        measure
+        the real reaction of the joints.
         """
         heard = np.where(self._read_at > self._read_at[:, -1:] - LATELY, self._rates, np.nan)
         late = np.nanmax(heard, axis=1) - np.nanmin(heard, axis=1)
@@ -297,7 +300,7 @@ class KnownInputs:
         return found
 
     def _model(self, t: float, omega: float) -> None:
-        """Linearize about the joints as they are at t [s], the base turning at omega [rad/s]."""
+        """Linearize about the joints' state at t [s], with the base's turn rate omega [rad/s]."""
         self._newest, self._omega, s = t, omega, self.settings
         at = t if t > NEVER else 0.0
         control = at, omega, s.joint_rate_error, s.joint_change_error, s.unheard_change
@@ -306,15 +309,15 @@ class KnownInputs:
         )
         newest = self._read_at[:, -1].tolist()
         self._control[0] = min(newest)
-        # When the next one falls silent.
+        # Time at which the next joint counts as silent.
         heard = (read_at for read_at in newest if at - read_at <= UNHEARD)
         self._silent = min(heard, default=FOREVER) + UNHEARD
 
     def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
-        """The mean acceleration of the base and its noise, in its own axes; see Inputs."""
+        """Return the mean acceleration of the base and its noise, in its own axes; see Inputs."""
         until = self._seconds(times[-1])
         if until > self._silent and until > self._newest:
-            if len(times) > 2:  # one after the other, as joints fall silent meanwhile
+            if len(times) > 2:  # one by one, as joints become silent in between
                 parts = [self.over(pair) for pair in pairwise(times)]
                 means, noises = zip(*parts, strict=True)
                 return np.concatenate(means), np.concatenate(noises)

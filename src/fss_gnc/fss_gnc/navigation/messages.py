@@ -1,4 +1,4 @@
-"""The estimated state of a body as messages."""
+"""Conversion of an estimated body state to messages."""
 
 from math import cos, sin
 
@@ -15,7 +15,7 @@ PLANE = (0, 1, 5)  # x, y and heading among the six axes of a covariance
 
 
 def odometry(state: BodyState, world_frame: str, body_frame: str) -> Odometry:
-    """Return pose in the world and twist in the body's axes, as the type defines it."""
+    """Return an Odometry: pose in the world, twist in the body's axes."""
     x, y, heading = state.pose.tolist()
     vx, vy, omega = state.twist.tolist()
     c, s = cos(heading), sin(heading)
@@ -32,7 +32,7 @@ def odometry(state: BodyState, world_frame: str, body_frame: str) -> Odometry:
 
 
 def _in_space(covariance: np.ndarray) -> np.ndarray:
-    """Return a planar covariance (3, 3) as the 36 numbers of one of six axes."""
+    """Return a planar covariance (3, 3) as the 36 numbers of a covariance of six axes."""
     whole = np.zeros((6, 6))
     whole[np.ix_(PLANE, PLANE)] = covariance
     return whole.ravel()

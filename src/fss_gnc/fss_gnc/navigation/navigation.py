@@ -1,4 +1,7 @@
-"""Base and target together, as one may be taken for the other, and one may hold the other."""
+"""Navigation of base and target together.
+
+Motion capture may swap the two, and the gripper of one may hold the other.
+"""
 
 from collections import deque
 from collections.abc import Sequence
@@ -22,14 +25,14 @@ from .settings import EstimatorSettings, TargetErrors
 from .valve_faults import Faults, Moment, ValveFaults
 
 SECOND = 1_000_000_000
-SAME = 0.05, 0.15  # a pose so near to the end effector's is the end effector's [m], [rad]
-UNSEEN = SECOND // 5  # a held target that is not seen for so long is where the gripper has it
-GRIP = 0.05, 0.1  # by how much gripping and letting go changes twists [m/s], [rad/s]
+SAME = 0.05, 0.15  # a pose this close to the end effector's counts as the end effector's [m], [rad]
+UNSEEN = SECOND // 5  # longest time without a pose before the arm's is used [ns]
+GRIP = 0.05, 0.1  # change of twists by a grip or a release, 1 sigma [m/s], [rad/s]
 SHAKEN = 0.05, 0.2  # random walk of a held target's twist [m/s/sqrt(s)], [rad/s/sqrt(s)]
-BEFORE = SECOND // 2  # so long before a grip is heard of, none had been; and after, all is calm
-EARLIER = 20  # moments before a grip that are kept, BEFORE apart
-GAP = 2 * SECOND  # in which nothing was known; what the valves gave meanwhile is not either
-EASED = 0.05  # of what a pose of the held target says of its place in the gripper is believed
+BEFORE = SECOND // 2  # longest delay of a grip's message, and time to calm down [ns]
+EARLIER = 20  # stored samples before a grip, BEFORE apart
+GAP = 2 * SECOND  # gap in the estimates after which the impulses of the valves are unknown [ns]
+EASED = 0.05  # share by which a pose of the held target corrects its place in the gripper
 
 
 class _Carried(Free):
@@ -42,22 +45,22 @@ class _Carried(Free):
         self._shaken = np.zeros((1, 3)), shaken[None]
 
     def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
-        """No known acceleration; the noise is larger while the target is held."""
+        """Return zero acceleration; the noise is larger while the target is held."""
         return self._shaken if self.held else super().over(times)
 
 
 class Navigation:
-    """The filters of base and target.
+    """Filters of base and target.
 
-    A rejected pose at which another body is known to be is reported under its name and not used, as
-    when motion capture swaps base and target.
+    A pose is rejected if it fits another body, as when motion capture swaps base and target. It is
+    reported under that body's name and not used.
 
     Args:
-        arm: its description.
+        arm: description of the arm.
         settings: errors of sensors and inputs.
         of_target: errors of the target's poses, and its process noise.
         body: assumed mass and inertia of the target.
-        errors: how well these are known, and what else changes the momentum.
+        errors: uncertainty of the assumed mass and inertia, and random walk of the momentum.
     """
 
     def __init__(
@@ -75,19 +78,19 @@ class Navigation:
         self._carried = _Carried(of_target)
         self.base = BodyFilter(s, self.inputs, partial(self._other, "target"), s)
         self.target = BodyFilter(of_target, self._carried, partial(self._other, "base"), s)
-        self.place: Floats | None = None  # of the target in the gripper; None: it is not held
+        self.place: Floats | None = None  # place of the target in the gripper; None: it is not held
         self.errors = errors or CaughtErrors()
         self.caught: Caught | None = None
-        self.found: MassProperties | None = None  # of what is held; None: nothing measured yet
-        self._gripped = 0  # when that was heard [ns]
+        self.found: MassProperties | None = None  # of the held body; None: not measured yet
+        self._gripped = 0  # time of the grip's message [ns]
         self._seen: deque[tuple[int, Sample, BodyState | None]] = deque(maxlen=EARLIER)
         self.valves = ValveFaults(self.settings.thrust_error)
-        # Impulses of each valve, as told and had it been open, and until when [ns].
+        # Impulses of each valve, as commanded and if always open, and until when they count [ns].
         self._given, self._given_until = np.zeros((2, COUNT, 3)), -GAP
 
     @property
     def holds(self) -> bool:
-        """Whether the gripper holds the target."""
+        """True if the gripper holds the target."""
         return self._carried.held
 
     def describe(self, arm: Arm) -> None:
@@ -98,21 +101,21 @@ class Navigation:
         self._weigh()
 
     def joint(self, i: int, t: int, q: float, qd: float) -> None:
-        """Take a reading q [rad], qd [rad/s] of joint i, from 0, at t [ns]."""
+        """Process a reading q [rad], qd [rad/s] of joint i, from 0, at t [ns]."""
         omega = self.base.state().twist[2] if self.base.events else 0.0
         since = self.inputs.joint(i, t, q, qd, float(omega))
         if since is not None:
             self.base.revise(since)
 
     def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
-        """Take on-times (8,) [s] that were sent to the valves at t [ns]; False: ignored."""
+        """Process on-times (8,) [s] sent to the valves at t [ns]; return False if ignored."""
         taken = self.inputs.pulses(t, on_times)
         if taken:
             self.base.revise(t)
         return taken
 
     def confused(self, t: int) -> list[tuple[str, str]]:
-        """Pairs of bodies (name, other): within the last second one was seen where the other is."""
+        """Return pairs of bodies (name, other): one was seen at the other's pose within 1 s."""
         bodies = ("base", self.base), ("target", self.target)
         return [
             (name, body.confused[1])
@@ -121,7 +124,7 @@ class Navigation:
         ]
 
     def target_pose(self, t: int, x: float, y: float, heading: float) -> bool:
-        """Update with a pose [m, m, rad] of the target seen at t [ns]; whether it was accepted."""
+        """Update with a pose [m, m, rad] of the target seen at t [ns]; return True if accepted."""
         believed = self.target.pose(t, x, y, heading)
         if believed and self.holds and not self.base.lost(t):
             place = hold(self.p, self._state(t)[0], (x, y, heading))
@@ -135,7 +138,7 @@ class Navigation:
         return believed
 
     def gripper(self, holds: bool) -> None:
-        """Take what the gripper says: whether it holds the target."""
+        """Process the gripper's report that it holds the target, or does not."""
         if holds == self.holds:
             return
         self._carried.held, self.place, self._gripped = holds, None, self.base.t
@@ -154,7 +157,7 @@ class Navigation:
         self.target.predict(t)
 
     def observe(self, t: int) -> MassProperties | None:
-        """Estimate the mass properties of what is held at t [ns]; None unless they are new."""
+        """Estimate the mass properties of the held body at t [ns]; None unless they are new."""
         if not self._is_known(t) or (self.holds and t < self._gripped + BEFORE):
             return None
         if not self.holds and self._seen and t < self._seen[-1][0] + BEFORE:
@@ -170,17 +173,17 @@ class Navigation:
             return None
         self.caught.take(sample)
         found = self.caught.solve()
-        if not self.caught.explained:  # by any mass: what was found before stays
+        if not self.caught.explained:  # no mass explains the motion: the last estimate is kept
             return None
         self.found = found
         self._weigh()
         return self.found
 
     def diagnose(self, t: int) -> Faults | None:
-        """Look for faulty valves at t [ns]; None unless what is found has changed."""
+        """Detect faulty valves at t [ns]; return None unless the known faults have changed."""
         known, place = self.valves.found, self.place
         p, mass_error = self.p, 0.0
-        if self.holds and place is not None:  # as assumed: a leak may have passed for mass
+        if self.holds and place is not None:  # as assumed: a leak may look like mass
             p = with_held(p, self.body, place)
             mass_error = self.body.mass * expm1(self.errors.mass_error)
         if not self._is_known(t) or (self.holds and place is None):
@@ -192,12 +195,12 @@ class Navigation:
             return None
         if found[:2] != known[:2]:
             self.inputs.fail(found)
-            self.caught = self.found = None  # what the valve did may have passed for mass
+            self.caught = self.found = None  # the faulty valve may have been mistaken for mass
             self._weigh()
         return found
 
     def _is_known(self, t: int) -> bool:
-        """Whether momentum is known at t [ns]; after a gap in which it was not, all restarts."""
+        """Return True if momentum is known at t [ns]; after a gap, the stored samples are reset."""
         if not self.base.events or self.base.lost(t) or not self.inputs.heard_at(t):
             return False
         if t > self._given_until + GAP:
@@ -207,7 +210,10 @@ class Navigation:
         return True
 
     def _impulses(self, t: int) -> Floats:
-        """Of each valve until t [ns], about the world's origin, as told and if open, (2, 8, 3)."""
+        """Return the impulse of each valve until t [ns], about the world's origin, (2, 8, 3).
+
+        The first row is for the commanded on-times, the second for valves that are always open.
+        """
         base = self.base.state()
 
         def given(begin: int, end: int) -> Floats:
@@ -219,13 +225,13 @@ class Navigation:
             found: Floats = np.stack(lasts)[:, :, None] * each
             return found
 
-        until = max(t - BEFORE, self._given_until)  # of what came later not all may be heard yet
+        until = max(t - BEFORE, self._given_until)  # later commands may still arrive
         self._given = self._given + given(self._given_until, until)
         self._given_until = until
         return self._given + given(until, t)
 
     def _sample(self, t: int) -> Sample:
-        """All as it is at t [ns], with what the valves have given."""
+        """Return the state of base and arm at t [ns], with the impulse of the valves."""
         q, qd = self._state(t)
         return Sample(
             t / SECOND, q, qd, self.base.state().covariance[3:, 3:], self.inputs.loose(),
@@ -233,15 +239,17 @@ class Navigation:
         )  # fmt: skip
 
     def _begin(self, t: int, sample: Sample) -> Caught:
-        """With what was known before the grip; of a payload nothing was.
+        """Start the estimate of the held body from the samples before the grip.
 
-        Where base or joints were not known for a while, what was found until then is the prior.
+        There are no samples of a payload before its grip. If base or joints were unknown for a
+        while,
+        the last estimate is the prior.
         """
         known = [seen for seen in self._seen if seen[0] <= self._gripped - BEFORE]
         self._seen.clear()
         place, state = self.place, known[-1][2] if known else None
         earlier = [seen[1] for seen in known[:: -round(SPACING * SECOND / BEFORE)]][::-1]
-        if place is None:  # it has no markers
+        if place is None:  # the target has no markers
             x, y, heading = self.body.fixture
             out = np.exp(-1j * heading) * complex(x, y)  # from it to the tip, seen from the tip
             place = hold(self.p, sample.q, tip_pose(self.p, sample.q))
@@ -264,13 +272,13 @@ class Navigation:
         self.inputs.describe(p)
 
     def _state(self, t: int) -> tuple[Floats, Floats]:
-        """Base and joints at t [ns], and their rates, (3 + n,) each."""
+        """Return the state of base and joints at t [ns], and its rate, (3 + n,) each."""
         base = self.base.state().at(t)
         q, qd = self.inputs.joints_at(t)
         return np.concatenate([base.pose, q]), np.concatenate([base.twist, qd])
 
     def _other(self, name: str, t: int, pose: Pose, within: float) -> str:
-        """The name of who else is at a pose."""
+        """Return the name of the other body at a pose; empty if there is none."""
         other = self.target if name == "target" else self.base
         if other.events and other.distance(t, pose) <= GATE:
             x, y = other.state().at(t).pose[:2].tolist()

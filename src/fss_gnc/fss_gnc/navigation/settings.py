@@ -1,4 +1,4 @@
-"""What the filters know of bodies and sensors."""
+"""Settings of the filters: errors of sensors and inputs."""
 
 from dataclasses import dataclass
 
@@ -61,7 +61,7 @@ class SensorErrors(Settings):
 
 @dataclass(frozen=True)
 class Bounds(Settings):
-    """Beyond which where a body is counts as unknown."""
+    """Bounds beyond which the state of a body counts as unknown."""
 
     max_outage: float = setting(
         2.0, "time without a pose after which where a body is counts as unknown", unit="s",
@@ -83,7 +83,7 @@ class Bounds(Settings):
 
 @dataclass(frozen=True)
 class TargetErrors(SensorErrors):
-    """Of a target that floats freely: nothing but the table's slope accelerates it."""
+    """Errors of a freely floating target: only the table's slope accelerates it."""
 
     position_error: float = like(SensorErrors, "position_error", 0.0003)
     heading_error: float = like(SensorErrors, "heading_error", 8.7e-4)
@@ -93,7 +93,7 @@ class TargetErrors(SensorErrors):
 
 @dataclass(frozen=True)
 class EstimatorSettings(SensorErrors, Bounds):
-    """Errors of the base's sensors, and of what is known to accelerate it."""
+    """Errors of the base's sensors and of its known acceleration."""
 
     position_error: float = like(SensorErrors, "position_error", 0.0003)
     heading_error: float = like(SensorErrors, "heading_error", 8.7e-4)
@@ -128,7 +128,7 @@ class EstimatorSettings(SensorErrors, Bounds):
 
 @dataclass(frozen=True)
 class NavigationSettings(EstimatorSettings, CaughtErrors):
-    """The parameters of a NavigationNode."""
+    """Parameters of a NavigationNode."""
 
     latency: float = setting(
         0.0, "age of motion capture's poses at their stamps, which is taken off", unit="s",
@@ -157,7 +157,7 @@ class NavigationSettings(EstimatorSettings, CaughtErrors):
     target_frame: str = setting("target", "child frame id of target/state")
 
     def of_target(self) -> TargetErrors:
-        """Errors of the target's poses, which are as the base's, and what accelerates it."""
+        """Return the errors of the target: those of the base's poses, and its own process noise."""
         return TargetErrors(
             position_error=self.position_error,
             heading_error=self.heading_error,
@@ -168,5 +168,5 @@ class NavigationSettings(EstimatorSettings, CaughtErrors):
         )
 
     def body(self) -> Target:
-        """The target."""
+        """Return the target with its assumed mass and inertia."""
         return Target(mass=self.target_mass, inertia=self.target_inertia)

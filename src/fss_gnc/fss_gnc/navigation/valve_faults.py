@@ -1,15 +1,16 @@
-"""Valves that stay open or closed, found by what momentum does: fault detection and isolation.
+"""Detection and isolation of valves that stay open or closed, from momentum.
 
-From one moment to another the base's twist is predicted by momentum, by what the valves were told
-and by what the joints did,
+From one moment to another the base's twist is predicted from momentum, from the commands to the
+valves and from the motion of the joints,
 
     x'_b = H_bb^-1 (g + dg - H_bm q'_m),
 
-and so it is under each hypothesis: that one valve stayed open or closed. Where no fault does not
-explain what is measured, and one fault alone does, again and again, that is it (Chow and Willsky
-1984). The mass of what is held enters by what the valves give alone, which then counts for less; so
-do joints that move. A valve that stays open and one that does not, though told all the time,
-against it look alike: then, and where no valve explains it, it is said that something pushes.
+and also under each hypothesis that one valve stayed open or closed. A fault is found if the
+fault-free prediction does not fit the measurement and one single fault does, at several moments in
+a row (Chow and Willsky 1984). The mass of the held body matters only for the impulse of the valves,
+which then has a larger error; moving joints enlarge the error, too. A valve that stays open and an
+opposite one that stays closed while it is commanded all the time have the same effect. In that
+case, and if no single valve explains the measurement, an unknown push is reported.
 """
 
 from collections import deque
@@ -22,37 +23,37 @@ from fss_arm_model.kernels import Floats
 
 from .caught import Sample
 
-SPACING = 0.2  # of moments [s]
-SPANS = 5, 10, 15  # moments over which all is compared
-AGREED = 3  # moments in a row at which the same valve is found
-# Sums of 3 squares: beyond chance by far, within it, and apart from each other.
+SPACING = 0.2  # between moments [s]
+SPANS = 5, 10, 15  # spans over which moments are compared, in moments
+AGREED = 3  # consecutive moments that must find the same valve
+# Sums of 3 squares: limit of chance; limit for an explanation; least gap between explanations.
 STRANGE, EXPLAINED, APART = 25.0, 16.0, 6.0
-WALK = np.array([0.005, 0.005, 0.0015])  # of what else pushes [N sqrt(s)], [N m sqrt(s)]
-EVEN = np.array([0.015, 0.015, 0.002])  # that pushes evenly, as a table off by 0.1 mrad [N], [N m]
-OTHER = 0.1  # relative error of what a fault gives
+WALK = np.array([0.005, 0.005, 0.0015])  # random walk of other pushes [N sqrt(s)], [N m sqrt(s)]
+EVEN = np.array([0.015, 0.015, 0.002])  # constant push, as of a table tilted by 0.1 mrad [N], [N m]
+OTHER = 0.1  # relative error of a fault's impulse
 
 
-Suspect = tuple[str, int]  # open or closed, and which
+Suspect = tuple[str, int]  # "open" or "closed", and the number of the valve
 
 
 class Faults(NamedTuple):
-    """Numbers of valves, from 0, that stay so."""
+    """Valves, numbered from 0, that stay open or closed."""
 
     open: frozenset[int] = frozenset()
     closed: frozenset[int] = frozenset()
-    pushed: bool = False  # momentum changes now, and nothing known explains it
+    pushed: bool = False  # momentum changes now, and no known cause explains it
 
 
 class Moment(NamedTuple):
-    """Base and arm, and what the valves did since any time."""
+    """State of base and arm at one time, and impulses of the valves since a common start."""
 
     sample: Sample
-    told: Floats  # (v, 3) impulse of each valve as told: [N s] and about the world's origin
-    open: Floats  # (v, 3) had it been open all the time
+    told: Floats  # (v, 3) impulse of each valve as commanded: [N s] and about the world's origin
+    open: Floats  # (v, 3) impulse if the valve had always been open
 
 
 class ValveFaults:
-    """Watches the valves.
+    """Monitor of the valves.
 
     Args:
         thrust_error: relative error of the thrust, 1 sigma.
@@ -62,27 +63,27 @@ class ValveFaults:
         self.thrust_error = thrust_error
         self.found = Faults()
         self._moments: deque[Moment] = deque(maxlen=max(SPANS) + 1)
-        self._suspects: deque[Suspect | None] = deque(maxlen=AGREED)  # None: cannot be told
+        self._suspects: deque[Suspect | None] = deque(maxlen=AGREED)  # None: no single valve
 
     def forget(self) -> None:
-        """Begin anew: momentum is another one, or was not known for a while."""
+        """Reset the comparison: momentum has changed, or was unknown for a while."""
         self._moments.clear()
         self._suspects.clear()
         self.found = self.found._replace(pushed=False)
 
     def is_due(self, t: float) -> bool:
-        """Whether a moment is due at a time [s]; none is after an open valve, which ends all."""
+        """Return True if a moment is due at a time [s]; never after an open valve."""
         if self.found.open:
             return False
         return not self._moments or t >= self._moments[-1].sample.t + SPACING
 
     def look(self, p: Floats, moment: Moment, mass_error: float) -> None:
-        """Take a moment, and find in `found` what it shows.
+        """Add a moment, and update `found`.
 
         Args:
-            p: (8 + 6 n,) of base, arm and what is held.
-            moment: later than those before.
-            mass_error: of what is held, 1 sigma [kg].
+            p: (8 + 6 n,) of base, arm and held body.
+            moment: later than the moments before.
+            mass_error: of the held body, 1 sigma [kg].
         """
         self._moments.append(moment)
         found = [
@@ -104,7 +105,7 @@ class ValveFaults:
             return
         kind, valve = suspect
         self.forget()
-        if kind == "open":  # what seemed to be closed before may have been this
+        if kind == "open":  # this valve may have caused earlier findings of closed ones
             self.found = Faults(open=frozenset({valve}))
         else:
             self.found = self.found._replace(closed=self.found.closed | {valve})
@@ -112,11 +113,16 @@ class ValveFaults:
     def _compare(
         self, p: Floats, begin: Moment, end: Moment, mass_error: float
     ) -> tuple[bool, Suspect | None]:
-        """Whether what happened between moments is strange, and the one fault that explains it."""
+        """Compare two moments.
+
+        Returns:
+            True if the change is unexplained, and the only fault that explains it; None: there is
+            no such fault.
+        """
         first, last = begin.sample, end.sample
         H, before = inertia_matrix(p, last.q)[:3], inertia_matrix(p, first.q)[:3]
         inverse = np.linalg.inv(H[:, :3])
-        kept = inverse @ moved(first.q[:2], last.q[:2]) @ before  # twist now by rates then
+        kept = inverse @ moved(first.q[:2], last.q[:2]) @ before  # earlier rates to the twist now
         by_joints = inverse @ H[:, 3:]
         by_impulse = to_point(last.q[:2]).T @ inverse.T  # of one about the origin, as a row
         told, wide = end.told - begin.told, end.open - begin.open
@@ -143,11 +149,11 @@ class ValveFaults:
 
 
 def moved(begin: Floats, end: Floats) -> Floats:
-    """(3, 3): of a momentum about one point (2,) that about another."""
+    """Return the matrix (3, 3) that takes a momentum about one point (2,) to another."""
     x, y = begin - end
     return np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-y, x, 1.0]])
 
 
 def to_point(at: Floats) -> Floats:
-    """(3, 3): of a momentum about the world's origin that about a point (2,)."""
+    """Return the matrix (3, 3) that takes a momentum about the world's origin to a point (2,)."""
     return moved(np.zeros(2), at)

@@ -1,1 +1,1 @@
-"""The base's board, as the link's electronics are, and the way to its driver."""
+"""Emulated board of the base, and its connection to a driver."""

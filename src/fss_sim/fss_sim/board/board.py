@@ -1,4 +1,4 @@
-"""The base's board: its table of states, what its instruments read, and the ways to its driver."""
+"""Board of the base: its state machine, its measurements, and the channels to its driver."""
 
 from random import Random
 from typing import Any
@@ -19,26 +19,26 @@ from fss_sim.link.radio import Station
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Vehicle
 
-UPTIME = 10_000_000  # it was switched on within this time before the test bed [us]
-GYRO_SCALE = 1e-6  # of a count of the gyro's samples [rad/s]
+UPTIME = 10_000_000  # it is switched on at most this long before the test bed starts [us]
+GYRO_SCALE = 1e-6  # rate of one count of the gyro's samples [rad/s]
 SUPPLY_UNIT = 100.0  # [Pa]
 FIRMWARE = 0x010000  # 1.0.0
-BATTERIES = 2  # side by side, each as a link's
+BATTERIES = 2  # in parallel, each like that of a link
 CLOSED = VALVES * (0,)
 
 
 class Board:
-    """One board, stepped with every frame; times are the simulation's [ns].
+    """Board of one base, stepped with every frame; times are simulation times [ns].
 
     Args:
-        noise: of its clock.
-        seed: of that, whatever has been going on before.
-        run: seed of what must not repeat itself when a run is resumed.
-        rate: of telemetry [frames/s].
-        key: that frames are signed under, if any.
-        charge: of the batteries, 0 to 1.
-        power: what they are like, and what lives on them.
-        station: on the air, through which its datagrams go; None: a wire of its own.
+        noise: errors of its clock.
+        seed: seed of these errors; a resumed run has the same errors.
+        run: seed of the random numbers that must differ when a run is resumed.
+        rate: telemetry rate [frames/s].
+        key: key that signs the frames, if any.
+        charge: charge of the batteries, 0 to 1.
+        power: parameters of batteries and loads.
+        station: radio station for its datagrams; None: a wire of its own.
     """
 
     def __init__(
@@ -55,31 +55,31 @@ class Board:
         self._period, self._key = round(1e6 / rate), key
         self._power = p = power or Power()
         self.battery = Battery(BATTERIES * p.energy, p.resistance / BATTERIES, charge)
-        self._runs = True  # the regulator, while there is charge
+        self._runs = True  # True if the regulator can work; it also needs a charged battery
         self._drift = Random(f"{seed}, board").gauss(0.0, noise.clock_drift)
         ways = Random(f"{seed}, board, {run}")
-        self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
+        self.uptime = ways.randrange(UPTIME)  # when the test bed starts [us]
         self._in, self._out = (Channel(Random(ways.random()), station) for _ in range(2))
-        self._peer: Any = None  # whom telemetry goes to
-        self._since = self._began = 0  # the clock's time then [us], and the simulation's
-        self.state: BoardState | None = None  # while it has power
+        self._peer: Any = None  # receiver of the telemetry
+        self._since = self._began = 0  # board clock [us] and simulation time [ns] at the start
+        self.state: BoardState | None = None  # None while it is off
 
     @property
     def refused(self) -> int:
-        """Datagrams refused since its start."""
+        """Number of datagrams rejected since its start."""
         return self.state.gate.refused.total() if self.state else 0
 
     @property
     def running(self) -> bool:
-        """Whether it is switched on."""
+        """Return True if the board is switched on."""
         return self.state is not None
 
     def has_power(self, faults: LinkFaults) -> bool:
-        """Whether it can run."""
+        """Return True if the board has power and is not held in reset."""
         return bool(self._runs and self.battery.charge) and not (faults.dead or faults.reset)
 
     def _draw(self, plant: Vehicle, seconds: float, faults: LinkFaults) -> None:
-        """Live on the battery for a time [s]."""
+        """Draw the current of board and valves from the battery for a time [s]."""
         if faults.dead or not self.battery.charge:
             return
         current = self._power.base + self._power.valve * sum(plant.valves)
@@ -87,32 +87,32 @@ class Board:
         self._runs = self.battery.volts > (BROWN_OUT if self._runs else REVIVAL)
 
     def clock(self, now: int) -> int:
-        """Its own clock [us]."""
+        """Return the time of the board's own clock [us]."""
         return self._since + round((now - self._began) * (1.0 + self._drift) / 1000)
 
     def start(self, boot: int, now: int, uptime: int = 0) -> None:
-        """Switch it on, `uptime` us ago."""
+        """Switch the board on, as if `uptime` us ago."""
         self.state = BoardState(board_gate(boot, self._key))
         self._since, self._began, self._peer = uptime, now, None
-        self._periods = -1  # of the clock, at the last frame
+        self._periods = -1  # periods of the clock until the last frame
         self._sequence = self._sum = self._samples = 0
-        self._broken = 0  # valves that were seen to draw no current, as Slow.FAULTS
-        self._until = CLOSED  # what the valves were told, by the clock
+        self._broken = 0  # valves that were found to draw no current, as Slow.FAULTS
+        self._until = CLOSED  # commanded closing times of the valves, by the clock
 
     def stop(self) -> None:
-        """Stop it."""
+        """Switch the board off."""
         self.state = None
 
     def put(self, data: bytes, peer: Any, now: int, faults: LinkFaults = NO_FAULTS) -> None:
-        """Send it a datagram."""
+        """Send a datagram to the board."""
         self._in.put(Datagram(data, peer), now, faults)
         self._listen(now)
 
     def act(self, now: int, plant: Vehicle) -> None:
-        """Have valves and gripper do what they are told from now on."""
+        """Command valves and gripper as received."""
         self._listen(now)
         if self.state is None:
-            if plant.thrusters.driven:  # without current they close
+            if plant.thrusters.driven:  # without current the valves close
                 plant.thrust(CLOSED)
             return
         self.state.tick(self.clock(now))
@@ -130,9 +130,9 @@ class Board:
         seconds: float,
         faults: LinkFaults = NO_FAULTS,
     ) -> list[Datagram]:
-        """What arrives of its telemetry, `seconds` after the last time it was asked.
+        """Advance by `seconds`; return the telemetry that has arrived at its driver.
 
-        `rate`: by the gyro, if that answers [rad/s].
+        `rate` is a sample of the gyro, if there is one [rad/s].
         """
         self._draw(plant, seconds, faults)
         if self.state and rate is not None:

@@ -1,1 +1,1 @@
-"""A link's electronics, emulated, and its ways to a driver."""
+"""Emulated electronics of a link, and their connections to a driver."""

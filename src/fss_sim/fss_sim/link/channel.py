@@ -1,4 +1,4 @@
-"""The way of datagrams between a link and its driver, with what happens to them on it."""
+"""Channel for datagrams between a link and its driver, with delays and faults."""
 
 from heapq import heappop, heappush
 from random import Random
@@ -10,24 +10,24 @@ from fss_sim.link.radio import Station
 
 
 class Datagram(NamedTuple):
-    """Bytes, and the other end: whom they come from or go to."""
+    """Bytes, and the peer that sent them or that they are sent to."""
 
     data: bytes
     peer: Any
 
 
 class Channel:
-    """One direction: what is put in comes out later, or never, or twice.
+    """One direction of a connection; faults can delay, lose or duplicate datagrams.
 
     Args:
-        random: for the chances that faults leave.
-        station: on the air, through which all goes before faults delay it; None: a wire.
+        random: random numbers for the faults.
+        station: radio station that each datagram passes before faults delay it; None: a wire.
     """
 
     def __init__(self, random: Random, station: Station | None = None) -> None:
         self._random, self._station = random, station
         self._under_way: list[tuple[int, int, Datagram]] = []  # by time of arrival, then order
-        self._held: Datagram | None = None  # until the next one has gone
+        self._held: Datagram | None = None  # held back until the next one is sent
         self._count = 0
 
     def put(self, datagram: Datagram, now: int, faults: LinkFaults = NO_FAULTS) -> None:
@@ -48,7 +48,7 @@ class Channel:
             self._held = None
 
     def arrived(self, now: int) -> list[Datagram]:
-        """What comes out up to a time [ns], in order."""
+        """Return the datagrams that have arrived by a time [ns], in order of arrival."""
         got = []
         while self._under_way and self._under_way[0][0] <= now:
             got.append(heappop(self._under_way)[2])

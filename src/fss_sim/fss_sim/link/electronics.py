@@ -1,7 +1,7 @@
-"""One link's electronics, emulated: the link's side of docs/reference/protocol.md, in bytes.
+"""Emulated electronics of one link: the link's side of docs/reference/protocol.md, in bytes.
 
-What the firmware does, in its own units: the link's clock in microseconds since its start, the
-servo drive's counts, the torque converter's counts.
+This is the behaviour of the firmware, in its own units: the link's clock in microseconds since its
+start, counts of the servo drive, counts of the torque converter.
 """
 
 from dataclasses import replace
@@ -26,28 +26,28 @@ from fss_sim.link.power import Battery
 from fss_sim.link.servo import REST, ServoDrive
 from fss_sim.plant.plant import Demand, Motion
 
-RELEASE_TIMEOUT = 3_000_000  # with a joint that does not come to rest and shall be released [us]
+RELEASE_TIMEOUT = 3_000_000  # a joint to be released is released by then even if it moves [us]
 
-LEAD = 5000  # half the time for which a demand stands [us]
+LEAD = 5000  # half the time for which a demand is valid [us]
 
 FIRMWARE = 0x020100  # 2.1.0
 
 
 class LinkElectronics(LinkState):
-    """The electronics of one link, from their start.
+    """Electronics of one link, from their start.
 
-    The node that owns it calls `receive` for each datagram, `demand` before the joint moves on and
-    `telemetry` after; the clock they are given never runs back.
+    The owner calls `receive` for each datagram, `demand` before the joint moves and `telemetry`
+    afterwards. The clock in these calls must never decrease.
 
     Args:
-        number: of the link, 1 beside the base.
-        link: its description.
-        boot: which start this is, 1 to 65535.
-        rate: of telemetry [frames/s].
-        key: that frames are signed under, if any.
-        instruments: without errors by default.
-        drive: that it finds as it is; one of its own by default.
-        battery: that it measures; a full one by default.
+        number: number of the link; 1 is next to the base.
+        link: description of the link.
+        boot: boot number of this start, 1 to 65535.
+        rate: telemetry rate [frames/s].
+        key: key that signs the frames, if any.
+        instruments: instruments of the link; without errors by default.
+        drive: servo drive, whose state is kept; a new one by default.
+        battery: battery whose voltage is measured; a full one by default.
     """
 
     def __init__(
@@ -66,18 +66,18 @@ class LinkElectronics(LinkState):
         self.instruments = instruments or make(link.torque_sensor)
         self.drive = drive or ServoDrive(link, self.instruments.encoder)
         self._homed = self.drive.referenced
-        self.homings = int(self._homed)  # how often the drive was found referenced
+        self.homings = int(self._homed)  # number of times that the drive became referenced
         self._homing = self._clearing = False
         self._battery = battery or Battery()
         self._demand = self.drive.demand
-        self._kept = 0  # when the joint was last not to be released [us]
+        self._kept = 0  # last time at which the joint was not to be released [us]
         self._acceleration = link.drive.max_acceleration
         self._period = round(1e6 / rate)  # [us]
-        self._periods = -1  # of the clock, at the last frame
+        self._periods = -1  # periods of the clock until the last frame
         self._sequence = 0  # of the next frame
 
     def receive(self, data: bytes, clock: int) -> bool:
-        """Obey or refuse a datagram that has come; return whether it was taken."""
+        """Accept or reject a received datagram; return True if it was accepted."""
         taken, command = super().receive(data, clock), self.gate.command
         if taken and command:
             self._clearing |= bool(command.flags & Order.CLEAR_FAULTS and self.drive.latched)
@@ -87,7 +87,7 @@ class LinkElectronics(LinkState):
         return taken
 
     def demand(self, clock: int, motion: Motion) -> Demand:
-        """What the servo drive is to do from now on, and does."""
+        """Give the servo drive its demand from now on; return what the drive does."""
         if not self.drive.able:
             self.drop()
         goal, command = self.goal(clock), self.gate.command
@@ -108,19 +108,19 @@ class LinkElectronics(LinkState):
         does = self.drive.act(None if self._homing else self._demand, motion)
         if does.mode == Mode.OFF:
             self._demand = does
-            if self._clearing:  # one that is on would move on by itself
+            if self._clearing:  # only while off: a drive that is on would resume its motion
                 self._clearing = False
                 self.drive.clear()
         self._notice()
         return does
 
     def _notice(self) -> None:
-        """Count how often the drive is found referenced."""
+        """Count the times that the drive becomes referenced."""
         self.homings += self.drive.referenced and not self._homed
         self._homed = self.drive.referenced
 
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
-        """The frame that is due now, measured now; None between frames, or without a drive."""
+        """Return the frame that is due now; None between frames, or if the drive has no power."""
         torque = self.instruments.torque
         torque.sample(clock, motion.torque, motion.shear)
         if clock // self._period == self._periods or not self.drive.powered:
@@ -152,7 +152,7 @@ class LinkElectronics(LinkState):
         return encode(frame, gate.key)
 
     def _measured(self, motion: Motion) -> tuple[int, int]:
-        """Position [counts] and velocity [0.1 counts/s], as the encoder has them."""
+        """Return position [counts] and velocity [0.1 counts/s] as read by the encoder."""
         drive = self.drive
         return (
             _signed(drive.reading(motion.q) / drive.count, 32),
@@ -160,11 +160,11 @@ class LinkElectronics(LinkState):
         )
 
     def _held(self) -> Demand:
-        """Decelerate and hold there; a drive that holds already goes on holding the same place."""
+        """Return the demand to decelerate and hold; a drive that already holds does not move."""
         return Demand(Mode.POSITION, 0.0, 0.0, self.link.drive.max_acceleration)
 
     def _commanded(self, command: Command) -> Demand:
-        """The command in SI units, within the drive's own limits."""
+        """Return the command in SI units, within the limits of the drive."""
         drive, count = self.link.drive, self.drive.count
         if command.mode in (Mode.VELOCITY, Mode.POSITION) and command.acceleration:
             asked = command.acceleration * ACCELERATION_UNIT * abs(count)
@@ -194,6 +194,6 @@ class LinkElectronics(LinkState):
 
 
 def _signed(value: float, bits: int) -> int:
-    """The nearest integer of so many bits."""
+    """Return the nearest signed integer of `bits` bits."""
     limit = 1 << bits - 1
     return max(-limit, min(round(value), limit - 1))

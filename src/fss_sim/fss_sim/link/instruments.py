@@ -1,4 +1,4 @@
-"""What a link measures with: encoder and torque converter."""
+"""Instruments of a link: encoder and torque converter."""
 
 from dataclasses import dataclass
 from math import cos, exp, pi, sin
@@ -7,25 +7,25 @@ from random import Random
 from fss_arm_model.description import TorqueSensor
 from fss_sim.noise import Noise
 
-WARM_UP = 1.2e9  # of a link, by which its temperature is 1/e short of what it becomes [us]
-RIPPLE = 60  # periods a turn of the encoder's error: two a turn of the wave generator, at 30 : 1
+WARM_UP = 1.2e9  # time constant of a link's temperature [us]
+RIPPLE = 60  # periods of the encoder error per turn: two per turn of the wave generator, at 30 : 1
 
 IDEAL = Noise()
 
 
 class Encoder:
-    """The joint's angle as the drive has it, which is off as harmonic drives are.
+    """Encoder of a joint, with the errors that are typical of harmonic drives.
 
         reading = q + error sin(60 q + phase) + eccentricity sin(q + way)
 
-    Encoder and gear sit off centre: as the encoder is on the motor, what it does not see of the
-    gear is its error too.
+    Encoder and gear are eccentric. The encoder is on the motor, so that errors of the gear are
+    errors of the reading too.
 
     Args:
-        error: the largest of the first kind [rad]; 60 times it must be far below 1.
-        phase: [rad].
-        eccentricity: the largest error of the second kind [rad].
-        way: [rad].
+        error: amplitude of the first error [rad]; 60 times it must be far below 1.
+        phase: phase of the first error [rad].
+        eccentricity: amplitude of the second error [rad].
+        way: phase of the second error [rad].
     """
 
     def __init__(
@@ -34,18 +34,18 @@ class Encoder:
         self._error, self._phase, self._eccentricity, self._way = error, phase, eccentricity, way
 
     def reading(self, q: float) -> float:
-        """What is read at the angle q [rad]."""
+        """Return the reading at the angle q [rad]."""
         return q + self._off(q)
 
     def rate(self, q: float, qd: float) -> float:
-        """How fast the reading changes at the angle q [rad] and the rate qd [rad/s]."""
+        """Return the rate of the reading [rad/s] at the angle q [rad] and the rate qd [rad/s]."""
         ripple = RIPPLE * self._error * cos(RIPPLE * q + self._phase)
         return qd * (1.0 + ripple + self._eccentricity * cos(q + self._way))
 
     def angle(self, reading: float) -> float:
-        """The angle at which this is read [rad]."""
+        """Return the angle that gives this reading [rad]."""
         q = reading
-        for _ in range(4):  # each leaves 4% of the error
+        for _ in range(4):  # each iteration leaves 4% of the error
             q = reading - self._off(q)
         return q
 
@@ -55,22 +55,22 @@ class Encoder:
 
 
 class TorqueConverter:
-    """A 24-bit converter that samples by itself; between samples, the last one stands.
+    """24-bit torque converter that samples at its own rate and keeps the last sample.
 
         seen = torque + zero + drift (1 - exp(-time / WARM_UP)) + crosstalk shear + noise
 
-    Its strain gauges lie on the spokes between a joint's halves. A force across the link bends them
-    as well, which the bridge cancels but for how well its gauges are placed and matched. The zero
-    drifts with the temperature, which rises from when the electronics are switched on.
+    Its strain gauges are on the spokes between the two halves of a joint. A force across the link
+    bends the spokes too. The bridge cancels this except for errors in placing and matching the
+    gauges. The zero drifts with the temperature, which rises after the electronics are switched on.
 
     Args:
-        sensor: its gain and zero.
-        rate: samples a second.
-        noise: white, each sample, 1 sigma [N m].
-        zero: what it is off by [N m].
-        random: for the noise.
-        crosstalk: what it shows of a force across the link [N m/N].
-        drift: of its zero when the link is warm [N m].
+        sensor: gain and zero of the sensor.
+        rate: samples per second.
+        noise: standard deviation of the white noise of each sample [N m].
+        zero: offset of the zero [N m].
+        random: random numbers for the noise.
+        crosstalk: measured torque per force across the link [N m/N].
+        drift: drift of the zero when the link is warm [N m].
     """
 
     def __init__(
@@ -84,12 +84,12 @@ class TorqueConverter:
         self.counts = 0
 
     def sample(self, clock: int, torque: float, shear: float = 0.0) -> None:
-        """Sample if it is time to, by the link's clock [us].
+        """Take a sample if one is due.
 
         Args:
-            clock: since the electronics were switched on.
-            torque: that passes [N m].
-            shear: force across the link that passes too [N].
+            clock: the link's clock, since the electronics were switched on [us].
+            torque: torque that the joint transmits [N m].
+            shear: force across the link that the joint transmits [N].
         """
         if (period := clock // self._period) == self._sampled:
             return
@@ -101,13 +101,13 @@ class TorqueConverter:
         self.counts = max(-(1 << 23), min(counts, (1 << 23) - 1))
 
     def age(self, clock: int) -> int:
-        """Of the last sample [us]."""
+        """Return the age of the last sample [us]."""
         return clock - self._sampled * self._period
 
 
 @dataclass(frozen=True)
 class Instruments:
-    """Those of one link."""
+    """Instruments of one link."""
 
     encoder: Encoder
     torque: TorqueConverter
@@ -120,9 +120,10 @@ def make(
     torque_rate: int = 80,
     more: Random | None = None,
 ) -> Instruments:
-    """The instruments of a link; its errors come from `random`, those of `laboratory` from `more`.
+    """Return the instruments of a link, with errors drawn from `random` and `more`.
 
-    So each seed goes on to mean what it always has.
+    `more` supplies the errors that only the preset `laboratory` has. The errors of the other
+    presets therefore stay the same for each seed.
     """
     random, more = random or Random(0), more or Random(0)
     way = more.uniform(-pi, pi)

@@ -1,4 +1,4 @@
-"""A link of the test bed: its electronics while they have power, and the ways to its driver."""
+"""Link of the test bed: its electronics while they have power, and the channels to its driver."""
 
 from random import Random
 from typing import Any
@@ -14,24 +14,24 @@ from fss_sim.link.servo import OFF, ServoDrive
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Demand, Motion
 
-UPTIME = 10_000_000  # a link was switched on within this time before the test bed [us]
+UPTIME = 10_000_000  # a link is switched on at most this long before the test bed starts [us]
 
 
 class Link:
-    """One link, stepped with every frame; times are the simulation's [ns].
+    """One link, stepped with every frame; times are simulation times [ns].
 
     Args:
-        number: 1 beside the base.
-        link: its description.
-        noise: of its instruments and its clock.
-        seed: of them, whatever has been going on before.
-        run: seed of what must not repeat itself when a run is resumed.
-        rate: of telemetry [frames/s].
-        key: that frames are signed under, if any.
-        torque_rate: samples of the torque converter a second.
-        charge: of the battery, 0 to 1.
-        power: what its battery is like, and what lives on it.
-        station: on the air, through which its datagrams go; None: a wire of its own.
+        number: number of the link; 1 is next to the base.
+        link: description of the link.
+        noise: errors of its instruments and its clock.
+        seed: seed of these errors; a resumed run has the same errors.
+        run: seed of the random numbers that must differ when a run is resumed.
+        rate: telemetry rate [frames/s].
+        key: key that signs the frames, if any.
+        torque_rate: samples of the torque converter per second.
+        charge: charge of the battery, 0 to 1.
+        power: parameters of its battery and of the loads on it.
+        station: radio station for its datagrams; None: a wire of its own.
     """
 
     def __init__(
@@ -57,32 +57,32 @@ class Link:
         self.supply = Supply(power, charge)
         self.drive = ServoDrive(link, self.instruments.encoder)
         ways = Random(f"{seed}, {number}, {run}")
-        self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
+        self.uptime = ways.randrange(UPTIME)  # when the test bed starts [us]
         self._in, self._out = (Channel(Random(ways.random()), station) for _ in range(2))
-        self._peer: Any = None  # whom telemetry goes to
-        self._since = self._began = 0  # the clock's time then [us], and the simulation's
+        self._peer: Any = None  # receiver of the telemetry
+        self._since = self._began = 0  # link clock [us] and simulation time [ns] at the start
         self.electronics: LinkElectronics | None = None
 
     @property
     def refused(self) -> int:
-        """Datagrams refused since its start."""
+        """Number of datagrams rejected since its start."""
         return self.electronics.gate.refused.total() if self.electronics else 0
 
     @property
     def running(self) -> bool:
-        """Whether it is switched on."""
+        """Return True if the electronics are switched on."""
         return self.electronics is not None
 
     def has_power(self, faults: LinkFaults) -> bool:
-        """Whether its electronics can run."""
+        """Return True if the electronics have power and are not held in reset."""
         return self.supply.runs and not (faults.dead or faults.reset)
 
     def clock(self, now: int) -> int:
-        """Its own clock [us]."""
+        """Return the time of the link's own clock [us]."""
         return self._since + round((now - self._began) * (1.0 + self._drift) / 1000)
 
     def start(self, boot: int, now: int, uptime: int = 0) -> None:
-        """Switch it on, `uptime` us ago."""
+        """Switch the electronics on, as if `uptime` us ago."""
         self.electronics = LinkElectronics(
             self.number,
             self._link,
@@ -96,16 +96,16 @@ class Link:
         self._since, self._began, self._peer = uptime, now, None
 
     def stop(self) -> None:
-        """Stop its electronics."""
+        """Switch the electronics off."""
         self.electronics = None
 
     def put(self, data: bytes, peer: Any, now: int, faults: LinkFaults = NO_FAULTS) -> None:
-        """Send it a datagram."""
+        """Send a datagram to the link."""
         self._in.put(Datagram(data, peer), now, faults)
         self._listen(now)
 
     def demand(self, now: int, motion: Motion) -> Demand:
-        """What its servo drive is to do from now on."""
+        """Return the demand on its joint from now on."""
         self._listen(now)
         if self.electronics:
             self.electronics.demand(self.clock(now), motion)
@@ -121,8 +121,8 @@ class Link:
         faults: LinkFaults = NO_FAULTS,
         drive: DriveFaults = NO_DRIVE_FAULTS,
     ) -> list[Datagram]:
-        """What arrives of its telemetry, `seconds` after the last time it was asked."""
-        if self.drive.demand.mode == OFF:  # whatever a hand does
+        """Advance by `seconds`; return the telemetry that has arrived at its driver."""
+        if self.drive.demand.mode == OFF:  # even if a hand moves the joint
             motion = motion._replace(current=0.0)
         load = None if faults.dead else self.drive.load(motion)
         self.supply.advance(load, seconds, faults.resistance)

@@ -1,12 +1,12 @@
-"""What electronics live on: a lithium-ion battery, and the converter that feeds a drive from it.
+"""Power supply: a lithium-ion battery, and the converter that supplies a drive from it.
 
-A battery of open-circuit voltage U and resistance R supplies the electronics, behind a linear
-regulator, with a current I, and the converter with a power P. Its voltage V then is the larger of
+A battery of open-circuit voltage U and resistance R supplies the electronics with a current I
+through a linear regulator, and the converter with a power P. Its voltage V is the larger root of
 
     V = U - R (I + P / V)
 
-The converter takes no more than leaves it its least input voltage, and no more than its limit; what
-the drive asks for beyond that makes its output sag.
+The power of the converter is limited by its maximum, and so that its minimum input voltage remains.
+If the drive needs more power, the output voltage of the converter drops.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, setting
 
-#: Open-circuit voltage of a cell (NMC) at a charge of 0, 5, ... 100% [V]; typical of data sheets.
+#: Open-circuit voltage of an NMC cell at a charge of 0, 5, ... 100% [V]; typical data-sheet values.
 CELL = (
     3.00, 3.28, 3.42, 3.49, 3.53, 3.56, 3.58, 3.60, 3.62, 3.64, 3.67,
     3.70, 3.74, 3.79, 3.85, 3.90, 3.95, 4.00, 4.06, 4.12, 4.20,
@@ -26,20 +26,20 @@ _MEAN = sum(0.5 * (a + b) for a, b in pairwise(CELL)) / (len(CELL) - 1)
 
 AMBIENT = 25.0  # [deg C]
 WARMTH, COOLING = 6.0, 1200.0  # of the battery in its enclosure [K/W], [s]; assumed
-COLD = 0.02  # by so much less is the resistance for each kelvin more
+COLD = 0.02  # relative decrease of the resistance per kelvin
 
-# The regulator of the electronics gives up, and gives its 5 V again, at these battery voltages.
+# Battery voltages at which the regulator of the electronics loses and regains its 5 V.
 BROWN_OUT, REVIVAL = 6.5, 7.5  # [V]
 
 VOLTS = 24.0  # of the converter's output
-LOWEST = 9.0  # input voltage of the converter [V]
+LOWEST = 9.0  # minimum input voltage of the converter [V]
 LIMIT = 60.0  # of the converter's input [W]
 EFFICIENCY = 0.88
 
 
 @dataclass(frozen=True)
 class Power(Settings):
-    """The battery of a link, which the base's board has two of, and what lives on it."""
+    """Parameters of a link's battery and its loads; the base's board has two such batteries."""
 
     energy: float = setting(89.0, "energy of a link's full battery", unit="W h", check=POSITIVE)
     resistance: float = setting(
@@ -65,19 +65,19 @@ class Power(Settings):
 
 
 class Battery:
-    """A lithium-ion battery, four cells in series.
+    """Lithium-ion battery with four cells in series.
 
     Args:
-        energy: when full [W h].
-        resistance: at 25 deg C [ohm].
-        charge: 1 is full, 0 is empty.
+        energy: energy when full [W h].
+        resistance: resistance at 25 deg C [ohm].
+        charge: initial charge; 1 is full, 0 is empty.
     """
 
     def __init__(self, energy: float = 89.0, resistance: float = 0.1, charge: float = 1.0) -> None:
         self.charge, self.temperature = charge, AMBIENT  # [deg C]
         self.capacity = 3600.0 * energy / (CELLS * _MEAN)  # [A s]
         self._resistance = resistance
-        self.volts = self.open  # at its terminals
+        self.volts = self.open  # terminal voltage
 
     @property
     def open(self) -> float:
@@ -87,10 +87,10 @@ class Battery:
         return CELLS * (CELL[i] + (at - i) * (CELL[i + 1] - CELL[i]))
 
     def draw(self, current: float, power: float, seconds: float, more: float = 0.0) -> float:
-        """Supply a current [A] and a power [W] for a time [s], which changes voltage and charge.
+        """Supply a current [A] and a power [W] for a time [s]; update voltage and charge.
 
-        There may be `more` resistance beside its own, as of a bad contact [ohm]. Returned is what
-        of the power it gave, as that must leave LOWEST at its terminals [W].
+        `more` is resistance in addition to its own, for example of a bad contact [ohm]. Return the
+        power supplied [W], which is limited so that the terminal voltage stays at LOWEST or above.
         """
         inner = self._resistance * exp(COLD * (AMBIENT - self.temperature)) + more
         left = self.open - inner * current
@@ -104,7 +104,7 @@ class Battery:
 
 
 class Load(NamedTuple):
-    """What a servo drive with its motor takes at an instant."""
+    """Electrical load of a servo drive with its motor at one instant."""
 
     on: bool
     current: float = 0.0  # of the motor [A]
@@ -112,31 +112,31 @@ class Load(NamedTuple):
 
 
 class Supply:
-    """The battery of a link, its regulator and its converter.
+    """Battery of a link, its regulator and its converter.
 
     Args:
-        power: what they are like, and what lives on them.
-        charge: of the battery.
+        power: parameters of battery and loads.
+        charge: initial charge of the battery, 0 to 1.
     """
 
     def __init__(self, power: Power | None = None, charge: float = 1.0) -> None:
         self.power = power or Power()
         self.battery = Battery(self.power.energy, self.power.resistance, charge)
-        self.volts = VOLTS  # of the converter's output
-        self.runs = charge > 0.0  # the regulator, so that the electronics can
+        self.volts = VOLTS  # output voltage of the converter
+        self.runs = charge > 0.0  # True if the regulator supplies the electronics
 
     def advance(self, load: Load | None, seconds: float, more: float = 0.0) -> None:
-        """Supply electronics and drive for a time [s]; without a load all is switched off.
+        """Supply electronics and drive for a time [s]; without a load everything is off.
 
-        There may be `more` resistance beside the battery's own [ohm].
+        `more` is resistance in addition to the battery's own [ohm].
         """
         p, battery = self.power, self.battery
-        if load is None or not battery.charge:  # its protection has opened
+        if load is None or not battery.charge:  # the battery's protection opens when it is empty
             self.volts, self.runs = 0.0, bool(battery.charge)
             battery.volts = battery.open
             return
         asked = p.idle
-        if load.on:  # what a brake gives back, its resistor takes
+        if load.on:  # the braking resistor dissipates regenerated power
             asked += p.switching
             asked += max(0.0, p.winding * load.current * load.current + load.mechanical)
         asked /= EFFICIENCY

@@ -1,4 +1,4 @@
-"""Pseudo-terminals that links are reached by, in place of RS-232."""
+"""Pseudo-terminals for the connections to links, in place of RS-232."""
 
 import os
 import termios
@@ -9,23 +9,23 @@ from typing import Any
 
 from fss_arm_driver.protocol import StreamDecoder, pack
 
-LARGEST = 8192  # bytes read at once
+LARGEST = 8192  # maximum number of bytes per read
 
 
 class LinkTerminal:
-    """One link's pseudo-terminal. Nothing blocks, and nothing raises once it is open.
+    """Pseudo-terminal of one link; no method blocks, or raises after it is opened.
 
     Args:
-        path: a symbolic link to the terminal that drivers open; replaced if it is a link already.
+        path: symbolic link to the terminal, for drivers to open; an existing link is replaced.
 
     Raises:
-        OSError: there is no terminal to be had, or the path is taken; the message says which.
+        OSError: if no terminal is available, or the path is in use; the message says which.
     """
 
     def __init__(self, path: str) -> None:
         self._path = Path(path)
         self._decoder = StreamDecoder()
-        # The far end is kept open, so that a driver may come and go.
+        # The far end is kept open, so that a driver can disconnect and reconnect.
         self._near, self._far = os.openpty()
         os.set_blocking(self._near, False)
         tty.setraw(self._far)
@@ -39,30 +39,30 @@ class LinkTerminal:
 
     @property
     def place(self) -> str:
-        """What a driver opens."""
+        """Path that a driver opens."""
         return str(self._path)
 
     def receive(self) -> list[tuple[bytes, Any]]:
-        """The frames that have come; there is but one peer."""
+        """Return the received frames; there is only one peer."""
         try:
             data = os.read(self._near, LARGEST)
-        except OSError:  # no more
+        except OSError:  # no data left
             return []
         return [(frame, self) for frame in self._decoder.feed(data)]
 
     def send(self, data: bytes, peer: Any) -> None:
-        """Send a frame to the peer, if there is one; what the line does not take is lost."""
+        """Send a frame to the peer, if there is one; data that does not fit is lost."""
         if peer is not None:
             with suppress(OSError):
                 os.write(self._near, pack(data))
 
     def reset(self) -> None:
-        """Forget what has come."""
+        """Discard all data not yet read."""
         termios.tcflush(self._near, termios.TCIOFLUSH)
         self._decoder = StreamDecoder()
 
     def close(self) -> None:
-        """Take the terminal away."""
+        """Close the terminal and remove its symbolic link."""
         with suppress(OSError):
             if os.readlink(self._path) == os.ttyname(self._far):
                 self._path.unlink()

@@ -1,13 +1,13 @@
-"""The radio channel that links and base share: what it costs a datagram to get through.
+"""Radio channel that links and base share: delay and loss of datagrams.
 
-In outline the distributed coordination of IEEE 802.11. One station sends at a time, the others
-wait, in the order in which they began to. An attempt begins when the channel is free, after a
-random number of slots, and takes airtime for the bytes and for what goes with them; it fails
-through a collision, the likelier the fewer slots there were to choose from, or through loss. What
-has failed is tried again, out of twice as many slots, until its retries are used up.
+The model is a simplified distributed coordination of IEEE 802.11. One station sends at a time; the
+others wait, in the order of their requests. An attempt starts when the channel is free, after a
+random number of slots. Its airtime covers the bytes and the overhead. It fails through loss or
+through a collision, which is more likely if there are fewer slots to choose from. A failed attempt
+is repeated with twice as many slots, until the retries are used up.
 
-Loss comes in bursts (Gilbert 1960, Elliott 1963): each station is out of reach at random times,
-for random times.
+Loss occurs in bursts (Gilbert 1960, Elliott 1963): each station is out of reach at random times,
+for random durations.
 """
 
 from collections import deque
@@ -17,15 +17,15 @@ from random import Random
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, above, between, setting
 from fss_arm_model.units import SECOND
 
-SLOT, SLOTS, MOST_SLOTS = 20_000, 32, 1024  # of 802.11b [ns]; at the first attempt, at the most
-HEADERS = 8 + 20 + 36  # bytes of UDP, IP and 802.11 around a datagram
-FOREIGN = 1500  # bytes of the datagrams of others
-WINDOW = SECOND  # over which the use of the channel is counted [ns]
+SLOT, SLOTS, MOST_SLOTS = 20_000, 32, 1024  # 802.11b slot [ns]; slots at first and at most
+HEADERS = 8 + 20 + 36  # bytes of the UDP, IP and 802.11 headers of a datagram
+FOREIGN = 1500  # bytes of the datagrams of interfering stations
+WINDOW = SECOND  # time over which the use of the channel is measured [ns]
 
 
 @dataclass(frozen=True)
 class Radio(Settings):
-    """A channel as 802.11b has it, its stations at the slowest usual rate but one."""
+    """Parameters of an 802.11b channel, whose stations use the second lowest usual rate."""
 
     rate: float = setting(2e6, "bit rate of the radio channel", unit="bit/s", check=POSITIVE)
     overhead: float = setting(
@@ -55,35 +55,35 @@ class Radio(Settings):
 
 
 class Air:
-    """The channel; times are the simulation's [ns].
+    """Shared radio channel; times are simulation times [ns].
 
     Args:
-        radio: what it is like.
-        seed: of all that chance decides.
+        radio: parameters of the channel.
+        seed: seed of its random numbers.
     """
 
     def __init__(self, radio: Radio, seed: str) -> None:
-        self.radio, self.taken = radio, 0.0  # share of the airtime that others take
+        self.radio, self.taken = radio, 0.0  # share of the airtime used by interfering stations
         self._seed, self._random = seed, Random(f"{seed}, air")
-        self._free = 0  # from when on
+        self._free = 0  # time from which the channel is free
         self._sent: deque[tuple[int, int]] = deque()  # end and airtime of each attempt
 
     def station(self, name: str) -> "Station":
-        """One of those who share it."""
+        """Return a new station on the channel."""
         return Station(self, Random(f"{self._seed}, air, {name}"))
 
     def airtime(self, size: int) -> int:
-        """Of a datagram of so many bytes [ns]."""
+        """Return the airtime of a datagram of `size` bytes [ns]."""
         return round(SECOND * (self.radio.overhead + 8 * (size + HEADERS) / self.radio.rate))
 
     def used(self, now: int) -> float:
-        """Share of the last second for which the stations have sent."""
+        """Return the share of the last second during which the stations were sending."""
         while self._sent and self._sent[0][0] <= now - WINDOW:
             self._sent.popleft()
         return sum(airtime for _, airtime in self._sent) / WINDOW
 
     def carry(self, station: "Station", size: int, now: int) -> int | None:
-        """When a datagram that waits from `now` on has arrived; None: it is lost."""
+        """Return the time at which a datagram sent at `now` arrives; None if it is lost."""
         random, airtime = self._random, self.airtime(size)
         contended = now < self._free
         for attempt in range(1 + self.radio.retries):
@@ -102,18 +102,18 @@ class Air:
 
 
 class Station:
-    """One that shares the channel, with the bursts of loss that meet it, whoever sends."""
+    """Station on the channel, with its own bursts of loss in both directions."""
 
     def __init__(self, air: Air, random: Random) -> None:
         self._air, self._random = air, random
-        self._in_burst, self._until = True, 0  # which ends at once
+        self._in_burst, self._until = True, 0  # a burst that ends immediately
 
     def carry(self, size: int, now: int) -> int | None:
-        """As Air.carry."""
+        """Return the time of arrival, as Air.carry does."""
         return self._air.carry(self, size, now)
 
     def loss(self, now: int) -> float:
-        """Share of the attempts that fail now; `now` may run back a little."""
+        """Return the share of attempts that fail now; `now` may decrease a little."""
         radio = self._air.radio
         if radio.burst_interval:
             means = radio.burst_interval, radio.burst_length

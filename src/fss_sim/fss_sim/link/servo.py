@@ -1,12 +1,14 @@
-"""A link's servo drive, emulated: its supply, its reference, and how it protects itself.
+"""Emulated servo drive of a link: its supply, its reference, and its protection.
 
-How it turns the joint is plant/drives.py; this is what it reports, and when it lets the joint go:
-its status word and its latched faults (docs/reference/faults.md), by what happens to it in the
-simulation or is injected. A latched fault keeps the motor off until it is cleared, which takes that
-its cause is gone; those of the drive's own memory and logic end with its power alone.
+plant/drives.py computes the motion of the joint. This module determines what the drive reports, and
+when it switches the motor off: its status word and its latched faults (docs/reference/faults.md).
+They depend on the simulation and on injected faults. A latched fault keeps the motor off until it
+is cleared. It can only be cleared after its cause is gone; faults of the drive's memory and logic
+are only cleared by switching the power off.
 
-The encoder is incremental: the position counts from where the power came. Homing goes to where a
-flag on the joint ends, which covers the upper half of its turn, and counts from there.
+The encoder is incremental: it counts from the position at which the power was switched on. A flag
+on the joint covers the upper half of its turn. Homing moves to the end of this flag, and counts
+from there.
 """
 
 from math import copysign, pi, sqrt
@@ -22,7 +24,7 @@ from fss_sim.plant.plant import Demand, Motion
 OFF, CURRENT, VELOCITY, POSITION = 0, 1, 11, 21
 OFF_NOW = Demand(OFF)
 
-# Bits of the status word that say how things are, docs/reference/faults.md.
+# Bits of the status word for states that are not faults, docs/reference/faults.md.
 CURRENT_LIMITED, VOLTAGE_LIMITED = 1 << 7, 1 << 8
 AT_POSITIVE_SWITCH, AT_NEGATIVE_SWITCH = 1 << 9, 1 << 10
 ENABLE_OPEN, IS_OFF, STOPPING = 1 << 11, 1 << 12 | 1 << 14 | 1 << 15, 1 << 13
@@ -31,7 +33,7 @@ LATCHED, FLAG, IN_MOTION = 1 << 22, 1 << 26, 1 << 27
 
 
 class Cause(NamedTuple):
-    """What the drive protects itself from: bits of its status meanwhile, and what it latches."""
+    """Cause of a protection: status bits while it is present, and faults that it latches."""
 
     status: int
     latch: int
@@ -42,8 +44,8 @@ DRIVE_HOT, MOTOR_HOT = Cause(1 << 1, 1 << 3), Cause(1 << 4, 1 << 4)
 FEEDBACK, PHASING, TRACKING = Cause(1 << 5, 1 << 7), Cause(1 << 6, 1 << 8), Cause(1 << 18, 1 << 9)
 OVERCURRENT, INPUT_LOST = Cause(0, 1 << 10), Cause(0, 1 << 12)
 FLASH, INTERNAL, LOGIC = Cause(0, 1 << 0), Cause(0, 1 << 1), Cause(0, 1 << 11)
-FOR_GOOD = FLASH.latch | INTERNAL.latch | LOGIC.latch  # no clearing helps
-#: What faults that are on or off do.
+FOR_GOOD = FLASH.latch | INTERNAL.latch | LOGIC.latch  # cannot be cleared by a command
+#: Causes that injected faults of the on/off type trigger.
 INJECTED = {
     "short_circuit": SHORT, "overcurrent": OVERCURRENT, "encoder": FEEDBACK, "phasing": PHASING,
     "flash": FLASH, "internal": INTERNAL, "logic": LOGIC, "command_input": INPUT_LOST,
@@ -51,82 +53,83 @@ INJECTED = {
     "enable": Cause(ENABLE_OPEN, 0), "voltage_limit": Cause(VOLTAGE_LIMITED, 0),
     "wrapped": Cause(WRAPPED, 0),
 }  # fmt: skip
-BLOCKING = 0x7F | ENABLE_OPEN | TRACKING.status | LATCHED  # of the status: no motion
+BLOCKING = 0x7F | ENABLE_OPEN | TRACKING.status | LATCHED  # status bits that prevent motion
 
-# All of these are assumed; the motor's warmth is such that its continuous current, for 0.75 N m and
-# what of 3.0 A for 1.8 N m friction takes (docs/start/hardware.md), heats it to its limit.
-HIGHEST, LOWEST, DEAD = 55.0, 20.0, 12.0  # supply, and below which its logic loses power [V]
+# All of these values are assumed. The motor's heating is chosen so that its continuous current
+# heats it to its limit. This is the current for 0.75 N m plus friction. The friction follows from
+# the peak values, 3.0 A for 1.8 N m (docs/start/hardware.md).
+HIGHEST, LOWEST, DEAD = 55.0, 20.0, 12.0  # supply limits; below DEAD the logic loses power [V]
 DRIVE_LIMIT, DRIVE_WARMTH, DRIVE_COOLING = 70.0, 6.0, 200.0  # [deg C], [K] when idle, [s]
 DRIVE_LOSS = 2.0  # [K/A^2]
 MOTOR_LIMIT, MOTOR_COOLING, CONTINUOUS = 100.0, 300.0, 1.6  # [deg C], [s], [A]
-HYSTERESIS = 5.0  # of both limits [K]
+HYSTERESIS = 5.0  # of both temperature limits [K]
 MOTOR_WARMTH = (MOTOR_LIMIT - AMBIENT) / CONTINUOUS**2  # [K/A^2]
-LAG, WARNED_LAG = 0.2, 0.1  # behind the profile [rad]
-PUSH = 3000.0  # against what blocks the joint, by how far it is from where it shall be [A/rad]
-REST = 1e-3  # a slower joint is at rest [rad/s]
+LAG, WARNED_LAG = 0.2, 0.1  # lag behind the profile that latches a fault, and that warns [rad]
+PUSH = 3000.0  # current against an obstacle, per position error [A/rad]
+REST = 1e-3  # speed below which a joint is at rest [rad/s]
 HOMING_SPEED, HOMING_ACCELERATION = 0.2, 1.0  # [rad/s], [rad/s^2]
 
 
 class ServoDrive:
-    """The servo drive of one link, with power and referenced at the begin.
+    """Servo drive of one link, which is powered and referenced at the start.
 
     Args:
-        link: its description.
-        encoder: of its motor.
+        link: description of the link.
+        encoder: encoder of its motor.
     """
 
     def __init__(self, link: Link, encoder: Encoder) -> None:
         self._link, self._encoder = link, encoder
         self.count = link.drive.direction * 2.0 * pi / link.drive.counts_per_turn  # [rad]
-        self.powered, self.referenced, self.homings = True, True, 0  # since its power came
-        self.latched = 0  # its variable 0xa4
+        self.powered, self.referenced, self.homings = True, True, 0  # homings since power-on
+        self.latched = 0  # latched faults, its variable 0xa4
         self._drive_rise, self._motor_rise = DRIVE_WARMTH, 0.0  # above AMBIENT [K]
         self.supply = VOLTS  # [V]
-        self.demand = OFF_NOW  # what it does
-        self._zero = 0.0  # encoder's angle that it counts from [rad]
-        self._frozen: float | None = None  # its angle while it does not come through [rad]
-        self._wrong = 0  # bits of the status, of what is wrong or limited
+        self.demand = OFF_NOW  # demand in execution
+        self._zero = 0.0  # encoder angle that it counts from [rad]
+        self._frozen: float | None = None  # last encoder angle while the encoder is lost [rad]
+        self._wrong = 0  # status bits of present faults and limits
         self._was_reset = 0
         self._faults, self._injected = NO_DRIVE_FAULTS, Cause(0, 0)
-        self._order: Demand | None = self.demand  # the last one, as `act` has it
-        self._above: bool | None = None  # where its search for the reference began
-        self._speed = self._lag = 0.0  # of its profile [rad/s], and behind it [rad]
+        self._order: Demand | None = self.demand  # last demand given to `act`
+        self._above: bool | None = None  # whether homing started above the flag's end
+        self._speed = self._lag = 0.0  # speed of its profile [rad/s], lag behind it [rad]
 
     @property
     def able(self) -> bool:
-        """Whether it has power, and nothing that blocks motion."""
+        """Return True if the drive has power and no fault prevents motion."""
         return self.powered and not self._wrong & BLOCKING and not self.latched
 
     @property
     def blocked(self) -> bool:
-        """Whether something holds the joint."""
+        """Return True if an obstacle blocks the joint."""
         return self._faults.blocked > 0.0
 
     @property
     def temperature(self) -> float:
-        """Of the drive [deg C]."""
+        """Temperature of the drive [deg C]."""
         return AMBIENT + self._drive_rise + self._faults.drive_heat
 
     @property
     def motor_temperature(self) -> float:
-        """Of the motor's winding [deg C]."""
+        """Temperature of the motor's winding [deg C]."""
         return AMBIENT + self._motor_rise + self._faults.motor_heat
 
     def reading(self, q: float) -> float:
-        """The angle that it reads [rad]."""
+        """Return the drive's reading at the joint angle q [rad]."""
         at = self._encoder.reading(q) if self._frozen is None else self._frozen
         return at - self._zero
 
     def rate(self, motion: Motion) -> float:
-        """How fast that changes [rad/s]."""
+        """Return the rate of the reading [rad/s]."""
         return self._encoder.rate(motion.q, motion.qd) if self._frozen is None else 0.0
 
     def angle(self, reading: float) -> float:
-        """The joint's angle at which this is read [rad]."""
+        """Return the joint angle that gives this reading [rad]."""
         return self._encoder.angle(reading + self._zero)
 
     def status(self, motion: Motion) -> int:
-        """Its variable 0xa0."""
+        """Return the status word, its variable 0xa0."""
         off = self.demand.mode == OFF
         moves = abs(motion.qd) >= REST
         brakes = self.demand.mode == POSITION and self.demand.speed == 0.0
@@ -143,15 +146,15 @@ class ServoDrive:
         )
 
     def home(self) -> None:
-        """Begin to look for the reference, which is not known until it is found."""
+        """Start homing; the reference is unknown until it is found."""
         self.referenced, self._above = False, None
 
     def clear(self) -> None:
-        """Forget the latched faults whose cause is gone."""
+        """Clear the latched faults; those whose cause is still present are latched again."""
         self.latched &= FOR_GOOD
 
     def act(self, demand: Demand | None, motion: Motion) -> Demand:
-        """What the motor is to do of a demand from now on; None: the drive homes."""
+        """Return the demand that the motor executes from now on; None as argument: homing."""
         self._order = demand
         if not self.able:
             demand = OFF_NOW
@@ -163,37 +166,37 @@ class ServoDrive:
         return demand
 
     def effort(self, motion: Motion) -> Demand:
-        """What the joint is exposed to by the drive and by whoever touches it."""
+        """Return the demand that acts on the joint, with limit switches, obstacles and hands."""
         faults, drive, (mode, goal, speed, _) = self._faults, self._link.drive, self.demand
         if mode == OFF:
             return Demand(CURRENT, faults.hand / drive.torque_constant) if faults.hand else OFF_NOW
         way = goal - motion.q if mode == POSITION else goal
         way = 0.0 if mode == POSITION and not speed else way
         barred = AT_POSITIVE_SWITCH if way > 0.0 else AT_NEGATIVE_SWITCH
-        if way and self._wrong & barred:  # it goes no further
+        if way and self._wrong & barred:  # a limit switch stops the motion
             return Demand(POSITION, 0.0, 0.0, drive.max_acceleration)
-        if self.blocked and mode != CURRENT:  # it does what it can
+        if self.blocked and mode != CURRENT:  # the drive pushes against the obstacle
             return Demand(CURRENT, max(-drive.max_current, min(PUSH * way, drive.max_current)))
         return self.demand
 
     def go_on(self, motion: Motion) -> Demand:
-        """What the motor is to do as nobody tells the drive anything."""
+        """Return the demand that the motor executes while the drive receives no commands."""
         return self.act(self._order, motion)
 
     def _home(self, motion: Motion) -> Demand:
-        """Go to the flag's end, and there once it is found."""
+        """Return the demand for homing: move to the flag's end, then hold there."""
         above = motion.q >= 0.0
         if self.referenced:
             return Demand(POSITION, self.angle(0.0), HOMING_SPEED, HOMING_ACCELERATION)
         if self._above is None:
             self._above = above
-        if above != self._above:  # the drive's input catches the count at the edge itself
+        if above != self._above:  # the drive's input latches the count exactly at the edge
             self._zero, self.referenced, self.homings = 0.0, True, self.homings + 1
         speed = -HOMING_SPEED if self._above else HOMING_SPEED
         return Demand(VELOCITY, speed, HOMING_SPEED, HOMING_ACCELERATION)
 
     def load(self, motion: Motion) -> Load:
-        """What it takes from its supply."""
+        """Return the load on its supply."""
         mechanical = self._link.drive.torque_constant * motion.current * motion.qd
         return Load(self.demand.mode != OFF, motion.current, mechanical)
 
@@ -204,7 +207,7 @@ class ServoDrive:
         supply: float = VOLTS,
         faults: DriveFaults = NO_DRIVE_FAULTS,
     ) -> None:
-        """Let a time pass [s] with the motion and the supply [V] that it had."""
+        """Advance by a time [s], with the motion and the supply [V] during that time."""
         self.supply = max(0.0, supply + faults.supply)
         square = motion.current * motion.current
         self._motor_rise += (MOTOR_WARMTH * square - self._motor_rise) * seconds / MOTOR_COOLING
@@ -223,13 +226,13 @@ class ServoDrive:
         self._judge(motion)
 
     def _inject(self, faults: DriveFaults) -> None:
-        """Have other faults from now on."""
+        """Set the injected faults."""
         causes = [cause for name, cause in INJECTED.items() if getattr(faults, name) > 0.0]
         status, latch = (sum(column) for column in zip(Cause(0, 0), *causes, strict=True))
         self._faults, self._injected = faults, Cause(status, latch)
 
     def _follow(self, seconds: float, motion: Motion) -> None:
-        """See how far the joint lags behind its profile: at the motor's limit, in position mode."""
+        """Update the lag behind the profile, which occurs in position mode at the current limit."""
         mode, goal, speed, acceleration = self.demand
         is_limited = abs(motion.current) >= 0.999 * self._link.drive.max_current
         if mode != POSITION or not is_limited:
@@ -242,7 +245,7 @@ class ServoDrive:
         self._lag += (self._speed - motion.qd) * seconds
 
     def _judge(self, motion: Motion) -> None:
-        """Find what is wrong, and latch what is to be."""
+        """Update the status bits of present faults, and latch faults."""
         wrong, latch = self._injected
         if abs(motion.current) >= 0.999 * self._link.drive.max_current:
             wrong |= CURRENT_LIMITED
@@ -260,11 +263,11 @@ class ServoDrive:
         self._wrong, self.latched = wrong, self.latched | latch
 
     def _cooling(self, cause: Cause) -> float:
-        """By how much below its limit what was too hot is so no more [K]."""
+        """Return the hysteresis of a temperature limit: 0 unless it was exceeded [K]."""
         return HYSTERESIS if self._wrong & cause.status else 0.0
 
     def _freeze(self, motion: Motion) -> None:
-        """Lose the encoder, or have it again, without what it counted meanwhile."""
+        """Lose the encoder, or regain it without the counts that were missed."""
         if self._frozen is None:
             self._frozen, self.referenced = self._encoder.reading(motion.q), False
         else:
@@ -272,12 +275,12 @@ class ServoDrive:
             self._frozen = None
 
     def _lose_power(self) -> None:
-        """Forget all."""
+        """Lose power, and with it reference, faults and demand."""
         self.powered = self.referenced = False
         self.latched = self._wrong = 0
         self._frozen, self.demand = None, OFF_NOW
 
     def _gain_power(self, motion: Motion) -> None:
-        """Begin to count."""
+        """Regain power, and count from the present encoder angle."""
         self.powered, self._was_reset = True, WAS_RESET
         self._zero, self.homings = self._encoder.reading(motion.q), 0

@@ -1,4 +1,4 @@
-"""The TCP ports that links listen on."""
+"""TCP ports on which links listen."""
 
 import socket
 from contextlib import suppress
@@ -6,20 +6,21 @@ from typing import Any
 
 from fss_arm_driver.protocol import StreamDecoder, pack
 
-LARGEST = 8192  # bytes read at once of one connection
-MOST = 4  # connections; whoever comes later takes the place of one that has sent no frame, or else
-# of the oldest, but never of the one that telemetry goes to
+LARGEST = 8192  # maximum number of bytes per read of one connection
+# Maximum number of connections. A further connection replaces one that has sent no frame, or else
+# the oldest, but never the one that receives telemetry.
+MOST = 4
 
 
 class LinkListener:
-    """One link's TCP port. Nothing blocks, and nothing raises once it is open.
+    """TCP port of one link; no method blocks, or raises after it is opened.
 
-    Several may be connected; telemetry goes to whose command was taken last, as with datagrams, so
-    that one who connects and sends nothing, or nonsense, takes it from nobody. While that one is
-    gone it goes to who came last.
+    Several clients can be connected. As with datagrams, telemetry is sent to the client whose
+    command was accepted last, so that a client that sends no valid command does not receive it
+    instead. If this client has disconnected, telemetry is sent to the newest connection.
 
     Raises:
-        OSError: the port cannot be had; the message says which.
+        OSError: if the port is not available; the message names it.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -37,16 +38,16 @@ class LinkListener:
 
     @property
     def port(self) -> int:
-        """The port it has."""
+        """Port number."""
         return int(self._listener.getsockname()[1])
 
     @property
     def place(self) -> str:
-        """Where a driver finds it."""
+        """Description of the port, for diagnostics."""
         return f"TCP port {self.port}"
 
     def receive(self) -> list[tuple[bytes, Any]]:
-        """The frames that have come, and by which connections."""
+        """Return the received frames, each with its connection."""
         self._accept()
         got: list[tuple[bytes, Any]] = []
         for line, decoder in list(self._connections.items()):
@@ -62,7 +63,7 @@ class LinkListener:
         return got
 
     def send(self, data: bytes, peer: Any) -> None:
-        """Send a frame to the peer, or who is there; what is not read in time is lost."""
+        """Send a frame to the peer, else to the newest connection; lost if the buffer is full."""
         self._peer = peer if peer in self._connections else None
         line = self._peer or next(reversed(self._connections), None)
         if line is None:
@@ -75,20 +76,20 @@ class LinkListener:
             self._drop(line)
 
     def reset(self) -> None:
-        """Forget what has come; whoever is connected stays so."""
+        """Discard all data not yet read; connections stay open."""
         while self.receive():
             pass
         for line in self._connections:
             self._connections[line] = StreamDecoder()
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close all connections and the port."""
         for line in list(self._connections):
             self._drop(line)
         self._listener.close()
 
     def _accept(self) -> None:
-        with suppress(OSError):  # no more
+        with suppress(OSError):  # no connection left to accept
             while True:
                 line, _ = self._listener.accept()
                 line.setblocking(False)

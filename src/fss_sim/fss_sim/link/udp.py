@@ -1,18 +1,18 @@
-"""The datagram sockets that links listen on."""
+"""UDP ports on which links listen."""
 
 import socket
 from contextlib import suppress
 from typing import Any
 
-BATCH = 64  # datagrams read at once, so that a flood cannot keep the test bed from its work
-LARGEST = 2048  # [bytes] read of one; a longer one is no frame either way
+BATCH = 64  # maximum number of datagrams per read, so that a flood cannot block the test bed
+LARGEST = 2048  # bytes read of one datagram; a longer one is not a valid frame anyway
 
 
 class LinkSocket:
-    """One link's UDP port. Nothing blocks, and nothing raises once it is open.
+    """UDP port of one link; no method blocks, or raises after it is opened.
 
     Raises:
-        OSError: the port cannot be had; the message says which.
+        OSError: if the port is not available; the message names it.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -26,21 +26,21 @@ class LinkSocket:
 
     @property
     def port(self) -> int:
-        """The port it has."""
+        """Port number."""
         return int(self._socket.getsockname()[1])
 
     @property
     def place(self) -> str:
-        """Where a driver finds it."""
+        """Description of the port, for diagnostics."""
         return f"port {self.port}"
 
     def receive(self) -> list[tuple[bytes, Any]]:
-        """The datagrams that have come and their senders, at most BATCH."""
+        """Return the received datagrams and their senders, at most BATCH."""
         got = []
         try:
             for _ in range(BATCH):
                 got.append(self._socket.recvfrom(LARGEST))
-        except OSError:  # no more, or the network's complaint about a datagram sent before
+        except OSError:  # no datagram left, or an error caused by a datagram sent earlier
             pass
         return got
 
@@ -51,10 +51,10 @@ class LinkSocket:
                 self._socket.sendto(data, peer)
 
     def reset(self) -> None:
-        """Forget what has come."""
+        """Discard all datagrams not yet read."""
         while self.receive():
             pass
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._socket.close()

@@ -1,1 +1,1 @@
-"""What moves on the table: bodies, drives, thrusters, and all that acts on them."""
+"""Dynamics of everything on the table: bodies, drives, thrusters and the forces on them."""

@@ -1,15 +1,16 @@
-"""The table with all that floats on it: vehicles and targets, what they grip and what they hit.
+"""Dynamics of everything that floats on the table: vehicles, targets, grips and contacts.
 
-Between contacts each chain moves on by itself, many steps in one call. How many steps nobody can
-touch anybody is judged from gaps and speeds, and checked afterwards. In a step that would end with
-two parts in each other, or in which arms hold each other, impulses at its begin make it end well:
+Between contacts each chain moves independently, many steps in one call. The number of steps
+without any contact is estimated from gaps and speeds, and checked afterwards. Impulses at the start
+of a step are needed if it would otherwise end with overlapping parts, or if arms hold each other.
+They are chosen so that at the end of the step
 
     parts   gap >= 0, by contact.py's law of impact
-    grips   the pose of one gripper, as seen from the other, stays what it was
+    grips   the pose of one gripper relative to the other is unchanged
 
-so that what leans on each other, or pulls, touches at the end of each step, as constraints hold in
-SHAKE (Ryckaert, Ciccotti & Berendsen 1977). Both chains get an impulse at the same point, so that
-momentum stays; its work is booked.
+Parts that lean on each other, or pull, therefore touch at the end of each step, as constraints hold
+in SHAKE (Ryckaert, Ciccotti & Berendsen 1977). Both chains receive their impulse at the same point,
+which conserves momentum. The work of the impulses enters the energy audit.
 """
 
 from collections.abc import Sequence
@@ -30,45 +31,45 @@ from fss_sim.plant.weld import Weld
 if TYPE_CHECKING:
     from fss_sim.plant.plant import Vehicle
 
-REACH = 5e-3  # [m]: so near, or what they move in two steps, are parts that may touch in one
-ALREADY = -2e-4  # [m]: parts that overlap by more at first pass through each other until apart
-AMPLE = 10  # times the time to pass: so long until somebody may touch needs no check afterwards
-MOST = 8  # trials of a step
-TIP = Target(fixture=(0.0, 0.0, 0.0))  # a gripper, as what another grips
+REACH = 5e-3  # parts can touch in one step within this gap plus their motion in two steps [m]
+ALREADY = -2e-4  # parts that overlap by more at first pass through each other until apart [m]
+AMPLE = 10  # no check afterwards if the time to a possible contact is this multiple of the advance
+MOST = 8  # largest number of trials of a step
+TIP = Target(fixture=(0.0, 0.0, 0.0))  # a gripper, as a target that another gripper can hold
 FAR = Approach(np.inf, 0.0, 0.0)
 
 
 class Audit(NamedTuple):
-    """Books on momentum and energy; what is there, less what was given, stays what it was."""
+    """Audit of momentum and energy: present amount minus amount supplied is constant."""
 
     momentum: Floats  # linear, x and y [N s], and angular about the world's origin [N m s]
     energy: float  # kinetic, and of the gears' springs [J]
-    impulse: Floats  # (3,) given from outside since the begin, and carried away by propellant
-    work: float  # done since the begin by all forces, those of contacts and captures too [J]
-    contact: float = 0.0  # of it, by contacts and captures; it only falls [J]
+    impulse: Floats  # (3,) external since the start, including what propellant carries away
+    work: float  # of all forces since the start, including contacts and captures [J]
+    contact: float = 0.0  # part of `work` by contacts and captures; it only decreases [J]
 
     @property
     def balance(self) -> Floats:
-        """What never changes, (4,)."""
+        """Momentum minus impulse, and energy minus work: constant, (4,)."""
         return np.append(self.momentum - self.impulse, self.energy - self.work)
 
 
 class Clearance(NamedTuple):
-    """Two parts, and the gap between them."""
+    """Gap between two parts."""
 
     one: str
     other: str
-    gap: float  # below 0 they overlap [m]
+    gap: float  # below 0 if they overlap [m]
 
 
 class Bed:
-    """All that floats on one table.
+    """Table with the vehicles and targets that float on it.
 
     Args:
-        vehicles: each as it is at the begin.
-        targets: as they are at the begin.
-        contact: how bodies meet; None: they pass through each other.
-        tolerance: of error control; 0: fixed steps.
+        vehicles: vehicles in their initial state.
+        targets: targets in their initial state.
+        contact: law of contact; None: bodies pass through each other.
+        tolerance: tolerance of the error control; 0: fixed steps.
     """
 
     def __init__(
@@ -80,9 +81,9 @@ class Bed:
     ) -> None:
         self.vehicles, self.targets = list(vehicles), list(targets)
         self.contact, self.tolerance, self.step = contact, tolerance, 0
-        self.touched: dict[tuple[str, str], float] = {}  # in the last `advance` [N s]
+        self.touched: dict[tuple[str, str], float] = {}  # impulses in the last `advance` [N s]
         self._welds: list[Weld] = []
-        self._lost = 0.0  # in contacts and captures [J]
+        self._lost = 0.0  # energy change by contacts and captures [J]
         for vehicle in self.vehicles:
             vehicle.bed = self
         self._arrange()
@@ -90,7 +91,7 @@ class Bed:
         self._begin = self.audit.balance
 
     def advance(self, seconds: float) -> None:
-        """Let time pass, in whole steps of the drives."""
+        """Advance the simulation by a time, in whole steps of the drives."""
         for vehicle in self.vehicles:
             self._use_gripper(vehicle)
         begin, steps = self.step, round(seconds / STEP)
@@ -102,18 +103,18 @@ class Bed:
 
     @property
     def audit(self) -> Audit:
-        """The books of all bodies as they are now."""
+        """Momentum and energy audit of all bodies at present."""
         has, given = np.sum([chain.books for chain in self._chains], axis=0)
         work = float(given[3]) + self._lost
         return Audit(has[:3], float(has[3]), given[:3], work, self._lost)
 
     @property
     def imbalance(self) -> Floats:
-        """What the books are off by since the begin, (4,) [N s, N s, N m s, J]."""
+        """Error of the audit since the start, (4,) [N s, N s, N m s, J]."""
         return self.audit.balance - self._begin
 
     def clearances(self) -> list[Clearance]:
-        """Every two parts that can touch, and each vehicle and the table's edge."""
+        """Return the gap of each pair of parts that can touch, and of each vehicle to the edge."""
         found = [
             Clearance(*names, gap)
             for names, gap in zip(self._scene.names, self._room()[:, 0].tolist(), strict=True)
@@ -124,7 +125,7 @@ class Bed:
         return found
 
     def nearest(self) -> Clearance:
-        """The two parts with the least gap; infinitely far if there are no two."""
+        """Return the pair of parts with the least gap; the gap is infinite if there is no pair."""
         gaps = self._room()[:, 0]
         if not gaps.size:
             return Clearance("", "", np.inf)
@@ -132,7 +133,10 @@ class Bed:
         return Clearance(*self._scene.names[least], float(gaps[least]))
 
     def within_reach(self, vehicle: "Vehicle") -> "tuple[Vehicle | Passive | None, Approach]":
-        """What the vehicle holds or else is nearest to its gripper, as its end effector sees it."""
+        """Return the thing that the vehicle holds, or else the nearest to its gripper.
+
+        The second value is the approach to it: distance, angle and speed.
+        """
         found: list[tuple[Vehicle | Passive, Approach]] = []
         things: list[Vehicle | Passive] = [*self.targets, *self.vehicles]
         for thing in things if vehicle.n else ():
@@ -152,7 +156,7 @@ class Bed:
     # Grips
 
     def _use_gripper(self, vehicle: "Vehicle") -> None:
-        """Have the fingers do what they are told; on closing they wait until something is there."""
+        """Move the fingers as commanded; to close, they wait until a fixture is within reach."""
         fingers, gripper = vehicle.fingers, vehicle.world.gripper
         if not vehicle.closed:
             fingers.since, fingers.missed = None, False
@@ -173,7 +177,7 @@ class Bed:
             fingers.missed = True
 
     def _grip(self, vehicle: "Vehicle", thing: "Vehicle | Passive") -> None:
-        """Close on something: momentum stays, and what is lost of the energy is booked."""
+        """Grip a thing: momentum is conserved, and the energy lost enters the audit."""
         vehicle.held = thing
         if isinstance(thing, Passive) and thing.holder is None:
             had, given = vehicle.books + thing.books
@@ -190,14 +194,14 @@ class Bed:
         self._arrange()
 
     def _stop_past_each_other(self) -> None:
-        """Have all that arms hold together move as one at once, as they close on it."""
+        """Stop the relative motion of arms that hold each other by an impulse, as a grip closes."""
         impact = self._impact(self._scene.pairs[:0])
         self._kick(impact.change())
         self._pass(0)
         self._lost += impact.gained()
 
     def _release(self, vehicle: "Vehicle") -> None:
-        """Let go; who else holds the target has it alone."""
+        """Release the thing held; another vehicle that holds the target keeps it."""
         thing, vehicle.held = vehicle.held, None
         others = [one for one in self.vehicles if one.held is thing]
         if isinstance(thing, Passive) and thing.holder is vehicle:
@@ -214,9 +218,9 @@ class Bed:
         self._arrange()
 
     def _overloaded(self, vehicle: "Vehicle", before: Floats | None, time: float) -> bool:
-        """Whether what the grip passed on was more than the fingers hold.
+        """Return True if the grip transmitted more force or torque than the fingers can hold.
 
-        `before` is the twist a time ago of the target that is part of the vehicle's last link.
+        `before` is the twist, `time` [s] ago, of a target that is part of the vehicle's last link.
         """
         gripper, target = vehicle.world.gripper, vehicle.held
         force, torque = 0j, 0.0
@@ -238,7 +242,7 @@ class Bed:
     # Motion
 
     def _arrange(self) -> None:
-        """Who moves by itself, and what may touch what."""
+        """Determine the chains that move independently, and the pairs of parts that can touch."""
         free = [target for target in self.targets if target.holder is None]
         self._chains: list[Vehicle | Passive] = [*self.vehicles, *free]
         number = {id(chain): c for c, chain in enumerate(self._chains)}
@@ -248,7 +252,7 @@ class Bed:
         self._past = self._room()[:, 0] < ALREADY
 
     def _room(self) -> Floats:
-        """Of each pair of parts, (g, 2): gap, and no less than the speed it closes with."""
+        """Return each pair's gap [m], and an upper bound of its closing speed [m/s], (g, 2)."""
         return self._scene.room(*self._moving())
 
     def _moving(self) -> tuple[Floats, Floats]:
@@ -256,7 +260,7 @@ class Bed:
         return q, np.concatenate([chain.qd for chain in self._chains])
 
     def _impact(self, pairs: Floats) -> Impact:
-        """What is to make a step end well, in which these pairs may touch."""
+        """Return the impulse problem of a step in which these pairs can touch."""
         (q, v), slices = self._moving(), self._scene.slices
         inverse = np.zeros((v.size, v.size))
         for chain, part in zip(self._chains, slices, strict=True):
@@ -278,7 +282,7 @@ class Bed:
             chain.kick(change[part])
 
     def _go_on(self, most: int) -> None:
-        """At most so many steps: those in which nobody touches anybody, or one."""
+        """Advance by at most `most` steps; release grips that were overloaded."""
         loaded = [v for v in self.vehicles if v.held and v.world.gripper.limited]
         before = [v.held.state[1] if isinstance(v.held, Passive) else None for v in loaded]
         count = self._steps(most)
@@ -289,7 +293,7 @@ class Bed:
                 self._release(vehicle)
 
     def _steps(self, most: int) -> int:
-        """Let steps pass; return how many."""
+        """Advance by steps without contact, or by one step; return their number."""
         if not (self._welds or (self.contact and self._scene.names)):
             self._pass(most)
             return most
@@ -314,7 +318,7 @@ class Bed:
         return 1
 
     def _meet(self, kept: Sequence[tuple[Floats, ...]], near: npt.NDArray[np.bool_]) -> None:
-        """End a step with none of the near pairs in each other, and all grips as they were."""
+        """Advance by one step, so that no near pair overlaps and no grip changes its pose."""
         pairs = self._scene.pairs[near]
         new = np.zeros((len(pairs), FEATURES), dtype=bool)
         if not self._welds:

@@ -1,16 +1,16 @@
-"""Bodies that touch: where, and the impulses that keep them apart.
+"""Contact between bodies: its location, and the impulses that keep the bodies apart.
 
-All that moves is chains of bodies; a body carries parts: discs, and lines with a radius. Where two
-parts touch, with the normal n from the second to the first and the velocity J v past each other,
+Everything that moves is a chain of bodies. A body carries parts: discs, and lines with a radius.
+Where two parts touch, with the normal n from the second to the first and the relative velocity J v,
 
     v_after = v + H^-1 J' impulse
 
-Along the normal, impulse >= 0, J v_after >= goal, and one of them an equality: bodies bounce by
-Newton's restitution where they meet faster than a threshold, and else come to rest against each
-other. Along the surface they stick where they can by Coulomb's friction, and else slip. The rows
-are solved in turn until nothing changes (projected Gauss-Seidel). Restitution at several places at
-once, with friction, can make energy from nothing (Kane & Levinson 1985): all goals above 0 are then
-lowered alike until it does not.
+Along the normal, impulse >= 0 and J v_after >= goal, and at least one of them is an equality.
+Bodies that meet faster than a threshold bounce with Newton's restitution. Slower ones come to rest
+against each other. Along the surface, bodies stick if Coulomb's friction allows it; otherwise they
+slip. The rows are solved in turn until nothing changes (projected Gauss-Seidel). Restitution at
+several places at once, with friction, can create energy (Kane & Levinson 1985). All goals above 0
+are then scaled down by one factor until it does not.
 """
 
 import math
@@ -31,7 +31,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, Settings, between, setting
 
 @dataclass(frozen=True)
 class Contact(Settings):
-    """What happens where bodies touch."""
+    """Parameters of the law of contact between bodies."""
 
     restitution: float = setting(
         0.3, "share of the speed with which bodies meet that they part with", check=between(0, 1)
@@ -45,31 +45,31 @@ class Contact(Settings):
 
 
 class Part(NamedTuple):
-    """What of a body may touch: all that is within a radius of a line, or of a point."""
+    """Part of a body that can touch others: all points within a radius of a line or of a point."""
 
     name: str
-    body: int  # of its chain
+    body: int  # index in its chain
     begin: complex  # in the body's frame [m]
     end: complex
     radius: float  # [m]
-    inner: bool = True  # may touch parts of its own chain, neighbours apart
-    outer: bool = True  # may touch parts of other chains
+    inner: bool = True  # can touch parts of its own chain, except neighbours
+    outer: bool = True  # can touch parts of other chains
     gripper: bool = False
-    held: bool = False  # by the chain that it counts as a part of
+    held: bool = False  # True for a target that the chain's gripper holds
 
 
-# Where what stands in the tables that kernels take, of chains and of parts.
+# Columns of the kernels' tables of chains and of parts.
 P, Q, COUNT = range(3)
 CHAIN, BODY, BEGIN_X, BEGIN_Y, END_X, END_Y, RADIUS = range(7)
-# Of a touch, and of a contact.
+# Columns of a touch.
 GAP, AT_X, AT_Y, NORMAL_X, NORMAL_Y = range(5)
-FEATURES = 4  # of a pair: each end of either line beside the other line
+FEATURES = 4  # possible touches of a pair: each end of either line with the other line
 _SHAPE = np.empty((FEATURES, NORMAL_Y + 1))
 
 
 @helper
 def _frames(p, q, chains, r, u):  # type: ignore[no-untyped-def]
-    """Write each body's pivot and direction, (chains, bodies)."""
+    """Write each body's pivot to r and its direction to u, (chains, bodies)."""
     for c in range(chains.shape[0]):
         at, of = int(chains[c, P]), int(chains[c, Q])
         numbers = p[at : at + LINK_SIZE * int(chains[c, COUNT]) + LINK_SIZE + 2]
@@ -92,7 +92,7 @@ def _ends(part, r, u):  # type: ignore[no-untyped-def]
 
 @helper
 def _velocity(part, chains, r, v, x):  # type: ignore[no-untyped-def]
-    """Of the point x as one of the part's body."""
+    """Return the velocity of the point x as a point of the part's body."""
     c = int(part[CHAIN])
     of = int(chains[c, Q])
     velocity = complex(v[of], v[of + 1])
@@ -103,7 +103,7 @@ def _velocity(part, chains, r, v, x):  # type: ignore[no-untyped-def]
 
 @helper
 def _nearest(x, a, b):  # type: ignore[no-untyped-def]
-    """How far along the line from a to b, from 0 to 1, the point nearest to x is."""
+    """Return the position of the point nearest to x on the line from a (0) to b (1)."""
     d = b - a
     square = _dot(d, d)
     return min(max(_dot(d, x - a) / max(square, 1e-300), 0.0), 1.0)
@@ -153,7 +153,7 @@ def _touches(p, q, chains, parts, pairs, _kt, out):  # type: ignore[no-untyped-d
                 y = c if f == 2 else d
                 x = a + _nearest(y, a, b) * (b - a)
             if (f > 0 and a == b) or (f == 3 and c == d):
-                continue  # as another of them
+                continue  # the same as another feature
             apart = abs(x - y)
             if apart == 0.0:
                 continue
@@ -187,7 +187,7 @@ def _jacobian(p, q, chains, parts, pairs, touches, out):  # type: ignore[no-unty
 
 @helper
 def _settle(W, v, goals, share, friction, impulse):  # type: ignore[no-untyped-def]
-    """Solve the rows in turn, goals above 0 times `share`; return the energy gained."""
+    """Solve the rows in turn, with goals above 0 scaled by `share`; return the energy gained."""
     impulse[:] = 0.0
     for _ in range(5000):
         change, most = 0.0, 0.0
@@ -236,12 +236,12 @@ def _impulses(W, v, goals, friction, out):  # type: ignore[no-untyped-def]
 
 
 class Scene:
-    """All parts of some chains, and which of them may touch.
+    """Parts of several chains, and the pairs of them that can touch.
 
     Args:
-        p: of each chain, (8 + 6 n,) as Arm.vector().
-        parts: of each chain.
-        rigid: chains whose last bodies do not move against each other.
+        p: parameters of each chain, (8 + 6 n,) as Arm.vector().
+        parts: parts of each chain.
+        rigid: pairs of chains whose last bodies do not move relative to each other.
     """
 
     def __init__(
@@ -276,17 +276,18 @@ class Scene:
         self.pairs = np.array(pairs, dtype=float).reshape(-1, 2)
 
     def room(self, q: Floats, v: Floats) -> Floats:
-        """Of each pair, (g, 2): the gap [m], and no less than the speed it closes with [m/s]."""
+        """Return each pair's gap [m], and an upper bound of its closing speed [m/s], (g, 2)."""
         if not self.names:
             return np.empty((0, 2))
         room: Floats = _room(self.p, q, v, self._chains, self._parts, self.pairs)
         return room
 
     def touches(self, q: Floats, pairs: Floats) -> Floats:
-        """Where each of some pairs is nearest, (g, 4, 5): gap, point, normal; infinitely far: none.
+        """Return the nearest points of some pairs, (g, 4, 5): gap, point, normal.
 
-        Two lines may touch at up to four places: an end of either with the other. The point is in
-        the middle of the gap, the normal points from the second part to the first.
+        Two lines can touch at up to four places: each end of either with the other. The point is in
+        the middle of the gap. The normal points from the second part to the first. The gap is
+        infinite where a pair has no such place.
         """
         if not len(pairs):
             return np.empty((0, *_SHAPE.shape))
@@ -294,22 +295,25 @@ class Scene:
         return touches
 
     def jacobian(self, q: Floats, pairs: Floats, touches: Floats) -> Floats:
-        """Velocity of the first past the second along normal and surface, by v: (2 k, m)."""
+        """Return the Jacobian (2 k, m) of the first part's velocity relative to the second.
+
+        Its rows are along the normal and along the surface of each touch.
+        """
         rows = _jacobian(self.p, q, self._chains, self._parts, pairs, touches)
         return rows.reshape(2 * len(pairs), q.size)
 
 
 def impulses(W: Floats, v: Floats, goals: Floats, friction: float) -> Floats:
-    """The impulses along normals and surfaces, (2 k,) [N s], of k contacts at once.
+    """Return the impulses along normals and surfaces, (2 k,) [N s], of k simultaneous contacts.
 
     Args:
         W: (2 k, 2 k) J H^-1 J'.
-        v: (2 k,) J v before [m/s].
-        goals: (k,) least J v along the normals after [m/s].
+        v: (2 k,) J v before the impulses [m/s].
+        goals: (k,) least J v along the normals after the impulses [m/s].
         friction: Coulomb's coefficient.
 
     Returns:
-        Those that reach the goals, or, where that would make energy, goals nearer to 0.
+        Impulses that reach the goals. If these would add energy, the goals above 0 are scaled down.
     """
     out: Floats = _impulses(W, v, goals, np.array([friction]))
     return out

@@ -1,19 +1,20 @@
-"""The servo drive of each joint, its harmonic drive's friction, and the joint's end stops.
+"""Model of each joint's servo drive, of the friction in its harmonic drive, and of its end stops.
 
-A drive reads its encoder at the start of a period and holds its torque for it.
+A drive reads its encoder at the start of a period and holds its torque during that period.
 
     off       no torque
-    current   the torque asked for
-    velocity  a ramp to the velocity, which ends at the soft limit of the joint's range
-    position  a trapezoid to the angle, or to the soft limit before it
+    current   the commanded torque
+    velocity  a ramp to the velocity, which stops at the soft limit of the joint's range
+    position  a trapezoidal profile to the angle, or to the soft limit if that comes first
 
-Velocity and position are the same generator of a reference (r, v), which a PD servo follows, and
-makes up for the friction as its integral action does:
+Velocity and position mode share one generator of a reference (r, v). A PD servo follows it. The
+servo also compensates the friction, as the integral action of a real drive does:
 
     tau = -stiffness (q + dt qd - r) - damping (qd + dt qdd - v)
 
-q and qd are taken a step ahead (Tan, Liu & Turk 2011, stable PD control), which is stable for any
-gains and inertias as a drive's far faster current loop is. Friction and stops are taken so, too:
+q and qd are predicted one step ahead (Tan, Liu & Turk 2011, stable PD control). This is stable for
+all gains and inertias, as is the much faster current loop of a real drive. Friction and end stops
+are predicted in the same way:
 
     friction  -(viscous + coulomb / sqrt(qd^2 + smooth^2)) qd
     stop      beyond the joint's range, a spring and a damper that push and never pull
@@ -26,18 +27,18 @@ from fss_arm_model.integration import STEP
 from fss_arm_model.kernels import helper
 from fss_sim.plant.surroundings import Forces, _act_called
 
-#: What a drive controls, by the numbers of docs/reference/protocol.md.
+#: Modes of a drive, with the numbers of docs/reference/protocol.md.
 OFF, CURRENT, VELOCITY, POSITION = 0.0, 1.0, 11.0, 21.0
 
-# For loads as the generalized inertia of four links, 0.01 to 2 kg m^2 by posture: all motion
-# decays by exp(-20 t) or faster, and 1.8 N m turn the joint by 0.75 mrad.
+# With four links the generalized inertia of a joint is 0.01 to 2 kg m^2, depending on the posture.
+# For such loads all motion decays by exp(-20 t) or faster, and 1.8 N m turn the joint by 0.75 mrad.
 STIFFNESS, DAMPING = 2400.0, 80.0  # [N m/rad], [N m s/rad]
-SMOOTH = 0.005  # of the Coulomb friction [rad/s]
+SMOOTH = 0.005  # smoothing speed of the Coulomb friction [rad/s]
 
 
 @helper
 def _goal(mode, set_point, lowest, highest, r):  # type: ignore[no-untyped-def]
-    """Where a reference at r is to go."""
+    """Return the angle to which a reference at r moves."""
     if mode == POSITION:
         return min(max(set_point, lowest), highest)
     return max(highest, r) if set_point > 0.0 else min(lowest, r)
@@ -45,10 +46,11 @@ def _goal(mode, set_point, lowest, highest, r):  # type: ignore[no-untyped-def]
 
 @helper
 def _profile(goal, speed, acceleration, r, v):  # type: ignore[no-untyped-def]
-    """The reference (r, v) one step on: towards the goal, within speed and acceleration.
+    """Return the reference (r, v) one step later, moved to the goal within speed and acceleration.
 
-    Stopping from k dv, dv = acceleration dt, in whole steps takes k (k + 1) / 2 dv dt: the k
-    that the remaining distance allows limits the speed, so that the reference lands on the goal.
+    To stop from the speed k dv, with dv = acceleration dt, in whole steps takes the distance
+    k (k + 1) / 2 dv dt. The k that the remaining distance allows limits the speed, so that the
+    reference lands on the goal.
     """
     dv = acceleration * STEP
     distance = abs(goal - r)
@@ -60,7 +62,7 @@ def _profile(goal, speed, acceleration, r, v):  # type: ignore[no-untyped-def]
 
 @helper
 def _stop(joint, q, qd):  # type: ignore[no-untyped-def]
-    """Torque of the joint's end stop, and how much less of it an acceleration of 1/STEP leaves."""
+    """Return the torque of the end stop, and its decrease at an acceleration of 1/STEP."""
     lowest, highest, stiffness, damping = joint[0], joint[1], joint[5], joint[6]
     ahead = q + STEP * qd
     over = max(ahead - highest, 0.0) + min(ahead - lowest, 0.0)
@@ -72,9 +74,9 @@ def _stop(joint, q, qd):  # type: ignore[no-untyped-def]
 
 @helper
 def _ask(joint, demand, q, qd, reference, law):  # type: ignore[no-untyped-def]
-    """Move the reference (2,) one step on; write to law (6,) the torques without acceleration.
+    """Advance the reference (2,) by one step; write to law (6,) the torques at zero acceleration.
 
-    They are the servo's, the friction's and the stop's, each with its damping.
+    The torques are those of servo, friction and end stop, each followed by its damping.
     """
     mode, set_point, speed, acceleration = demand
     most, viscous, coulomb = joint[2], joint[3], joint[4]
@@ -94,13 +96,13 @@ def _ask(joint, demand, q, qd, reference, law):  # type: ignore[no-untyped-def]
 
 @helper
 def _give(joint, q, qd, qdd, reference, law, torques):  # type: ignore[no-untyped-def]
-    """Torque between the bodies; write to torques (2,) the motor's and what the gear passes on."""
+    """Return the torque between the bodies; write motor and transmitted torque to torques (2,)."""
     most, follows = joint[2], law[1] > 0.0
     friction, stop = law[2] - STEP * law[3] * qdd, law[4] - STEP * law[5] * qdd
     wanted = law[0] - STEP * law[1] * qdd - (friction if follows else 0.0)
     motor = min(max(wanted, -most), most)
     if motor != wanted:
-        # No torque to follow with: the reference goes on from where the joint is.
+        # The torque is saturated: the reference continues from the joint's position.
         reference[0] = q + STEP * qd + (motor + friction) / STIFFNESS
         reference[1] = qd
     torques[0], torques[1] = motor, motor + friction
@@ -112,10 +114,10 @@ def _drive(  # type: ignore[no-untyped-def]
     bodies, forces, joints, demand, q, qd, reference, z, begin, work, dz, inertia, asked, laws,
     torques,
 ):  # fmt: skip
-    """Add what the joints do in the next step to forces.held, and write torques (n, 2).
+    """Add the joint torques of the next step to forces.held, and write torques (n, 2).
 
-    With the damping D of what is taken a step ahead, (A + STEP D) v' = forces(v' = 0). inertia
-    (2, m), asked (m,) and laws (n, 6) are scratch, as what _act takes.
+    With the damping D of the terms predicted one step ahead, (A + STEP D) v' = forces(v' = 0).
+    inertia (2, m), asked (m,), laws (n, 6) and the arrays passed to _act are scratch.
     """
     n, held = demand.shape[0], forces.held
     for k in range(n + 1):
@@ -124,7 +126,7 @@ def _drive(  # type: ignore[no-untyped-def]
     for j in range(n):
         law = laws[j]
         _ask(joints[j], demand[j], q[3 + j], qd[3 + j], reference[j], law)
-        # A servo makes up for the friction.
+        # A servo compensates the friction.
         follows = law[1] > 0.0
         given = law[0] + law[4] + (0.0 if follows else law[2])
         damping = STEP * (law[1] + law[5] + (0.0 if follows else law[3]))

@@ -1,22 +1,22 @@
-"""Joints that give: each motor turns by itself, behind a gear that is a spring.
+"""Flexible joints: each motor turns separately, behind a gear that is a spring.
 
-Beside the bodies of centroidal.py, z has for each joint the angle theta and the rate of its motor,
-as seen behind the gear of ratio N (Spong 1987, here with the rotor's whole kinetic energy):
+In addition to the bodies of centroidal.py, z has the angle theta and the rate of each joint's
+motor, seen behind the gear of ratio N (Spong 1987, here with the rotor's full kinetic energy):
 
     T = sum J (psi'_{k-1} + N theta'_k)^2 / 2 + ...     V = sum K band(theta_k - q_k)^2 / 2
     N^2 J (theta'' + psi''_{k-1} / N) = u - s           s = K band(theta - q) + D (theta' - q')
 
-The gear's torque s acts on the link, and -s - (u - s) / N on the body before, whose moment of
-inertia then goes without J: so no rotor is left in A. band(x) is x less a dead band. s is taken as
-it is at each stage of the integration, u is the drive's torque less friction, held for a step.
+The gear's torque s acts on the link, and -s - (u - s) / N acts on the body before it. The moment of
+inertia of that body then excludes J, so that A contains no rotor. band(x) is x minus a dead band. s
+is evaluated at each stage of the integration. u is the drive's torque minus friction; it is
+constant during a step.
 
-Friction lies on the motor's side and follows Stribeck's curve, viscous part beside:
+Friction acts on the motor's side. It has a viscous part, and a part F given by Stribeck's curve:
 
     F(v) = coulomb + max(0, static - coulomb) exp(-(v / stribeck)^2)
 
-A motor sticks in a step if F can hold it: its rate is then 0, exactly, for as long as F does.
-Whether and how fast it turns at the end of a step is solved for, friction and servo (drives.py)
-being taken there: v^+ from
+A motor sticks in a step if F can hold it. Its rate is then exactly 0. The rate v^+ at the end of
+a step is found implicitly, with friction and servo (drives.py) evaluated there, from
 
     N^2 J (v^+ - v) / dt = tau(v^+) - viscous v^+ - F(v) sign(v^+) + ripple(theta) - s
 """
@@ -30,31 +30,31 @@ from fss_arm_model.kernels import Floats, helper, inlined
 from fss_sim.plant.drives import CURRENT, DAMPING, OFF, STIFFNESS, _goal, _profile
 from fss_sim.plant.surroundings import Forces, _act
 
-# What stands where in a row of gears.
+# Columns of the gear parameters.
 SPRING, DAMPER, BAND, STATIC, STRIBECK, RIPPLE, PERIODS, MEAN, LEFT, CANCELLED, REST = range(11)
 
 
 class Gears(NamedTuple):
-    """What acts in a step on bodies and motors."""
+    """Forces on bodies and motors in a step, with the parameters of the gears."""
 
     forces: Forces
-    joints: Floats  # (n, 7) as advance takes them
+    joints: Floats  # (n, 7) as in advance
     gears: Floats  # (n, 11)
     rotor: Floats  # (2,) N^2 J, N J
-    turns: Floats  # (n,) 1, or 0 for a motor that sticks
+    turns: Floats  # (n,) 1 for a motor that turns, 0 for one that sticks
     drive: Floats  # (n,) u
     sprung: Floats  # (m,) scratch
 
 
 @helper
 def _wind_up(gear, x):  # type: ignore[no-untyped-def]
-    """The torque of a gear's spring, twisted by x."""
+    """Return the torque of a gear's spring twisted by x."""
     return gear[SPRING] * (max(x - gear[BAND], 0.0) + min(x + gear[BAND], 0.0))
 
 
 @helper
 def _twist(gear, z, j):  # type: ignore[no-untyped-def]
-    """The rate of joint j; angle and rate of its motor ahead of it."""
+    """Return the rate of joint j, and the angle and rate of its motor relative to the joint."""
     motor = 3 + z.shape[1] // 2 + j
     q, qd = z[0, 3 + j] - z[0, 2 + j] - gear[REST], z[1, 3 + j] - z[1, 2 + j]
     return qd, z[0, motor] - q, z[1, motor] - qd
@@ -62,7 +62,7 @@ def _twist(gear, z, j):  # type: ignore[no-untyped-def]
 
 @inlined
 def _act_geared(bodies, geared, turned, z, work, dz):  # type: ignore[no-untyped-def]
-    """Write dz (2, 4 + m + n) under all that acts, as _act does, and the gears' springs with it."""
+    """Write dz (2, 4 + m + n) under all forces, as _act does, including the gears' springs."""
     forces, joints, gears, rotor, turns, drive, sprung = geared
     n, m = drive.size, sprung.size
     ratio, power, spun = rotor[1] / rotor[0], 0.0, 0.0
@@ -97,22 +97,22 @@ _act_geared_called = helper(_act_geared.py_func)
 
 @helper
 def _stribeck(joint, gear, v):  # type: ignore[no-untyped-def]
-    """F(v), the friction that does not grow with speed."""
+    """Return F(v), the part of the friction that is not viscous."""
     more = max(gear[STATIC] - joint[4], 0.0)
     return joint[4] + more * math.exp(-((v / gear[STRIBECK]) ** 2))
 
 
 @helper
 def _left(push, friction):  # type: ignore[no-untyped-def]
-    """What friction leaves of a push."""
+    """Return the remainder of a push after friction; 0 if the friction is larger."""
     return max(push - friction, 0.0) + min(push + friction, 0.0)
 
 
 @helper
 def _steer(joint, gear, demand, inertia, x, v, s, carried, motor, reference):  # type: ignore[no-untyped-def]
-    """Move the reference (2,) and the motor's torque, motor[2], a step on.
+    """Advance the reference (2,) and the motor's torque, motor[2], by one step.
 
-    x and v are the motor's angle and rate, s the gear's torque, carried the rate of the joint.
+    x and v are the motor's angle and rate, s is the gear's torque, carried is the joint's rate.
 
     Returns:
         u, and whether the motor sticks.
@@ -143,7 +143,7 @@ def _steer(joint, gear, demand, inertia, x, v, s, carried, motor, reference):  #
     asked = wanted - follows * after
     given = min(max(asked, -most), most)
     if given != asked:
-        # No torque to follow with: the reference goes on from where the motor is.
+        # The torque is saturated: the reference continues from the motor's position.
         pushed = _left(other + mean * given, friction)
         after = pushed / slope
         reference[0], reference[1] = x + STEP * v + (given - made_up) / STIFFNESS, carried
@@ -156,11 +156,11 @@ def _steer(joint, gear, demand, inertia, x, v, s, carried, motor, reference):  #
 def _drive_geared(  # type: ignore[no-untyped-def]
     bodies, geared, whole, demand, reference, motors, z, begin, work, dz, still
 ):  # fmt: skip
-    """Set what the drives do in the next step, and stop the motors that stick in it.
+    """Set the drives' torques for the next step, and stop the motors that stick in it.
 
-    A stop is an impulse between rotor and stator, whose work is booked. whole (m,) is the diagonal
-    of A with all motors stuck, motors (n, 3) has their torques last; dz and still (2, 4 + m + n)
-    are scratch, the latter 0.
+    A motor is stopped by an impulse between rotor and stator. Its work enters the energy audit.
+    whole (m,) is the diagonal of A with all motors stuck. The last column of motors (n, 3) is their
+    torque. dz and still (2, 4 + m + n) are scratch; still is 0.
     """
     rotor, torque = geared.rotor, geared.forces.torque
     n, m = motors.shape[0], torque.size

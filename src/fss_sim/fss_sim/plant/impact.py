@@ -1,4 +1,4 @@
-"""The impulses of one step in which parts touch, or arms hold each other."""
+"""Impulses of one step in which parts touch, or in which arms hold each other."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,19 +10,21 @@ from fss_arm_model.kernels import Floats
 from fss_sim.plant.contact import GAP, Contact, Scene, impulses
 from fss_sim.plant.weld import Weld
 
-TOUCH = 1e-7  # how far off a step may end, of a gap [m]
+TOUCH = 1e-7  # tolerance of a gap at the end of a step [m]
 
 
 class Impact:
-    """The impulses at the begin of a step that make it end well, by trial.
+    """Impulses at the start of a step, found by iteration, so that it ends without violations.
+
+    At the end of the step no parts overlap, and each grip has kept its relative pose.
 
     Args:
-        law: of impact.
-        scene: what may touch what.
-        pairs: (g, 2) of parts that may.
-        q, v: of all chains.
-        inverse: of their inertias, all in one.
-        welds: each with where the velocities of its two chains are in v.
+        law: law of impact.
+        scene: parts of all chains, and the pairs that can touch.
+        pairs: (g, 2) pairs of parts that can touch in this step.
+        q, v: positions and velocities of all chains.
+        inverse: inverse of the inertias of all chains, as one matrix.
+        welds: each weld with the slices of v that hold the velocities of its two chains.
     """
 
     def __init__(
@@ -49,7 +51,7 @@ class Impact:
         drawn = self._inverse @ self._W.T
         self._free = self._inverse - drawn @ self._stiff @ drawn.T  # with the grips holding
         self._drawn = drawn @ self._stiff
-        self.on = np.zeros(self._here.shape[:2], dtype=bool)  # where parts touch
+        self.on = np.zeros(self._here.shape[:2], dtype=bool)  # True where parts touch
         self._at, self._goals, self._before = np.zeros((0, 2), dtype=np.intp), *np.zeros((2, 0))
         self._tried, self._came = np.zeros((2, 0))
         self._J, self._pushes = np.zeros((0, self._v.size)), np.zeros(0)
@@ -60,7 +62,7 @@ class Impact:
         return self._before < -self._law.threshold
 
     def begin(self, new: npt.NDArray[np.bool_]) -> None:
-        """Have parts touch at more places (g, 4)."""
+        """Add contacts at the places (g, 4) that are True in `new`."""
         if not new.any():
             return
         self.on |= new
@@ -73,12 +75,13 @@ class Impact:
         goals = np.where(before < -self._law.threshold, back, there)
         self._at, self._J = np.concatenate([self._at, more]), np.concatenate([self._J, J])
         self._goals = np.concatenate([self._goals, goals])
-        self._tried = np.concatenate([self._tried, goals])  # before, and the gaps that came of it
+        # The goals of the previous trial, and below the gaps that resulted from them.
+        self._tried = np.concatenate([self._tried, goals])
         self._came = np.concatenate([self._came, np.zeros_like(goals)])
         self._before = np.concatenate([self._before, before])
 
     def change(self) -> Floats:
-        """Of the velocity, that the goals ask for."""
+        """Return the change of velocity that reaches the goals."""
         wanted = np.array([weld.goal for weld in self._welds]).ravel()
         held = self._v + self._drawn @ (wanted - self._W @ self._v)
         J = self._J
@@ -93,7 +96,7 @@ class Impact:
         return self._inverse @ self._given
 
     def improve(self, ended: Floats) -> bool:
-        """Correct the goals by the gaps (g, 4) that the step ends with; False: all is well."""
+        """Correct the goals by the gaps (g, 4) at the step's end; return True if any changed."""
         held = [weld.improve() for weld in self._welds]
         if not self._goals.size:
             return any(held)
@@ -102,18 +105,18 @@ class Impact:
         tried, came = self._goals - self._tried, off - self._came
         rate = np.where(abs(tried) > 1e-9, came / np.where(tried == 0.0, 1.0, tried), STEP)
         better = self._goals - off / np.clip(rate, 0.1 * STEP, STEP)
-        better = np.minimum(better, np.maximum(-self._before, 0.0))  # more would make energy
+        better = np.minimum(better, np.maximum(-self._before, 0.0))  # more would add energy
         wrong = ((off < -TOUCH) | rests) & (better != self._goals)
         self._tried, self._came = self._goals, off
         self._goals = np.where(wrong, better, self._goals)
         return bool(wrong.any()) or any(held)
 
     def gained(self) -> float:
-        """Work of the impulses [J]."""
+        """Return the work of the impulses [J]."""
         return float(self._given @ (self._v + 0.5 * self._inverse @ self._given))
 
     def pushed(self) -> Iterator[tuple[int, float]]:
-        """The number of each pair that touches, and how much it was pushed apart [N s]."""
+        """Yield the index of each pair that touches, and the impulse that pushes it apart [N s]."""
         for (pair, _), push in zip(self._at, self._pushes[::2], strict=True):
             if push > 0.0:
                 yield int(pair), float(push)

@@ -1,4 +1,4 @@
-"""What the joints are made of: motors, gears, friction, end stops."""
+"""Mechanical parameters of the joints: motors, gears, friction, end stops."""
 
 from dataclasses import dataclass
 from math import exp, expm1, pi, radians
@@ -21,7 +21,7 @@ from fss_arm_model.settings import (
 
 @dataclass(frozen=True)
 class Joints(Settings):
-    """The mechanics that all joints have in common."""
+    """Mechanical parameters that all joints share."""
 
     rotor_inertia: float = setting(
         0.0, "inertia of each motor, felt at its joint, 0.0026 in the FHA-8C-30; 0: none",
@@ -85,8 +85,8 @@ class Joints(Settings):
                 raise SettingError(f"{name} is {value:g}, which needs a stiffness above 0")
 
     def gears(self, p: Floats) -> Floats:
-        """What gears.py takes of the joints of Arm.vector() p, (n, 11)."""
-        lag = 2.0 * pi * self.current_bandwidth * STEP  # a step, by the loop's time
+        """Return the gear parameters (n, 11) that gears.py uses, for p = Arm.vector()."""
+        lag = 2.0 * pi * self.current_bandwidth * STEP  # a step over the loop's time constant
         mean, left = (1.0 + expm1(-lag) / lag, exp(-lag)) if lag else (1.0, 0.0)
         spring = self.stiffness, self.damping, 0.5 * self.dead_band
         friction = self.static, self.stribeck_speed
@@ -97,15 +97,15 @@ class Joints(Settings):
 
     @property
     def rotor(self) -> tuple[float, float]:
-        """N^2 J and N J [kg m^2], of an inertia J that turns N times as fast as the joint."""
+        """N^2 J and N J [kg m^2], for a rotor of inertia J that turns N times as fast."""
         return self.rotor_inertia, self.rotor_inertia / self.gear_ratio
 
 
 def carried(p: Floats, q: Floats, qd: Floats) -> Floats:
-    """Momentum of all links beyond each joint, (n, 2) [N s].
+    """Return the linear momentum of all links beyond each joint, (n, 2) [N s].
 
-    What it changes by in a time is what the joint passes on, and what acts on the links from
-    outside.
+    Its change over time equals the impulse of the force that the joint transmits plus that of the
+    external forces on these links.
 
     Args:
         p: (8 + 6 n,) Arm.vector().
@@ -122,13 +122,13 @@ def carried(p: Floats, q: Floats, qd: Floats) -> Floats:
 
 
 def axes(p: Floats, q: Floats) -> Floats:
-    """Unit vectors across each link, in the world (n, 2)."""
+    """Return the unit vectors perpendicular to each link, in the world frame, (n, 2)."""
     across = 1j * _turns(p, q)[1:]
     return np.column_stack([across.real, across.imag])
 
 
 def _turns(p: Floats, q: Floats) -> npt.NDArray[np.complex128]:
-    """exp(i psi) of base and links, (1 + n,)."""
+    """Return exp(i psi) for base and links, (1 + n,)."""
     angles = q[2:].copy()
     angles[1:] += each(p, OFFSET)
     angles[1:2] += p[MOUNT_ANGLE]
@@ -147,8 +147,8 @@ _AS_THEY_ARE = Joints(
     current_bandwidth=300.0,
 )
 
-#: By the names of noise.PRESETS. Inertia and stiffness are the FHA-8C-30's; the others are of the
-#: size that such drives have, and not measured on the arm.
+#: Joint presets, with the names of noise.PRESETS. Inertia and stiffness are those of the FHA-8C-30.
+#: The other values are typical of such drives; they were not measured on the arm.
 PRESETS = {
     "ideal": Joints(),
     "default": Joints(),

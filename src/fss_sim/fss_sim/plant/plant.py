@@ -1,4 +1,4 @@
-"""A vehicle of the test bed: base and arm floating on the table, with drives and thrusters."""
+"""Model of a vehicle: base and arm floating on the table, with drives and thrusters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,54 +25,54 @@ from fss_sim.plant.thrusters import Propulsion, Thrusters
 
 Floats = npt.NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
-HELD = 1000.0  # Coulomb friction of a joint that something holds [N m]
+HELD = 1000.0  # Coulomb friction of a blocked joint [N m]
 
 
 class Demand(NamedTuple):
-    """What a servo drive is commanded, seen from the joint."""
+    """Command to a servo drive, in terms of the joint."""
 
     mode: int  # 0 off, 1 current, 11 velocity, 21 position
-    set_point: float = 0.0  # [A], [rad/s] or [rad], by mode
+    set_point: float = 0.0  # [A], [rad/s] or [rad], depending on the mode
     speed: float = 0.0  # of the profile [rad/s]; position mode at 0: come to rest and hold
     acceleration: float = 1.0  # of the profile [rad/s^2], above 0
 
 
 class Motion(NamedTuple):
-    """One joint at an instant."""
+    """State of one joint at one instant."""
 
-    q: float  # encoder angle, the motor's behind a gear that gives [rad]
+    q: float  # encoder angle; behind a flexible gear, that of the motor [rad]
     qd: float  # [rad/s]
-    current: float  # of the motor, driving the joint counter-clockwise if positive [A]
-    torque: float  # that passes the gear, friction taken off [N m]
-    shear: float = 0.0  # force across the link that passes the joint [N]
+    current: float  # of the motor; positive drives the joint counter-clockwise [A]
+    torque: float  # transmitted by the gear, without friction [N m]
+    shear: float = 0.0  # force transmitted by the joint, perpendicular to the link [N]
 
 
 @dataclass(frozen=True)
 class World:
-    """All that the plant is made of beside the arm."""
+    """Parameters of the plant, except those of the arm."""
 
     joints: Joints = field(default_factory=Joints)
     surroundings: Surroundings = field(default_factory=Surroundings)
     propulsion: Propulsion = field(default_factory=Propulsion)
     gripper: Gripper = field(default_factory=Gripper)
     target: Target | None = None
-    tolerance: float = 0.0  # of error control; 0: fixed steps
-    contact: Contact | None = field(default_factory=Contact)  # None: nobody touches anybody
+    tolerance: float = 0.0  # of the error control; 0: fixed steps
+    contact: Contact | None = field(default_factory=Contact)  # None: bodies never touch
 
 
 class Vehicle:
-    """Base and links, floating in the plane with drives, thrusters and gripper.
+    """Base and links that float in the plane, with drives, thrusters and gripper.
 
     Args:
-        arm: the true parameters, the base with its tank full; a base alone has no arm.
-        q: (3 + n,) state at the begin: base x, y [m], theta [rad], joints [rad].
-        qd: (3 + n,) its velocity; at rest by default.
-        world: what there is beside the arm.
-        propellant: used before [kg].
-        name: what its parts' names begin with.
+        arm: true parameters, for a base with a full tank; a Base has no arm.
+        q: (3 + n,) initial state: base x, y [m], theta [rad], joints [rad].
+        qd: (3 + n,) initial velocity; at rest by default.
+        world: parameters of the plant, except those of the arm.
+        propellant: propellant used before the start [kg].
+        name: prefix of the names of its parts.
     """
 
-    bed: Bed  # that it floats on
+    bed: Bed  # table that it floats on
 
     def __init__(
         self,
@@ -87,9 +87,9 @@ class Vehicle:
         links = arm.links if isinstance(arm, Arm) else ()
         self.n = len(links)
         self.thrusters = Thrusters(self.world.propulsion, propellant)
-        self.closed, self.fingers = False, Fingers()  # the gripper, as commanded, and as it is
+        self.closed, self.fingers = False, Fingers()  # commanded and actual state of the gripper
         self.held: Passive | Vehicle | None = None
-        self._place: Floats | None = None  # of the target that is part of the last link, there
+        self._place: Floats | None = None  # pose in the last link of the target that is part of it
         self._p = arm.vector()
         self._p[MASS] -= propellant
         joints = self.world.joints
@@ -105,7 +105,7 @@ class Vehicle:
         self._rotors = rotors_inertia(3 + self.n, joints.rotor, bool(joints.stiffness))
         self._surroundings = self.world.surroundings.vector()
         self._pads = self.world.surroundings.vector(floats=False)
-        self._valves: tuple[int, npt.ArrayLike] = -1, SHUT  # from a step on
+        self._valves: tuple[int, npt.ArrayLike] = -1, SHUT  # with the step that they are for
         self._demand = np.tile(np.array([OFF, 0.0, 0.0, 1.0]), (self.n, 1))
         self._state = np.zeros((2, 3 + self.n))
         self._state[0] = q
@@ -116,7 +116,7 @@ class Vehicle:
 
     @property
     def p(self) -> Floats:
-        """Arm.vector() as it is now: less propellant, and what is held with the last link."""
+        """Present Arm.vector(): without used propellant, with a held target in the last link."""
         return self._p
 
     @property
@@ -130,29 +130,29 @@ class Vehicle:
         return self._state[1]
 
     def command(self, joint: int, demand: Demand) -> None:
-        """Command the drive of a joint, counted from 0, from now on."""
+        """Command the drive of a joint; joints are counted from 0."""
         mode, set_point, speed, acceleration = demand
         scale = self._torque_constant[joint] if mode == CURRENT else 1.0
         self._demand[joint] = mode, scale * set_point, speed, acceleration
 
     def block(self, joint: int, is_held: bool) -> None:
-        """Hold a joint, counted from 0, as fast as friction can, or let it go."""
+        """Block a joint by a very large friction, or free it; joints are counted from 0."""
         self._joints[joint, 4] = HELD if is_held else self.world.joints.coulomb
 
     def thrust(self, on_times: Sequence[float]) -> None:
-        """Open the thrusters' valves for a time each [s].
+        """Open each thruster's valve for a time [s].
 
         Raises:
-            ValueError: there are not eight times, or one is not a number from 0 on.
+            ValueError: if there are not eight times, or one is negative or not finite.
         """
         self.thrusters.command(on_times, self.bed.step)
 
     def motion(self, joint: int) -> Motion:
-        """What the instruments of a link are exposed to."""
+        """Return the motion of one joint, as its instruments see it."""
         return self.motions()[joint]
 
     def motions(self) -> list[Motion]:
-        """The motion of each joint."""
+        """Return the motion of each joint."""
         motor, passed = self._torques.T
         turning = self._motors[:, :2].T if self.world.joints.stiffness else self._state[:, 3:]
         rows = [*turning, motor / self._torque_constant, passed]
@@ -160,34 +160,34 @@ class Vehicle:
 
     @property
     def base(self) -> Pose:
-        """The base in the world; its heading counts turns."""
+        """Pose of the base in the world frame; its heading counts full turns."""
         x, y, theta = self.q[:3].tolist()
         return x, y, theta
 
     @property
     def tip(self) -> Pose:
-        """The end effector in the frame of the base."""
+        """Pose of the end effector in the base frame."""
         x, y, theta = tip_in_base(self._p, self.q[3:]).tolist()
         return x, y, theta
 
     @property
     def holds(self) -> bool:
-        """Whether the gripper holds something."""
+        """Return True if the gripper holds something."""
         return self.held is not None
 
     @property
     def approach(self) -> Approach:
-        """The end effector as seen from what it holds or may grip next; else infinitely far."""
+        """Approach of the end effector to the thing held or nearest; infinitely far if none."""
         return self.bed.within_reach(self)[1]
 
     @property
     def valves(self) -> list[bool]:
-        """Which thrusters' are open."""
+        """State of each thruster's valve; True: open."""
         return self.thrusters.open(self.bed.step)
 
     @property
     def edge_clearance(self) -> float:
-        """The least gap between base or arm and the table's edge [m]; below 0 the border pushes."""
+        """Least gap between base or arm and the table's edge [m]; below 0 the border pushes."""
         around = self.world.surroundings
         if not self.n:
             half = 0.5 * np.array(around.table)
@@ -196,20 +196,20 @@ class Vehicle:
         return float(edge_clearance(self._p, self.q, around.table, *radii))
 
     def momentum(self) -> Floats:
-        """Linear [kg m/s] and, about the centre of mass, angular momentum [kg m^2/s]: (3,).
+        """Return linear [kg m/s] and angular momentum about the centre of mass [kg m^2/s], (3,).
 
-        Of base and arm, what they hold included, and the rotors left out.
+        This includes base, arm and a held target, but not the rotors.
         """
         return momentum(self._p, self.q, self.qd)
 
     def holding(self) -> Floats:
-        """Pose and twist of the target that is part of the last link, (2, 3)."""
+        """Return pose and twist of the target that is part of the last link, (2, 3)."""
         assert self._place is not None
         return held(self._p, self.q, self.qd, self._place)
 
     @property
     def kept(self) -> tuple[Floats, ...]:
-        """All that a step changes."""
+        """State that a step changes."""
         return self._state, self._reference, self._motors, self.books, self._torques
 
     @kept.setter
@@ -217,7 +217,10 @@ class Vehicle:
         self._state, self._reference, self._motors, self.books, self._torques = kept
 
     def parts(self) -> list[Part]:
-        """What of it may touch: with itself the whole last link, with others the gripper too."""
+        """Return the parts that can touch others.
+
+        For contacts with other chains, the last link is divided into link and gripper.
+        """
         around, name = self.world.surroundings, f"{self.name} " if self.name else ""
         parts = [Part(f"{name}base", 0, 0j, 0j, around.base_radius)]
         radius, lengths = around.link_radius, each(self._p, LENGTH).tolist()
@@ -235,19 +238,22 @@ class Vehicle:
         return parts
 
     def inertia(self) -> Floats:
-        """What impulses feel of it, (3 + n, 3 + n): behind gears that give, rotors spin on."""
+        """Return the inertia that an impulse acts on, (3 + n, 3 + n).
+
+        Rotors behind flexible gears keep their spin and are not part of it.
+        """
         return inertia_matrix(self._p, self.q) + self._rotors
 
     def kick(self, change: Floats) -> None:
-        """Change the velocity at once."""
+        """Add an instantaneous change to the velocity."""
         self._state = np.array([self.q, self.qd + change])
-        if self.world.joints.stiffness:  # as seen from its stator, a rotor slows down by as much
+        if self.world.joints.stiffness:  # rotors keep their spin: their relative rates change
             stators = np.cumsum(change[2:])[:-1] / self.world.joints.gear_ratio
             self._motors = self._motors - np.outer(stators, [0.0, 1.0, 0.0])
 
     def go(self, steps: int, at: int, tolerance: float) -> None:
-        """Let steps pass from the step `at` on; none: renew the books."""
-        if steps and self._valves[0] != at:  # else it is a trial of the same steps
+        """Advance by steps from the step `at` on; with 0 steps, only update the audit."""
+        if steps and self._valves[0] != at:  # otherwise it is another trial of the same steps
             self._valves = at, self.thrusters.valves(at) if self.thrusters.busy(at) else SHUT
         joints, valves = self.world.joints, self._valves[1]
         around = self._surroundings if self.thrusters.floats else self._pads
@@ -264,7 +270,7 @@ class Vehicle:
         self._torques = torques if steps else self._torques
 
     def spend(self, begin: int, steps: int) -> None:
-        """Take from the tank what bearings and thrusters used in the steps that have passed."""
+        """Take from the tank the gas that bearings and thrusters used in the past steps."""
         tank = self.thrusters
         spent = tank.spend(begin, steps) if tank.busy(begin) else 0.0
         spent += tank.breathe(steps)
@@ -276,7 +282,7 @@ class Vehicle:
         self.books[1] += self.books[0] - had
 
     def take(self, target: Passive, velocity: Floats | None = None) -> None:
-        """Have the target be part of the last link from now on, at a velocity (3 + n,)."""
+        """Make the target part of the last link; set the vehicle's velocity (3 + n,) if given."""
         self._place = hold(self._p, self.q, target.q)
         self._p = with_held(self._p, target.target, self._place)
         target.holder, self.held = self, target
@@ -285,7 +291,7 @@ class Vehicle:
         self.go(0, 0, 0.0)
 
     def drop(self, target: Passive) -> None:
-        """Have it float by itself again; nothing is lost."""
+        """Release the target so that it floats freely; momentum and energy are conserved."""
         state, self._place, self.held = target.state, None, None
         self._p = np.concatenate([self._p[:BASE_SIZE], self.arm.vector()[BASE_SIZE:]])
         self.go(0, 0, 0.0)
@@ -293,12 +299,12 @@ class Vehicle:
 
 
 class Plant(Vehicle):
-    """A vehicle that has the table for itself, but for a target.
+    """Vehicle that is alone on the table, except for an optional target.
 
     Args:
-        arm, q, qd, world, propellant: as of a Vehicle.
-        target: (2, 3) pose and twist of the target at the begin, if there is one.
-        holds: whether the gripper holds it.
+        arm, q, qd, world, propellant: as in Vehicle.
+        target: (2, 3) initial pose and twist of the target, if there is one.
+        holds: whether the gripper holds the target.
     """
 
     def __init__(
@@ -320,25 +326,25 @@ class Plant(Vehicle):
         self.bed = Bed([self], targets, its.contact, its.tolerance)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass, in whole steps of the drives."""
+        """Advance the simulation by a time, in whole steps of the drives."""
         self.bed.advance(seconds)
 
     @property
     def target(self) -> Floats:
-        """Pose and twist of the target in the world, (2, 3)."""
+        """Pose and twist of the target in the world frame, (2, 3)."""
         return self.bed.targets[0].state if self.bed.targets else self._given
 
     @property
     def audit(self) -> Audit:
-        """The books of all bodies as they are now."""
+        """Momentum and energy audit of all bodies at present."""
         return self.bed.audit
 
     @property
     def imbalance(self) -> Floats:
-        """What the books are off by since the begin, (4,) [N s, N s, N m s, J]."""
+        """Error of the audit since the start, (4,) [N s, N s, N m s, J]."""
         return self.bed.imbalance
 
     @property
     def clearance(self) -> float:
-        """The least gap between two bodies that are not neighbours [m]."""
+        """Least gap between two bodies that are not neighbours [m]."""
         return self.bed.nearest().gap

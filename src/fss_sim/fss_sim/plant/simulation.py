@@ -1,7 +1,8 @@
-"""The whole plant, many steps in one compiled call: arm, drives, thrusters and surroundings.
+"""Simulation of the plant: many steps of arm, drives, thrusters and surroundings in one kernel.
 
-Momentum and energy are audited as it goes: beside what the bodies have of both, the impulse and
-the work of all that acts on them are integrated, and the two must stay alike.
+Each call also audits momentum and energy. It computes the momentum and the energy of the bodies,
+and integrates the impulse and the work of every force on them. The two must change by the same
+amount.
 """
 
 import numpy as np
@@ -29,7 +30,10 @@ _classical_geared, _controlled_geared = classical(_act_geared), controlled(_act_
 
 @helper
 def _open(valves, step, held):  # type: ignore[no-untyped-def]
-    """Force of the valves that are open in a step, as a complex number; torque into held[0]."""
+    """Return the force of the open valves in a step, as a complex number.
+
+    Their torque is added to held[0].
+    """
     thrust = 0j
     for valve in valves:
         if valve[3] <= step < valve[4]:
@@ -42,7 +46,7 @@ def _open(valves, step, held):  # type: ignore[no-untyped-def]
 def _book(  # type: ignore[no-untyped-def]
     bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit
 ):  # fmt: skip
-    """What the bodies have now, and what they were given, into `audit`."""
+    """Write to `audit` the bodies' momentum and energy, and the total impulse and work on them."""
     audit[0, 0], audit[0, 1] = bodies.mass * z[1, 0], bodies.mass * z[1, 1]
     audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
     audit[1, 0] = audit0[1, 0] + bodies.mass * (z[1, 0] - start_x)
@@ -150,33 +154,37 @@ def advance(
     steps: int,
     tolerance: float = 0.0,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """The plant, `steps` steps of STEP later. n may be 0: a base without an arm.
+    """Advance the plant by `steps` steps of STEP. n may be 0: a base without an arm.
 
     Args:
         p: (8 + 6 n,) Arm.vector().
-        rotor: (2,) N^2 J and N J [kg m^2] of each joint's rotor of inertia J, turning N times as
+        rotor: (2,) N^2 J and N J [kg m^2]: each joint's rotor has inertia J and turns N times as
             fast as the joint.
-        joints: (n, 7) lowest and highest angle [rad], largest torque of the motor [N m]; viscous
-            [N m s/rad] and Coulomb friction [N m]; the end stops' stiffness [N m/rad] and damping
-            [N m s/rad].
+        joints: (n, 7) minimum and maximum angle [rad], maximum torque of the motor [N m]; viscous
+            [N m s/rad] and Coulomb friction [N m]; stiffness [N m/rad] and damping [N m s/rad] of
+            the end stops.
         surroundings: (12,) Surroundings.vector().
-        valves: (t, 5) force on the base's origin in its own axes [N] and torque [N m] of a thruster
-            while its valve is open, and the steps from which and up to which it is.
-        demand: (n, 4) of each drive: mode, set point [N m, rad/s or rad, by mode], speed [rad/s]
-            and acceleration [rad/s^2] of the profile, the latter above 0 but for mode off. Position
-            mode at speed 0 means: decelerate, and hold where that ends.
+        valves: (t, 5) force on the base's origin in the base frame [N] and torque [N m] of a
+            thruster while its valve is open; the first step in which it is open; the step in which
+            it is closed again.
+        demand: (n, 4) for each drive: mode, set point [N m, rad/s or rad, by mode], speed [rad/s]
+            and acceleration [rad/s^2] of the profile. The acceleration is above 0 except in mode
+            off. Position mode at speed 0 means: decelerate, then hold the angle reached.
         state: (2, 3 + n) q and qd.
-        reference: (n, 2) where the drives want the joints [rad], and how fast [rad/s].
-        audit: (2, 4); the first row does not matter.
-        steps: how many.
-        tolerance: of a step's error in any coordinate or rate, SI units, for Dormand and Prince's
-            method with error control; 0: Runge-Kutta's classical method.
+        reference: (n, 2) reference angle [rad] and rate [rad/s] of each drive.
+        audit: (2, 4) audit of the previous call; its first row is not used.
+        steps: number of steps.
+        tolerance: largest error of a step in any coordinate or rate, in SI units, for the
+            Dormand-Prince method with error control; 0: classical Runge-Kutta method.
 
     Returns:
-        state, reference; audit: linear momentum [N s], angular momentum about the world's origin
-        [N m s] and energy [J] that the bodies have, and below, added to what was there, those that
-        forces have given them; and torques (n, 2) [N m] of the last step, the motors' and those
-        that pass the gears, less by the friction; 0 without a step. Leading dimensions broadcast.
+        state and reference after the steps.
+        audit (2, 4): linear momentum [N s], angular momentum about the world's origin [N m s] and
+        energy [J]. The first row is that of the bodies. The second row is the amount supplied by
+        forces, added to the second row of the argument.
+        torques (n, 2) [N m] of the last step: of each motor, and transmitted by each gear, which is
+        the former minus friction; 0 if there was no step.
+        Leading dimensions broadcast.
     """
     control = np.array([steps, tolerance], dtype=float)
     return _advance(
@@ -199,12 +207,12 @@ def advance_geared(
     steps: int,
     tolerance: float = 0.0,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """As `advance`, for joints that give (gears.py): the rotors' inertia is above 0.
+    """Advance a plant with flexible joints (gears.py); the rotors' inertia must be above 0.
 
-    What it takes and returns beside: gears (n, 11), as Joints.gears() has them; motors (n, 3), the
-    angle [rad] and rate [rad/s] of each as seen behind its gear, and its torque [N m]. The audit's
-    energy includes that of the springs. The torques are what they are at the end, the motors' and
-    those that the gears pass on, without a step too.
+    Arguments and results are those of `advance`, with these additions: gears (n, 11), from
+    Joints.gears(); motors (n, 3), the angle [rad] and rate [rad/s] of each motor, seen behind its
+    gear, and its torque [N m]. The audit's energy includes that of the springs. The torques are
+    those at the end, of the motors and transmitted by the gears, even if there was no step.
     """
     control = np.array([steps, tolerance], dtype=float)
     return _advance_geared(

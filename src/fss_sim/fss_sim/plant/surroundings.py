@@ -1,4 +1,4 @@
-"""What acts on the floating arm from outside its joints: table, air film, tether and thrusters."""
+"""External forces on the floating arm: table, air film, tether and thrusters."""
 
 import math
 from dataclasses import dataclass
@@ -13,21 +13,22 @@ from fss_arm_model.kinematics import _cross, _dot
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, like, setting
 from fss_arm_model.units import GRAVITY
 
-# Where what stands in Surroundings.vector(). The air film's shear grows with the mass that it
-# carries, so that each mass element m feels -film m v. Pads that lie on the table rub, whatever the
-# speed; that is shared among the mass elements as the film's shear is, with
+# Indices of Surroundings.vector(). The shear of the air film grows with the mass that it carries:
+# the force on each mass element m is -film m v. Without air the pads lie on the table and rub, with
+# a friction that does not depend on the speed. It is distributed over the mass elements as the
+# film's shear is, with
 #
 #     film = friction g / sqrt(V^2 + CREEP^2),   V^2 = 2 T / M
 #
-# in its place, so that their power is friction M g V, as Coulomb's law has it for all that slides.
+# in its place, so that its power is friction M g V, as by Coulomb's law for a sliding body.
 TILT_X, TILT_Y, FILM, TETHER, TWIST, HALF_X, HALF_Y = range(7)
 STIFFNESS, DAMPING, BASE_RADIUS, LINK_RADIUS, PADS = range(7, 12)
-CREEP = 0.01  # of pads on the table: below this speed their friction falls, to 0 at rest [m/s]
+CREEP = 0.01  # speed below which the friction of pads on the table falls, to 0 at rest [m/s]
 
 
 @dataclass(frozen=True)
 class Surroundings(Settings):
-    """What acts on all that floats; nothing by default but the table's border."""
+    """External forces on floating bodies; by default only the table's border."""
 
     tilt: tuple[float, ...] = setting(
         (0.0, 0.0), "slope of the table along x and y, downhill", unit="rad", check=FINITE, size=2
@@ -55,8 +56,9 @@ class Surroundings(Settings):
     )
 
     def vector(self, floats: bool = True) -> Floats:
-        """The numbers that the kernel takes, (12,); the tilt as an acceleration, half the table.
+        """Return the parameters that the kernel uses, (12,).
 
+        The tilt is given as an acceleration, the table by half its size.
         `floats`: whether the bearings have air.
         """
         tilt, half = GRAVITY * np.array(self.tilt), 0.5 * np.array(self.table)
@@ -67,7 +69,7 @@ class Surroundings(Settings):
 
 @helper
 def _push(around, r, v, radius):  # type: ignore[no-untyped-def]
-    """The border's force on a disc at r that moves at v; it pushes and never pulls."""
+    """Return the border's force on a disc at r that moves at v; it pushes and never pulls."""
     stiffness, damping = around[STIFFNESS], around[DAMPING]
     x = y = 0.0
     deep = abs(r.real) + radius - around[HALF_X]
@@ -83,7 +85,7 @@ def _push(around, r, v, radius):  # type: ignore[no-untyped-def]
 
 @helper
 def _is_near_edge(bodies, around, z):  # type: ignore[no-untyped-def]
-    """Whether any part may touch the border, judged by more than the largest reach there can be."""
+    """Return True if a part may touch the border, judged by an upper bound of the reach."""
     reach = max(around[BASE_RADIUS], around[LINK_RADIUS])
     for k in range(bodies.arms.shape[1]):
         ahead, back = bodies.arms[0, k], bodies.arms[1, k] / bodies.mass
@@ -96,7 +98,7 @@ def _is_near_edge(bodies, around, z):  # type: ignore[no-untyped-def]
 def _border(bodies, around, turned, z, torque):  # type: ignore[no-untyped-def]
     """Add the border's forces on base, joints and tip to the torques; return their sum.
 
-    A force at a pivot is as one on the base's origin and torques d_k x f on the bodies before.
+    A force f at a pivot equals f on the base's origin plus torques d_k x f on the bodies before it.
     """
     m, mass = torque.size, bodies.mass
     r, v = complex(z[0, 0], z[0, 1]), complex(z[1, 0], z[1, 1])
@@ -118,20 +120,20 @@ def _border(bodies, around, turned, z, torque):  # type: ignore[no-untyped-def]
 
 
 class Forces(NamedTuple):
-    """All that acts on the bodies in a step."""
+    """Forces and torques on the bodies in a step."""
 
     around: Floats  # (12,) Surroundings.vector()
-    thrust: complex  # on the base's origin, in the base's own axes [N]
+    thrust: complex  # on the base's origin, in the base frame [N]
     held: Floats  # (m,) torques on the bodies [N m]
     torque: Floats  # (m,) scratch
 
 
 @inlined
 def _act(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
-    """Write dz (2, 4 + m) under all that acts.
+    """Write dz (2, 4 + m), the derivative of z under all forces.
 
-    The last columns of dz[1] are the power of all forces and the moment, about the world's origin,
-    of those from outside, so that z[1] has the work and the angular impulse there.
+    The last two columns of dz[1] are the power of all forces, and the moment of the external ones
+    about the world's origin. Those of z[1] are therefore the work and the angular impulse.
     """
     around, thrust, held, torque = forces
     m, mass = held.size, bodies.mass
@@ -167,4 +169,4 @@ def _act(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
     dz[0, 2 + m], dz[0, 3 + m], dz[1, 2 + m], dz[1, 3 + m] = 0.0, 0.0, power, moment
 
 
-_act_called = helper(_act.py_func)  # where inlining it would cost more to compile than it gains
+_act_called = helper(_act.py_func)  # for callers where inlining is not worth its compile time

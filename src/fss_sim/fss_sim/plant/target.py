@@ -1,8 +1,8 @@
-"""A second, passive spacecraft simulator on the table, and the gripper that can hold it.
+"""Model of a second, passive spacecraft simulator on the table, and of the gripper that holds it.
 
-While it is held, the target is part of the last link. As the fingers close, an impulse between end
-effector and target makes their velocities alike, so that momentum stays and energy is lost. With
-the target's centre of mass at J_t qd,
+While it is held, the target is part of the last link. When the fingers close, an impulse between
+end effector and target makes their velocities equal. This conserves momentum and loses energy.
+With the velocity J_t qd of the held target's centre of mass,
 
     (H + J_t' M_t J_t) qd_after = H qd_before + J_t' M_t v_t
 """
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from fss_sim.plant.plant import Vehicle
 
 Floats = npt.NDArray[np.float64]
-SHUT = ((0.0,) * 5,)  # valves
+SHUT = ((0.0,) * 5,)  # valves, all of them closed
 
 
 @dataclass(frozen=True)
 class Gripper(Settings):
-    """How near, straight and slow the end effector must be to grip."""
+    """Limits of the gripper: distance, angle and speed for a grip, and the load that it holds."""
 
     reach: float = setting(
         0.03, "largest distance of the gripper from what it grips", unit="m", check=NOT_NEGATIVE
@@ -56,11 +56,11 @@ class Gripper(Settings):
 
     @property
     def limited(self) -> bool:
-        """Whether anything is too much for it."""
+        """Return True if force or torque can overload the grip."""
         return self.force > 0.0 or self.torque > 0.0
 
     def takes(self, approach: Approach) -> bool:
-        """Whether it can close on a fixture that the end effector sees so."""
+        """Return True if the gripper can close on a fixture seen at this approach."""
         return (
             approach.distance <= self.reach
             and abs(approach.angle) <= self.angle
@@ -70,20 +70,20 @@ class Gripper(Settings):
 
 @dataclass
 class Fingers:
-    """Of a gripper that was told to close: waiting, closing, or shut on nothing."""
+    """State of a gripper that is commanded to close: waiting, closing, or closed on nothing."""
 
-    since: int | None = None  # the step at which they began to close
-    missed: bool = False  # what they closed on, or lost it: they must open first
+    since: int | None = None  # step at which the fingers started to close
+    missed: bool = False  # True if they closed on nothing or lost the thing: they must open first
 
 
 class Passive:
-    """The target as it floats by itself, or in a gripper.
+    """Target that floats freely or is held by a gripper.
 
     Args:
-        target: what it is.
-        state: (2, 3) pose and twist at the begin.
-        around: what acts on it beside the table.
-        name: what people call it.
+        target: parameters of the target.
+        state: (2, 3) initial pose and twist.
+        around: forces on it from outside.
+        name: name in clearances and contacts.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Passive:
         name: str = "target",
     ) -> None:
         self.target, self.name = target, name
-        self.holder: Vehicle | None = None  # whose last link it is part of
+        self.holder: Vehicle | None = None  # vehicle whose last link it is part of
         self.masses = np.array([target.mass, target.mass, target.inertia])
         around = around or Surroundings()
         radius = max(target.radius, 1e-9)
@@ -104,7 +104,7 @@ class Passive:
 
     @property
     def state(self) -> Floats:
-        """Pose and twist in the world, (2, 3)."""
+        """Pose and twist in the world frame, (2, 3)."""
         return self._state if self.holder is None else self.holder.holding()
 
     @property
@@ -119,7 +119,7 @@ class Passive:
 
     @property
     def kept(self) -> tuple[Floats, ...]:
-        """All that a step changes."""
+        """State that a step changes."""
         return self._state, self.books
 
     @kept.setter
@@ -127,42 +127,43 @@ class Passive:
         self._state, self.books = kept
 
     def parts(self) -> list[Part]:
-        """What of it may touch."""
+        """Return the parts of the target that can touch others."""
         return [Part(self.name, 0, 0j, 0j, self.target.radius)]
 
     def inertia(self) -> Floats:
-        """What impulses feel of it, (3, 3)."""
+        """Return the inertia that an impulse acts on, (3, 3)."""
         return np.diag(self.masses)
 
     def kick(self, change: Floats) -> None:
-        """Change the twist at once."""
+        """Add an instantaneous change to the twist."""
         self._state = np.array([self._state[0], self._state[1] + change])
 
     def go(self, steps: int, at: int, tolerance: float) -> None:
-        """Let steps pass; none: renew the books."""
+        """Advance by steps; with 0 steps, only update the audit of momentum and energy."""
         self._state, _, self.books, _ = advance(
             self.p, (0.0, 0.0), np.zeros((0, 7)), self._around, SHUT, np.zeros((0, 4)),
             self._state, np.zeros((0, 2)), self.books, steps, tolerance,
         )  # fmt: skip
 
     def freed(self, state: Floats) -> None:
-        """Float by itself from now on."""
+        """Let the target float freely from this state on."""
         self.holder, self._state, self.books = None, state, np.zeros((2, 4))
         self.go(0, 0, 0.0)
 
 
 def caught(p: Floats, q: Floats, qd: Floats, H: Floats, body: Passive) -> Floats:
-    """Velocity of the arm of inertia H right after it has gripped the target."""
+    """Return the velocity of the arm of inertia H immediately after it has gripped the target."""
     J = held_jacobian(p, q, hold(p, q, body.q))
     gained = J.T @ (body.masses * (body.qd - J @ qd))
     return qd + np.linalg.solve(H + J.T @ (body.masses[:, None] * J), gained)
 
 
 def rotors_inertia(size: int, rotor: tuple[float, float], free: bool) -> Floats:
-    """What rotors add to H, felt by an impulse on the links.
+    """Return the rotors' contribution to H, for an impulse on the links.
 
-    N^2 J at their joint, N J between it and all that turns its stator; of those that are free,
-    behind gears that give, not even the J that the stator's link has of them.
+    A rotor adds N^2 J at its joint, and N J between this joint and all coordinates that turn its
+    stator. A free rotor behind a flexible gear adds nothing. Its J, which is part of the inertia of
+    the stator's link, is subtracted.
     """
     H = np.zeros((size, size))
     for k in range(3, size):

@@ -1,4 +1,4 @@
-"""Eight cold-gas thrusters in a square, their valves, and the tank that feeds them."""
+"""Model of eight cold-gas thrusters in a square, their valves and their tank."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ FOREVER = 1e9  # [step]
 
 @dataclass(frozen=True)
 class Propulsion(Settings):
-    """What the thrusters, their valves and their tank are like."""
+    """Parameters of the thrusters, their valves and their tank."""
 
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
@@ -53,11 +53,11 @@ class Propulsion(Settings):
 
 
 class Thrusters:
-    """The state of valves and tank; time is in steps of the plant.
+    """State of valves and tank; time is counted in steps of the plant.
 
     Args:
-        propulsion: what they are like.
-        used: propellant used before [kg].
+        propulsion: parameters of thrusters, valves and tank.
+        used: propellant used before the start [kg].
     """
 
     def __init__(self, propulsion: Propulsion | None = None, used: float = 0.0) -> None:
@@ -67,36 +67,36 @@ class Thrusters:
         self.used = min(used, self.tank)  # propellant [kg]
         self._begin, self._end = np.zeros(COUNT), np.zeros(COUNT)  # of each pulse [step]
         self._stuck_open = self._stuck_closed = np.zeros(COUNT, dtype=bool)
-        self.driven = False  # whether a valve was told to open last
+        self.driven = False  # True if the last command opened a valve
 
     @property
     def pressure(self) -> float:
-        """Of the tank [Pa], isothermal."""
+        """Pressure of the tank [Pa], for an isothermal tank."""
         return self.propulsion.tank_pressure * (1.0 - self.used / self.tank)
 
     @property
     def thrust(self) -> float:
-        """Of an open thruster now, as a part of its full thrust."""
+        """Present thrust of an open thruster, as a fraction of its full thrust."""
         return min(1.0, self.pressure / self.propulsion.regulator_pressure)
 
     @property
     def floats(self) -> bool:
-        """Whether the bearings carry."""
+        """Return True if the air bearings carry the vehicle."""
         p = self.propulsion
         return not p.bearing_flow or self.pressure > p.bearing_pressure
 
     @property
     def broken(self) -> int:
-        """The valves that do not open: bit i is valve i + 1."""
+        """Valves that do not open, as bits: bit i is valve i + 1."""
         return sum(1 << i for i, stuck in enumerate(self._stuck_closed) if stuck)
 
     def stick(self, is_open: Sequence[bool], is_closed: Sequence[bool]) -> None:
-        """Have valves stay open, or stay closed, whatever they are told; both: closed."""
+        """Make valves stick open or closed, whatever is commanded; both: closed."""
         self._stuck_closed = np.array(is_closed, dtype=bool)
         self._stuck_open = np.array(is_open, dtype=bool) & ~self._stuck_closed
 
     def _pulses(self, now: int) -> tuple[Floats, Floats]:
-        """Begin and end of each valve's pulse, as it works [step]."""
+        """Return the start and the end of each valve's pulse, with stuck valves [step]."""
         begin = np.where(self._stuck_open, 0.0, self._begin)
         end = np.where(self._stuck_open, now + FOREVER, self._end)
         return begin, np.where(self._stuck_closed, begin, end)
@@ -104,37 +104,37 @@ class Thrusters:
     def command(self, on_times: Sequence[float], now: int) -> None:
         """Open each valve for a time from now on [s]; 0 closes it.
 
-        A pulse that is shorter than the minimum does not open a valve, and one that is open stays
-        so for the minimum. Commanded to open again before it has closed, it stays open.
+        A pulse that is shorter than the minimum does not open a valve. An open valve stays open for
+        at least the minimum. A valve that is commanded again before it has closed stays open.
 
         Raises:
-            ValueError: there are not eight times, or one is not a number from 0 on.
+            ValueError: if there are not eight times, or one is negative or not finite.
         """
         times = np.asarray(on_times, dtype=float)
         if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
             raise ValueError(f"on times are {times.tolist()}, expected {COUNT} from 0 on [s]")
         p, self.driven = self.propulsion, bool(times.any())
         at, least = now + round(p.valve_delay / STEP), round(p.minimum_on_time / STEP)
-        is_open = self._end > now  # or is about to
+        is_open = self._end > now  # or is about to open
         wanted = np.where(times >= p.minimum_on_time, np.round(times / STEP), 0.0)
         self._begin = np.where(is_open, self._begin, at)
         kept = np.minimum(np.maximum(at, self._begin + least), self._end)
         self._end = np.where(wanted > 0.0, at + wanted, np.where(is_open, kept, at))
 
     def valves(self, now: int) -> Floats:
-        """Force and torque of each, and from and up to which step from now they act, (8, 5)."""
+        """Return force, torque, start step and end step of each valve, relative to now, (8, 5)."""
         begin, end = self._pulses(now)
         pulses = np.stack([begin - now, end - now], axis=-1)
         return np.hstack([self.thrust * self.layout, pulses])
 
     def busy(self, now: int) -> bool:
-        """Whether a valve is open or will be."""
+        """Return True if a valve is open or will open."""
         return bool((self._pulses(now)[1] > now).any())
 
     def breathe(self, steps: int) -> float:
-        """Take from the tank what the bearings use in so many steps; return how much [kg].
+        """Take the bearings' air for `steps` steps from the tank; return its mass [kg].
 
-        Their flow falls with the pressure before their regulator, as the thrust does.
+        The flow falls with the pressure upstream of the regulator, as the thrust does.
         """
         flow = self.thrust * self.propulsion.bearing_flow
         spent = min(flow * STEP * steps, self.tank - self.used)
@@ -142,12 +142,12 @@ class Thrusters:
         return spent
 
     def open(self, now: int) -> list[bool]:
-        """Which valves are."""
+        """Return for each valve whether it is open."""
         begin, end = self._pulses(now)
         return ((begin <= now) & (now < end)).tolist()
 
     def spend(self, now: int, steps: int) -> float:
-        """Take from the tank what the next steps use; return how much [kg]."""
+        """Take the propellant of the next `steps` steps from the tank; return its mass [kg]."""
         p = self.propulsion
         begin, end = self._pulses(now)
         times = np.minimum(end, now + steps) - np.maximum(begin, now)

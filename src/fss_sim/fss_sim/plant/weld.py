@@ -1,4 +1,4 @@
-"""Two arms that hold each other, or the same target."""
+"""Constraint between two arms that hold each other, or the same target."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -12,20 +12,20 @@ from fss_arm_model.kinematics import tip_jacobian, tip_pose
 if TYPE_CHECKING:
     from fss_sim.plant.plant import Vehicle
 
-WELD = 1e-8  # how far off a step may end [m, rad]
+WELD = 1e-8  # tolerance of the relative pose at the end of a step [m, rad]
 
 
 @dataclass
 class Weld:
-    """What holds two arms together: their last links move as one."""
+    """Rigid connection of two arms: their last links move as one body."""
 
     one: "Vehicle"
     other: "Vehicle"
-    place: Floats = field(init=False)  # (3,) the other's tip as seen from the one's
-    goal: Floats = field(default_factory=lambda: np.zeros(3))  # its velocity at a step's begin
+    place: Floats = field(init=False)  # (3,) pose of the tip of `other` in the frame of one's tip
+    goal: Floats = field(default_factory=lambda: np.zeros(3))  # its velocity at a step's start
     impulse: Floats = field(default_factory=lambda: np.zeros(3))  # of the last step [N s, N m s]
-    answer: Floats = field(default_factory=lambda: STEP * np.eye(3))  # of where it is to the goal
-    last: tuple[Floats, Floats] | None = None  # goal and what came of it, in this step
+    answer: Floats = field(default_factory=lambda: STEP * np.eye(3))  # d(pose error) / d(goal)
+    last: tuple[Floats, Floats] | None = None  # previous goal in this step, and its pose error
 
     def __post_init__(self) -> None:
         (x, y, turn), (u, v, other) = self._tips()
@@ -36,15 +36,16 @@ class Weld:
         return tip_pose(self.one.p, self.one.q), tip_pose(self.other.p, self.other.q)
 
     def off(self) -> Floats:
-        """How far the other's tip is from its place, (3,) [m, m, rad]."""
+        """Return the pose error of the tip of `other`, (3,) [m, m, rad]."""
         (x, y, turn), (u, v, other) = self._tips()
         apart = complex(*self.place[:2]) * np.exp(1j * turn)
         return np.array([u - x - apart.real, v - y - apart.imag, other - turn - self.place[2]])
 
     def improve(self) -> bool:
-        """Correct the goal by how far off a step with it has ended, by Broyden's method.
+        """Correct the goal by the pose error at the end of the step, by Broyden's method.
 
-        A servo that holds its joint lets less come of a velocity than that times the step.
+        Return False if the error is within the tolerance. The method is needed because a servo
+        that holds its joint lets the tip move by less than the velocity times the step.
         """
         off, last = self.off(), self.last
         self.last = self.goal, off
@@ -57,7 +58,7 @@ class Weld:
         return True
 
     def jacobians(self) -> tuple[Floats, Floats]:
-        """(3, 3 + n) of each: twist of what moves with its last link at the other's tip."""
+        """Return both Jacobians (3, 3 + n): twist of each last link at the tip of `other`."""
         one, tip = self._tips()
         J = tip_jacobian(self.one.p, self.one.q)
         J[0] -= (tip - one)[1] * J[2]

@@ -1,1 +1,1 @@
-"""Rehearsals: the whole graph in a ROS domain of its own, on the simulated test bed."""
+"""Rehearsals: all nodes in a separate ROS domain, on the simulated test bed."""

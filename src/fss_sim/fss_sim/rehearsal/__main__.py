@@ -1,4 +1,4 @@
-"""Rehearse by name: each leaves a bag, pictures, and a page that says what happened."""
+"""Run a rehearsal by name: each writes a bag, figures, and a page that reports what happened."""
 
 import argparse
 import sys
@@ -10,7 +10,7 @@ from pathlib import Path
 from fss_arm_calib import report
 from fss_sim.rehearsal.processes import rehearse, results
 
-#: Modules with `add_options` and `run`, imported when they are asked for.
+#: Modules with `add_options` and `run`, imported on request.
 REHEARSALS = {
     "demo": "the main job: simulator, drivers, kinematic calibration, bag, and back",
     "dynamic": "a dynamic calibration: maneuvers designed, made, recorded and solved",
@@ -24,7 +24,7 @@ HELP = "\n".join(f"  {name:<14}{about}" for name, about in REHEARSALS.items())
 
 
 def main(name: str, arguments: Sequence[str]) -> int:
-    """Run one; the exit code is 0 if all went as expected, 2 if not."""
+    """Run a rehearsal; return the exit code: 0 if all checks held, 2 if not."""
     module = import_module(f"fss_sim.rehearsal.{name}")
     parser = argparse.ArgumentParser(
         f"rehearse.sh {name}", description=module.__doc__,

@@ -1,4 +1,4 @@
-"""A mission that plays in a browser: a part of a page, with its data, which loads nothing else."""
+"""Animation of a mission for the browser: an HTML fragment with its data, without other files."""
 
 import json
 
@@ -7,7 +7,7 @@ import numpy as np
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import joint_positions
 
-FRAMES = 10.0  # [1/s] at most
+FRAMES = 10.0  # maximum frame rate [1/s]
 
 
 def animation(
@@ -20,19 +20,19 @@ def animation(
     phases: list[tuple[float, str]],
     fixture: tuple[float, ...],
 ) -> str:
-    """HTML that draws base, arm, target and thrusters from above, to be played or moved by hand.
+    """Return HTML that animates base, arm, target and thrusters from above, with time controls.
 
     Args:
         arm: the arm.
         time: (k,) ascending [s].
-        q: (k, 3 + n) base's pose [m, m, rad] and true joint angles [rad].
-        target: (k, 3) its pose [m, m, rad].
-        holds: (k,) whether the gripper holds it.
-        valves: (k, 8) which thrusters are open, numbered as in ThrusterCommand.
-        phases: since when [s] each has lasted.
-        fixture: of the target, in its frame [m, m, ...].
+        q: (k, 3 + n) base pose [m, m, rad] and true joint angles [rad].
+        target: (k, 3) pose of the target [m, m, rad].
+        holds: (k,) True where the gripper holds the target.
+        valves: (k, 8) True for open thrusters, numbered as in ThrusterCommand.
+        phases: start time [s] and name of each phase.
+        fixture: grasp fixture in the target's frame [m, m, ...].
     """
-    # The first row of each frame; a valve counts as open if it is in any row of it.
+    # First row of each frame; a valve counts as open if it is open in any row of the frame.
     steps = np.floor((time - time[0]) * FRAMES).astype(int)
     rows = np.flatnonzero(np.diff(steps, prepend=-1))
     fired = np.logical_or.reduceat(valves.astype(bool), rows, axis=0)

@@ -1,7 +1,7 @@
-"""Rehearse a capture by the nodes that fly the spacecraft, on a simulated test bed; show it.
+"""Rehearse a capture by the guidance, navigation and control nodes, on a simulated test bed.
 
-Time is simulated, at a chosen speed. This program does what a person does: it arms links and base,
-asks for mission/capture, and reads the recording.
+Time is simulated, at a chosen speed. The program takes the role of the operator: it arms links and
+base, sends the goal mission/capture, evaluates the recording and shows the result.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from fss_sim.rehearsal.processes import Nodes, RehearsalError
 from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
 TARGET = Target(mass=10.0, inertia=0.25)
-POSTURE = [0.95, 1.3, 1.36, -1.23]  # compact: it reaches well from there, and turns in little room
+POSTURE = [0.95, 1.3, 1.36, -1.23]  # compact: reaches well from there and turns in little space
 BEGIN = {
     "base": [-1.1, -1.1, -1.4],
     "q": POSTURE,
@@ -45,14 +45,14 @@ BEGIN = {
     "target_pose": [0.0, 0.0, -0.3],
     "target_twist": [-0.006, 0.004, 0.15],
 }
-MAX_DURATION = 600.0  # [s] of the mission, in the computer's time
-AGREE = 1e-9  # momentum before and after the capture [N s, N m s]
+MAX_DURATION = 600.0  # timeout of the mission [s], in real time
+AGREE = 1e-9  # tolerance for momentum before and after the capture [N s, N m s]
 
 
 class Person(Operator):
-    """Arms links and base, and asks for the capture."""
+    """Operator that arms links and base, and sends the capture goal."""
 
-    PATIENCE = 120.0  # for all to be armed, and known [s]
+    PATIENCE = 120.0  # timeout until all nodes are discovered and armed [s]
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
@@ -62,16 +62,16 @@ class Person(Operator):
         self.create_subscription(MissionState, "mission/state", self.on_state, LATCHED)
 
     def on_state(self, message: MissionState) -> None:
-        """Say each phase."""
+        """Print each new phase of the mission."""
         if message.mission and message.phase != self.phase:
             self.phase = message.phase
             print(f"{message.elapsed:6.1f} s  {self.phase}  {message.reason}".rstrip())
 
     def after(self, future: Future, complaint: str, patience: float = 0.0) -> Any:
-        """What a future brings.
+        """Wait for a future and return its result.
 
         Raises:
-            RehearsalError: nothing within `patience` [s].
+            RehearsalError: the future is not done within `patience` [s] (0: PATIENCE).
         """
         self.wait(future.done, complaint, patience)
         return future.result()
@@ -80,7 +80,7 @@ class Person(Operator):
         """Arm the links and the base.
 
         Raises:
-            RehearsalError: they do not get armed.
+            RehearsalError: they are not armed within PATIENCE.
         """
         self.wait(self.arm.service_is_ready, "there is no node `arm`")
         deadline = time.monotonic() + self.PATIENCE
@@ -97,10 +97,10 @@ class Person(Operator):
             answer = self.after(self.base.call_async(request), "node `base` does not answer")
 
     def fly(self) -> Capture.Result:
-        """See the mission through.
+        """Send the capture goal and return the mission's result.
 
         Raises:
-            RehearsalError: nobody flies it, or not to its end.
+            RehearsalError: the guidance does not respond, or the mission does not end in time.
         """
         self.wait(self.capture.server_is_ready, "there is no node `guidance`")
         sent = self.capture.send_goal_async(Capture.Goal(detumble=True))
@@ -110,7 +110,7 @@ class Person(Operator):
 
 
 def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assumed: float) -> None:
-    """Start test bed, recorder, and what flies the spacecraft, told a target's mass [kg]."""
+    """Start all nodes; `assumed` is the target mass that the GNC nodes are configured with [kg]."""
     clock, ports = {"use_sim_time": True}, nodes.domain.ports(2 * LINKS + 2)
     board, base = ports[2 * LINKS :]
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
@@ -133,7 +133,7 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assum
 
 
 class Flight(NamedTuple):
-    """What sim/truth shows of the mission, (k, ...)."""
+    """Recorded mission, mainly from sim/truth; arrays (k, ...) unless noted."""
 
     time: np.ndarray  # [s]
     q: np.ndarray
@@ -142,20 +142,20 @@ class Flight(NamedTuple):
     target_twist: np.ndarray
     holds: np.ndarray
     momentum: np.ndarray  # of all bodies
-    impulse: np.ndarray  # of it, given from outside
-    error: np.ndarray  # of the audit: momentum and energy
+    impulse: np.ndarray  # part of the momentum that came from outside
+    error: np.ndarray  # audit errors of momentum and energy
     propellant: np.ndarray
-    valves: np.ndarray  # which are open
-    planned: np.ndarray  # (m, 3) where the base was to be
-    phases: list[tuple[float, str]]  # since when [s]
-    found: MassProperties | None  # what was held, as it was known in the end
+    valves: np.ndarray  # True for open valves
+    planned: np.ndarray  # (m, 3) reference poses of the base
+    phases: list[tuple[float, str]]  # start time [s] and name of each phase
+    found: MassProperties | None  # last estimate of the target's mass properties
 
 
 def read(bag: Path) -> Flight:
-    """The mission from its bag.
+    """Read the mission from its bag.
 
     Raises:
-        RehearsalError: the bag has no truth in it.
+        RehearsalError: the bag has no sim/truth.
     """
     with open_bags(bag) as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
@@ -182,7 +182,10 @@ def read(bag: Path) -> Flight:
 
 
 def mass_off(flight: Flight, p: np.ndarray, k: int) -> tuple[float, str]:
-    """How far what is known of the target, captured at row k, is off, in its deviations at most."""
+    """Return the largest error of the target's estimate, in standard deviations, and a summary.
+
+    The true values are those of the capture, at row k.
+    """
     if flight.found is None:
         return np.inf, "what is held was not found"
     m = flight.found
@@ -200,7 +203,7 @@ def mass_off(flight: Flight, p: np.ndarray, k: int) -> tuple[float, str]:
 
 
 def accept(flight: Flight, p: np.ndarray, say: Callable[[str], None]) -> list[Check]:
-    """Say how it went, and return it."""
+    """Print a summary of the mission, and return its checks."""
     caught = Check("the target is captured", "it was not", False)
     if not flight.holds.any():
         say("the target was not captured")
@@ -231,7 +234,7 @@ def accept(flight: Flight, p: np.ndarray, say: Callable[[str], None]) -> list[Ch
 
 
 def plot(arm: Arm, flight: Flight) -> Any:
-    """Draw the mission from above, and how momentum and motion went."""
+    """Draw the mission from above, and momentum and motion over time."""
     from matplotlib.figure import Figure as Drawing
 
     figure = Drawing(figsize=(12.0, 7.0), layout="constrained")
@@ -283,7 +286,7 @@ def plot(arm: Arm, flight: Flight) -> Any:
 
 
 def draw(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -> None:
-    """Base, arm and target as they are at one time."""
+    """Draw base, arm and target at one time."""
     square = 0.135 * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j, 1 + 1j])
     for (x, y, heading), colour in ((q[:3], "C0"), (target, "C3")):
         corners = complex(x, y) + square * np.exp(1j * heading)
@@ -296,14 +299,14 @@ def draw(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What this rehearsal can be told."""
+    """Add the options of this rehearsal."""
     parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
     words = f"the target's mass as the nodes are told [kg]; it is {TARGET.mass:g}"
     parser.add_argument("--assumed", type=float, default=TARGET.mass, help=words)
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
-    """Fly the mission, and read its bag."""
+    """Fly the mission, and evaluate its bag."""
     arm, say = load(CONFIG / "arm.yaml"), partial(console.print, soft_wrap=True, highlight=False)
     with own_domain() as domain, Nodes(out / "logs", say, domain) as nodes:
         say(f"starting simulator, drivers, recorder and guidance, in ROS domain {domain.number}")
@@ -330,7 +333,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
 
 
 def budget(result: Capture.Result) -> list[str]:
-    """What the mission took, as its node says."""
+    """Return the mission's time, propellant, momentum and torque, as the guidance reports them."""
     x, y, turning = result.momentum.tolist()
     end = "captured and stopped" if result.stopped else f"{result.phase}: {result.message}"
     return [

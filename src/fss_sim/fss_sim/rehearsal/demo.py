@@ -1,7 +1,7 @@
-"""Run the main job on a simulated test bed and show its result.
+"""Run the kinematic calibration on a simulated test bed and show its result.
 
-Stands for the person in the laboratory: starts the nodes, arms the links, starts again what
-died, closes the experiment, reads the bag back and compares.
+The program takes the role of the operator in the laboratory: it starts the nodes, arms the links,
+restarts nodes that died, closes the experiment, and solves again from the bag to compare.
 """
 
 import argparse
@@ -42,12 +42,12 @@ LISTENED = (
 
 
 class Calibrator(Operator):
-    """What the person does: arms the links, lets time go, asks for the solution."""
+    """Operator that arms the links, starts the simulated clock and requests the solution."""
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
         self.time, self.checked = self.get_clock().now(), time.monotonic()
-        self.done = 0  # postures
+        self.done = 0  # postures observed
         self.result: KinematicCalibration | None = None
         self.observations = KinematicObservations()
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
@@ -61,21 +61,21 @@ class Calibrator(Operator):
         self.solve = self.create_client(Trigger, "kinematic/solve")
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
-        """How far the experiment is."""
+        """Store the experiment's progress: the number of postures observed."""
         for status in message.status:
             if status.name == "/experiment":
                 self.done = int(status.values[0].value)
 
     def on_result(self, message: KinematicCalibration) -> None:
-        """The newest result."""
+        """Store the newest result."""
         self.result = message
 
     def on_observations(self, message: KinematicObservations) -> None:
-        """What the newest result is from."""
+        """Store the observations of the newest result."""
         self.observations = message
 
     def live(self) -> Outcome[Observation, Solution] | None:
-        """The result with what it is from, as published; None: one of both is still on its way."""
+        """Return the published result with its observations, or None until both have arrived."""
         if self.result is None:
             return None
         outcome = again(KINEMATIC, self.result, self.observations)
@@ -83,9 +83,9 @@ class Calibrator(Operator):
         return outcome if outcome.provenance.data_hash == origin.data_hash else None
 
     def let_time_go(self) -> None:
-        """If time stands still, as in a test bed just started, end that once all are listened to.
+        """Resume a paused clock, as in a test bed just started, once all topics have subscribers.
 
-        Recorder and calibration then see the same from the first moment on.
+        Recorder and calibration then receive the same messages from the start.
         """
         now = self.get_clock().now()
         if now != self.time:
@@ -95,12 +95,12 @@ class Calibrator(Operator):
             self.checked = time.monotonic()
 
     def listened(self, topic: str) -> bool:
-        """Whether recorder and calibration both hear the topic."""
+        """Return True if recorder and calibration both subscribe to the topic."""
         names = {info.node_name for info in self.get_subscriptions_info_by_topic(topic)}
         return names >= {"record", "kinematic"}
 
     def service(self, client, request, deadline: float = 10.0):  # type: ignore[no-untyped-def]
-        """The service's answer, or None when it does not answer in time."""
+        """Call a service; return its response, or None if it is not ready or times out."""
         if not client.service_is_ready():
             return None
         future = client.call_async(request)
@@ -109,10 +109,10 @@ class Calibrator(Operator):
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
-    """Start the whole graph."""
+    """Start all nodes."""
     truth, guess = CONFIG / "truth.yaml", CONFIG / "cad.yaml"
     clock = {"use_sim_time": True}
-    # Processes take their real time: at higher speed, that is more of the clock's.
+    # Processes need real time to respond: at higher speed, that is more simulated time.
     timeout = max(1.0, options.speed)
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=truth, seed=options.seed, preset=options.preset,
@@ -139,10 +139,10 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
 def observe(
     options: argparse.Namespace, out: Path, console: Console, domain: Domain
 ) -> Outcome[Observation, Solution]:
-    """See the experiment through, close the last rest; return the result.
+    """Run the experiment, close the last rest; return the result.
 
     Raises:
-        RehearsalError: a node gave up, or it took too long.
+        RehearsalError: a node failed, or the deadline passed.
     """
     give_up = time.monotonic() + options.deadline
     with Nodes(out / "logs", console.print, domain) as nodes, progress(console) as bar:
@@ -158,7 +158,7 @@ def observe(
             operator.let_time_go()
             operator.keep_armed()
         bar.update(task, completed=options.postures)
-        # Results of earlier observations may still be on their way.
+        # Results of earlier observations may still arrive.
         while (live := operator.live()) is None or len(live.used) < options.postures:
             if time.monotonic() > give_up:
                 raise RehearsalError(f"no solution: {nodes.last_words('kinematic')}")
@@ -170,7 +170,7 @@ def observe(
 
 
 def progress(console: Console) -> Progress:
-    """A bar that counts postures."""
+    """Return a progress bar that counts postures."""
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -181,12 +181,12 @@ def progress(console: Console) -> Progress:
 
 
 def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> Check:
-    """Solve again from the bag alone, and say how well that agrees with the live result."""
+    """Solve again from the bag alone, and compare the result with the live one."""
     expected = "the bag alone gives the verdict, too"
     settings = KinematicSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
     offline = solve_bag(KINEMATIC, bag, settings)
     if len(offline.used) != len(live.used):
-        # One of the two was killed, and did not listen for a time.
+        # One of the two nodes was killed, and missed messages until it was restarted.
         told = f"from {len(offline.used)} rests in it, {len(live.used)} seen live"
     else:
         worst = float(abs(offline.values - live.values).max())
@@ -196,7 +196,7 @@ def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> Check:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What this rehearsal can be told."""
+    """Add the options of this rehearsal."""
     parser.add_argument(
         "--speed",
         type=float,
@@ -206,7 +206,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--postures",
         type=int,
-        choices=range(7, len(DEFAULT) + 1),  # fewer hardly check each other
+        choices=range(7, len(DEFAULT) + 1),  # fewer observations rarely check each other
         default=len(DEFAULT),
         help="to observe: the first so many",
     )
@@ -217,7 +217,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
-    """Make the experiment, and solve again from its bag."""
+    """Run the experiment, and solve again from its bag."""
     with own_domain() as domain:
         console.print(
             f"starting simulator, {LINKS} drivers over UDP, recorder and calibration, "

@@ -1,6 +1,7 @@
-"""A ROS domain with ports that nobody else on this computer has; what leads to others left out.
+"""Reservation of a ROS domain whose ports no other process on this computer uses.
 
-Free of ROS, so that it can be called before anything imports rclpy.
+Environment variables that lead to other nodes are removed. The module does not import ROS, so that
+it can be called before anything imports rclpy.
 """
 
 import os
@@ -11,15 +12,15 @@ from pathlib import Path
 from typing import NamedTuple
 from uuid import uuid4
 
-#: Of the workspace, be the packages linked to from install/ or copied there.
+#: Folder config/ of the workspace, whether install/ links to the packages or has copies of them.
 CONFIG = next(
     (d / "config" for d in Path(__file__).resolve().parents if (d / "config/fastdds.xml").exists()),
     Path("config"),
 )
-DOMAINS = range(65, 0, -1)  # for rehearsals; the tests have 66 to 101
-FIRST_PORT, PORTS = 7400, 250  # of domain 0, and of each domain (DDSI-RTPS 9.6.1)
-UNUSED = 200  # DDS has the ports before this one, for 95 processes
-#: What would lead a process to other computers, or to nodes that it shall not know of.
+DOMAINS = range(65, 0, -1)  # for rehearsals; the tests use 66 to 101
+FIRST_PORT, PORTS = 7400, 250  # first port of domain 0, ports per domain (DDSI-RTPS 9.6.1)
+UNUSED = 200  # first port of a domain that DDS does not use, with up to 95 processes
+#: Environment variables that could connect a process to other computers, or to foreign nodes.
 LEADS = (
     "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "ROS_SUPER_CLIENT",
     "ROS_SECURITY_ENABLE", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_ENVIRONMENT_FILE",
@@ -28,44 +29,45 @@ LEADS = (
 
 
 class Domain(NamedTuple):
-    """A reserved domain."""
+    """A reserved ROS domain."""
 
     number: int
-    enclave: str  # by which its nodes know each other
-    holder: socket.socket  # reserves it until closed, at the latest with the process
+    enclave: str  # identifies the nodes of this rehearsal
+    holder: socket.socket  # reserves the domain until it is closed or the process ends
 
     def ports(self, count: int) -> list[int]:
-        """UDP ports that go with the domain, and are nobody else's, either."""
+        """Return UDP ports that belong to the domain and that DDS leaves unused."""
         first = FIRST_PORT + PORTS * self.number + UNUSED
         return list(range(first, first + count))
 
     def urls(self, count: int) -> list[str]:
-        """Where drivers find links that have the first ports."""
+        """Return the URLs with which drivers reach links on the domain's first ports."""
         ports = self.ports(2 * count)
         pairs = zip(ports[:count], ports[count:], strict=True)
         return [f"udp://127.0.0.1:{link}?bind={driver}" for link, driver in pairs]
 
     def enter(self) -> None:
-        """Take this process, and what it starts from now on, there."""
+        """Move this process, and each process that it starts from now on, to the domain."""
         for name in LEADS:
             os.environ.pop(name, None)
         fast_dds = os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps").startswith("rmw_fastrtps")
         os.environ |= {
             "ROS_DOMAIN_ID": str(self.number),
-            # To Fast DDS, LOCALHOST would mean shared memory too; its profile has loopback alone.
+            # With LOCALHOST, Fast DDS would also use shared memory; its profile has loopback only.
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT" if fast_dds else "LOCALHOST",
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(CONFIG / "fastdds.xml"),
         }
 
 
 def reserve(numbers: Sequence[int] = DOMAINS) -> Iterator[Domain]:
-    """The domains that nobody on this computer has reserved or is in, each until the next is asked.
+    """Yield domains that no process on this computer has reserved or uses.
 
-    A name of an abstract socket is unique within the network namespace, as the ports of a domain
-    are, and goes with the process. It is taken before anybody is looked for.
+    Each domain stays reserved until the next one is requested. An abstract socket's name is unique
+    within the network namespace, like the ports of a domain, and disappears with the process. It
+    is bound before the domain is checked for other processes.
 
     Raises:
-        OSError: there is no further one.
+        OSError: no further domain is free.
     """
     for number in numbers:
         holder = socket.socket(socket.AF_UNIX)
@@ -78,7 +80,7 @@ def reserve(numbers: Sequence[int] = DOMAINS) -> Iterator[Domain]:
 
 
 def is_silent(number: int) -> bool:
-    """Whether no process has a port of the domain: each one in it has."""
+    """Return True if no process has bound a port of the domain, as each participant does."""
     first = FIRST_PORT + PORTS * number
     for port in range(first, first + PORTS):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

@@ -1,6 +1,7 @@
 """Rehearse a drift calibration: the arm rests, the base drifts over a tilted table with a hose.
 
-In simulated time: test bed, drivers, recorder and the node `drift`; then again from the bag alone.
+Test bed, drivers, recorder and the node `drift` run in simulated time. Then the calibration is
+solved again from the bag alone.
 """
 
 import argparse
@@ -30,20 +31,20 @@ from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes
 from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
-TILT = 2e-5, -1e-5  # of the table [rad]
-DRAG, TWIST_DAMPING = 0.02, 0.01  # of the hose [N s/m, N m s]
-BASE = -0.6, 0.0, 0.0  # from where the arm stays clear of the table's border
-TWIST = -0.006, 0.003, 0.004  # of the base as it is let go [m/s, m/s, rad/s]
+TILT = 2e-5, -1e-5  # tilt of the table [rad]
+DRAG, TWIST_DAMPING = 0.02, 0.01  # damping by the hose [N s/m, N m s]
+BASE = -0.6, 0.0, 0.0  # initial pose from which the arm stays clear of the table's border
+TWIST = -0.006, 0.003, 0.004  # initial twist of the base [m/s, m/s, rad/s]
 TRUTH = {
     "g_x": GRAVITY * TILT[0], "g_y": GRAVITY * TILT[1], "torque": 0.0,
     "twist_damping": TWIST_DAMPING, "drag": DRAG,
 }  # fmt: skip
-PART = 40.0  # of a drift that counts as one, so that they check each other [s]
-DEVIATIONS = 3.0  # that an estimate may be off by
+PART = 40.0  # maximum duration of one drift segment, so that segments check each other [s]
+DEVIATIONS = 3.0  # maximum error of an estimate, in standard deviations
 
 
 class Person(Operator):
-    """Keeps the hands off, and asks for the solution."""
+    """Operator that lets the base drift, and requests the solution."""
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
@@ -54,16 +55,16 @@ class Person(Operator):
         self.solve = self.create_client(Trigger, "drift/solve")
 
     def on_truth(self, message: SimTruth) -> None:
-        """How late it is."""
+        """Store the simulated time, and its first value."""
         self.time = stamp_ns(message.header.stamp)
         self.begin = self.begin or self.time
 
     def on_result(self, message: DriftCalibration) -> None:
-        """The newest result."""
+        """Store the newest result."""
         self.result = message
 
     def drift(self, seconds: float, speed: float) -> DriftCalibration:
-        """Wait so long, then have it solved."""
+        """Wait for `seconds` of simulated time, then request the solution and return it."""
         late = f"{seconds:g} s do not pass"
         patience = 60.0 + 4.0 * seconds / speed
         self.wait(lambda: self.time > self.begin + seconds * SECOND > SECOND, late, patience)
@@ -76,14 +77,14 @@ class Person(Operator):
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What this rehearsal can be told."""
+    """Add the options of this rehearsal."""
     parser.add_argument("--seconds", type=float, default=90.0, help="of drifting, simulated")
     parser.add_argument("--speed", type=float, default=3.0, help="multiple of real time")
     parser.add_argument("--preset", default="laboratory", help="of the simulator")
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
-    """Start the graph."""
+    """Start all nodes."""
     arm, clock = CONFIG / "truth.yaml", {"use_sim_time": True}
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
     for i, url in enumerate(nodes.domain.urls(LINKS), 1):
@@ -124,11 +125,11 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
 
 
 def judge(live: DriftCalibration, found: Outcome[Any, Any]) -> list[Check]:
-    """What was expected, and what happened.
+    """Compare the results with each other and with the truth.
 
     Args:
-        live: the node's result.
-        found: from the bag.
+        live: result of the node.
+        found: result from the bag.
     """
     its = live.calibration
     checks = [
@@ -148,7 +149,7 @@ def judge(live: DriftCalibration, found: Outcome[Any, Any]) -> list[Check]:
 
 
 def plot(t: np.ndarray, base: np.ndarray) -> Any:
-    """Draw where the base was, and its heading."""
+    """Draw the base's path and heading."""
     from matplotlib.figure import Figure as Drawing
 
     figure = Drawing(figsize=(10.0, 4.0), layout="constrained")

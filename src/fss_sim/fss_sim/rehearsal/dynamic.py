@@ -1,8 +1,9 @@
-"""Design maneuvers, make them in the simulator over UDP, record them and solve for the dynamics.
+"""Design maneuvers, run them in the simulator over UDP, record them and solve for the dynamics.
 
-The simulated arm differs from its description by what a laboratory does not know: centres of mass
-and inertias of the links freely, all else by its deviation (base, kinematics, weighed masses); the
-base drifts, and the table is tilted, so that after some maneuvers somebody puts the base back.
+The simulated arm differs from its description in everything that a laboratory does not know:
+centres of mass and inertias of the links differ freely, all other parameters (base, kinematics,
+weighed masses) by their standard deviations. The base drifts and the table is tilted, so that the
+operator puts the base back after each session of maneuvers.
 """
 
 import argparse
@@ -38,20 +39,20 @@ from fss_sim.rehearsal.processes import Nodes, RehearsalError
 from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
 PAUSE = 5.2  # between maneuvers [s]
-SESSION = 4  # maneuvers before somebody puts the base back to the middle of the table
-TABLE = (3.7, 3.7)  # to plan with: the table is larger, by what the base drifts in a session [m]
+SESSION = 4  # maneuvers before the operator puts the base back to the middle of the table
+TABLE = (3.7, 3.7)  # table size for planning [m]; the margin allows for drift in a session
 
 
 @dataclass(frozen=True)
 class Cameras:
-    """How well motion capture sees the base."""
+    """Errors with which motion capture measures the base."""
 
-    position: float  # [m]
-    heading: float  # [rad]
-    hold: float  # an error stays so long [s]
+    position: float  # standard deviation [m]
+    heading: float  # standard deviation [rad]
+    hold: float  # time for which an error stays constant [s]
 
 
-#: The paper's 1.54 degrees are of a turn, the difference of two headings, its 17.7 mm of a pose.
+#: The paper's 1.54 degrees are for a turn, the difference of two headings; its 17.7 mm for a pose.
 NOISE = {
     "laboratory": Cameras(0.001, radians(0.5), 0.1),
     "paper": Cameras(0.0177, radians(1.54) / 2**0.5, 2.0),
@@ -59,7 +60,7 @@ NOISE = {
 
 
 class Experimenter(Operator):
-    """Arms the links, and sees how far the experiment is."""
+    """Operator that arms the links and follows the experiment's progress."""
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)
@@ -67,14 +68,14 @@ class Experimenter(Operator):
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
-        """How far the experiment is."""
+        """Store the experiment's status message."""
         for status in message.status:
             if status.name == "/experiment":
                 self.said = status.message
 
 
 def draw_truth(guess: Arm, settings: DynamicSettings, seed: int) -> Arm:
-    """An arm that the guess, and what is known of it, may be the description of."""
+    """Return a random arm that is consistent with the guess and its standard deviations."""
     rng, n = np.random.default_rng(seed), guess.n
     v = values(guess) + settings.deviations(n) * rng.standard_normal(5 * n + 6)
     masses = v[2 * n + 6 : 3 * n + 6]
@@ -92,7 +93,7 @@ def draw_truth(guess: Arm, settings: DynamicSettings, seed: int) -> Arm:
 def start_all(
     nodes: Nodes, options: argparse.Namespace, out: Path, cameras: Cameras, session: int
 ) -> None:
-    """Start the whole graph for a session, its base put back to the middle of the table."""
+    """Start all nodes for a session, with the base in the middle of the table."""
     rng = np.random.default_rng((options.seed, session))
     twist = (rng.uniform(-1.0, 1.0, 3) * [0.003, 0.003, 0.004]).tolist()
     (first, *_) = read(out / f"plan_{session}.yaml", LINKS)
@@ -117,10 +118,10 @@ def start_all(
 def make(
     options: argparse.Namespace, out: Path, cameras: Cameras, console: Console, domain: Domain
 ) -> None:
-    """Make all maneuvers, session after session.
+    """Run all maneuvers, session after session.
 
     Raises:
-        RehearsalError: a node gave up, or it took too long.
+        RehearsalError: a node failed, or the deadline passed.
     """
     give_up = time.monotonic() + options.deadline
     for session in range(len(list(out.glob("plan_*.yaml")))):
@@ -157,7 +158,7 @@ def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[A
 
 
 def known(out: Path, cameras: Cameras) -> dict[str, Any]:
-    """The settings of the calibration, live and from the bags."""
+    """Return the settings of the calibration, live and from the bags."""
     return {
         "arm": str(out / "guess.yaml"),
         "position_deviation": cameras.position,
@@ -168,7 +169,7 @@ def known(out: Path, cameras: Cameras) -> dict[str, Any]:
 
 
 def solve_first(out: Path, settings: DynamicSettings, count: int) -> Outcome[Maneuver, Solution]:
-    """What the first `count` maneuvers give: gaps may have made some be repeated, and more of them.
+    """Solve from the first `count` maneuvers: there are more if gaps made the node repeat some.
 
     Raises:
         BagError: a bag cannot be read.
@@ -183,7 +184,7 @@ def solve_first(out: Path, settings: DynamicSettings, count: int) -> Outcome[Man
 def summary(
     result: Outcome[Maneuver, Solution], truth: Arm, plan: list[Planned], promised: np.ndarray
 ) -> str:
-    """What was asked, promised and found of the centres of mass."""
+    """Return a summary of the centres of mass: promised and found deviations, and errors."""
     names = list(result.names)
     lines = []
     for i, link in enumerate(truth.links):
@@ -203,7 +204,7 @@ def summary(
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What this rehearsal can be told."""
+    """Add the options of this rehearsal."""
     parser.add_argument("--noise", choices=list(NOISE), default="laboratory", help="of cameras")
     parser.add_argument("--count", type=int, default=16, help="maneuvers")
     parser.add_argument(
@@ -213,7 +214,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
-    """Design, make and solve; seed of truth, errors and design."""
+    """Design and run the maneuvers, and solve; one seed for truth, errors and design."""
     out.mkdir(parents=True)
     cameras = NOISE[options.noise]
     console.print(f"designing {options.count} maneuvers")
@@ -238,7 +239,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
 
 
 def near(result: Outcome[Maneuver, Solution], truth: Arm, i: int) -> Check:
-    """Whether a link's centre of mass is where it is said to be."""
+    """Compare the centre of mass of link i + 1 with the truth."""
     k = list(result.names).index(f"b_{i + 1}")
     off, deviation = float(result.values[k] - truth.links[i].b), float(result.deviations[k])
     return Check(

@@ -1,7 +1,7 @@
-"""Rehearse the first day: `check` tries a link by itself, as docs/start/hardware.md says.
+"""Rehearse the first day: `check` tests one link alone, as docs/start/hardware.md describes.
 
-In real time, the base held by a stiff tether. The person's hand is the fault `drive_<i>.hand`; by
-what angle it has turned the joint is read from sim/truth.
+The rehearsal runs in real time; a stiff tether holds the base. The fault `drive_<i>.hand` simulates
+the operator's hand. The angle by which the hand has turned the joint is read from sim/truth.
 """
 
 import argparse
@@ -26,17 +26,17 @@ from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes
 from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
-BEGIN = -0.9  # of the joint [rad]
-TURN, PUSH = 0.4, 0.5  # torques of the hand, to turn the joint and to load it [N m]
-ANGLE = 0.6  # turned by at least [rad]
-MOVING, STILL = 0.05, 1e-4  # what counts as motion, and as rest [rad/s]
-DEADLINE = 240.0  # for all of it [s]
-FINDINGS = 9  # of one link
-TETHER = {"tether_drag": 1000.0, "tether_twist": 50.0}  # that holds the base
+BEGIN = -0.9  # initial joint angle [rad]
+TURN, PUSH = 0.4, 0.5  # torques of the hand that turn and load the joint [N m]
+ANGLE = 0.6  # minimum angle by which the hand turns the joint [rad]
+MOVING, STILL = 0.05, 1e-4  # rates above which the joint moves, below which it rests [rad/s]
+DEADLINE = 240.0  # timeout of the whole check [s]
+FINDINGS = 9  # expected findings for one link
+TETHER = {"tether_drag": 1000.0, "tether_twist": 50.0}  # holds the base
 
 
 class Person(Operator):
-    """Answers what `check` asks: turns the joint by hand, loads it, agrees."""
+    """Operator that answers the prompts of `check`: turns and loads the joint, confirms."""
 
     def __init__(self, domain: Domain, link: int) -> None:
         super().__init__(domain)
@@ -44,21 +44,21 @@ class Person(Operator):
         self.create_subscription(SimTruth, "sim/truth", self.on_truth, 1)
 
     def on_truth(self, message: SimTruth) -> None:
-        """Where the joint is."""
+        """Store the joint's angle and rate."""
         self.q, self.rate = message.q[2 + self.link], message.qd[2 + self.link]
 
     def listen(self, source: IO[str], log: IO[str]) -> None:
-        """Take what is said, letter by letter, as questions end without a new line."""
+        """Read the output letter by letter, because prompts end without a newline."""
         while letter := source.read(1):
             self.asked += letter
             log.write(letter)
 
     def push(self, torque: float) -> None:
-        """Have the hand push."""
+        """Apply a torque [N m] of the hand to the joint."""
         self.put({f"drive_{self.link}.hand": torque})
 
     def turn(self) -> str:
-        """Turn the joint and say by how much."""
+        """Turn the joint; return by how much [deg]."""
         before = self.q
         self.push(TURN)
         self.wait(lambda: self.q > before + ANGLE, "the joint does not turn by hand")
@@ -69,7 +69,7 @@ class Person(Operator):
         return f"{degrees(self.q - before):.3f}"
 
     def load(self) -> str:
-        """Push the joint against its stop and say how strongly."""
+        """Push the joint against its stop; return the torque [N m]."""
         self.push(PUSH)
         self.wait(lambda: self.rate > MOVING, "the joint does not turn by hand")
         self.wait(lambda: abs(self.rate) < STILL, "the joint does not come to its stop")
@@ -77,12 +77,12 @@ class Person(Operator):
         return f"{PUSH}"
 
     def agree(self) -> str:
-        """Take the hand away and say yes."""
+        """Remove the hand's torque and answer yes."""
         self.push(0.0)
         return "yes"
 
     def reply(self, to: IO[str]) -> None:
-        """Do what is asked for, if something is."""
+        """Answer the current prompt, if there is one."""
         ways = {
             "degrees, or nothing to leave it out: ": self.turn,
             "press Enter: ": lambda: "",
@@ -97,12 +97,12 @@ class Person(Operator):
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What this rehearsal can be told."""
+    """Add the options of this rehearsal."""
     parser.add_argument("--link", type=int, default=2, choices=range(1, LINKS + 1), help="which")
 
 
 def attempt(person: Person, url: str, out: Path) -> int | None:
-    """Have a link tried; the exit code of `check`."""
+    """Run `check` on the link at `url`; return its exit code."""
     program = Path(get_package_prefix("fss_arm_driver"), "lib", "fss_arm_driver", "check")
     command = [str(program), url, "--output", str(out / "check.yaml")]
     with (
@@ -130,7 +130,7 @@ def attempt(person: Person, url: str, out: Path) -> int | None:
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
-    """Try the link, and read what was found."""
+    """Check the link and read the findings."""
     with own_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
         console.print(f"starting simulator and recorder, in ROS domain {domain.number}")
         nodes.start("record", "fss_arm_bags", "record", output=out / "bag")
@@ -156,7 +156,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
 
 
 def judge(findings: list[dict[str, str]], code: int | None) -> list[Check]:
-    """What was expected, and what happened."""
+    """Compare the findings and the exit code with what is expected."""
     checks = [
         Check(f"{one['name']}: pass", f"{one['verdict']}: {one['found']}", one["verdict"] == "pass")
         for one in findings

@@ -1,4 +1,4 @@
-"""The person at the test bed, in a ROS domain where nobody else drives links."""
+"""Operator of the simulated test bed, in a ROS domain where no other node drives links."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -19,18 +19,18 @@ from fss_sim.rehearsal.domain import Domain, reserve
 from fss_sim.rehearsal.processes import RehearsalError
 
 LINKS = 4
-DISCOVERY = 1.0  # of others; who is on this computer answers within a few tenths [s]
+DISCOVERY = 1.0  # discovery time [s]; nodes on this computer are found within a few tenths
 ANSWER_TIMEOUT = 2.0  # [s]
-NUMBERS = range(1, 13)  # that a link may have
+NUMBERS = range(1, 13)  # possible link numbers
 DRIVERS = {"/arm/enable", *(f"/link_{i}/{what}" for i in NUMBERS for what in ("arm", "telemetry"))}
 
 
 @contextmanager
 def own_domain() -> Iterator[Domain]:
-    """A ROS domain where nobody is, whatever is exported; entered, with rclpy initialized.
+    """Enter a ROS domain without other nodes, whatever is exported, and initialize rclpy.
 
     Raises:
-        OSError: there is none.
+        OSError: no domain is free.
     """
     for domain in reserve():
         domain.enter()
@@ -42,7 +42,7 @@ def own_domain() -> Iterator[Domain]:
 
 
 def is_alone(domain: Domain) -> bool:
-    """Whether nobody answers."""
+    """Return True if no other node is discovered in the domain."""
     node, end = Node("operator"), time.monotonic() + DISCOVERY
     while not (others := list(strangers(node, domain))) and time.monotonic() < end:
         rclpy.spin_once(node, timeout_sec=0.05)
@@ -51,16 +51,16 @@ def is_alone(domain: Domain) -> bool:
 
 
 def strangers(node: Node, domain: Domain) -> Iterator[tuple[str, str, str]]:
-    """Name, namespace and enclave of each node of others; '' is an enclave not heard of yet."""
+    """Yield name, namespace and enclave ('' if still unknown) of each foreign node."""
     for name, space, enclave in node.get_node_names_and_namespaces_with_enclaves():
         if enclave != domain.enclave:
             yield name, space, enclave
 
 
 class Operator(Node):
-    """Sees which links are armed, and arms them while nobody else drives links here."""
+    """Node that monitors which links are armed, and arms them if no other node drives links."""
 
-    PATIENCE = 60.0  # for anything to happen [s]
+    PATIENCE = 60.0  # default timeout of each wait [s]
 
     def __init__(self, domain: Domain, **options: Any) -> None:
         super().__init__("operator", **options)
@@ -73,14 +73,14 @@ class Operator(Node):
         self.set = self.create_client(SetParameters, "testbed/set_parameters")
 
     def now(self) -> int:
-        """[ns]."""
+        """Return the current time [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
     def wait(self, until: Callable[[], bool], complaint: str, patience: float = 0.0) -> None:
-        """Spin until something holds.
+        """Spin until the condition holds.
 
         Raises:
-            RehearsalError: it does not within `patience` [s], 0: PATIENCE.
+            RehearsalError: it does not hold within `patience` [s] (0: PATIENCE).
         """
         deadline = time.monotonic() + (patience or self.PATIENCE)
         while not until():
@@ -92,12 +92,12 @@ class Operator(Node):
         """Spin until a time [ns].
 
         Raises:
-            RehearsalError: the test bed's clock stands still.
+            RehearsalError: the clock does not reach it within PATIENCE.
         """
         self.wait(lambda: self.now() > until, "the clock stands still")
 
     def put(self, faults: Mapping[str, float]) -> int:
-        """Set faults of the test bed, by their parameters; when it was done [ns]."""
+        """Set faults of the test bed through its parameters; return when it was done [ns]."""
         self.wait(self.set.service_is_ready, "the test bed offers no parameters")
         given = [Parameter(name, value=value).to_parameter_msg() for name, value in faults.items()]
         answer = self.set.call_async(SetParameters.Request(parameters=given))
@@ -105,14 +105,14 @@ class Operator(Node):
         return self.now()
 
     def on_link(self, message: LinkTelemetry) -> None:
-        """Whether the link is armed."""
+        """Store whether the link is armed."""
         self.armed[message.link] = message.armed
 
     def keep_armed(self) -> None:
-        """Ask for it where a link is not armed.
+        """Request arming if a link is not armed.
 
         Raises:
-            RehearsalError: somebody else drives links here.
+            RehearsalError: a foreign node drives links in this domain.
         """
         answered = self.answer.done() or time.monotonic() > self.due
         wanted = not all(self.armed.values()) and self.arm.service_is_ready()
@@ -121,10 +121,10 @@ class Operator(Node):
             self.due = time.monotonic() + ANSWER_TIMEOUT
 
     def drives_alone(self) -> bool:
-        """Whether all who drive links here are known to be of this rehearsal.
+        """Return True if all nodes that drive links are known to belong to this rehearsal.
 
         Raises:
-            RehearsalError: somebody is not.
+            RehearsalError: one of them belongs to another enclave.
         """
         others = [one for one in strangers(self, self.domain) if self.drives(*one[:2])]
         for name, space, enclave in others:
@@ -136,7 +136,7 @@ class Operator(Node):
         return not others
 
     def drives(self, name: str, space: str) -> bool:
-        """Whether the node drives links, or offers to arm them."""
+        """Return True if the node drives links, or offers to arm them."""
         with suppress(NodeNameNonExistentError):  # it has just ended
             offered = self.get_publisher_names_and_types_by_node(name, space)
             offered += self.get_service_names_and_types_by_node(name, space)
@@ -145,10 +145,10 @@ class Operator(Node):
 
 
 class Mover(Operator):
-    """Has all joints turn, all the time, as a program does that notices nothing."""
+    """Operator that commands all joints all the time, like a program that ignores telemetry."""
 
-    GOALS = (0.9, -0.9, 0.9, -0.9)  # of the joints [rad]
-    SPEED, MOVING = 0.05, 0.03  # commanded; what counts as motion [rad/s]
+    GOALS = (0.9, -0.9, 0.9, -0.9)  # joint angles [rad]
+    SPEED, MOVING = 0.05, 0.03  # commanded rate; rate above which a joint moves [rad/s]
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)
@@ -157,17 +157,17 @@ class Mover(Operator):
         self.commands = {
             i: self.create_publisher(LinkCommand, f"link_{i}/command", COMMAND) for i in self.armed
         }
-        self.homes: set[int] = set()  # links that look for their reference instead
+        self.homes: set[int] = set()  # links that are commanded to home instead
         self.create_timer(0.2, self.command)
-        self.arms = False  # what is not armed
+        self.arms = False  # True: arm links that are not armed
         self.create_timer(0.5, lambda: self.keep_armed() if self.arms else None)
 
     def on_truth(self, message: SimTruth) -> None:
-        """How fast the joints are."""
+        """Store the absolute joint rates."""
         self.rates = np.abs(message.qd[3:])
 
     def command(self) -> None:
-        """Have each joint turn to its goal, or home."""
+        """Command each joint to its goal, or to home."""
         for (i, publisher), goal in zip(self.commands.items(), self.GOALS, strict=True):
             command = LinkCommand(mode=LinkCommand.POSITION, set_point=goal)
             command.max_velocity, command.time_to_live = self.SPEED, 60.0
@@ -176,7 +176,7 @@ class Mover(Operator):
             publisher.publish(command)
 
     def turn(self) -> int:
-        """Arm all links and wait until they turn; when they do [ns]."""
+        """Arm all links and wait until they turn; return when they do [ns]."""
         self.arms = True
         self.wait(lambda: all(self.armed.values()), "not all links get armed")
         self.wait(lambda: bool((self.rates > self.MOVING).all()), "not all joints turn")

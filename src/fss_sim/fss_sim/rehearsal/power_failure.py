@@ -1,7 +1,7 @@
-"""Rehearse a link's power failure while the arm moves: it comes back disarmed, and is homed.
+"""Rehearse a power failure of one link while the arm moves: it restarts disarmed and is homed.
 
-In real time. A program goes on commanding throughout, as one that has not noticed would; a person
-arms the link again after its power has come back, and has it look for its reference.
+The rehearsal runs in real time. A program publishes commands throughout, as if it had not noticed
+the failure. After power has returned, the operator arms the link again and homes it.
 """
 
 import argparse
@@ -23,25 +23,25 @@ from fss_sim.rehearsal.person import LINKS, Mover, own_domain
 from fss_sim.rehearsal.processes import Nodes
 from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
-BACK = 5.0  # for the link to be heard again [s]
-SILENT = 1.0  # after this it sends nothing any more [s]
+BACK = 5.0  # timeout until telemetry of the link is received again [s]
+SILENT = 1.0  # time after the power failure after which the link sends no frames [s]
 
 
 class Person(Mover):
-    """Takes a link's power away and gives it back, arms it and has it homed."""
+    """Operator that cuts and restores the power of a link, arms it and homes it."""
 
     def __init__(self, domain: Domain, link: int) -> None:
         super().__init__(domain)
         self.link, self.last = link, LinkTelemetry()
 
     def on_link(self, message: LinkTelemetry) -> None:
-        """What the link says."""
+        """Store the newest telemetry of the link."""
         super().on_link(message)
         if message.link == self.link:
             self.last = message
 
     def home(self) -> int:
-        """Arm the link and have it look for its reference; when it has it [ns]."""
+        """Arm the link and home it; return when it has found its reference [ns]."""
         self.arms, self.homes = True, {self.link}
         found = f"link {self.link} does not find its reference"
         self.wait(lambda: bool(self.last.flags & State.REFERENCED), found)
@@ -50,23 +50,23 @@ class Person(Mover):
 
 
 class Times(NamedTuple):
-    """When what was done [ns]."""
+    """Times of the rehearsal's events [ns]."""
 
     cut: int
     back: int
-    armed: int  # asked for arming
+    armed: int  # arming requested
     homed: int
     end: int
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What this rehearsal can be told."""
+    """Add the options of this rehearsal."""
     parser.add_argument("--link", type=int, default=2, choices=range(1, LINKS + 1), help="which")
     parser.add_argument("--outage", type=float, default=4.0, help="how long it lasts [s]")
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
-    """Start the graph."""
+    """Start all nodes."""
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag")
     nodes.start(
         "testbed", "fss_sim", "testbed", ports=nodes.domain.ports(LINKS), seed=options.seed,
@@ -78,7 +78,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
 
 
 def act(person: Person, outage: float) -> Times:
-    """See it through."""
+    """Turn the joints, cut and restore the power, home the link; return when each happened."""
     person.turn()
     boot = person.last.boot
     cut = person.put({f"link_{person.link}.dead": 1.0})
@@ -96,7 +96,7 @@ def act(person: Person, outage: float) -> Times:
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
-    """Cut the power, give it back, and read the bag."""
+    """Cut and restore the power, then evaluate the bag."""
     with own_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
         console.print(f"starting simulator, drivers and recorder, in ROS domain {domain.number}")
         start_all(nodes, options, out)
@@ -116,12 +116,12 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
 
 
 def judge(times: Times, t: np.ndarray, rate: np.ndarray, telemetry: Sequence[Any]) -> list[Check]:
-    """What was expected, and what happened.
+    """Compare the recording with what is expected.
 
     Args:
-        times: when what was done.
+        times: times of the events.
         t: (k,) times of the truth [ns].
-        rate: (k,) of the link's joint [rad/s].
+        rate: (k,) rate of the link's joint [rad/s].
         telemetry: messages of the link.
     """
     at = np.array([stamp_ns(message.header.stamp) for message in telemetry])
@@ -130,7 +130,7 @@ def judge(times: Times, t: np.ndarray, rate: np.ndarray, telemetry: Sequence[Any
     heard = [m for m, when in zip(telemetry, at, strict=True) if times.back < when < times.armed]
     late = (stamp_ns(heard[0].header.stamp) - times.back) / SECOND if heard else np.inf
     said = heard[0].flags if heard else 0
-    # Without torque it may well turn as the others move; it must not be driven.
+    # Without torque the joint may turn because the others move; its drive must be off.
     driven = sum(bool(message.mode) for message in heard)
     referenced = bool(telemetry[-1].flags & State.REFERENCED)
     fast, again = before.max(initial=0.0), after.max(initial=0.0)
@@ -154,7 +154,7 @@ def judge(times: Times, t: np.ndarray, rate: np.ndarray, telemetry: Sequence[Any
 
 
 def plot(times: Times, t: np.ndarray, rate: np.ndarray) -> Any:
-    """Draw the joint's rate, the failure shaded."""
+    """Draw the joint rate, with the failure shaded."""
     from matplotlib.figure import Figure as Drawing
 
     figure = Drawing(figsize=(10.0, 4.0), layout="constrained")

@@ -1,4 +1,4 @@
-"""The processes of a rehearsal: started as `ros2 run` does, again when killed, stopped in order."""
+"""Processes of a rehearsal: started like `ros2 run`, restarted when killed, stopped in order."""
 
 import signal
 import subprocess
@@ -14,20 +14,21 @@ from ament_index_python.packages import get_package_prefix
 
 from fss_sim.rehearsal.domain import CONFIG, Domain
 
-STARTS_AT_MOST = 5  # of one node; a node that dies more often has a fault of its own
-#: Leads the process group of all nodes, and ends it when its standard input does: its supervisor is
-#: gone then, by whatever signal. Whoever is stopped or deaf to SIGTERM is killed in the end.
+STARTS_AT_MOST = 5  # starts of one node; a node that dies more often has a fault itself
+#: Leader of the process group of all nodes. It terminates the group when its standard input closes,
+#: that is when the supervisor has ended, by any signal. Processes that are stopped or that ignore
+#: SIGTERM are killed 3 s later.
 LEADER = "trap '' TERM INT HUP; cat; kill -TERM 0; sleep 3; kill -KILL 0"
 
 
 class RehearsalError(RuntimeError):
-    """The rehearsal cannot go on; the message says why and where to find more."""
+    """Error after which the rehearsal cannot continue; the message gives the reason."""
 
 
 class Nodes:
-    """Node processes, each with its log; stops them all on leaving, the last one first.
+    """Node processes, each with its log; on exit all are stopped, the last one first.
 
-    They end with this process, too, however it ends. Signals of the terminal do not reach them.
+    They also end when this process ends, for any reason. Signals of the terminal do not reach them.
     """
 
     def __init__(self, logs: Path, say: Callable[[str], None], domain: Domain) -> None:
@@ -64,7 +65,7 @@ class Nodes:
         self.starts[name] = self.starts.get(name, 0) + 1
         with (self.logs / f"{name}.log").open("ab") as log:
             self.processes[name] = subprocess.Popen(
-                # Linux hangs up on a group whose supervisor is gone while one of it stands still.
+                # Linux sends SIGHUP to an orphaned process group of which a process is stopped.
                 ["nohup", *self.commands[name]],
                 stdout=log,
                 stderr=log,
@@ -73,10 +74,10 @@ class Nodes:
             )
 
     def restart_dead(self) -> None:
-        """Start again each node that was killed; one that gave up by itself ends the rehearsal.
+        """Restart each node that was killed; a node that exits with an error ends the rehearsal.
 
         Raises:
-            RehearsalError: a node ended with an error of its own, or was killed too often.
+            RehearsalError: a node exited with an error, or was killed too often.
         """
         for name, process in self.processes.items():
             code = process.poll()
@@ -88,17 +89,17 @@ class Nodes:
             self._start(name)
 
     def last_words(self, name: str) -> str:
-        """The last line of the node's log, and where the rest is."""
+        """Return the last line of the node's log, and the log's path."""
         log = self.logs / f"{name}.log"
         lines = log.read_text(errors="replace").splitlines() or ["(nothing said)"]
         return f"{lines[-1]} (see {log})"
 
     def ended(self, name: str) -> bool:
-        """Whether the node has finished its work."""
+        """Return True if the node has exited with code 0."""
         return self.processes[name].poll() == 0
 
     def stop(self, name: str, timeout: float = 10.0) -> None:
-        """Interrupt one node and wait until it is gone."""
+        """Interrupt one node and wait until it has exited; kill it after the timeout [s]."""
         process = self.processes[name]
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
@@ -111,11 +112,11 @@ class Nodes:
         del self.processes[name]
 
     def close(self) -> None:
-        """Stop all, the last one first."""
+        """Stop all nodes, the last one first."""
         try:
             for name in reversed(list(self.processes)):
                 self.stop(name)
-            self.leader.kill()  # nobody is left whom it should end
+            self.leader.kill()  # no process is left that it would have to terminate
         finally:
             self.leader.communicate()
 
@@ -127,10 +128,10 @@ class Nodes:
 
 
 def results(folder: Path | None, name: str) -> Path:
-    """The folder for results: the one given, or a new one of that name in out/.
+    """Return the folder for results: the given one, or a new one named `name` and time in out/.
 
     Raises:
-        RehearsalError: it is there already.
+        RehearsalError: the folder exists already.
     """
     new = CONFIG.parent / "out" / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
     out = (folder or new).absolute()
@@ -140,7 +141,7 @@ def results(folder: Path | None, name: str) -> Path:
 
 
 def rehearse(name: str, body: Callable[[], int]) -> int:
-    """Run a rehearsal; return its exit code, 1 after an error, 128 + the signal that ended it."""
+    """Run a rehearsal; return its exit code: 1 after an error, 128 + number after a signal."""
     caught: list[int] = []
 
     def interrupt(number: int, _: FrameType | None) -> None:
@@ -152,7 +153,7 @@ def rehearse(name: str, body: Callable[[], int]) -> int:
     try:
         return body()
     except (KeyboardInterrupt, Exception) as error:
-        if caught:  # rclpy may have made anything of the interrupt, even a TypeError
+        if caught:  # rclpy may turn the interrupt into any exception, even a TypeError
             print(f"{name}: interrupted", file=sys.stderr)
             return 128 + caught[0]
         if not isinstance(error, (RehearsalError, ValueError, OSError)):

@@ -1,4 +1,4 @@
-"""What a rehearsal leaves: what was expected and what happened, pictures, and what else."""
+"""Result of a rehearsal: checks of what happened, figures, reports and files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from fss_arm_calib.report import Figure, Report, Table
 
 
 class Check(NamedTuple):
-    """Something that was expected of a rehearsal."""
+    """Expectation of a rehearsal, with what happened."""
 
     expected: str
     happened: str
@@ -17,21 +17,21 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True)
 class Rehearsed:
-    """How a rehearsal went."""
+    """Result of a rehearsal."""
 
     checks: Sequence[Check]
     figures: Sequence[Figure] = ()
-    reports: Sequence[Report] = ()  # of calibrations in it
-    files: Mapping[str, str] = field(default_factory=dict)  # what is in which, in its folder
-    html: str = ""  # above the figures, as it is
+    reports: Sequence[Report] = ()  # reports of its calibrations
+    files: Mapping[str, str] = field(default_factory=dict)  # file in the folder: its content
+    html: str = ""  # inserted unchanged above the figures
 
     @property
     def held(self) -> bool:
-        """Whether all went as expected."""
+        """True if all checks held."""
         return all(check.held for check in self.checks)
 
     def report(self, title: str, about: str) -> Report:
-        """As a page has it."""
+        """Return the report of the result, for a page."""
         missed = [check.expected for check in self.checks if not check.held]
         rows = [(c.expected, c.happened, "yes" if c.held else "NO") for c in self.checks]
         return Report(

@@ -1,7 +1,8 @@
-"""Rehearse a Wi-Fi that fails while the arm moves: links stop by themselves, and wait for a person.
+"""Rehearse a Wi-Fi outage while the arm moves: links stop and wait until an operator arms them.
 
-In real time, all links on one radio channel. A program goes on commanding throughout, as one that
-has not noticed would; a person arms the links again after the Wi-Fi has come back.
+The rehearsal runs in real time, with all links on one radio channel. A program publishes commands
+throughout, as if it had not noticed the outage. The operator arms the links again after the Wi-Fi
+has returned.
 """
 
 import argparse
@@ -21,45 +22,46 @@ from fss_sim.rehearsal.person import LINKS, Mover, own_domain
 from fss_sim.rehearsal.processes import Nodes
 from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
-STILL = 1e-3  # what counts as rest [rad/s]
-WATCHDOG, MARGIN = 2.0, 1.5  # of the links; for the way there, stopping, and a busy computer [s]
-BACK = 5.0  # for a link to be heard again [s]
+STILL = 1e-3  # rate below which a joint rests [rad/s]
+#: Watchdog of the links; margin for transport delay, braking, and a busy computer [s].
+WATCHDOG, MARGIN = 2.0, 1.5
+BACK = 5.0  # timeout until telemetry of a link is received again [s]
 
 
 class Person(Mover):
-    """Takes the Wi-Fi away and gives it back."""
+    """Operator that interrupts and restores the Wi-Fi."""
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)
         self.heard = dict.fromkeys(self.armed, 0)
 
     def on_link(self, message: LinkTelemetry) -> None:
-        """Whether the link is armed, and when it was heard."""
+        """Store whether the link is armed, and when its telemetry was received."""
         super().on_link(message)
         self.heard[message.link] = self.now()
 
     def outage(self, on: bool) -> int:
-        """Cut all links off, or end that; when it was done [ns]."""
+        """Start or end the outage of all links; return when it was set [ns]."""
         return self.put({f"link_{i}.loss": float(on) for i in self.armed})
 
 
 class Times(NamedTuple):
-    """When what was done [ns]."""
+    """Times of the rehearsal's events [ns]."""
 
     turning: int
     cut: int
     back: int
-    again: int  # asked for arming
+    again: int  # arming requested
     end: int
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What this rehearsal can be told."""
+    """Add the options of this rehearsal."""
     parser.add_argument("--outage", type=float, default=6.0, help="how long it lasts [s]")
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
-    """Start the graph."""
+    """Start all nodes."""
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag")
     nodes.start(
         "testbed", "fss_sim", "testbed", ports=nodes.domain.ports(LINKS), seed=options.seed,
@@ -73,7 +75,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
 
 
 def act(person: Person, outage: float) -> Times:
-    """See it through."""
+    """Turn the joints, cut and restore the Wi-Fi, arm again; return when each happened."""
     turning, cut = person.turn(), person.outage(True)
     person.stay(cut + int(outage * SECOND))
     back = person.outage(False)
@@ -84,7 +86,7 @@ def act(person: Person, outage: float) -> Times:
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
-    """Cut the Wi-Fi, give it back, and read the bag."""
+    """Cut and restore the Wi-Fi, then evaluate the bag."""
     with own_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
         console.print(f"starting simulator, drivers and recorder, in ROS domain {domain.number}")
         start_all(nodes, options, out)
@@ -103,12 +105,12 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
 
 
 def judge(times: Times, t: np.ndarray, rates: np.ndarray, telemetry: list[Any]) -> list[Check]:
-    """What was expected, and what happened.
+    """Compare the recording with what is expected.
 
     Args:
-        times: when what was done.
+        times: times of the events.
         t: (k,) times of the truth [ns].
-        rates: (k, n) of the joints [rad/s].
+        rates: (k, n) joint rates [rad/s].
         telemetry: messages of all links.
     """
     fastest = np.abs(rates).max(axis=1)
@@ -142,7 +144,7 @@ def judge(times: Times, t: np.ndarray, rates: np.ndarray, telemetry: list[Any]) 
 
 
 def plot(times: Times, t: np.ndarray, rates: np.ndarray) -> Any:
-    """Draw the joints' rates, the outage shaded."""
+    """Draw the joint rates, with the outage shaded."""
     from matplotlib.figure import Figure as Drawing
 
     figure = Drawing(figsize=(10.0, 4.0), layout="constrained")
