@@ -1,8 +1,8 @@
 """Trajectories as clients request them, checked for form and size before any other work.
 
-A link holds 32 segments of a path and receives up to 12 with each command, about 100 per second.
-MAX_POINTS is thus 100 s of the densest path that links can follow at length, or an hour with a
-point every 0.36 s. It also bounds the time that a goal can occupy the node.
+A link holds 32 segments of a path and receives up to 12 with each command, so a path of many
+points has at most some 50 per second. MAX_POINTS is thus 200 s of the densest path that links can
+follow at length, or an hour with a point every 0.36 s. It also bounds the time that a goal takes.
 """
 
 from collections.abc import Sequence
