@@ -458,6 +458,7 @@ def test_while_a_goal_is_received_the_node_and_a_motion_continue(bench, monkeypa
     assert bench.end(second.result()).status == GoalStatus.STATUS_SUCCEEDED
 
 
+@pytest.mark.slow  # keeps time, so it runs alone
 def test_the_longest_goal_runs_and_heartbeats_are_never_older_than_a_second(start, spin):
     start("fss_arm_driver.arm_node", "--ros-args", "-p", "time_to_live:=3.0", "-p", "lead:=0.3",
           ROS_PYTHON_CHECK_FIELDS="0")  # fmt: skip
