@@ -59,11 +59,21 @@ def end(node):
 
 
 @pytest.fixture
-def others(node, data):
-    """The nodes of all other kinds, by kind, each with its data."""
+def others(node, data, spin):
+    """The nodes of all other kinds, by kind, each with its data, when they publish no more."""
     found = {kind: node(kind) for kind in JOINED}
     for kind, one in found.items():
         one.take(data[kind])
+    results = {one.kind.topic: one for one in found.values()}
+
+    def started_from_the_last(one):
+        messages = {
+            topic: results[topic].kind.to_message(results[topic].outcome, "world")
+            for topic in one.kind.after
+        }
+        return all(one.begun.with_message(*item).arm == one.begun.arm for item in messages.items())
+
+    spin(found.values(), lambda: all(map(started_from_the_last, found.values())))
     return found
 
 
@@ -78,7 +88,8 @@ def numbers(data):
 
 
 def all_heard(joint, data):
-    return held(joint) == numbers(data)
+    """Each node publishes its data and then its result, which carries its settings."""
+    return held(joint) == numbers(data) and set(joint.finder.gathered.settings) == set(JOINED)
 
 
 def test_one_that_comes_late_hears_all_and_solves_as_the_mathematics_do(spin, others, node, data):
