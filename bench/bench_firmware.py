@@ -32,7 +32,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint  # isort: skip
 
 from fss_arm_ros.convert import SECOND, joint_readings, stamp_ns, to_time
 from fss_arm_ros.qos import subscribe_sensor
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 LEAD = SECOND  # from a path to its begin [ns]
 

@@ -35,7 +35,7 @@ from fss_arm_model.kinematics import tip_pose
 from fss_arm_msgs.msg import BaseReaction
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import SENSOR
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 CONFIG = Path(__file__).parents[1] / "config"
 BENT = [-50.0, 55.0, 45.0, 40.0]  # [deg]

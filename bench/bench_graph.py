@@ -17,8 +17,8 @@ from tempfile import TemporaryDirectory
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_ros.convert import stamp_ns
-from fss_sim.rehearsal.domain import reserve
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.domain import reserve
+from fss_rehearsal.processes import Nodes
 
 LINKS = 4
 PLACES = [-1.0, -0.6, 0.0], [1.0, 0.6, 3.14159]  # of two vehicles

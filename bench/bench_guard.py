@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from fss_arm_model.description import Arm, paper_arm
-from fss_arm_motion.guard import Guard, GuardError
+from fss_arm_model.guard.guard import Guard, GuardError
 
 COUNT = 2000
 HORIZON, TIMES = 0.2, np.linspace(0.0, 10.0, 5)  # [s]

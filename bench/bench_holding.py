@@ -23,7 +23,7 @@ from flight import Flyer, start  # isort: skip
 
 from fss_arm_calib.experiment.postures import default
 from fss_arm_model.description import paper_arm
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 # Of a computer that does other things, too.
 PATIENT = {"timeout": 4.0, "watchdog": 4.0}

@@ -38,7 +38,7 @@ from rcl_interfaces.srv import SetParameters
 from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import SimTruth
 from fss_arm_ros.convert import stamp_ns
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 NODES = "navigation", "control", "guidance", "base", "arm", "links"
 #: Whose death leaves nobody who may open a valve on purpose.

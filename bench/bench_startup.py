@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fss_arm_ros.program import Program
-from fss_sim.rehearsal.domain import reserve
+from fss_rehearsal.domain import reserve
 
 ROOT = Path(__file__).resolve().parents[1]
 HELP, READY, IDLE = 0.3, 1.0, 1.0  # the most: [s], [s], [% of a core]

@@ -7,4 +7,4 @@ here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 "$here/setup.sh"
 # shellcheck source=scripts/env.sh
 . "$here/env.sh"
-exec python3 -m fss_sim.rehearsal "$@"
+exec python3 -m fss_rehearsal "$@"

@@ -50,7 +50,7 @@ class Demo:
         self.out, self.log = out, out.with_suffix(".log")
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "fss_sim.rehearsal", "demo", "--out", out, *options],
+                [sys.executable, "-m", "fss_rehearsal", "demo", "--out", out, *options],
                 stdout=log,
                 stderr=log,
             )

@@ -23,7 +23,6 @@ MESSAGES = {
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}
 PROTOCOL, BOARD = "fss_arm_driver.protocol", "fss_base_driver.protocol"
-GUARD = {"fss_arm_motion.guard", "fss_arm_motion.guard_settings"}
 
 # Beside itself and the standard library, a package, or a folder in one, may import these; a
 # module's name in full allows that module alone.
@@ -36,12 +35,13 @@ ALLOWED = {
     "fss_arm_driver": ROS
     | {f"fss_arm_model.{name}" for name in ("description", "description_file", "files")}
     | {f"fss_arm_model.{name}" for name in ("settings", "urdf", "vehicle")}
-    | {*GUARD, "fss_arm_ros", "numpy", "serial"},
+    | {f"fss_arm_model.guard.{name}" for name in ("guard", "settings")}
+    | {"fss_arm_ros", "numpy", "serial"},
     "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", PROTOCOL, BOARD, "numpy"},
-    "fss_sim.rehearsal": ROS
+    "fss_rehearsal": ROS
     | {
         "fss_sim",
-        PROTOCOL,
+        "fss_arm_driver",
         "fss_arm_model",
         "fss_arm_ros",
         "fss_arm_bags",
@@ -51,7 +51,7 @@ ALLOWED = {
         "matplotlib",
     },
     "fss_arm_calib": ROS
-    | {"fss_arm_model", *GUARD, "fss_arm_ros", "fss_arm_bags"}
+    | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags"}
     | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
@@ -133,7 +133,7 @@ EDGES = {
     *("plan_command", "recompute", "programs", "from_bags", "bag_command", "bag_data"),
 }
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
-MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}
+MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_rehearsal"}
 PACKAGES = sorted(row for row in ALLOWED if "." not in row)
 
 
@@ -308,7 +308,7 @@ def test_the_plot_library_is_imported_only_where_it_is_used() -> None:
         PROTOCOL,
         "fss_arm_driver.session",
         f"{REGIONS}.fixed",
-        "fss_arm_motion.guard_settings",
+        "fss_arm_model.guard.settings",
     ],
 )
 def test_importing_it_loads_neither_kernels_nor_ros(module: str) -> None:

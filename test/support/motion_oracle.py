@@ -12,9 +12,9 @@ import numpy as np
 
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Arm
+from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.joint_path import path, sampled
 from fss_arm_model.momentum import momentum
-from fss_arm_motion.guard_settings import GuardSettings
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from fss_sim.rehearsal.domain import reserve
+from fss_rehearsal.domain import reserve
 
 # Before anything imports rclpy. Above 101 DDS ports meet the system's ephemeral ports.
 OWN = next(reserve(range(66, 102)))  # reserved for as long as it is referred to

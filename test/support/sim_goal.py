@@ -10,7 +10,7 @@ from fss_arm_calib.experiment.design import design, expected, to_goal
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_model.description import paper_arm
 from fss_arm_model.parameters import parameter_names, values
-from fss_sim.rehearsal.dynamic import PAUSE, SESSION, TABLE, draw_truth
+from fss_rehearsal.dynamic import PAUSE, SESSION, TABLE, draw_truth
 
 GOAL = ("b_1", "b_2", "b_3", "b_4")
 FIXED, MOST = 16, 40  # maneuvers

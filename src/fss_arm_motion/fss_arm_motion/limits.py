@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_arm_model.free_floating import free_torques
+from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.kernels import Floats
 from fss_arm_model.settings import (
     NOT_NEGATIVE,
@@ -17,7 +18,6 @@ from fss_arm_model.settings import (
     like,
     setting,
 )
-from fss_arm_motion.guard_settings import GuardSettings
 
 KINDS = (("rate", "rad/s"), ("acceleration", "rad/s^2"), ("torque", "N m"))
 

@@ -9,7 +9,7 @@ from std_srvs.srv import SetBool
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 SLACK = {"timeout": 4.0, "watchdog": 6.0}  # of a busy computer
 

@@ -16,7 +16,7 @@ from running import OWN
 from standard_client import JOINTS, StandardClient
 from std_srvs.srv import SetBool
 
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 ENDED = FollowJointTrajectory.Result
 LIVES = 4.0  # a command of the arm's node [s]

@@ -11,7 +11,7 @@ from flight import Flyer, start
 from running import OWN
 
 from fss_arm_ros.convert import stamp_ns
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 pytestmark = pytest.mark.slow
 SPEED = 0.5  # of the time, that a busy computer keeps up with it

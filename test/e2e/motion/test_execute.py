@@ -10,7 +10,7 @@ from running import OWN
 
 from fss_arm_msgs.action import ExecuteMotion
 from fss_arm_ros.convert import stamp_ns
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 
 @pytest.fixture(scope="module")

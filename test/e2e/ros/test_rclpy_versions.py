@@ -17,7 +17,7 @@ from running import OWN
 
 from fss_arm_bags.definitions import message_class
 from fss_arm_ros.qos import LATCHED
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 GARBAGE = b"\0\1\0\0"  # no message of any type with a number in it
 NOT_THEIRS = ("/parameter_events", "/clock", "/rosout", "/diagnostics")

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from running import DOMAIN, OWN
 
 from fss_arm_ros.security import ACCESS, COMMON, topics
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
 

@@ -15,7 +15,7 @@ from running import OWN
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_ros.qos import LATCHED
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes
 
 THEIRS = ("/parameter_events", "/clock", "/rosout")  # not the node's own to read
 NUMBERS = (float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 0.0, 5e-324)

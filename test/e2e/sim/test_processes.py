@@ -16,14 +16,14 @@ from std_srvs.srv import SetBool
 
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import SENSOR
-from fss_sim.rehearsal.processes import Nodes, RehearsalError
+from fss_rehearsal.processes import Nodes, RehearsalError
 
 PAUSE = partial(Event().wait, 0.05)
 SUPERVISOR = """
 import sys, time
 from pathlib import Path
-from fss_sim.rehearsal.domain import Domain
-from fss_sim.rehearsal.processes import Nodes
+from fss_rehearsal.domain import Domain
+from fss_rehearsal.processes import Nodes
 domain = Domain(int(sys.argv[2]), "/", None)
 with Nodes(Path(sys.argv[1]), print, domain) as nodes:
     nodes.start("testbed", "fss_sim", "testbed", ports=domain.ports(4))

@@ -34,7 +34,7 @@ WANTED = {
 @pytest.fixture
 def demo(tmp_path):
     """The main job on the simulated test bed; the ROS domain that it says it is in."""
-    command = [sys.executable, "-m", "fss_sim.rehearsal", "demo", "--out", tmp_path / "demo"]
+    command = [sys.executable, "-m", "fss_rehearsal", "demo", "--out", tmp_path / "demo"]
     log = tmp_path / "demo.log"
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=output)

@@ -32,9 +32,9 @@ from fss_arm_driver.arm.trajectory import Trajectory
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.description_file import to_yaml
+from fss_arm_model.guard.guard import GuardError
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.urdf import urdf
-from fss_arm_motion.guard import GuardError
 from fss_arm_motion.plan import Start, predicted
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicCalibration, LinkCommand

@@ -10,9 +10,9 @@ from fss_arm_calib.experiment.postures import APART, DEFAULT, clear, default, de
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve
 from fss_arm_model.description import Arm, paper_arm
+from fss_arm_model.guard.guard import Guard
+from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_motion.guard import Guard
-from fss_arm_motion.guard_settings import GuardSettings
 
 
 def arm_of(n: int) -> Arm:

@@ -15,7 +15,7 @@ from fss_arm_calib.links import main
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import from_yaml, load, save
 from fss_arm_model.parameters import parameter_names, values
-from fss_sim.rehearsal.dynamic import draw_truth
+from fss_rehearsal.dynamic import draw_truth
 
 BEFORE, AFTER = (7, 8, 9, 10), (8, 7, 10, 9)
 

@@ -10,11 +10,20 @@ from model_arms import random_arm
 from motion_oracle import least, looks, random_flight, shrinks
 
 from fss_arm_model.description import Arm, paper_arm
+from fss_arm_model.guard.guard import (
+    EDGE,
+    SELF,
+    TARGET,
+    Guard,
+    GuardError,
+    moved,
+    trapezoids,
+    turning,
+)
+from fss_arm_model.guard.settings import GuardSettings
+from fss_arm_model.guard.sweep import RELIEF
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import momentum
-from fss_arm_motion.guard import EDGE, SELF, TARGET, Guard, GuardError, moved, trapezoids, turning
-from fss_arm_motion.guard_settings import GuardSettings
-from fss_arm_motion.sweep import RELIEF
 from fss_sim.plant.drives import VELOCITY
 from fss_sim.plant.plant import Demand, Plant
 

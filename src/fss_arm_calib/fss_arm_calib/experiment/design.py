@@ -27,8 +27,8 @@ from fss_arm_calib.experiment.planned import PAUSE, NoManeuver, Planned, least_t
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions, asked_for
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Arm
+from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.joint_path import Path, path, stack
-from fss_arm_motion.guard import Guard, GuardError
 
 STEP = np.radians(5.0)  # joint angles are multiples of it
 BETWEEN = slice(None, -1), slice(1, None)  # start and end waypoints of the moves

@@ -12,8 +12,8 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.planned import NoManeuver, Planned, timed
 from fss_arm_calib.experiment.settings import JOINT
 from fss_arm_model.description import Arm
-from fss_arm_motion.guard import Guard, GuardError
-from fss_arm_motion.guard_settings import GuardSettings
+from fss_arm_model.guard.guard import Guard, GuardError
+from fss_arm_model.guard.settings import GuardSettings
 
 WAYS = (1.2, 0.8, 1.0, 0.3, 0.12, 0.06)  # amplitudes of the moves [rad]
 TIMES = (3.0, 2.4, 4.0, 3.0, 3.0, 3.0)  # least duration of each move [s]

@@ -28,8 +28,8 @@ from fss_arm_calib.programs import experiment as main
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_model.files import read_yaml
-from fss_arm_motion.guard import Guard, GuardError
-from fss_arm_motion.guard_settings import GuardSettings
+from fss_arm_model.guard.guard import Guard, GuardError
+from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import (
     DynamicCalibration,

@@ -7,9 +7,9 @@ import numpy as np
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, POSITION_DEVIATION
 from fss_arm_model.description import Arm
+from fss_arm_model.guard.guard import Guard, GuardError
+from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.kinematics import tip_regressor
-from fss_arm_motion.guard import Guard, GuardError
-from fss_arm_motion.guard_settings import GuardSettings
 
 APART = np.radians(45.0)  # least difference of two postures in at least one joint
 ROUNDS = 20  # most rounds of exchanges: about five suffice, except for many postures of one joint

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from math import inf, nan
 
+from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.settings import (
     FINITE,
     POSITIVE,
@@ -15,7 +16,6 @@ from fss_arm_model.settings import (
     one_of,
     setting,
 )
-from fss_arm_motion.guard_settings import GuardSettings
 
 SINGLE, SWEEP, LOOP = "single", "sweep", "loop"
 KINDS = (SINGLE, SWEEP, LOOP)

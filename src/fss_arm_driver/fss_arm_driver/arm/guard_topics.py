@@ -23,7 +23,7 @@ from fss_arm_driver.move import Profile
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.description import Arm
-from fss_arm_motion.guard import Guard
+from fss_arm_model.guard.guard import Guard
 from fss_arm_ros.convert import SECOND, planar_pose, seen_pose, stamp_ns
 from fss_arm_ros.subscriptions import PolledSubscription
 

@@ -8,7 +8,7 @@ from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, in_words
 from fss_arm_driver.arm.stream import SetPoint, Stream, StreamError
 from fss_arm_driver.protocol import Mode
-from fss_arm_motion.guard import GuardError
+from fss_arm_model.guard.guard import GuardError
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.subscriptions import SubscriptionThread, Topic

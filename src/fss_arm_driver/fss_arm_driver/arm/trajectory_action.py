@@ -28,7 +28,7 @@ from fss_arm_driver.arm.request import (
 from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
 from fss_arm_driver.arm.trajectory import Trajectory, check_time, planned
 from fss_arm_driver.liveness import GoalClient
-from fss_arm_motion.guard import GuardError
+from fss_arm_model.guard.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.goal_thread import GoalThread
 from fss_arm_ros.subscriptions import Topic

@@ -15,9 +15,9 @@ from itertools import islice
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.held import Approach, approach, momentum_of_both
 from fss_arm_model.planar import wrap
-from fss_arm_motion.guard import Guard, GuardError
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
 from fss_gnc.guidance.approach import Planner, Points, Way

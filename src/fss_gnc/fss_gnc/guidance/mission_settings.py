@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.held import Target
 from fss_arm_model.settings import (
     FINITE,
@@ -12,7 +13,6 @@ from fss_arm_model.settings import (
     like,
     setting,
 )
-from fss_arm_motion.guard_settings import GuardSettings
 from fss_gnc.guidance.settings import GuidanceSettings
 
 

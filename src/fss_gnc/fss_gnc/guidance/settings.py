@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from fss_arm_model.extents import Extents
+from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, between, like, setting
-from fss_arm_motion.guard_settings import GuardSettings
 
 
 @dataclass(frozen=True)

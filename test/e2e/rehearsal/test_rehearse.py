@@ -10,17 +10,17 @@ from fss_arm_calib import report
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, to_time
-from fss_sim.rehearsal import first_day, power_failure
-from fss_sim.rehearsal.__main__ import REHEARSALS
-from fss_sim.rehearsal.rehearsed import Check, Rehearsed
-from fss_sim.rehearsal.wifi_outage import Times, judge
+from fss_rehearsal import first_day, power_failure
+from fss_rehearsal.__main__ import REHEARSALS
+from fss_rehearsal.rehearsed import Check, Rehearsed
+from fss_rehearsal.wifi_outage import Times, judge
 
 TIMES = Times(*(s * SECOND for s in (5, 10, 16, 20, 24)))
 FAILURE = power_failure.Times(*(s * SECOND for s in (10, 16, 20, 21, 24)))
 
 
 def rehearse(*arguments):
-    command = [sys.executable, "-m", "fss_sim.rehearsal", *map(str, arguments)]
+    command = [sys.executable, "-m", "fss_rehearsal", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 

@@ -15,8 +15,8 @@ from std_srvs.srv import SetBool
 
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry, SimTruth
 from fss_arm_ros.qos import COMMAND, SENSOR
-from fss_sim.rehearsal.domain import Domain, reserve
-from fss_sim.rehearsal.processes import RehearsalError
+from fss_rehearsal.domain import Domain, reserve
+from fss_rehearsal.processes import RehearsalError
 
 LINKS = 4
 DISCOVERY = 1.0  # discovery time [s]; nodes on this computer are found within a few tenths

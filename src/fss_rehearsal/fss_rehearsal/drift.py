@@ -26,10 +26,10 @@ from fss_arm_model.units import GRAVITY
 from fss_arm_msgs.msg import DriftCalibration, SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
-from fss_sim.rehearsal.domain import CONFIG, Domain
-from fss_sim.rehearsal.person import LINKS, Operator, own_domain
-from fss_sim.rehearsal.processes import Nodes
-from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+from fss_rehearsal.domain import CONFIG, Domain
+from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.processes import Nodes
+from fss_rehearsal.rehearsed import Check, Rehearsed
 
 TILT = 2e-5, -1e-5  # tilt of the table [rad]
 DRAG, TWIST_DAMPING = 0.02, 0.01  # damping by the hose [N s/m, N m s]

@@ -29,11 +29,11 @@ from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import MassProperties, MissionState
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
-from fss_sim.rehearsal.animation import animation
-from fss_sim.rehearsal.domain import CONFIG, Domain
-from fss_sim.rehearsal.person import LINKS, Operator, own_domain
-from fss_sim.rehearsal.processes import Nodes, RehearsalError
-from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+from fss_rehearsal.animation import animation
+from fss_rehearsal.domain import CONFIG, Domain
+from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.processes import Nodes, RehearsalError
+from fss_rehearsal.rehearsed import Check, Rehearsed
 
 TARGET = Target(mass=10.0, inertia=0.25)
 POSTURE = [0.95, 1.3, 1.36, -1.23]  # compact: reaches well from there and turns in little space

@@ -12,7 +12,7 @@ from typing import Self
 import rclpy
 from ament_index_python.packages import get_package_prefix
 
-from fss_sim.rehearsal.domain import CONFIG, Domain
+from fss_rehearsal.domain import CONFIG, Domain
 
 STARTS_AT_MOST = 5  # starts of one node; a node that dies more often has a fault itself
 #: Leader of the process group of all nodes. It terminates the group when its standard input closes,

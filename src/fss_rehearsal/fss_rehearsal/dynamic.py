@@ -33,10 +33,10 @@ from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.description_file import save
 from fss_arm_model.parameters import values
-from fss_sim.rehearsal.domain import Domain
-from fss_sim.rehearsal.person import LINKS, Operator, own_domain
-from fss_sim.rehearsal.processes import Nodes, RehearsalError
-from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+from fss_rehearsal.domain import Domain
+from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.processes import Nodes, RehearsalError
+from fss_rehearsal.rehearsed import Check, Rehearsed
 
 PAUSE = 5.2  # between maneuvers [s]
 SESSION = 4  # maneuvers before the operator puts the base back to the middle of the table

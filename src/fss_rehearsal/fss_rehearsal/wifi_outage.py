@@ -17,10 +17,10 @@ from fss_arm_bags.reader import open_bags
 from fss_arm_calib.report import Figure
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_sim.rehearsal.domain import Domain
-from fss_sim.rehearsal.person import LINKS, Mover, own_domain
-from fss_sim.rehearsal.processes import Nodes
-from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+from fss_rehearsal.domain import Domain
+from fss_rehearsal.person import LINKS, Mover, own_domain
+from fss_rehearsal.processes import Nodes
+from fss_rehearsal.rehearsed import Check, Rehearsed
 
 STILL = 1e-3  # rate below which a joint rests [rad/s]
 #: Watchdog of the links; margin for transport delay, braking, and a busy computer [s].

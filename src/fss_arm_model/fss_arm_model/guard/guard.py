@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from fss_arm_model.clearance import body_name, gaps, links_and_base, sizes, with_edge, with_target
 from fss_arm_model.description import Arm
+from fss_arm_model.guard.settings import GuardSettings
+from fss_arm_model.guard.sweep import contacts, sweep
 from fss_arm_model.kernels import Floats
-from fss_arm_motion.guard_settings import GuardSettings
-from fss_arm_motion.sweep import contacts, sweep
 
 SELF, EDGE, TARGET = "self", "edge", "target"
 BRIEF = 1e-6  # knots nearer to each other are one [s]

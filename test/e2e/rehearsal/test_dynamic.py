@@ -18,7 +18,7 @@ from fss_arm_model.parameters import parameter_names, values
 def test_the_truth_lies_within_what_is_claimed(tmp_path):
     """Eight maneuvers in two sessions, at real time: about two minutes."""
     out = tmp_path / "run"
-    command = [sys.executable, "-m", "fss_sim.rehearsal", "dynamic", "--count", "8", "--out", out]
+    command = [sys.executable, "-m", "fss_rehearsal", "dynamic", "--count", "8", "--out", out]
     run = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert run.returncode in (0, 2), run.stdout + run.stderr  # 2: eight may be too few for I_1
     assert "mm promised" in run.stdout

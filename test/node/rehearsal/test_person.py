@@ -13,9 +13,9 @@ from std_srvs.srv import SetBool
 
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import SENSOR
-from fss_sim.rehearsal import person
-from fss_sim.rehearsal.domain import Domain, reserve
-from fss_sim.rehearsal.processes import RehearsalError
+from fss_rehearsal import person
+from fss_rehearsal.domain import Domain, reserve
+from fss_rehearsal.processes import RehearsalError
 
 
 class Arm:

@@ -28,10 +28,10 @@ from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.description_file import load
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.qos import LATCHED
-from fss_sim.rehearsal.domain import CONFIG, Domain
-from fss_sim.rehearsal.person import LINKS, Operator, own_domain
-from fss_sim.rehearsal.processes import Nodes, RehearsalError
-from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+from fss_rehearsal.domain import CONFIG, Domain
+from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.processes import Nodes, RehearsalError
+from fss_rehearsal.rehearsed import Check, Rehearsed
 
 LISTENED = (
     "/joint_states",

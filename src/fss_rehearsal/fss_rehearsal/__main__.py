@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 
 from fss_arm_calib import report
-from fss_sim.rehearsal.processes import rehearse, results
+from fss_rehearsal.processes import rehearse, results
 
 #: Modules with `add_options` and `run`, imported on request.
 REHEARSALS = {
@@ -25,7 +25,7 @@ HELP = "\n".join(f"  {name:<14}{about}" for name, about in REHEARSALS.items())
 
 def main(name: str, arguments: Sequence[str]) -> int:
     """Run a rehearsal; return the exit code: 0 if all checks held, 2 if not."""
-    module = import_module(f"fss_sim.rehearsal.{name}")
+    module = import_module(f"fss_rehearsal.{name}")
     parser = argparse.ArgumentParser(
         f"rehearse.sh {name}", description=module.__doc__,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,

@@ -18,10 +18,10 @@ from fss_arm_calib.report import Figure
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_sim.rehearsal.domain import Domain
-from fss_sim.rehearsal.person import LINKS, Mover, own_domain
-from fss_sim.rehearsal.processes import Nodes
-from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+from fss_rehearsal.domain import Domain
+from fss_rehearsal.person import LINKS, Mover, own_domain
+from fss_rehearsal.processes import Nodes
+from fss_rehearsal.rehearsed import Check, Rehearsed
 
 BACK = 5.0  # timeout until telemetry of the link is received again [s]
 SILENT = 1.0  # time after the power failure after which the link sends no frames [s]

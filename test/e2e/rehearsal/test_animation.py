@@ -10,8 +10,8 @@ from running import wait_until
 
 from fss_arm_calib import report
 from fss_arm_model.description import paper_arm
-from fss_sim.rehearsal.animation import animation
-from fss_sim.rehearsal.rehearsed import Rehearsed
+from fss_rehearsal.animation import animation
+from fss_rehearsal.rehearsed import Rehearsed
 
 BLUE, PURPLE, CYAN = (40, 110, 200), (150, 80, 190), (0, 175, 190)
 

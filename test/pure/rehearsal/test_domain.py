@@ -8,10 +8,10 @@ from unittest.mock import patch
 
 import pytest
 
-from fss_sim.rehearsal.domain import CONFIG, reserve
+from fss_rehearsal.domain import CONFIG, reserve
 
 HOLD = """
-from fss_sim.rehearsal.domain import reserve
+from fss_rehearsal.domain import reserve
 domain = next(reserve())
 print(domain.number, flush=True)
 input()

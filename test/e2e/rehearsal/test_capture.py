@@ -12,7 +12,7 @@ from fss_arm_bags.reader import open_bags
 @pytest.mark.slow
 def test_a_capture_is_rehearsed_recorded_and_drawn(tmp_path):
     out = tmp_path / "mission"
-    command = [sys.executable, "-m", "fss_sim.rehearsal", "capture", "--out", out]
+    command = [sys.executable, "-m", "fss_rehearsal", "capture", "--out", out]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     for phase in ("approach", "reach", "detumble", "done"):

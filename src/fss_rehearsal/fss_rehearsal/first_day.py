@@ -21,10 +21,10 @@ from fss_arm_calib.report import Figure
 from fss_arm_model.files import read_yaml
 from fss_arm_msgs.msg import SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_sim.rehearsal.domain import Domain
-from fss_sim.rehearsal.person import LINKS, Operator, own_domain
-from fss_sim.rehearsal.processes import Nodes
-from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+from fss_rehearsal.domain import Domain
+from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.processes import Nodes
+from fss_rehearsal.rehearsed import Check, Rehearsed
 
 BEGIN = -0.9  # initial joint angle [rad]
 TURN, PUSH = 0.4, 0.5  # torques of the hand that turn and load the joint [N m]

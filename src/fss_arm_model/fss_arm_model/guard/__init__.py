@@ -1,0 +1,1 @@
+"""Clearance of a moving arm from itself, its base and keep-out zones."""
