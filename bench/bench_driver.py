@@ -31,10 +31,10 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, Telemetry, decode, encode
-from fss_arm_driver.receiver import Receiver
-from fss_arm_driver.transport import UdpTransport
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import SENSOR, sensor
+from fss_link.receiver import Receiver
+from fss_link.transport import UdpTransport
 
 LIMIT = 1.3  # of the driver's latency to the relay's
 RATES = (5.0, 100.0, 500.0)

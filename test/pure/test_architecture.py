@@ -23,6 +23,7 @@ MESSAGES = {
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}
 PROTOCOL, BOARD = "fss_arm_driver.protocol", "fss_base_driver.protocol"
+SHARED_PROTOCOL = "fss_link.protocol"
 
 # Beside itself and the standard library, a package, or a folder in one, may import these; a
 # module's name in full allows that module alone.
@@ -36,8 +37,9 @@ ALLOWED = {
     | {f"fss_arm_model.{name}" for name in ("description", "description_file", "files")}
     | {f"fss_arm_model.{name}" for name in ("settings", "urdf", "vehicle")}
     | {f"fss_arm_model.guard.{name}" for name in ("guard", "settings")}
-    | {"fss_arm_ros", "numpy", "serial"},
-    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", PROTOCOL, BOARD, "numpy"},
+    | {"fss_link", "fss_arm_ros", "numpy", "serial"},
+    "fss_link": ROS | {"fss_arm_ros", "serial"},
+    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", SHARED_PROTOCOL, PROTOCOL, BOARD, "numpy"},
     "fss_rehearsal": ROS
     | {
         "fss_sim",
@@ -59,9 +61,7 @@ ALLOWED = {
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_base_driver": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "motioncapture"}
-    | {"fss_arm_driver.protocol", "fss_arm_driver.session", "fss_arm_driver.transport"}
-    | {"fss_arm_driver.session_node", "fss_arm_driver.health"}
-    | {"fss_arm_driver.host_clock", "fss_arm_driver.pacer"},
+    | {"fss_link"},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_motion", "fss_arm_ros", "numpy", "scipy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
@@ -80,21 +80,25 @@ SHARED = [
 ]
 FROM_BAGS = {f"fss_arm_calib.bag_{room}" for room in ("command", "data", "options")}
 ROOMS = {
-    PROTOCOL: set(),
+    SHARED_PROTOCOL: set(),
+    "fss_link.session": {SHARED_PROTOCOL},
+    "fss_link.transport": {SHARED_PROTOCOL},
+    PROTOCOL: {SHARED_PROTOCOL},
     "fss_arm_driver.session": {
-        "fss_arm_model.description", PROTOCOL, "fss_arm_driver.scale", "fss_arm_driver.knots",
-        "fss_arm_driver.faults",
+        "fss_arm_model.description", SHARED_PROTOCOL, "fss_link.session", PROTOCOL,
+        "fss_arm_driver.scale", "fss_arm_driver.knots", "fss_arm_driver.faults",
     },
-    "fss_arm_driver.copley": {PROTOCOL, "fss_arm_driver.faults"},
-    "fss_arm_driver.transport": {PROTOCOL, "fss_arm_driver.copley"},
-    BOARD: {PROTOCOL},
+    "fss_arm_driver.copley": {
+        SHARED_PROTOCOL, "fss_link.transport", PROTOCOL, "fss_arm_driver.faults",
+    },
+    BOARD: {SHARED_PROTOCOL},
     "fss_sim.plant": {"fss_arm_model"},
     "fss_sim.link": {
-        "fss_arm_model", "fss_arm_driver.protocol", "fss_sim.plant", "fss_sim.faults",
+        "fss_arm_model", SHARED_PROTOCOL, PROTOCOL, "fss_sim.plant", "fss_sim.faults",
         "fss_sim.noise",
     },
     "fss_sim.board": {
-        "fss_arm_model", BOARD, "fss_sim.plant", "fss_sim.faults", "fss_sim.noise",
+        "fss_arm_model", SHARED_PROTOCOL, BOARD, "fss_sim.plant", "fss_sim.faults", "fss_sim.noise",
         "fss_sim.link.channel", "fss_sim.link.power", "fss_sim.link.radio",
     },
     "fss_arm_calib.estimation": set(),
@@ -250,7 +254,12 @@ def test_private_names_of_rclpy_are_in_one_module() -> None:
 
 
 def test_the_session_reads_no_clock_and_does_no_io() -> None:
-    session = {n for m in MODULES if m.startswith("fss_arm_driver.session.") for n in imports(m)}
+    session = {
+        n
+        for m in MODULES
+        if m.startswith(("fss_link.session.", "fss_arm_driver.session."))
+        for n in imports(m)
+    }
     pure = {
         "abc",
         "bisect",
@@ -282,7 +291,7 @@ def test_mathematics_is_free_of_ros(module: str) -> None:
     assert not tops(reached(module)) & ROS
 
 
-@pytest.mark.parametrize("package", ["fss_arm_driver", "fss_arm_ros", "fss_arm_bags"])
+@pytest.mark.parametrize("package", ["fss_link", "fss_arm_driver", "fss_arm_ros", "fss_arm_bags"])
 def test_drivers_of_links_and_recorder_load_no_kernels(package: str) -> None:
     """But what is the arm's, for the guard."""
     of_the_arm = ("fss_arm_driver.arm", "fss_arm_driver.driver_node")
@@ -306,6 +315,7 @@ def test_the_plot_library_is_imported_only_where_it_is_used() -> None:
     [
         "fss_arm_model.description_file",
         PROTOCOL,
+        "fss_link.session",
         "fss_arm_driver.session",
         f"{REGIONS}.fixed",
         "fss_arm_model.guard.settings",

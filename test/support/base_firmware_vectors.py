@@ -12,7 +12,6 @@ from itertools import chain, islice
 
 from firmware_vectors import KEYS, damaged, hexed
 
-from fss_arm_driver.protocol import FrameError
 from fss_base_driver.protocol import (
     NO_ON_TIMES,
     VALVES,
@@ -24,6 +23,7 @@ from fss_base_driver.protocol import (
     decode,
     encode,
 )
+from fss_link.protocol import FrameError
 
 
 def words(frame: BaseFrame) -> str:

@@ -18,8 +18,8 @@ from fss_arm_driver.protocol import (
     Telemetry,
     decode,
     encode,
-    newer,
 )
+from fss_link.protocol import newer
 
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000

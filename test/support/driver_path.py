@@ -5,8 +5,9 @@ from dataclasses import replace
 from random import Random
 
 from fss_arm_driver.protocol import Mode, State, hermite
-from fss_arm_driver.session import Arming, LinkSession, Status
+from fss_arm_driver.session import LinkSession, Status
 from fss_arm_model.description import paper_arm
+from fss_link.session import Arming
 from fss_sim.noise import PRESETS
 from fss_sim.testbed import FRAME, Testbed
 from fss_sim.testbed import State as BedState

@@ -8,8 +8,8 @@ import termios
 import tty
 from contextlib import suppress
 
-from fss_arm_driver.protocol import StreamDecoder, pack
-from fss_arm_driver.transport import readable
+from fss_link.protocol import StreamDecoder, pack
+from fss_link.transport import readable
 
 TIMEOUT = 10.0
 

@@ -17,17 +17,15 @@ from driver_frames import sealed
 from fss_arm_driver.protocol import (
     LAST,
     Command,
-    FrameError,
     Mode,
     Order,
     Segment,
     Slow,
-    StreamDecoder,
     Telemetry,
     decode,
     encode,
-    pack,
 )
+from fss_link.protocol import FrameError, StreamDecoder, pack
 
 MODES = [mode for mode in Mode if mode is not Mode.PATH]
 KEYS = [None, bytes(range(16)), bytes(range(100, 132))]

@@ -4,9 +4,10 @@ from contextlib import suppress
 from math import pi
 
 from fss_arm_driver.protocol import Mode, Order, Slow
-from fss_arm_driver.scale import HOME, CommandError
-from fss_arm_driver.session import Arming, LinkSession
+from fss_arm_driver.scale import HOME
+from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
+from fss_link.session import Arming, CommandError
 from fss_sim.noise import PRESETS
 from fss_sim.testbed import SECOND, State, Testbed
 

@@ -19,10 +19,10 @@ from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import BASE, TIP, RestFinder, unrepeated
 from fss_arm_driver.move import plan
-from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session import Arming, LinkSession
+from fss_arm_driver.session import LinkSession
 from fss_arm_model.description_file import load
 from fss_arm_model.layout import kinematic_index
+from fss_link.session import Arming, CommandError
 from fss_sim import testbed
 from fss_sim.faults import read_script
 from fss_sim.noise import PRESETS

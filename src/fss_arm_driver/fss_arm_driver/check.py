@@ -9,12 +9,12 @@ from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
-from fss_arm_driver.protocol import load_keys
 from fss_arm_driver.transport import open_transport
 from fss_arm_driver.trials import COMPLETE, FAIL, NOT_TRIED, PASS, Finding, Rig, trials
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_ros.command_line import Parser, in_one_line, interrupt_at_end
+from fss_link.protocol import load_keys
 
 SEARCH = 3.0  # for each link's number at a URL [s]
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}

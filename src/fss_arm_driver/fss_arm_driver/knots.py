@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_driver.protocol import MAX_INDEX, hermite
-from fss_arm_driver.scale import CommandError, Scale
+from fss_arm_driver.scale import Scale
+from fss_link.session import CommandError
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,7 +13,6 @@ from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
-from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.messages import (
     LinkHealth,
     SampleMessages,
@@ -21,14 +20,11 @@ from fss_arm_driver.messages import (
     command_status,
     state_words,
 )
-from fss_arm_driver.pacer import Pacer
 from fss_arm_driver.programs import link as main
 from fss_arm_driver.protocol import Slow
-from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import LinkSession, Progress
-from fss_arm_driver.session_node import SessionNode
 from fss_arm_driver.settings import LinkSettings
-from fss_arm_driver.transport import Transport, open_transport
+from fss_arm_driver.transport import open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Health
@@ -37,6 +33,11 @@ from fss_arm_ros.qos import COMMAND, SENSOR, STOPS
 from fss_arm_ros.subscriptions import SubscriptionThread, Topic
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
+from fss_link.host_clock import HostClock
+from fss_link.pacer import Pacer
+from fss_link.session import CommandError
+from fss_link.session_node import SessionNode
+from fss_link.transport import Transport
 
 PATH_RATE = 10.0  # rate of commands below which it is doubled on a path [1/s]
 

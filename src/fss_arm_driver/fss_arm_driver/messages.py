@@ -7,12 +7,12 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import BatteryState, JointState
 
 from fss_arm_driver.faults import present
-from fss_arm_driver.health import SessionHealth
 from fss_arm_driver.protocol import NO_TORQUE, Slow, State
 from fss_arm_driver.session import LinkSession, Progress, Sample, Status
-from fss_arm_driver.transport import Transport
 from fss_arm_msgs.msg import CommandStatus, LinkTelemetry
 from fss_arm_ros.convert import SECOND, to_time
+from fss_link.health import SessionHealth
+from fss_link.transport import Transport
 
 MILLISECOND = 1_000_000  # [ns]
 #: Fields that a LinkTelemetry copies from the frame; below, those sent in turn.

@@ -12,6 +12,7 @@ from fss_arm_driver.protocol import (
     Telemetry,
 )
 from fss_arm_model.description import Link
+from fss_link.session import CommandError
 
 # Telemetry outside these margins is rejected. A disarmed arm may be moved by hand faster than its
 # drive's limit. An encoder without reference may have an error of up to half a turn.
@@ -19,10 +20,6 @@ SPEED_MARGIN = 3.0
 CURRENT_MARGIN = 2.0
 POSITION_MARGIN = pi  # [rad]
 REACH_MARGIN = 0.01  # [rad], whatever the time between two frames
-
-
-class CommandError(ValueError):
-    """Error of a command that is not allowed; the message gives the reason."""
 
 
 class SetPoint(NamedTuple):

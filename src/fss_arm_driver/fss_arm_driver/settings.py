@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from fss_arm_driver.protocol import key_of
 from fss_arm_model.description import Arm, Link
 from fss_arm_model.description_file import described
 from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
 from fss_arm_model.vehicle import Vehicle
+from fss_link.protocol import key_of
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from statistics import mean, pstdev
 
 from fss_arm_driver.faults import present
 from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State
-from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session import RELEASE_TIMEOUT, Arming, LinkSession, Sample
-from fss_arm_driver.transport import Transport
+from fss_arm_driver.session import LinkSession, Sample
 from fss_arm_model.description import Link
+from fss_link.session import RELEASE_TIMEOUT, Arming, CommandError
+from fss_link.transport import Transport
 
 SECOND = 1_000_000_000  # [ns]
 PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"

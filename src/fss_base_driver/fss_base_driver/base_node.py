@@ -16,10 +16,6 @@ from sensor_msgs.msg import BatteryState, FluidPressure, Imu
 from std_msgs.msg import Bool, Empty, Float64
 from std_srvs.srv import Trigger
 
-from fss_arm_driver.pacer import Pacer
-from fss_arm_driver.session import CommandError
-from fss_arm_driver.session_node import SessionNode
-from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Health
@@ -31,16 +27,19 @@ from fss_base_driver import messages
 from fss_base_driver.allocation import Allocation
 from fss_base_driver.gyro import BiasError, BiasSearch, Sums
 from fss_base_driver.programs import base as main
-from fss_base_driver.protocol import BOARD, TIME_UNIT, VALVES, BaseSlow
+from fss_base_driver.protocol import TIME_UNIT, VALVES, BaseSlow
 from fss_base_driver.session import NO_PULSE, BoardSession, Heard, Pulse
 from fss_base_driver.settings import BaseSettings, live_kinds
 from fss_base_driver.wrench import planar_wrench
+from fss_link.pacer import Pacer
+from fss_link.session import CommandError
+from fss_link.session_node import SessionNode
+from fss_link.transport import Transport, open_transport
 
 COMMANDS = "thrusters/command", "base/wrench", "gripper/command"
 AHEAD = 0.5  # largest lead of a stamp over the clock [s]
 MAX_OVERLOAD = 1000.0  # components of a wrench, as multiples of the total thrust
 OFF = VALVES * (0.0,)
-SCHEMES = "udp", "tcp", "serial"  # of the url
 
 
 class BaseNode(SessionNode):
@@ -61,7 +60,7 @@ class BaseNode(SessionNode):
             s.timeout, s.watchdog, s.command_lifetime, s.max_on_time, self.resolution, s.key(),
             s.empty, self.clock.ahead,
         )  # fmt: skip
-        transport = transport or open_transport(s.url, BOARD, s.key(), SCHEMES)
+        transport = transport or open_transport(s.url)
         self.connect(self.session, transport, "open the valves")
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
         self.found = ThrusterHealth()  # faults of the valves found by the navigation

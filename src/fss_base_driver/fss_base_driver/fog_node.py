@@ -11,8 +11,6 @@ from typing import Any
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
-from fss_arm_driver.host_clock import HostClock
-from fss_arm_driver.transport import Line, open_port, readable
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare, declare_live
@@ -22,6 +20,8 @@ from fss_base_driver import messages
 from fss_base_driver.dsp3000 import Lines
 from fss_base_driver.programs import fog as main
 from fss_base_driver.settings import FogCorrection, FogSettings
+from fss_link.host_clock import HostClock
+from fss_link.transport import Line, open_port, readable
 
 AGAIN = 0.5  # pause between attempts to open the port [s]
 AWAKE = 0.2  # interval at which the thread checks for the shutdown [s]

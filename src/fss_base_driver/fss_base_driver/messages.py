@@ -7,13 +7,13 @@ from typing import Any
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu
 from std_msgs.msg import Float64
 
-from fss_arm_driver.health import SessionHealth
-from fss_arm_driver.transport import Transport
 from fss_arm_model.thrusters import gas_mass
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
 from fss_arm_ros.convert import to_time
 from fss_base_driver.protocol import VALVES, BaseSlow, BaseState, Hand
 from fss_base_driver.session import BoardSession, Heard
+from fss_link.health import SessionHealth
+from fss_link.transport import Transport
 
 ZERO_CELSIUS = 273.15  # [K]
 KILOPASCAL = 1e3  # [Pa]

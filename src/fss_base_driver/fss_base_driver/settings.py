@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_driver.protocol import key_of
 from fss_arm_model.settings import (
     FINITE,
     NOT_NEGATIVE,
@@ -21,6 +20,7 @@ from fss_arm_model.thrusters import layout
 from fss_arm_model.vehicle import Vehicle
 from fss_base_driver.dsp3000 import BAUD
 from fss_base_driver.protocol import BOARD, VALVES
+from fss_link.protocol import key_of
 
 SYSTEMS = ("vicon", "vrpn", "optitrack", "qualisys", "mock")
 

@@ -3,7 +3,7 @@
 from operator import attrgetter
 from typing import Any
 
-from fss_arm_driver.session import CommandError
+from fss_link.session import CommandError
 
 IN_PLANE = "force.x", "force.y", "torque.z"
 OUT_OF_PLANE = "force.z", "torque.x", "torque.y"

@@ -12,12 +12,12 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool
 
-from fss_arm_driver.protocol import load_keys
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
 from fss_arm_ros.convert import to_time
 from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
 from fss_arm_ros.validation import subscribe
+from fss_link.protocol import load_keys
 from fss_sim.faults import kinds, read_script
 from fss_sim.link.radio import Air
 from fss_sim.messages import SerializedGyro, SerializedPose, clearances, gripper_state, truth

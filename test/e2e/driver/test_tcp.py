@@ -14,9 +14,9 @@ from running import free_port
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_driver.transport import readable
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.qos import COMMAND, subscribe_sensor
+from fss_link.transport import readable
 
 LOST, STOPPED = 3.0, 4.0  # [s]
 

@@ -17,12 +17,12 @@ from running import free_port, wait_until
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import State, Telemetry, decode
 from fss_arm_driver.transport import open_transport
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.qos import COMMAND, subscribe_sensor
+from fss_link.host_clock import HostClock
 
 KEY = bytes(range(16))
 SECOND = 1_000_000

@@ -14,12 +14,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool, Trigger
 
-from fss_arm_driver.session import Arming
 from fss_arm_msgs.msg import ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED
 from fss_base_driver.base_node import BaseNode
 from fss_base_driver.protocol import BaseSlow, BaseState, Gripper
+from fss_link.session import Arming
 
 
 @pytest.fixture

@@ -13,9 +13,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu
 
-from fss_arm_driver.host_clock import HostClock
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_base_driver.fog_node import FogNode
+from fss_link.host_clock import HostClock
 
 
 @pytest.fixture

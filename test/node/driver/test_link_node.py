@@ -24,13 +24,13 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver import link_node
-from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Mode, Order, Slow, State
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
+from fss_link.host_clock import HostClock
 
 KEY = bytes(range(16))
 UNARMED = "link 1 is disarmed, not armed: scripts/fss_arm.sh arm arms it"

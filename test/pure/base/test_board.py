@@ -7,7 +7,6 @@ from base_board import BOOT, GO, KEY, QUIET, SECOND, STOP, board, numbered, open
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fss_arm_driver.protocol import Refused
 from fss_base_driver.protocol import (
     VALVES,
     BaseOrder,
@@ -20,6 +19,7 @@ from fss_base_driver.protocol import (
     decode,
     encode,
 )
+from fss_link.protocol import Refused
 
 MS = 1000
 ARM = replace(GO, pulse=0, on_times=VALVES * (0,), expiry=1 << 63)

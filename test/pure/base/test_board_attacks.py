@@ -11,7 +11,6 @@ import pytest
 from base_board import BOOT, KEY, QUIET, SECOND, STOP, opens
 from driver_frames import sealed
 
-from fss_arm_driver.protocol import Refused
 from fss_base_driver.protocol import (
     BaseState,
     BoardState,
@@ -20,6 +19,7 @@ from fss_base_driver.protocol import (
     decode,
     encode,
 )
+from fss_link.protocol import Refused
 
 STEP = 50_000  # from one command to the next [us]
 

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fss_arm_driver import protocol as links
-from fss_arm_driver.protocol import FrameError, Refusal, pack
 from fss_base_driver.protocol import (
     BaseCommand,
     BaseOrder,
@@ -22,6 +21,7 @@ from fss_base_driver.protocol import (
     decode,
     encode,
 )
+from fss_link.protocol import FrameError, Refusal, pack
 
 LIMITS = BaseTelemetry(
     link=0, flags=31, boot=0xFFFF, sequence=0xFFFFFFFF, clock=(1 << 64) - 1, echo=0xFFFFFFFF,

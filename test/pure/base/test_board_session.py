@@ -5,9 +5,9 @@ from math import inf, nan
 import pytest
 from base_link import SECOND, FakeBoard
 
-from fss_arm_driver.session import Arming, CommandError
 from fss_base_driver.protocol import BaseOrder, BaseState, Gripper, decode
 from fss_base_driver.session import BoardSession
+from fss_link.session import Arming, CommandError
 
 PERIOD, DELAY = SECOND // 20, SECOND // 500
 START = 1_700_000_000 * SECOND

@@ -6,8 +6,8 @@ from operator import attrgetter
 import pytest
 from geometry_msgs.msg import WrenchStamped
 
-from fss_arm_driver.session import CommandError
 from fss_base_driver.wrench import IN_PLANE, OUT_OF_PLANE, planar_wrench
+from fss_link.session import CommandError
 
 LIMIT = 1280.0
 

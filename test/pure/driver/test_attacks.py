@@ -13,9 +13,11 @@ from struct import unpack_from
 import pytest
 from driver_frames import with_crc
 
-from fss_arm_driver.protocol import Mode, Order, Refused, State, decode, encode
-from fss_arm_driver.session import Arming, LinkSession
+from fss_arm_driver.protocol import Mode, Order, State, decode, encode
+from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
+from fss_link.protocol import Refused
+from fss_link.session import Arming
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.plant import Motion
 

@@ -9,15 +9,8 @@ from pathlib import Path
 import pytest
 from driver_frames import KEY, ORDER, PIECE, SAMPLE, sealed, with_crc
 
-from fss_arm_driver.protocol import (
-    FRAME_SIZE,
-    FrameError,
-    Refusal,
-    StreamDecoder,
-    decode,
-    encode,
-    pack,
-)
+from fss_arm_driver.protocol import decode, encode
+from fss_link.protocol import FRAME_SIZE, FrameError, Refusal, StreamDecoder, pack
 
 KINDS = 8
 POOL = 1 << 16

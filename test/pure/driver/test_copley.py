@@ -35,9 +35,11 @@ from fss_arm_driver.protocol import (
     encode,
 )
 from fss_arm_driver.scale import HOME
-from fss_arm_driver.session import Arming, LinkSession
-from fss_arm_driver.transport import TransportError, open_transport
+from fss_arm_driver.session import LinkSession
+from fss_arm_driver.transport import open_transport
 from fss_arm_model.description import paper_arm
+from fss_link.session import Arming
+from fss_link.transport import TransportError
 
 SECOND = 1_000_000  # [us]
 MEANT = (1, 3, 4, 5, 9, 10, 11, 14, 15, 16, 18, 19, 20, 21, 22, 25, 27, 31, 32, 33, 36, 46, 48)

@@ -6,10 +6,10 @@ from functools import partial
 import pytest
 
 from fss_arm_driver.protocol import Mode, Order, State, decode
-from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session import Arming, LinkSession
-from fss_arm_driver.session.echoes import MAX_STAMP_LEAD, STAMP_SPREAD
+from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
+from fss_link.session import Arming, CommandError
+from fss_link.session.echoes import MAX_STAMP_LEAD, STAMP_SPREAD
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.plant import Motion
 

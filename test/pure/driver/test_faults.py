@@ -9,11 +9,12 @@ from driver_link import SAMPLE, SECOND, FakeLink
 
 from fss_arm_driver.faults import FAULTS, IN_MOTION, Word, as_markdown, blocking, present
 from fss_arm_driver.protocol import Mode, Order, Slow, State, decode
-from fss_arm_driver.scale import HOME, CommandError, Scale
-from fss_arm_driver.session import Arming, LinkSession
-from fss_arm_driver.session.battery import Battery
+from fss_arm_driver.scale import HOME, Scale
+from fss_arm_driver.session import LinkSession
 from fss_arm_driver.session.progress import STALL_TIME, START_TIMEOUT, Progress, Status
 from fss_arm_model.description import Drive, paper_arm
+from fss_link.session import Arming, CommandError
+from fss_link.session.battery import Battery
 
 LINK = paper_arm().links[0]
 SCALE = Scale(LINK)

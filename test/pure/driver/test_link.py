@@ -7,9 +7,9 @@ import pytest
 from driver_link import MILLISECOND, SECOND, FakeLink
 
 from fss_arm_driver.protocol import Mode, Order, Slow, State, decode, encode
-from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session import Arming, LinkSession, StatusLog
+from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import Drive, TorqueSensor, paper_arm
+from fss_link.session import Arming, CommandError, StatusLog
 
 PERIOD = SECOND // 5
 TURN = 50 * MILLISECOND  # from the command to the measurement

@@ -12,9 +12,9 @@ import pytest
 from driver_network import SECOND, Network
 
 from fss_arm_driver.protocol import Mode, Order
-from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
+from fss_link.session import CommandError
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.plant import Motion
 

@@ -21,16 +21,17 @@ from fss_arm_driver.protocol import (
     Mode,
     Order,
     PathFollower,
-    Refused,
     Segment,
     State,
     hermite,
 )
-from fss_arm_driver.scale import CommandError, Scale
+from fss_arm_driver.scale import Scale
 from fss_arm_driver.session import Status
 from fss_arm_model.description import paper_arm
 from fss_arm_msgs.msg import LinkPath
 from fss_arm_ros.validation import RULES
+from fss_link.protocol import Refused
+from fss_link.session import CommandError
 
 NOW = 50_000_000  # of the link's clock [us]
 STEP = 20_000  # [us]

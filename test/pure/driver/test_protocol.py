@@ -11,19 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fss_arm_driver.protocol import (
-    FRAME_SIZE,
     LAST,
     Command,
-    FrameError,
-    KeyFileError,
     Mode,
     Order,
-    Refusal,
     Segment,
     Slow,
     Telemetry,
     decode,
     encode,
+)
+from fss_link.protocol import (
+    FRAME_SIZE,
+    FrameError,
+    KeyFileError,
+    Refusal,
     load_keys,
     newer,
     pack,

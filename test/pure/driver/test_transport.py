@@ -11,17 +11,14 @@ from types import SimpleNamespace
 import pytest
 from driver_wire import ENDS, TIMEOUT, go_in_mid_open
 
-from fss_arm_driver.transport import (
-    BATCH,
-    FORMS,
-    TransportError,
-    UdpTransport,
-    open_transport,
-    stream,
-)
-from fss_arm_driver.transport.udp import HELD, SKB
+from fss_arm_driver.transport import COPLEY_FORM, open_transport
+from fss_link.transport import BATCH, SCHEMES, TransportError, UdpTransport, stream
+from fss_link.transport.udp import HELD, SKB
 
 DOWN, UP = bytes(range(72)), bytes(range(72, 144))
+
+#: Form of a URL, by its scheme.
+FORMS = {**{name: one.form for name, one in SCHEMES.items()}, "copley": COPLEY_FORM}
 
 
 @pytest.fixture

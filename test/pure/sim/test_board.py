@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fss_arm_driver.session import Arming
 from fss_arm_model.description import paper_arm
 from fss_arm_model.thrusters import layout
 from fss_base_driver.gyro import Sums
 from fss_base_driver.protocol import BaseSlow, BaseState, Gripper
 from fss_base_driver.session import BoardSession
+from fss_link.session import Arming
 from fss_sim.board.board import GYRO_SCALE
 from fss_sim.noise import PRESETS
 from fss_sim.sensors import RATE

@@ -4,8 +4,9 @@ from random import Random
 
 import pytest
 
-from fss_arm_driver.protocol import Command, Mode, Order, Refused, encode
+from fss_arm_driver.protocol import Command, Mode, Order, encode
 from fss_arm_model.description import paper_arm
+from fss_link.protocol import Refused
 from fss_sim.link.electronics import LinkElectronics
 
 LINKS = range(1, 5)

@@ -6,8 +6,9 @@ from math import pi
 
 import pytest
 
-from fss_arm_driver.protocol import Command, Mode, Order, Refused, Slow, State, decode, encode
+from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, decode, encode
 from fss_arm_model.description import Drive, Link, TorqueSensor
+from fss_link.protocol import Refused
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.plant import Motion
 

@@ -6,9 +6,9 @@ from random import Random
 import numpy as np
 import pytest
 
-from fss_arm_driver.protocol import FRAME_SIZE
 from fss_arm_model.description import paper_arm
 from fss_arm_model.units import SECOND
+from fss_link.protocol import FRAME_SIZE
 from fss_sim import testbed
 from fss_sim.faults import Event, LinkFaults
 from fss_sim.link.channel import Channel, Datagram

@@ -8,8 +8,7 @@ from sim_drive import COUNT, Bench, Mode
 
 from fss_arm_driver.faults import FAULTS, Word, blocking
 from fss_arm_driver.protocol import State
-from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session import Arming
+from fss_link.session import Arming, CommandError
 from fss_sim.faults import DriveFaults, LinkFaults
 from fss_sim.link import servo
 

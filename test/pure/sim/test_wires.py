@@ -8,7 +8,7 @@ from contextlib import suppress
 import pytest
 from running import wait_until
 
-from fss_arm_driver.protocol import StreamDecoder, pack
+from fss_link.protocol import StreamDecoder, pack
 from fss_sim.link.pty import LinkTerminal
 from fss_sim.link.tcp import LinkListener
 

@@ -8,7 +8,6 @@ from rclpy.task import Future
 from fss_arm_driver.arm.arbiter import Arbiter, Motion
 from fss_arm_driver.arm.state import LinkState, link_state
 from fss_arm_driver.arm.trajectory import Trajectory
-from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.liveness import Stall, Steps
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
@@ -17,6 +16,7 @@ from fss_arm_msgs.msg import LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.qos import command, subscribe_sensor
 from fss_arm_ros.timer_clock import timer_clock
+from fss_link.host_clock import HostClock
 
 Take = Callable[[LinkCommand], None]
 

@@ -8,13 +8,13 @@ from fss_arm_driver.faults import blocking
 from fss_arm_driver.protocol import (
     NO_TORQUE,
     Command,
-    Gate,
     LinkState,
     Mode,
     Order,
     Slow,
     Telemetry,
     encode,
+    link_gate,
 )
 from fss_arm_driver.protocol import Goal as Intent
 
@@ -46,7 +46,7 @@ class DriveLink:
     """
 
     def __init__(self, number: int, boot: int, key: bytes | None, baud: int) -> None:
-        self.state = LinkState(Gate(number, boot, key))
+        self.state = LinkState(link_gate(number, boot, key))
         self._baud = baud
         self._speed: int | None = None  # velocity on a path, from the last position
         self.drive = Drive(baud, self._steer)

@@ -7,10 +7,10 @@ docs/reference/protocol.md defines the layout and how both sides use it. Values 
 from dataclasses import dataclass
 from enum import IntEnum
 
-from fss_arm_driver.protocol.envelope import (
+from fss_link.protocol.envelope import (
     Codec,
     Kind,
-    Ordered,
+    check_command,
     check_flags,
     invalid,
     signed,
@@ -182,27 +182,13 @@ def _check_segment(frame: Segment) -> None:
 def _check_command(frame: Command) -> None:
     _check_head(frame, sum(Order))
     _check_mode(frame.mode, _MODES[1])
-    check_order(frame)
+    check_command(frame)
     if frame.velocity < 0 or frame.acceleration < 0:
         raise invalid(f"profile is {frame.velocity}, {frame.acceleration}, expected none negative")
     if frame.mode == Mode.PATH and not 1 <= frame.set_point <= MAX_PATH:
         raise invalid(f"path is {frame.set_point}, expected 1 to {MAX_PATH}")
     if frame.flags & Order.HOME and not frame.flags & Order.ARM:
         raise invalid("flags hold home without arm")
-
-
-def check_order(frame: Ordered) -> None:
-    """Raise FrameError if a common field of commands is not valid."""
-    if frame.watchdog == 0:
-        raise invalid("watchdog is 0 ms, expected 1 or more")
-    if not frame.flags & Order.ARM:
-        return
-    if frame.flags & Order.STOP:
-        raise invalid("flags hold both arm and stop")
-    if frame.boot == 0:
-        raise invalid("boot is 0 in a command that arms")
-    if frame.expiry == 0:
-        raise invalid("expiry is 0 in a command that arms")
 
 
 def _telemetry_values(frame: Telemetry) -> tuple[int, ...]:

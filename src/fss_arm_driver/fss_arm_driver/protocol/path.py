@@ -5,7 +5,7 @@ counts. Times are in the link's clock [us].
 """
 
 from fss_arm_driver.protocol.frames import LAST, VELOCITY_UNIT, Command, Segment
-from fss_arm_driver.protocol.gate import Refused
+from fss_link.protocol.gate import Refused
 
 KEPT = 32  # most segments stored of a path
 FARTHEST = 120_000_000  # longest time by which a segment may start ahead [us]

@@ -11,9 +11,10 @@ from fss_arm_driver.protocol.frames import (
     Segment,
     Slow,
     State,
+    decode,
 )
-from fss_arm_driver.protocol.gate import Gate, Refused
 from fss_arm_driver.protocol.path import PathFollower
+from fss_link.protocol import Gate, Language, Refused
 
 
 class Goal(Enum):
@@ -25,6 +26,14 @@ class Goal(Enum):
     FOLLOW = "what `LinkState.velocity` says, at least 50 times a second"
 
 
+LINK_LANGUAGE = Language(Command, Segment, decode, 2_000_000)
+
+
+def link_gate(number: int, boot: int, key: bytes | None = None) -> Gate[Command, Segment]:
+    """Return the gate for commands to link `number`; `boot` identifies its start, 1 to 65535."""
+    return Gate(number, boot, LINK_LANGUAGE, key)
+
+
 class LinkState:
     """State of a link: armed or not, latches and paths. Times are in the link's clock [us].
 
@@ -32,7 +41,7 @@ class LinkState:
         gate: filter of the received commands.
     """
 
-    def __init__(self, gate: Gate[Command]) -> None:
+    def __init__(self, gate: Gate[Command, Segment]) -> None:
         self.gate = gate
         self.armed = self.stopped = self.watchdog_tripped = False
         self.paths = PathFollower()

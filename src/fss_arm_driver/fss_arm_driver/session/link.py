@@ -20,14 +20,15 @@ from fss_arm_driver.protocol import (
     decode,
     encode,
 )
-from fss_arm_driver.scale import CommandError, Scale, SetPoint
-from fss_arm_driver.session.clock import MICROSECOND, SECOND
+from fss_arm_driver.scale import Scale, SetPoint
 from fss_arm_driver.session.orders import NO_SET_POINT, Orders
 from fss_arm_driver.session.paths import Paths, SentPath
 from fss_arm_driver.session.progress import Progress, Status
-from fss_arm_driver.session.session import COUNTS as SHARED_COUNTS
-from fss_arm_driver.session.session import Partner, Session
 from fss_arm_model.description import Link
+from fss_link.session import CommandError
+from fss_link.session.clock import MICROSECOND, SECOND
+from fss_link.session.session import COUNTS as SHARED_COUNTS
+from fss_link.session.session import Partner, Session
 
 FARTHEST = 120 * SECOND  # longest time ahead at which a path may start
 PATIENCE = 2  # timeout of a link that follows a path [watchdog times]

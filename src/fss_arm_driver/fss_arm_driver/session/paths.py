@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 from fss_arm_driver.knots import Knot
 from fss_arm_driver.protocol import KEPT, LAST, Segment, Slow, Telemetry, at, newer_path
-from fss_arm_driver.scale import CommandError
+from fss_link.session import CommandError
 
 HORIZON = 4_000_000  # segments that start later are not sent yet [us]
 MOST = 12  # most segments sent at once

@@ -5,8 +5,8 @@ from enum import IntEnum
 from fss_arm_driver.faults import IN_MOTION
 from fss_arm_driver.protocol import REACH, Mode, State, Telemetry
 from fss_arm_driver.scale import Scale, SetPoint
-from fss_arm_driver.session.clock import SECOND
 from fss_arm_driver.session.paths import SentPath
+from fss_link.session.clock import SECOND
 
 START_TIMEOUT = 2 * SECOND  # within which a link must accept a command and start to move
 STALL_TIME = SECOND  # a joint at rest away from its goal this long has stalled

@@ -7,7 +7,7 @@ with the gyro's scale.
 from dataclasses import dataclass
 from enum import IntEnum
 
-from fss_arm_driver.protocol import Codec, Kind, check_flags, check_order, invalid, signed, unsigned
+from fss_link.protocol import Codec, Kind, check_command, check_flags, invalid, signed, unsigned
 
 BOARD = 0  # number of the board, in the field for a link
 VALVES = 8
@@ -129,7 +129,7 @@ def _check_telemetry(frame: BaseTelemetry) -> None:
 
 def _check_command(frame: BaseCommand) -> None:
     _check_head(frame, sum(BaseOrder))
-    check_order(frame)
+    check_command(frame)
     times = frame.on_times
     if len(times) != VALVES or not all(0 <= time <= LONGEST for time in times):
         raise invalid(f"on_times are {times}, expected {VALVES} from 0 to {LONGEST}")

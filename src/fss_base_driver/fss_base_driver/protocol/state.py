@@ -5,9 +5,8 @@ All arithmetic is integer and exact in time: the result does not depend on how o
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Never
 
-from fss_arm_driver.protocol import Gate, Language
 from fss_base_driver.protocol.frames import (
     BOARD,
     OLD,
@@ -22,15 +21,16 @@ from fss_base_driver.protocol.frames import (
     Hand,
     decode,
 )
+from fss_link.protocol import Gate, Language
 
-BOARD_LANGUAGE = Language(BaseCommand, decode, 500_000)
+BOARD_LANGUAGE = Language[BaseCommand, Never](BaseCommand, None, decode, 500_000)
 PERCENT = 100
 _MASK = 0xFFFFFFFF
 
 
-def board_gate(boot: int, key: bytes | None = None) -> Gate[BaseCommand]:
+def board_gate(boot: int, key: bytes | None = None) -> Gate[BaseCommand, Never]:
     """Return the gate for the board's commands; `boot` identifies the board's start, 1 to 65535."""
-    return Gate(BOARD, boot, key, BOARD_LANGUAGE)
+    return Gate(BOARD, boot, BOARD_LANGUAGE, key)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class BoardState:
         limits: of the valves.
     """
 
-    def __init__(self, gate: Gate[BaseCommand], limits: Limits | None = None) -> None:
+    def __init__(self, gate: Gate[BaseCommand, Never], limits: Limits | None = None) -> None:
         self.gate, self.limits = gate, limits or Limits()
         self.armed = self.stopped = self.watchdog_tripped = self.limited = self.spent = False
         self.pulse = 0  # number of the last started pulse

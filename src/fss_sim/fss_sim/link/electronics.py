@@ -11,7 +11,6 @@ from fss_arm_driver.protocol import (
     CURRENT_UNIT,
     VELOCITY_UNIT,
     Command,
-    Gate,
     Goal,
     LinkState,
     Mode,
@@ -19,6 +18,7 @@ from fss_arm_driver.protocol import (
     Slow,
     Telemetry,
     encode,
+    link_gate,
 )
 from fss_arm_model.description import Link
 from fss_sim.link.instruments import Instruments, make
@@ -61,7 +61,7 @@ class LinkElectronics(LinkState):
         drive: ServoDrive | None = None,
         battery: Battery | None = None,
     ) -> None:
-        super().__init__(Gate(number, boot, key))
+        super().__init__(link_gate(number, boot, key))
         self.link = link
         self.instruments = instruments or make(link.torque_sensor)
         self.drive = drive or ServoDrive(link, self.instruments.encoder)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fss_arm_driver.protocol import StreamDecoder, pack
+from fss_link.protocol import StreamDecoder, pack
 
 LARGEST = 8192  # maximum number of bytes per read
 

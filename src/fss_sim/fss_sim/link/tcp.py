@@ -4,7 +4,7 @@ import socket
 from contextlib import suppress
 from typing import Any
 
-from fss_arm_driver.protocol import StreamDecoder, pack
+from fss_link.protocol import StreamDecoder, pack
 
 LARGEST = 8192  # maximum number of bytes per read of one connection
 # Maximum number of connections. A further connection replaces one that has sent no frame, or else

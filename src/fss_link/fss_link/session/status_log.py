@@ -2,9 +2,9 @@
 
 from typing import Any, NamedTuple
 
-from fss_arm_driver.protocol import State
-from fss_arm_driver.session.arming import Arming
-from fss_arm_driver.session.session import Session
+from fss_link.protocol import StatusFlag
+from fss_link.session.arming import Arming
+from fss_link.session.session import Session
 
 PATIENCE = 5_000_000_000  # before a partner that never sent a frame is reported [ns]
 
@@ -81,7 +81,7 @@ class StatusLog:
         Arming clears this state.
         """
         frame = self._session.frame
-        before, self._tripped = self._tripped, bool(frame and frame.flags & State.WATCHDOG)
+        before, self._tripped = self._tripped, bool(frame and frame.flags & StatusFlag.WATCHDOG)
         words = f"{self._name}: its watchdog tripped, as it heard no commands"
         tripped = self._tripped and not before
         return [Line(words, bad=True, for_operator=True)] if tripped else []

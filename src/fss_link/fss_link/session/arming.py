@@ -12,8 +12,8 @@ state, so a lost command does no harm. Times are read from the caller's clock, i
 
 from enum import Enum
 
-from fss_arm_driver.protocol import Heard, Order, State
-from fss_arm_driver.session.clock import SECOND
+from fss_link.protocol import CommandFlag, Heard, StatusFlag
+from fss_link.session.clock import SECOND
 
 ARMING_TIMEOUT = 2 * SECOND  # a link that is not armed by then stays disarmed
 RELEASE_TIMEOUT = 4 * SECOND  # by then the drive is off, even if the joint still moves
@@ -92,7 +92,7 @@ class ArmingMachine:
             off: whether everything that must be off when disarmed is off.
             faults: names of the faults that forbid motion.
         """
-        armed = bool(frame.flags & State.ARMED)
+        armed = bool(frame.flags & StatusFlag.ARMED)
         trouble = ""
         if self.state is Arming.ARMED and not armed:
             trouble = f"{self._name} has disarmed itself"
@@ -115,10 +115,10 @@ class ArmingMachine:
             now: the time.
         """
         if self.state is Arming.STOPPED:
-            return Order.STOP
+            return CommandFlag.STOP
         if frame is None or self.state is Arming.DISARMED:
-            return Order.CLEAR_FAULTS if now < self._clear_end else 0
+            return CommandFlag.CLEAR_FAULTS if now < self._clear_end else 0
         latched = frame.flags & self._latches
         if self.state is Arming.ARMING and (latched or not answered):
             return 0
-        return Order.ARM
+        return CommandFlag.ARM

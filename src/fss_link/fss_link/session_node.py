@@ -13,16 +13,16 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
-from fss_arm_driver.complaints import Complaints
-from fss_arm_driver.host_clock import HostClock
-from fss_arm_driver.receiver import Receiver
-from fss_arm_driver.session import Arming, CommandError, Session, StatusLog
-from fss_arm_driver.transport import Transport, is_exposed
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.timer_clock import timer_clock
+from fss_link.complaints import Complaints
+from fss_link.host_clock import HostClock
+from fss_link.receiver import Receiver
+from fss_link.session import Arming, CommandError, Session, StatusLog
+from fss_link.transport import Transport, is_exposed
 
 SIMULATED_STEP = 0.01  # step of /clock [s]
 

@@ -6,12 +6,12 @@ A `Codec` is a set of kinds of frames. Each kind has a dataclass and the layout 
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from enum import Enum
+from enum import Enum, IntEnum
 from operator import attrgetter
 from typing import Any, Generic, Protocol, TypeVar
 from zlib import crc32
 
-from fss_arm_driver.protocol.signature import SIGNATURE_SIZE, is_signed, sign
+from fss_link.protocol.signature import SIGNATURE_SIZE, is_signed, sign
 
 FRAME_SIZE = 72  # the Wi-Fi shields drop longer datagrams
 MAGIC = 0x4653
@@ -32,6 +32,22 @@ def unsigned(bits: int) -> Any:
 def signed(bits: int) -> Any:
     """Define a signed field of a frame, two's complement."""
     return field(metadata={"range": (-(1 << bits - 1), (1 << bits - 1) - 1)})
+
+
+class StatusFlag(IntEnum):
+    """Flags that telemetry of all electronics has; each kind may have more."""
+
+    ARMED = 1
+    STOPPED = 2  # latched until a command frame with neither arm nor stop
+    WATCHDOG = 4  # disarmed because no commands came
+
+
+class CommandFlag(IntEnum):
+    """Flags of commands; electronics without faults do not use CLEAR_FAULTS."""
+
+    ARM = 1  # absent: disarm
+    STOP = 2  # disarm and latch it
+    CLEAR_FAULTS = 8
 
 
 class Refusal(Enum):
@@ -79,7 +95,7 @@ class Head(Protocol):
 
 
 class Heard(Head, Protocol):
-    """Common fields of all telemetry; of its flags, 1 is armed, 2 stopped, 4 watchdog."""
+    """Common fields of all telemetry; its flags include StatusFlag."""
 
     @property
     def echo(self) -> int:
@@ -99,7 +115,7 @@ class Heard(Head, Protocol):
 
 
 class Ordered(Head, Protocol):
-    """Common fields of all commands; of their flags, 1 is arm, 2 stop."""
+    """Common fields of all commands; their flags include CommandFlag."""
 
     @property
     def expiry(self) -> int:
@@ -212,6 +228,20 @@ def check_flags(frame: Head, known: int) -> None:
     """Raise FrameError if an unknown flag is set."""
     if frame.flags & ~known:
         raise invalid(f"flags are {frame.flags:#x}, expected only {known:#x}")
+
+
+def check_command(frame: Ordered) -> None:
+    """Raise FrameError if a common field of commands is not valid."""
+    if frame.watchdog == 0:
+        raise invalid("watchdog is 0 ms, expected 1 or more")
+    if not frame.flags & CommandFlag.ARM:
+        return
+    if frame.flags & CommandFlag.STOP:
+        raise invalid("flags hold both arm and stop")
+    if frame.boot == 0:
+        raise invalid("boot is 0 in a command that arms")
+    if frame.expiry == 0:
+        raise invalid("expiry is 0 in a command that arms")
 
 
 def newer(sequence: int, than: int) -> bool:

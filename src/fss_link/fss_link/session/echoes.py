@@ -8,8 +8,8 @@ from collections import deque
 from secrets import randbelow
 from typing import NamedTuple
 
-from fss_arm_driver.protocol import Heard
-from fss_arm_driver.session.clock import MICROSECOND, SECOND
+from fss_link.protocol import Heard
+from fss_link.session.clock import MICROSECOND, SECOND
 
 ECHO_MEMORY = 60 * SECOND  # for which sent commands are remembered
 STAMP_SPREAD = 100_000  # a stamp lies at most this long before its command [us]

@@ -4,10 +4,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from fss_arm_driver.session import TROUBLES, Session
-from fss_arm_driver.transport import Transport
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Health
+from fss_link.session import TROUBLES, Session
+from fss_link.transport import Transport
 
 SHORT = 600.0  # remaining battery time below which to warn [s]
 

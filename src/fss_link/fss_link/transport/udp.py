@@ -3,8 +3,8 @@
 import socket
 from collections import Counter
 
-from fss_arm_driver.protocol import FRAME_SIZE
-from fss_arm_driver.transport.base import BATCH, readable
+from fss_link.protocol import FRAME_SIZE
+from fss_link.transport.base import BATCH, readable
 
 HELD = 1024  # frames that the system buffers: 2 s of a link's at 500 Hz
 SKB = 768  # buffer space per frame in Linux [bytes]; it grants twice the request

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from fss_arm_driver.copley.language import FIRST_BAUD
 from fss_arm_driver.copley.link import DriveLink
 from fss_arm_driver.protocol import Mode
-from fss_arm_driver.transport.base import BATCH, readable
-from fss_arm_driver.transport.stream import open_port, set_rate
+from fss_link.transport.base import BATCH, readable
+from fss_link.transport.stream import open_port, set_rate
 
 if TYPE_CHECKING:
     from serial import Serial

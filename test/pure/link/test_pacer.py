@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fss_arm_driver.pacer import SECOND, Pacer
+from fss_link.pacer import SECOND, Pacer
 
 INTERVAL = SECOND // 50
 

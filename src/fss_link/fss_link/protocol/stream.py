@@ -5,7 +5,7 @@ each frame and none within it, because each zero of the frame is replaced by the
 next.
 """
 
-from fss_arm_driver.protocol.envelope import FRAME_SIZE
+from fss_link.protocol.envelope import FRAME_SIZE
 
 _STUFFED = FRAME_SIZE + 1  # a frame is shorter than 254 bytes, so stuffing adds one byte to it
 

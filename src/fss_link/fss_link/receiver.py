@@ -16,7 +16,7 @@ from threading import Lock, Thread
 from time import monotonic, sleep
 from typing import Any
 
-from fss_arm_driver.transport import BATCH, Transport
+from fss_link.transport import BATCH, Transport
 
 SHARE = 0.5  # of the time, for all receivers of a process
 AHEAD = 0.1  # by which they may exceed their share in a burst [s]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fss_arm_driver.complaints import BURST, PAUSE, Complaints
+from fss_link.complaints import BURST, PAUSE, Complaints
 
 
 @pytest.fixture

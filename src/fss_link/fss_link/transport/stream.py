@@ -10,8 +10,8 @@ from contextlib import suppress
 from threading import Event, Lock
 from typing import TYPE_CHECKING
 
-from fss_arm_driver.protocol import StreamDecoder, pack
-from fss_arm_driver.transport.base import BATCH, Line, readable
+from fss_link.protocol import StreamDecoder, pack
+from fss_link.transport.base import BATCH, Line, readable
 
 if TYPE_CHECKING:
     from serial import Serial

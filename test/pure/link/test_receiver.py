@@ -6,7 +6,7 @@ from threading import Event
 import pytest
 from running import wait_until
 
-from fss_arm_driver.receiver import NEWEST, Receiver, Turns
+from fss_link.receiver import NEWEST, Receiver, Turns
 
 
 class Time:

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Generic, NamedTuple, TypeVar
 
-from fss_arm_driver.protocol.envelope import FrameError, Head, Ordered, newer
-from fss_arm_driver.protocol.frames import Command, Order, Segment, decode
+from fss_link.protocol.envelope import CommandFlag, FrameError, Head, Ordered, newer
 
 C = TypeVar("C", bound=Ordered)
+S = TypeVar("S", bound=Head)
 
 
 class Refused(Enum):
@@ -26,18 +26,16 @@ class Refused(Enum):
     CONTRADICTION = "a segment that does not fit those that are kept"
 
 
-class Language(NamedTuple, Generic[C]):
-    """Commands that one kind of electronics accepts."""
+class Language(NamedTuple, Generic[C, S]):
+    """Commands that one kind of electronics accepts, and segments of paths if it follows any."""
 
     command: type[C]
+    segment: type[S] | None
     decode: Callable[[bytes, bytes | None], Head]  # raises FrameError
     watchdog: int  # silence after which it disarms itself, unless a command sets it [us]
 
 
-LINK = Language(Command, decode, 2_000_000)
-
-
-class Gate(Generic[C]):
+class Gate(Generic[C, S]):
     """Filter that accepts each command once, in order and before it expires.
 
     Of segments it checks only whether they are for this start of this link, and, if they are
@@ -47,16 +45,16 @@ class Gate(Generic[C]):
     Args:
         number: of the link.
         boot: number of this start, 1 to 65535.
-        key: key that commands must be signed with; None: they must not be signed.
         language: commands that the electronics accept.
+        key: key that commands must be signed with; None: they must not be signed.
     """
 
     def __init__(
         self,
         number: int,
         boot: int,
+        language: Language[C, S],
         key: bytes | None = None,
-        language: "Language[C]" = LINK,  # type: ignore[assignment]
     ) -> None:
         self.number, self.boot, self.key, self._language = number, boot, key, language
         self.refused: Counter[Refused] = Counter()
@@ -71,13 +69,13 @@ class Gate(Generic[C]):
         """Silence after which the link disarms itself [us]."""
         return 1000 * self.command.watchdog if self.command else self._language.watchdog
 
-    def take(self, data: bytes, clock: int) -> C | Segment | None:
+    def take(self, data: bytes, clock: int) -> C | S | None:
         """Return the command or segment received at `clock` [us]; None if it is refused."""
         frame = self._judge(data, clock)
         if isinstance(frame, Refused):
             self.refuse(frame)
             return None
-        if not isinstance(frame, Segment):  # so it is a command
+        if isinstance(frame, self._language.command):
             self._remember(frame, clock)
         return frame
 
@@ -85,24 +83,25 @@ class Gate(Generic[C]):
         """Count a datagram that is refused."""
         self.refused[reason] += 1
 
-    def _judge(self, data: bytes, clock: int) -> C | Segment | Refused:
+    def _judge(self, data: bytes, clock: int) -> C | S | Refused:
         try:
             frame = self._language.decode(data, self.key)
         except FrameError:
             return Refused.FRAME
-        if frame.link == self.number and isinstance(frame, Segment):
+        segment = self._language.segment
+        if frame.link == self.number and segment and isinstance(frame, segment):
             return self._segment_obstacle(frame) or frame
         if frame.link == self.number and isinstance(frame, self._language.command):
             return self._command_obstacle(frame, clock) or frame
         return Refused.OTHER
 
-    def _segment_obstacle(self, segment: Segment) -> Refused | None:
+    def _segment_obstacle(self, segment: S) -> Refused | None:
         if segment.boot != self.boot:
             return Refused.BOOT
         return Refused.SEQUENCE if self.key and segment.clock <= self._disarming else None
 
     def _command_obstacle(self, command: C, clock: int) -> Refused | None:
-        stop = command.flags & Order.STOP
+        stop = command.flags & CommandFlag.STOP
         if not stop and command.boot not in (0, self.boot):
             return Refused.BOOT
         if self._is_replayed(command) or not (stop or self._follows(command, clock)):
@@ -113,14 +112,14 @@ class Gate(Generic[C]):
         if self._follows(command, clock):
             self._newest = command.sequence
         self._latest = max(self._latest, command.clock)
-        if not command.flags & Order.ARM:
+        if not command.flags & CommandFlag.ARM:
             self._disarming = command.clock
         self.command, self.arrival = command, clock
 
     def _follows(self, command: C, clock: int) -> bool:
         """Return True if the command is newer than the last one, or may start a session."""
         if self.command is None or clock - self.arrival > self.watchdog:
-            return not command.flags & Order.ARM
+            return not command.flags & CommandFlag.ARM
         return newer(command.sequence, self._newest)
 
     def _is_replayed(self, command: C) -> bool:

@@ -10,13 +10,12 @@ from collections.abc import Callable
 from math import inf, nan
 from typing import Any, Generic, NamedTuple, TypedDict, TypeVar
 
-from fss_arm_driver.protocol import VERSION, FrameError, Head, Heard, Order, Refusal, spoken
-from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session.arming import Arming, ArmingMachine
-from fss_arm_driver.session.battery import Battery
-from fss_arm_driver.session.clock import SECOND
-from fss_arm_driver.session.echoes import Echoes
-from fss_arm_driver.session.reception import Reception, Rules
+from fss_link.protocol import VERSION, CommandFlag, FrameError, Head, Heard, Refusal, spoken
+from fss_link.session.arming import Arming, ArmingMachine
+from fss_link.session.battery import Battery
+from fss_link.session.clock import SECOND
+from fss_link.session.echoes import Echoes
+from fss_link.session.reception import Reception, Rules
 
 CLOCK_CORRECTION = SECOND // 10  # a simulated clock set back by less is only corrected
 
@@ -29,6 +28,10 @@ TROUBLES = (
 COUNTS = ("received", "believed", *TROUBLES, "adopted", "lost", "sent", "commands_refused")
 
 T = TypeVar("T", bound=Heard)
+
+
+class CommandError(ValueError):
+    """Error of a command that is not allowed; the message gives the reason."""
 
 
 class Partner(NamedTuple, Generic[T]):
@@ -316,7 +319,7 @@ class Session(ABC, Generic[T]):
             flags=flags,
             boot=frame.boot if frame else 0,
             sequence=self._sequence,
-            clock=self._echoes.stamp(now, latest=bool(flags & Order.STOP)),
+            clock=self._echoes.stamp(now, latest=bool(flags & CommandFlag.STOP)),
             watchdog=self._watchdog,
         )
 

@@ -1,0 +1,1 @@
+"""Sessions with electronics over an unreliable network: frames, arming, clocks."""

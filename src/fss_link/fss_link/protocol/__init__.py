@@ -1,0 +1,55 @@
+"""Frames that all electronics share, and their rules (docs/reference/protocol.md): no I/O."""
+
+from fss_link.protocol.envelope import (
+    FRAME_SIZE,
+    VERSION,
+    Codec,
+    CommandFlag,
+    FrameError,
+    Head,
+    Heard,
+    Kind,
+    Ordered,
+    Refusal,
+    StatusFlag,
+    check_command,
+    check_flags,
+    invalid,
+    newer,
+    signed,
+    spoken,
+    unsigned,
+)
+from fss_link.protocol.gate import Gate, Language, Refused
+from fss_link.protocol.signature import KeyFileError, key_of, load_keys, parse_keys
+from fss_link.protocol.stream import StreamDecoder, pack
+
+__all__ = [
+    "FRAME_SIZE",
+    "VERSION",
+    "Codec",
+    "CommandFlag",
+    "FrameError",
+    "Gate",
+    "Head",
+    "Heard",
+    "KeyFileError",
+    "Kind",
+    "Language",
+    "Ordered",
+    "Refusal",
+    "Refused",
+    "StatusFlag",
+    "StreamDecoder",
+    "check_command",
+    "check_flags",
+    "invalid",
+    "key_of",
+    "load_keys",
+    "newer",
+    "pack",
+    "parse_keys",
+    "signed",
+    "spoken",
+    "unsigned",
+]
