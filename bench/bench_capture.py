@@ -1,11 +1,11 @@
-"""How often a capture succeeds: `python bench/bench_capture.py [--runs 280]`.
+"""Success rate of the capture: `python bench/bench_capture.py [--runs 280]`.
 
-Flies missions in the pure loop of test/support/capturing.py: the plant with the default errors of
-the sensors, navigation, control and guidance, over a grid of the target's spin and heading, of the
-base's distance and of seeds, which also draw the target's drift. With --faults, missions in which
-something fails in each phase; with --ghosts, bodies pass through each other; with --closing,
---force and --torque, fingers take their time and slip. Each run is a line of JSON in --out; the
-table is of all of them, --draw shows the first that failed.
+Flies missions without ROS (test/support/capturing.py): plant, default sensor errors, navigation,
+control and guidance. The grid varies the target's spin and heading, the distance of the base and
+the seed, which also draws the target's drift. With --faults, a fault occurs in each phase. With
+--ghosts, bodies pass through each other. With --closing, --force and --torque, the fingers need
+time to close and can slip. Each run is a line of JSON in --out; the table summarizes all runs;
+--draw shows the first failed ones.
 """
 
 import os
@@ -41,15 +41,15 @@ HEADINGS = 8
 SEEDS = range(1, 6)
 DISTANCES = (1.4, 1.6, 1.8)  # [m]
 PHASES = ("approach", "reach", "grip", "detumble")
-AFTER = 0.1, 0.8  # the begin of a phase [s]
+FAULT_TIMES = 0.1, 0.8  # of a fault after the start of its phase [s]
 FAULTS = (
     *((fault, 0.0) for fault in ("link", "gripper", "open", "closed", "gyro")),
-    *(("outage", lasts) for lasts in (10.0, 3.0, 1.0)),
+    *(("outage", duration) for duration in (10.0, 3.0, 1.0)),
 )
 
 
 def grid() -> Iterator[Case]:
-    """The missions, in an order of chance, so that any number of them shows the whole."""
+    """Yield the missions in random order, so that any number of them covers the grid."""
     rows = list(product(SPINS, range(HEADINGS), SEEDS))
     for k in np.random.default_rng(0).permutation(len(rows)):
         spin, eighth, seed = rows[k]
@@ -59,23 +59,23 @@ def grid() -> Iterator[Case]:
 
 
 def failures() -> Iterator[Case]:
-    """Missions in which something fails, as a phase begins and within it."""
-    for seed, (fault, lasts), phase, after in product((1, 2, 3), FAULTS, PHASES, AFTER):
+    """Yield missions with a fault at the start of a phase, or within it."""
+    for seed, (fault, duration), phase, after in product((1, 2, 3), FAULTS, PHASES, FAULT_TIMES):
         case = Case((-0.1, 0.1, 0.2)[seed - 1], float(seed), 1.6, seed)
-        valve = (2, 5, 7)[seed - 1] if after == AFTER[0] else 2
-        yield replace(case, fault=fault, phase=phase, lasts=lasts, after=after, valve=valve)
+        valve = (2, 5, 7)[seed - 1] if after == FAULT_TIMES[0] else 2
+        yield replace(case, fault=fault, phase=phase, lasts=duration, after=after, valve=valve)
 
 
 def fly(case: Case) -> dict[str, Any]:
-    """One of them."""
-    begin = time.process_time()
+    """Fly one mission; return its result."""
+    start = time.process_time()
     flown = Flight(case).fly()
-    flown.wall = time.process_time() - begin
+    flown.wall = time.process_time() - start
     return asdict(flown)
 
 
 def draw(cases: list[Case], path: Path) -> None:
-    """Fly them again, and show how the last of each looked."""
+    """Fly missions again, and draw the end of each."""
     figure, panels = plt.subplots(1, len(cases), figsize=(4.2 * len(cases), 4.6), squeeze=False)
     for case, ax in zip(cases, panels[0], strict=True):
         flight = Flight(case)
@@ -91,9 +91,9 @@ def draw(cases: list[Case], path: Path) -> None:
             ax.add_patch(plt.Circle(target[:2], 0.19, fill=False, ec="tab:orange", **shade))
             x, y = target[:2] + 0.19 * np.array([np.cos(target[2]), np.sin(target[2])])
             ax.plot(x, y, "s", color="tab:red", ms=3, alpha=shade["alpha"])
-        words = flown.contact or flown.message or "lost"
+        outcome = flown.contact or flown.message or "lost"
         ax.set_title(
-            f"spin {case.spin} rad/s: {words}\n{shown[0][0]:.1f} to {shown[-1][0]:.1f} s", size=8
+            f"spin {case.spin} rad/s: {outcome}\n{shown[0][0]:.1f} to {shown[-1][0]:.1f} s", size=8
         )
         ax.set_aspect("equal")
         ax.set_xlabel("x [m]")
@@ -106,20 +106,20 @@ HEAD = "spin [rad/s]", "runs", "captured and stopped", "time [s]", "propellant [
 
 
 def report(rows: list[dict[str, Any]]) -> None:
-    """The table, and what else happened."""
+    """Print the table, and each run that failed or had a contact."""
     pace = sum(r["time"] for r in rows) / sum(r["wall"] for r in rows)
-    print(f"{len(rows)} runs, {pace:.0f} times real time")
+    print(f"{len(rows)} runs at {pace:.0f} times real time")
     print("| " + " | ".join((*HEAD, "contacts")) + " |")
     print("|" + 7 * "---:|")
     for spin in sorted({abs(r["case"]["spin"]) for r in rows}):
-        some = [r for r in rows if abs(r["case"]["spin"]) == spin]
-        good = [r for r in some if r["captured"] and r["well"]]
-        cells = [f"{spin:.2f}", str(len(some)), f"{100.0 * len(good) / len(some):.0f} %"]
+        group = [r for r in rows if abs(r["case"]["spin"]) == spin]
+        good = [r for r in group if r["captured"] and r["well"]]
+        cells = [f"{spin:.2f}", str(len(group)), f"{100.0 * len(good) / len(group):.0f} %"]
         for name, scale in (("time", 1.0), ("propellant", 1e3)):
             values = [scale * r[name] for r in good] or [np.nan]
             cells.append(f"{np.median(values):.0f} (to {max(values):.0f})")
         cells.append(f"{max((r['torque'] for r in good), default=np.nan):.2f}")
-        cells.append(str(sum(bool(r["contact"]) for r in some)))
+        cells.append(str(sum(bool(r["contact"]) for r in group)))
         print("| " + " | ".join(cells) + " |")
     for r in rows:
         if not (r["captured"] and r["well"]) or r["contact"]:
@@ -128,15 +128,15 @@ def report(rows: list[dict[str, Any]]) -> None:
 
 
 def main() -> None:
-    """Fly, and print the table."""
+    """Fly the missions and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=280)
     parser.add_argument("--faults", action="store_true")
     parser.add_argument("--ghosts", action="store_true")
-    parser.add_argument("--closing", type=float, default=0.0, help="time of the fingers [s]")
-    parser.add_argument("--force", type=float, default=0.0, help="that they hold [N]")
-    parser.add_argument("--torque", type=float, default=0.0, help="that they hold [N m]")
-    parser.add_argument("--draw", type=Path, help="picture of three that failed")
+    parser.add_argument("--closing", type=float, default=0.0, help="closing time of the grip [s]")
+    parser.add_argument("--force", type=float, default=0.0, help="largest grip force [N]")
+    parser.add_argument("--torque", type=float, default=0.0, help="largest grip torque [N m]")
+    parser.add_argument("--draw", type=Path, help="file for a picture of three failed runs")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/capture.jsonl"))
     options = parser.parse_args()

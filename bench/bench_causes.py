@@ -1,12 +1,14 @@
-"""Whether verdicts say what went wrong, on bags of MuJoCo's (python bench/bench_causes.py [GOOD]).
+"""Check that verdicts name the cause of a fault (python bench/bench_causes.py [GOOD]).
 
-Arms of 3 and 6 unlike links, each with the description that its laboratory has, default options.
+The bags are made with MuJoCo.
 
-    wrong   bags that something is wrong with, of each kind on both arms, 66 in all: how many pass
-            (none may), and how many verdicts have the cause first
-    good    GOOD bags (50) of each arm and kind of calibration: how many pass, how many verdicts
-            accuse, how many have a chi-square in its band (99.8 %), and the errors of those that
-            pass: NEES is the error by its covariance, a parameter: 1 is honest
+Arms with 3 and 6 different links, each with its laboratory's description; default options.
+
+    wrong   66 faulty bags, one of each kind on both arms: how many pass (none may), and how many
+            verdicts name the cause first
+    good    GOOD bags (50) of each arm and calibration: how many pass, how many verdicts name a
+            cause, how many have a chi-square in its 99.8 % band, and the NEES of those that pass
+            (normalized squared error per parameter; 1: the covariance is consistent)
 """
 
 import os
@@ -28,10 +30,10 @@ from fss_arm_model.parameters import parameter_names
 from fss_arm_model.parameters import values as dynamic_values
 
 SIZES = (3, 6)
-FLIGHTS = 5  # of each arm and kind, flown by so many arms
+SEEDS = 5  # arms of each size and calibration
 
 
-def solved(n, seed, dynamic, kind=None, noise=0):
+def solve_made_bag(n, seed, dynamic, kind=None, noise=0):
     with TemporaryDirectory() as folder:
         bag, description = make(Path(folder), n, seed, dynamic, kind, noise)
         calibration = KINDS["dynamic" if dynamic else "kinematic"]
@@ -39,44 +41,44 @@ def solved(n, seed, dynamic, kind=None, noise=0):
         return solve_bag(calibration, bag, settings)
 
 
-def wrong():
+def check_faulty_bags():
     named, passed, total = 0, 0, 0
     for dynamic, kinds in ((False, KINEMATIC), (True, DYNAMIC)):
         for kind in kinds:
             for n in SIZES:
-                outcome = solved(n, 1, dynamic, kind)
+                outcome = solve_made_bag(n, 1, dynamic, kind)
                 found = kind.named(outcome.reasons)
                 named, passed, total = named + found, passed + (outcome.verdict == PASS), total + 1
-                what = "dynamic" if dynamic else "kinematic"
+                calibration = "dynamic" if dynamic else "kinematic"
                 print(
-                    f"{what:9} {n} links  {kind.name:22} {outcome.verdict:13} "
+                    f"{calibration:9} {n} links  {kind.name:22} {outcome.verdict:13} "
                     f"{'named' if found else 'MISSED':6}  {outcome.reasons[0][:110]}",
                     flush=True,
                 )
-    print(f"{total} wrong bags: {passed} passed, cause first in {named}", flush=True)
+    print(f"{total} faulty bags: {passed} passed, cause named first in {named}", flush=True)
 
 
-def error(outcome, truth, dynamic):
-    """Of each parameter that the truth has, and its covariance."""
+def parameter_error(outcome, truth, dynamic):
+    """Return the errors of the parameters with a known true value, and their covariance."""
     if dynamic:
-        known = dict(zip(parameter_names(truth.n), dynamic_values(truth), strict=True))
+        true_values = dict(zip(parameter_names(truth.n), dynamic_values(truth), strict=True))
     else:
         values = truth.vector()[kinematic_index(truth.n)]
-        known = dict(zip(kinematic_names(truth.n), values, strict=True))
-    which = [k for k, name in enumerate(outcome.names) if name in known]
-    off = np.array([outcome.values[k] - known[outcome.names[k]] for k in which])
-    angles = np.array([outcome.estimate.units[k] == "rad" for k in which])
+        true_values = dict(zip(kinematic_names(truth.n), values, strict=True))
+    indices = [k for k, name in enumerate(outcome.names) if name in true_values]
+    off = np.array([outcome.values[k] - true_values[outcome.names[k]] for k in indices])
+    angles = np.array([outcome.estimate.units[k] == "rad" for k in indices])
     off[angles] = (off[angles] + np.pi) % (2 * np.pi) - np.pi
-    return off, outcome.covariance[np.ix_(which, which)]
+    return off, outcome.covariance[np.ix_(indices, indices)]
 
 
-def good(count):
+def check_good_bags(count):
     for dynamic in (False, True):
         for n in SIZES:
             passed, accused, band, nees = 0, 0, 0, []
             for k in range(count):
-                seed = 1 + k % FLIGHTS
-                outcome = solved(n, seed, dynamic, noise=1 + k)
+                seed = 1 + k % SEEDS
+                outcome = solve_made_bag(n, seed, dynamic, noise=1 + k)
                 e = outcome.estimate
                 low, high = chi2.interval(0.998, e.degrees_of_freedom)
                 passed += outcome.verdict == PASS
@@ -85,11 +87,11 @@ def good(count):
                 if outcome.verdict != PASS:  # at a bound, a parameter has no covariance
                     print(f"  bag {k}: {outcome.verdict}: {outcome.reason[:300]}", flush=True)
                     continue
-                off, covariance = error(outcome, arm(n, seed), dynamic)
+                off, covariance = parameter_error(outcome, arm(n, seed), dynamic)
                 nees.append(float(off @ np.linalg.solve(covariance, off)) / len(off))
             print(
                 f"{'dynamic' if dynamic else 'kinematic':9} {n} links  {count} good bags: "
-                f"{passed} passed, {accused} accused, chi-square in its band in {band}, "
+                f"{passed} passed, {accused} with a cause, chi-square in its band in {band}, "
                 f"NEES {np.mean(nees):.2f} +- {np.std(nees) / len(nees) ** 0.5:.2f}",
                 flush=True,
             )
@@ -98,6 +100,6 @@ def good(count):
 if __name__ == "__main__":
     os.nice(5)
     if "good" not in sys.argv:
-        wrong()
+        check_faulty_bags()
     if "wrong" not in sys.argv:
-        good(int(sys.argv[-1]) if sys.argv[-1].isdigit() else 50)
+        check_good_bags(int(sys.argv[-1]) if sys.argv[-1].isdigit() else 50)

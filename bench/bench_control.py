@@ -1,8 +1,8 @@
-"""What `control` takes of a core at 100 Hz, beside a node that hears and says the same.
+"""Processor share of `control` at 100 Hz, compared with a bare node that has the same topics.
 
-Base states come at 100 Hz, joints and their plan at 20 Hz, the trajectory at 10 Hz. The bare node
-keeps the last message of each topic and publishes a wrench at the same rate, and does nothing else.
-Asked for: less than a tenth of a core.
+Base states are published at 100 Hz, joints and their plan at 20 Hz, the trajectory at 10 Hz. The
+bare node stores the last message of each topic and publishes a wrench at the same rate. Limit: a
+tenth of a core.
 
     . scripts/env.sh; python bench/bench_control.py
 """
@@ -38,7 +38,7 @@ NAMES = [f"joint_{i}" for i in range(1, 5)]
 
 
 class BareNode(Node):
-    """Keeps what comes, publishes at the same rate."""
+    """Stores the received messages and publishes a wrench at the same rate."""
 
     def __init__(self) -> None:
         super().__init__("bare")
@@ -49,31 +49,31 @@ class BareNode(Node):
         self.create_timer(1.0 / RATE, self.tick)
 
     def tick(self) -> None:
-        """Say nothing."""
+        """Publish a zero wrench."""
         message = WrenchStamped()
         message.header.stamp = self.get_clock().now().to_msg()
         self.wrench.publish(message)
 
 
 class World(Node):
-    """Publishes what control hears; the arm turns to and fro."""
+    """Publishes the inputs of control; the joints oscillate."""
 
     def __init__(self) -> None:
         super().__init__("world")
         self.publishers_to = {
             name: self.create_publisher(kind, name, SENSOR) for name, (kind, _) in TOPICS.items()
         }
-        self.count, self.heard = 0, {"base/wrench": 0, "bare/wrench": 0}
-        for name in self.heard:
-            self.create_subscription(WrenchStamped, name, lambda _, n=name: self.hear(n), 100)
+        self.count, self.received = 0, {"base/wrench": 0, "bare/wrench": 0}
+        for name in self.received:
+            self.create_subscription(WrenchStamped, name, lambda _, n=name: self.on_wrench(n), 100)
         self.create_timer(1.0 / RATE, self.tick)
 
-    def hear(self, name: str) -> None:
-        """Count."""
-        self.heard[name] += 1
+    def on_wrench(self, name: str) -> None:
+        """Count a wrench."""
+        self.received[name] += 1
 
     def tick(self) -> None:
-        """Publish what is due."""
+        """Publish the messages that are due."""
         now = int(self.get_clock().now().nanoseconds)
         t = self.count / RATE
         for name, (_, every) in TOPICS.items():
@@ -82,7 +82,7 @@ class World(Node):
         self.count += 1
 
     def message(self, name: str, now: int, t: float) -> object:
-        """What a topic says at a time."""
+        """Return the message of a topic at a time."""
         if name == "base/trajectory":
             path = BasePath(np.array([0.0, 2.0]), np.zeros((2, 3, 3)))
             return messages.trajectory(path, 0.0, now, 2.0, 0.25)
@@ -105,46 +105,46 @@ class World(Node):
 
 
 def cpu(pid: int) -> float:
-    """Time that a process has taken [s]."""
+    """Return the processor time of a process [s]."""
     user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
     return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def compare(seconds: float) -> int:
-    """Print both shares; 1 if control's is too much."""
-    given = ["--ros-args", "-p", f"rate:={RATE}"]
+    """Print both shares; return 1 if that of control exceeds the limit."""
+    options = ["--ros-args", "-p", f"rate:={RATE}"]
     programs = {
-        "base/wrench": subprocess.Popen([sys.executable, "-m", "fss_gnc.control_node", *given]),
+        "base/wrench": subprocess.Popen([sys.executable, "-m", "fss_gnc.control_node", *options]),
         "bare/wrench": subprocess.Popen([sys.executable, __file__, "--bare"]),
     }
     rclpy.init()
     world = World()
     try:
-        while min(world.heard.values()) < RATE:  # both are there, and warm
+        while min(world.received.values()) < RATE:  # both are running and warmed up
             rclpy.spin_once(world)
         before = {name: cpu(program.pid) for name, program in programs.items()}
-        heard, begun = dict(world.heard), time.monotonic()
-        while (lasted := time.monotonic() - begun) < seconds:
+        received, start = dict(world.received), time.monotonic()
+        while (elapsed := time.monotonic() - start) < seconds:
             rclpy.spin_once(world)
-        share = {n: (cpu(program.pid) - before[n]) / lasted for n, program in programs.items()}
+        share = {n: (cpu(program.pid) - before[n]) / elapsed for n, program in programs.items()}
     finally:
         for program in programs.values():
             program.terminate()
             program.wait()
-    for name, part in share.items():
-        rate = (world.heard[name] - heard[name]) / lasted
-        print(f"{name}: {rate:.1f} Hz, {100 * part:.1f} % of a core")
+    for name, value in share.items():
+        rate = (world.received[name] - received[name]) / elapsed
+        print(f"{name}: {rate:.1f} Hz, {100 * value:.1f} % of a core")
     print(f"control / bare: {share['base/wrench'] / share['bare/wrench']:.2f}")
     return int(share["base/wrench"] >= 0.1)
 
 
 def main() -> int:
-    """Compare, or be the peer."""
+    """Compare the nodes, or run the bare node."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--bare", action="store_true", help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    return run(BareNode, sys.argv[:1]) if given.bare else compare(given.seconds)
+    options = parser.parse_args()
+    return run(BareNode, sys.argv[:1]) if options.bare else compare(options.seconds)
 
 
 if __name__ == "__main__":

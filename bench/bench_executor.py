@@ -45,22 +45,22 @@ IDLE, OUTPUTS = 10, 5  # topics without a publisher; publishers of the receiver
 class Receiver(Node):
     """Receives the topics in one of METHODS, and records how late each message is [ns]."""
 
-    def __init__(self, way: str) -> None:
-        super().__init__(f"receiver_{METHODS.index(way)}")
+    def __init__(self, method: str) -> None:
+        super().__init__(f"receiver_{METHODS.index(method)}")
         self.ages: list[int] = []
         self.ticks = 0
         idle = {f"idle_{i}": PoseStamped for i in range(IDLE)}
         for topic, kind in {**TOPICS, **idle}.items():
-            if way == "set":
+            if method == "set":
                 subscribe_bytes(self, kind, topic, self.reader(kind), sensor())
-            elif way.endswith("bytes"):
+            elif method.endswith("bytes"):
                 self.create_subscription(kind, topic, self.reader(kind), sensor(), raw=True)
             else:
                 self.create_subscription(kind, topic, self.on_message, sensor())
         for i in range(OUTPUTS):
             self.create_publisher(PoseStamped, f"output_{i}", SENSOR)
         self.create_timer(1.0 / RATE, self.on_tick)
-        if way == "set":
+        if method == "set":
             relax_events(self)
 
     def reader(self, kind: type) -> Callable[[bytes], None]:
@@ -76,14 +76,14 @@ class Receiver(Node):
         self.ticks += 1
 
 
-def receive(way: str) -> None:
+def receive(method: str) -> None:
     """Receive until terminated, then print the processor time [s], ages [ns] and ticks as JSON."""
-    if way.startswith("events"):
+    if method.startswith("events"):
         from rclpy.experimental import EventsExecutor as Executor
     else:
         Executor = SingleThreadedExecutor
     rclpy.init()
-    node, executor = Receiver(way), Executor()
+    node, executor = Receiver(method), Executor()
     executor.add_node(node)
     # An executor that ignores signals, as that of 7.1.6, is ended by its own handler.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
@@ -92,8 +92,11 @@ def receive(way: str) -> None:
         with suppress(ExternalShutdownException, KeyboardInterrupt, SystemExit):
             executor.spin()
     finally:
-        taken = time.process_time() - start
-        print(json.dumps({"taken": taken, "ages": node.ages, "ticks": node.ticks}), flush=True)
+        processor_time = time.process_time() - start
+        print(
+            json.dumps({"processor_time": processor_time, "ages": node.ages, "ticks": node.ticks}),
+            flush=True,
+        )
 
 
 def publish(seconds: float) -> int:
@@ -118,10 +121,10 @@ def publish(seconds: float) -> int:
     return count * len(TOPICS)
 
 
-def measure(way: str, seconds: float) -> tuple[float, int, float, float, int]:
+def measure(method: str, seconds: float) -> tuple[float, int, float, float, int]:
     """Return share of a core [%], messages lost, latency p50 and p99 [ms], ticks of the timer."""
     process = subprocess.Popen(
-        [sys.executable, __file__, "--receive", way], stdout=subprocess.PIPE, text=True
+        [sys.executable, __file__, "--receive", method], stdout=subprocess.PIPE, text=True
     )
     try:
         sent = publish(seconds)
@@ -132,15 +135,15 @@ def measure(way: str, seconds: float) -> tuple[float, int, float, float, int]:
             return np.nan, sent, np.nan, np.nan, 0
     finally:
         process.kill()
-    found = json.loads(output or '{"taken": NaN, "ages": [], "ticks": 0}')
-    ages = 1e-6 * np.array(found["ages"] or [np.nan])
+    result = json.loads(output or '{"processor_time": NaN, "ages": [], "ticks": 0}')
+    ages = 1e-6 * np.array(result["ages"] or [np.nan])
     p50, p99 = np.percentile(ages, (50, 99))
-    share = 100.0 * found["taken"] / (seconds + 1.5)
-    return share, sent - len(found["ages"]), float(p50), float(p99), found["ticks"]
+    share = 100.0 * result["processor_time"] / (seconds + 1.5)
+    return share, sent - len(result["ages"]), float(p50), float(p99), result["ticks"]
 
 
 def main() -> int:
-    """Measure each way in turn."""
+    """Measure each method in turn."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--receive", choices=METHODS, help=argparse.SUPPRESS)
@@ -150,11 +153,11 @@ def main() -> int:
         return 0
     rclpy.init()
     table = Table(*("way", "core [%]", "lost", "p50 [ms]", "p99 [ms]", "ticks"))
-    found = {way: measure(way, given.seconds) for way in METHODS}
-    for way, (share, lost, p50, p99, ticks) in found.items():
-        table.add_row(way, f"{share:.1f}", str(lost), f"{p50:.2f}", f"{p99:.2f}", str(ticks))
+    result = {method: measure(method, given.seconds) for method in METHODS}
+    for method, (share, lost, p50, p99, ticks) in result.items():
+        table.add_row(method, f"{share:.1f}", str(lost), f"{p50:.2f}", f"{p99:.2f}", str(ticks))
     Console(width=80).print(table)
-    plain, own = found["plain"], found["set"]
+    plain, own = result["plain"], result["set"]
     print(f"set takes {own[0] / plain[0]:.2f} times the processor time of plain")
     return 0 if own[1] == 0 and own[0] < plain[0] else 1
 

@@ -1,9 +1,9 @@
-"""How closely the firmware follows a path (python bench/bench_firmware.py [RUNS]).
+"""Tracking error of the firmware on paths (python bench/bench_firmware.py [RUNS]).
 
-Four links of its program for this computer (`fss_link`, over UDP, in real time), drivers and `arm`
-as nodes, and a path of 10 s and 6 knots, others for each link and run, given as
-`arm_controller/follow_joint_trajectory` a second before it begins. Off the path: what the link's
-encoder says at the time it says it. The simulated drive is ideal.
+Four links run the firmware compiled for this computer (`fss_link`, over UDP, in real time); drivers
+and `arm` run as nodes. Each link and run has a different path of 10 s and 6 knots, sent as
+`arm_controller/follow_joint_trajectory` one second before its start. The error is the encoder
+reading minus the path at the time of the reading. The simulated drive is ideal.
 """
 
 import random
@@ -19,7 +19,7 @@ sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from running import OWN  # enters a ROS domain of its own: before rclpy
 
 import rclpy  # isort: skip
-from bench_paths import TIMES, knots  # isort: skip
+from bench_paths import TIMES, random_knots  # isort: skip
 from control_msgs.action import FollowJointTrajectory  # isort: skip
 from driver_path import path_at  # isort: skip
 from firmware import build  # isort: skip
@@ -34,46 +34,47 @@ from fss_arm_ros.convert import SECOND, joint_readings, stamp_ns, to_time
 from fss_arm_ros.qos import subscribe_sensor
 from fss_rehearsal.processes import Nodes
 
-LEAD = SECOND  # from a path to its begin [ns]
+PATH_LEAD = SECOND  # from sending a path to its start [ns]
 
 
-class Person(Node):
-    """Arms the links, gives paths, keeps what joints say."""
+class Operator(Node):
+    """Arms the links, sends paths, records joint states."""
 
     def __init__(self):
-        super().__init__("person")
+        super().__init__("operator")
         self.readings = []  # time [ns], joint from 0, angle [rad]
-        self.armer = self.create_client(SetBool, "arm/enable")
+        self.arm_client = self.create_client(SetBool, "arm/enable")
         action = "arm_controller/follow_joint_trajectory"
         self.controller = ActionClient(self, FollowJointTrajectory, action)
         subscribe_sensor(self, JointState, "joint_states", self.on_joints)
 
     def on_joints(self, message):
-        """One link's."""
+        """Record the readings of one link."""
         t = stamp_ns(message.header.stamp)
         self.readings += [(t, i - 1, q) for i, q, _, _ in joint_readings(message)]
 
     def after(self, future, timeout=60.0):
-        """What a future gives."""
+        """Wait for a future; return its result."""
         rclpy.spin_until_future_complete(self, future, timeout_sec=timeout)
         if not future.done():
-            raise TimeoutError(f"not within {timeout} s")
+            raise TimeoutError(f"no result within {timeout} s")
         return future.result()
 
-    def begin(self):
+    def arm_links(self):
         """Arm all links."""
-        self.armer.wait_for_service(60.0)
+        self.arm_client.wait_for_service(60.0)
         self.controller.wait_for_server(60.0)
         deadline = monotonic() + 60.0
-        while not (done := self.after(self.armer.call_async(SetBool.Request(data=True)))).success:
+        request = SetBool.Request(data=True)
+        while not (answer := self.after(self.arm_client.call_async(request))).success:
             if monotonic() > deadline:
-                raise TimeoutError(done.message)
+                raise TimeoutError(answer.message)
 
-    def follow(self, paths):
-        """Errors of all joints on their paths [deg]."""
+    def follow_paths(self, paths):
+        """Let all joints follow paths; return the errors [deg]."""
         goal = FollowJointTrajectory.Goal()
-        begin = self.get_clock().now().nanoseconds + LEAD
-        goal.trajectory.header.stamp = to_time(begin)
+        start = self.get_clock().now().nanoseconds + PATH_LEAD
+        goal.trajectory.header.stamp = to_time(start)
         goal.trajectory.joint_names = [f"joint_{i + 1}" for i in range(len(paths))]
         for t, *knot in zip(TIMES, *(zip(*path, strict=True) for path in paths), strict=True):
             q, qd = zip(*knot, strict=True)
@@ -90,7 +91,7 @@ class Person(Node):
         return [
             abs(np.degrees(q - path_at(t, TIMES, *paths[i])))
             for at, i, q in self.readings
-            if 0.0 <= (t := (at - begin) / SECOND) <= TIMES[-1]
+            if 0.0 <= (t := (at - start) / SECOND) <= TIMES[-1]
         ]
 
 
@@ -102,22 +103,24 @@ def main():
         for i, port in enumerate(ports, 1)
     ]
     rclpy.init()
-    person = Person()
+    operator = Operator()
     try:
         with Nodes(Path(mkdtemp(prefix="bench_firmware_")), print, OWN) as nodes:
             nodes.start("links", "fss_arm_driver", "link", urls=OWN.urls(4))
             nodes.start("arm", "fss_arm_driver", "arm")
-            person.begin()
-            errors = [e for _ in range(runs) for e in person.follow([knots(rng) for _ in links])]
+            operator.arm_links()
+            errors = []
+            for _ in range(runs):
+                errors += operator.follow_paths([random_knots(rng) for _ in links])
     finally:
-        person.controller.destroy()
-        person.destroy_node()
+        operator.controller.destroy()
+        operator.destroy_node()
         rclpy.shutdown()
         for link in links:
             link.kill()
-    p50, p99, most = np.percentile(errors, [50.0, 99.0, 100.0])
-    print(f"{runs} runs of {len(links)} links, {len(errors)} readings: off the path by "
-          f"{p50:.4f} deg (p50), {p99:.4f} (p99), {most:.4f} (largest)")  # fmt: skip
+    p50, p99, largest = np.percentile(errors, [50.0, 99.0, 100.0])
+    print(f"{runs} runs of {len(links)} links, {len(errors)} readings: tracking error "
+          f"{p50:.4f} deg (p50), {p99:.4f} (p99), {largest:.4f} (largest)")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
-"""Motions of a floating base, by nodes alone on the simulated test bed with its default errors.
+"""Rotation of a floating base by arm motions: all nodes on the simulated test bed, default errors.
 
     . scripts/env.sh; python bench/bench_floating.py [SEEDS] [DEGREES]
 
-By seed of the sensors' errors: config/cad.yaml is calibrated, kinematically and dynamically, from
-thirteen rests and the moves between them (in one process, as bench_laboratory.py does), and what
-that leaves is all that the nodes know of the arm. They fly a reorientation, zero reaction and
-the straight move between its two postures, and half a metre of the end effector along a line in
-the world. Headings are those of `base_reaction`; the line is measured on `sim/truth`. Exits with 1
-if a reorientation ended further from its prediction than 3 sigma of what `arm/motion` says.
+For each seed of the sensor errors, config/cad.yaml is calibrated, kinematically and dynamically,
+from thirteen rests and the moves between them (in one process, like bench_laboratory.py). The nodes
+use only the resulting description. They execute a reorientation, a zero-reaction motion, the
+straight move between its two postures, and a motion of the end effector by 0.5 m along a line in
+the world. Headings are from `base_reaction`; the line is measured on `sim/truth`. Exits with 1 if a
+reorientation differs from its prediction by more than 3 sigma as given by `arm/motion`.
 """
 
 import sys
@@ -40,13 +40,13 @@ from fss_rehearsal.processes import Nodes
 CONFIG = Path(__file__).parents[1] / "config"
 BENT = [-50.0, 55.0, 45.0, 40.0]  # [deg]
 LINE = [0.5 * np.cos(3.7), 0.5 * np.sin(3.7)]  # [m]
-PATIENT = {"timeout": 4.0, "watchdog": 6.0}  # of a computer that does other things, too
-SETTLED = 1.0  # after a motion [s]
+LONG_TIMEOUTS = {"timeout": 4.0, "watchdog": 6.0}  # for a busy computer
+SETTLING_TIME = 1.0  # after a motion [s]
 SECOND = 1_000_000_000
 
 
 class Flight(Person):
-    """A person who keeps what `base_reaction` said."""
+    """Operator that records base_reaction."""
 
     def __init__(self):
         self.executor_ = SingleThreadedExecutor()
@@ -56,53 +56,54 @@ class Flight(Person):
         self.create_subscription(BaseReaction, "base_reaction", self.reactions.append, SENSOR)
 
     def until(self, _, condition, timeout=60.0):
-        """Spin until it holds."""
+        """Spin until the condition holds."""
         deadline = monotonic() + timeout
         while not condition():
             if monotonic() > deadline:
-                raise TimeoutError(f"not within {timeout} s")
+                raise TimeoutError(f"the condition did not hold within {timeout} s")
             self.executor_.spin_once(timeout_sec=0.02)
 
     def motion(self, kind, *arguments, **goal):
-        """Its report, and what was heard from its begin until the arm rests."""
-        ended = self.execute(kind=kind, arguments=[str(one) for one in arguments], **goal)
-        if not ended.result.reached:
-            raise RuntimeError(f"{kind}: {ended.result.message}")
-        report = ended.result.report
-        begin = stamp_ns(report.header.stamp)
-        end = begin + round((report.duration + SETTLED) * SECOND)
+        """Execute a motion; return its report, and the reactions and truths until the arm rests."""
+        result = self.execute(kind=kind, arguments=[str(message) for message in arguments], **goal)
+        if not result.result.reached:
+            raise RuntimeError(f"{kind}: {result.result.message}")
+        report = result.result.report
+        start = stamp_ns(report.header.stamp)
+        end = start + round((report.duration + SETTLING_TIME) * SECOND)
 
-        def stamp(one):
-            return stamp_ns(one.header.stamp)
+        def stamp(message):
+            return stamp_ns(message.header.stamp)
 
         self.until(self, lambda: stamp(self.reactions[-1]) > end and stamp(self.truths[-1]) > end)
-        during = [
-            [one for one in all_ if begin <= stamp(one) <= end]
-            for all_ in (self.reactions, self.truths)
+        recorded = [
+            [message for message in messages if start <= stamp(message) <= end]
+            for messages in (self.reactions, self.truths)
         ]
         self.reactions.clear()
         self.truths.clear()
-        return report, *during
+        return report, *recorded
 
 
-def turned(report, reactions):
-    """By how much the base was turned at the end, and at most [deg]."""
-    rests = stamp_ns(report.header.stamp) + round((report.duration + 0.5 * SETTLED) * SECOND)
-    heading = np.degrees([one.measured[2] for one in reactions])
-    ended = [stamp_ns(one.header.stamp) > rests for one in reactions]
-    return heading[ended].mean() - heading[0], np.abs(heading - heading[0]).max()
+def base_rotation(report, reactions):
+    """Return the final and the largest rotation of the base [deg]."""
+    duration = report.duration + 0.5 * SETTLING_TIME
+    settled_at = stamp_ns(report.header.stamp) + round(duration * SECOND)
+    heading = np.degrees([message.measured[2] for message in reactions])
+    settled = [stamp_ns(message.header.stamp) > settled_at for message in reactions]
+    return heading[settled].mean() - heading[0], np.abs(heading - heading[0]).max()
 
 
-def off_line(arm, truths):
-    """Farthest off the line, and the end from where it ends, of the true end effector [mm]."""
-    tip = tip_pose(arm.vector(), np.array([one.q for one in truths]))[:, :2]
-    from_begin, along = tip - tip[0], np.array(LINE) / np.linalg.norm(LINE)
-    across = from_begin @ [-along[1], along[0]]
-    return 1e3 * np.abs(across).max(), 1e3 * np.linalg.norm(from_begin[-1] - LINE)
+def line_errors(arm, truths):
+    """Return the largest distance of the true end effector from the line, and from its end [mm]."""
+    tip = tip_pose(arm.vector(), np.array([message.q for message in truths]))[:, :2]
+    from_start, along = tip - tip[0], np.array(LINE) / np.linalg.norm(LINE)
+    across = from_start @ [-along[1], along[0]]
+    return 1e3 * np.abs(across).max(), 1e3 * np.linalg.norm(from_start[-1] - LINE)
 
 
-def calibrated(seed):
-    """The description that a seed's experiment leaves."""
+def calibrated_description(seed):
+    """Return the description calibrated from a seed's experiment."""
     run = Rehearsal(CONFIG, seed=seed, preset="default")
     run.run()
     found = calibrate(run.observations, run.guess, KinematicSettings(), run.finder.streams())
@@ -111,17 +112,17 @@ def calibrated(seed):
 
 
 def fly(seed, degrees, say):
-    """One seed's row."""
+    """Run one seed; return its row of the table."""
     logs = Path(mkdtemp(prefix="bench_floating_"))
     arm = logs / "arm.yaml"
-    arm.write_text(calibrated(seed))
+    arm.write_text(calibrated_description(seed))
     rclpy.init()
     with Nodes(logs, say, OWN) as nodes:
         nodes.start(
             "testbed", "fss_sim", "testbed", arm=CONFIG / "truth.yaml", seed=seed,
             ports=OWN.ports(4), truth_rate=50.0,
         )  # fmt: skip
-        nodes.start("links", "fss_arm_driver", "link", urls=OWN.urls(4), arm=arm, **PATIENT)
+        nodes.start("links", "fss_arm_driver", "link", urls=OWN.urls(4), arm=arm, **LONG_TIMEOUTS)
         nodes.start("arm", "fss_arm_driver", "arm", arm=arm, time_to_live=4.0)
         nodes.start("base_reaction", "fss_arm_view", "base_reaction", arm=arm)
         nodes.start("motion", "fss_arm_motion", "motion", arm=arm)
@@ -130,16 +131,16 @@ def fly(seed, degrees, say):
             flight.begin()
             report, reactions, _ = flight.motion("reorientation", "--angle", degrees)
             turn, sigma = np.degrees([report.predicted[2], report.predicted_deviation[2]])
-            seen, _ = turned(report, reactions)
+            measured, _ = base_rotation(report, reactions)
             flight.motion("point_to_point", "--goal", *BENT)
             zero, reactions, _ = flight.motion("zero_reaction", "--direction", 1, 0, 0, 0)
-            _, kept = turned(zero, reactions)
-            there = np.degrees(reactions[-1].q)
+            _, rotation_zero = base_rotation(zero, reactions)
+            end_posture = np.degrees(reactions[-1].q)
             flight.motion("point_to_point", "--goal", *BENT)
             move, reactions, _ = flight.motion(
-                "point_to_point", "--goal", *there, "--duration", zero.duration
+                "point_to_point", "--goal", *end_posture, "--duration", zero.duration
             )
-            _, straight = turned(move, reactions)
+            _, rotation_straight = base_rotation(move, reactions)
             flight.motion("point_to_point", "--goal", *BENT)
             _, _, truths = flight.motion("tip_path", "--by", *LINE)
         finally:
@@ -151,18 +152,18 @@ def fly(seed, degrees, say):
         seed,
         turn,
         sigma,
-        seen,
-        (seen - turn) / sigma,
+        measured,
+        (measured - turn) / sigma,
         np.degrees(zero.predicted_excursion),
-        kept,
-        straight,
-        *off_line(load(CONFIG / "truth.yaml"), truths),
+        rotation_zero,
+        rotation_straight,
+        *line_errors(load(CONFIG / "truth.yaml"), truths),
     )
 
 
 COLUMNS = (
     *("seed", "turn predicted [deg]", "1 sigma", "measured", "[sigma]"),
-    *("zero reaction predicted [deg]", "measured", "straight", "off line [mm]", "its end [mm]"),
+    *("zero reaction predicted [deg]", "measured", "straight", "line error [mm]", "at end [mm]"),
 )
 
 

@@ -1,10 +1,10 @@
-"""How fast the node graph can run: testbed, four drivers, calibration and recorder.
+"""Largest speed of the node graph: testbed, four drivers, calibration and recorder.
 
-With --vehicles 2, each of them has drivers and calibration, and --preset laboratory lets its joints
-give; the recorder takes all.
+With --vehicles 2, each vehicle has drivers and a calibration; with --preset laboratory, the joints
+are flexible. One recorder records all topics.
 
-For each multiple of real time: the speed reached, which messages were lost on the way into the bag,
-and the share of a core that each process took: where that comes near 1, the graph saturates.
+Printed for each multiple of real time: the reached speed, the messages that are missing in the bag,
+and the core share of each process. Near a share of 1, the graph saturates.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from fss_rehearsal.domain import reserve
 from fss_rehearsal.processes import Nodes
 
 LINKS = 4
-PLACES = [-1.0, -0.6, 0.0], [1.0, 0.6, 3.14159]  # of two vehicles
+BASE_POSES = [-1.0, -0.6, 0.0], [1.0, 0.6, 3.14159]  # of two vehicles [m, m, rad]
 MODULES = {
     "testbed": "fss_sim.testbed_node",
     "link": "fss_arm_driver.link_node",
@@ -31,77 +31,81 @@ MODULES = {
 
 
 class Vehicle:
-    """What one of them has in the graph; without a name it is the only one."""
+    """Names of one vehicle in the graph; without a name, it is the only vehicle."""
 
     def __init__(self, name: str = "") -> None:
-        self.name, within = name, f"/{name}" if name else ""
+        self.name, namespace = name, f"/{name}" if name else ""
         body, tip = (name, f"{name}_end_effector") if name else ("fss", "end_effector")
-        self.remapped = ["--ros-args", "-r", f"__ns:={within}"] if name else []
+        self.remappings = ["--ros-args", "-r", f"__ns:={namespace}"] if name else []
         self.poses = [f"/vicon/{subject}/{subject}" for subject in (body, tip)]
-        self.telemetry = [f"{within}/link_{i}/telemetry" for i in range(1, LINKS + 1)]
+        self.telemetry = [f"{namespace}/link_{i}/telemetry" for i in range(1, LINKS + 1)]
 
 
-ALONE = Vehicle()
+ONLY_VEHICLE = Vehicle()
 
 
 class Graph:
-    """The processes, in a ROS domain of their own, and what they take."""
+    """Processes of the graph, in a separate ROS domain."""
 
     def __init__(
-        self, speed: float, folder: Path, vehicles: Sequence[Vehicle], given: argparse.Namespace
+        self, speed: float, folder: Path, vehicles: Sequence[Vehicle], options: argparse.Namespace
     ) -> None:
         self.enter(folder)
         clock = {"use_sim_time": True}
         self.start("record", output=folder / "bag", **clock)
-        patience = {
-            "timeout": max(1.0, speed), "watchdog": 2.0 * max(1.0, speed), "rate": given.rate,
+        link_parameters = {
+            "timeout": max(1.0, speed), "watchdog": 2.0 * max(1.0, speed), "rate": options.rate,
         }  # fmt: skip
         ports = self.domain.ports(2 * LINKS * len(vehicles))
         bed, drivers = ports[: len(ports) // 2], ports[len(ports) // 2 :]
         lines = ["vehicles:"]
         for k, vehicle in enumerate(vehicles):
             self.start("kinematic", vehicle, **clock)
-            own = slice(k * LINKS, (k + 1) * LINKS)
-            pairs = zip(bed[own], drivers[own], strict=True)
+            link_slice = slice(k * LINKS, (k + 1) * LINKS)
+            pairs = zip(bed[link_slice], drivers[link_slice], strict=True)
             urls = [f"udp://127.0.0.1:{link}?bind={driver}" for link, driver in pairs]
-            if given.driver_processes == 1:
-                self.start("link", vehicle, urls=str(urls), **patience, **clock)
+            if options.driver_processes == 1:
+                self.start("link", vehicle, urls=str(urls), **link_parameters, **clock)
             else:
                 for i, url in enumerate(urls, 1):
-                    self.start("link", vehicle, f"link_{i}", link=i, url=url, **patience, **clock)
-            lines.append(f"  {vehicle.name}: {{ports: {bed[own]}, base: {PLACES[k]}}}")
-        several = len(vehicles) > 1
+                    self.start(
+                        "link", vehicle, f"link_{i}", link=i, url=url, **link_parameters, **clock
+                    )
+            lines.append(f"  {vehicle.name}: {{ports: {bed[link_slice]}, base: {BASE_POSES[k]}}}")
+        is_fleet = len(vehicles) > 1
         (folder / "vehicles.yaml").write_text("\n".join(lines))
-        place = {"vehicles": folder / "vehicles.yaml"} if several else {"ports": bed}
+        bed_parameters = {"vehicles": folder / "vehicles.yaml"} if is_fleet else {"ports": bed}
         self.start(
-            "testbed", keep_clock=True, speed=speed, paused=True, telemetry_rate=given.rate,
-            preset=given.preset, **place,
+            "testbed", keep_clock=True, speed=speed, paused=True, telemetry_rate=options.rate,
+            preset=options.preset, **bed_parameters,
         )  # fmt: skip
 
     def enter(self, folder: Path) -> None:
-        """Have no processes yet, in a domain where nobody is."""
+        """Enter an unused ROS domain, with no processes yet."""
         self.domain = next(reserve())
         self.domain.enter()
         self.folder, self.nodes = folder, Nodes(folder, print, self.domain)
         self.processes = self.nodes.processes
 
-    def start(self, what: str, of: Vehicle = ALONE, name: str = "", **parameters: object) -> None:
+    def start(
+        self, kind: str, vehicle: Vehicle = ONLY_VEHICLE, name: str = "", **parameters: object
+    ) -> None:
         """Start a node's main as a process."""
-        module, _, main = MODULES[what].partition(":")
+        module, _, main = MODULES[kind].partition(":")
         code = f"import sys; from {module} import {main or 'main'} as main; sys.exit(main())"
-        command = [sys.executable, "-c", code, *of.remapped]
-        self.nodes.run(f"{name or what}{of.name}", command, **parameters)
+        command = [sys.executable, "-c", code, *vehicle.remappings]
+        self.nodes.run(f"{name or kind}{vehicle.name}", command, **parameters)
 
     def cpu(self) -> dict[str, float]:
-        """Time that each has taken [s]."""
-        taken = {}
+        """Return the processor time of each process [s]."""
+        times = {}
         for name, process in self.processes.items():
             fields = Path(f"/proc/{process.pid}/stat").read_text().rsplit(")", 1)[1].split()
-            taken[name] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-        return taken
+            times[name] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return times
 
     def stop(self) -> None:
-        """The testbed first, so that the others take what is under way."""
+        """Stop all processes, the test bed first, so that the others process what it has sent."""
         for name in reversed(list(self.processes)):
             self.nodes.stop(name, 60.0)
             if name == "testbed":
@@ -109,14 +113,14 @@ class Graph:
         self.nodes.close()
 
 
-def measure(speed: float, vehicles: Sequence[Vehicle], given: argparse.Namespace) -> bool:
-    """Run the graph at a multiple of real time and print one row; whether nothing was lost."""
+def measure(speed: float, vehicles: Sequence[Vehicle], options: argparse.Namespace) -> bool:
+    """Run the graph at a speed and print one row; return True if nothing is missing."""
     import rclpy
     from std_srvs.srv import SetBool
 
     with TemporaryDirectory(prefix="bench_graph_") as name:
         folder = Path(name)
-        graph = Graph(speed, folder, vehicles, given)
+        graph = Graph(speed, folder, vehicles, options)
         rclpy.init()
         operator = rclpy.create_node("operator")
         pause = operator.create_client(SetBool, "sim/pause")
@@ -129,29 +133,29 @@ def measure(speed: float, vehicles: Sequence[Vehicle], given: argparse.Namespace
                 for vehicle in vehicles
             ):
                 if time.monotonic() > deadline:
-                    raise RuntimeError(f"the graph does not come up, see {folder}")
+                    raise RuntimeError(f"the graph does not start within 30 s, see {folder}")
                 time.sleep(0.1)
             time.sleep(1.0)
-            before, begin = graph.cpu(), time.monotonic()
+            before, start = graph.cpu(), time.monotonic()
             rclpy.spin_until_future_complete(
                 operator, pause.call_async(SetBool.Request(data=False))
             )
-            time.sleep(given.seconds / speed)
+            time.sleep(options.seconds / speed)
             rclpy.spin_until_future_complete(operator, pause.call_async(SetBool.Request(data=True)))
-            took, after = time.monotonic() - begin, graph.cpu()
-            time.sleep(2.0)  # for those who lag
+            elapsed, after = time.monotonic() - start, graph.cpu()
+            time.sleep(2.0)  # for late messages
         finally:
             graph.stop()
             operator.destroy_node()
             rclpy.try_shutdown()
         cpu = {k: after[k] - before[k] for k in after}
-        return report(folder / "bag", speed, took, vehicles, cpu)
+        return report(folder / "bag", speed, elapsed, vehicles, cpu)
 
 
 def report(
-    bag: Path, speed: float, took: float, vehicles: Sequence[Vehicle], cpu: dict[str, float]
+    bag: Path, speed: float, elapsed: float, vehicles: Sequence[Vehicle], cpu: dict[str, float]
 ) -> bool:
-    """Print what came of a run."""
+    """Print the row of a run; return True if nothing is missing in the bag."""
     stamps: dict[str, list[int]] = {topic: [] for v in vehicles for topic in v.poses}
     sequences: dict[str, list[int]] = {topic: [] for v in vehicles for topic in v.telemetry}
     with open_bags(bag) as bags:
@@ -163,35 +167,39 @@ def report(
     frames = max((s[-1] - s[0]) // 10_000_000 + 1 for s in stamps.values())
     lost = sum(frames - len(s) for s in stamps.values())
     sent = sum(s[-1] - s[0] + 1 for s in sequences.values())
-    missed = sent - sum(map(len, sequences.values()))
-    shares = [sum(v for k, v in cpu.items() if k.startswith(what))
-              for what in ("testbed", "link", "kinematic", "record")]  # fmt: skip
+    missing = sent - sum(map(len, sequences.values()))
+    shares = [sum(v for k, v in cpu.items() if k.startswith(kind))
+              for kind in ("testbed", "link", "kinematic", "record")]  # fmt: skip
     print(
-        f"{speed:6g} {frames / 100 / took:8.2f} {len(stamps) * frames:9d} {lost:6d}"
-        f" {sent:9d} {missed:6d}   " + " ".join(f"{share / took:9.2f}" for share in shares),
+        f"{speed:6g} {frames / 100 / elapsed:8.2f} {len(stamps) * frames:9d} {lost:6d}"
+        f" {sent:9d} {missing:6d}   " + " ".join(f"{share / elapsed:9.2f}" for share in shares),
         flush=True,
     )
-    return not (lost or missed)
+    return not (lost or missing)
 
 
 def main() -> int:
-    """Sweep the multiples."""
+    """Measure at each speed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--speeds", type=float, nargs="+", default=[1, 5, 10, 15, 20, 30])
-    parser.add_argument("--seconds", type=float, default=120.0, help="simulated, each speed")
+    parser.add_argument(
+        "--seconds", type=float, default=120.0, help="simulated time at each speed [s]"
+    )
     parser.add_argument("--driver-processes", type=int, choices=(1, LINKS), default=1)
-    parser.add_argument("--rate", type=float, default=5.0, help="telemetry of each link [1/s]")
+    parser.add_argument("--rate", type=float, default=5.0, help="telemetry rate of each link [1/s]")
     parser.add_argument("--vehicles", type=int, choices=(1, 2), default=1)
-    parser.add_argument("--preset", default="default", help="of the test bed, as laboratory")
+    parser.add_argument(
+        "--preset", default="default", help="preset of the test bed, for example laboratory"
+    )
     options = parser.parse_args()
-    vehicles = [ALONE] if options.vehicles == 1 else [Vehicle("fss1"), Vehicle("fss2")]
+    vehicles = [ONLY_VEHICLE] if options.vehicles == 1 else [Vehicle("fss1"), Vehicle("fss2")]
     print(f"{os.cpu_count()} cores, {options.driver_processes} driver process(es), "
           f"telemetry {options.rate:g}/s, {options.seconds:g} s simulated each")  # fmt: skip
-    print(" asked  reached     VICON   lost telemetry   lost   cores: "
+    print(" speed  reached     VICON   lost telemetry   lost   cores: "
           "testbed drivers kinematic record")  # fmt: skip
-    good = [measure(speed, vehicles, options) for speed in options.speeds]
-    print(f"nothing lost at "
-          f"{[s for s, ok in zip(options.speeds, good, strict=True) if ok]}")  # fmt: skip
+    complete = [measure(speed, vehicles, options) for speed in options.speeds]
+    print(f"nothing lost at speeds "
+          f"{[s for s, ok in zip(options.speeds, complete, strict=True) if ok]}")  # fmt: skip
     return 0
 
 

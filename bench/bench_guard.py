@@ -1,8 +1,8 @@
-"""Time that the guard takes for a command of a stream, and for a path.
+"""Time of the guard's check of a streamed command, and of a path.
 
-Arms of 4 and of 12 links on a drifting base, with edge and target: random commands, and random
-paths of five knots in ten seconds, those that are refused or begin too near included. One core;
-of a stream, at most 1 ms is asked for 4 links and 3 ms for 12.
+Arms with 4 and 12 links on a drifting base, with table edge and target: random commands, and random
+paths of five knots in ten seconds, including rejected ones and ones that start too close. One core.
+Limit for a streamed command: 1 ms for 4 links, 3 ms for 12.
 
     OPENBLAS_NUM_THREADS=1 python bench/bench_guard.py
 """
@@ -21,44 +21,45 @@ HORIZON, TIMES = 0.2, np.linspace(0.0, 10.0, 5)  # [s]
 
 
 def arm_of(n: int) -> Arm:
-    """The paper's arm, or one of n links like its own but shorter, of 3 m in all."""
+    """Return the paper's arm, or one with n similar but shorter links, 3 m long in total."""
     arm = paper_arm()
     links = tuple(replace(arm.links[0], a=3.0 / n, b=1.5 / n) for _ in range(n))
     return arm if n == arm.n else replace(arm, links=links)
 
 
-def timed(guard: Guard, rng: np.random.Generator) -> tuple[float, float, bool]:
-    """Times of a command's and of a path's check [s], and whether both are clear."""
+def check_times(guard: Guard, rng: np.random.Generator) -> tuple[float, float, bool]:
+    """Return the times to check a command and a path [s], and True if both are accepted."""
     n = guard.arm.n
-    known = {
+    state = {
         "base": rng.uniform([-0.5, -0.5, -np.pi], [0.5, 0.5, np.pi]),
         "twist": rng.normal(0.0, [0.03, 0.03, 0.05]),
         "target": [*rng.uniform(-1.8, 1.8, 2), 0.0],
     }
     q = rng.uniform(-1.0, 1.0, n) * rng.uniform(0.1, 1.0)
-    qd, wanted = rng.uniform(-0.8, 0.8, (2, n))
+    qd, velocity = rng.uniform(-0.8, 0.8, (2, n))
     knots, rates = q + rng.uniform(-0.4, 0.4, (5, n)), rng.normal(0.0, 0.1, (5, n))
-    begin = time.perf_counter()
+    start = time.perf_counter()
     clear = 0
     with suppress(GuardError):
-        guard.check_command(q, qd, HORIZON, velocity=wanted, **known)
+        guard.check_command(q, qd, HORIZON, velocity=velocity, **state)
         clear += 1
     between = time.perf_counter()
     with suppress(GuardError):
-        guard.check_path(TIMES, knots, rates, **known)
+        guard.check_path(TIMES, knots, rates, **state)
         clear += 1
-    return between - begin, time.perf_counter() - between, clear == 2
+    return between - start, time.perf_counter() - between, clear == 2
 
 
 def main() -> None:
-    print(f"{COUNT} each, in us           p50    p99    most")
+    print(f"{COUNT} checks, in us         p50    p99 largest")
     for n in (4, 12):
         guard, rng = Guard(arm_of(n)), np.random.default_rng(n)
-        *times, clear = zip(*(timed(guard, rng) for _ in range(COUNT + 1)), strict=True)
-        for words, row in zip(("command", "path"), times, strict=True):
-            p50, p99, most = 1e6 * np.percentile(row[1:], [50, 99, 100])  # the first loads it
-            print(f"{n:2} links, {words:8}     {p50:8.0f} {p99:6.0f} {most:7.0f}")
-        print(f"{n:2} links: {sum(clear)} clear in both")
+        *times, clear = zip(*(check_times(guard, rng) for _ in range(COUNT + 1)), strict=True)
+        for name, row in zip(("command", "path"), times, strict=True):
+            # The first one loads the kernels.
+            p50, p99, most = 1e6 * np.percentile(row[1:], [50, 99, 100])
+            print(f"{n:2} links, {name:8}     {p50:8.0f} {p99:6.0f} {most:7.0f}")
+        print(f"{n:2} links: {sum(clear)} pairs accepted")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Whether a process grows, and whether bags are whole, over hours of operation in fast time.
+"""Memory growth of processes and integrity of bags over hours of operation.
 
-Test bed, four links' driver, arm, both calibrations, base reaction, view and recorder at a multiple
-of real time, the arm moving nearly all the while. Memory is what a process holds itself (RSS less
-what it shares with files), compared from the end of its first simulated hour on.
+Test bed, drivers of four links, arm, both calibrations, base reaction, view and recorder run at a
+multiple of real time, while the arm moves almost continuously. The memory of a process is its RSS
+minus pages shared with files; its growth counts from the end of the first simulated hour.
 """
 
 import argparse
@@ -37,9 +37,9 @@ MODULES |= {
     "view": "fss_arm_view.view_node",
 }
 PAGE = os.sysconf("SC_PAGE_SIZE")
-REST = Duration(seconds=6)
-VIEWED = "5MB"  # that the viewer keeps: full early in the first hour
-MOST = 0.05  # growth after the first hour
+REST_DURATION = Duration(seconds=6)
+VIEWER_MEMORY = "5MB"  # of data that the viewer keeps; reached early in the first hour
+MAX_GROWTH = 0.05  # relative, after the first hour
 
 
 class Operator(Node):
@@ -59,86 +59,86 @@ class Operator(Node):
         self.thread.start()
 
     def hours(self) -> float:
-        """Simulated time."""
+        """Return the simulated time [h]."""
         return float(self.get_clock().now().nanoseconds / 3.6e12)
 
     def wait(self, future: Future, seconds: float) -> Any:
-        """The answer; None: not in time."""
-        over = Event()
-        future.add_done_callback(lambda _: over.set())
-        return future.result() if over.wait(seconds) else None
+        """Return the result of a future; None after the timeout [s]."""
+        done = Event()
+        future.add_done_callback(lambda _: done.set())
+        return future.result() if done.wait(seconds) else None
 
     def close(self) -> None:
-        """End the thread."""
+        """Stop the thread."""
         self.spinner.shutdown()
         self.thread.join()
         self.destroy_node()
 
-    async def ask(self, goal: MoveArm.Goal) -> Any:
-        """The result of a move; None: it was refused."""
+    async def request_move(self, goal: MoveArm.Goal) -> Any:
+        """Request a move and return its result; None if it is rejected."""
         handle = await self.mover.send_goal_async(goal)
         return await handle.get_result_async() if handle.accepted else None
 
     def move(self) -> None:
-        """One move, perhaps a rest; if it fails, arm again."""
+        """Make one move; rest after every fourth; if it fails, arm again."""
         goal = MoveArm.Goal(q=self.random.uniform(-1.4, 1.4, LINKS).tolist())
-        # Asked in the spinner's thread: rclpy fails if an answer comes while it is still asking.
-        answer = self.wait(self.spinner.create_task(self.ask(goal)), 70.0)
+        # In the executor's thread: rclpy fails if the response arrives during the request.
+        answer = self.wait(self.spinner.create_task(self.request_move(goal)), 70.0)
         if answer and answer.result.reached:
             self.moves += 1
             if self.moves % 4 == 0:
-                self.get_clock().sleep_for(REST)
+                self.get_clock().sleep_for(REST_DURATION)
         else:
             self.wait(self.arm.call_async(SetBool.Request(data=True)), 10.0)
 
 
-def memory(graph: Graph) -> dict[str, float]:
-    """What each process holds, the viewer that the view starts among them [MB]."""
+def memory_usage(graph: Graph) -> dict[str, float]:
+    """Return the memory of each process, including the viewer that the view starts [MB]."""
     pids = {name: process.pid for name, process in graph.processes.items()}
     children = Path(f"/proc/{pids['view']}/task/{pids['view']}/children").read_text()
     if not children:
-        raise RuntimeError("the viewer has ended")
+        raise RuntimeError("the viewer has exited")
     pids["viewer"] = int(children.split()[0])
-    held = {}
+    usage = {}
     for name, pid in pids.items():
         _, resident, shared, *_ = Path(f"/proc/{pid}/statm").read_text().split()
         if resident == "0":
             log = (graph.folder / f"{name}.log").read_text()
-            raise RuntimeError(f"{name} has ended:\n{log[-2000:]}")
-        held[name] = (int(resident) - int(shared)) * PAGE / 1e6
-    return held
+            raise RuntimeError(f"{name} has exited:\n{log[-2000:]}")
+        usage[name] = (int(resident) - int(shared)) * PAGE / 1e6
+    return usage
 
 
 def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, float], int]:
-    """Operate for simulated hours; memory after the first and at the end [MB], and the moves."""
+    """Operate for simulated hours; return memory after the first and last [MB], and the moves."""
     operator = Operator()
     operator.pause.wait_for_service(60.0)
     operator.mover.wait_for_server(60.0)
     deadline = time.monotonic() + 60.0
     while "view" not in operator.get_node_names():
         if time.monotonic() > deadline:
-            raise RuntimeError(f"the view does not come up, see {graph.folder}")
+            raise RuntimeError(f"the view does not start within 60 s, see {graph.folder}")
         time.sleep(0.1)
     operator.wait(operator.pause.call_async(SetBool.Request(data=False)), 10.0)
-    moves = -1  # at the row before
+    moves = -1  # at the previous row
     first: dict[str, float] = {}
-    held: dict[str, float] = {}  # the least of a quarter of an hour: without what work takes
-    begin, reported = time.monotonic(), 0.0
-    print(" hours   took " + " ".join(f"{name:>9}" for name in memory(graph)) + "  [MB]")
+    usage: dict[str, float] = {}  # minimum of a quarter of an hour, without temporary memory
+    start, reported = time.monotonic(), 0.0
+    print(" hours   took " + " ".join(f"{name:>9}" for name in memory_usage(graph)) + "  [MB]")
     while rclpy.ok() and (now := operator.hours()) < hours:
         operator.move()
-        held = {name: min(mb, held.get(name, mb)) for name, mb in memory(graph).items()}
+        usage = {name: min(mb, usage.get(name, mb)) for name, mb in memory_usage(graph).items()}
         if now >= reported:
             if operator.moves == moves:
-                raise RuntimeError(f"no move is reached any more, see {graph.folder}/arm.log")
+                raise RuntimeError(f"no move succeeds any longer, see {graph.folder}/arm.log")
             moves = operator.moves
             operator.wait(operator.charge.call_async(Trigger.Request()), 10.0)
-            took = (time.monotonic() - begin) / 3600
-            print(f"{now:6.2f} {took:6.2f} " + " ".join(f"{mb:9.1f}" for mb in held.values())
+            elapsed = (time.monotonic() - start) / 3600
+            print(f"{now:6.2f} {elapsed:6.2f} " + " ".join(f"{mb:9.1f}" for mb in usage.values())
                   + f"  {operator.moves} moves", flush=True)  # fmt: skip
-            if reported > 1.0 and not first:  # the least from the end of the first hour on
-                first = held
-            last, held, reported = held, {}, reported + 0.25
+            if reported > 1.0 and not first:  # the first minimum after the first hour
+                first = usage
+            last, usage, reported = usage, {}, reported + 0.25
     if not rclpy.ok():
         raise SystemExit(f"interrupted after {operator.hours():.2f} hours")
     operator.wait(operator.pause.call_async(SetBool.Request(data=True)), 10.0)
@@ -147,9 +147,9 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
 
 
 def main() -> int:
-    """Run, and print; exit code 2 if a process grew or a bag is not whole."""
+    """Run and print; exit code 2 if a process grew or a bag is damaged."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hours", type=float, default=8.0, help="simulated")
+    parser.add_argument("--hours", type=float, default=8.0, help="simulated time [h]")
     parser.add_argument("--speed", type=float, default=10.0, help="multiple of real time")
     options = parser.parse_args()
     with TemporaryDirectory(prefix="bench_hours_") as name:
@@ -159,7 +159,7 @@ def main() -> int:
         graph.start("arm", use_sim_time=True, time_to_live=options.speed)
         graph.start("reaction", use_sim_time=True)
         port, web_port = graph.domain.ports(2)  # of TCP
-        graph.start("view", port=port, web_port=web_port, memory=VIEWED, use_sim_time=True)
+        graph.start("view", port=port, web_port=web_port, memory=VIEWER_MEMORY, use_sim_time=True)
         rclpy.init()
         try:
             first, last, moves = operate(graph, options.hours)
@@ -170,16 +170,16 @@ def main() -> int:
         print("growth after the first hour: "
               + ", ".join(f"{name} {100 * g:+.1f}%" for name, g in growth.items()))  # fmt: skip
         bags = find(folder / "bag")
-        whole = all(map(is_sound, bags))
-        with open_bags(folder / "bag") as read:
-            heard = streams(read)
-            count = sum(topic.messages for topic in read.topics.values())
-            for topic, about in read.topics.items():
-                for finding in findings(about, heard[topic], read.span[0]):
+        all_sound = all(map(is_sound, bags))
+        with open_bags(folder / "bag") as bags_read:
+            topic_streams = streams(bags_read)
+            count = sum(topic.messages for topic in bags_read.topics.values())
+            for topic, info in bags_read.topics.items():
+                for finding in findings(info, topic_streams[topic], bags_read.span[0]):
                     print(f"{topic}: {finding}")
-        print(f"{moves} moves; {len(bags)} bags, {'all' if whole else 'NOT all'} whole, "
+        print(f"{moves} moves; {len(bags)} bags, {'all' if all_sound else 'NOT all'} intact, "
               f"{count} messages")  # fmt: skip
-    return 0 if whole and max(growth.values()) <= MOST else 2
+    return 0 if all_sound and max(growth.values()) <= MAX_GROWTH else 2
 
 
 if __name__ == "__main__":

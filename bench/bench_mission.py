@@ -1,15 +1,15 @@
-"""The capture by nodes alone, on the simulated test bed with its default errors.
+"""Capture missions of all nodes, on the simulated test bed with its default errors.
 
     . scripts/env.sh; python bench/bench_mission.py --runs 20    # of the grid of bench_capture.py
-    python bench/bench_mission.py --runs 280 --out bench/missions.jsonl  # goes on where it ended
-    python bench/bench_mission.py --kill                         # each node, in each phase, SIGKILL
-    python bench/bench_mission.py --faults                       # each fault, in each phase
+    python bench/bench_mission.py --runs 280 --out bench/missions.jsonl  # resumes where it ended
+    python bench/bench_mission.py --kill                         # kill each node in each phase
+    python bench/bench_mission.py --faults                       # each fault in each phase
 
-Each run is a graph of its own; --part 1 2 and --part 2 2 fly beside each other. With --kill it
-prints when the last valve was open and the last joint moving after the kill, and the least gaps of
-bodies, gripper and target aside, and to the edge in the time after it; with --faults how the
-mission ended, and these gaps until a while after its end. Exits with 1 if bodies touched, or if
-what was killed left a valve open for longer than --shut.
+Each run starts a new graph; --part 1 2 and --part 2 2 can run at the same time. With --kill, it
+prints when the last valve closed and the last joint stopped after the kill, and the smallest gaps
+after it: between bodies, except gripper and target, and to the edge. With --faults, it prints how
+the mission ended, and these gaps until shortly after its end. Exits with 1 if bodies touched, or if
+a valve stayed open for longer than --shut after a kill.
 """
 
 import argparse
@@ -41,29 +41,31 @@ from fss_arm_ros.convert import stamp_ns
 from fss_rehearsal.processes import Nodes
 
 NODES = "navigation", "control", "guidance", "base", "arm", "links"
-#: Whose death leaves nobody who may open a valve on purpose.
-LAST = "navigation", "control", "guidance", "base"
-INTO = {"approach": 2.0, "reach": 0.5, "grip": 0.0, "detumble": 1.0}  # the phase, at the kill [s]
-MEETING = "gripper, target"
-BLIND = {f"{subject}.dropout": 1.0 for subject in ("fss", "end_effector", "target")}
-#: Parameters of the test bed, and for how long they are so [s].
+#: Nodes without which no node opens a valve.
+VALVE_NODES = "navigation", "control", "guidance", "base"
+#: Time from the start of a phase to the kill [s].
+TIME_IN_PHASE = {"approach": 2.0, "reach": 0.5, "grip": 0.0, "detumble": 1.0}
+GRIP_PAIR = "gripper, target"
+NO_POSES = {f"{subject}.dropout": 1.0 for subject in ("fss", "end_effector", "target")}
+#: Parameters of the test bed, and the duration of the fault [s].
 FAULTS = {
-    "no poses for 1 s": (BLIND, 1.0),
-    "no poses for 3 s": (BLIND, 3.0),
-    "no poses for 10 s": (BLIND, 10.0),
+    "no poses for 1 s": (NO_POSES, 1.0),
+    "no poses for 3 s": (NO_POSES, 3.0),
+    "no poses for 10 s": (NO_POSES, 10.0),
     "a valve open for good": ({"valve_3.stuck_open": 1.0}, np.inf),
     "a valve closed for good": ({"valve_3.stuck_closed": 1.0}, np.inf),
     "gyro lost": ({"fog.dropout": 1.0}, np.inf),
     "a link lost": ({"link_2.dead": 1.0}, np.inf),
 }
-STILL = 0.02  # of a joint [rad/s]
-AFTER = 30.0  # for which it is looked at what comes of a kill [s]
-Flown = tuple[list[str], dict[str, float], bool]  # a row's cells, `least`, whether it is as meant
+MOVING_RATE = 0.02  # rate above which a joint moves [rad/s]
+OBSERVATION_TIME = 30.0  # after a kill or the end of a mission [s]
+#: Cells of a row, result of `summarize`, True if as required.
+Outcome = tuple[list[str], dict[str, float], bool]
 TARGET = {"target_mass": SETTINGS.target_mass, "target_inertia": SETTINGS.target_inertia}
 
 
 def testbed(case: Case) -> dict[str, object]:
-    """The parameters that begin a case."""
+    """Return the initial parameters of a case."""
     at = case.distance * np.exp(1j * np.radians(-135.0))
     return {
         "base": [float(at.real), float(at.imag), -1.4],
@@ -77,20 +79,20 @@ def testbed(case: Case) -> dict[str, object]:
 
 
 class Run:
-    """One mission on one graph."""
+    """One mission of a new graph."""
 
     def __init__(self, nodes: Nodes, case: Case, speed: float) -> None:
         self.nodes = nodes
-        known = dict.fromkeys(("navigation", "control"), TARGET)
+        gnc_nodes = dict.fromkeys(("navigation", "control"), TARGET)
         guidance = {**TARGET, "posture": list(POSTURE)}
-        start(nodes, speed, testbed=testbed(case), guidance=guidance, **known)
+        start(nodes, speed, testbed=testbed(case), guidance=guidance, **gnc_nodes)
         self.flyer = Flyer(nodes, print)
         self.capture = ActionClient(self.flyer, Capture, "mission/capture")
         self.setter = self.flyer.create_client(SetParameters, "testbed/set_parameters")
         self.result: Capture.Result | None = None
 
-    def begin(self) -> None:
-        """Arm all, and ask for the capture."""
+    def start_mission(self) -> None:
+        """Arm everything and send the capture goal."""
         flyer = self.flyer
         flyer.begin()
         flyer.until(self.capture.server_is_ready, why="mission/capture")
@@ -98,11 +100,11 @@ class Run:
         self.answer = handle.get_result_async()
 
     def end(self, timeout: float = 900.0) -> Capture.Result:
-        """Its result; within real time [s]."""
+        """Return the result; the timeout is in real time [s]."""
         return self.flyer.after(self.answer, timeout).result
 
     def enter(self, phase: str) -> float:
-        """Fly into a phase; when that is [s]."""
+        """Fly until a phase; return the time [s]."""
         flyer = self.flyer
         states = flyer.states
         flyer.until(
@@ -110,142 +112,146 @@ class Run:
         )
         if self.answer.done():
             raise TimeoutError(f"the mission ended before {phase}: {self.answer.result().result}")
-        flyer.pass_time(INTO[phase])
+        flyer.pass_time(TIME_IN_PHASE[phase])
         return flyer.t
 
     def kill(self, name: str, phase: str) -> dict[str, float]:
-        """Kill a node in a phase; what came of it."""
-        since = self.enter(phase)
+        """Kill a node in a phase; return what happened."""
+        start_time = self.enter(phase)
         self.nodes.processes[name].kill()
-        self.flyer.pass_time(AFTER, timeout=600.0)
-        rows = self.rows(since)
-        times = np.array([1e-9 * stamp_ns(t.header.stamp) - since for t in rows])
+        self.flyer.pass_time(OBSERVATION_TIME, timeout=600.0)
+        rows = self.rows(start_time)
+        times = np.array([1e-9 * stamp_ns(t.header.stamp) - start_time for t in rows])
         is_open = np.array([any(t.valves) for t in rows])
-        moving = np.array([np.abs(t.qd[3:]).max() > STILL for t in rows])
+        moving = np.array([np.abs(t.qd[3:]).max() > MOVING_RATE for t in rows])
         return {
             "shut": float(times[is_open].max(initial=0.0)),
             "still": float(times[moving].max(initial=0.0)),
-            **least(rows),
+            **summarize(rows),
         }
 
-    def fail(self, parameters: dict[str, float], lasts: float, phase: str) -> dict[str, float]:
-        """Have a fault in a phase; what came of it."""
-        since = self.enter(phase)
+    def inject_fault(
+        self, parameters: dict[str, float], duration: float, phase: str
+    ) -> dict[str, float]:
+        """Inject a fault in a phase; return what happened."""
+        start_time = self.enter(phase)
         self.set(parameters)
-        if np.isfinite(lasts):
-            self.flyer.pass_time(lasts)
+        if np.isfinite(duration):
+            self.flyer.pass_time(duration)
             self.set(dict.fromkeys(parameters, 0.0))
         self.result = self.end()
-        self.flyer.pass_time(AFTER, timeout=600.0)
-        return least(self.rows(since))
+        self.flyer.pass_time(OBSERVATION_TIME, timeout=600.0)
+        return summarize(self.rows(start_time))
 
     def set(self, parameters: dict[str, float]) -> None:
         """Set parameters of the test bed."""
-        given = [
+        values = [
             Parameter(name, value=value).to_parameter_msg() for name, value in parameters.items()
         ]
-        answer = self.flyer.after(self.setter.call_async(SetParameters.Request(parameters=given)))
+        answer = self.flyer.after(self.setter.call_async(SetParameters.Request(parameters=values)))
         assert all(each.successful for each in answer.results), answer
 
-    def rows(self, since: float) -> list[SimTruth]:
-        """What happened since a time [s]."""
-        return [t for t in self.flyer.truths if 1e-9 * stamp_ns(t.header.stamp) >= since]
+    def rows(self, start_time: float) -> list[SimTruth]:
+        """Return the truths since a time [s]."""
+        return [t for t in self.flyer.truths if 1e-9 * stamp_ns(t.header.stamp) >= start_time]
 
     def close(self) -> None:
-        """Let go."""
+        """Destroy action client and node."""
         self.capture.destroy()
         self.flyer.close()
 
 
-def apart(truth: SimTruth) -> float:
-    """Least gap of bodies but gripper and target, which are to meet [m]."""
+def least_gap(truth: SimTruth) -> float:
+    """Return the smallest gap between bodies, except gripper and target [m]."""
     pairs = zip(truth.pairs, truth.gaps, strict=True)
-    return min((gap for pair, gap in pairs if pair != MEETING), default=np.inf)
+    return min((gap for pair, gap in pairs if pair != GRIP_PAIR), default=np.inf)
 
 
-def least(rows: list[SimTruth]) -> dict[str, float]:
-    """Least gaps in them [m], and whether the target is held in the end."""
+def summarize(rows: list[SimTruth]) -> dict[str, float]:
+    """Return the smallest gaps [m], and whether the target is held at the end."""
     return {
-        "apart": min(map(apart, rows)),
+        "apart": min(map(least_gap, rows)),
         "edge": min(t.edge_clearance for t in rows),
         "holds": float(rows[-1].holds),
     }
 
 
-def faults(logs: Path, given: argparse.Namespace) -> bool:
-    """The table of faults; whether all is safe."""
+def faults(logs: Path, options: argparse.Namespace) -> bool:
+    """Print the table of faults; return True if all runs are safe."""
 
-    def fly(run: Run, phase: str, fault: str) -> Flown:
-        gaps = run.fail(*FAULTS[fault], phase)
+    def fly(run: Run, phase: str, fault: str) -> Outcome:
+        gaps = run.inject_fault(*FAULTS[fault], phase)
         ended = "captured and stopped" if run.result.stopped else f"aborted: {run.result.message}"
         return [ended], gaps, True
 
-    print("| phase | fault | mission | least gap of bodies [m] | to the edge [m] | holds |")
+    print("| phase | fault | mission | smallest gap of bodies [m] | to the edge [m] | holds |")
     print("|---|---|---|---:|---:|---|")
-    return table(logs, given, [each for each in FAULTS if (given.fault or "") in each], fly)
+    return table(logs, options, [each for each in FAULTS if (options.fault or "") in each], fly)
 
 
-def kills(logs: Path, given: argparse.Namespace) -> bool:
-    """The table of kills; whether all is safe."""
+def kills(logs: Path, options: argparse.Namespace) -> bool:
+    """Print the table of kills; return True if all runs are safe."""
 
-    def fly(run: Run, phase: str, node: str) -> Flown:
+    def fly(run: Run, phase: str, node: str) -> Outcome:
         r = run.kill(node, phase)
-        in_time = r["shut"] < given.shut or node not in LAST
+        in_time = r["shut"] < options.shut or node not in VALVE_NODES
         return [f"{r['shut']:.2f}", f"{r['still']:.2f}"], r, in_time
 
-    print("| phase | killed | last valve shut [s] | joints at rest [s] | least gap of bodies [m] "
+    print("| phase | killed | last valve closed [s] | joints at rest [s] | least gap of bodies [m] "
           "| to the edge [m] | holds |")  # fmt: skip
     print("|---|---|---:|---:|---:|---:|---|")
-    return table(logs, given, given.nodes, fly)
+    return table(logs, options, options.nodes, fly)
 
 
 def table(
-    logs: Path, given: argparse.Namespace, names: Iterable[str], fly: Callable[..., Flown]
+    logs: Path, options: argparse.Namespace, names: Iterable[str], fly: Callable[..., Outcome]
 ) -> bool:
-    """Print a row for each phase and name, flown on a graph of its own; whether all is safe."""
-    safe = True
-    for phase, name in product(given.phases, names):
+    """Print a row for each phase and name, each with a new graph; return True if all are safe."""
+    all_safe = True
+    for phase, name in product(options.phases, names):
         with Nodes(logs / f"{phase}_{name.replace(' ', '_')}", print, OWN) as nodes:
-            run = Run(nodes, Case(), given.speed)
+            run = Run(nodes, Case(), options.speed)
             try:
-                run.begin()
-                cells, gaps, fine = fly(run, phase, name)
+                run.start_mission()
+                cells, gaps, safe = fly(run, phase, name)
                 holds = "yes" if gaps["holds"] else "no"
                 cells += [f"{gaps['apart']:.3f}", f"{gaps['edge']:.2f}", holds]
-                fine &= min(gaps["apart"], gaps["edge"]) > 0.0
-                verdict = "" if fine else " UNSAFE"
+                safe &= min(gaps["apart"], gaps["edge"]) > 0.0
+                verdict = "" if safe else " UNSAFE"
             except (TimeoutError, AssertionError) as error:
                 cells, verdict = [str(error)], " NOT FLOWN"
             finally:
                 run.close()
         print(f"| {' | '.join([phase, name, *cells])} |{verdict}", flush=True)
-        safe &= not verdict
-    return safe
+        all_safe &= not verdict
+    return all_safe
 
 
-def missions(logs: Path, given: argparse.Namespace) -> bool:
-    """Runs of the grid; whether all ended without contact."""
+def missions(logs: Path, options: argparse.Namespace) -> bool:
+    """Fly runs of the grid; return True if all ended without contact."""
     rows = []
-    head = subprocess.run(
+    revision = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=Path(__file__).parent, capture_output=True,
         text=True,
     )  # fmt: skip
-    commit = head.stdout.strip()
-    if given.out and given.out.exists():
-        rows = [json.loads(line) for line in given.out.read_text().splitlines()]
-    flown = [row["case"] for row in rows]
-    part, parts = given.part
-    for k, case in islice(enumerate(grid()), part - 1, given.runs, parts):
-        if (name := f"{case.spin:+.2f}, heading {case.heading:.2f}, seed {case.seed}") in flown:
+    commit = revision.stdout.strip()
+    if options.out and options.out.exists():
+        rows = [json.loads(line) for line in options.out.read_text().splitlines()]
+    flown_cases = [row["case"] for row in rows]
+    part, parts = options.part
+    for k, case in islice(enumerate(grid()), part - 1, options.runs, parts):
+        if (
+            name := f"{case.spin:+.2f}, heading {case.heading:.2f}, seed {case.seed}"
+        ) in flown_cases:
             continue
         with Nodes(logs / str(k), print, OWN) as nodes:
-            run = Run(nodes, case, given.speed)
+            run = Run(nodes, case, options.speed)
             try:
-                run.begin()
+                run.start_mission()
                 result = run.end()
                 run.flyer.pass_time(1.0)
                 truths = run.flyer.truths[::5]
-                least = min(min(t.edge_clearance, apart(t)) for t in truths)
+                least = min(min(t.edge_clearance, least_gap(t)) for t in truths)
             finally:
                 run.close()
         rows.append(
@@ -254,43 +260,45 @@ def missions(logs: Path, given: argparse.Namespace) -> bool:
              "propellant": 1e3 * result.propellant, "torque": result.largest_torque}
         )  # fmt: skip
         print(f"{k + 1:3}: {rows[-1]}", flush=True)
-        if given.out:
-            with given.out.open("a") as file:
+        if options.out:
+            with options.out.open("a") as file:
                 print(json.dumps(rows[-1]), file=file)
     print("| spin [rad/s] | runs | captured and stopped | time [s] | propellant [g] "
-          "| torque [N m] | least gap [m] |")  # fmt: skip
+          "| torque [N m] | smallest gap [m] |")  # fmt: skip
     print("|---:|---:|---:|---:|---:|---:|---:|")
     for spin in sorted({row["spin"] for row in rows}):
-        some = [row for row in rows if row["spin"] == spin]
-        good = [row for row in some if row["stopped"]]
-        cells = [f"{spin:.2f}", str(len(some)), f"{len(good)}"]
+        group = [row for row in rows if row["spin"] == spin]
+        good = [row for row in group if row["stopped"]]
+        cells = [f"{spin:.2f}", str(len(group)), f"{len(good)}"]
         for name in ("time", "propellant"):
             values = [row[name] for row in good] or [np.nan]
             cells.append(f"{np.median(values):.0f} (to {max(values):.0f})")
         cells.append(f"{max((row['torque'] for row in good), default=np.nan):.2f}")
-        cells.append(f"{min(row['least'] for row in some):.3f}")
+        cells.append(f"{min(row['least'] for row in group):.3f}")
         print("| " + " | ".join(cells) + " |")
     return all(row["least"] > 0.0 for row in rows)
 
 
 def main() -> int:
-    """Fly."""
+    """Fly the selected runs."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--out", type=Path, help="JSON lines; what is there is not flown again")
+    parser.add_argument("--out", type=Path, help="JSON lines file; runs in it are not repeated")
     parser.add_argument("--part", type=int, nargs=2, default=(1, 1), metavar=("K", "N"))
     parser.add_argument("--kill", action="store_true")
     parser.add_argument("--faults", action="store_true")
-    parser.add_argument("--fault", help="with --faults: those in whose names this is")
+    parser.add_argument("--fault", help="with --faults: only faults whose name contains this")
     parser.add_argument("--phases", nargs="+", default=PHASES, choices=PHASES)
     parser.add_argument("--nodes", nargs="+", default=NODES, choices=NODES)
-    parser.add_argument("--shut", type=float, default=1.5, help="valves shut after a kill [s]")
+    parser.add_argument(
+        "--shut", type=float, default=1.5, help="time limit for closed valves after a kill [s]"
+    )
     parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
-    given = parser.parse_args()
+    options = parser.parse_args()
     rclpy.init()
     logs = Path(mkdtemp(prefix="bench_mission_"))
-    fly = kills if given.kill else faults if given.faults else missions
-    return int(not fly(logs, given))
+    fly = kills if options.kill else faults if options.faults else missions
+    return int(not fly(logs, options))
 
 
 if __name__ == "__main__":

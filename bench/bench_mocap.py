@@ -1,9 +1,9 @@
-"""What `mocap` costs: from a server's frame to a subscriber, beside a bare receiver in Python.
+"""Latency of `mocap` from a server's frame to a subscriber, compared with a bare Python receiver.
 
-A small NatNet server sends two subjects at 100 Hz. The node takes them through the motion-capture
-library, in a process of its own; the peer is an rclpy node that waits for the same frames on a
-socket of its own and publishes their numbers as they lie in the datagram, and does nothing else.
-Both run at once, and a third process subscribes to both.
+A small NatNet server sends two subjects at 100 Hz. The node receives them through the
+motion-capture library in a separate process. The peer is an rclpy node that receives the same
+frames on its own socket and publishes the numbers of the datagram unchanged. Both run at the same
+time, and a third process subscribes to both.
 """
 
 import argparse
@@ -29,11 +29,11 @@ from natnet import NatNetServer, frame
 
 NAMES = ["fss", "end_effector"]
 RATE = 100.0  # of the frames [1/s]
-BODIES = 20  # where they begin in a datagram: after its head and three counts
+BODIES = 20  # their offset in a datagram: after its header and three counts
 
 
 def relay(port: int) -> None:
-    """Publish what comes at a port."""
+    """Publish the poses received at a port."""
     rclpy.init()
     node = Node("relay")
     publishers = [node.create_publisher(PoseStamped, f"bare/{n}/{n}", SENSOR) for n in NAMES]
@@ -53,23 +53,23 @@ def relay(port: int) -> None:
 
 
 class User(Node):
-    """Notes when each subject's poses come, by their z, which counts the frames."""
+    """Records the arrival of each subject's poses, by their z, which counts the frames."""
 
     def __init__(self) -> None:
         super().__init__("user")
-        self.came: dict[str, dict[int, float]] = {"vicon": {}, "bare": {}}
-        for prefix, came in self.came.items():
-            for name in NAMES[1:]:  # the later one of a frame
+        self.arrivals: dict[str, dict[int, float]] = {"vicon": {}, "bare": {}}
+        for prefix, arrivals in self.arrivals.items():
+            for name in NAMES[1:]:  # the second one of a frame
                 subscribe_sensor(
                     self, PoseStamped, f"{prefix}/{name}/{name}",
-                    lambda m, came=came: came.setdefault(
+                    lambda m, arrivals=arrivals: arrivals.setdefault(
                         round(1e3 * m.pose.position.z), time.monotonic()
                     ),
                 )  # fmt: skip
 
 
 def run(user: User, send: Sequence[Callable[[bytes], object]], seconds: float) -> dict[int, float]:
-    """Send frames to both, each first in turn, for a while after both came; return when."""
+    """Send frames to both, in alternating order, for `seconds`; return the times of sending."""
     sent: dict[int, float] = {}
     due, end = time.monotonic(), inf
     while due < end:
@@ -79,10 +79,10 @@ def run(user: User, send: Sequence[Callable[[bytes], object]], seconds: float) -
         turn = 0.0, 0.0, sin(1e-3 * number), cos(1e-3 * number)
         poses = {name: (x, 0.0, 1e-3 * number, *turn) for x, name in enumerate(NAMES)}
         sent[number] = time.monotonic()
-        for one in send[:: 1 if number % 2 else -1]:
-            one(frame(number, NAMES, poses))
+        for send_one in send[:: 1 if number % 2 else -1]:
+            send_one(frame(number, NAMES, poses))
         due += 1.0 / RATE
-        if end == inf and all(user.came.values()):
+        if end == inf and all(user.arrivals.values()):
             end = due + seconds
     return dict(list(sent.items())[-round(seconds * RATE) :])
 
@@ -92,42 +92,42 @@ def compare(seconds: float) -> None:
     server, link = NatNetServer(NAMES), socket(AF_INET, SOCK_DGRAM)
     with socket(AF_INET, SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
-        bare = free.getsockname()
+        relay_address = free.getsockname()
     parameters = {"system": "optitrack", "host": "127.0.0.1", "max_speed": 1000.0}
     options = [f"{name}:={value}" for name, value in parameters.items()]
     options.append(f'options:=["{server.options[0]}"]')
     node = [sys.executable, "-m", "fss_base_driver.mocap_node", "--ros-args"]
     programs = [
         subprocess.Popen([*node, *(word for option in options for word in ("-p", option))]),
-        subprocess.Popen([sys.executable, __file__, "--relay", str(bare[1])]),
+        subprocess.Popen([sys.executable, __file__, "--relay", str(relay_address[1])]),
     ]
     rclpy.init()
     user = User()
     try:
-        sent = run(user, (server.send_raw, lambda data: link.sendto(data, bare)), seconds)
+        sent = run(user, (server.send_raw, lambda data: link.sendto(data, relay_address)), seconds)
     finally:
         for program in programs:
             program.terminate()
             program.wait()
-    late = {}
-    for prefix, came in user.came.items():
-        times = [came[number] - then for number, then in sent.items() if number in came]
-        late[prefix] = p50, p99 = np.percentile(1e3 * np.array(times), (50, 99))
+    latencies = {}
+    for prefix, arrivals in user.arrivals.items():
+        times = [arrivals[number] - then for number, then in sent.items() if number in arrivals]
+        latencies[prefix] = p50, p99 = np.percentile(1e3 * np.array(times), (50, 99))
         print(f"{prefix}: p50 {p50:.2f} ms, p99 {p99:.2f} ms, {len(sent) - len(times)} lost")
-    p50, p99 = np.divide(late["vicon"], late["bare"])
+    p50, p99 = np.divide(latencies["vicon"], latencies["bare"])
     print(f"mocap / bare: p50 {p50:.2f}, p99 {p99:.2f}")
 
 
 def main() -> None:
-    """Compare, or be the peer."""
+    """Compare the nodes, or run the peer."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--relay", type=int, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.relay:
-        relay(given.relay)
+    options = parser.parse_args()
+    if options.relay:
+        relay(options.relay)
     else:
-        compare(given.seconds)
+        compare(options.seconds)
 
 
 if __name__ == "__main__":

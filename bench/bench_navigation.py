@@ -1,8 +1,8 @@
-"""What the node `navigation` takes of a core, beside a node that only listens.
+"""Core share of the node `navigation`, compared with a node that only subscribes.
 
-Poses of base and target and the gyro at 100 Hz, readings of four joints at 5 Hz each, what is
-planned for them at 20 Hz, pulses of the thrusters at 10 Hz. The peer has the same subscriptions,
-in rclpy's own executor, and does nothing with what it hears.
+Inputs: poses of base and target and the gyro at 100 Hz, four joints at 5 Hz each, their plan at
+20 Hz, pulses of the thrusters at 10 Hz. The peer has the same subscriptions in rclpy's executor and
+ignores the messages.
 """
 
 import argparse
@@ -41,7 +41,7 @@ TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class Listener(Node):
-    """Hears what navigation hears."""
+    """Subscribes to the inputs of navigation."""
 
     def __init__(self) -> None:
         super().__init__("listener")
@@ -50,7 +50,7 @@ class Listener(Node):
 
 
 def listen() -> None:
-    """Be the peer, until terminated."""
+    """Run the peer until it is terminated."""
     rclpy.init()
     spinner = SingleThreadedExecutor()
     spinner.add_node(Listener())
@@ -59,21 +59,21 @@ def listen() -> None:
 
 
 class Source(Node):
-    """Publishes all of it, and counts what comes of it."""
+    """Publishes the inputs, and measures the latency of the states."""
 
     def __init__(self) -> None:
         super().__init__("source")
-        self.out = {topic: self.create_publisher(kind, topic, SENSOR) for topic, kind in TOPICS}
-        self.heard: list[float] = []  # how late each state is, from its pose being published [s]
-        self.sent: dict[int, float] = {}
+        self.outputs = {topic: self.create_publisher(kind, topic, SENSOR) for topic, kind in TOPICS}
+        self.latencies: list[float] = []  # from publishing a pose to receiving its state [s]
+        self.sent_at: dict[int, float] = {}
         self.create_subscription(Odometry, "base/state", self.on_state, sensor())
         self.random = np.random.default_rng(1)
 
     def on_state(self, message: Odometry) -> None:
-        """A state has come."""
+        """Record the latency of a state."""
         at = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        if at in self.sent:
-            self.heard.append(time.monotonic() - self.sent.pop(at))
+        if at in self.sent_at:
+            self.latencies.append(time.monotonic() - self.sent_at.pop(at))
 
     def frame(self, k: int) -> None:
         """Publish the k-th frame."""
@@ -81,7 +81,7 @@ class Source(Node):
         header = to_time(stamp)
         imu = Imu()
         imu.header.stamp, imu.angular_velocity.z = header, 0.05
-        self.out["fog/imu"].publish(imu)
+        self.outputs["fog/imu"].publish(imu)
         if k % 5 == 0:
             i = k // 5 % 4
             rate = 0.1 * float(np.sin(t + i))
@@ -89,7 +89,7 @@ class Source(Node):
                 name=[f"joint_{i + 1}"], position=[0.1], velocity=[rate], effort=[0.0]
             )
             joint.header.stamp = header
-            self.out["joint_states"].publish(joint)
+            self.outputs["joint_states"].publish(joint)
             plan = JointTrajectory(joint_names=[f"joint_{j}" for j in range(1, 5)])
             plan.header.stamp = header
             for step in range(6):
@@ -97,35 +97,35 @@ class Source(Node):
                 point = JointTrajectoryPoint(positions=[0.1] * 4, velocities=rates)
                 point.time_from_start.nanosec = step * 100_000_000
                 plan.points.append(point)
-            self.out["arm/planned"].publish(plan)
+            self.outputs["arm/planned"].publish(plan)
         if k % 10 == 0:
             command = ThrusterCommand(on_time=[0.02, 0.0, 0.0, 0.03, 0.0, 0.0, 0.0, 0.0])
             command.header.stamp = header
-            self.out["thrusters/pulses"].publish(command)
+            self.outputs["thrusters/pulses"].publish(command)
             gripper = GripperState()
             gripper.header.stamp = header
-            self.out["gripper/state"].publish(gripper)
+            self.outputs["gripper/state"].publish(gripper)
         noise = self.random.normal(0.0, 3e-4, 3).tolist()
         target = pose_stamped(stamp, "world", (1.0 + noise[0], 1.0 + noise[1], 0.1 * t))
-        self.out["vicon/target/target"].publish(target)
+        self.outputs["vicon/target/target"].publish(target)
         base = pose_stamped(stamp, "world", (0.01 * t + noise[1], noise[2], 0.05 * t))
-        self.sent[stamp] = time.monotonic()
-        self.out["vicon/fss/fss"].publish(base)
+        self.sent_at[stamp] = time.monotonic()
+        self.outputs["vicon/fss/fss"].publish(base)
 
 
-def busy(process: subprocess.Popen[bytes]) -> float:
-    """Time that a process took of cores so far [s]."""
+def processor_time(process: subprocess.Popen[bytes]) -> float:
+    """Return the processor time of a process [s]."""
     fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / TICKS
 
 
 def main() -> int:
-    """Compare; the exit code tells whether navigation takes less than a tenth of a core."""
+    """Compare the nodes; return 0 if navigation needs less than a tenth of a core, else 1."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--listen", action="store_true", help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.listen:
+    options = parser.parse_args()
+    if options.listen:
         listen()
         return 0
     programs = {
@@ -134,28 +134,33 @@ def main() -> int:
     }
     rclpy.init()
     source, due, k = Source(), time.monotonic(), 0
-    begun: dict[str, float] = {}
+    initial_times: dict[str, float] = {}
     warm = end = inf
     shares = {}
     try:
         while due < end:
-            if due > warm and not begun:
-                begun = {name: busy(program) for name, program in programs.items()}
-                source.heard.clear()
+            if due > warm and not initial_times:
+                initial_times = {
+                    name: processor_time(program) for name, program in programs.items()
+                }
+                source.latencies.clear()
             while (left := due - time.monotonic()) > 0.0:
                 rclpy.spin_once(source, timeout_sec=left)
             source.frame(k)
             k, due = k + 1, max(due + FRAME, time.monotonic())
-            if source.heard and end == inf:  # it runs, and compiles or loads what it needs
-                warm, end = due + 5.0, due + 5.0 + given.seconds
-        shares = {n: (busy(p) - begun[n]) / (time.monotonic() - warm) for n, p in programs.items()}
+            if source.latencies and end == inf:  # it runs, and may still compile or load kernels
+                warm, end = due + 5.0, due + 5.0 + options.seconds
+        shares = {
+            n: (processor_time(p) - initial_times[n]) / (time.monotonic() - warm)
+            for n, p in programs.items()
+        }
     finally:
         for program in programs.values():
             program.terminate()
             program.wait()
     for name, share in shares.items():
         print(f"{name}: {100 * share:.1f} % of a core")
-    p50, p99 = 1e3 * np.percentile(source.heard, (50, 99))
+    p50, p99 = 1e3 * np.percentile(source.latencies, (50, 99))
     print(f"from pose to base/state: p50 {p50:.2f} ms, p99 {p99:.2f} ms")
     return 0 if shares["navigation"] < 0.1 else 1
 

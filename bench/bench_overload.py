@@ -1,9 +1,9 @@
-"""Too much telemetry: what of it is published, and whether commands and stops still come in time.
+"""Overload by telemetry: share of published frames, and latency of commands and stops.
 
-Links that measure at ever higher rates talk to their drivers, in one process or in one each; a
-listener takes all they publish. Meanwhile they are armed and stopped again and again. Of what the
-links get, this reports the longest gap between commands, and the time from the publication of a
-stop to each link's frame with it.
+Links send telemetry at increasing rates to their drivers, in one process or one each; a node
+subscribes to all their topics. Meanwhile the links are armed and stopped repeatedly. Reported: the
+longest gap between commands at a link, and the time from publishing a stop to its frame at each
+link.
 """
 
 import argparse
@@ -36,8 +36,8 @@ from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import sensor
 
-LIMIT = 0.25  # [s] from a stop to each link
-ENOUGH = 60.0  # to start and to be armed [s]
+MAX_STOP_LATENCY = 0.25  # from a stop to each link [s]
+ARMING_TIMEOUT = 60.0  # for starting and arming [s]
 
 
 class Arrival(NamedTuple):
@@ -49,48 +49,48 @@ class Arrival(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What the links did and got."""
+    """Sent frames and received commands of the links."""
 
     sent: list[int]  # frames of each
-    late: float  # the worst that the links themselves were late by [s]
+    max_delay: float  # largest delay of the links' own frames [s]
     arrivals: list[Arrival]
 
 
-def links(pipe: Connection, count: int, rate: float) -> None:
-    """Be so many links until told to end; a process of its own, as it is not what is measured."""
-    ends = [FakeLink(i) for i in range(1, count + 1)]
-    pipe.send([end.url for end in ends])
-    sockets = {end.socket: end for end in ends}
+def run_links(pipe: Connection, count: int, rate: float) -> None:
+    """Run `count` links until a message in the pipe; in a separate process, not measured."""
+    links = [FakeLink(i) for i in range(1, count + 1)]
+    pipe.send([link.url for link in links])
+    sockets = {link.socket: link for link in links}
     arrivals: list[Arrival] = []
-    sent, late, due = [0] * count, 0.0, time.monotonic()
+    sent, latest, due = [0] * count, 0.0, time.monotonic()
     while not pipe.poll():
         wait = max(0.0, due - time.monotonic())
         for ready in select.select(list(sockets), [], [], wait)[0]:
-            end = sockets[ready]
-            data = end.socket.recv(100)
+            link = sockets[ready]
+            data = link.socket.recv(100)
             command = decode(data)
             if isinstance(command, Command):
-                end.answer(data)
-                arrivals.append(Arrival(time.monotonic(), end.frame.link, command.flags))
+                link.answer(data)
+                arrivals.append(Arrival(time.monotonic(), link.frame.link, command.flags))
         if (now := time.monotonic()) >= due:
-            late = max(late, now - due)
-            for k, end in enumerate(ends):
-                end.report()
+            latest = max(latest, now - due)
+            for k, link in enumerate(links):
+                link.report()
                 sent[k] += 1
             due = max(due + 1.0 / rate, now - 1.0)
     pipe.recv()
-    pipe.send(Report(sent, late, arrivals))
+    pipe.send(Report(sent, latest, arrivals))
 
 
 class Watch(Node):
-    """Listens to all that the drivers publish, arms and stops their links."""
+    """Subscribes to all topics of the drivers, arms and stops their links."""
 
     def __init__(self, count: int) -> None:
         super().__init__("bench_overload")
         self.counts: dict[str, dict[str, int]] = {}  # of each link, by its diagnostics
         self.published = [0] * count
         self.create_subscription(JointState, "joint_states", lambda _: None, sensor(), raw=True)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self.hear, 100)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 100)
         for k in range(count):
             self.create_subscription(
                 LinkTelemetry, f"link_{k + 1}/telemetry", lambda _, k=k: self.count(k), sensor(),
@@ -105,7 +105,7 @@ class Watch(Node):
         self.executor_thread.start()
 
     def close(self) -> None:
-        """End."""
+        """Stop the executor."""
         self.spinner.shutdown()
         self.executor_thread.join()
         self.destroy_node()
@@ -114,24 +114,24 @@ class Watch(Node):
         """Count a link's telemetry."""
         self.published[k] += 1
 
-    def hear(self, message: DiagnosticArray) -> None:
-        """Take what the drivers count."""
+    def on_diagnostics(self, message: DiagnosticArray) -> None:
+        """Store the counters of the drivers."""
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
             if "believed" in values:
-                known = {name: int(n) for name, n in values.items() if n.isdigit()}
-                self.counts[status.name] = known
+                counts = {name: int(n) for name, n in values.items() if n.isdigit()}
+                self.counts[status.name] = counts
 
     def arm(self) -> None:
-        """Arm all links, however often that takes.
+        """Arm all links, with as many requests as needed.
 
         Raises:
             RuntimeError: they cannot be armed.
         """
-        end, left = time.monotonic() + ENOUGH, dict(enumerate(self.arms))
+        deadline, left = time.monotonic() + ARMING_TIMEOUT, dict(enumerate(self.arms))
         answers = {}
         while left:
-            if time.monotonic() > end:
+            if time.monotonic() > deadline:
                 raise RuntimeError(f"links {[k + 1 for k in left]} cannot be armed")
             for k, client in list(left.items()):
                 answer = answers.get(k)
@@ -143,10 +143,10 @@ class Watch(Node):
 
 
 def run(folder: str, count: int, rate: float, seconds: float, together: bool) -> bool:
-    """Print a line of figures; whether all stops came in time and no link was lost."""
+    """Print a row; return True if all stops arrived in time and no link was lost."""
     ours, theirs = multiprocessing.Pipe()
-    far = multiprocessing.Process(target=links, args=(theirs, count, rate))
-    far.start()
+    links_process = multiprocessing.Process(target=run_links, args=(theirs, count, rate))
+    links_process.start()
     urls = ours.recv()
     paper, arm = paper_arm(), f"arm:={folder}/arm.yaml"
     save(replace(paper, links=(paper.links * count)[:count]), Path(folder, "arm.yaml"))
@@ -159,9 +159,9 @@ def run(folder: str, count: int, rate: float, seconds: float, together: bool) ->
     stops, armed = [], 0
     try:
         watch.arm()
-        begun, before = time.monotonic(), list(watch.published)
+        start, before = time.monotonic(), list(watch.published)
         used = -sum(processor_time(driver.pid) for driver in drivers)
-        while time.monotonic() < begun + seconds:
+        while time.monotonic() < start + seconds:
             try:
                 watch.arm()
                 armed += 1
@@ -171,44 +171,44 @@ def run(folder: str, count: int, rate: float, seconds: float, together: bool) ->
             stops.append(time.monotonic())
             watch.stop.publish(Empty())
             time.sleep(1.5)
-        ended = time.monotonic()
+        end = time.monotonic()
         used += sum(processor_time(driver.pid) for driver in drivers)
         published = sum(watch.published) - sum(before)
         time.sleep(2.0)  # for the last diagnostics
     finally:
-        ending = time.monotonic()
+        shutdown_time = time.monotonic()
         for driver in drivers:
             driver.send_signal(signal.SIGTERM)
         for driver in drivers:
             driver.wait()
-        ending = time.monotonic() - ending
+        shutdown_time = time.monotonic() - shutdown_time
         ours.send(None)
         report: Report = ours.recv()
-        far.join()
+        links_process.join()
         watch.close()
-    took = [
+    latencies = [
         min((a.at for a in report.arrivals if a.link == k and a.at > at and a.flags & Order.STOP),
             default=np.inf) - at
         for at in stops for k in range(1, count + 1)
     ]  # fmt: skip
     gaps = [
-        np.diff([a.at for a in report.arrivals if a.link == k and begun < a.at < ended])
+        np.diff([a.at for a in report.arrivals if a.link == k and start < a.at < end])
         for k in range(1, count + 1)
     ]
     gap = max((g.max(initial=0.0) for g in gaps), default=0.0)
     total = {name: sum(c.get(name, 0) for c in watch.counts.values())
              for name in ("believed", "lost", "dropped")}  # fmt: skip
-    sent = count * rate * (ended - begun)
+    sent = count * rate * (end - start)
     print(
         f"{count} links at {rate:g} Hz, {'one process' if together else 'one each'}: "
         f"{100.0 * published / sent:.0f}% published, {total['dropped']} dropped, "
-        f"{total['lost']} lost, {100.0 * used / (ended - begun):.0f}% of a core; "
-        f"longest gap of commands {gap:.2f} s; stop p50 {np.quantile(took, 0.5):.3f}, "
-        f"p99 {np.quantile(took, 0.99):.3f}, worst {max(took):.3f} s of {len(stops)}; "
-        f"SIGTERM {ending:.1f} s; links late {report.late:.2f} s",
+        f"{total['lost']} lost, {100.0 * used / (end - start):.0f}% of a core; "
+        f"longest gap of commands {gap:.2f} s; stop p50 {np.quantile(latencies, 0.5):.3f}, "
+        f"p99 {np.quantile(latencies, 0.99):.3f}, worst {max(latencies):.3f} s of {len(stops)}; "
+        f"SIGTERM {shutdown_time:.1f} s; links delayed {report.max_delay:.2f} s",
         flush=True,
     )
-    return max(took) <= LIMIT and total["lost"] == 0
+    return max(latencies) <= MAX_STOP_LATENCY and total["lost"] == 0
 
 
 def main() -> int:
@@ -216,13 +216,13 @@ def main() -> int:
     parser.add_argument("--links", type=int, default=12)
     parser.add_argument("--rates", type=float, nargs="+", default=[20.0, 100.0, 500.0])
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--each", action="store_true", help="a process for each link")
-    given = parser.parse_args()
+    parser.add_argument("--each", action="store_true", help="use a process for each link")
+    options = parser.parse_args()
     os.chdir(os.path.dirname(os.path.abspath(__file__)))
     rclpy.init()
     with TemporaryDirectory() as folder:
-        how = given.seconds, not given.each
-        good = [run(folder, given.links, rate, *how) for rate in given.rates]
+        run_options = options.seconds, not options.each
+        good = [run(folder, options.links, rate, *run_options) for rate in options.rates]
     rclpy.try_shutdown()
     return 0 if all(good) else 2
 

@@ -1,12 +1,12 @@
-"""Speed of the dynamics beside that of MuJoCo and Pinocchio (python bench/bench_plant.py [beds]).
+"""Speed of the dynamics, compared with MuJoCo and Pinocchio (python bench/bench_plant.py [beds]).
 
-And how many times as fast as real time the bed is with several vehicles, contact and grips; `beds`:
-that alone.
+Also the speed of the bed, in multiples of real time, with several vehicles, contact and grips;
+`beds`: only that.
 
-RK4 at 1 ms, the whole trajectory kept. Each figure is the median over interleaved runs, so that
-what else the machine does touches all alike; ratios are medians of the runs' own ratios. The share
-of peak is that of the multiplications and additions that one core makes in the same run, in
-registers and without waiting; those of a step are counted from fss_arm_model.lanes.
+RK4 at 1 ms; the whole trajectory is stored. Each figure is the median over interleaved runs, so
+that other load affects all programs equally; ratios are medians of the ratios of the runs. The
+share of peak refers to the multiplications and additions that one core can make in registers,
+measured in the same run; the operations of a step are counted in fss_arm_model.lanes.
 """
 
 import os
@@ -33,25 +33,25 @@ from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.rollout import rollout
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.contact import Contact
-from fss_sim.plant.drives import CURRENT, VELOCITY
+from fss_sim.plant.drives import MODE_CURRENT, MODE_VELOCITY
 from fss_sim.plant.joints import PRESETS
 from fss_sim.plant.plant import Demand, Plant, Vehicle, World
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import Gripper, Passive
+from fss_sim.plant.target import Gripper, PassiveTarget
 
 STEPS, RUNS = 5000, 15
-WIDE = Surroundings(table=(40.0, 40.0))  # no border near
+WIDE = Surroundings(table=(40.0, 40.0))  # the border is far away
 FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
 
 
-def seconds(run):
-    begin = perf_counter()
+def elapsed(run):
+    start = perf_counter()
     run()
-    return perf_counter() - begin
+    return perf_counter() - start
 
 
 def in_mujoco(arm, tau, threads=1):
-    """A rollout of each tau (rollouts, steps, 3 + n), with all that the arm has no use for off."""
+    """Return a function that rolls out each tau (rollouts, steps, 3 + n)."""
     model = mujoco_model(arm)
     model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, STEP
     off = mujoco.mjtDisableBit
@@ -66,7 +66,7 @@ def in_mujoco(arm, tau, threads=1):
 
 
 def in_pinocchio(arm, tau):
-    """One rollout by `aba` in a Runge-Kutta loop in Python."""
+    """Return a function that makes a rollout by `aba` in a Runge-Kutta loop in Python."""
     model = pinocchio_model(arm)
     data = model.createData()
 
@@ -87,25 +87,25 @@ def in_pinocchio(arm, tau):
 
 
 def compare(name, peer, ours, peer_steps, our_steps, required, n=4, threads=1):
-    runs = [(seconds(peer), seconds(ours), seconds(multiply_and_add)) for _ in range(RUNS)]
+    runs = [(elapsed(peer), elapsed(ours), elapsed(multiply_and_add)) for _ in range(RUNS)]
     times = np.array(runs) / (peer_steps, our_steps, PEAK_OPERATIONS)
-    theirs, mine, _ = 1e6 * np.median(times, axis=0)
+    peer_time, our_time, _ = 1e6 * np.median(times, axis=0)
     ratio = np.median(times[:, 0] / times[:, 1])
     share = np.median(operations(n) * times[:, 2] / times[:, 1]) / threads
     print(
-        f"{name:34} {mine:8.3f} us/step  peer {theirs:8.3f} us/step  ratio {ratio:5.1f}"
+        f"{name:34} {our_time:8.3f} us/step  peer {peer_time:8.3f} us/step  ratio {ratio:5.1f}"
         f"  (at least {required}), {100.0 * share:.0f}% of peak"
     )
 
 
 def operations(n):
-    """Of a step: by body in a stage turning 31, rate 100, sums 8; beside, turning and origin."""
+    """Return the operations of a step: per body and stage 31 + 100 + 8; others for the origin."""
     bodies = n + 1
     return 4 * (139 * bodies + 40) + 43 * bodies + 20
 
 
-def beside_peers(arm, rng, required, required_of_batch):
-    """One rollout, and many; at least so many times as fast as MuJoCo."""
+def compare_rollouts(arm, rng, required, required_of_batch):
+    """Compare one rollout and many with the peers; `required` is the least ratio to MuJoCo."""
     p, rest, n = arm.vector(), np.zeros(3 + arm.n), arm.n
     tau = np.zeros((STEPS, 3 + n))
     tau[:, 3:] = 0.1 * rng.standard_normal(n)
@@ -126,79 +126,80 @@ def beside_peers(arm, rng, required, required_of_batch):
     compare("pinocchio.aba, RK4 in Python", in_pinocchio(arm, tau[:500]), ours, 500, STEPS, 15, n)
     for threads in sorted({1, cores}):
         print(f"{n} links, {64 * threads} rollouts of 500 steps over {threads} threads")
-        peer, mine = in_mujoco(arm, many[: 64 * threads], threads), partial(ours_many, threads)
+        peer, run_ours = in_mujoco(arm, many[: 64 * threads], threads), partial(ours_many, threads)
         share = steps * threads // cores
-        compare("mujoco.rollout", peer, mine, share, share, required_of_batch, n, threads)
+        compare("mujoco.rollout", peer, run_ours, share, share, required_of_batch, n, threads)
 
 
 def vehicles(number, gripper=None, preset="default"):
-    """Vehicles 3 m apart, each driving its joints."""
-    found, joints = [], PRESETS[preset]
+    """Return vehicles 3 m apart that move their joints."""
+    made, joints = [], PRESETS[preset]
     for k in range(number):
         world = World(joints, WIDE, gripper=gripper or Gripper())
-        found.append(
-            Vehicle(paper_arm(), [3.0 * k, 0.0, 0.0, 0, 0, 0, 0], None, world, name=f"{k}")
-        )
+        made.append(Vehicle(paper_arm(), [3.0 * k, 0.0, 0.0, 0, 0, 0, 0], None, world, name=f"{k}"))
         for joint, rate in enumerate((0.1, -0.1, 0.1, 0.1)):
-            found[-1].command(joint, Demand(VELOCITY, rate, abs(rate), 1.0))
-    return found
+            made[-1].command(joint, Demand(MODE_VELOCITY, rate, abs(rate), 1.0))
+    return made
 
 
-def apart(number, targets, contact, preset="default"):
-    """None near another."""
-    free = [Passive(Target(), [[3.0 * k, 5.0, 0.0], 3 * [0.0]], WIDE) for k in range(targets)]
+def separate_bed(number, targets, contact, preset="default"):
+    """Return a bed whose bodies are far from each other."""
+    free = [PassiveTarget(Target(), [[3.0 * k, 5.0, 0.0], 3 * [0.0]], WIDE) for k in range(targets)]
     return Bed(vehicles(number, preset=preset), free, contact)
 
 
-def leaning():
-    """An arm whose third link leans on a heavy target."""
+def leaning_bed():
+    """Return a bed with an arm whose third link presses on a heavy target."""
     (one,) = vehicles(1)
     a, b = (complex(*at) for at in joint_positions(one.p, one.q)[2:4])
     c = 0.5 * (a + b) + 1j * (b - a) / abs(b - a) * 0.251
-    one.command(0, Demand(CURRENT, 1.5))
+    one.command(0, Demand(MODE_CURRENT, 1.5))
     return Bed(
-        [one], [Passive(Target(500.0, 9.0), [[c.real, c.imag, 0], 3 * [0.0]], WIDE)], Contact()
+        [one],
+        [PassiveTarget(Target(500.0, 9.0), [[c.real, c.imag, 0], 3 * [0.0]], WIDE)],
+        Contact(),
     )
 
 
-def arm_in_arm():
-    """Two that hold each other: a closed chain."""
+def holding_bed():
+    """Return a bed with two arms that hold each other, a closed chain."""
     one, other = vehicles(2, Gripper(5.0, 3.2, 5.0))
     one.closed = True
     return Bed([one, other], [], Contact())
 
 
-def beds(time=2.0):
-    """How many times as fast as real time the bed is, by the processor's time; frames of 10 ms."""
+def measure_beds(time=2.0):
+    """Print the speed of beds in multiples of real time, by processor time; frames of 10 ms."""
     cases = {
-        "one vehicle": lambda: apart(1, 0, None),
-        "one vehicle, a target, contact": lambda: apart(1, 1, Contact()),
-        "two vehicles, a target, contact": lambda: apart(2, 1, Contact()),
-        "the same, joints that give": lambda: apart(2, 1, Contact(), "laboratory"),
-        "four vehicles, two targets, contact": lambda: apart(4, 2, Contact()),
-        "one leans on a target": leaning,
-        "two arm in arm": arm_in_arm,
+        "one vehicle": lambda: separate_bed(1, 0, None),
+        "one vehicle, a target, contact": lambda: separate_bed(1, 1, Contact()),
+        "two vehicles, a target, contact": lambda: separate_bed(2, 1, Contact()),
+        "the same, flexible joints": lambda: separate_bed(2, 1, Contact(), "laboratory"),
+        "four vehicles, two targets, contact": lambda: separate_bed(4, 2, Contact()),
+        "one presses on a target": leaning_bed,
+        "two hold each other": holding_bed,
     }
     print("the bed, in multiples of real time (one thread)")
     for name, make in cases.items():
         rows = []
         for _ in range(4):
-            bed, touched = make(), 0
+            bed, contact_frames = make(), 0
             bed.advance(0.01)
-            begin = process_time()
+            start = process_time()
             for _ in range(round(100 * time)):
                 bed.advance(0.01)
-                touched += bool(bed.touched)
-            rows.append(time / (process_time() - begin))
-        print(f"  {name:36} {np.median(rows):8.1f}  touched in {touched / time:.0f} frames of 100")
+                contact_frames += bool(bed.contact_impulses)
+            rows.append(time / (process_time() - start))
+        share = contact_frames / time
+        print(f"  {name:36} {np.median(rows):8.1f}  contact in {share:.0f} of 100 frames")
 
 
 def with_gears(arm, joints, has_friction):
-    """The plant with joints that give, beside MuJoCo with motors on springs, driven alike.
+    """Compare the plant with flexible joints with MuJoCo with motors on springs.
 
-    With friction, MuJoCo has that of the motors, dry and viscous, and the joints' limits as its
-    constraints; the plant beside has Stribeck's curve, ripple and current loops. It keeps its books
-    in both cases.
+    With friction, MuJoCo has the dry and viscous friction of the motors, and the joint limits as
+    constraints; the plant also has Stribeck's curve, ripple and current loops. The plant audits
+    momentum and energy in both cases.
     """
     torques = 0.5 * np.resize([1.0, -1.0], arm.n)
     if not has_friction:
@@ -228,36 +229,38 @@ def with_gears(arm, joints, has_friction):
     def ours():
         plant = Plant(arm, np.zeros(3 + arm.n), world=World(joints, WIDE))
         for joint, link in enumerate(arm.links):
-            plant.command(joint, Demand(CURRENT, torques[joint] / link.drive.torque_constant))
+            plant.command(joint, Demand(MODE_CURRENT, torques[joint] / link.drive.torque_constant))
         plant.advance(STEPS * STEP)
 
     ours()  # compiled
-    runs = [(seconds(peer), seconds(ours)) for _ in range(RUNS)]
-    theirs, mine = 1e6 / STEPS * np.median(runs, axis=0)
-    ratio = np.median([peer / own for peer, own in runs])
-    words = "with friction and limits, at least 5" if has_friction else "springs and dampers alone"
-    print(f"  {mine:6.3f} us/step  mujoco {theirs:7.3f} us/step  ratio {ratio:5.1f}  ({words})")
+    runs = [(elapsed(peer), elapsed(ours)) for _ in range(RUNS)]
+    peer_time, our_time = 1e6 / STEPS * np.median(runs, axis=0)
+    ratio = np.median([peer_run / our_run for peer_run, our_run in runs])
+    label = "with friction and limits, at least 5" if has_friction else "springs and dampers alone"
+    print(
+        f"  {our_time:6.3f} us/step  mujoco {peer_time:7.3f} us/step  ratio {ratio:5.1f}  ({label})"
+    )
 
 
 def main():
     if sys.argv[1:] == ["beds"]:
-        beds()
+        measure_beds()
         return
     rng = np.random.default_rng(1)
     multiply_and_add()  # compiled
-    beside_peers(paper_arm(), rng, 8, 25)
-    beside_peers(random_arm(12, rng), rng, 15, 25)
-    print("joints that give, 4 links, the plant with drives, books and all, one thread")
+    compare_rollouts(paper_arm(), rng, 8, 25)
+    compare_rollouts(random_arm(12, rng), rng, 15, 25)
+    print("flexible joints, 4 links, the plant with drives and audit, one thread")
     with_gears(paper_arm(), PRESETS["laboratory"], True)
     with_gears(paper_arm(), PRESETS["laboratory"], False)
     print("cost of a step by the number of links (one thread)")
     for n in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32):
         links = [random_arm(2, rng).vector()[14:] for _ in range(n - 1)]
-        chain, still = np.concatenate([random_arm(1, rng).vector(), *links]), np.zeros(3 + n)
+        chain, rest = np.concatenate([random_arm(1, rng).vector(), *links]), np.zeros(3 + n)
         none = np.zeros((2000, 3 + n))
-        took = [seconds(partial(rollout, chain, still, still, none)) for _ in range(RUNS)]
-        print(f"  n = {n:2}  {1e6 * np.median(took) / 2000:8.3f} us")
-    beds()
+        times = [elapsed(partial(rollout, chain, rest, rest, none)) for _ in range(RUNS)]
+        print(f"  n = {n:2}  {1e6 * np.median(times) / 2000:8.3f} us")
+    measure_beds()
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""What starting takes: `--help` of every executable, and every node from `ros2 run` to ready.
+"""Startup time: `--help` of every executable, and every node from `ros2 run` to ready.
 
-Processor time of the process and what it starts, the least of several runs. A node is ready once it
-answers a request for its parameters. Then nobody talks to it, and its share of a core is taken.
-Beside them the floor: Python, with rclpy and one node; with numba; with rerun.
+Processor time of the process and its children, the smallest of several runs. A node is ready when
+it answers a parameter request. Then its core share without any requests is measured. For
+comparison: Python with rclpy and one node; with numba; with rerun.
 """
 
 import argparse
@@ -19,11 +19,11 @@ from fss_arm_ros.program import Program
 from fss_rehearsal.domain import reserve
 
 ROOT = Path(__file__).resolve().parents[1]
-HELP, READY, IDLE = 0.3, 1.0, 1.0  # the most: [s], [s], [% of a core]
+MAX_HELP_TIME, MAX_READY_TIME, MAX_IDLE_SHARE = 0.3, 1.0, 1.0  # [s], [s], [% of a core]
 URLS = [f"udp://127.0.0.1:{49001 + 2 * i}?bind={49002 + 2 * i}" for i in range(5)]
 
-# What a node needs to stay; the others need nothing.
-NEEDS = {
+# Parameters that a node needs to keep running; the others need none.
+PARAMETERS = {
     "fss_arm_driver link": {"url": URLS[0]},
     "fss_arm_driver driver": {"urls": str(URLS[:4])},
     "fss_base_driver base": {"url": URLS[4]},
@@ -32,7 +32,7 @@ NEEDS = {
     "fss_arm_view view": {"mode": "file", "file": "{folder}/view.rrd"},
     "fss_arm_bags record": {"output": "{folder}/bags"},
 }
-ENDS = {"replay"}  # by itself, for want of a bag
+SHORT_LIVED = {"replay"}  # exits without a bag
 
 FLOORS = {
     "python": "pass",
@@ -43,44 +43,46 @@ FLOORS = {
 
 
 def executables() -> list[tuple[str, str, bool]]:
-    """Package and name of each, and whether it is a node that stays."""
+    """Return package and name of each executable, and whether it is a node that keeps running."""
     packages = sorted(path.parent.name for path in ROOT.glob("src/*/setup.py"))
     entries = [(p, e) for p in packages for e in distribution(p).entry_points]
-    return [(p, e.name, type(e.load()) is Program and e.name not in ENDS) for p, e in entries]
+    return [
+        (p, e.name, type(e.load()) is Program and e.name not in SHORT_LIVED) for p, e in entries
+    ]
 
 
-def least(command: list[str], runs: int) -> float:
-    """Processor time of a command that ends by itself [s]."""
-    took = []
+def min_processor_time(command: list[str], runs: int) -> float:
+    """Return the smallest processor time of a command [s]."""
+    times = []
     for _ in range(runs):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run(command, stdout=subprocess.DEVNULL, check=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        took.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    return min(took)
+        times.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return min(times)
 
 
-def taken(pid: int) -> float:
-    """Processor time of a process and its ended children [s]."""
+def processor_time(pid: int) -> float:
+    """Return the processor time of a process and its finished children [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
-def start(package: str, name: str, places: dict[str, str], idle: float) -> tuple[float, float]:
-    """Processor time until a node is ready [s], and its share of a core then [%]."""
+def start(package: str, name: str, values: dict[str, str], idle: float) -> tuple[float, float]:
+    """Return the processor time until a node is ready [s], and then its core share [%]."""
     import rclpy
     from rcl_interfaces.srv import ListParameters
 
-    given = []
-    for key, value in NEEDS.get(f"{package} {name}", {}).items():
-        given += ["-p", f"{key}:={value.format(**places)}"]
-    me = rclpy.create_node("bench")
+    arguments = []
+    for key, value in PARAMETERS.get(f"{package} {name}", {}).items():
+        arguments += ["-p", f"{key}:={value.format(**values)}"]
+    client_node = rclpy.create_node("bench")
     node = "link_1" if name in ("link", "driver") else name
-    client = me.create_client(ListParameters, f"/{node}/list_parameters")
-    path = Path(places["folder"], f"{name}.log")
+    client = client_node.create_client(ListParameters, f"/{node}/list_parameters")
+    path = Path(values["folder"], f"{name}.log")
     with path.open("w") as log:
         process = subprocess.Popen(
-            ["ros2", "run", package, name, "--ros-args", *given], stdout=log, stderr=log
+            ["ros2", "run", package, name, "--ros-args", *arguments], stdout=log, stderr=log
         )
     try:
         deadline = time.monotonic() + 60.0
@@ -88,12 +90,12 @@ def start(package: str, name: str, places: dict[str, str], idle: float) -> tuple
             if process.poll() is not None or time.monotonic() > deadline:
                 raise RuntimeError(f"{package} {name}: {path.read_text()}")
         future = client.call_async(ListParameters.Request())
-        rclpy.spin_until_future_complete(me, future, timeout_sec=30.0)
-        ready = taken(process.pid)
+        rclpy.spin_until_future_complete(client_node, future, timeout_sec=30.0)
+        ready = processor_time(process.pid)
         time.sleep(1.0)
-        before, begin = taken(process.pid), time.monotonic()
+        before, start_time = processor_time(process.pid), time.monotonic()
         time.sleep(idle)
-        share = (taken(process.pid) - before) / (time.monotonic() - begin)
+        share = (processor_time(process.pid) - before) / (time.monotonic() - start_time)
         return ready, 100.0 * share
     finally:
         process.terminate()
@@ -101,42 +103,49 @@ def start(package: str, name: str, places: dict[str, str], idle: float) -> tuple
             process.wait(15.0)
         except subprocess.TimeoutExpired:
             process.kill()
-        me.destroy_node()
+        client_node.destroy_node()
 
 
 def main() -> int:
-    """Measure, and print a table."""
+    """Measure and print a table."""
     import rclpy
 
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default="", help="package, or package and name")
+    parser.add_argument("--only", default="", help="only this package, or package and name")
     parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--idle", type=float, default=5.0, help="time to look at idle nodes [s]")
+    parser.add_argument(
+        "--idle", type=float, default=5.0, help="observation time of idle nodes [s]"
+    )
     options = parser.parse_args()
     domain = next(reserve())
     domain.enter()
     rclpy.init()
-    print("floor, processor time [s]:")
+    print("for comparison, processor time [s]:")
     for name, code in FLOORS.items():
-        print(f"  {name:30} {least([sys.executable, '-c', code], options.runs):.2f}", flush=True)
+        print(
+            f"  {name:30} {min_processor_time([sys.executable, '-c', code], options.runs):.2f}",
+            flush=True,
+        )
     print(f"{'':32} --help [s]  ready [s]  idle [%]")
-    missed = 0
+    exceeded = 0
     with TemporaryDirectory(prefix="bench_startup_") as folder:
-        places = {"folder": folder, "gyro": os.ttyname(os.openpty()[1])}
-        for package, name, stays in executables():
+        values = {"folder": folder, "gyro": os.ttyname(os.openpty()[1])}
+        for package, name, is_node in executables():
             if not f"{package} {name}".startswith(options.only):
                 continue
-            helped = least(["ros2", "run", package, name, "--help"], options.runs)
-            row, late = f"{package + ' ' + name:32} {helped:10.2f}", helped > HELP
-            if stays:
-                found = [start(package, name, places, options.idle) for _ in range(options.runs)]
+            help_time = min_processor_time(["ros2", "run", package, name, "--help"], options.runs)
+            row, exceeds = f"{package + ' ' + name:32} {help_time:10.2f}", help_time > MAX_HELP_TIME
+            if is_node:
+                found = [start(package, name, values, options.idle) for _ in range(options.runs)]
                 ready, idle = (min(column) for column in zip(*found, strict=True))
                 row += f" {ready:10.2f} {idle:9.2f}"
-                late |= ready > READY or idle > IDLE
-            print(row + ("  above the aim" if late else ""), flush=True)
-            missed += late
+                exceeds |= ready > MAX_READY_TIME or idle > MAX_IDLE_SHARE
+            print(row + ("  above the limit" if exceeds else ""), flush=True)
+            exceeded += exceeds
     rclpy.try_shutdown()
-    print(f"{missed} above the aims of {HELP} s, {READY} s, {IDLE} %")
+    print(
+        f"{exceeded} above the limits of {MAX_HELP_TIME} s, {MAX_READY_TIME} s, {MAX_IDLE_SHARE} %"
+    )
     return 0
 
 

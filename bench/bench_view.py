@@ -1,18 +1,18 @@
-"""What the view does to the drivers: their latency at 10 times real time, without it and with it.
+"""Effect of the view on the latency of the drivers at 10 times real time.
 
 The test bed, one driver for four links and base_reaction run throughout. All datagrams of the links
-pass a relay in this process, which notes when each telemetry frame goes on to the driver; the
-latency is from there to the driver's message about that frame. In each round a block of each kind
-comes, in an order drawn anew:
+pass through a relay in this process, which records when it forwards each telemetry frame to the
+driver. The latency is the time until the driver's message of that frame. Each round has one block
+of each kind, in random order:
 
-    without   no view, and once more, for how much two equal blocks differ
+    without   no view; `again` is the same, to show how much two equal blocks differ
     attached  the view serves its page
-    detached  the rerun program that it feeds was killed, the view goes on
-    flooded   base_reaction comes at 2,000 messages a second, too
-    killed    the view was killed without warning the moment before
+    detached  the rerun program that it feeds was killed, the view continues
+    flooded   also 2,000 messages of base_reaction per second
+    killed    the view was killed just before
 
-Each kind is compared with `without` round by round: a difference counts as measurable if its mean
-is farther from 0 than chance explains (t-test of paired blocks; 5 % for all comparisons together).
+Each kind is compared with `without` in the same round. A difference is measurable if its mean is
+significant (paired t-test; 5 % for all comparisons together).
 """
 
 import argparse
@@ -45,44 +45,46 @@ SPEED = 10.0
 FLOOD = 2000.0  # [1/s]
 PERCENTS = (50, 99)
 KINDS = ("without", "attached", "detached", "flooded", "killed", "again")
-CHANCE = 0.05 / (len(PERCENTS) * (len(KINDS) - 2))  # of one comparison; `again` is none
+SIGNIFICANCE = 0.05 / (
+    len(PERCENTS) * (len(KINDS) - 2)
+)  # of one comparison; `again` is not compared
 MODULES |= {"view": "fss_arm_view.view_node", "base_reaction": "fss_arm_view.base_reaction_node"}
 
 
 class Relay:
-    """Passes the datagrams of all links on, and notes when each frame left for the driver."""
+    """Forwards the datagrams of all links, and records when each frame was sent to the driver."""
 
     def __init__(self, testbed: list[int], drivers: list[int]) -> None:
-        self.near = [_socket() for _ in testbed]  # as the driver knows the links
-        self.far = [_socket() for _ in testbed]
+        self.driver_side = [_socket() for _ in testbed]  # ports that the driver sends to
+        self.link_side = [_socket() for _ in testbed]
         self.testbed, self.drivers = testbed, drivers
-        self.left: dict[tuple[int, int], float] = {}
-        self.over = Event()
+        self.sent_at: dict[tuple[int, int], float] = {}
+        self.done = Event()
         self.thread = Thread(target=self.run, daemon=True)
 
     def urls(self) -> str:
-        """For the driver."""
-        ports = [s.getsockname()[1] for s in self.near]
+        """Return the URLs for the driver."""
+        ports = [s.getsockname()[1] for s in self.driver_side]
         return str([f"udp://127.0.0.1:{p}?bind={d}" for p, d in zip(ports, self.drivers,
                                                                     strict=True)])  # fmt: skip
 
     def run(self) -> None:
-        """Until it is over."""
-        while not self.over.is_set():
-            for ready in select.select([*self.near, *self.far], [], [], 0.2)[0]:
+        """Forward datagrams until `done` is set."""
+        while not self.done.is_set():
+            for ready in select.select([*self.driver_side, *self.link_side], [], [], 0.2)[0]:
                 data = ready.recv(2048)
-                if ready in self.near:
-                    k = self.near.index(ready)
-                    self.far[k].sendto(data, ("127.0.0.1", self.testbed[k]))
+                if ready in self.driver_side:
+                    k = self.driver_side.index(ready)
+                    self.link_side[k].sendto(data, ("127.0.0.1", self.testbed[k]))
                     continue
-                k, frame = self.far.index(ready), decode(data)
+                k, frame = self.link_side.index(ready), decode(data)
                 if isinstance(frame, Telemetry):
-                    self.left[frame.link, frame.sequence] = time.perf_counter()
-                self.near[k].sendto(data, ("127.0.0.1", self.drivers[k]))
+                    self.sent_at[frame.link, frame.sequence] = time.perf_counter()
+                self.driver_side[k].sendto(data, ("127.0.0.1", self.drivers[k]))
 
 
 class ViewGraph(Graph):
-    """Test bed, driver and base_reaction, and a view that comes and goes."""
+    """Test bed, driver and base_reaction, and a view that is started and killed."""
 
     def __init__(self, folder: Path) -> None:
         self.enter(folder)
@@ -95,7 +97,7 @@ class ViewGraph(Graph):
         self.relay.thread.start()
 
     def view(self) -> None:
-        """Start it, and wait until it serves."""
+        """Start the view, and wait until it serves its page."""
         port, web = self.domain.ports(2)  # of TCP
         self.start("view", port=port, web_port=web, use_sim_time=True)
         log = self.folder / "view.log"
@@ -106,18 +108,18 @@ class ViewGraph(Graph):
         time.sleep(2.0)
 
     def viewers(self) -> list[int]:
-        """The rerun programs that the view has started."""
+        """Return the process ids of the rerun programs that the view has started."""
         pid = self.processes["view"].pid
         return list(map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()))
 
-    def end_view(self) -> None:
-        """Kill it and what it started."""
+    def kill_view(self) -> None:
+        """Kill the view and its children."""
         if "view" in self.processes:
             children = self.viewers() if self.processes["view"].poll() is None else []
             self.processes["view"].kill()
             self.processes.pop("view").wait()
             for pid in children:
-                with suppress(ProcessLookupError):  # it goes with its owner
+                with suppress(ProcessLookupError):  # it exits with its parent
                     os.kill(pid, signal.SIGKILL)
 
 
@@ -127,27 +129,27 @@ def _socket() -> socket.socket:
     return s
 
 
-class Ear(Node):
-    """Hears the driver."""
+class LatencyListener(Node):
+    """Subscribes to the telemetry of the driver."""
 
     def __init__(self, relay: Relay) -> None:
         super().__init__("bench_view")
         self.relay = relay
         self.latencies: list[float] = []
         for topic in TELEMETRY:
-            self.create_subscription(LinkTelemetry, topic, self.hear, sensor())
+            self.create_subscription(LinkTelemetry, topic, self.on_telemetry, sensor())
 
-    def hear(self, message: LinkTelemetry) -> None:
-        """The driver has passed a frame on."""
+    def on_telemetry(self, message: LinkTelemetry) -> None:
+        """Record the latency of a frame."""
         now = time.perf_counter()
-        left = self.relay.left.pop((message.link, message.sequence), None)
-        if left is not None:
-            self.latencies.append(now - left)
+        sent_at = self.relay.sent_at.pop((message.link, message.sequence), None)
+        if sent_at is not None:
+            self.latencies.append(now - sent_at)
 
 
-def flood(folder: Path, over: Event) -> None:
-    """Publish in a process of its own what only the view listens to."""
-    code = (  # as the view does, it gives way: what it costs by itself is not the question
+def flood(folder: Path, done: Event) -> None:
+    """Publish base_reaction, which only the view subscribes to, in a separate process."""
+    code = (  # with idle priority, like the view, as its own load is not measured
         "import os; os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))\n"
         "import time, rclpy\n"
         "from fss_arm_msgs.msg import BaseReaction\n"
@@ -162,43 +164,43 @@ def flood(folder: Path, over: Event) -> None:
     )
     with (folder / "flood.log").open("wb") as log:
         process = subprocess.Popen([sys.executable, "-c", code], stdout=log, stderr=log)
-    over.wait()
+    done.wait()
     process.kill()
     process.wait()
 
 
-def block(kind: str, graph: ViewGraph, ear: Ear, seconds: float) -> list[float]:
-    """The latencies [s] of one block."""
-    over, flooder = Event(), None
+def block(kind: str, graph: ViewGraph, listener: LatencyListener, seconds: float) -> list[float]:
+    """Run one block; return the latencies [s]."""
+    done, flooder = Event(), None
     if kind not in ("without", "again"):
         graph.view()
     if kind == "detached":
         for pid in graph.viewers():
             os.kill(pid, signal.SIGKILL)
     if kind == "flooded":
-        flooder = Thread(target=flood, args=(graph.folder, over))
+        flooder = Thread(target=flood, args=(graph.folder, done))
         flooder.start()
         time.sleep(2.0)
     if kind == "killed":
-        graph.end_view()
-    ear.latencies = []
+        graph.kill_view()
+    listener.latencies = []
     time.sleep(seconds)
-    found, ear.latencies = ear.latencies, []
-    over.set()
+    found, listener.latencies = listener.latencies, []
+    done.set()
     if flooder:
         flooder.join()
-    graph.end_view()
+    graph.kill_view()
     time.sleep(1.0)
     return found
 
 
 def quantile(percent: int) -> Callable[[list[float]], float]:
-    """Of latencies [s], in us."""
+    """Return a function that gives this percentile of latencies [s] in us."""
     return lambda times: 1e6 * statistics.quantiles(times, n=100)[percent - 1]
 
 
 def main() -> int:
-    """Alternate the blocks, and compare."""
+    """Run the blocks in random order, and compare them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=8.0, help="of each block, real time")
@@ -207,26 +209,26 @@ def main() -> int:
     blocks: dict[str, list[list[float]]] = {kind: [] for kind in KINDS}
     with TemporaryDirectory(prefix="bench_view_") as name:
         graph = ViewGraph(Path(name))
-        ear, executor = Ear(graph.relay), SingleThreadedExecutor()
-        executor.add_node(ear)
+        listener, executor = LatencyListener(graph.relay), SingleThreadedExecutor()
+        executor.add_node(listener)
         listening = Thread(target=executor.spin, daemon=True)
         listening.start()
         try:
             deadline = time.monotonic() + 60.0
-            while len(ear.latencies) < 200:
+            while len(listener.latencies) < 200:
                 if time.monotonic() > deadline:
-                    raise RuntimeError(f"the graph does not come up, see {graph.folder}")
+                    raise RuntimeError(f"the graph does not start within 60 s, see {graph.folder}")
                 time.sleep(0.2)
             random = Random(1)
             for number in range(options.rounds):
                 for kind in random.sample(KINDS, len(KINDS)):
-                    blocks[kind].append(block(kind, graph, ear, options.seconds))
+                    blocks[kind].append(block(kind, graph, listener, options.seconds))
                     p50, p99 = (quantile(percent)(blocks[kind][-1]) for percent in PERCENTS)
                     print(f"{number + 1} {kind:10} {p50:6.0f} {p99:6.0f} us", flush=True)
         finally:
-            graph.end_view()
+            graph.kill_view()
             graph.stop()
-            graph.relay.over.set()
+            graph.relay.done.set()
             executor.shutdown()
             listening.join()
             rclpy.try_shutdown()
@@ -234,7 +236,7 @@ def main() -> int:
 
 
 def report(blocks: dict[str, list[list[float]]], rounds: int, seconds: float) -> int:
-    """Print a row for each kind; 2 if a difference is measurable."""
+    """Print a row for each kind; return 2 if a difference is measurable."""
     cores = len(os.sched_getaffinity(0))
     print(f"{cores} cores, {rounds} rounds of {seconds:g} s, {SPEED:g} times real time")
     print(
@@ -243,19 +245,19 @@ def report(blocks: dict[str, list[list[float]]], rounds: int, seconds: float) ->
     measurable = False
     for kind, found in blocks.items():
         frames = statistics.mean(len(times) for times in found) / seconds
-        row, words = [], []
+        row, texts = [], []
         for percent in PERCENTS:
             value = quantile(percent)
-            ours, theirs = list(map(value, found)), list(map(value, blocks["without"]))
+            ours, baseline = list(map(value, found)), list(map(value, blocks["without"]))
             row.append(statistics.median(ours))
             if kind != "without":
-                away = [a - b for a, b in zip(ours, theirs, strict=True)]
-                p = float(ttest_1samp(away, 0.0).pvalue)
-                measurable |= kind != "again" and p < CHANCE
-                spread = statistics.stdev(away) / len(away) ** 0.5
-                verdict = "MEASURABLE" if p < CHANCE else "not measurable"
-                words.append(f"{statistics.mean(away):+6.0f} ± {spread:4.0f} us {verdict}")
-        print(f"{kind:10} {frames:8.0f} {row[0]:8.0f} {row[1]:8.0f}   {'; '.join(words)}")
+                differences = [a - b for a, b in zip(ours, baseline, strict=True)]
+                p = float(ttest_1samp(differences, 0.0).pvalue)
+                measurable |= kind != "again" and p < SIGNIFICANCE
+                spread = statistics.stdev(differences) / len(differences) ** 0.5
+                verdict = "MEASURABLE" if p < SIGNIFICANCE else "not measurable"
+                texts.append(f"{statistics.mean(differences):+6.0f} ± {spread:4.0f} us {verdict}")
+        print(f"{kind:10} {frames:8.0f} {row[0]:8.0f} {row[1]:8.0f}   {'; '.join(texts)}")
     return 2 if measurable else 0
 
 

@@ -1,7 +1,7 @@
-"""How long the maps take, beside plain numpy sampling: `python bench/bench_workspace.py`.
+"""Time of the workspace maps, compared with sampling in numpy: `python bench/bench_workspace.py`.
 
-One core unless said otherwise, after the kernels are compiled. Times are medians of three runs; of
-the processor too, as other programs may run. A warning of numpy ends it.
+One core unless stated otherwise, after the kernels are compiled. Wall and processor times are
+medians of three runs. A numpy warning is an error.
 """
 
 import os
@@ -29,19 +29,19 @@ CELL = 0.01  # [m]
 RUNS = 3
 
 
-def timed(work: Callable[[], Any]) -> tuple[float, float, Any]:
-    """Seconds, seconds of the processor, and what `work` made."""
+def measure(work: Callable[[], Any]) -> tuple[float, float, Any]:
+    """Return wall time [s], processor time [s], and the result of `work`."""
     times, processor, result = [], [], None
     for _ in range(RUNS):
-        begin = time.perf_counter(), time.process_time()
+        start = time.perf_counter(), time.process_time()
         result = work()
-        times.append(time.perf_counter() - begin[0])
-        processor.append(time.process_time() - begin[1])
+        times.append(time.perf_counter() - start[0])
+        processor.append(time.process_time() - start[1])
     return median(times), median(processor), result
 
 
 def sampled_map(arm: Arm, grid: Grid, count: int, seed: int = 0) -> np.ndarray:
-    """The largest w of random postures in each cell, as one would write it in numpy: fixed base."""
+    """Return the largest w of random postures in each cell, in plain numpy, for a fixed base."""
     rng, best = np.random.default_rng(seed), np.full(grid.width * grid.height, np.nan)
     a = np.array([link.a for link in arm.links])
     offset = np.array([arm.base.mount[2], *(link.theta_0 for link in arm.links[1:])])
@@ -63,53 +63,54 @@ def main() -> None:
     warnings.simplefilter("error")
     arm = paper_arm()
     manipulability_map(arm, FIXED, cell=0.1)
-    boundary, _, region = timed(lambda: fixed_workspace(arm))
+    boundary, _, region = measure(lambda: fixed_workspace(arm))
     print(f"boundary in {len(region.arcs)} exact arcs: {1e3 * boundary:.1f} ms")
     maps: dict[str, Map] = {}
     for name, kind in (("fixed", FIXED), ("floating", FLOATING)):
         for workers in (1, 2, 4):
-            taken, processor, maps[name] = timed(
+            elapsed, processor, maps[name] = measure(
                 partial(manipulability_map, arm, kind, cell=CELL, workers=workers)
             )
             cells = int(np.isfinite(maps[name].w).sum())
             print(
                 f"{name} base, best of all postures, {cells} cells of 1 cm, {workers} threads: "
-                f"{taken:.2f} s, of the processor {processor:.2f} s, "
-                f"{1e6 * processor / cells:.1f} us a cell"
+                f"{elapsed:.2f} s, processor time {processor:.2f} s, "
+                f"{1e6 * processor / cells:.1f} us per cell"
             )
     for n in (6, 8):
         longer = replace(arm, links=(arm.links * 2)[:n])
         for name, kind in (("fixed", FIXED), ("floating", FLOATING)):
-            begin = time.process_time()
+            start = time.process_time()
             cells = int(np.isfinite(manipulability_map(longer, kind, cell=CELL).w).sum())
-            processor = time.process_time() - begin
+            processor = time.process_time() - start
             print(
-                f"{n} links, {name} base, {cells} cells of 1 cm: of the processor "
-                f"{processor:.1f} s, {1e6 * processor / cells:.1f} us a cell"
+                f"{n} links, {name} base, {cells} cells of 1 cm: processor time "
+                f"{processor:.1f} s, {1e6 * processor / cells:.1f} us per cell"
             )
     fixed = maps["fixed"]
     for count in (500_000, 4_000_000, 16_000_000):
-        begin = time.perf_counter()
+        start = time.perf_counter()
         error = np.abs(sampled_map(arm, fixed.grid, count) - fixed.w)
-        taken = time.perf_counter() - begin
+        elapsed = time.perf_counter() - start
         empty = np.isnan(error[np.isfinite(fixed.w)]).mean()
         print(
-            f"numpy, fixed base, {count} random postures: {taken:.1f} s, "
+            f"numpy, fixed base, {count} random postures: {elapsed:.1f} s, "
             f"error of w: median {np.nanmedian(error):.4f}, "
             f"95 % {np.nanquantile(error, 0.95):.4f}, largest {np.nanmax(error):.3f} m^2; "
             f"{100 * empty:.1f} % of the cells empty"
         )
     print(
-        "(ours: within 1e-4 m^2 of an exhaustive search, test/pure/workspace/test_manipulability)"
+        "(our maps: within 1e-4 m^2 of exhaustive search, test/pure/workspace/test_manipulability)"
     )
-    around = np.linspace(0.0, 2.0 * np.pi, 361)[:-1]
+    directions = np.linspace(0.0, 2.0 * np.pi, 361)[:-1]
     for base in ("fixed", "floating"):
-        taken, processor, paths = timed(
-            partial(straight_paths, arm, arch(arm), around, Rules(base=base))
+        elapsed, processor, paths = measure(
+            partial(straight_paths, arm, arch(arm), directions, Rules(base=base))
         )
         print(
-            f"straight paths, {base} base, 360 directions, rule {Rules.redundancy}: {taken:.2f} s, "
-            f"of the processor {processor:.2f} s; area {paths.area:.3f} m^2"
+            f"straight paths, {base} base, 360 directions, rule {Rules.redundancy}: "
+            f"{elapsed:.2f} s, "
+            f"processor time {processor:.2f} s; area {paths.area:.3f} m^2"
         )
 
 

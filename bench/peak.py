@@ -1,18 +1,18 @@
-"""What one core can do at most: multiplications and additions that wait for nothing."""
+"""Peak rate of one core: multiplications and additions that never wait."""
 
 from time import process_time
 
 import numba
 import numpy as np
 
-ROWS, TIMES = 96, 4000  # numbers that go on independently of each other, which fill the registers
-PEAK_OPERATIONS = 16 * ROWS * TIMES
+ROWS, REPETITIONS = 96, 4000  # independent numbers, which fill the registers; repetitions
+PEAK_OPERATIONS = 16 * ROWS * REPETITIONS
 
 
 @numba.njit(error_model="numpy")
 def _multiply_and_add(a, b):
     x = np.full(ROWS, a)
-    for _ in range(TIMES):
+    for _ in range(REPETITIONS):
         for j in range(ROWS):
             y = x[j] * a + b
             y = y * a + b
@@ -30,11 +30,11 @@ def multiply_and_add():
 
 
 def peak() -> float:
-    """Multiplications and additions a second, the best of several runs."""
+    """Return the multiplications and additions per second, the best of several runs."""
     multiply_and_add()
-    took = []
+    times = []
     for _ in range(10):
-        begin = process_time()
+        start = process_time()
         multiply_and_add()
-        took.append(process_time() - begin)
-    return PEAK_OPERATIONS / min(took)
+        times.append(process_time() - start)
+    return PEAK_OPERATIONS / min(times)

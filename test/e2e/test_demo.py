@@ -153,7 +153,7 @@ def test_the_truth_comes_back_live_and_from_the_bag_whatever_node_dies(demo, sta
         wait_until(lambda n=name: f"node {n} was killed" in run.text, 20, pause)
     assert run.wait(300) == 0, run.text
     for name in killed:
-        assert f"node {name} was killed (SIGKILL), starting it again" in run.text
+        assert f"node {name} was killed (SIGKILL), restarting it" in run.text
     assert f"{postures}/{postures}" in run.text
     if not killed:
         assert "parameters differ by at most" in run.text  # live and from the bag

@@ -16,10 +16,10 @@ from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import to_time
 from fss_arm_ros.qos import SENSOR
-from fss_sim.link.instruments import Instruments, make
+from fss_sim.link.instruments import Instruments, make_instruments
 from fss_sim.noise import PRESETS as NOISES
 from fss_sim.plant.joints import PRESETS as JOINTS
-from fss_sim.plant.joints import axes, carried
+from fss_sim.plant.joints import link_normals, outboard_momentum
 from fss_sim.plant.plant import Demand, Plant, World
 
 FRAME = 0.01  # [s]
@@ -68,13 +68,15 @@ def fly(arm: Arm, moves: Sequence[Move], seed: int, rate: float = 5.0) -> Flown:
     """The telemetry of an arm whose drives follow trapezoids, with ramps of a third of the time."""
     plant = Plant(arm, np.zeros(3 + arm.n), world=World(JOINTS[PRESET]))
     instruments = [
-        make(link.torque_sensor, NOISES[PRESET], Random(f"{seed} {i}"), 80, Random(f"{i} {seed}"))
+        make_instruments(
+            link.torque_sensor, NOISES[PRESET], Random(f"{seed} {i}"), 80, Random(f"{i} {seed}")
+        )
         for i, link in enumerate(arm.links)
     ]
     step = round(1.0 / rate / FRAME)
     phases = np.random.default_rng(seed).integers(0, step, arm.n)
     rows: list[list[tuple[float, ...]]] = [[] for _ in arm.links]
-    before, frame = carried(plant.p, plant.q, plant.qd), 0
+    before, frame = outboard_momentum(plant.p, plant.q, plant.qd), 0
     sampled = [0] * arm.n
     for goal, time in moves:
         ways = np.abs(np.asarray(goal) - plant.q[3:])
@@ -84,8 +86,8 @@ def fly(arm: Arm, moves: Sequence[Move], seed: int, rate: float = 5.0) -> Flown:
         for _ in range(round((time + 1.0) / FRAME)):
             plant.advance(FRAME)
             frame += 1
-            now = carried(plant.p, plant.q, plant.qd)
-            shear = np.sum((now - before) / FRAME * axes(plant.p, plant.q), axis=1)
+            now = outboard_momentum(plant.p, plant.q, plant.qd)
+            shear = np.sum((now - before) / FRAME * link_normals(plant.p, plant.q), axis=1)
             before, clock = now, round(1e6 * FRAME * frame)
             for i, motion in enumerate(plant.motions()):
                 of, drive = instruments[i], arm.links[i].drive

@@ -16,7 +16,7 @@ from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.navigation.navigation import Navigation
 from fss_sim.noise import PRESETS
 from fss_sim.plant.contact import Contact
-from fss_sim.plant.drives import OFF, VELOCITY
+from fss_sim.plant.drives import MODE_OFF, MODE_VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.target import Gripper
 from fss_sim.sensors import RATE, Sensors
@@ -135,7 +135,7 @@ class Flight:
                 break
             self.obey(orders)
             self.pass_time()
-        flown.time, flown.propellant = self.t, self.plant.thrusters.used
+        flown.time, flown.propellant = self.t, self.plant.thrusters.propellant_used
         ended = orders.ended or Ended(False, "it took too long")
         flown.well, flown.message = ended.well, ended.message
         flown.spin = float(self.plant.target[1, 2])
@@ -159,7 +159,7 @@ class Flight:
         if self.heard and not self.struck("link"):
             q, qd, effort, then = self.heard
             q = q + (self.t - then) * qd
-        left = self.plant.thrusters.tank - self.plant.thrusters.used
+        left = self.plant.thrusters.capacity - self.plant.thrusters.propellant_used
         last = self.heard[0] if self.heard else None
         held = self.measured if self.plant.holds else None
         holds = None if self.struck("gripper") else self.plant.holds
@@ -209,9 +209,9 @@ class Flight:
             while self.demands and self.demands[0][0] <= self.frame:
                 _, rates = self.demands.popleft()
                 for i, rate in enumerate(rates):
-                    demand = Demand(VELOCITY, float(rate), abs(float(rate)), 2.0)
+                    demand = Demand(MODE_VELOCITY, float(rate), abs(float(rate)), 2.0)
                     lost = self.struck("link") and i == 1
-                    self.plant.command(i, Demand(OFF) if lost else demand)
+                    self.plant.command(i, Demand(MODE_OFF) if lost else demand)
             self.plant.advance(1.0 / RATE)
             self.frame += 1
             self.look()
@@ -219,7 +219,7 @@ class Flight:
 
     def look(self):
         plant = self.plant
-        for names, push in plant.bed.touched.items():
+        for names, push in plant.bed.contact_impulses.items():
             self.flown.pushed += push
             self.flown.nudges += names == ("gripper", "target")
             if names != ("gripper", "target") and not self.flown.contact:

@@ -10,7 +10,7 @@ from fss_gnc.control import PoseControl, PoseGains
 from fss_gnc.navigation import Navigation
 from fss_gnc.reference import Reference
 from fss_sim.noise import PRESETS
-from fss_sim.plant.drives import VELOCITY
+from fss_sim.plant.drives import MODE_VELOCITY
 from fss_sim.plant.plant import Demand, Plant
 from fss_sim.sensors import RATE, Sensors
 
@@ -73,7 +73,7 @@ def hold(motion, feed_forward, seed=0, gains=None):
         now, t = round(frame / RATE * SECOND), frame / RATE
         q_m, qd_m, _ = motion.at(t)
         for i, rate in enumerate(qd_m + 2.0 * (q_m - plant.q[3:])):
-            plant.command(i, Demand(VELOCITY, float(rate), abs(float(rate)), 2.0))
+            plant.command(i, Demand(MODE_VELOCITY, float(rate), abs(float(rate)), 2.0))
         seen = sensors.observe(frame, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:])
         if frame % round(READING * RATE) == 0:
             for i in range(arm.n):
@@ -96,4 +96,4 @@ def hold(motion, feed_forward, seed=0, gains=None):
             navigation.pulses(now, on_times)
         plant.advance(1.0 / RATE)
         off.append(plant.q[:3].copy())
-    return Held(np.array(off), plant.thrusters.used)
+    return Held(np.array(off), plant.thrusters.propellant_used)

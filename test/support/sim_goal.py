@@ -10,7 +10,7 @@ from fss_arm_calib.experiment.design import design, expected, to_goal
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_model.description import paper_arm
 from fss_arm_model.parameters import parameter_names, values
-from fss_rehearsal.dynamic import PAUSE, SESSION, TABLE, draw_truth
+from fss_rehearsal.dynamic import MANEUVERS_PER_SESSION, PAUSE, TABLE, draw_truth
 
 GOAL = ("b_1", "b_2", "b_3", "b_4")
 FIXED, MOST = 16, 40  # maneuvers
@@ -43,8 +43,8 @@ def rehearsed(seed, settings=DYNAMIC):
     result = expected(arm, plan, settings, PAUSE)
     truth, rng = draw_truth(arm, settings, seed), np.random.default_rng(seed)
     maneuvers, lasts = [], 0
-    for first in range(0, len(plan), SESSION):  # then somebody puts the base back
-        some = plan[first : first + SESSION]
+    for first in range(0, len(plan), MANEUVERS_PER_SESSION):  # then somebody puts the base back
+        some = plan[first : first + MANEUVERS_PER_SESSION]
         run = Rehearsal(
             arms=(truth, arm), seed=100 * seed + first, preset="default", q=some[0].waypoints[0],
             twist=rng.uniform(-1.0, 1.0, 3) * TWIST, tilt=(TILT, -0.5 * TILT),

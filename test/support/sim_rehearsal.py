@@ -90,14 +90,14 @@ class Rehearsal:
                     reading = i + 1, sample.stamp, sample.position
                     self.observations += self.finder.joint(*reading)
                     self.maneuvers += self.maneuver_finder.joint(*reading, sample.velocity)
-        for name, seen in ((BASE, report.sight.base), (TIP, report.sight.tip)):
+        for name, seen in ((BASE, report.readings.base), (TIP, report.readings.tip)):
             if seen:
                 pose = None if seen.occluded else seen.pose
                 self.observations += self.finder.pose(name, self.now, pose)
                 if name == BASE:
                     self.maneuvers += self.maneuver_finder.pose(name, self.now, pose)
-        if report.sight.rate is not None:
-            self.maneuvers += self.maneuver_finder.rate(self.now, report.sight.rate)
+        if report.readings.rate is not None:
+            self.maneuvers += self.maneuver_finder.rate(self.now, report.readings.rate)
         if self.bed.frame % COMMANDS == 0:
             for i, link in enumerate(self.links):
                 self.bed.receive(i, link.command(self.now), peer="driver")

@@ -11,7 +11,7 @@ from fss_gnc.navigation.body_filter import POSE
 from fss_gnc.navigation.body_filter import RATE as TURN_RATE
 from fss_sim.link.instruments import Encoder
 from fss_sim.noise import PRESETS
-from fss_sim.plant.drives import VELOCITY
+from fss_sim.plant.drives import MODE_VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.sensors import RATE, Sensors, compose
@@ -53,7 +53,7 @@ def look_at(vicon, frame, plant):
     room, pose = vicon.room, plant.target[0]
     bodies = np.concatenate([room.bodies(plant.p, plant.q), room.disc(TARGET, pose, 0.19)])
     poses = [plant.base, compose(plant.base, plant.tip), pose]
-    return dict(enumerate(vicon.look(frame, poses, bodies)))
+    return dict(enumerate(vicon.take_picture(frame, poses, bodies)))
 
 
 def track(
@@ -89,7 +89,7 @@ def track(
             wanted = -np.sign(plant.q[3:]) * rng.uniform(0.0, 0.2, arm.n) * (rng.random() < 0.7)
             slopes = rng.uniform(0.05, 0.5, arm.n)
             for i in range(arm.n):
-                plant.command(i, Demand(VELOCITY, wanted[i], abs(wanted[i]), slopes[i]))
+                plant.command(i, Demand(MODE_VELOCITY, wanted[i], abs(wanted[i]), slopes[i]))
         if planned and frame % PLANNED == 2:  # as the node arm tells it
             ahead = 0.1 * np.arange(6)
             rates = [ramp(was, wanted, slopes, now / SECOND + s - since) for s in ahead]
@@ -108,9 +108,10 @@ def track(
                 navigation.joint(i, now, e.reading(motion.q), e.rate(motion.q, motion.qd))
         seen = sensors.observe(
             frame + 1, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:],
-            target=plant.target[0].tolist(), looks=vicon and look_at(vicon, frame + 1, plant),
+            target=plant.target[0].tolist(),
+            marker_results=vicon and look_at(vicon, frame + 1, plant),
         )  # fmt: skip
-        at = now - seen.base.before - round(SECOND * noise.vicon_latency)
+        at = now - seen.base.age - round(SECOND * noise.vicon_latency)
         if gyro and navigation.base.rate(now, seen.rate):
             nis["gyro"].append(navigation.base.nis[TURN_RATE][-1])
         looks = not outage[0] <= frame < outage[1]

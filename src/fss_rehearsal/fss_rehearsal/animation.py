@@ -48,10 +48,10 @@ def animation(
         "fixture": list(fixture[:2]),
     }
     text = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
-    return PART.replace("DATA", text, 1)
+    return TEMPLATE.replace("DATA", text, 1)
 
 
-PART = """<h2>The mission, played</h2>
+TEMPLATE = """<h2>Animation of the mission</h2>
 <style>
 #film { max-width: 34rem; }
 #film canvas { width: 100%; display: block; }
@@ -65,15 +65,15 @@ PART = """<h2>The mission, played</h2>
 <select aria-label="speed"><option value="1">1 x</option><option value="2">2 x</option>
 <option value="5" selected>5 x</option><option value="10">10 x</option></select></p>
 <p><output></output></p>
-<p><small>Blue: base and arm; green: its end effector's path; purple: the target; cyan: thrusters
-that fire. A grey square is 0.5 m.</small></p>
+<p><small>Blue: base and arm; green: path of the end effector; purple: target; cyan: firing
+thrusters. A gray square is 0.5 m wide.</small></p>
 </div>
 <script>
 (() => {
   const d = DATA;
   const film = document.getElementById("film"), get = name => film.querySelector(name);
   const canvas = get("canvas"), c = canvas.getContext("2d"), slider = get("input");
-  const button = get("button"), speed = get("select"), said = get("output");
+  const button = get("button"), speed = get("select"), caption = get("output");
   const last = d.time.at(-1), HALF = 0.135, EDGE = 2.05, SCALE = canvas.width / (2 * EDGE);
   const CORNERS = [[1, 1], [-1, 1], [-1, -1], [1, -1]];
   let now = 0, playing = false, before = 0;
@@ -89,7 +89,7 @@ that fire. A grey square is 0.5 m.</small></p>
     c.save(); c.translate(x, y); c.rotate(angle); draw(); c.restore();
   };
   const square = colour => line(CORNERS.map(([x, y]) => [HALF * x, HALF * y]), colour, 0.018, true);
-  const index = () => {  // of the last frame that has begun
+  const index = () => {  // of the last frame that has started
     let low = 0, high = d.time.length - 1;
     while (low < high) {
       const middle = (low + high + 1) >> 1;
@@ -130,7 +130,7 @@ that fire. A grey square is 0.5 m.</small></p>
       c.beginPath(); c.arc(x, y, 0.022, 0, 7); c.fillStyle = "#286ec8"; c.fill();
     }
     const phase = d.phases.filter(([since]) => since <= now).at(-1);
-    said.textContent = `${now.toFixed(1)} of ${last.toFixed(1)} s` +
+    caption.textContent = `${now.toFixed(1)} of ${last.toFixed(1)} s` +
       (phase ? `, ${phase[1]}` : "") + (d.holds[k] ? ", target held" : "");
     slider.value = now;
   }

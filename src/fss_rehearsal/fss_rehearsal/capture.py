@@ -31,13 +31,13 @@ from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
 from fss_rehearsal.animation import animation
 from fss_rehearsal.domain import CONFIG, Domain
-from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes, RehearsalError
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
 TARGET = Target(mass=10.0, inertia=0.25)
 POSTURE = [0.95, 1.3, 1.36, -1.23]  # compact: reaches well from there and turns in little space
-BEGIN = {
+INITIAL_PARAMETERS = {
     "base": [-1.1, -1.1, -1.4],
     "q": POSTURE,
     "target_mass": TARGET.mass,
@@ -46,13 +46,13 @@ BEGIN = {
     "target_twist": [-0.006, 0.004, 0.15],
 }
 MAX_DURATION = 600.0  # timeout of the mission [s], in real time
-AGREE = 1e-9  # tolerance for momentum before and after the capture [N s, N m s]
+MOMENTUM_TOLERANCE = 1e-9  # tolerance for momentum before and after the capture [N s, N m s]
 
 
-class Person(Operator):
+class CaptureOperator(Operator):
     """Operator that arms links and base, and sends the capture goal."""
 
-    PATIENCE = 120.0  # timeout until all nodes are discovered and armed [s]
+    TIMEOUT = 120.0  # timeout until all nodes are discovered and armed [s]
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
@@ -67,46 +67,47 @@ class Person(Operator):
             self.phase = message.phase
             print(f"{message.elapsed:6.1f} s  {self.phase}  {message.reason}".rstrip())
 
-    def after(self, future: Future, complaint: str, patience: float = 0.0) -> Any:
+    def result_of(self, future: Future, error: str, timeout: float = 0.0) -> Any:
         """Wait for a future and return its result.
 
         Raises:
-            RehearsalError: the future is not done within `patience` [s] (0: PATIENCE).
+            RehearsalError: the future is not done within `timeout` [s] (0: TIMEOUT).
         """
-        self.wait(future.done, complaint, patience)
+        self.wait(future.done, error, timeout)
         return future.result()
 
     def arm_all(self) -> None:
         """Arm the links and the base.
 
         Raises:
-            RehearsalError: they are not armed within PATIENCE.
+            RehearsalError: they are not armed within TIMEOUT.
         """
-        self.wait(self.arm.service_is_ready, "there is no node `arm`")
-        deadline = time.monotonic() + self.PATIENCE
+        self.wait(self.arm.service_is_ready, "node `arm` is not running")
+        deadline = time.monotonic() + self.TIMEOUT
         while not all(self.armed.values()):
             if time.monotonic() > deadline:
                 raise RehearsalError(f"links are not armed: {self.armed}")
             self.keep_armed()
             rclpy.spin_once(self, timeout_sec=0.05)
-        self.wait(self.base.service_is_ready, "there is no node `base`")
+        self.wait(self.base.service_is_ready, "node `base` is not running")
         request, answer = SetBool.Request(data=True), None
         while answer is None or not answer.success:
             if time.monotonic() > deadline:
                 raise RehearsalError(f"the base is not armed: {answer and answer.message}")
-            answer = self.after(self.base.call_async(request), "node `base` does not answer")
+            answer = self.result_of(self.base.call_async(request), "node `base` does not respond")
 
-    def fly(self) -> Capture.Result:
+    def run_capture(self) -> Capture.Result:
         """Send the capture goal and return the mission's result.
 
         Raises:
             RehearsalError: the guidance does not respond, or the mission does not end in time.
         """
-        self.wait(self.capture.server_is_ready, "there is no node `guidance`")
+        self.wait(self.capture.server_is_ready, "node `guidance` is not running")
         sent = self.capture.send_goal_async(Capture.Goal(detumble=True))
-        handle = self.after(sent, "node `guidance` does not answer")
+        handle = self.result_of(sent, "node `guidance` does not respond")
         answer = handle.get_result_async()
-        return self.after(answer, "the mission does not end", MAX_DURATION).result
+        error = f"the mission does not end within {MAX_DURATION:g} s"
+        return self.result_of(answer, error, MAX_DURATION).result
 
 
 def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assumed: float) -> None:
@@ -116,7 +117,7 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assum
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=arm, seed=seed, ports=ports[:LINKS], board_port=board,
-        keep_clock=True, speed=speed, truth_rate=50.0, telemetry_rate=20.0, **BEGIN,
+        keep_clock=True, speed=speed, truth_rate=50.0, telemetry_rate=20.0, **INITIAL_PARAMETERS,
     )  # fmt: skip
     nodes.start(
         "links", "fss_arm_driver", "link", arm=arm, urls=nodes.domain.urls(LINKS), rate=20.0,
@@ -148,7 +149,7 @@ class Flight(NamedTuple):
     valves: np.ndarray  # True for open valves
     planned: np.ndarray  # (m, 3) reference poses of the base
     phases: list[tuple[float, str]]  # start time [s] and name of each phase
-    found: MassProperties | None  # last estimate of the target's mass properties
+    estimate: MassProperties | None  # last estimate of the target's mass properties
 
 
 def read(bag: Path) -> Flight:
@@ -160,9 +161,9 @@ def read(bag: Path) -> Flight:
     with open_bags(bag) as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
         states = [message for _, _, _, message in bags.messages({"/mission/state"})]
-        found = [message for *_, message in bags.messages({"/target/mass_properties"})]
+        estimate = [message for *_, message in bags.messages({"/target/mass_properties"})]
     if not truths:
-        raise RehearsalError(f"there is no sim/truth in {bag}")
+        raise RehearsalError(f"the bag {bag} contains no sim/truth")
 
     def column(name: str) -> np.ndarray:
         return np.array([getattr(message, name) for message in truths])
@@ -177,59 +178,63 @@ def read(bag: Path) -> Flight:
     return Flight(
         stamps, column("q"), column("qd"), column("target"), column("target_twist"),
         column("holds"), column("momentum"), column("impulse"), error, column("propellant"),
-        column("valves"), planned, phases, found[-1] if found else None,
+        column("valves"), planned, phases, estimate[-1] if estimate else None,
     )  # fmt: skip
 
 
-def mass_off(flight: Flight, p: np.ndarray, k: int) -> tuple[float, str]:
+def mass_error(flight: Flight, p: np.ndarray, k: int) -> tuple[float, str]:
     """Return the largest error of the target's estimate, in standard deviations, and a summary.
 
     The true values are those of the capture, at row k.
     """
-    if flight.found is None:
-        return np.inf, "what is held was not found"
-    m = flight.found
+    if flight.estimate is None:
+        return np.inf, "the payload was not estimated"
+    m = flight.estimate
     values = np.array([m.mass, *m.com, m.inertia])
     deviations = np.sqrt(m.covariance.reshape(4, 4).diagonal())
-    place = hold(p, flight.q[k], flight.target[k])
-    truth = np.array([TARGET.mass, *place[:2], TARGET.inertia])
-    names = ("mass {:.2f} +- {:.2f} kg", "x {:.3f} +- {:.3f} m", "y {:.3f} +- {:.3f} m",
-             "inertia {:.3f} +- {:.3f} kg m^2")  # fmt: skip
-    words = (
-        f"{name.format(value, deviation)} ({true:.3f})"
+    pose = hold(p, flight.q[k], flight.target[k])
+    truth = np.array([TARGET.mass, *pose[:2], TARGET.inertia])
+    names = ("mass {:.2f} ± {:.2f} kg", "x {:.3f} ± {:.3f} m", "y {:.3f} ± {:.3f} m",
+             "inertia {:.3f} ± {:.3f} kg m^2")  # fmt: skip
+    texts = (
+        f"{name.format(value, deviation)} (true: {true:.3f})"
         for name, value, deviation, true in zip(names, values, deviations, truth, strict=True)
     )
-    return float((np.abs(values - truth) / deviations).max()), f"it holds {', '.join(words)}"
+    return float((np.abs(values - truth) / deviations).max()), f"payload {', '.join(texts)}"
 
 
-def accept(flight: Flight, p: np.ndarray, say: Callable[[str], None]) -> list[Check]:
+def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> list[Check]:
     """Print a summary of the mission, and return its checks."""
-    caught = Check("the target is captured", "it was not", False)
+    capture_check = Check("the target is captured", "not captured", False)
     if not flight.holds.any():
-        say("the target was not captured")
-        return [caught]
+        log_line("the target was not captured")
+        return [capture_check]
     k = int(np.argmax(flight.holds))
     change = flight.momentum[k] - flight.momentum[k - 1]
-    given = flight.impulse[k] - flight.impulse[k - 1]
+    impulse = flight.impulse[k] - flight.impulse[k - 1]
     when = f"captured between {flight.time[k - 1]:.2f} and {flight.time[k]:.2f} s"
-    say(when)
+    log_line(when)
     for name, unit, i in (("x", "N s", 0), ("y", "N s", 1), ("about the origin", "N m s", 2)):
         before, after = flight.momentum[k - 1, i], flight.momentum[k, i]
-        say(f"  momentum {name:>16}  before {before:+.12f}  after {after:+.12f} {unit}")
-    worst, audit = float(np.abs(change - given).max()), float(np.abs(flight.error).max())
-    differ = f"differ by {worst:.1e} at most; the audit of the whole mission by {audit:.1e}"
+        log_line(f"  momentum {name:>16}  before {before:+.12f}  after {after:+.12f} {unit}")
+    worst, audit = float(np.abs(change - impulse).max()), float(np.abs(flight.error).max())
+    difference = f"difference at most {worst:.1e}; largest audit error of the mission {audit:.1e}"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
-    turns = f"{spin[0]:.2f} deg/s at the begin, {spin[1]:.3f} deg/s at the end"
-    say(f"  {differ}")
-    say(f"target's spin {turns}")
-    say(f"propellant used {1e3 * flight.propellant[-1]:.1f} g")
-    off, known = mass_off(flight, p, k)
-    say(known)
+    spin_text = f"{spin[0]:.2f} deg/s at the start, {spin[1]:.3f} deg/s at the end"
+    log_line(f"  {difference}")
+    log_line(f"spin of the target: {spin_text}")
+    log_line(f"propellant used {1e3 * flight.propellant[-1]:.1f} g")
+    deviations_off, summary = mass_error(flight, p, k)
+    log_line(summary)
     return [
-        Check("what is held is known within 3 deviations", known, off < 3.0),
-        caught._replace(happened=when, held=True),
-        Check(f"momentum before and after agree to {AGREE:g}", differ, worst < AGREE),
-        Check("the target's spin is stopped", turns, abs(spin[1]) < 0.1 * abs(spin[0])),
+        Check("the payload estimate is within 3 deviations", summary, deviations_off < 3.0),
+        capture_check._replace(happened=when, passed=True),
+        Check(
+            f"momentum before and after agree to {MOMENTUM_TOLERANCE:g}",
+            difference,
+            worst < MOMENTUM_TOLERANCE,
+        ),
+        Check("the target's spin is stopped", spin_text, abs(spin[1]) < 0.1 * abs(spin[0])),
     ]
 
 
@@ -241,17 +246,17 @@ def plot(arm: Arm, flight: Flight) -> Any:
     grid = figure.add_gridspec(4, 2, width_ratios=(1.5, 1.0))
     above = figure.add_subplot(grid[:, 0])
     above.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    above.set_title("the table from above: begin, capture, end")
+    above.set_title("top view: start, capture, end")
     k = int(np.argmax(flight.holds)) if flight.holds.any() else len(flight.time) - 1
     for i, shade in ((0, 0.35), (k, 0.65), (len(flight.time) - 1, 1.0)):
-        draw(above, arm, flight.q[i], flight.target[i], shade)
+        draw_scene(above, arm, flight.q[i], flight.target[i], shade)
     above.plot(*flight.planned[:, :2].T, "C2-", lw=3, alpha=0.4, label="base, planned")
     above.plot(*flight.q[:, :2].T, "C0:", lw=1, label="base")
     above.plot(*flight.target[:, :2].T, "C3:", lw=1, label="target")
     above.legend(loc="upper left")
     panels: tuple[tuple[str, list[tuple[str, Any]]], ...] = (
         (
-            "turning [deg/s]",
+            "rotation [deg/s]",
             [
                 ("base", np.degrees(flight.qd[:, 2])),
                 ("target", np.degrees(flight.target_twist[:, 2])),
@@ -262,8 +267,8 @@ def plot(arm: Arm, flight: Flight) -> Any:
             [(f"joint {j}", np.degrees(flight.q[:, 2 + j])) for j in range(1, arm.n + 1)],
         ),
         (
-            "momentum of all, about the origin [N m s]",
-            [("it is", flight.momentum[:, 2]), ("of it, by thrusters", flight.impulse[:, 2])],
+            "total momentum about the origin [N m s]",
+            [("total", flight.momentum[:, 2]), ("from thrusters", flight.impulse[:, 2])],
         ),
     )
     for row, (title, lines) in enumerate(panels):
@@ -273,8 +278,8 @@ def plot(arm: Arm, flight: Flight) -> Any:
         panel.set_title(title, fontsize=10)
         panel.legend(fontsize=8)
         panel.set_xlim(*flight.time[[0, -1]])
-    begins = [since for since, _ in flight.phases]
-    ends = [*begins[1:], flight.time[-1]]
+    starts = [since for since, _ in flight.phases]
+    ends = [*starts[1:], flight.time[-1]]
     panel = figure.add_subplot(grid[3, 1])
     for (since, phase), end in zip(flight.phases, ends, strict=True):
         panel.barh(phase, end - since, left=since, color="C2")
@@ -285,7 +290,7 @@ def plot(arm: Arm, flight: Flight) -> Any:
     return figure
 
 
-def draw(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -> None:
+def draw_scene(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -> None:
     """Draw base, arm and target at one time."""
     square = 0.135 * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j, 1 + 1j])
     for (x, y, heading), colour in ((q[:3], "C0"), (target, "C3")):
@@ -300,35 +305,47 @@ def draw(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
-    parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
-    words = f"the target's mass as the nodes are told [kg]; it is {TARGET.mass:g}"
-    parser.add_argument("--assumed", type=float, default=TARGET.mass, help=words)
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        help="speed of the simulation, in multiples of real time",
+    )
+    help_text = f"mass of the target that the nodes assume [kg]; the true one is {TARGET.mass:g}"
+    parser.add_argument("--assumed", type=float, default=TARGET.mass, help=help_text)
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Fly the mission, and evaluate its bag."""
-    arm, say = load(CONFIG / "arm.yaml"), partial(console.print, soft_wrap=True, highlight=False)
-    with own_domain() as domain, Nodes(out / "logs", say, domain) as nodes:
-        say(f"starting simulator, drivers, recorder and guidance, in ROS domain {domain.number}")
+    arm = load(CONFIG / "arm.yaml")
+    log_line = partial(console.print, soft_wrap=True, highlight=False)
+    with isolated_domain() as domain, Nodes(out / "logs", log_line, domain) as nodes:
+        log_line(
+            f"starting simulator, drivers, recorder and guidance, in ROS domain {domain.number}"
+        )
         start_all(nodes, CONFIG / "arm.yaml", out, options.seed, options.speed, options.assumed)
-        person = Person(domain)
-        person.arm_all()
-        result = person.fly()
-        person.destroy_node()
+        operator = CaptureOperator(domain)
+        operator.arm_all()
+        result = operator.run_capture()
+        operator.destroy_node()
     flight = read(out / "bag")
-    end, *spent = budget(result)
+    end, *consumption = budget(result)
     checks = [
-        *accept(flight, arm.vector(), say),
-        Check("the guidance says so", end.removeprefix("by the guidance: "), result.stopped),
+        *evaluate(flight, arm.vector(), log_line),
+        Check(
+            "the guidance reports success",
+            end.removeprefix("result of the guidance: "),
+            result.stopped,
+        ),
     ]
-    for line in (end, *spent):
-        say(line)
-    figure = Figure("mission", "From above, and how it went", partial(plot, arm, flight))
+    for line in (end, *consumption):
+        log_line(line)
+    figure = Figure("mission", "Top view and time histories", partial(plot, arm, flight))
     film = animation(
         arm, flight.time, flight.q, flight.target, flight.holds, flight.valves, flight.phases,
         TARGET.fixture,
     )  # fmt: skip
-    files = {"bag": "recording", "report/mission.png": "drawing", "logs": "of the nodes"}
+    files = {"bag": "recording", "report/mission.png": "figure", "logs": "logs of the nodes"}
     return Rehearsed(checks, [figure], files=files, html=film)
 
 
@@ -337,7 +354,7 @@ def budget(result: Capture.Result) -> list[str]:
     x, y, turning = result.momentum.tolist()
     end = "captured and stopped" if result.stopped else f"{result.phase}: {result.message}"
     return [
-        f"by the guidance: {end}",
+        f"result of the guidance: {end}",
         f"  time {result.duration:.1f} s, propellant {1e3 * result.propellant:.1f} g",
         f"  momentum at the grip {x:+.3f}, {y:+.3f} N s, {turning:+.4f} N m s",
         f"  largest joint torque {result.largest_torque:.2f} N m",

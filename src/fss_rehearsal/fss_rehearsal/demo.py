@@ -29,11 +29,11 @@ from fss_arm_model.description_file import load
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.qos import LATCHED
 from fss_rehearsal.domain import CONFIG, Domain
-from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes, RehearsalError
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
-LISTENED = (
+RECORDED_TOPICS = (
     "/joint_states",
     *(f"/link_{i}/telemetry" for i in range(1, LINKS + 1)),
     "/vicon/fss/fss",
@@ -46,7 +46,7 @@ class Calibrator(Operator):
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
-        self.time, self.checked = self.get_clock().now(), time.monotonic()
+        self.time, self.last_check = self.get_clock().now(), time.monotonic()
         self.done = 0  # postures observed
         self.result: KinematicCalibration | None = None
         self.observations = KinematicObservations()
@@ -74,7 +74,7 @@ class Calibrator(Operator):
         """Store the observations of the newest result."""
         self.observations = message
 
-    def live(self) -> Outcome[Observation, Solution] | None:
+    def published_outcome(self) -> Outcome[Observation, Solution] | None:
         """Return the published result with its observations, or None until both have arrived."""
         if self.result is None:
             return None
@@ -82,24 +82,26 @@ class Calibrator(Operator):
         origin = self.result.calibration.provenance
         return outcome if outcome.provenance.data_hash == origin.data_hash else None
 
-    def let_time_go(self) -> None:
+    def resume_clock(self) -> None:
         """Resume a paused clock, as in a test bed just started, once all topics have subscribers.
 
         Recorder and calibration then receive the same messages from the start.
         """
         now = self.get_clock().now()
         if now != self.time:
-            self.time, self.checked = now, time.monotonic()
-        elif time.monotonic() - self.checked > 1.0 and all(map(self.listened, LISTENED)):
-            self.service(self.pause, SetBool.Request(data=False), 2.0)
-            self.checked = time.monotonic()
+            self.time, self.last_check = now, time.monotonic()
+        elif time.monotonic() - self.last_check > 1.0:
+            if not all(map(self.has_subscribers, RECORDED_TOPICS)):
+                return
+            self.call_service(self.pause, SetBool.Request(data=False), 2.0)
+            self.last_check = time.monotonic()
 
-    def listened(self, topic: str) -> bool:
+    def has_subscribers(self, topic: str) -> bool:
         """Return True if recorder and calibration both subscribe to the topic."""
         names = {info.node_name for info in self.get_subscriptions_info_by_topic(topic)}
         return names >= {"record", "kinematic"}
 
-    def service(self, client, request, deadline: float = 10.0):  # type: ignore[no-untyped-def]
+    def call_service(self, client, request, deadline: float = 10.0):  # type: ignore[no-untyped-def]
         """Call a service; return its response, or None if it is not ready or times out."""
         if not client.service_is_ready():
             return None
@@ -144,26 +146,27 @@ def observe(
     Raises:
         RehearsalError: a node failed, or the deadline passed.
     """
-    give_up = time.monotonic() + options.deadline
+    end_time = time.monotonic() + options.deadline
     with Nodes(out / "logs", console.print, domain) as nodes, progress(console) as bar:
         start_all(nodes, options, out)
         operator = Calibrator(domain)
         task = bar.add_task("postures observed", total=options.postures)
-        while not nodes.ended("experiment"):
-            if time.monotonic() > give_up:
-                raise RehearsalError(f"not done after {options.deadline:.0f} s, see {nodes.logs}")
-            nodes.restart_dead()
+        while not nodes.has_finished("experiment"):
+            if time.monotonic() > end_time:
+                limit = f"{options.deadline:.0f} s"
+                raise RehearsalError(f"not finished after {limit}, see {nodes.logs}")
+            nodes.restart_killed()
             rclpy.spin_once(operator, timeout_sec=0.1)
             bar.update(task, completed=operator.done)
-            operator.let_time_go()
+            operator.resume_clock()
             operator.keep_armed()
         bar.update(task, completed=options.postures)
         # Results of earlier observations may still arrive.
-        while (live := operator.live()) is None or len(live.used) < options.postures:
-            if time.monotonic() > give_up:
-                raise RehearsalError(f"no solution: {nodes.last_words('kinematic')}")
-            nodes.restart_dead()
-            operator.service(operator.solve, Trigger.Request())
+        while (live := operator.published_outcome()) is None or len(live.used) < options.postures:
+            if time.monotonic() > end_time:
+                raise RehearsalError(f"no solution in time: {nodes.last_log_line('kinematic')}")
+            nodes.restart_killed()
+            operator.call_service(operator.solve, Trigger.Request())
             rclpy.spin_once(operator, timeout_sec=0.5)
         operator.destroy_node()
     return live
@@ -182,16 +185,16 @@ def progress(console: Console) -> Progress:
 
 def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> Check:
     """Solve again from the bag alone, and compare the result with the live one."""
-    expected = "the bag alone gives the verdict, too"
+    expected = "the bag alone gives the same verdict"
     settings = KinematicSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
     offline = solve_bag(KINEMATIC, bag, settings)
     if len(offline.used) != len(live.used):
         # One of the two nodes was killed, and missed messages until it was restarted.
-        told = f"from {len(offline.used)} rests in it, {len(live.used)} seen live"
+        comparison = f"from {len(offline.used)} rests, {len(live.used)} live"
     else:
         worst = float(abs(offline.values - live.values).max())
-        told = f"parameters differ by at most {worst:.1e}"
-    happened = f"solved again from the bag: {offline.verdict}, {told}"
+        comparison = f"parameters differ by at most {worst:.1e}"
+    happened = f"solved again from the bag: {offline.verdict}, {comparison}"
     return Check(expected, happened, offline.verdict == live.verdict)
 
 
@@ -201,24 +204,28 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=float,
         default=1.0,
-        help="multiple of real time; two cores keep up with 2, four with 5",
+        help="multiple of real time; two cores can reach 2, four can reach 5",
     )
     parser.add_argument(
         "--postures",
         type=int,
         choices=range(7, len(DEFAULT) + 1),  # fewer observations rarely check each other
         default=len(DEFAULT),
-        help="to observe: the first so many",
+        help="number of postures to observe",
     )
     parser.add_argument(
-        "--preset", default="paper", help="of the simulator: ideal, default, paper, laboratory"
+        "--preset",
+        default="paper",
+        help="preset of the simulator: ideal, default, paper, laboratory",
     )
-    parser.add_argument("--deadline", type=float, default=600.0, help="give up after [s]")
+    parser.add_argument(
+        "--deadline", type=float, default=600.0, help="timeout of the experiment [s]"
+    )
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Run the experiment, and solve again from its bag."""
-    with own_domain() as domain:
+    with isolated_domain() as domain:
         console.print(
             f"starting simulator, {LINKS} drivers over UDP, recorder and calibration, "
             f"in ROS domain {domain.number}",
@@ -229,12 +236,12 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     console.print(report.printed(found))
     again = from_bag(out / "bag", result)
     console.print(again.happened)
-    passes = Check("the calibration passes", result.reason, result.verdict == PASS)
+    verdict_check = Check("the calibration passes", result.reason, result.verdict == PASS)
     files = {
         "bag": "recording",
         "arm.yaml": "calibrated description",
         "report/kinematic_observations.png": "residuals",
         "report/kinematic_postures.png": "postures",
-        "logs": "of the nodes",
+        "logs": "logs of the nodes",
     }
-    return Rehearsed([passes, again], reports=[found], files=files)
+    return Rehearsed([verdict_check, again], reports=[found], files=files)

@@ -19,9 +19,9 @@ CONFIG = next(
 )
 DOMAINS = range(65, 0, -1)  # for rehearsals; the tests use 66 to 101
 FIRST_PORT, PORTS = 7400, 250  # first port of domain 0, ports per domain (DDSI-RTPS 9.6.1)
-UNUSED = 200  # first port of a domain that DDS does not use, with up to 95 processes
+FIRST_UNUSED_PORT = 200  # first port of a domain that DDS does not use, with up to 95 processes
 #: Environment variables that could connect a process to other computers, or to foreign nodes.
-LEADS = (
+CONNECTING_VARIABLES = (
     "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "ROS_SUPER_CLIENT",
     "ROS_SECURITY_ENABLE", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_ENVIRONMENT_FILE",
     "CYCLONEDDS_URI",
@@ -33,11 +33,11 @@ class Domain(NamedTuple):
 
     number: int
     enclave: str  # identifies the nodes of this rehearsal
-    holder: socket.socket  # reserves the domain until it is closed or the process ends
+    reservation: socket.socket  # reserves the domain until it is closed or the process ends
 
     def ports(self, count: int) -> list[int]:
         """Return UDP ports that belong to the domain and that DDS leaves unused."""
-        first = FIRST_PORT + PORTS * self.number + UNUSED
+        first = FIRST_PORT + PORTS * self.number + FIRST_UNUSED_PORT
         return list(range(first, first + count))
 
     def urls(self, count: int) -> list[str]:
@@ -48,13 +48,15 @@ class Domain(NamedTuple):
 
     def enter(self) -> None:
         """Move this process, and each process that it starts from now on, to the domain."""
-        for name in LEADS:
+        for name in CONNECTING_VARIABLES:
             os.environ.pop(name, None)
-        fast_dds = os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps").startswith("rmw_fastrtps")
+        is_fast_dds = os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps").startswith(
+            "rmw_fastrtps"
+        )
         os.environ |= {
             "ROS_DOMAIN_ID": str(self.number),
             # With LOCALHOST, Fast DDS would also use shared memory; its profile has loopback only.
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT" if fast_dds else "LOCALHOST",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT" if is_fast_dds else "LOCALHOST",
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(CONFIG / "fastdds.xml"),
         }
 
@@ -70,16 +72,16 @@ def reserve(numbers: Sequence[int] = DOMAINS) -> Iterator[Domain]:
         OSError: no further domain is free.
     """
     for number in numbers:
-        holder = socket.socket(socket.AF_UNIX)
+        reservation = socket.socket(socket.AF_UNIX)
         with suppress(OSError):  # reserved by another process
-            holder.bind(f"\0fss_arm_domain_{number}")
-            if is_silent(number):
-                yield Domain(number, f"/rehearsal_{uuid4().hex}", holder)
-        holder.close()
+            reservation.bind(f"\0fss_arm_domain_{number}")
+            if is_unused(number):
+                yield Domain(number, f"/rehearsal_{uuid4().hex}", reservation)
+        reservation.close()
     raise OSError(f"none of the ROS domains {min(numbers)} to {max(numbers)} is free")
 
 
-def is_silent(number: int) -> bool:
+def is_unused(number: int) -> bool:
     """Return True if no process has bound a port of the domain, as each participant does."""
     first = FIRST_PORT + PORTS * number
     for port in range(first, first + PORTS):

@@ -27,28 +27,28 @@ from fss_arm_msgs.msg import DriftCalibration, SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
 from fss_rehearsal.domain import CONFIG, Domain
-from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
 TILT = 2e-5, -1e-5  # tilt of the table [rad]
 DRAG, TWIST_DAMPING = 0.02, 0.01  # damping by the hose [N s/m, N m s]
-BASE = -0.6, 0.0, 0.0  # initial pose from which the arm stays clear of the table's border
-TWIST = -0.006, 0.003, 0.004  # initial twist of the base [m/s, m/s, rad/s]
+INITIAL_POSE = -0.6, 0.0, 0.0  # initial pose from which the arm stays clear of the table's border
+INITIAL_TWIST = -0.006, 0.003, 0.004  # initial twist of the base [m/s, m/s, rad/s]
 TRUTH = {
     "g_x": GRAVITY * TILT[0], "g_y": GRAVITY * TILT[1], "torque": 0.0,
     "twist_damping": TWIST_DAMPING, "drag": DRAG,
 }  # fmt: skip
-PART = 40.0  # maximum duration of one drift segment, so that segments check each other [s]
-DEVIATIONS = 3.0  # maximum error of an estimate, in standard deviations
+MAX_SEGMENT = 40.0  # maximum duration of one drift segment, so that segments check each other [s]
+MAX_DEVIATIONS = 3.0  # maximum error of an estimate, in standard deviations
 
 
-class Person(Operator):
+class DriftOperator(Operator):
     """Operator that lets the base drift, and requests the solution."""
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
-        self.begin = self.time = 0
+        self.start_time = self.time = 0
         self.result: DriftCalibration | None = None
         self.create_subscription(SimTruth, "sim/truth", self.on_truth, 1)
         self.create_subscription(DriftCalibration, "calibration/drift", self.on_result, LATCHED)
@@ -57,7 +57,7 @@ class Person(Operator):
     def on_truth(self, message: SimTruth) -> None:
         """Store the simulated time, and its first value."""
         self.time = stamp_ns(message.header.stamp)
-        self.begin = self.begin or self.time
+        self.start_time = self.start_time or self.time
 
     def on_result(self, message: DriftCalibration) -> None:
         """Store the newest result."""
@@ -65,22 +65,31 @@ class Person(Operator):
 
     def drift(self, seconds: float, speed: float) -> DriftCalibration:
         """Wait for `seconds` of simulated time, then request the solution and return it."""
-        late = f"{seconds:g} s do not pass"
-        patience = 60.0 + 4.0 * seconds / speed
-        self.wait(lambda: self.time > self.begin + seconds * SECOND > SECOND, late, patience)
-        self.wait(self.solve.service_is_ready, "there is no drift/solve")
+        timeout = 60.0 + 4.0 * seconds / speed
+        message = f"the simulation does not reach {seconds:g} s within {timeout:g} s"
+        self.wait(lambda: self.time > self.start_time + seconds * SECOND > SECOND, message, timeout)
+        self.wait(self.solve.service_is_ready, "service drift/solve is not available")
         self.result = None
         answer = self.solve.call_async(Trigger.Request())
-        self.wait(lambda: answer.done() and self.result is not None, "there is no solution")
+        self.wait(
+            lambda: answer.done() and self.result is not None, "node `drift` publishes no solution"
+        )
         assert self.result
         return self.result
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
-    parser.add_argument("--seconds", type=float, default=90.0, help="of drifting, simulated")
-    parser.add_argument("--speed", type=float, default=3.0, help="multiple of real time")
-    parser.add_argument("--preset", default="laboratory", help="of the simulator")
+    parser.add_argument(
+        "--seconds", type=float, default=90.0, help="simulated duration of the drift [s]"
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=3.0,
+        help="speed of the simulation, in multiples of real time",
+    )
+    parser.add_argument("--preset", default="laboratory", help="preset of the simulator")
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
@@ -94,55 +103,60 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
         )
     nodes.start("arm", "fss_arm_driver", "arm", **clock)
     nodes.start(
-        "drift", "fss_arm_calib", "drift", arm=arm, output=out / "drift.yaml", max_duration=PART,
-        **clock,
+        "drift", "fss_arm_calib", "drift", arm=arm, output=out / "drift.yaml",
+        max_duration=MAX_SEGMENT, **clock,
     )  # fmt: skip
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=arm, seed=options.seed, preset=options.preset,
         ports=nodes.domain.ports(LINKS), keep_clock=True, speed=options.speed, tilt=list(TILT),
-        tether_drag=DRAG, tether_twist=TWIST_DAMPING, base=list(BASE), twist=list(TWIST),
+        tether_drag=DRAG, tether_twist=TWIST_DAMPING, base=list(INITIAL_POSE),
+        twist=list(INITIAL_TWIST),
         q=[0.4, -0.8, 0.8, -0.4],
     )  # fmt: skip
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Let the base drift, solve, and solve again from the bag."""
-    with own_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
+    with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
         console.print(f"starting simulator, drivers, recorder and drift, in domain {domain.number}")
         start_all(nodes, options, out)
-        person = Person(domain)
-        live = person.drift(options.seconds, options.speed)
-        person.destroy_node()
-    settings = DriftSettings(arm=str(CONFIG / "truth.yaml"), max_duration=PART)
-    found = solve_bag(DRIFT, out / "bag", settings)
+        operator = DriftOperator(domain)
+        live = operator.drift(options.seconds, options.speed)
+        operator.destroy_node()
+    settings = DriftSettings(arm=str(CONFIG / "truth.yaml"), max_duration=MAX_SEGMENT)
+    offline = solve_bag(DRIFT, out / "bag", settings)
     with open_bags(out / "bag") as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
     t = np.array([stamp_ns(message.header.stamp) for message in truths]) / SECOND
     base = np.array([message.q[:3] for message in truths])
-    figure = Figure("drift", "The base's true drift", partial(plot, t - t[0], base))
-    files = {"bag": "recording", "drift.yaml": "parameters for nodes", "logs": "of the nodes"}
-    return Rehearsed(judge(live, found), [figure], [DRIFT.report_of(found)], files)
+    figure = Figure("drift", "True drift of the base", partial(plot, t - t[0], base))
+    files = {"bag": "recording", "drift.yaml": "parameters for nodes", "logs": "logs of the nodes"}
+    return Rehearsed(evaluate(live, offline), [figure], [DRIFT.report_of(offline)], files)
 
 
-def judge(live: DriftCalibration, found: Outcome[Any, Any]) -> list[Check]:
+def evaluate(live: DriftCalibration, offline: Outcome[Any, Any]) -> list[Check]:
     """Compare the results with each other and with the truth.
 
     Args:
         live: result of the node.
-        found: result from the bag.
+        offline: result from the bag.
     """
-    its = live.calibration
+    result = live.calibration
     checks = [
-        Check("the calibration passes", its.reason, its.verdict == PASS),
-        Check("the bag alone gives the verdict, too", found.reason, found.verdict == its.verdict),
+        Check("the calibration passes", result.reason, result.verdict == PASS),
+        Check(
+            "the bag alone gives the same verdict",
+            offline.reason,
+            offline.verdict == result.verdict,
+        ),
     ]
-    for name, value, deviation in zip(its.names, its.values, its.deviations, strict=True):
-        off = (value - TRUTH[name]) / deviation
+    for name, value, deviation in zip(result.names, result.values, result.deviations, strict=True):
+        error = (value - TRUTH[name]) / deviation
         checks.append(
             Check(
-                f"{name} is within {DEVIATIONS:g} deviations of the truth, {TRUTH[name]:.3g}",
-                f"{value:.3g} +- {deviation:.2g}, off by {abs(off):.1f}",
-                bool(isfinite(deviation) and abs(off) < DEVIATIONS),
+                f"{name} is within {MAX_DEVIATIONS:g} deviations of the truth, {TRUTH[name]:.3g}",
+                f"{value:.3g} ± {deviation:.2g}, error {abs(error):.1f} deviations",
+                bool(isfinite(deviation) and abs(error) < MAX_DEVIATIONS),
             )
         )
     return checks

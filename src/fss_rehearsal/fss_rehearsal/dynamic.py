@@ -34,12 +34,14 @@ from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.description_file import save
 from fss_arm_model.parameters import values
 from fss_rehearsal.domain import Domain
-from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes, RehearsalError
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
 PAUSE = 5.2  # between maneuvers [s]
-SESSION = 4  # maneuvers before the operator puts the base back to the middle of the table
+MANEUVERS_PER_SESSION = (
+    4  # maneuvers before the operator puts the base back to the middle of the table
+)
 TABLE = (3.7, 3.7)  # table size for planning [m]; the margin allows for drift in a session
 
 
@@ -64,14 +66,14 @@ class Experimenter(Operator):
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)
-        self.said = "starting"
+        self.status_message = "starting"
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """Store the experiment's status message."""
         for status in message.status:
             if status.name == "/experiment":
-                self.said = status.message
+                self.status_message = status.message
 
 
 def draw_truth(guess: Arm, settings: DynamicSettings, seed: int) -> Arm:
@@ -108,14 +110,14 @@ def start_all(
     for i, url in enumerate(nodes.domain.urls(LINKS), 1):
         nodes.start(f"link_{i}", "fss_arm_driver", "link", link=i, url=url)
     nodes.start("arm", "fss_arm_driver", "arm")
-    nodes.start("dynamic", "fss_arm_calib", "dynamic", **known(out, cameras))
+    nodes.start("dynamic", "fss_arm_calib", "dynamic", **settings_of(out, cameras))
     nodes.start(
         "experiment", "fss_arm_calib", "experiment", maneuvers=out / f"plan_{session}.yaml",
         pause=PAUSE,
     )  # fmt: skip
 
 
-def make(
+def run_sessions(
     options: argparse.Namespace, out: Path, cameras: Cameras, console: Console, domain: Domain
 ) -> None:
     """Run all maneuvers, session after session.
@@ -123,25 +125,25 @@ def make(
     Raises:
         RehearsalError: a node failed, or the deadline passed.
     """
-    give_up = time.monotonic() + options.deadline
+    end_time = time.monotonic() + options.deadline
     for session in range(len(list(out.glob("plan_*.yaml")))):
         logs = out / "logs" / f"session_{session}"
         with Nodes(logs, console.print, domain) as nodes, console.status("starting") as status:
             start_all(nodes, options, out, cameras, session)
             operator = Experimenter(domain)
-            while not nodes.ended("experiment"):
-                if time.monotonic() > give_up:
-                    raise RehearsalError(f"not done after {options.deadline:.0f} s, see {logs}")
-                nodes.restart_dead()
+            while not nodes.has_finished("experiment"):
+                if time.monotonic() > end_time:
+                    raise RehearsalError(f"not finished after {options.deadline:.0f} s, see {logs}")
+                nodes.restart_killed()
                 rclpy.spin_once(operator, timeout_sec=0.1)
-                status.update(f"session {session + 1}: {operator.said}")
+                status.update(f"session {session + 1}: {operator.status_message}")
                 operator.keep_armed()
             operator.destroy_node()
 
 
 def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[Arm, list[Planned]]:
     """Write guess, truth and plan; return truth and plan."""
-    settings = DynamicSettings(**known(out, cameras))
+    settings = DynamicSettings(**settings_of(out, cameras))
     guess = paper_arm()
     truth = draw_truth(guess, settings, options.seed)
     save(guess, out / "guess.yaml")
@@ -151,13 +153,13 @@ def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[A
         chosen=[f"b_{i}" for i in range(1, LINKS + 1)], begin=np.array([0.6, -1.0, 1.0, -0.6]),
         tried=500,
     )  # fmt: skip
-    for session, first in enumerate(range(0, len(plan), SESSION)):
-        part = plan[first : first + SESSION]
+    for session, first in enumerate(range(0, len(plan), MANEUVERS_PER_SESSION)):
+        part = plan[first : first + MANEUVERS_PER_SESSION]
         (out / f"plan_{session}.yaml").write_text(to_yaml(part), encoding="utf-8")
     return truth, plan
 
 
-def known(out: Path, cameras: Cameras) -> dict[str, Any]:
+def settings_of(out: Path, cameras: Cameras) -> dict[str, Any]:
     """Return the settings of the calibration, live and from the bags."""
     return {
         "arm": str(out / "guess.yaml"),
@@ -177,40 +179,45 @@ def solve_first(out: Path, settings: DynamicSettings, count: int) -> Outcome[Man
     result = solve_bag(DYNAMIC, out / "bags", settings)
     if len(result.used) <= count:
         return result
-    kept = [one for one in result.data if one.start < result.used[count].start]
-    return calibrate(kept, result.arm, settings, source=result.provenance.source)
+    selected = [one for one in result.data if one.start < result.used[count].start]
+    return calibrate(selected, result.arm, settings, source=result.provenance.source)
 
 
 def summary(
-    result: Outcome[Maneuver, Solution], truth: Arm, plan: list[Planned], promised: np.ndarray
+    result: Outcome[Maneuver, Solution], truth: Arm, plan: list[Planned], predicted: np.ndarray
 ) -> str:
-    """Return a summary of the centres of mass: promised and found deviations, and errors."""
+    """Return a summary of the centres of mass: predicted and estimated deviations, and errors."""
     names = list(result.names)
     lines = []
     for i, link in enumerate(truth.links):
         k = names.index(f"b_{i + 1}")
-        before, now, off = 1e3 * np.array(
-            [promised[k], result.deviations[k], result.values[k] - link.b]
+        before, now, error = 1e3 * np.array(
+            [predicted[k], result.deviations[k], result.values[k] - link.b]
         )
         lines.append(
-            f"b_{i + 1}: 1 sigma {before:.1f} mm promised, {now:.1f} mm found; off by {off:+.1f} mm"
+            f"b_{i + 1}: 1 sigma {before:.1f} mm predicted, {now:.1f} mm estimated; "
+            f"error {error:+.1f} mm"
         )
-    worst = 1e3 * max(result.deviations[names.index(f"b_{i}")] for i in range(1, LINKS + 1))
+    largest = 1e3 * max(result.deviations[names.index(f"b_{i}")] for i in range(1, LINKS + 1))
     lines.append(
         f"{len(result.used)} maneuvers of at most {max(p.length for p in plan):.1f} s; "
-        f"largest deviation of a b {worst:.1f} mm"
+        f"largest deviation of a b {largest:.1f} mm"
     )
     return "\n".join(lines)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
-    parser.add_argument("--noise", choices=list(NOISE), default="laboratory", help="of cameras")
-    parser.add_argument("--count", type=int, default=16, help="maneuvers")
     parser.add_argument(
-        "--tilt", type=float, default=radians(0.001), help="of the table [rad]",
+        "--noise", choices=list(NOISE), default="laboratory", help="noise of the cameras"
+    )
+    parser.add_argument("--count", type=int, default=16, help="number of maneuvers")
+    parser.add_argument(
+        "--tilt", type=float, default=radians(0.001), help="tilt of the table [rad]",
     )  # fmt: skip
-    parser.add_argument("--deadline", type=float, default=1800.0, help="give up after [s]")
+    parser.add_argument(
+        "--deadline", type=float, default=1800.0, help="timeout of all maneuvers [s]"
+    )
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
@@ -219,31 +226,31 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     cameras = NOISE[options.noise]
     console.print(f"designing {options.count} maneuvers")
     truth, plan = prepare(options, out, cameras)
-    settings = DynamicSettings(**known(out, cameras))
-    promised = expected(paper_arm(), plan, settings, PAUSE).deviations
-    with own_domain() as domain:
+    settings = DynamicSettings(**settings_of(out, cameras))
+    predicted = expected(paper_arm(), plan, settings, PAUSE).deviations
+    with isolated_domain() as domain:
         console.print(
-            "making them: simulator, drivers over UDP, recorder and calibration, "
+            "running them: simulator, drivers over UDP, recorder and calibration, "
             f"in ROS domain {domain.number}",
             soft_wrap=True,
         )
-        make(options, out, cameras, console, domain)
+        run_sessions(options, out, cameras, console, domain)
     result = solve_first(out, settings, options.count)
-    found = DYNAMIC.report_of(result, truth)
-    console.print(report.printed(found))
-    console.print(summary(result, truth, plan, promised))
+    summary_report = DYNAMIC.report_of(result, truth)
+    console.print(report.printed(summary_report))
+    console.print(summary(result, truth, plan, predicted))
     checks = [Check("the calibration passes", result.reason, result.verdict == PASS)]
-    checks += [near(result, truth, i) for i in range(LINKS)]
-    files = {"bags": "recordings", "logs": "of the nodes"}
-    return Rehearsed(checks, reports=[found], files=files)
+    checks += [center_of_mass_check(result, truth, i) for i in range(LINKS)]
+    files = {"bags": "recordings", "logs": "logs of the nodes"}
+    return Rehearsed(checks, reports=[summary_report], files=files)
 
 
-def near(result: Outcome[Maneuver, Solution], truth: Arm, i: int) -> Check:
+def center_of_mass_check(result: Outcome[Maneuver, Solution], truth: Arm, i: int) -> Check:
     """Compare the centre of mass of link i + 1 with the truth."""
     k = list(result.names).index(f"b_{i + 1}")
-    off, deviation = float(result.values[k] - truth.links[i].b), float(result.deviations[k])
+    error, deviation = float(result.values[k] - truth.links[i].b), float(result.deviations[k])
     return Check(
-        f"b_{i + 1} is within three deviations of the truth",
-        f"{1e3 * off:+.1f} mm off, one deviation is {1e3 * deviation:.1f} mm",
-        abs(off) < 3.0 * deviation,
+        f"b_{i + 1} is within three standard deviations of the truth",
+        f"{1e3 * error:+.1f} mm error, standard deviation {1e3 * deviation:.1f} mm",
+        abs(error) < 3.0 * deviation,
     )

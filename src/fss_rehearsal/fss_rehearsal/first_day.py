@@ -22,86 +22,91 @@ from fss_arm_model.files import read_yaml
 from fss_arm_msgs.msg import SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_rehearsal.domain import Domain
-from fss_rehearsal.person import LINKS, Operator, own_domain
+from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
-BEGIN = -0.9  # initial joint angle [rad]
-TURN, PUSH = 0.4, 0.5  # torques of the hand that turn and load the joint [N m]
-ANGLE = 0.6  # minimum angle by which the hand turns the joint [rad]
-MOVING, STILL = 0.05, 1e-4  # rates above which the joint moves, below which it rests [rad/s]
-DEADLINE = 240.0  # timeout of the whole check [s]
-FINDINGS = 9  # expected findings for one link
-TETHER = {"tether_drag": 1000.0, "tether_twist": 50.0}  # holds the base
+INITIAL_ANGLE = -0.9  # initial joint angle [rad]
+TURNING_TORQUE, LOADING_TORQUE = 0.4, 0.5  # torques of the hand that turn and load the joint [N m]
+MIN_TURN = 0.6  # minimum angle by which the hand turns the joint [rad]
+MOVING_RATE, REST_RATE = (
+    0.05,
+    1e-4,
+)  # rates above which the joint moves, below which it rests [rad/s]
+CHECK_TIMEOUT = 240.0  # timeout of the whole check [s]
+FINDINGS_PER_LINK = 9  # expected findings for one link
+STIFF_TETHER = {"tether_drag": 1000.0, "tether_twist": 50.0}  # holds the base
 
 
-class Person(Operator):
+class FirstDayOperator(Operator):
     """Operator that answers the prompts of `check`: turns and loads the joint, confirms."""
 
     def __init__(self, domain: Domain, link: int) -> None:
         super().__init__(domain)
-        self.link, self.q, self.rate, self.asked = link, 0.0, 0.0, ""
+        self.link, self.q, self.rate, self.output = link, 0.0, 0.0, ""
         self.create_subscription(SimTruth, "sim/truth", self.on_truth, 1)
 
     def on_truth(self, message: SimTruth) -> None:
         """Store the joint's angle and rate."""
         self.q, self.rate = message.q[2 + self.link], message.qd[2 + self.link]
 
-    def listen(self, source: IO[str], log: IO[str]) -> None:
+    def read_output(self, source: IO[str], log: IO[str]) -> None:
         """Read the output letter by letter, because prompts end without a newline."""
         while letter := source.read(1):
-            self.asked += letter
+            self.output += letter
             log.write(letter)
 
-    def push(self, torque: float) -> None:
+    def apply_torque(self, torque: float) -> None:
         """Apply a torque [N m] of the hand to the joint."""
-        self.put({f"drive_{self.link}.hand": torque})
+        self.set_faults({f"drive_{self.link}.hand": torque})
 
-    def turn(self) -> str:
+    def turn_joint(self) -> str:
         """Turn the joint; return by how much [deg]."""
         before = self.q
-        self.push(TURN)
-        self.wait(lambda: self.q > before + ANGLE, "the joint does not turn by hand")
-        self.push(-TURN)
-        self.wait(lambda: self.rate < MOVING, "the joint does not stop")
-        self.push(0.0)
-        self.wait(lambda: abs(self.rate) < STILL, "the joint does not rest")
+        self.apply_torque(TURNING_TORQUE)
+        self.wait(lambda: self.q > before + MIN_TURN, "the joint does not turn by hand")
+        self.apply_torque(-TURNING_TORQUE)
+        self.wait(lambda: self.rate < MOVING_RATE, "the joint does not stop")
+        self.apply_torque(0.0)
+        self.wait(lambda: abs(self.rate) < REST_RATE, "the joint does not come to rest")
         return f"{degrees(self.q - before):.3f}"
 
-    def load(self) -> str:
+    def load_joint(self) -> str:
         """Push the joint against its stop; return the torque [N m]."""
-        self.push(PUSH)
-        self.wait(lambda: self.rate > MOVING, "the joint does not turn by hand")
-        self.wait(lambda: abs(self.rate) < STILL, "the joint does not come to its stop")
-        self.stay(self.now() + SECOND)
-        return f"{PUSH}"
+        self.apply_torque(LOADING_TORQUE)
+        self.wait(lambda: self.rate > MOVING_RATE, "the joint does not turn by hand")
+        self.wait(lambda: abs(self.rate) < REST_RATE, "the joint does not reach its end stop")
+        self.wait_until(self.now() + SECOND)
+        return f"{LOADING_TORQUE}"
 
-    def agree(self) -> str:
+    def confirm(self) -> str:
         """Remove the hand's torque and answer yes."""
-        self.push(0.0)
+        self.apply_torque(0.0)
         return "yes"
 
-    def reply(self, to: IO[str]) -> None:
+    def answer_prompt(self, to: IO[str]) -> None:
         """Answer the current prompt, if there is one."""
-        ways = {
-            "degrees, or nothing to leave it out: ": self.turn,
+        answers = {
+            "degrees, or nothing to leave it out: ": self.turn_joint,
             "press Enter: ": lambda: "",
-            "in N m, or nothing to leave it out: ": self.load,
-            "type yes: ": self.agree,
+            "in N m, or nothing to leave it out: ": self.load_joint,
+            "type yes: ": self.confirm,
         }
-        for question, way in ways.items():
-            if self.asked.endswith(question):
-                self.asked = ""
-                to.write(f"{way()}\n")
+        for question, answer in answers.items():
+            if self.output.endswith(question):
+                self.output = ""
+                to.write(f"{answer()}\n")
                 to.flush()
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
-    parser.add_argument("--link", type=int, default=2, choices=range(1, LINKS + 1), help="which")
+    parser.add_argument(
+        "--link", type=int, default=2, choices=range(1, LINKS + 1), help="link to check"
+    )
 
 
-def attempt(person: Person, url: str, out: Path) -> int | None:
+def run_check(operator: FirstDayOperator, url: str, out: Path) -> int | None:
     """Run `check` on the link at `url`; return its exit code."""
     program = Path(get_package_prefix("fss_arm_driver"), "lib", "fss_arm_driver", "check")
     command = [str(program), url, "--output", str(out / "check.yaml")]
@@ -113,57 +118,61 @@ def attempt(person: Person, url: str, out: Path) -> int | None:
         ) as process,
     ):  # fmt: skip
         assert process.stdin
-        listener = threading.Thread(target=person.listen, args=(process.stdout, log))
-        listener.start()
+        reader = threading.Thread(target=operator.read_output, args=(process.stdout, log))
+        reader.start()
 
-        def ended() -> bool:
+        def has_exited() -> bool:
             assert process.stdin
-            person.reply(process.stdin)
+            operator.answer_prompt(process.stdin)
             return process.poll() is not None
 
         try:
-            person.wait(ended, f"check does not end, see {log.name}", DEADLINE)
+            operator.wait(
+                has_exited,
+                f"`check` does not finish within {CHECK_TIMEOUT:g} s, see {log.name}",
+                CHECK_TIMEOUT,
+            )
         finally:
             process.kill()
-            listener.join()
+            reader.join()
         return process.returncode
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Check the link and read the findings."""
-    with own_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
+    with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
         console.print(f"starting simulator and recorder, in ROS domain {domain.number}")
         nodes.start("record", "fss_arm_bags", "record", output=out / "bag")
         q = np.zeros(LINKS)
-        q[options.link - 1] = BEGIN
+        q[options.link - 1] = INITIAL_ANGLE
         nodes.start(
             "testbed", "fss_sim", "testbed", ports=domain.ports(LINKS), seed=options.seed,
-            q=q.tolist(), truth_rate=50.0, **TETHER,
+            q=q.tolist(), truth_rate=50.0, **STIFF_TETHER,
         )  # fmt: skip
-        person = Person(domain, options.link)
-        person.wait(lambda: person.q != 0.0, "the test bed is silent")
-        console.print(f"trying link {options.link}")
-        code = attempt(person, domain.urls(LINKS)[options.link - 1], out)
-        person.destroy_node()
+        operator = FirstDayOperator(domain, options.link)
+        operator.wait(lambda: operator.q != 0.0, "the test bed publishes no sim/truth")
+        console.print(f"checking link {options.link}")
+        code = run_check(operator, domain.urls(LINKS)[options.link - 1], out)
+        operator.destroy_node()
     with open_bags(out / "bag") as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
     t = np.array([stamp_ns(message.header.stamp) for message in truths])
     joint = np.array([(m.q[2 + options.link], m.qd[2 + options.link]) for m in truths])
     (found,) = read_yaml(out / "check.yaml")["links"]
-    files = {"bag": "recording", "logs": "of nodes and check", "check.yaml": "findings"}
+    files = {"bag": "recording", "logs": "logs of nodes and check", "check.yaml": "findings"}
     figure = Figure("first_day", f"Joint {options.link}", partial(plot, t, joint))
-    return Rehearsed(judge(found["findings"], code), [figure], files=files)
+    return Rehearsed(evaluate(found["findings"], code), [figure], files=files)
 
 
-def judge(findings: list[dict[str, str]], code: int | None) -> list[Check]:
+def evaluate(findings: list[dict[str, str]], code: int | None) -> list[Check]:
     """Compare the findings and the exit code with what is expected."""
     checks = [
         Check(f"{one['name']}: pass", f"{one['verdict']}: {one['found']}", one["verdict"] == "pass")
         for one in findings
     ]
-    complete = len(findings) == FINDINGS and code == 0
+    complete = len(findings) == FINDINGS_PER_LINK and code == 0
     counted = f"{len(findings)} findings, exit code {code}"
-    return [*checks, Check(f"{FINDINGS} findings, exit code 0", counted, complete)]
+    return [*checks, Check(f"{FINDINGS_PER_LINK} findings, exit code 0", counted, complete)]
 
 
 def plot(t: np.ndarray, joint: np.ndarray) -> Any:

@@ -19,15 +19,15 @@ from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_rehearsal.domain import Domain
-from fss_rehearsal.person import LINKS, Mover, own_domain
+from fss_rehearsal.operators import LINKS, Mover, isolated_domain
 from fss_rehearsal.processes import Nodes
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
-BACK = 5.0  # timeout until telemetry of the link is received again [s]
-SILENT = 1.0  # time after the power failure after which the link sends no frames [s]
+RETURN_TIMEOUT = 5.0  # timeout until telemetry of the link is received again [s]
+SILENT_AFTER = 1.0  # time after the power failure after which the link sends no frames [s]
 
 
-class Person(Mover):
+class PowerOperator(Mover):
     """Operator that cuts and restores the power of a link, arms it and homes it."""
 
     def __init__(self, domain: Domain, link: int) -> None:
@@ -42,10 +42,10 @@ class Person(Mover):
 
     def home(self) -> int:
         """Arm the link and home it; return when it has found its reference [ns]."""
-        self.arms, self.homes = True, {self.link}
+        self.arming, self.homing = True, {self.link}
         found = f"link {self.link} does not find its reference"
         self.wait(lambda: bool(self.last.flags & State.REFERENCED), found)
-        self.homes = set()
+        self.homing = set()
         return self.now()
 
 
@@ -61,8 +61,10 @@ class Times(NamedTuple):
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
-    parser.add_argument("--link", type=int, default=2, choices=range(1, LINKS + 1), help="which")
-    parser.add_argument("--outage", type=float, default=4.0, help="how long it lasts [s]")
+    parser.add_argument(
+        "--link", type=int, default=2, choices=range(1, LINKS + 1), help="link without power"
+    )
+    parser.add_argument("--outage", type=float, default=4.0, help="duration of the failure [s]")
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
@@ -77,45 +79,52 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     nodes.start("arm", "fss_arm_driver", "arm")
 
 
-def act(person: Person, outage: float) -> Times:
+def run_scenario(operator: PowerOperator, outage: float) -> Times:
     """Turn the joints, cut and restore the power, home the link; return when each happened."""
-    person.turn()
-    boot = person.last.boot
-    cut = person.put({f"link_{person.link}.dead": 1.0})
-    person.stay(cut + int(outage * SECOND))
-    back = person.put({f"link_{person.link}.dead": 0.0})
-    person.wait(lambda: person.last.boot != boot, f"link {person.link} is not heard again")
-    calm = person.now() + 2 * SECOND
-    person.stay(calm)
-    homed = person.home()
-    goal, moving = person.link - 1, Mover.MOVING
-    person.wait(lambda: bool(person.rates[goal] > moving), "the joint does not turn again")
-    end = person.now() + SECOND
-    person.stay(end)
-    return Times(cut, back, calm, homed, end)
+    operator.arm_and_turn()
+    boot = operator.last.boot
+    cut = operator.set_faults({f"link_{operator.link}.dead": 1.0})
+    operator.wait_until(cut + int(outage * SECOND))
+    back = operator.set_faults({f"link_{operator.link}.dead": 0.0})
+    operator.wait(
+        lambda: operator.last.boot != boot,
+        f"no telemetry of link {operator.link} after the power returned",
+    )
+    arm_time = operator.now() + 2 * SECOND
+    operator.wait_until(arm_time)
+    homed = operator.home()
+    joint, moving_rate = operator.link - 1, Mover.MOVING_RATE
+    operator.wait(
+        lambda: bool(operator.rates[joint] > moving_rate), "the joint does not turn after homing"
+    )
+    end = operator.now() + SECOND
+    operator.wait_until(end)
+    return Times(cut, back, arm_time, homed, end)
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Cut and restore the power, then evaluate the bag."""
-    with own_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
+    with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
         console.print(f"starting simulator, drivers and recorder, in ROS domain {domain.number}")
         start_all(nodes, options, out)
-        person = Person(domain, options.link)
-        times = act(person, options.outage)
-        person.destroy_node()
+        operator = PowerOperator(domain, options.link)
+        times = run_scenario(operator, options.outage)
+        operator.destroy_node()
     with open_bags(out / "bag") as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
         name = f"/link_{options.link}/telemetry"
         telemetry = [message for _, _, _, message in bags.messages({name})]
     t = np.array([stamp_ns(message.header.stamp) for message in truths])
     rate = np.array([message.qd[2 + options.link] for message in truths])
-    checks = judge(times, t, rate, telemetry)
-    drawn = partial(plot, times, t, rate)
-    figure = Figure("power_failure", f"The rate of joint {options.link}", drawn)
-    return Rehearsed(checks, [figure], files={"bag": "recording", "logs": "of the nodes"})
+    checks = evaluate(times, t, rate, telemetry)
+    draw = partial(plot, times, t, rate)
+    figure = Figure("power_failure", f"Rate of joint {options.link}", draw)
+    return Rehearsed(checks, [figure], files={"bag": "recording", "logs": "logs of the nodes"})
 
 
-def judge(times: Times, t: np.ndarray, rate: np.ndarray, telemetry: Sequence[Any]) -> list[Check]:
+def evaluate(
+    times: Times, t: np.ndarray, rate: np.ndarray, telemetry: Sequence[Any]
+) -> list[Check]:
     """Compare the recording with what is expected.
 
     Args:
@@ -126,30 +135,34 @@ def judge(times: Times, t: np.ndarray, rate: np.ndarray, telemetry: Sequence[Any
     """
     at = np.array([stamp_ns(message.header.stamp) for message in telemetry])
     before, after = np.abs(rate[t < times.cut]), np.abs(rate[t > times.homed])
-    mute = np.count_nonzero((at > times.cut + SILENT * SECOND) & (at < times.back))
-    heard = [m for m, when in zip(telemetry, at, strict=True) if times.back < when < times.armed]
-    late = (stamp_ns(heard[0].header.stamp) - times.back) / SECOND if heard else np.inf
-    said = heard[0].flags if heard else 0
+    frames_while_off = np.count_nonzero(
+        (at > times.cut + SILENT_AFTER * SECOND) & (at < times.back)
+    )
+    received = [m for m, when in zip(telemetry, at, strict=True) if times.back < when < times.armed]
+    delay = (stamp_ns(received[0].header.stamp) - times.back) / SECOND if received else np.inf
+    flags = received[0].flags if received else 0
     # Without torque the joint may turn because the others move; its drive must be off.
-    driven = sum(bool(message.mode) for message in heard)
+    driven = sum(bool(message.mode) for message in received)
     referenced = bool(telemetry[-1].flags & State.REFERENCED)
-    fast, again = before.max(initial=0.0), after.max(initial=0.0)
+    rate_before, rate_after = before.max(initial=0.0), after.max(initial=0.0)
     return [
-        Check("the joint turns before it", f"at up to {fast:.3f} rad/s", bool(fast > Mover.MOVING)),
-        Check("without power the link is silent", f"{mute} frames", mute == 0),
-        Check(f"it is heard within {BACK:g} s of its power's return", f"after {late:.1f} s",
-              bool(late < BACK)),
-        Check("it comes back disarmed", "armed" if said & State.ARMED else "disarmed",
-              bool(heard) and not said & State.ARMED),
-        Check("it comes back without its reference",
-              "referenced" if said & State.REFERENCED else "not referenced",
-              bool(heard) and not said & State.REFERENCED),
-        Check("its drive is off until it is armed again, whatever is commanded",
-              f"on in {driven} of {len(heard)} frames", bool(heard) and driven == 0),
-        Check("armed and homed, it is referenced",
-              f"{(times.homed - times.armed) / SECOND:.1f} s after it was asked for", referenced),
-        Check("then the joint turns again", f"at up to {again:.3f} rad/s",
-              bool(again > Mover.MOVING)),
+        Check("the joint turns before the failure", f"at up to {rate_before:.3f} rad/s",
+              bool(rate_before > Mover.MOVING_RATE)),
+        Check("without power the link sends no frames", f"{frames_while_off} frames",
+              frames_while_off == 0),
+        Check(f"its telemetry is received within {RETURN_TIMEOUT:g} s after the power returned",
+              f"after {delay:.1f} s", bool(delay < RETURN_TIMEOUT)),
+        Check("it restarts disarmed", "armed" if flags & State.ARMED else "disarmed",
+              bool(received) and not flags & State.ARMED),
+        Check("it restarts without its reference",
+              "referenced" if flags & State.REFERENCED else "not referenced",
+              bool(received) and not flags & State.REFERENCED),
+        Check("its drive stays off until it is armed again, despite commands",
+              f"on in {driven} of {len(received)} frames", bool(received) and driven == 0),
+        Check("after arming and homing, it is referenced",
+              f"{(times.homed - times.armed) / SECOND:.1f} s after the request", referenced),
+        Check("after homing, the joint turns again", f"at up to {rate_after:.3f} rad/s",
+              bool(rate_after > Mover.MOVING_RATE)),
     ]  # fmt: skip
 
 
@@ -161,7 +174,7 @@ def plot(times: Times, t: np.ndarray, rate: np.ndarray) -> Any:
     axes = figure.add_subplot()
     since, until, armed, homed = ((at - times.cut) / SECOND for at in times[:4])
     axes.axvspan(since, until, color="0.85", label="no power")
-    axes.axvspan(armed, homed, color="C2", alpha=0.15, label="armed, and homed")
+    axes.axvspan(armed, homed, color="C2", alpha=0.15, label="arming and homing")
     axes.plot((t - times.cut) / SECOND, rate, lw=1)
     axes.set(xlabel="time after the cut [s]", ylabel="rate [rad/s]")
     axes.legend(fontsize=8)

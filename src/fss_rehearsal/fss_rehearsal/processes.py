@@ -14,7 +14,7 @@ from ament_index_python.packages import get_package_prefix
 
 from fss_rehearsal.domain import CONFIG, Domain
 
-STARTS_AT_MOST = 5  # starts of one node; a node that dies more often has a fault itself
+MAX_STARTS = 5  # starts of one node; a node that dies more often is faulty
 #: Leader of the process group of all nodes. It terminates the group when its standard input closes,
 #: that is when the supervisor has ended, by any signal. Processes that are stopped or that ignore
 #: SIGTERM are killed 3 s later.
@@ -31,9 +31,9 @@ class Nodes:
     They also end when this process ends, for any reason. Signals of the terminal do not reach them.
     """
 
-    def __init__(self, logs: Path, say: Callable[[str], None], domain: Domain) -> None:
+    def __init__(self, logs: Path, log_line: Callable[[str], None], domain: Domain) -> None:
         self.logs = logs
-        self.say = say
+        self.log_line = log_line
         self.domain = domain
         self.commands: dict[str, list[str]] = {}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
@@ -73,7 +73,7 @@ class Nodes:
                 process_group=self.leader.pid,
             )
 
-    def restart_dead(self) -> None:
+    def restart_killed(self) -> None:
         """Restart each node that was killed; a node that exits with an error ends the rehearsal.
 
         Raises:
@@ -83,18 +83,20 @@ class Nodes:
             code = process.poll()
             if code is None or code == 0:
                 continue
-            if code > 0 or self.starts[name] >= STARTS_AT_MOST:
-                raise RehearsalError(f"node {name} ended with {code}: {self.last_words(name)}")
-            self.say(f"node {name} was killed ({signal.Signals(-code).name}), starting it again")
+            if code > 0 or self.starts[name] >= MAX_STARTS:
+                raise RehearsalError(
+                    f"node {name} exited with code {code}: {self.last_log_line(name)}"
+                )
+            self.log_line(f"node {name} was killed ({signal.Signals(-code).name}), restarting it")
             self._start(name)
 
-    def last_words(self, name: str) -> str:
+    def last_log_line(self, name: str) -> str:
         """Return the last line of the node's log, and the log's path."""
         log = self.logs / f"{name}.log"
-        lines = log.read_text(errors="replace").splitlines() or ["(nothing said)"]
+        lines = log.read_text(errors="replace").splitlines() or ["(empty log)"]
         return f"{lines[-1]} (see {log})"
 
-    def ended(self, name: str) -> bool:
+    def has_finished(self, name: str) -> bool:
         """Return True if the node has exited with code 0."""
         return self.processes[name].poll() == 0
 
@@ -106,7 +108,7 @@ class Nodes:
         try:
             process.wait(timeout)
         except subprocess.TimeoutExpired:
-            self.say(f"node {name} does not stop, killing it")
+            self.log_line(f"node {name} does not stop within {timeout:g} s, killing it")
             process.kill()
             process.wait()
         del self.processes[name]
@@ -136,26 +138,26 @@ def results(folder: Path | None, name: str) -> Path:
     new = CONFIG.parent / "out" / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
     out = (folder or new).absolute()
     if out.exists():
-        raise RehearsalError(f"{out} is there already, give another --out")
+        raise RehearsalError(f"{out} exists already: choose another folder with --out")
     return out
 
 
-def rehearse(name: str, body: Callable[[], int]) -> int:
+def rehearse(name: str, run: Callable[[], int]) -> int:
     """Run a rehearsal; return its exit code: 1 after an error, 128 + number after a signal."""
-    caught: list[int] = []
+    signals: list[int] = []
 
     def interrupt(number: int, _: FrameType | None) -> None:
-        caught.append(number)
+        signals.append(number)
         raise KeyboardInterrupt
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, interrupt)
     try:
-        return body()
+        return run()
     except (KeyboardInterrupt, Exception) as error:
-        if caught:  # rclpy may turn the interrupt into any exception, even a TypeError
+        if signals:  # rclpy may turn the interrupt into any exception, even a TypeError
             print(f"{name}: interrupted", file=sys.stderr)
-            return 128 + caught[0]
+            return 128 + signals[0]
         if not isinstance(error, (RehearsalError, ValueError, OSError)):
             raise
         print(f"{name}: {error}", file=sys.stderr)

@@ -12,7 +12,7 @@ class Check(NamedTuple):
 
     expected: str
     happened: str
-    held: bool
+    passed: bool
 
 
 @dataclass(frozen=True)
@@ -26,19 +26,19 @@ class Rehearsed:
     html: str = ""  # inserted unchanged above the figures
 
     @property
-    def held(self) -> bool:
-        """True if all checks held."""
-        return all(check.held for check in self.checks)
+    def passed(self) -> bool:
+        """True if all checks passed."""
+        return all(check.passed for check in self.checks)
 
     def report(self, title: str, about: str) -> Report:
         """Return the report of the result, for a page."""
-        missed = [check.expected for check in self.checks if not check.held]
-        rows = [(c.expected, c.happened, "yes" if c.held else "NO") for c in self.checks]
+        failed = [check.expected for check in self.checks if not check.passed]
+        rows = [(c.expected, c.happened, "yes" if c.passed else "NO") for c in self.checks]
         return Report(
             title,
-            "fail" if missed else "pass",
-            f"not as expected: {'; '.join(missed)}" if missed else "all as expected",
-            [Table("", ("expected", "happened", "held"), rows, words=3)],
+            "fail" if failed else "pass",
+            f"failed checks: {'; '.join(failed)}" if failed else "all checks passed",
+            [Table("", ("expected", "happened", "passed"), rows, words=3)],
             about,
             self.figures,
             html=self.html,

@@ -18,31 +18,31 @@ from fss_arm_calib.report import Figure
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_rehearsal.domain import Domain
-from fss_rehearsal.person import LINKS, Mover, own_domain
+from fss_rehearsal.operators import LINKS, Mover, isolated_domain
 from fss_rehearsal.processes import Nodes
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
-STILL = 1e-3  # rate below which a joint rests [rad/s]
+REST_RATE = 1e-3  # rate below which a joint rests [rad/s]
 #: Watchdog of the links; margin for transport delay, braking, and a busy computer [s].
 WATCHDOG, MARGIN = 2.0, 1.5
-BACK = 5.0  # timeout until telemetry of a link is received again [s]
+RETURN_TIMEOUT = 5.0  # timeout until telemetry of a link is received again [s]
 
 
-class Person(Mover):
+class OutageOperator(Mover):
     """Operator that interrupts and restores the Wi-Fi."""
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)
-        self.heard = dict.fromkeys(self.armed, 0)
+        self.received_at = dict.fromkeys(self.armed, 0)
 
     def on_link(self, message: LinkTelemetry) -> None:
         """Store whether the link is armed, and when its telemetry was received."""
         super().on_link(message)
-        self.heard[message.link] = self.now()
+        self.received_at[message.link] = self.now()
 
-    def outage(self, on: bool) -> int:
+    def set_outage(self, on: bool) -> int:
         """Start or end the outage of all links; return when it was set [ns]."""
-        return self.put({f"link_{i}.loss": float(on) for i in self.armed})
+        return self.set_faults({f"link_{i}.loss": float(on) for i in self.armed})
 
 
 class Times(NamedTuple):
@@ -57,7 +57,7 @@ class Times(NamedTuple):
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
-    parser.add_argument("--outage", type=float, default=6.0, help="how long it lasts [s]")
+    parser.add_argument("--outage", type=float, default=6.0, help="duration of the outage [s]")
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
@@ -74,37 +74,40 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     nodes.start("arm", "fss_arm_driver", "arm")
 
 
-def act(person: Person, outage: float) -> Times:
+def run_scenario(operator: OutageOperator, outage: float) -> Times:
     """Turn the joints, cut and restore the Wi-Fi, arm again; return when each happened."""
-    turning, cut = person.turn(), person.outage(True)
-    person.stay(cut + int(outage * SECOND))
-    back = person.outage(False)
-    person.wait(lambda: min(person.heard.values()) > back, f"not heard again: {person.heard}")
-    calm = person.now() + 2 * SECOND
-    person.stay(calm)
-    return Times(turning, cut, back, calm, person.turn())
+    turning, cut = operator.arm_and_turn(), operator.set_outage(True)
+    operator.wait_until(cut + int(outage * SECOND))
+    back = operator.set_outage(False)
+    operator.wait(
+        lambda: min(operator.received_at.values()) > back,
+        f"links without telemetry after the Wi-Fi returned: {operator.received_at}",
+    )
+    arm_time = operator.now() + 2 * SECOND
+    operator.wait_until(arm_time)
+    return Times(turning, cut, back, arm_time, operator.arm_and_turn())
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Cut and restore the Wi-Fi, then evaluate the bag."""
-    with own_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
+    with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
         console.print(f"starting simulator, drivers and recorder, in ROS domain {domain.number}")
         start_all(nodes, options, out)
-        person = Person(domain)
-        times = act(person, options.outage)
-        person.destroy_node()
+        operator = OutageOperator(domain)
+        times = run_scenario(operator, options.outage)
+        operator.destroy_node()
     names = {f"/link_{i}/telemetry" for i in range(1, LINKS + 1)}
     with open_bags(out / "bag") as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
         telemetry = [message for _, _, _, message in bags.messages(names)]
     t = np.array([stamp_ns(message.header.stamp) for message in truths])
     rates = np.array([message.qd[3:] for message in truths])
-    checks = judge(times, t, rates, telemetry)
-    figure = Figure("wifi_outage", "The joints' rates", partial(plot, times, t, rates))
-    return Rehearsed(checks, [figure], files={"bag": "recording", "logs": "of the nodes"})
+    checks = evaluate(times, t, rates, telemetry)
+    figure = Figure("wifi_outage", "Rates of the joints", partial(plot, times, t, rates))
+    return Rehearsed(checks, [figure], files={"bag": "recording", "logs": "logs of the nodes"})
 
 
-def judge(times: Times, t: np.ndarray, rates: np.ndarray, telemetry: list[Any]) -> list[Check]:
+def evaluate(times: Times, t: np.ndarray, rates: np.ndarray, telemetry: list[Any]) -> list[Check]:
     """Compare the recording with what is expected.
 
     Args:
@@ -114,32 +117,35 @@ def judge(times: Times, t: np.ndarray, rates: np.ndarray, telemetry: list[Any]) 
         telemetry: messages of all links.
     """
     fastest = np.abs(rates).max(axis=1)
-    moved = t[(fastest > STILL) & (t < times.again)]
+    moved = t[(fastest > REST_RATE) & (t < times.again)]
     stopped = (moved.max() - times.cut) / SECOND if len(moved) else np.inf
-    idle = fastest[(t > times.cut + (WATCHDOG + MARGIN) * SECOND) & (t < times.again)]
-    first = {}
+    rates_while_stopped = fastest[
+        (t > times.cut + (WATCHDOG + MARGIN) * SECOND) & (t < times.again)
+    ]
+    fastest_stopped = rates_while_stopped.max(initial=0.0)
+    first_frames = {}
     for message in telemetry:
         at = stamp_ns(message.header.stamp)
-        if times.back < at < times.again and message.link not in first:
-            first[message.link] = (at - times.back) / SECOND, bool(message.armed)
-    late = max((at for at, _ in first.values()), default=np.inf)
-    heard = f"{len(first)} of {LINKS} after {late:.1f} s"
-    armed = [f"link_{i}" for i, (_, is_armed) in first.items() if is_armed]
-    anew = np.abs(rates[t > times.again])
+        if times.back < at < times.again and message.link not in first_frames:
+            first_frames[message.link] = (at - times.back) / SECOND, bool(message.armed)
+    delay = max((at for at, _ in first_frames.values()), default=np.inf)
+    received = f"{len(first_frames)} of {LINKS} after {delay:.1f} s"
+    armed = [f"link_{i}" for i, (_, is_armed) in first_frames.items() if is_armed]
+    rates_after = np.abs(rates[t > times.again])
     return [
-        Check("the joints turn before it", f"at {fastest[t < times.cut][-1]:.3f} rad/s",
-              bool(fastest[t < times.cut][-1] > Mover.MOVING)),
-        Check(f"all joints rest by their watchdogs, {WATCHDOG:g} s after the last command",
+        Check("the joints turn before the outage", f"at {fastest[t < times.cut][-1]:.3f} rad/s",
+              bool(fastest[t < times.cut][-1] > Mover.MOVING_RATE)),
+        Check(f"the watchdogs stop all joints {WATCHDOG:g} s after the last command",
               f"{stopped:.1f} s after the cut", bool(stopped < WATCHDOG + MARGIN)),
-        Check("nothing moves until the links are armed again, whatever is commanded",
-              f"at most {idle.max(initial=0.0):.1e} rad/s", bool(idle.max(initial=0.0) < STILL)),
-        Check(f"all links are heard within {BACK:g} s of its return", heard,
-              len(first) == LINKS and late < BACK),
-        Check("they come back disarmed", ", ".join(armed) + " armed" if armed else "none is armed",
+        Check("nothing moves until the links are armed again, despite commands",
+              f"at most {fastest_stopped:.1e} rad/s", bool(fastest_stopped < REST_RATE)),
+        Check(f"telemetry of all links is received within {RETURN_TIMEOUT:g} s after its return",
+              received, len(first_frames) == LINKS and delay < RETURN_TIMEOUT),
+        Check("they return disarmed", ", ".join(armed) + " armed" if armed else "none is armed",
               not armed),
-        Check("armed anew, all joints turn",
-              f"the slowest at up to {anew.max(axis=0, initial=0.0).min():.3f} rad/s",
-              bool(anew.max(axis=0, initial=0.0).min() > Mover.MOVING)),
+        Check("after arming, all joints turn",
+              f"the slowest at up to {rates_after.max(axis=0, initial=0.0).min():.3f} rad/s",
+              bool(rates_after.max(axis=0, initial=0.0).min() > Mover.MOVING_RATE)),
     ]  # fmt: skip
 
 
@@ -149,10 +155,12 @@ def plot(times: Times, t: np.ndarray, rates: np.ndarray) -> Any:
 
     figure = Drawing(figsize=(10.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    since, until, again = ((at - times.cut) / SECOND for at in (times.cut, times.back, times.again))
+    since, until, arming = (
+        (at - times.cut) / SECOND for at in (times.cut, times.back, times.again)
+    )
     axes.axvspan(since, until, color="0.85", label="no Wi-Fi")
-    axes.axvline(since + WATCHDOG, color="0.5", ls="--", lw=0.8, label="watchdog, at the earliest")
-    axes.axvline(again, color="C2", ls="--", lw=0.8, label="armed again from here")
+    axes.axvline(since + WATCHDOG, color="0.5", ls="--", lw=0.8, label="earliest watchdog stop")
+    axes.axvline(arming, color="C2", ls="--", lw=0.8, label="armed again from here")
     for k, line in enumerate(rates.T, 1):
         axes.plot((t - times.cut) / SECOND, line, lw=1, label=f"joint {k}")
     axes.set(xlabel="time after the cut [s]", ylabel="rate [rad/s]")

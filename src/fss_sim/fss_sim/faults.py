@@ -31,9 +31,9 @@ class FaultError(ValueError):
     """Exception for an unknown fault or an invalid value; the message says what is valid."""
 
 
-def fault(about: str, unit: str = "", least: float = 0.0, most: float = 1.0) -> Any:
+def fault(about: str, unit: str = "", minimum: float = 0.0, maximum: float = 1.0) -> Any:
     """Return a field of a class of faults; 0 means no fault."""
-    return setting(0.0, about, unit=unit, check=between(least, most))
+    return setting(0.0, about, unit=unit, check=between(minimum, maximum))
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,18 @@ class LinkFaults(Settings):
     """Faults of a link's or board's power, and of both directions of communication."""
 
     loss: float = fault("share of the datagrams that are lost")
-    delay: float = fault("delay of every datagram", "s", most=10.0)
-    jitter: float = fault("most that the delay is longer or shorter by, evenly", "s", most=10.0)
-    duplication: float = fault("share of the datagrams that come twice")
-    reordering: float = fault("share of the datagrams that come after the next one")
+    delay: float = fault("delay of every datagram", "s", maximum=10.0)
+    jitter: float = fault(
+        "largest deviation from the delay, uniform in both directions", "s", maximum=10.0
+    )
+    duplication: float = fault("share of the datagrams that arrive twice")
+    reordering: float = fault("share of the datagrams that arrive after the next one")
     corruption: float = fault("share of the datagrams with a bit flipped")
-    dead: float = fault("1: without power; then it starts anew, a link's drive without reference")
-    reset: float = fault("1: its micro-controller is held in reset; a link's drive goes on")
-    resistance: float = fault("resistance beside its battery's own", "ohm", most=100.0)
+    dead: float = fault(
+        "1: without power; after its return, it restarts, and a link's drive has no reference"
+    )
+    reset: float = fault("1: its microcontroller is held in reset; a link's drive continues")
+    resistance: float = fault("resistance added to that of its battery", "ohm", maximum=100.0)
 
 
 @dataclass(frozen=True)
@@ -56,21 +60,21 @@ class DriveFaults(Settings):
     """Faults of a link's servo drive, its motor, its encoder and its joint."""
 
     short_circuit: float = fault("1: the motor's cable is short-circuited")
-    overcurrent: float = fault("1: the motor takes more current than it should")
-    drive_heat: float = fault("heat of the drive beside its own", "K", most=200.0)
-    motor_heat: float = fault("heat of the motor beside its own", "K", most=200.0)
+    overcurrent: float = fault("1: the motor draws too much current")
+    drive_heat: float = fault("temperature rise added to that of the drive", "K", maximum=200.0)
+    motor_heat: float = fault("temperature rise added to that of the motor", "K", maximum=200.0)
     supply: float = fault("supply voltage added to the drive's; -24: none", "V", -24.0, 100.0)
-    encoder: float = fault("1: the encoder's cable is off")
-    phasing: float = fault("1: the motor's phases do not fit the encoder")
-    blocked: float = fault("1: something holds the joint fast")
-    hand: float = fault("torque on the joint by hand, while the drive is off", "N m", -2.0, 2.0)
+    encoder: float = fault("1: the encoder's cable is unplugged")
+    phasing: float = fault("1: the motor's phases do not match the encoder")
+    blocked: float = fault("1: an obstacle blocks the joint")
+    hand: float = fault("torque of a hand on the joint, while the drive is off", "N m", -2.0, 2.0)
     enable: float = fault("1: the enable input is open, as by an emergency stop")
     positive_limit: float = fault("1: the positive limit switch is pressed")
     negative_limit: float = fault("1: the negative limit switch is pressed")
-    voltage_limit: float = fault("1: the motor takes all the voltage that there is")
-    wrapped: float = fault("1: the position has run over its 32 bits")
-    flash: float = fault("1: the drive finds its flash memory damaged")
-    internal: float = fault("1: the drive finds an error of its own")
+    voltage_limit: float = fault("1: the motor needs all the available voltage")
+    wrapped: float = fault("1: the position has overflowed its 32 bits")
+    flash: float = fault("1: the drive detects damaged flash memory")
+    internal: float = fault("1: the drive detects an internal error")
     logic: float = fault("1: the drive's logic has failed")
     command_input: float = fault("1: the drive's command input is lost")
 
@@ -82,11 +86,11 @@ class SubjectFaults(Settings):
     dropout: float = fault("share of the frames that are not published")
     occlusion: float = fault("share of the frames without the subject: pose and quaternion zero")
     swap: float = fault(
-        "share of the frames in which it is taken for the other subject; a target: for the base"
+        "share of the frames in which it is swapped with the other subject; a target: with the base"
     )
-    turn: float = fault("markers are taken for each other: turned by", "rad", -pi, pi)
+    turn: float = fault("rotation of the pose, as by swapped markers", "rad", -pi, pi)
     frozen: float = fault("1: the last pose is repeated with fresh stamps")
-    latency: float = fault("how much older than their stamps the poses are", "s")
+    latency: float = fault("age of the poses at their stamps", "s")
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,7 @@ class GyroFaults(Settings):
 class RadioFaults(Settings):
     """Faults of the radio channel, if links and base share one."""
 
-    interference: float = fault("share of the airtime that others take", most=0.95)
+    interference: float = fault("share of the airtime that other devices use", maximum=0.95)
 
 
 @dataclass(frozen=True)
@@ -112,14 +116,14 @@ class ValveFaults(Settings):
     stuck_closed: float = fault("1: the valve does not open, and draws no current")
 
 
-Groups = dict[str, Any]  # LinkFaults, DriveFaults, SubjectFaults, ..., by part
+FaultsByPart = dict[str, Any]  # LinkFaults, DriveFaults, SubjectFaults, ..., by part
 BASE, TIP, TARGET, GYRO = "fss", "end_effector", "target", "fog"
 BOARD, RADIO = "board", "radio"
 VALVES = [f"valve_{i}" for i in range(1, COUNT + 1)]
 NO_FAULTS, NO_DRIVE_FAULTS = LinkFaults(), DriveFaults()
 
 
-def kinds(n: int) -> dict[str, type]:
+def fault_classes(n: int) -> dict[str, type]:
     """Return the parts of a test bed with n links, and the class of each part's faults."""
     links = {f"link_{i}": LinkFaults for i in range(1, n + 1)}
     drives = {f"drive_{i}": DriveFaults for i in range(1, n + 1)}
@@ -132,12 +136,12 @@ def kinds(n: int) -> dict[str, type]:
 class Event(Settings):
     """Entry of a fault script."""
 
-    at: float = setting(MISSING, "when the fault begins", unit="s", check=NOT_NEGATIVE)
+    at: float = setting(MISSING, "time at which the fault starts", unit="s", check=NOT_NEGATIVE)
     part: str = setting(MISSING, "part of the test bed that has the fault")
     fault: str = setting(MISSING, "kind of the fault")
     value: float = setting(1.0, "size of the fault, in the unit of its kind", check=FINITE)
     duration: float = setting(
-        inf, "how long the fault lasts", unit="s", check=Check("above 0", lambda value: value > 0.0)
+        inf, "duration of the fault", unit="s", check=Check("above 0", lambda value: value > 0.0)
     )
 
 
@@ -153,14 +157,16 @@ class Faults:
     """
 
     def __init__(self, n: int, script: Sequence[Event] = ()) -> None:
-        self._n, groups = n, {part: kind() for part, kind in kinds(n).items()}
-        self._set = groups
+        self._n, groups = n, {part: kind() for part, kind in fault_classes(n).items()}
+        self._set_by_hand = groups
         self._script = sorted(script, key=lambda event: event.at)
-        self._edges = sorted({t for e in script for t in (e.at, e.at + e.duration)}, reverse=True)
+        self._event_times = sorted(
+            {t for e in script for t in (e.at, e.at + e.duration)}, reverse=True
+        )
         self._now = 0.0
-        self._take(groups)
+        self._activate(groups)
         for event in script:
-            self._changed(groups, event.part, event.fault, event.value)
+            self._with_fault(groups, event.part, event.fault, event.value)
 
     def set(self, part: str, name: str, value: float) -> None:
         """Set a fault by hand; 0 removes it.
@@ -168,40 +174,40 @@ class Faults:
         Raises:
             FaultError: if the fault is unknown or the value invalid.
         """
-        self._set = self._changed(self._set, part, name, value)
-        self._renew()
+        self._set_by_hand = self._with_fault(self._set_by_hand, part, name, value)
+        self._update()
 
     def advance(self, now: float) -> bool:
         """Advance the script to a time [s]; return True if the active faults have changed."""
         self._now = now
         passed = False
-        while self._edges and self._edges[-1] <= now:
-            self._edges.pop()
+        while self._event_times and self._event_times[-1] <= now:
+            self._event_times.pop()
             passed = True
         if not passed:
             return False
-        before = self._all
-        self._renew()
-        return before != self._all
+        before = self._active
+        self._update()
+        return before != self._active
 
-    def in_force(self) -> list[tuple[str, str, float]]:
+    def active(self) -> list[tuple[str, str, float]]:
         """Return part, name and value of each active fault."""
         return [
             (part, f.name, getattr(group, f.name))
-            for part, group in self._all.items()
+            for part, group in self._active.items()
             for f in fields(group)
             if getattr(group, f.name)
         ]
 
-    def _renew(self) -> None:
-        groups = self._set
+    def _update(self) -> None:
+        groups = self._set_by_hand
         for e in self._script:
             if e.at <= self._now < e.at + e.duration:
-                groups = self._changed(groups, e.part, e.fault, e.value)
-        self._take(groups)
+                groups = self._with_fault(groups, e.part, e.fault, e.value)
+        self._activate(groups)
 
-    def _take(self, groups: Groups) -> None:
-        self._all = groups
+    def _activate(self, groups: FaultsByPart) -> None:
+        self._active = groups
         self.base: SubjectFaults = groups[BASE]
         self.tip: SubjectFaults = groups[TIP]
         self.target: SubjectFaults = groups[TARGET]
@@ -215,13 +221,13 @@ class Faults:
         self.stuck_closed = [valve.stuck_closed > 0.0 for valve in valves]
 
     @staticmethod
-    def _changed(groups: Groups, part: str, name: str, value: float) -> Groups:
+    def _with_fault(groups: FaultsByPart, part: str, name: str, value: float) -> FaultsByPart:
         if part not in groups:
-            raise FaultError(f"no faults of {shown(part)}, expected one of {', '.join(groups)}")
-        known = [f.name for f in fields(groups[part])]
-        if name not in known:
+            raise FaultError(f"there is no part {shown(part)}, expected one of {', '.join(groups)}")
+        names = [f.name for f in fields(groups[part])]
+        if name not in names:
             raise FaultError(
-                f"{part} has no fault {shown(name)}, expected one of {', '.join(known)}"
+                f"{part} has no fault {shown(name)}, expected one of {', '.join(names)}"
             )
         try:
             return {**groups, part: replace(groups[part], **{name: float(value)})}
@@ -241,13 +247,13 @@ def read_script(text: str) -> list[Event]:
             raise FaultError(f"{type(given).__name__}, expected a list")
         return [_event(entry) for entry in given or ()]
     except (ContentError, FaultError) as error:
-        raise FaultError(f"no fault script: {error}") from None
+        raise FaultError(f"invalid fault script: {error}") from None
 
 
 def _event(entry: Any) -> Event:
-    kinds = {"at": float, "part": str, "fault": str, "value": float, "duration": float}
+    types = {"at": float, "part": str, "fault": str, "value": float, "duration": float}
     try:
-        return Event(**{key: kinds[key](value) for key, value in dict(entry).items()})
+        return Event(**{key: types[key](value) for key, value in dict(entry).items()})
     except (TypeError, ValueError, KeyError, OverflowError) as error:
-        why = shown(str(error))
-        raise FaultError(f"{shown(entry)}, expected {', '.join(kinds)}: {why}") from None
+        reason = shown(str(error))
+        raise FaultError(f"{shown(entry)}, expected {', '.join(types)}: {reason}") from None

@@ -14,11 +14,11 @@ from fss_arm_msgs.msg import GripperState, SimTruth
 from fss_arm_ros.convert import SECOND, TURN_RATE, pose_stamped, to_time
 from fss_sim.plant.bed import Clearance
 from fss_sim.plant.plant import Vehicle
-from fss_sim.sensors import Seen
+from fss_sim.sensors import SubjectReading
 
 STAMP = 4  # offset of the stamp, after CDR's encapsulation header [bytes]
 DOUBLE = 8  # [bytes]
-EDGE = "table edge"  # name in clearances
+EDGE_NAME = "table edge"  # name in clearances
 
 
 class SerializedMessage:
@@ -56,11 +56,11 @@ class SerializedPose(SerializedMessage):
     def __init__(self, frame_id: str) -> None:
         super().__init__(pose_stamped(0, frame_id, (0.0, 0.0, 0.0)), 7)
 
-    def of(self, stamp: int, seen: Seen) -> bytes:
+    def serialize(self, stamp: int, reading: SubjectReading) -> bytes:
         """Return the message for a subject; pose and quaternion are zero if it is occluded."""
-        x, y, heading = seen.pose
-        self.set_stamp(stamp - seen.before)
-        if seen.occluded:
+        x, y, heading = reading.pose
+        self.set_stamp(stamp - reading.age)
+        if reading.occluded:
             self.set_doubles(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         else:
             self.set_doubles(0, x, y, 0.0, 0.0, 0.0, sin(0.5 * heading), cos(0.5 * heading))
@@ -77,7 +77,7 @@ class SerializedGyro(SerializedMessage):
         imu.angular_velocity_covariance[8] = deviation**2
         super().__init__(imu, 37)
 
-    def of(self, stamp: int, rate: float) -> bytes:
+    def serialize(self, stamp: int, rate: float) -> bytes:
         """Return the message for a rate [rad/s]."""
         self.set_stamp(stamp)
         self.set_doubles(TURN_RATE, rate)
@@ -90,21 +90,21 @@ class SerializedClock(SerializedMessage):
     def __init__(self) -> None:
         super().__init__(Clock(), 0)
 
-    def of(self, stamp: int) -> bytes:
+    def serialize(self, stamp: int) -> bytes:
         """Return the message for a time [ns]."""
         self.set_stamp(stamp)
         return self.bytes()
 
 
-def truth(
+def truth_message(
     stamp: int, frame_id: str, plant: Vehicle, frame: int = 0, markers: Sequence[int] = (0, 0, 0)
 ) -> SimTruth:
     """Return a vehicle's true state, with the audit of its table and VICON's frame number."""
     bed = plant.bed
     audit, error = bed.audit, bed.imbalance.tolist()
     pose, twist = (bed.targets[0].state if bed.targets else np.zeros((2, 3))).tolist()
-    near = clearances(plant)
-    gaps = [pair.gap for pair in near]
+    nearby = clearances(plant)
+    gaps = [pair.gap for pair in nearby]
     message = SimTruth(
         q=plant.q.tolist(),
         qd=plant.qd.tolist(),
@@ -115,13 +115,13 @@ def truth(
         work=audit.work,
         momentum_error=error[:3],
         energy_error=error[3],
-        pairs=[f"{pair.one}, {pair.other}" for pair in near],
+        pairs=[f"{pair.one}, {pair.other}" for pair in nearby],
         gaps=gaps,
         clearance=min(gaps, default=inf),
         edge_clearance=plant.edge_clearance,
         valves=plant.valves,
         pressure=plant.thrusters.pressure,
-        propellant=plant.thrusters.used,
+        propellant=plant.thrusters.propellant_used,
         target_present=bool(bed.targets),
         target=pose,
         target_twist=twist,
@@ -138,21 +138,23 @@ def clearances(plant: Vehicle) -> list[Clearance]:
 
     Neighbouring parts of a chain and the table's edge are excluded.
     """
-    its, found = f"{plant.name} " if plant.name else "", plant.bed.clearances()
+    prefix, gaps = f"{plant.name} " if plant.name else "", plant.bed.clearances()
     return [
-        c for c in found if c.other != EDGE and (c.one.startswith(its) or c.other.startswith(its))
+        c
+        for c in gaps
+        if c.other != EDGE_NAME and (c.one.startswith(prefix) or c.other.startswith(prefix))
     ]
 
 
 def gripper_state(stamp: int, frame_id: str, plant: Vehicle) -> GripperState:
     """Return the state of the gripper as its sensors measure it."""
-    seen = plant.approach
+    approach = plant.approach
     message = GripperState(
         closed=plant.closed,
         holds=plant.holds,
-        distance=float(seen.distance),
-        angle=seen.angle,
-        speed=float(seen.speed),
+        distance=float(approach.distance),
+        angle=approach.angle,
+        speed=float(approach.speed),
     )
     message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     return message

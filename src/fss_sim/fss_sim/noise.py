@@ -18,51 +18,52 @@ class Noise(Settings):
 
     position_noise: float = error("white noise of a VICON pose, each axis, 1 sigma", "m")
     heading_noise: float = error("white noise of a VICON pose's heading, 1 sigma", "rad")
-    vicon_hold: float = error("time after which the white noise of a VICON pose is drawn anew", "s")
+    vicon_hold: float = error("time for which the white noise of a VICON pose stays constant", "s")
     rest_position_error: float = error(
-        "error of the tip seen from the base, each axis, by rest, 1 sigma", "m"
+        "error of the tip in the base frame, constant in each rest of the arm, each axis, 1 sigma",
+        "m",
     )
     rest_heading_error: float = error(
-        "error of the tip's heading seen from the base, by rest, 1 sigma", "rad"
+        "error of the tip's heading relative to the base, constant in each rest, 1 sigma", "rad"
     )
-    vicon_latency: float = error("age of VICON poses at their stamps", "s", check=between(0.0, 1.0))
+    vicon_latency: float = error("age of a VICON pose at its stamp", "s", check=between(0.0, 1.0))
     vicon_jitter: float = error(
-        "how much later than that VICON poses are stamped, half normal, 1 sigma", "s",
+        "random additional delay of the stamps of VICON poses, half normal, 1 sigma", "s",
         check=between(0.0, 0.003),
     )  # fmt: skip
     marker_noise: float = error(
-        "white noise of a VICON marker, each axis, 1 sigma; a pose has it by its markers", "m"
+        "white noise of a VICON marker, each axis, 1 sigma; poses are fitted to the markers", "m"
     )
     vicon_edge_error: float = error(
-        "displacement of VICON markers at the middle of the table's edge; it grows with the cube "
-        "of the distance from the table's middle", "m",
+        "measured displacement of VICON markers at the middle of the table's edge; it grows with "
+        "the cube of the distance from the table's middle", "m",
     )  # fmt: skip
     vicon_occlusion: float = error(
-        "1: bodies hide VICON's markers from cameras", check=between(0.0, 1.0)
+        "1: bodies hide VICON's markers from the cameras", check=between(0.0, 1.0)
     )
     vicon_merge_distance: float = error(
-        "distance at which markers of two subjects are lost as one", "m"
+        "distance below which VICON merges markers of two subjects and loses both", "m"
     )
     vicon_merge_swap: float = error(
-        "share of the times that markers of two subjects merge in which the subjects are taken "
-        "for each other", check=between(0.0, 1.0),
-    )  # fmt: skip
+        "probability that VICON swaps two subjects when their markers merge",
+        check=between(0.0, 1.0),
+    )
     gyro_noise: float = error("white noise of a FOG sample, 1 sigma", "rad/s")
-    gyro_bias: float = error("bias of the FOG in a run, 1 sigma", "rad/s")
+    gyro_bias: float = error("constant bias of the FOG in a run, 1 sigma", "rad/s")
     gyro_walk: float = error("change of the FOG's bias in 1 s, 1 sigma", "rad/s")
     gyro_scale: float = error("relative scale error of the FOG in a run, 1 sigma")
     encoder_error: float = error("largest error of an encoder", "rad", check=between(0.0, 0.01))
     encoder_eccentricity: float = error(
-        "largest error of an encoder and its gear by being off centre, one period a turn of the "
+        "largest error caused by the eccentricity of encoder and gear, one period per turn of the "
         "joint", "rad", check=between(0.0, 0.01),
     )  # fmt: skip
     torque_noise: float = error("white noise of a torque sample, 1 sigma", "N m")
     torque_zero: float = error("zero offset of a torque sensor in a run, 1 sigma", "N m")
     torque_crosstalk: float = error(
-        "torque that a torque sensor shows of a force across its link, 1 sigma", "N m/N"
+        "torque that a torque sensor measures per force across its link, 1 sigma", "N m/N"
     )
     torque_drift: float = error(
-        "what a torque sensor's zero changes by as its link warms up, 1 sigma", "N m"
+        "change of a torque sensor's zero as its link warms up, 1 sigma", "N m"
     )
     clock_drift: float = error("relative drift of a link's clock, 1 sigma")
 

@@ -38,11 +38,11 @@ class RandomNumbers:
         if block != self._block:
             size = BLOCK, self._width
             self._block = block
-            self._normal = drawn(self._seed, self._stream, block).standard_normal(size)
+            self._normal = random_generator(self._seed, self._stream, block).standard_normal(size)
             which = () if self._stream is Stream.FRAME else (int(self._stream),)
-            self._uniform = drawn(self._seed, Stream.CHANCE, block, *which).random(size)
+            self._uniform = random_generator(self._seed, Stream.CHANCE, block, *which).random(size)
 
 
-def drawn(seed: int, stream: Stream, *counters: int) -> np.random.Generator:
+def random_generator(seed: int, stream: Stream, *counters: int) -> np.random.Generator:
     """Return the random generator of a seed and a stream for one or more counters."""
     return np.random.default_rng((seed, int(stream), *counters))

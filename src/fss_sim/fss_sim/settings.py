@@ -25,7 +25,7 @@ from fss_arm_model.settings import (
 from fss_arm_model.vehicle import Vehicle
 from fss_sim.link.power import Power
 from fss_sim.link.pty import LinkTerminal
-from fss_sim.link.radio import Air, Radio
+from fss_sim.link.radio import Radio, RadioChannel
 from fss_sim.link.tcp import LinkListener
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
@@ -43,16 +43,20 @@ from fss_sim.vicon import Room, Vicon
 Wire = LinkSocket | LinkListener | LinkTerminal
 
 
-def _of_preset(kind: type[Settings], name: str) -> Any:
+def _preset_setting(kind: type[Settings], name: str) -> Any:
     """Return a field for a number that a preset sets; a value below 0 selects the preset's."""
     about = kind.__dataclass_fields__[name].metadata  # type: ignore[attr-defined]
     return field(
         default=-1.0,
-        metadata={**about, "about": f"{about['about']}; below 0: the preset's", "check": FINITE},
+        metadata={
+            **about,
+            "about": f"{about['about']}; below 0: value of the preset",
+            "check": FINITE,
+        },
     )
 
 
-def _given(values: dict[str, float]) -> dict[str, float]:
+def _overrides(values: dict[str, float]) -> dict[str, float]:
     """Return the values that override the preset."""
     return {name: value for name, value in values.items() if not value < 0.0}
 
@@ -62,21 +66,23 @@ class PlantSettings(Settings):
     """Parameters of base and arm, of the forces on them, and of the target."""
 
     preset: str = setting(
-        "default", "preset of the joints and of all instruments' errors", check=one_of(*PRESETS)
+        "default",
+        "preset of the joints and of the errors of all instruments",
+        check=one_of(*PRESETS),
     )
-    rotor_inertia: float = _of_preset(Joints, "rotor_inertia")
+    rotor_inertia: float = _preset_setting(Joints, "rotor_inertia")
     gear_ratio: float = like(Joints, "gear_ratio")
-    viscous_friction: float = _of_preset(Joints, "viscous")
-    coulomb_friction: float = _of_preset(Joints, "coulomb")
-    static_friction: float = _of_preset(Joints, "static")
-    stribeck_speed: float = _of_preset(Joints, "stribeck_speed")
-    friction_cancelled: float = _of_preset(Joints, "cancelled")
-    gear_stiffness: float = _of_preset(Joints, "stiffness")
-    gear_damping: float = _of_preset(Joints, "damping")
-    dead_band: float = _of_preset(Joints, "dead_band")
-    torque_ripple: float = _of_preset(Joints, "ripple")
-    current_bandwidth: float = _of_preset(Joints, "current_bandwidth")
-    end_stops: bool = setting(True, "stops at the ends of the joints' ranges")
+    viscous_friction: float = _preset_setting(Joints, "viscous")
+    coulomb_friction: float = _preset_setting(Joints, "coulomb")
+    static_friction: float = _preset_setting(Joints, "static")
+    stribeck_speed: float = _preset_setting(Joints, "stribeck_speed")
+    friction_cancelled: float = _preset_setting(Joints, "cancelled")
+    gear_stiffness: float = _preset_setting(Joints, "stiffness")
+    gear_damping: float = _preset_setting(Joints, "damping")
+    dead_band: float = _preset_setting(Joints, "dead_band")
+    torque_ripple: float = _preset_setting(Joints, "ripple")
+    current_bandwidth: float = _preset_setting(Joints, "current_bandwidth")
+    end_stops: bool = setting(True, "true: the joints have end stops")
     tilt: tuple[float, ...] = like(Surroundings, "tilt")
     film_damping: float = like(Surroundings, "film")
     tether_drag: float = like(Surroundings, "tether")
@@ -93,19 +99,19 @@ class PlantSettings(Settings):
     bearing_pressure: float = like(Propulsion, "bearing_pressure")
     pad_friction: float = like(Surroundings, "pad_friction")
     tolerance: float = setting(
-        0.0, "error that error control allows a step, in each coordinate, SI units; 0: fixed "
-        "steps of 1 ms", check=NOT_NEGATIVE,
+        0.0, "tolerance of the integrator's error control, per step and coordinate, SI units; 0: "
+        "fixed steps of 1 ms", check=NOT_NEGATIVE,
     )  # fmt: skip
     target_mass: float = setting(
-        0.0, "mass of a second spacecraft simulator, the target; 0: there is none", unit="kg",
+        0.0, "mass of a second spacecraft simulator, the target; 0: no target", unit="kg",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     target_inertia: float = like(Target, "inertia")
     target_pose: tuple[float, ...] = setting(
-        (1.0, 1.0, 0.0), "pose of the target at the begin", unit="m, m, rad", check=FINITE, size=3
+        (1.0, 1.0, 0.0), "initial pose of the target", unit="m, m, rad", check=FINITE, size=3
     )
     target_twist: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "velocity of the target at the begin", unit="m/s, m/s, rad/s",
+        (0.0, 0.0, 0.0), "initial velocity of the target", unit="m/s, m/s, rad/s",
         check=FINITE, size=3,
     )  # fmt: skip
     target_fixture: tuple[float, ...] = like(Target, "fixture")
@@ -117,7 +123,7 @@ class PlantSettings(Settings):
     grip_force: float = like(Gripper, "force")
     grip_torque: float = like(Gripper, "torque")
     gripper_length: float = like(Gripper, "length")
-    contact: bool = setting(True, "bodies keep each other out; false: they pass through")
+    contact: bool = setting(True, "true: bodies collide; false: they pass through each other")
     restitution: float = like(Contact, "restitution")
     contact_friction: float = like(Contact, "friction")
     vicon_cameras: tuple[float, ...] = like(Room, "cameras")
@@ -127,7 +133,7 @@ class PlantSettings(Settings):
     heights: tuple[float, ...] = like(Room, "heights")
     marker_stalk: float = like(Room, "stalk")
     wifi: bool = setting(
-        False, "links and base share a radio channel; else what they send is there at once"
+        False, "true: links and base share a radio channel; false: datagrams arrive at once"
     )
     wifi_rate: float = like(Radio, "rate")
     wifi_overhead: float = like(Radio, "overhead")
@@ -140,7 +146,7 @@ class PlantSettings(Settings):
 
     def joints(self) -> Joints:
         """Return the joints of the preset, with the values that override it."""
-        given = {
+        values = {
             "rotor_inertia": self.rotor_inertia,
             "viscous": self.viscous_friction,
             "coulomb": self.coulomb_friction,
@@ -154,7 +160,9 @@ class PlantSettings(Settings):
             "current_bandwidth": self.current_bandwidth,
         }
         stops = {} if self.end_stops else {"stop_stiffness": 0.0, "stop_damping": 0.0}
-        return replace(JOINTS[self.preset], gear_ratio=self.gear_ratio, **_given(given), **stops)
+        return replace(
+            JOINTS[self.preset], gear_ratio=self.gear_ratio, **_overrides(values), **stops
+        )
 
     def world(self) -> World:
         """Return the parameters of the plant, except those of the arm."""
@@ -191,7 +199,7 @@ class PlantSettings(Settings):
             Contact(self.restitution, self.contact_friction) if self.contact else None,
         )
 
-    def room(self) -> Room:
+    def vicon_room(self) -> Room:
         """Return the positions of VICON's cameras and markers."""
         places = self.base_markers, self.tip_markers, self.target_markers
         return Room(self.vicon_cameras, *places, self.heights, self.marker_stalk)
@@ -200,8 +208,8 @@ class PlantSettings(Settings):
         """Return the radio channel that links and base share, if there is one."""
         if not self.wifi:
             return None
-        given = (getattr(self, f"wifi_{f.name}") for f in fields(Radio))
-        return Radio(*given)
+        values = (getattr(self, f"wifi_{f.name}") for f in fields(Radio))
+        return Radio(*values)
 
 
 @dataclass(frozen=True)
@@ -209,38 +217,43 @@ class TestbedSettings(PlantSettings):
     """Parameters of a TestbedNode."""
 
     vehicles: str = setting(
-        "", "file of several vehicles (docs/how-to/vehicles.md), which has what is to differ from "
-        "these parameters; empty: one vehicle",
+        "", "file of several vehicles (docs/how-to/vehicles.md), with the settings of each that "
+        "differ from these parameters; empty: one vehicle",
     )  # fmt: skip
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
     serials: tuple[int, ...] = setting(
-        (), "serial numbers that the links tell, from the base on, 0: none; empty: as described",
+        (), "serial numbers that the links report, starting at the base, 0: none; empty: those "
+        "of the description",
         check=between(0, 2**31 - 1),
     )  # fmt: skip
-    without_arm: bool = setting(False, "whether the described base floats without its arm")
-    host: str = setting("127.0.0.1", "address that the links' ports are opened on")
+    without_arm: bool = setting(False, "true: simulate the base of the description without its arm")
+    host: str = setting("127.0.0.1", "IP address on which the links' ports are opened")
     transports: tuple[str, ...] = setting(
-        (), "what reaches each link: udp, tcp, or serial, a pseudo-terminal as RS-232; one for "
-        "all or one each; empty: serial if there are terminals, else udp",
+        (), "transport of each link: udp, tcp, or serial (a pseudo-terminal, like RS-232); one for "
+        "all links or one for each; empty: serial if terminals are given, else udp",
         check=one_of("udp", "tcp", "serial"),
     )  # fmt: skip
     ports: tuple[int, ...] = setting(
-        (), "the links' UDP or TCP ports, 0: any; empty: 5001, 5002, ...", check=between(0, 65535)
+        (),
+        "UDP or TCP ports of the links, 0: any free port; empty: 5001, 5002, ...",
+        check=between(0, 65535),
     )
     terminals: tuple[str, ...] = setting(
-        (), "paths of the links' pseudo-terminals, one each; the others' count for nothing"
+        (),
+        "paths of the links' pseudo-terminals, one for each link; used only for transport serial",
     )
     board_port: int = setting(
         0,
-        "UDP or TCP port of the base's board, for the node base; 0: none, the test bed takes "
-        "thrusters/command and gripper/command itself, and publishes fog/imu and gripper/state",
+        "UDP or TCP port of the base's board, for the node base; 0: no board, the test bed itself "
+        "subscribes to thrusters/command and gripper/command, and publishes fog/imu and "
+        "gripper/state",
         check=between(0, 65535),
     )
     board_transport: str = setting(
-        "udp", "what reaches the base's board at its port: udp or tcp", check=one_of("udp", "tcp")
+        "udp", "transport of the board's port: udp or tcp", check=one_of("udp", "tcp")
     )
     board_terminal: str = setting(
-        "", "path of the board's pseudo-terminal, as RS-232, if that reaches it and no port"
+        "", "path of the board's pseudo-terminal (like RS-232), in place of a port"
     )
     board_rate: float = setting(
         20.0, "rate of the board's telemetry frames", unit="1/s", check=above(0.0, RATE)
@@ -249,60 +262,63 @@ class TestbedSettings(PlantSettings):
         5.0, "rate of each link's telemetry frames", unit="1/s", check=above(0.0, RATE)
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
-    seed: int = setting(1, "seed of all the sensors' errors", check=at_least(0))
-    position_noise: float = _of_preset(Noise, "position_noise")
-    heading_noise: float = _of_preset(Noise, "heading_noise")
-    vicon_hold: float = _of_preset(Noise, "vicon_hold")
-    rest_position_error: float = _of_preset(Noise, "rest_position_error")
-    rest_heading_error: float = _of_preset(Noise, "rest_heading_error")
-    gyro_noise: float = _of_preset(Noise, "gyro_noise")
-    vicon_latency: float = _of_preset(Noise, "vicon_latency")
-    vicon_jitter: float = _of_preset(Noise, "vicon_jitter")
-    marker_noise: float = _of_preset(Noise, "marker_noise")
-    vicon_edge_error: float = _of_preset(Noise, "vicon_edge_error")
-    vicon_occlusion: float = _of_preset(Noise, "vicon_occlusion")
-    vicon_merge_distance: float = _of_preset(Noise, "vicon_merge_distance")
-    vicon_merge_swap: float = _of_preset(Noise, "vicon_merge_swap")
-    gyro_bias: float = _of_preset(Noise, "gyro_bias")
-    gyro_walk: float = _of_preset(Noise, "gyro_walk")
-    gyro_scale: float = _of_preset(Noise, "gyro_scale")
-    encoder_error: float = _of_preset(Noise, "encoder_error")
-    encoder_eccentricity: float = _of_preset(Noise, "encoder_eccentricity")
-    torque_noise: float = _of_preset(Noise, "torque_noise")
-    torque_zero: float = _of_preset(Noise, "torque_zero")
-    torque_crosstalk: float = _of_preset(Noise, "torque_crosstalk")
-    torque_drift: float = _of_preset(Noise, "torque_drift")
+    seed: int = setting(1, "seed of all sensor errors", check=at_least(0))
+    position_noise: float = _preset_setting(Noise, "position_noise")
+    heading_noise: float = _preset_setting(Noise, "heading_noise")
+    vicon_hold: float = _preset_setting(Noise, "vicon_hold")
+    rest_position_error: float = _preset_setting(Noise, "rest_position_error")
+    rest_heading_error: float = _preset_setting(Noise, "rest_heading_error")
+    gyro_noise: float = _preset_setting(Noise, "gyro_noise")
+    vicon_latency: float = _preset_setting(Noise, "vicon_latency")
+    vicon_jitter: float = _preset_setting(Noise, "vicon_jitter")
+    marker_noise: float = _preset_setting(Noise, "marker_noise")
+    vicon_edge_error: float = _preset_setting(Noise, "vicon_edge_error")
+    vicon_occlusion: float = _preset_setting(Noise, "vicon_occlusion")
+    vicon_merge_distance: float = _preset_setting(Noise, "vicon_merge_distance")
+    vicon_merge_swap: float = _preset_setting(Noise, "vicon_merge_swap")
+    gyro_bias: float = _preset_setting(Noise, "gyro_bias")
+    gyro_walk: float = _preset_setting(Noise, "gyro_walk")
+    gyro_scale: float = _preset_setting(Noise, "gyro_scale")
+    encoder_error: float = _preset_setting(Noise, "encoder_error")
+    encoder_eccentricity: float = _preset_setting(Noise, "encoder_eccentricity")
+    torque_noise: float = _preset_setting(Noise, "torque_noise")
+    torque_zero: float = _preset_setting(Noise, "torque_zero")
+    torque_crosstalk: float = _preset_setting(Noise, "torque_crosstalk")
+    torque_drift: float = _preset_setting(Noise, "torque_drift")
     torque_rate: int = setting(
-        80, "samples of a torque converter", unit="1/s",
+        80, "sample rate of a torque converter", unit="1/s",
         check=Check("10 or 80", lambda rate: rate in (10, 80), 10, 80),
     )  # fmt: skip
-    clock_drift: float = _of_preset(Noise, "clock_drift")
+    clock_drift: float = _preset_setting(Noise, "clock_drift")
     battery: float = setting(
-        1.0, "charge of all batteries at the begin, as a share", check=above(0.0, 1.0)
+        1.0, "initial charge of all batteries, as a share", check=above(0.0, 1.0)
     )
     battery_energy: float = like(Power, "energy")
     battery_resistance: float = like(Power, "resistance")
     faults: str = setting("", "file of a fault script (docs/explanation/simulator.md); empty: none")
     base: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "pose of the base at the begin", unit="m, m, rad", check=FINITE, size=3
+        (0.0, 0.0, 0.0), "initial pose of the base", unit="m, m, rad", check=FINITE, size=3
     )
     twist: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "velocity of base and arm at the begin, about the base's origin",
+        (0.0, 0.0, 0.0), "initial velocity of base and arm, about the base's origin",
         unit="m/s, m/s, rad/s", check=FINITE, size=3,
     )  # fmt: skip
     q: tuple[float, ...] = setting(
-        (), "joint angles at the begin; empty: all 0", unit="rad", check=FINITE
+        (), "initial joint angles; empty: all 0", unit="rad", check=FINITE
     )
-    keep_clock: bool = setting(False, "publish /clock; else the stamps are ROS time as it is")
+    keep_clock: bool = setting(False, "true: publish /clock; false: stamps are ROS time")
     speed: float = setting(
-        1.0, "speed of the clock kept, in multiples of real time; 0: as the links' drivers follow",
+        1.0, "speed of the published clock, in multiples of real time; 0: as fast as the drivers "
+        "can follow",
         check=Check("0, or 0.01 to 100", lambda x: x == 0.0 or 0.01 <= x <= 100.0, 0.0, 100.0),
     )  # fmt: skip
-    paused: bool = setting(False, "begin with the clock kept standing still, to be stepped")
+    paused: bool = setting(False, "true: start with the published clock paused, to be stepped")
     truth_rate: float = setting(
         10.0, "rate of sim/truth and gripper/state", unit="1/s", check=above(0.0, RATE)
     )
-    state_file: str = setting("", "file that the state is kept in to resume from; empty: none")
+    state_file: str = setting(
+        "", "file in which the state is saved, to resume from it; empty: none"
+    )
     world_frame: str = setting("world", "frame_id of the VICON poses")
     base_topic: str = like(Vehicle, "base_topic")
     tip_topic: str = like(Vehicle, "tip_topic")
@@ -317,32 +333,34 @@ class TestbedSettings(PlantSettings):
                 f"speed is {self.speed} and paused {str(self.paused).lower()}, "
                 "expected 1 and false without keep_clock"
             )
-        _ = self.noise(), self.joints(), self.room()  # these reject invalid values
+        _ = self.noise(), self.joints(), self.vicon_room()  # these reject invalid values
 
     def description(self) -> Arm | Base:
         """Return the true arm, or the base if there is no arm."""
         arm = described(self.arm)
         if self.serials:
             if len(self.serials) != arm.n:
-                raise ValueError(f"serials are {len(self.serials)}, expected {arm.n}, one a link")
+                raise ValueError(
+                    f"serials has {len(self.serials)} numbers, expected {arm.n}, one for each link"
+                )
             links = zip(arm.links, self.serials, strict=True)
             arm = replace(arm, links=tuple(replace(k, serial=serial) for k, serial in links))
         return arm.base if self.without_arm else arm
 
     def noise(self) -> Noise:
         """Return the errors of the preset, with the values that override it."""
-        given = {f.name: getattr(self, f.name) for f in fields(Noise)}
-        return replace(PRESETS[self.preset], **_given(given))
+        values = {f.name: getattr(self, f.name) for f in fields(Noise)}
+        return replace(PRESETS[self.preset], **_overrides(values))
 
     def vicon(self, seed: int, kinds: Sequence[int]) -> Vicon | None:
         """Return the cameras for subjects of these kinds, if poses are computed from markers."""
         noise = self.noise()
-        return Vicon(noise, self.room(), seed, kinds, self.table) if noise.markers else None
+        return Vicon(noise, self.vicon_room(), seed, kinds, self.table) if noise.markers else None
 
-    def air(self, seed: str) -> Air | None:
+    def radio_channel(self, seed: str) -> RadioChannel | None:
         """Return the radio channel of links and boards, if they share one."""
         radio = self.radio()
-        return Air(radio, seed) if radio else None
+        return RadioChannel(radio, seed) if radio else None
 
     def power(self) -> Power:
         """Return the parameters of the batteries and their loads."""
@@ -352,10 +370,10 @@ class TestbedSettings(PlantSettings):
         """Return the text of the fault script."""
         return read_text(self.faults) if self.faults else ""
 
-    def wires(self, n: int) -> list[Wire]:
+    def open_wires(self, n: int) -> list[Wire]:
         """Open the connection of each link."""
-        usual = "serial" if self.terminals else "udp"
-        kinds = n * (self.transports or (usual,)) if len(self.transports) < 2 else self.transports
+        default = "serial" if self.terminals else "udp"
+        kinds = n * (self.transports or (default,)) if len(self.transports) < 2 else self.transports
         if len(kinds) != n:
             raise ValueError(f"transports is {list(kinds)}, expected 1 or {n}")
         if "serial" in kinds and len(self.terminals) != n:
@@ -363,21 +381,21 @@ class TestbedSettings(PlantSettings):
         paths, ports, opened = self.terminals or n * ("",), self.link_ports(n), list[Wire]()
         try:
             for kind, port, path in zip(kinds, ports, paths, strict=True):
-                opened.append(self._wire(kind, port, path))
+                opened.append(self._open_wire(kind, port, path))
         except OSError:
             for wire in opened:
                 wire.close()
             raise
         return opened
 
-    def board_wire(self) -> Wire | None:
+    def open_board_wire(self) -> Wire | None:
         """Open the connection of the base's board, if there is one."""
         if not (self.board_port or self.board_terminal):
             return None
         kind = "serial" if self.board_terminal else self.board_transport
-        return self._wire(kind, self.board_port, self.board_terminal)
+        return self._open_wire(kind, self.board_port, self.board_terminal)
 
-    def _wire(self, kind: str, port: int, path: str) -> Wire:
+    def _open_wire(self, kind: str, port: int, path: str) -> Wire:
         if kind == "serial":
             return LinkTerminal(path)
         return (LinkListener if kind == "tcp" else LinkSocket)(self.host, port)
@@ -389,13 +407,13 @@ class TestbedSettings(PlantSettings):
             raise ValueError(f"ports is {list(ports)}, expected {n}")
         return ports
 
-    def begin(self, n: int) -> State:
+    def initial_state(self, n: int) -> State:
         """Return the initial state: from the state file if it exists, else from the parameters."""
         if self.state_file and Path(self.state_file).exists():
-            return State.load(Path(self.state_file), n).resumed()
-        return self.fresh(n)
+            return State.load(Path(self.state_file), n).after_restart()
+        return self.state_from_parameters(n)
 
-    def fresh(self, n: int) -> State:
+    def state_from_parameters(self, n: int) -> State:
         """Return the initial state from the parameters."""
         q = self.q or n * (0.0,)
         if len(q) != n:

@@ -24,17 +24,17 @@ from fss_sim.faults import Event, Faults
 from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
 from fss_sim.link.power import Power
-from fss_sim.link.radio import Air, Station
+from fss_sim.link.radio import RadioChannel, Station
 from fss_sim.noise import Noise
 from fss_sim.plant.bed import Bed
-from fss_sim.plant.joints import axes, carried
+from fss_sim.plant.joints import link_normals, outboard_momentum
 from fss_sim.plant.plant import Floats, Motion, Plant, Vehicle, World
-from fss_sim.plant.target import Passive
-from fss_sim.sensors import RATE, Sensors, Sight, compose
-from fss_sim.vicon import ABSENT, BASE, TARGET, TIP, Look, Pose, Room, Vicon
+from fss_sim.plant.target import PassiveTarget
+from fss_sim.sensors import RATE, Readings, Sensors, compose
+from fss_sim.vicon import BASE, NOT_VISIBLE, TARGET, TIP, MarkerResult, Pose, Room, Vicon
 
 FRAME = SECOND // RATE  # [ns]
-OUTAGE = RATE  # frames by which time advances while a test bed is not running
+OUTAGE_FRAMES = RATE  # frames by which time advances while a test bed is not running
 BOOT_NUMBERS = 65535  # number of boot numbers: 1 to 65535, which fit into the frames' field
 
 
@@ -86,19 +86,19 @@ class State:
         except ContentError as error:
             raise StateError(str(error)) from None
         except (ValueError, TypeError, KeyError, OverflowError) as error:
-            what = f"{error} is missing" if isinstance(error, KeyError) else error
+            reason = f"{error} is missing" if isinstance(error, KeyError) else error
             raise StateError(
-                f"{path} does not hold the state of a test bed: {short(str(what))}"
+                f"{path} does not contain the state of a test bed: {short(str(reason))}"
             ) from None
         if not len(q) == len(qd) == 3 + n or not np.isfinite((q, qd)).all():
             raise StateError(
-                f"{path} holds {len(q)} coordinates, expected {3 + n} finite ones for {n} links"
+                f"{path} contains {len(q)} coordinates, expected {3 + n} finite ones for {n} links"
             )
         return cls(**numbers, q=q, qd=qd, target=target, holds=holds, propellant=propellant)
 
-    def resumed(self) -> "State":
+    def after_restart(self) -> "State":
         """Return the state at the next start; its time is later than all published times."""
-        return replace(self, frame=self.frame + OUTAGE, boots=self.boots + 1)
+        return replace(self, frame=self.frame + OUTAGE_FRAMES, boots=self.boots + 1)
 
 
 def boot_number(offset: int, boots: int) -> int:
@@ -109,9 +109,9 @@ def boot_number(offset: int, boots: int) -> int:
 class Report(NamedTuple):
     """Outputs of one frame."""
 
-    sight: Sight
+    readings: Readings
     telemetry: Sequence[Sequence[Datagram]]  # telemetry of each link that has arrived
-    faulted: bool  # True if the active faults have changed
+    faults_changed: bool  # True if the active faults have changed
     board: Sequence[Datagram] = ()  # telemetry of the board that has arrived
 
 
@@ -129,10 +129,10 @@ class Testbed:
         charge: charge of all batteries, 0 to 1.
         script: fault script.
         world: parameters of the plant, except those of the arm.
-        board_rate: telemetry rate of the base's board [frames/s]; 0: there is no board.
-        plant: the vehicle, if it shares the table with others (`together`).
+        board_rate: telemetry rate of the base's board [frames/s]; 0: no board.
+        plant: the vehicle, if it shares the table with others (`place_on_table`).
         power: parameters of batteries and loads.
-        air: radio channel of all vehicles; None: no radio, so that only faults delay datagrams.
+        radio_channel: shared by all vehicles; None: no radio, so that only faults delay datagrams.
         vicon: cameras of the table; None: cameras of its own, if the noise model has markers.
     """
 
@@ -151,7 +151,7 @@ class Testbed:
         board_rate: float = 0.0,
         plant: Vehicle | None = None,
         power: Power | None = None,
-        air: Air | None = None,
+        radio_channel: RadioChannel | None = None,
         vicon: Vicon | None = None,
     ) -> None:
         self._target = np.reshape(state.target, (2, 3))  # as given
@@ -159,11 +159,11 @@ class Testbed:
             arm, state.q, state.qd, world, self._target, state.holds, state.propellant
         )
         links = arm.links if isinstance(arm, Arm) else ()
-        self.sensors, self.air = Sensors(noise, seed, state.rests), air
+        self.sensors, self.radio_channel = Sensors(noise, seed, state.rests), radio_channel
         kinds = [*self.subjects, *(TARGET for _ in self.plant.bed.targets)]
-        alone = Vicon(noise, Room(), seed, kinds) if noise.markers else None
-        self.vicon = vicon or alone
-        self.looks: dict[int, Look] = {}  # results of the last picture, by kind of subject
+        own_vicon = Vicon(noise, Room(), seed, kinds) if noise.markers else None
+        self.vicon = vicon or own_vicon
+        self.marker_results: dict[int, MarkerResult] = {}  # of the last picture, by kind of subject
         self.faults = Faults(len(links), script)
         keys = keys or {}
         self.links = [
@@ -185,8 +185,8 @@ class Testbed:
         for part in self._electronics():
             part.start(self.boot, self.now, part.uptime)
         self._motions = self.plant.motions()
-        self._strained = noise.torque_crosstalk > 0.0 and bool(links)
-        self._carried = self._momenta() if links else np.zeros((0, 2))
+        self._measures_shear = noise.torque_crosstalk > 0.0 and bool(links)
+        self._outboard_momentum = self._link_momenta() if links else np.zeros((0, 2))
 
     @property
     def now(self) -> int:
@@ -202,25 +202,25 @@ class Testbed:
         """Advance by one frame."""
         return step([self])[0]
 
-    def act(self) -> bool:
+    def apply_commands(self) -> bool:
         """Command drives, valves and gripper until the next frame.
 
         Returns:
             True if the active faults have changed.
         """
-        faulted = self.faults.advance(self.now / SECOND)
-        self._supply()
-        self.plant.thrusters.stick(self.faults.stuck_open, self.faults.stuck_closed)
+        faults_changed = self.faults.advance(self.now / SECOND)
+        self._switch_electronics()
+        self.plant.thrusters.set_stuck(self.faults.stuck_open, self.faults.stuck_closed)
         if self.board:
-            self.board.act(self.now, self.plant)
+            self.board.apply_commands(self.now, self.plant)
         for i, link in enumerate(self.links):
             self.plant.command(i, link.demand(self.now, self._motions[i]))
             self.plant.block(i, link.drive.blocked)
-        return faulted
+        return faults_changed
 
-    def observe(self, faulted: bool) -> Report:
+    def observe(self, faults_changed: bool) -> Report:
         """Return the outputs of the past frame."""
-        self._motions = self._measured()
+        self._motions = self._measured_motions()
         self.frame += 1
         plant, of = self.plant, self.faults
         rate, target = float(plant.qd[2]), self.target[0].tolist() if plant.bed.targets else None
@@ -228,9 +228,9 @@ class Testbed:
         # drives, as links can still oscillate on their gears while the drives are at rest.
         tip = plant.tip if plant.n else (0.0, 0.0, 0.0)
         qd = np.array([motion.qd for motion in self._motions] or [0.0])
-        sight = self.sensors.observe(
-            self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target, self.looks,
-            of.target,
+        readings = self.sensors.observe(
+            self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target,
+            self.marker_results, of.target,
         )  # fmt: skip
         telemetry = [
             link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i], of.drives[i])
@@ -238,20 +238,20 @@ class Testbed:
         ]
         board: Sequence[Datagram] = ()
         if self.board:
-            board = self.board.report(self.now, plant, sight.rate, 1.0 / RATE, of.board)
-        return Report(sight, telemetry, faulted, board)
+            board = self.board.report(self.now, plant, readings.rate, 1.0 / RATE, of.board)
+        return Report(readings, telemetry, faults_changed, board)
 
-    def receive(self, link: int, data: bytes, peer: Any = None, late: int = 0) -> None:
-        """Pass a datagram to a link, counted from 0, `late` ns after the last frame.
+    def receive(self, link: int, data: bytes, peer: Any = None, delay: int = 0) -> None:
+        """Pass a datagram to a link, counted from 0, `delay` ns after the last frame.
 
         A link sends its telemetry to the peer whose command it accepted last.
         """
-        self.links[link].put(data, peer, self.now + late, self.faults.links[link])
+        self.links[link].receive(data, peer, self.now + delay, self.faults.links[link])
 
-    def receive_base(self, data: bytes, peer: Any = None, late: int = 0) -> None:
+    def receive_base(self, data: bytes, peer: Any = None, delay: int = 0) -> None:
         """Pass a datagram to the base's board, as to a link."""
         if self.board:
-            self.board.put(data, peer, self.now + late, self.faults.board)
+            self.board.receive(data, peer, self.now + delay, self.faults.board)
 
     @property
     def subjects(self) -> dict[int, Pose]:
@@ -280,26 +280,26 @@ class Testbed:
 
     def _station(self, part: str) -> Station | None:
         name = f"{self.plant.name} {part}" if self.plant.name else part
-        return self.air.station(name) if self.air else None
+        return self.radio_channel.station(name) if self.radio_channel else None
 
-    def _measured(self) -> list[Motion]:
+    def _measured_motions(self) -> list[Motion]:
         """Return the motions; with crosstalk, also the mean shear forces of the last frame."""
         motions = self.plant.motions()
-        if not self._strained:
+        if not self._measures_shear:
             return motions
-        before, self._carried = self._carried, self._momenta()
-        forces = RATE * (self._carried - before)
-        across = np.sum(forces * axes(self.plant.p, self.plant.q), axis=1).tolist()
+        before, self._outboard_momentum = self._outboard_momentum, self._link_momenta()
+        forces = RATE * (self._outboard_momentum - before)
+        across = np.sum(forces * link_normals(self.plant.p, self.plant.q), axis=1).tolist()
         return [m._replace(shear=f) for m, f in zip(motions, across, strict=True)]
 
-    def _momenta(self) -> npt.NDArray[np.float64]:
+    def _link_momenta(self) -> npt.NDArray[np.float64]:
         """Return the linear momentum of all links beyond each joint, (n, 2) [N s]."""
-        return carried(self.plant.p, self.plant.q, self.plant.qd)
+        return outboard_momentum(self.plant.p, self.plant.q, self.plant.qd)
 
     def _electronics(self) -> list[Link | Board]:
         return [*self.links, self.board] if self.board else [*self.links]
 
-    def _supply(self) -> None:
+    def _switch_electronics(self) -> None:
         """Stop links and board that lose power; start those that regain it, disarmed."""
         faults = [*self.faults.links, self.faults.board]
         for part, its in zip(self._electronics(), faults, strict=False):
@@ -315,14 +315,14 @@ class Testbed:
         plant = self.plant
         q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, self.target))
         holds = any(one.holder is plant for one in plant.bed.targets)
-        used = plant.thrusters.used
+        used = plant.thrusters.propellant_used
         return State(
             self.frame, self._boots, self.sensors.rests, q, qd, target, holds, used,
             self._boot_offset,
         )  # fmt: skip
 
 
-def together(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:
+def place_on_table(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:
     """Put vehicles on one table in their states, with the target of the first vehicle's world.
 
     Only one vehicle can hold the target: the first one whose state says so. Other grips are open.
@@ -330,43 +330,43 @@ def together(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:
     world = vehicles[0].world
     if world.target:
         at = np.reshape(states[0].target, (2, 3))
-        targets = [Passive(world.target, at, world.surroundings)]
+        targets = [PassiveTarget(world.target, at, world.surroundings)]
     else:
         targets = []
     holders = [one for one, state in zip(vehicles, states, strict=True) if targets and state.holds]
     for one in holders[:1]:
         one.closed = True
-        one.take(targets[0])
+        one.attach(targets[0])
     Bed(vehicles, targets, world.contact, world.tolerance)
 
 
 def step(vehicles: Sequence[Testbed]) -> list[Report]:
     """Advance all vehicles of a table by one frame."""
     first = vehicles[0]
-    faulted = [one.act() for one in vehicles]
-    if first.air:
-        first.air.taken = max(one.faults.radio.interference for one in vehicles)
+    faults_changed = [one.apply_commands() for one in vehicles]
+    if first.radio_channel:
+        first.radio_channel.interference = max(one.faults.radio.interference for one in vehicles)
     first.plant.bed.advance(1.0 / RATE)
     if first.vicon:
-        look(first.vicon, vehicles)
-    return [one.observe(of) for one, of in zip(vehicles, faulted, strict=True)]
+        take_picture(first.vicon, vehicles)
+    return [one.observe(of) for one, of in zip(vehicles, faults_changed, strict=True)]
 
 
-def look(vicon: Vicon, vehicles: Sequence[Testbed]) -> None:
+def take_picture(vicon: Vicon, vehicles: Sequence[Testbed]) -> None:
     """Take one picture of all vehicles of a table, and give each vehicle its results."""
     first, targets = vehicles[0], vehicles[0].plant.bed.targets
     subjects = [one.subjects for one in vehicles]
     poses = [pose for its in subjects for pose in its.values()]
     poses += [(*one.state[0].tolist(),) for one in targets]
     bodies = np.empty((0, 6))
-    if vicon.hides:
+    if vicon.occlusion:
         rows = [one.bodies(vicon.room) for one in vehicles]
         rows += [vicon.room.disc(TARGET, one.state[0], one.target.radius) for one in targets]
         bodies = np.concatenate(rows)
     frame = first.frame + 1
-    looks = iter(vicon.look(frame, poses, bodies, frame // first.sensors.hold))
+    results = iter(vicon.take_picture(frame, poses, bodies, frame // first.sensors.hold))
     for one, its in zip(vehicles, subjects, strict=True):
-        one.looks = {kind: next(looks) for kind in its}
-    target = next(looks, ABSENT)
+        one.marker_results = {kind: next(results) for kind in its}
+    target = next(results, NOT_VISIBLE)
     for one in vehicles:
-        one.looks[TARGET] = target
+        one.marker_results[TARGET] = target

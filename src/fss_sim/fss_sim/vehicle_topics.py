@@ -18,19 +18,26 @@ from fss_arm_ros.convert import to_time
 from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
 from fss_arm_ros.validation import subscribe
 from fss_link.protocol import load_keys
-from fss_sim.faults import kinds, read_script
-from fss_sim.link.radio import Air
-from fss_sim.messages import SerializedGyro, SerializedPose, clearances, gripper_state, truth
+from fss_sim.faults import fault_classes, read_script
+from fss_sim.link.radio import RadioChannel
+from fss_sim.messages import (
+    SerializedGyro,
+    SerializedPose,
+    clearances,
+    gripper_state,
+    truth_message,
+)
 from fss_sim.plant.plant import Vehicle
-from fss_sim.sensors import RATE, Sight
+from fss_sim.sensors import RATE, Readings
 from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import Report, State, Testbed
-from fss_sim.vicon import ABSENT, BASE, MARKERS_AT_LEAST, TARGET, TIP, Vicon
+from fss_sim.vicon import BASE, MIN_MARKERS, NOT_VISIBLE, TARGET, TIP, Vicon
 
-REMINDED = 10 * RATE  # frames between two messages of the faults, for recorders that start later
-TOUCH = 1e-6  # gap below which bodies touch [m]
+# Frames between two messages of the faults, for recorders that start later.
+FAULTS_PERIOD = 10 * RATE
+TOUCHING_GAP = 1e-6  # gap below which bodies touch [m]
 SUBJECTS = {BASE: "base", TIP: "end effector", TARGET: "target"}
-SAVED = RATE // 5  # frames between two writes of the state file
+SAVE_PERIOD = RATE // 5  # frames between two writes of the state file
 
 
 class VehicleTopics:
@@ -53,55 +60,55 @@ class VehicleTopics:
         name: str = "",
     ) -> None:
         self.node, self.lock, self.stamp = node, lock, stamp
-        self.unwritten = ""  # reason why the state file could not be written
+        self.save_error = ""  # reason why the state file could not be written
         self._saved_boot = 0  # boot number in the state file
         self.settings, self.name = settings, name
-        self.space, self.prefix = (f"/{name}/", f"{name}.") if name else ("", "")
+        self.namespace, self.prefix = (f"/{name}/", f"{name}.") if name else ("", "")
         self.arm = settings.description()
         self.n = self.arm.n if isinstance(self.arm, Arm) else 0
         self.subjects = (BASE, TIP) if self.n else (BASE,)  # VICON subjects
         self.keys = load_keys(settings.keys) if settings.keys else {}
         self.script = settings.script()
-        self.wires = settings.wires(self.n)
-        self.board_wire = settings.board_wire()
+        self.wires = settings.open_wires(self.n)
+        self.board_wire = settings.open_board_wire()
         self.base = node.create_publisher(PoseStamped, settings.base_topic, SENSOR)
         self.tip = self.gripper = self.target = None
         if self.n:
             self.tip = node.create_publisher(PoseStamped, settings.tip_topic, SENSOR)
         if self.board_wire is None:
-            self.take_base()
+            self.create_base_topics()
         if settings.target_mass:
             self.target = node.create_publisher(PoseStamped, settings.target_topic, SENSOR)
-        self.truth = node.create_publisher(SimTruth, f"{self.space}sim/truth", SENSOR)
-        self.faults = node.create_publisher(SimFaults, f"{self.space}sim/faults", LATCHED)
-        self.pose_image = SerializedPose(settings.world_frame)
-        self.gyro_image = SerializedGyro(settings.base_frame, settings.noise().gyro_noise)
+        self.truth = node.create_publisher(SimTruth, f"{self.namespace}sim/truth", SENSOR)
+        self.faults = node.create_publisher(SimFaults, f"{self.namespace}sim/faults", LATCHED)
+        self.pose_message = SerializedPose(settings.world_frame)
+        self.gyro_message = SerializedGyro(settings.base_frame, settings.noise().gyro_noise)
         self.set_faults: dict[tuple[str, str], float] = {}
 
-    def take_base(self) -> None:
+    def create_base_topics(self) -> None:
         """Create the base's topics, as there is no board for the node `base`."""
-        node, space = self.node, self.space
-        self.gyro = node.create_publisher(Imu, f"{space}fog/imu", SENSOR)
+        node, namespace = self.node, self.namespace
+        self.gyro = node.create_publisher(Imu, f"{namespace}fog/imu", SENSOR)
         if self.n:
-            self.gripper = node.create_publisher(GripperState, f"{space}gripper/state", SENSOR)
-            node.create_subscription(Bool, f"{space}gripper/command", self.on_grip, COMMAND)
-        self.pulses = node.create_publisher(ThrusterCommand, f"{space}thrusters/pulses", SENSOR)
-        subscribe(node, ThrusterCommand, f"{space}thrusters/command", self.on_thrust, COMMAND)
+            self.gripper = node.create_publisher(GripperState, f"{namespace}gripper/state", SENSOR)
+            node.create_subscription(Bool, f"{namespace}gripper/command", self.on_grip, COMMAND)
+        self.pulses = node.create_publisher(ThrusterCommand, f"{namespace}thrusters/pulses", SENSOR)
+        subscribe(node, ThrusterCommand, f"{namespace}thrusters/command", self.on_thrust, COMMAND)
 
-    def made(self, state: State) -> Vehicle:
+    def make_vehicle(self, state: State) -> Vehicle:
         """Return the vehicle in a state, not yet on a table."""
         world = self.settings.world()
         return Vehicle(self.arm, state.q, state.qd, world, state.propellant, self.name)
 
-    def begin(
+    def start(
         self,
         plant: Vehicle | None,
         state: State,
         seed: int,
-        air: Air | None = None,
+        radio_channel: RadioChannel | None = None,
         vicon: Vicon | None = None,
     ) -> None:
-        """Create electronics and sensors of a vehicle in this state; plant None: it is alone."""
+        """Create electronics and sensors of a vehicle in this state; None: the only one."""
         settings = self.settings
         self.testbed = Testbed(
             self.arm,
@@ -117,7 +124,7 @@ class VehicleTopics:
             settings.board_rate if self.board_wire else 0.0,
             plant,
             settings.power(),
-            air,
+            radio_channel,
             vicon,
         )
         for (part, fault), value in self.set_faults.items():
@@ -126,45 +133,51 @@ class VehicleTopics:
 
     def report(self, report: Report) -> None:
         """Publish and send the outputs of a frame; a new boot number is saved before it is sent."""
-        if self.testbed.boot != self._saved_boot or self.testbed.frame % SAVED == 0:
+        if self.testbed.boot != self._saved_boot or self.testbed.frame % SAVE_PERIOD == 0:
             self.save()
-        self.publish(self.stamp(), report.sight)
+        self.publish(self.stamp(), report.readings)
         for wire, datagrams in zip(self.wires, report.telemetry, strict=True):
             for datagram in datagrams:
                 wire.send(*datagram)
         if self.board_wire:
             for datagram in report.board:
                 self.board_wire.send(*datagram)
-        if report.faulted or self.testbed.frame % REMINDED == 0:
+        if report.faults_changed or self.testbed.frame % FAULTS_PERIOD == 0:
             self.publish_faults()
 
-    def publish(self, stamp: int, sight: Sight) -> None:
+    def publish(self, stamp: int, readings: Readings) -> None:
         """Publish the readings of the sensors."""
         settings, plant = self.settings, self.testbed.plant
-        publishers = (self.base, sight.base), (self.tip, sight.tip), (self.target, sight.target)
-        for publisher, seen in publishers:
-            if publisher and seen:
-                publisher.publish(self.pose_image.of(stamp, seen))
-        if sight.rate is not None and self.board_wire is None:
-            self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
+        publishers = (
+            (self.base, readings.base),
+            (self.tip, readings.tip),
+            (self.target, readings.target),
+        )
+        for publisher, reading in publishers:
+            if publisher and reading:
+                publisher.publish(self.pose_message.serialize(stamp, reading))
+        if readings.rate is not None and self.board_wire is None:
+            self.gyro.publish(self.gyro_message.serialize(stamp, readings.rate))
         if self.testbed.frame % round(RATE / settings.truth_rate) == 0:
             bed = self.testbed
-            others = ABSENT.markers if bed.vicon else MARKERS_AT_LEAST
-            counts = {kind: look.markers for kind, look in bed.looks.items()}
-            markers = [counts.get(kind, others) for kind in SUBJECTS]
-            self.truth.publish(truth(stamp, settings.world_frame, plant, bed.frame, markers))
+            default_count = NOT_VISIBLE.markers if bed.vicon else MIN_MARKERS
+            counts = {kind: result.markers for kind, result in bed.marker_results.items()}
+            markers = [counts.get(kind, default_count) for kind in SUBJECTS]
+            self.truth.publish(
+                truth_message(stamp, settings.world_frame, plant, bed.frame, markers)
+            )
             if self.gripper:
                 frame_id = f"{settings.frame_prefix}end_effector"
                 self.gripper.publish(gripper_state(stamp, frame_id, plant))
 
-    def receive(self, late: int) -> Iterator[int]:
-        """Pass datagrams on, as received `late` ns after the last frame; yield each one's link."""
+    def receive(self, delay: int) -> Iterator[int]:
+        """Pass datagrams on, as received `delay` ns after the last frame; yield each one's link."""
         for link, wire in enumerate(self.wires):
             for data, sender in wire.receive():
                 yield link
-                self.testbed.receive(link, data, sender, late)
+                self.testbed.receive(link, data, sender, delay)
         for data, sender in self.board_wire.receive() if self.board_wire else ():
-            self.testbed.receive_base(data, sender, late)
+            self.testbed.receive_base(data, sender, delay)
 
     def on_thrust(self, command: ThrusterCommand) -> None:
         """Open valves, and publish the accepted command."""
@@ -175,17 +188,17 @@ class VehicleTopics:
                 pulses.header.stamp = to_time(self.stamp())
                 self.pulses.publish(pulses)
             except ValueError as error:
-                words = f"{self.space}thrusters/command is refused: {error}"
-                self.node.get_logger().warning(words)
+                message = f"{self.namespace}thrusters/command is rejected: {error}"
+                self.node.get_logger().warning(message)
 
     def on_grip(self, command: Bool) -> None:
         """Close or open the gripper."""
         with self.lock:
             self.testbed.plant.closed = command.data
 
-    def kinds(self) -> dict[str, type]:
+    def fault_classes(self) -> dict[str, type]:
         """Return the classes of its faults, by the prefix of their parameters' names."""
-        return {f"{self.prefix}{part}": kind for part, kind in kinds(self.n).items()}
+        return {f"{self.prefix}{part}": kind for part, kind in fault_classes(self.n).items()}
 
     def set_fault(self, part: str, fault: str, value: float) -> None:
         """Set a fault by hand."""
@@ -197,15 +210,15 @@ class VehicleTopics:
         """Publish the active faults."""
         message = SimFaults(script=self.script)
         message.header.stamp = to_time(self.stamp())
-        for part, fault, value in self.testbed.faults.in_force():
+        for part, fault, value in self.testbed.faults.active():
             message.part.append(part)
             message.fault.append(fault)
             message.value.append(value)
         self.faults.publish(message)
 
-    def touches(self) -> bool:
+    def is_touching(self) -> bool:
         """Return True if its bodies touch each other or the table's border."""
-        return min(self.gap(), self.testbed.plant.edge_clearance) < TOUCH
+        return min(self.gap(), self.testbed.plant.edge_clearance) < TOUCHING_GAP
 
     def gap(self) -> float:
         """Return the least gap between two bodies [m]."""
@@ -215,19 +228,19 @@ class VehicleTopics:
         """Return the diagnostic values of the vehicle."""
         plant = self.testbed.plant
         values: dict[str, Any] = {
-            "momentum and energy from nothing [N s, N m s, J]": abs(plant.bed.imbalance).max(),
+            "largest error of momentum and energy [N s, N m s, J]": abs(plant.bed.imbalance).max(),
             "gap between bodies [m]": self.gap(),
             "gap to the table's edge [m]": plant.edge_clearance,
-            "propellant used [kg]": plant.thrusters.used,
+            "propellant used [kg]": plant.thrusters.propellant_used,
             "rests": self.testbed.sensors.rests,
         }
-        for kind, seen in self.testbed.looks.items():
-            values[f"markers of the {SUBJECTS[kind]}"] = seen.markers
+        for kind, result in self.testbed.marker_results.items():
+            values[f"markers of the {SUBJECTS[kind]}"] = result.markers
         for link, wire in zip(self.testbed.links, self.wires, strict=True):
-            values[f"link {link.number}"] = f"{wire.place}, {link.refused} refused"
+            values[f"link {link.number}"] = f"{wire.address}, {link.rejected} rejected"
         if self.board_wire and self.testbed.board:
-            values["board"] = f"{self.board_wire.place}, {self.testbed.board.refused} refused"
-        for part, fault, value in self.testbed.faults.in_force():
+            values["board"] = f"{self.board_wire.address}, {self.testbed.board.rejected} rejected"
+        for part, fault, value in self.testbed.faults.active():
             values[f"fault {part}.{fault}"] = value
         return values
 
@@ -236,20 +249,20 @@ class VehicleTopics:
         self._saved_boot = self.testbed.boot
         if not self.settings.state_file:
             return
-        before, self.unwritten = self.unwritten, ""
+        before, self.save_error = self.save_error, ""
         try:
             self.testbed.state().save(Path(self.settings.state_file))
         except OSError as error:
-            self.unwritten = f"cannot write {self.settings.state_file}: {error.strerror}"
-            if self.unwritten != before:
-                self.node.get_logger().error(self.unwritten)
+            self.save_error = f"cannot write {self.settings.state_file}: {error.strerror}"
+            if self.save_error != before:
+                self.node.get_logger().error(self.save_error)
 
     def all_wires(self) -> list[Any]:
         """Return the connections of links and board."""
         return [*self.wires, *([self.board_wire] if self.board_wire else [])]
 
 
-def at_one_time(states: list[State]) -> list[State]:
+def align_frames(states: list[State]) -> list[State]:
     """Return the states with the same frame, the latest of all."""
     frame = max(state.frame for state in states)
     return [replace(state, frame=frame) for state in states]

@@ -14,7 +14,7 @@ from fss_sim.plant.surroundings import Surroundings
 from fss_sim.settings import PlantSettings, TestbedSettings
 
 NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # name of a vehicle, which is also its namespace
-OF_THE_BED = {
+SHARED_SETTINGS = {
     *("vehicles", "keep_clock", "speed", "paused", "truth_rate", "state_file", "world_frame"),
     *("tilt", "table", "tolerance", "contact", "restitution", "contact_friction"),
     *(f.name for f in fields(PlantSettings) if f.name.startswith(("target_", "wifi"))),
@@ -25,7 +25,7 @@ OF_THE_BED = {
 }  # settings of the whole test bed, which a vehicle cannot have of its own
 
 
-def vehicles(bed: TestbedSettings) -> dict[str, TestbedSettings]:
+def read_vehicles(bed: TestbedSettings) -> dict[str, TestbedSettings]:
     """Return the settings of each vehicle by name; without a file, those of the only vehicle.
 
     Raises:
@@ -35,34 +35,41 @@ def vehicles(bed: TestbedSettings) -> dict[str, TestbedSettings]:
     file = bed.vehicles
     if not file:
         return {"": bed}
-    given = read_yaml(Path(file))
-    ones = given.get("vehicles") if isinstance(given, dict) and len(given) == 1 else None
-    if not isinstance(ones, dict) or not ones:
-        raise ContentError(f"{file}: vehicles", ones, "the settings of each, by name")
-    made = {str(name): _named(bed, str(name), k, ones[name]) for k, name in enumerate(ones)}
-    reach = 2.0 * Surroundings().base_radius
-    for (one, a), (other, b) in combinations(made.items(), 2):
-        if dist(a.base[:2], b.base[:2]) < reach:
-            raise SettingError(f"{file}: {one} and {other} begin in the same place")
-    return made
+    values = read_yaml(Path(file))
+    entries = values.get("vehicles") if isinstance(values, dict) and len(values) == 1 else None
+    if not isinstance(entries, dict) or not entries:
+        raise ContentError(f"{file}: vehicles", entries, "the settings of each, by name")
+    settings = {
+        str(name): _vehicle_settings(bed, str(name), k, entries[name])
+        for k, name in enumerate(entries)
+    }
+    min_distance = 2.0 * Surroundings().base_radius
+    for (one, a), (other, b) in combinations(settings.items(), 2):
+        if dist(a.base[:2], b.base[:2]) < min_distance:
+            raise SettingError(
+                f"{file}: {one} and {other} start in the same place: change base of one of them"
+            )
+    return settings
 
 
-def _named(bed: TestbedSettings, name: str, k: int, given: Any) -> TestbedSettings:
+def _vehicle_settings(bed: TestbedSettings, name: str, k: int, values: Any) -> TestbedSettings:
     """Return the settings of vehicle k: from the file, or from its name, or the test bed's."""
     where = f"{bed.vehicles}: {name}"
     if not NAME.fullmatch(name):
         raise ContentError(f"{bed.vehicles}: a vehicle's name", name, "letters, digits and _")
-    own = {f.name: f for f in fields(bed) if f.name not in OF_THE_BED}
-    if not isinstance(given, dict) or not set(given) <= set(own):
-        what = ", ".join(map(str, set(given) - set(own))) if isinstance(given, dict) else given
-        raise ContentError(where, what, f"some of {', '.join(own)}")
+    allowed = {f.name: f for f in fields(bed) if f.name not in SHARED_SETTINGS}
+    if not isinstance(values, dict) or not set(values) <= set(allowed):
+        what = (
+            ", ".join(map(str, set(values) - set(allowed))) if isinstance(values, dict) else values
+        )
+        raise ContentError(where, what, f"some of {', '.join(allowed)}")
     state, hints = Path(bed.state_file), get_type_hints(TestbedSettings)
     file = str(state.with_name(f"{state.stem}_{name}{state.suffix}")) if bed.state_file else ""
     changed: dict[str, Any] = {"vehicles": "", "seed": bed.seed + k, "state_file": file}
-    changed |= {n: default_in(f, name) for n, f in own.items() if f.metadata.get("within")}
+    changed |= {n: default_in(f, name) for n, f in allowed.items() if f.metadata.get("within")}
     changed |= {"target_mass": 0.0} if k else {}
     try:
-        changed |= {n: converted(n, value, hints[n]) for n, value in given.items()}
+        changed |= {n: converted(n, value, hints[n]) for n, value in values.items()}
         return replace(bed, **changed)
     except ValueError as error:
         raise SettingError(f"{where}: {error}") from None

@@ -25,24 +25,24 @@ from fss_arm_model.kernels import Floats, kernel
 from fss_arm_model.kinematics import _cross, joint_positions
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
 from fss_sim.noise import Noise
-from fss_sim.random_numbers import RandomNumbers, Stream, drawn
+from fss_sim.random_numbers import RandomNumbers, Stream, random_generator
 
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
-CAMERAS_AT_LEAST, MARKERS_AT_LEAST = 2, 3
+MIN_CAMERAS, MIN_MARKERS = 2, 3
 BASE, TIP, TARGET = range(3)  # kinds of subjects, and their indices in Room.heights
 
-_OVERHEAD = (
+_CAMERA_POSITIONS = (
     3.0, 3.0, 3.0, 0.0, 3.2, 3.0, -3.0, 3.0, 3.0, -3.2, 0.0, 3.0,
     -3.0, -3.0, 3.0, 0.0, -3.2, 3.0, 3.0, -3.0, 3.0, 3.2, 0.0, 3.0,
 )  # fmt: skip
 
 
-def _places(default: tuple[float, ...], whose: str) -> tuple[float, ...]:
+def _marker_setting(default: tuple[float, ...], subject: str) -> tuple[float, ...]:
     """Return a field for markers in the frame of a subject."""
-    about = f"markers of the {whose} in its subject's frame, x, y of each"
-    made: tuple[float, ...] = setting(default, about, unit="m", check=FINITE)
-    return made
+    about = f"positions of the markers on the {subject} in its subject's frame, x, y of each"
+    markers: tuple[float, ...] = setting(default, about, unit="m", check=FINITE)
+    return markers
 
 
 @dataclass(frozen=True)
@@ -50,41 +50,44 @@ class Room(Settings):
     """Positions of VICON's cameras and markers; they are assumed, not from the paper."""
 
     cameras: tuple[float, ...] = setting(
-        _OVERHEAD, "VICON's cameras in the world, x, y, z of each", unit="m", check=FINITE
+        _CAMERA_POSITIONS,
+        "positions of VICON's cameras in the world frame, x, y, z of each",
+        unit="m",
+        check=FINITE,
     )
-    base_markers: tuple[float, ...] = _places(
+    base_markers: tuple[float, ...] = _marker_setting(
         (0.15, 0.06, 0.02, 0.16, -0.14, 0.05, -0.10, -0.12, 0.07, -0.15), "base"
     )
-    tip_markers: tuple[float, ...] = _places(
+    tip_markers: tuple[float, ...] = _marker_setting(
         (-0.02, 0.05, -0.03, -0.05, -0.11, 0.04, -0.16, -0.05), "end effector"
     )
-    target_markers: tuple[float, ...] = _places(
+    target_markers: tuple[float, ...] = _marker_setting(
         (0.14, -0.06, 0.04, 0.15, -0.15, 0.03, -0.07, -0.13, 0.09, -0.13), "target"
     )
     heights: tuple[float, ...] = setting(
-        (0.5, 0.3, 0.3), "heights of base, links and target, which stand on the table", unit="m",
+        (0.5, 0.3, 0.3), "heights of base, links and target above the table", unit="m",
         check=NOT_NEGATIVE, size=3,
     )  # fmt: skip
     stalk: float = setting(
-        0.03, "height of the markers above what they are on", unit="m", check=POSITIVE
+        0.03, "height of the markers above the top of their body", unit="m", check=POSITIVE
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, each, least in (
-            ("cameras", 3, CAMERAS_AT_LEAST),
-            ("base_markers", 2, MARKERS_AT_LEAST),
-            ("tip_markers", 2, MARKERS_AT_LEAST),
-            ("target_markers", 2, MARKERS_AT_LEAST),
+        for name, each, minimum in (
+            ("cameras", 3, MIN_CAMERAS),
+            ("base_markers", 2, MIN_MARKERS),
+            ("tip_markers", 2, MIN_MARKERS),
+            ("target_markers", 2, MIN_MARKERS),
         ):
             count, rest = divmod(len(getattr(self, name)), each)
-            if rest or count < least:
-                raise RoomError(name, len(getattr(self, name)), each, least)
+            if rest or count < minimum:
+                raise RoomError(name, len(getattr(self, name)), each, minimum)
 
     def markers(self, kind: int) -> Floats:
         """Return a subject's markers (k, 3): x, y in its frame, height above the table [m]."""
-        places = (self.base_markers, self.tip_markers, self.target_markers)[kind]
-        flat = np.reshape(places, (-1, 2))
+        positions = (self.base_markers, self.tip_markers, self.target_markers)[kind]
+        flat = np.reshape(positions, (-1, 2))
         return np.column_stack([flat, np.full(len(flat), self.heights[kind] + self.stalk)])
 
     def bodies(
@@ -118,22 +121,22 @@ class Room(Settings):
 class RoomError(ValueError):
     """Exception for an incomplete list of camera or marker positions, or one that is too short."""
 
-    def __init__(self, name: str, given: int, each: int, least: int) -> None:
+    def __init__(self, name: str, count: int, each: int, minimum: int) -> None:
         super().__init__(
-            f"{name} has {given} numbers, expected {each} of each, and of {least} at least"
+            f"{name} has {count} numbers, expected {each} for each of at least {minimum}"
         )
 
 
-class Look(NamedTuple):
+class MarkerResult(NamedTuple):
     """Result of a picture for one subject."""
 
     error: Pose  # error of its pose
     markers: int  # number of visible markers
-    taken_for: int  # subject whose pose is reported for this one; normally itself
-    there: bool = True  # True if it has a pose
+    identified_as: int  # subject whose pose is reported for this one; normally itself
+    visible: bool = True  # True if it has a pose
 
 
-ABSENT = Look((0.0, 0.0, 0.0), 0, -1, there=False)
+NOT_VISIBLE = MarkerResult((0.0, 0.0, 0.0), 0, -1, visible=False)
 
 
 class Vicon:
@@ -156,43 +159,43 @@ class Vicon:
         volume: tuple[float, ...] = (4.0, 4.0),
     ) -> None:
         self._noise, self._seed, self.room = noise, seed, room
-        self.hides = noise.vicon_occlusion > 0.0  # True if bodies hide markers
+        self.occlusion = noise.vicon_occlusion > 0.0  # True if bodies hide markers
         self._cameras = np.reshape(room.cameras, (-1, 3)).astype(float)
         markers = [room.markers(kind) for kind in kinds]
         self._markers = np.concatenate(markers)
         self._owners = np.repeat(np.arange(float(len(kinds))), [len(m) for m in markers])
         self._chance = RandomNumbers(seed, 2 * len(self._markers), Stream.MARKER)
-        angle = drawn(seed, Stream.DISTORTION, 0).uniform(-np.pi, np.pi)
+        angle = random_generator(seed, Stream.DISTORTION, 0).uniform(-np.pi, np.pi)
         edge = noise.vicon_edge_error * np.cos(angle), noise.vicon_edge_error * np.sin(angle)
         half = 0.5 * volume[0], 0.5 * volume[1]
         self._control = np.array([noise.marker_noise, *edge, *half, noise.vicon_merge_distance])
         self._merges: dict[tuple[int, int], bool] = {}  # present merges; True: subjects are swapped
 
-    def look(
-        self, frame: int, poses: npt.ArrayLike, bodies: npt.ArrayLike = (), drawn_at: int = -1
-    ) -> list[Look]:
+    def take_picture(
+        self, frame: int, poses: npt.ArrayLike, bodies: npt.ArrayLike = (), noise_frame: int = -1
+    ) -> list[MarkerResult]:
         """Return the result of a picture for each subject.
 
         Args:
             frame: number of the frame, which selects the random numbers.
             poses: (s, 3) true poses in the world frame.
             bodies: (b, 6) of Room.bodies; bodies that hide nothing can be omitted.
-            drawn_at: number that selects the white noise; by default that of the frame.
+            noise_frame: number that selects the white noise; by default that of the frame.
         """
-        white = self._chance.normal(frame if drawn_at < 0 else drawn_at).reshape(-1, 2)
-        hides = np.reshape(bodies, (-1, 6)) if self.hides else np.empty((0, 6))
-        errors, there, partner = _look(
-            self._cameras, self._markers, self._owners, poses, hides, white, self._control
+        white = self._chance.normal(frame if noise_frame < 0 else noise_frame).reshape(-1, 2)
+        occluders = np.reshape(bodies, (-1, 6)) if self.occlusion else np.empty((0, 6))
+        errors, visible, partner = _observe_markers(
+            self._cameras, self._markers, self._owners, poses, occluders, white, self._control
         )
-        taken = self._taken_for(frame, partner.astype(int).tolist())
-        true, counts = np.asarray(poses, dtype=float), there.astype(int).tolist()
-        errors = errors[taken] + (true[taken] - true)
+        identities = self._identities(frame, partner.astype(int).tolist())
+        true, counts = np.asarray(poses, dtype=float), visible.astype(int).tolist()
+        errors = errors[identities] + (true[identities] - true)
         return [
-            Look((x, y, turn), count, other, counts[other] >= MARKERS_AT_LEAST)
-            for (x, y, turn), count, other in zip(errors.tolist(), counts, taken, strict=True)
+            MarkerResult((x, y, turn), count, other, counts[other] >= MIN_MARKERS)
+            for (x, y, turn), count, other in zip(errors.tolist(), counts, identities, strict=True)
         ]
 
-    def _taken_for(self, frame: int, partners: list[int]) -> list[int]:
+    def _identities(self, frame: int, partners: list[int]) -> list[int]:
         """Return for each subject the one whose pose is reported for it.
 
         `partners` are the subjects with which it has merged markers (-1: none). Whether a merge
@@ -200,24 +203,26 @@ class Vicon:
         """
         pairs = {(min(i, k), max(i, k)) for i, k in enumerate(partners) if k >= 0}
         for pair in pairs - self._merges.keys():
-            lot = drawn(self._seed, Stream.MERGE, frame).random()
-            self._merges[pair] = lot < self._noise.vicon_merge_swap
+            draw = random_generator(self._seed, Stream.MERGE, frame).random()
+            self._merges[pair] = draw < self._noise.vicon_merge_swap
         self._merges = {pair: swaps for pair, swaps in self._merges.items() if pair in pairs}
-        taken = list(range(len(partners)))
+        identities = list(range(len(partners)))
         for (i, k), swaps in self._merges.items():
             if swaps:
-                taken[i], taken[k] = taken[k], taken[i]
-        return taken
+                identities[i], identities[k] = identities[k], identities[i]
+        return identities
 
 
 @kernel("(c,w),(k,w),(k),(s,w),(b,x),(k,y),(z)->(s,w),(s),(s)")
-def _look(cameras, markers, owners, poses, bodies, white, control, errors, there, partner):  # type: ignore[no-untyped-def]
+def _observe_markers(  # type: ignore[no-untyped-def]
+    cameras, markers, owners, poses, bodies, white, control, errors, visible, partner
+):  # fmt: skip
     count = owners.size
     at, off = np.empty((2, count), np.complex128)
     ok = np.empty(count, np.bool_)
     distortion, half_x, half_y = complex(control[1], control[2]), control[3], control[4]
-    for s in range(there.size):
-        there[s], partner[s] = 0.0, -1.0
+    for s in range(visible.size):
+        visible[s], partner[s] = 0.0, -1.0
         errors[s, 0] = errors[s, 1] = errors[s, 2] = 0.0
     for k in range(count):
         pose = poses[int(owners[k])]
@@ -225,7 +230,7 @@ def _look(cameras, markers, owners, poses, bodies, white, control, errors, there
         at[k] = complex(pose[0], pose[1]) + turn * complex(markers[k, 0], markers[k, 1])
         out = complex(at[k].real / half_x, at[k].imag / half_y)
         off[k] = control[0] * complex(white[k, 0], white[k, 1]) + abs(out) ** 2 * out * distortion
-        seen = 0
+        camera_count = 0
         for c in range(cameras.shape[0]):
             sight = complex(cameras[c, 0], cameras[c, 1]) - at[k]
             rise, free = cameras[c, 2] - markers[k, 2], True
@@ -241,24 +246,24 @@ def _look(cameras, markers, owners, poses, bodies, white, control, errors, there
                 else:
                     apart = _to_segment(at[k], share * sight, a)
                 free = free and apart > bodies[b, 4]
-            seen += free
-        ok[k] = seen >= CAMERAS_AT_LEAST
+            camera_count += free
+        ok[k] = camera_count >= MIN_CAMERAS
     for k in range(count):
         for i in range(k):
             apart = np.hypot(abs(at[k] - at[i]), markers[k, 2] - markers[i, 2])
             if owners[i] != owners[k] and apart < control[5]:
                 ok[i] = ok[k] = False
                 partner[int(owners[i])], partner[int(owners[k])] = owners[k], owners[i]
-    for s in range(there.size):
+    for s in range(visible.size):
         middle, mean = 0j, 0j
         for k in range(count):
             if ok[k] and owners[k] == s:
-                there[s] += 1.0
+                visible[s] += 1.0
                 middle += at[k]
                 mean += off[k]
-        if there[s] == 0.0:
+        if visible[s] == 0.0:
             continue
-        middle, mean = middle / there[s], mean / there[s]
+        middle, mean = middle / visible[s], mean / visible[s]
         moment = square = 0.0
         for k in range(count):
             if ok[k] and owners[k] == s:

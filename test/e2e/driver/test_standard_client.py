@@ -80,7 +80,7 @@ class Person:
 
 @pytest.fixture
 def person(spin, nodes):
-    nodes.restart_dead()  # by a test that is given one more try
+    nodes.restart_killed()  # by a test that is given one more try
     person = Person(spin, StandardClient())
     person.enable()
     person.home()

@@ -98,7 +98,7 @@ def test_whoever_is_killed_leaves_no_valve_open(flyer, name):
     last = times[opened].max() - killed
     print(f"{name} killed: the last valve shut after {last:.2f} s")
     assert last < LIMITS[name]
-    flyer.nodes.restart_dead()
+    flyer.nodes.restart_killed()
     if name == "guidance":
         flyer.until(lambda: flyer.states[-1].phase == "idle")
     else:

@@ -102,7 +102,7 @@ def test_the_arm_comes_to_rest_when_the_planner_is_killed_and_goes_on_with_the_n
     assert np.abs(rates).max() < 0.12  # no jump: the path's own rate is 0.1 rad/s at most
     there = person.truths[-1].q[3]
     person.reports.clear()
-    nodes.restart_dead()
+    nodes.restart_killed()
     home = ExecuteMotion.Goal(kind="point_to_point", arguments=["--goal", "0", "0", "0", "0"])
     deadline, sent = monotonic() + 120.0, []
     while not any(future.done() for future in sent):  # ROS takes the dead one for ready for 20 s

@@ -212,7 +212,7 @@ def test_an_empty_tank_lays_the_vehicle_on_the_table_and_diagnostics_say_so(spin
     assert "air" not in bed.health().message
     spin(bed, lambda: not bed.testbed.plant.thrusters.floats)
     spin(bed, lambda: abs(bed.testbed.plant.qd[:3]).max() < 1e-4)
-    assert "without air the bearings rub on the table" in bed.health().message
+    assert "no air in the bearings: the vehicle rubs on the table" in bed.health().message
 
 
 # --- the first day -------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from fss_arm_ros.convert import SECOND, to_time
 from fss_rehearsal import first_day, power_failure
 from fss_rehearsal.__main__ import REHEARSALS
 from fss_rehearsal.rehearsed import Check, Rehearsed
-from fss_rehearsal.wifi_outage import Times, judge
+from fss_rehearsal.wifi_outage import Times, evaluate
 
 TIMES = Times(*(s * SECOND for s in (5, 10, 16, 20, 24)))
 FAILURE = power_failure.Times(*(s * SECOND for s in (10, 16, 20, 21, 24)))
@@ -32,7 +32,7 @@ def test_an_outage_of_the_wi_fi_is_rehearsed(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     page = (out / "report/index.html").read_text()
     assert page.count("<td") == 18
-    assert "all as expected" in page
+    assert "all checks passed" in page
     assert (out / "report/wifi_outage.png").stat().st_size > 10_000
     assert (out / "bag").is_dir()
 
@@ -43,7 +43,7 @@ def test_the_others_go_as_expected(tmp_path, name):
     """In half a minute to a minute each."""
     done = rehearse(name, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "all as expected" in (tmp_path / "out/report/index.html").read_text()
+    assert "all checks passed" in (tmp_path / "out/report/index.html").read_text()
     assert (tmp_path / f"out/report/{name}.png").stat().st_size > 10_000
     assert (tmp_path / "out/bag").is_dir()
 
@@ -60,7 +60,7 @@ def test_a_page_says_what_was_not_as_expected(tmp_path):
     found = Rehearsed(checks).report("Rehearsal: x", "of nothing")
     assert found.verdict == "fail"
     page = report.write(tmp_path, found).read_text()
-    assert "not as expected: it lands" in page
+    assert "failed checks: it lands" in page
     assert "it &lt;fell&gt;" in page
 
 
@@ -75,7 +75,7 @@ def outage(stops=12.0, creeps=0.0, armed=False, heard=17.0, again=0.05):
             message = LinkTelemetry(link=i, armed=at < 10.0 or armed)
             message.header.stamp = to_time(round(at * SECOND))
             telemetry.append(message)
-    return [check.held for check in judge(TIMES, t, np.outer(rate, np.ones(4)), telemetry)]
+    return [check.passed for check in evaluate(TIMES, t, np.outer(rate, np.ones(4)), telemetry)]
 
 
 def failure(before=0.05, mute=True, heard=17.0, flags=0, mode=0, homed=True, again=0.05):
@@ -88,7 +88,7 @@ def failure(before=0.05, mute=True, heard=17.0, flags=0, mode=0, homed=True, aga
         message = LinkTelemetry(link=2, flags=int(told), mode=mode)
         message.header.stamp = to_time(round(at * SECOND))
         telemetry.append(message)
-    return [check.held for check in power_failure.judge(FAILURE, t, rate, telemetry)]
+    return [check.passed for check in power_failure.evaluate(FAILURE, t, rate, telemetry)]
 
 
 @pytest.mark.parametrize(
@@ -111,11 +111,11 @@ def test_a_power_failure_is_judged_by_what_the_bag_says(how, missed):
 
 def test_a_first_day_is_as_expected_if_all_was_tried_and_passes():
     good = [{"name": f"{k}", "verdict": "pass", "found": "it is"} for k in range(9)]
-    assert all(check.held for check in first_day.judge(good, 0))
+    assert all(check.passed for check in first_day.evaluate(good, 0))
     bad = [*good[:8], {"name": "stop", "verdict": "fail", "found": "goes on"}]
-    assert [c.expected for c in first_day.judge(bad, 0) if not c.held] == ["stop: pass"]
-    assert not first_day.judge(good[:5], 0)[-1].held
-    assert not first_day.judge(good, 3)[-1].held
+    assert [c.expected for c in first_day.evaluate(bad, 0) if not c.passed] == ["stop: pass"]
+    assert not first_day.evaluate(good[:5], 0)[-1].passed
+    assert not first_day.evaluate(good, 3)[-1].passed
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
 from fss_sim.testbed import FRAME
-from fss_sim.testbed_node import TOGETHER
+from fss_sim.testbed_node import FRAMES_PER_CLOCK
 
 RATES = {
     "vicon/fss/fss": (PoseStamped, 100),
@@ -122,7 +122,7 @@ def test_a_recorder_that_stands_still_for_a_while_loses_nothing(spin, start, tmp
     with open_bags(tmp_path / "bags") as bags:
         clock = [stamp_ns(m.clock) for *_, m in bags.messages({"/clock"})]
         poses = [stamp_ns(m.header.stamp) for *_, m in bags.messages({"/vicon/fss/fss"})]
-    assert max(b - a for a, b in pairwise(clock)) <= TOGETHER * FRAME
+    assert max(b - a for a, b in pairwise(clock)) <= FRAMES_PER_CLOCK * FRAME
     assert {b - a for a, b in pairwise(poses)} == {FRAME}
     assert poses[-1] - poses[0] > 17 * SECOND
 

@@ -87,7 +87,7 @@ def test_each_node_starts_answers_receives_and_ends(spin, renamed, tmp_path):
 
         def ready():
             for name, process in nodes.processes.items():
-                assert process.poll() is None, f"{name} ended: {nodes.last_words(name)}"
+                assert process.poll() is None, f"{name} ended: {nodes.last_log_line(name)}"
             return all(one.service_is_ready() for one in ask.values())
 
         spin(client, ready, timeout=TIMEOUT)

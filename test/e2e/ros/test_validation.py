@@ -139,7 +139,7 @@ class Stranger(Node):
         def seen():
             for name in names:
                 code = nodes.processes[name].poll()
-                assert code is None, f"{what} ended {name}: {nodes.last_words(name)}"
+                assert code is None, f"{what} ended {name}: {nodes.last_log_line(name)}"
             return all(self.alive.get(name, (0.0,))[0] > since for name in names)
 
         self.spin(self, seen, timeout=90.0)

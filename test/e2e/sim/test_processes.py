@@ -75,12 +75,12 @@ def test_a_killed_node_is_started_again_but_not_for_ever_and_a_failed_one_never(
         nodes.run("a", ["/bin/sh", "-c", "exec sleep 60"])
         for _ in range(4):
             kill()
-            nodes.restart_dead()
-        assert said == ["node a was killed (SIGKILL), starting it again"] * 4
+            nodes.restart_killed()
+        assert said == ["node a was killed (SIGKILL), restarting it"] * 4
         kill()
-        with pytest.raises(RehearsalError, match="node a ended with -9: "):
-            nodes.restart_dead()
+        with pytest.raises(RehearsalError, match="node a exited with code -9: "):
+            nodes.restart_killed()
         nodes.run("a", ["/bin/sh", "-c", "echo no such arm; exit 1"])
         nodes.processes["a"].wait()
-        with pytest.raises(RehearsalError, match="node a ended with 1: no such arm"):
-            nodes.restart_dead()
+        with pytest.raises(RehearsalError, match="node a exited with code 1: no such arm"):
+            nodes.restart_killed()

@@ -1,4 +1,4 @@
-"""Thrusters, gripper and target by their topics, and the truth that tells of them."""
+"""Topics of thrusters, gripper, target and truth."""
 
 import numpy as np
 import pytest
@@ -25,10 +25,10 @@ def testbed(**given):
     return testbed_node.TestbedNode(parameter_overrides=parameters)
 
 
-def before_the_tip(apart):
-    """Pose of a target whose fixture is so far ahead of the tip of the straight arm [m]."""
+def target_before_tip(distance):
+    """Return a target pose with the fixture at a distance [m] from the tip of the straight arm."""
     x, y, heading = tip_pose(paper_arm().vector(), np.zeros(7)).tolist()
-    at = complex(x, y) + (0.19 + apart) * np.exp(1j * heading)
+    at = complex(x, y) + (0.19 + distance) * np.exp(1j * heading)
     return [float(at.real), float(at.imag), heading + np.pi]
 
 
@@ -36,10 +36,10 @@ testbed.__test__ = False
 
 
 @pytest.fixture
-def person(ros):
-    node = Node("person")
-    node.truth, node.gripper, node.target = [], [], []
-    node.create_subscription(SimTruth, "sim/truth", node.truth.append, sensor())
+def operator(ros):
+    node = Node("operator")
+    node.truth_message, node.gripper, node.target = [], [], []
+    node.create_subscription(SimTruth, "sim/truth", node.truth_message.append, sensor())
     node.create_subscription(GripperState, "gripper/state", node.gripper.append, sensor())
     node.create_subscription(PoseStamped, "vicon/target/target", node.target.append, sensor())
     node.thrust = node.create_publisher(ThrusterCommand, "thrusters/command", COMMAND)
@@ -47,71 +47,81 @@ def person(ros):
     return node
 
 
-def test_thrusters_push_the_base_and_use_propellant(spin, person):
+def test_thrusters_push_the_base_and_use_propellant(spin, operator):
     bed = testbed()
-    spin([bed, person], lambda: person.truth and person.thrust.get_subscription_count())
-    before = person.truth[-1]
+    spin(
+        [bed, operator], lambda: operator.truth_message and operator.thrust.get_subscription_count()
+    )
+    before = operator.truth_message[-1]
     assert before.q == pytest.approx([0.0] * 7)
     push = [0.0, 0.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0]  # along x
-    person.thrust.publish(ThrusterCommand(on_time=push))
-    spin([bed, person], lambda: person.truth[-1].impulse[0] > 0.15)
-    spin([bed, person], lambda: not any(person.truth[-1].valves))
-    after = person.truth[-1]
+    operator.thrust.publish(ThrusterCommand(on_time=push))
+    spin([bed, operator], lambda: operator.truth_message[-1].impulse[0] > 0.15)
+    spin([bed, operator], lambda: not any(operator.truth_message[-1].valves))
+    after = operator.truth_message[-1]
     assert after.impulse[0] == pytest.approx(2 * 0.16 * 0.5, rel=0.01)
     assert after.propellant > 0.0
     assert after.pressure < before.pressure
     assert max(map(abs, [*after.momentum_error, after.energy_error])) < 1e-9
     assert not after.target_present
-    assert not person.target
+    assert not operator.target
 
 
-def test_the_gripper_holds_the_target_and_lets_it_go(spin, person):
-    pose = before_the_tip(0.01)
+def test_the_gripper_holds_and_releases_the_target(spin, operator):
+    pose = target_before_tip(0.01)
     bed = testbed(target_mass=8.0, target_pose=pose, table=[6.0, 6.0])
-    spin([bed, person], lambda: person.gripper and person.grip.get_subscription_count())
-    state = person.gripper[-1]
+    spin([bed, operator], lambda: operator.gripper and operator.grip.get_subscription_count())
+    state = operator.gripper[-1]
     assert (state.closed, state.holds) == (False, False)
     assert state.distance == pytest.approx(0.01, abs=1e-6)
-    got = planar_pose(spin([bed, person], lambda: person.target and person.target[-1].pose))
+    got = planar_pose(spin([bed, operator], lambda: operator.target and operator.target[-1].pose))
     np.testing.assert_allclose(got[:2], pose[:2], atol=1e-9)
-    person.grip.publish(Bool(data=True))
-    spin([bed, person], lambda: person.gripper[-1].holds and person.truth[-1].holds)
-    person.grip.publish(Bool(data=False))
-    spin([bed, person], lambda: not (person.gripper[-1].holds or person.truth[-1].holds))
+    operator.grip.publish(Bool(data=True))
+    spin([bed, operator], lambda: operator.gripper[-1].holds and operator.truth_message[-1].holds)
+    operator.grip.publish(Bool(data=False))
+    spin(
+        [bed, operator],
+        lambda: not (operator.gripper[-1].holds or operator.truth_message[-1].holds),
+    )
 
 
-def test_a_held_target_and_used_propellant_outlive_a_restart(spin, person, tmp_path):
+def test_a_held_target_and_used_propellant_survive_a_restart(spin, operator, tmp_path):
     path = str(tmp_path / "state.json")
-    given = {"target_mass": 8.0, "target_pose": before_the_tip(0.0), "table": [6.0, 6.0]}
+    given = {"target_mass": 8.0, "target_pose": target_before_tip(0.0), "table": [6.0, 6.0]}
     first = testbed(**given, state_file=path)
     with first.lock:
         first.testbed.plant.closed = True
         first.testbed.plant.thrust([0.1] * 8)
-    spin([first, person], lambda: person.truth and person.truth[-1].propellant > 0.0)
-    spin([first, person], lambda: not any(person.truth[-1].valves))
+    spin(
+        [first, operator],
+        lambda: operator.truth_message and operator.truth_message[-1].propellant > 0.0,
+    )
+    spin([first, operator], lambda: not any(operator.truth_message[-1].valves))
     first.close()
     kept = first.testbed.plant
     second = testbed(**given, state_file=path)
     with second.lock:
         again = second.testbed.plant
         assert again.holds
-        assert again.thrusters.used == kept.thrusters.used > 0.0
+        assert again.thrusters.propellant_used == kept.thrusters.propellant_used > 0.0
         np.testing.assert_allclose(again._p, kept._p, rtol=0, atol=1e-12)
     second.close()
 
 
-def test_nonsense_opens_no_valve(spin, person):
+def test_an_invalid_command_opens_no_valve(spin, operator):
     bed = testbed()
-    spin([bed, person], lambda: person.truth and person.thrust.get_subscription_count())
-    person.thrust.publish(ThrusterCommand(on_time=[-1.0] + 7 * [0.5]))
-    seen = len(person.truth)
-    spin([bed, person], lambda: len(person.truth) > seen + 10)
-    assert person.truth[-1].propellant == 0.0
+    spin(
+        [bed, operator], lambda: operator.truth_message and operator.thrust.get_subscription_count()
+    )
+    operator.thrust.publish(ThrusterCommand(on_time=[-1.0] + 7 * [0.5]))
+    seen = len(operator.truth_message)
+    spin([bed, operator], lambda: len(operator.truth_message) > seen + 10)
+    assert operator.truth_message[-1].propellant == 0.0
 
 
 def test_the_truth_survives_its_serialization():
     bed = Plant(paper_arm(), np.linspace(0.1, 0.7, 7), np.ones(7), World(target=Target()))
-    message = messages.truth(1_500_000_000, "world", bed)
+    message = messages.truth_message(1_500_000_000, "world", bed)
     assert deserialize_message(serialize_message(message), SimTruth) == message
 
 
@@ -127,6 +137,6 @@ def test_the_truth_survives_its_serialization():
         ({"gear_stiffness": 400.0}, "stiffness is 400 N m/rad with a rotor_inertia of 0"),
     ],
 )
-def test_impossible_settings_are_refused(given, words):
+def test_impossible_settings_are_rejected(given, words):
     with pytest.raises(ValueError, match=words):
         settings.TestbedSettings(**given)

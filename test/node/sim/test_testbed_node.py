@@ -1,4 +1,4 @@
-"""The test bed as a node: topics at their rate and stamps, links on UDP, time kept on request."""
+"""The test-bed node: rates and stamps of topics, links on UDP, simulated time."""
 
 import socket
 from contextlib import closing, suppress
@@ -20,12 +20,12 @@ from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_sim import testbed_node
-from fss_sim.pace import Clocked
+from fss_sim.pace import ClockPace
 from fss_sim.testbed import FRAME, State
 
-OF_REAL_TIME = {"/diagnostics", "/rosout", "/parameter_events"}
+REAL_TIME_TOPICS = {"/diagnostics", "/rosout", "/parameter_events"}
 
-QUIET = Command(
+DISARM = Command(
     link=1, flags=0, boot=0, sequence=0, clock=1, expiry=0, mode=Mode.OFF, watchdog=2000,
     set_point=0, velocity=0, acceleration=0,
 )  # fmt: skip
@@ -42,50 +42,50 @@ testbed.__test__ = False
 
 
 @pytest.fixture
-def ears(ros):
-    node = Node("ears")
-    node.heard = {"base": [], "tip": [], "imu": [], "clock": []}
+def listener(ros):
+    node = Node("listener")
+    node.received = {"base": [], "tip": [], "imu": [], "clock": []}
     for name, kind, topic in (
         ("base", PoseStamped, "vicon/fss/fss"),
         ("tip", PoseStamped, "vicon/end_effector/end_effector"),
         ("imu", Imu, "fog/imu"),
         ("clock", Clock, "/clock"),
     ):
-        node.create_subscription(kind, topic, node.heard[name].append, sensor())
+        node.create_subscription(kind, topic, node.received[name].append, sensor())
     return node
 
 
-def test_vicon_and_gyro_come_at_100_hz_evenly_stamped(spin, ears):
+def test_vicon_and_gyro_have_100_hz_and_even_stamps(spin, listener):
     bed = testbed(base=[0.5, -0.5, 1.0])
-    spin([bed, ears], lambda: len(ears.heard["imu"]) >= 100)
+    spin([bed, listener], lambda: len(listener.received["imu"]) >= 100)
     for name in ("base", "tip", "imu"):
-        stamps = np.array([stamp_ns(m.header.stamp) for m in ears.heard[name]])
+        stamps = np.array([stamp_ns(m.header.stamp) for m in listener.received[name]])
         assert set(np.diff(stamps)) == {10_000_000}
     assert abs(stamps[-1] - bed.get_clock().now().nanoseconds) < 1_000_000_000
     np.testing.assert_allclose(
-        planar_pose(ears.heard["base"][-1].pose), (0.5, -0.5, 1.0), atol=0.01
+        planar_pose(listener.received["base"][-1].pose), (0.5, -0.5, 1.0), atol=0.01
     )
-    imu = ears.heard["imu"][-1]
+    imu = listener.received["imu"][-1]
     assert imu.orientation_covariance[0] == imu.linear_acceleration_covariance[0] == -1.0
     assert imu.angular_velocity_covariance[8] > 0.0
 
 
-def test_the_clock_it_keeps_advances_in_whole_frames_and_never_starts_at_zero(spin, ears):
+def test_its_clock_advances_in_whole_frames_and_never_starts_at_zero(spin, listener):
     bed = testbed(keep_clock=True, speed=10.0)
-    spin([bed, ears], lambda: len(ears.heard["clock"]) >= 100)
-    clocks = [stamp_ns(m.clock) for m in ears.heard["clock"]]
+    spin([bed, listener], lambda: len(listener.received["clock"]) >= 100)
+    clocks = [stamp_ns(m.clock) for m in listener.received["clock"]]
     assert clocks[0] > 1_000_000_000
-    steps = np.diff(clocks)  # a late subscriber gets the newest
+    steps = np.diff(clocks)  # a late subscriber receives only the newest
     assert (steps > 0).all()
     assert (steps % 10_000_000 == 0).all()
 
 
 @pytest.fixture
 def call(spin):
-    """call(bed, name, kind, **request): the answer of a service of the test bed."""
+    """call(bed, name, kind, **request): return the response of a service of the test bed."""
 
-    def ask(bed, name, kind, **request):
-        node = Node("asks", start_parameter_services=False, enable_rosout=False)
+    def call_service(bed, name, kind, **request):
+        node = Node("client", start_parameter_services=False, enable_rosout=False)
         client = node.create_client(kind, name)
         spin([bed, node], client.service_is_ready)
         answer = client.call_async(kind.Request(**request))
@@ -93,25 +93,25 @@ def call(spin):
         node.destroy_node()
         return answer.result()
 
-    return ask
+    return call_service
 
 
-def test_time_is_paused_stepped_and_let_go_by_services(spin, ears, call):
+def test_services_pause_step_and_resume_time(spin, listener, call):
     bed = testbed(keep_clock=True)
-    spin([bed, ears], lambda: ears.heard["clock"])
+    spin([bed, listener], lambda: listener.received["clock"])
     assert not call(bed, "sim/step", StepTime, frames=1).success
     assert call(bed, "sim/pause", SetBool, data=True).success
-    begin = bed.testbed.frame
+    start_frame = bed.testbed.frame
     answer = call(bed, "sim/step", StepTime, frames=250)
     assert answer.success
-    assert stamp_ns(answer.stamp) == 1_000_000_000 + (begin + 250) * 10_000_000
-    assert bed.testbed.frame == begin + 250
+    assert stamp_ns(answer.stamp) == 1_000_000_000 + (start_frame + 250) * 10_000_000
+    assert bed.testbed.frame == start_frame + 250
     assert not call(bed, "sim/step", StepTime, frames=1_000_000).success
     assert call(bed, "sim/pause", SetBool, data=False).success
-    spin([bed, ears], lambda: bed.testbed.frame > begin + 260)
+    spin([bed, listener], lambda: bed.testbed.frame > start_frame + 260)
 
 
-def test_ros_time_cannot_be_paused(spin, ears, call):
+def test_ros_time_cannot_be_paused(spin, listener, call):
     bed = testbed()
     for answer in (
         call(bed, "sim/pause", SetBool, data=True),
@@ -121,62 +121,62 @@ def test_ros_time_cannot_be_paused(spin, ears, call):
         assert "start the test bed with -p keep_clock:=true" in answer.message
 
 
-def test_a_node_that_joins_a_paused_clock_has_its_time(spin, call):
+def test_a_node_started_while_paused_receives_the_time(spin, call):
     bed = testbed(keep_clock=True, paused=True)
     call(bed, "sim/step", StepTime, frames=3)
     late = Node("late", parameter_overrides=[Parameter("use_sim_time", value=True)])
     spin([bed, late], lambda: late.get_clock().now().nanoseconds == 1_030_000_000)
 
 
-def test_flat_out_nobody_is_waited_for_but_drivers(spin, ears):
+def test_full_speed_waits_only_for_drivers(spin, listener):
     bed = testbed(keep_clock=True, speed=0.0)
     spin([bed], lambda: bed.testbed.frame > 1000)
 
 
 class Session:
-    """All that a test bed says in a scripted session in stepped time."""
+    """Records all outputs of a test bed in a scripted session in stepped time."""
 
     def __init__(self, bed, call):
         self.bed, self.call = bed, call
         self.topics, self.streams = {}, [[] for _ in bed.wires]
         for publisher in bed.publishers:
-            if publisher.topic_name not in OF_REAL_TIME:
+            if publisher.topic_name not in REAL_TIME_TOPICS:
                 self.record(publisher, self.topics.setdefault(publisher.topic_name, []))
         self.hosts = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in bed.wires]
         for host in self.hosts:
             host.bind(("127.0.0.1", 0))
             host.setblocking(False)
 
-    def record(self, publisher, said):
+    def record(self, publisher, recorded):
         publish = publisher.publish
 
         def spy(message):
-            said.append(message)
+            recorded.append(message)
             publish(message)
 
         publisher.publish = spy
 
     def run(self, seed):
-        """What is said in a session: by topic, and by link."""
+        """Run a session; return the recorded outputs by topic and by link."""
         assert self.call(self.bed, "sim/reset", ResetTestbed, seed=seed).success
-        for said in (*self.topics.values(), *self.streams):
-            said.clear()
+        for recorded in (*self.topics.values(), *self.streams):
+            recorded.clear()
         boot = self.bed.testbed.boot
         for k, frames in enumerate((30, 1, 69, 50)):
             for i, host in enumerate(self.hosts):
-                order = replace(
-                    QUIET, link=i + 1, sequence=k + 1, clock=1000 * k + 1, boot=boot if k else 0,
+                command = replace(
+                    DISARM, link=i + 1, sequence=k + 1, clock=1000 * k + 1, boot=boot if k else 0,
                     flags=Order.ARM if k else 0, expiry=60_000_000 if k else 0,
                     mode=Mode.POSITION if k else Mode.OFF, set_point=10_000 * k * (i + 1),
                     velocity=300_000, acceleration=3000,
                 )  # fmt: skip
-                host.sendto(encode(order), ("127.0.0.1", self.bed.wires[i].port))
+                host.sendto(encode(command), ("127.0.0.1", self.bed.wires[i].port))
             assert self.call(self.bed, "sim/step", StepTime, frames=frames).success
             for host, stream in zip(self.hosts, self.streams, strict=True):
                 with suppress(BlockingIOError):
                     while True:
                         stream.append(without_boot(host.recv(100)))
-        topics = {topic: tuple(said) for topic, said in self.topics.items()}
+        topics = {topic: tuple(recorded) for topic, recorded in self.topics.items()}
         return topics, [tuple(stream) for stream in self.streams]
 
     def close(self):
@@ -185,7 +185,7 @@ class Session:
 
 
 def without_boot(data):
-    """A frame without its boot number and CRC, the only bytes that differ between starts."""
+    """Return a frame without boot number and CRC, the only bytes that differ between starts."""
     return data[:6] + data[8:52] + data[56:]
 
 
@@ -218,22 +218,22 @@ def test_the_same_seed_and_script_give_the_same_bytes_in_stepped_time(spin, call
         topics, streams = session.run(seed=7)
         assert len(topics["/clock"]) == len(topics["/vicon/end_effector/end_effector"]) == 150
         assert len(topics["/vicon/fss/fss"]) < 150
-        assert len(topics["/sim/faults"]) == 5  # at each time of the script
+        assert len(topics["/sim/faults"]) == 5  # at each event time of the script
         assert min(map(len, streams)) > 5
-        assert abs(bed.testbed.plant.q[3:]).max() > 0.1  # the arm did move
+        assert abs(bed.testbed.plant.q[3:]).max() > 0.1  # the arm moved
         assert session.run(seed=7) == (topics, streams)
         other = session.run(seed=8)
         assert other[0]["/vicon/fss/fss"] != topics["/vicon/fss/fss"]
         assert other[1][0] != streams[0]
 
 
-def test_a_link_answers_who_sends_it_a_good_command(spin, ears):
+def test_a_link_answers_the_sender_of_a_valid_command(spin, listener):
     bed = testbed()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
         host.bind(("127.0.0.1", 0))
         host.setblocking(False)
         host.sendto(b"noise", ("127.0.0.1", bed.wires[0].port))
-        host.sendto(encode(QUIET), ("127.0.0.1", bed.wires[0].port))
+        host.sendto(encode(DISARM), ("127.0.0.1", bed.wires[0].port))
 
         def answer():
             try:
@@ -254,7 +254,7 @@ def test_the_driver_reaches_links_on_terminals(spin, tmp_path):
     assert link.session.scale.position(link.session.frame.position) == pytest.approx(0.3, abs=0.01)
 
 
-def test_drivers_reach_links_by_what_each_is_told(spin, tmp_path):
+def test_drivers_reach_links_over_each_transport(spin, tmp_path):
     paths = [str(tmp_path / f"link_{i}") for i in (1, 2, 3, 4)]
     angles = [0.1, 0.2, 0.3, 0.4]
     bed = testbed(transports=["udp", "tcp", "serial", "tcp"], terminals=paths, q=angles)
@@ -268,24 +268,26 @@ def test_drivers_reach_links_by_what_each_is_told(spin, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "complaint"),
+    ("given", "error"),
     [
         ({"transports": ["tcp", "udp"]}, "transports is .*, expected 1 or 4"),
         ({"transports": ["serial"]}, "terminals has 0 paths, expected 4"),
         ({"transports": ["can"]}, "transports is 'can', expected one of udp, tcp, serial"),
     ],
 )
-def test_what_reaches_no_link_is_refused(ros, given, complaint):
-    with pytest.raises(ValueError, match=complaint):
+def test_invalid_transports_are_rejected(ros, given, error):
+    with pytest.raises(ValueError, match=error):
         testbed(**given)
 
 
-def test_what_comes_while_it_stands_still_is_not_heard_before_its_time(ros, monkeypatch):
-    clock, heard = [0], []
+def test_datagrams_received_during_a_stall_are_not_processed_early(ros, monkeypatch):
+    clock, received = [0], []
     with closing(testbed()) as bed:
         bed.ticker.close()
-        begun = bed.testbed.frame
-        bed.pace = Clocked(lambda: clock[0], begun, back=SECOND, ahead=30 * SECOND)
+        start_frame = bed.testbed.frame
+        bed.pace = ClockPace(
+            lambda: clock[0], start_frame, max_behind=SECOND, max_ahead=30 * SECOND
+        )
         make = bed.make_frames
 
         def stall(count):
@@ -294,28 +296,30 @@ def test_what_comes_while_it_stands_still_is_not_heard_before_its_time(ros, monk
 
         clock[0] = 2 * FRAME
         monkeypatch.setattr(bed, "make_frames", stall)
-        monkeypatch.setattr(bed, "receive", lambda: heard.append(bed.testbed.frame - begun))
+        monkeypatch.setattr(
+            bed, "receive", lambda: received.append(bed.testbed.frame - start_frame)
+        )
         bed.tick()
-        assert not heard
-        while not heard:
+        assert not received
+        while not received:
             bed.tick()
-    assert heard == [300]
+    assert received == [300]
 
 
-def test_truth_tells_vicons_frame_and_its_markers(spin, ears):
-    told = []
-    ears.create_subscription(SimTruth, "sim/truth", told.append, sensor())
+def test_truth_has_vicons_frame_number_and_marker_counts(spin, listener):
+    truths = []
+    listener.create_subscription(SimTruth, "sim/truth", truths.append, sensor())
     bed = testbed(marker_noise=0.0003)
-    spin([bed, ears], lambda: told)
-    assert told[0].frame % 10 == 0
-    assert told[0].markers.tolist() == [5, 4, 0]
+    spin([bed, listener], lambda: truths)
+    assert truths[0].frame % 10 == 0
+    assert truths[0].markers.tolist() == [5, 4, 0]
 
 
-def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):
+def test_it_resumes_from_its_state_file(spin, listener, tmp_path):
     path = str(tmp_path / "state.json")
     first = testbed(state_file=path, keep_clock=True, q=[0.1, 0.2, 0.3, 0.4])
-    spin([first, ears], lambda: len(ears.heard["clock"]) >= 30)
-    last = stamp_ns(ears.heard["clock"][-1].clock)
+    spin([first, listener], lambda: len(listener.received["clock"]) >= 30)
+    last = stamp_ns(listener.received["clock"][-1].clock)
     first.close()
     second = testbed(state_file=path, keep_clock=True)
     assert second.testbed.boot == first.testbed.boot % 65535 + 1
@@ -325,7 +329,7 @@ def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):
     second.destroy_node()
 
 
-def test_each_boot_number_is_saved_before_frames_have_it_and_none_repeats(spin, call, tmp_path):
+def test_each_boot_number_is_saved_before_it_is_sent_and_none_repeats(spin, call, tmp_path):
     path = tmp_path / "state.json"
     bed, boots = testbed(state_file=str(path), keep_clock=True, paused=True), []
 
@@ -343,10 +347,10 @@ def test_each_boot_number_is_saved_before_frames_have_it_and_none_repeats(spin, 
     assert boots == [(boots[0] + k - 1) % 65535 + 1 for k in range(3)]
 
 
-def test_a_state_that_cannot_be_written_is_told_and_the_ports_are_given_back(ros, tmp_path, capfd):
+def test_an_unwritable_state_is_logged_and_the_ports_are_closed(ros, tmp_path, capfd):
     (tmp_path / "full").write_text("in the way")
     bed = testbed(state_file=str(tmp_path / "full" / "state.json"))
-    ports = [int(wire.place.split()[-1]) for wire in bed.all_wires()]
+    ports = [int(wire.address.split()[-1]) for wire in bed.all_wires()]
     bed.close()
     assert capfd.readouterr().err.count(f"cannot write {tmp_path}/full/state.json: ") == 1
     bed.destroy_node()
@@ -355,30 +359,34 @@ def test_a_state_that_cannot_be_written_is_told_and_the_ports_are_given_back(ros
     again.destroy_node()
 
 
-def test_faults_are_set_live_and_published(spin, ears, call):
-    bed, said = testbed(keep_clock=True, paused=True, **{"link_2.loss": 0.25}), []
-    ears.create_subscription(SimFaults, "sim/faults", said.append, LATCHED)
+def test_faults_are_set_live_and_published(spin, listener, call):
+    bed, recorded = testbed(keep_clock=True, paused=True, **{"link_2.loss": 0.25}), []
+    listener.create_subscription(SimFaults, "sim/faults", recorded.append, LATCHED)
 
-    def in_force():
-        return list(zip(said[-1].part, said[-1].fault, said[-1].value, strict=True)) if said else []
+    def active_faults():
+        return (
+            list(zip(recorded[-1].part, recorded[-1].fault, recorded[-1].value, strict=True))
+            if recorded
+            else []
+        )
 
-    spin([bed, ears], lambda: in_force() == [("link_2", "loss", 0.25)])
+    spin([bed, listener], lambda: active_faults() == [("link_2", "loss", 0.25)])
     (result,) = bed.set_parameters([Parameter("end_effector.occlusion", value=1)])
     assert result.successful
-    spin([bed, ears], lambda: len(in_force()) == 2)
+    spin([bed, listener], lambda: len(active_faults()) == 2)
     assert call(bed, "sim/step", StepTime, frames=3).success
-    spin([bed, ears], lambda: len(ears.heard["tip"]) == 3)
-    pose = ears.heard["tip"][-1].pose
+    spin([bed, listener], lambda: len(listener.received["tip"]) == 3)
+    pose = listener.received["tip"][-1].pose
     with pytest.raises(PoseError, match="occluded"):
         planar_pose(pose)
     assert call(bed, "sim/reset", ResetTestbed, seed=-1).success
-    spin([bed, ears], lambda: len(said) >= 3 and len(in_force()) == 2)  # they stay
+    spin([bed, listener], lambda: len(recorded) >= 3 and len(active_faults()) == 2)  # they stay
     for name, value in (("link_1.loss", 2.0), ("link_1.loss", "much"), ("fog.bias", 9.0)):
         (result,) = bed.set_parameters([Parameter(name, value=value)])
         assert not result.successful
         assert name in result.reason
     bed.set_parameters([Parameter("link_2.loss", value=0.0)])
-    spin([bed, ears], lambda: in_force() == [("end_effector", "occlusion", 1.0)])
+    spin([bed, listener], lambda: active_faults() == [("end_effector", "occlusion", 1.0)])
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from fss_arm_ros.convert import planar_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, LATCHED, sensor
 from fss_sim import testbed_node
 from fss_sim.settings import TestbedSettings
-from fss_sim.vehicles import vehicles
+from fss_sim.vehicles import read_vehicles
 
 ROOT = Path(__file__).parents[3]
 VEHICLES = """
@@ -26,7 +26,7 @@ vehicles:
   fss2: {ports: [0, 0, 0, 0], base: [1.0, -0.5, 1.0]}
   fss3: {without_arm: true, base: [0.0, 1.5, 0.0], seed: 7}
 """
-QUIET = Command(
+DISARM = Command(
     link=1, flags=0, boot=0, sequence=0, clock=1, expiry=0, mode=Mode.OFF, watchdog=2000,
     set_point=0, velocity=0, acceleration=0,
 )  # fmt: skip
@@ -43,54 +43,54 @@ def bed(ros, tmp_path):
     return make
 
 
-def test_each_vehicle_is_on_its_own_topics_at_one_time(spin, bed):
-    node, ears, heard = bed(), Node("ears"), {}
+def test_each_vehicle_has_its_own_topics_and_all_share_one_time(spin, bed):
+    node, listener, received = bed(), Node("listener"), {}
     topics = {"vicon/{0}/{0}": PoseStamped, "vicon/{0}_end_effector/{0}_end_effector": PoseStamped}
     topics |= {"{0}/fog/imu": Imu, "{0}/sim/truth": SimTruth}
     for topic, kind in topics.items():
         for name in ("fss1", "fss2", "fss3")[: 2 if "end_effector" in topic else 3]:
             key = topic.format(name)
-            heard[key] = []
-            ears.create_subscription(kind, f"/{key}", heard[key].append, sensor())
-    spin([node, ears], lambda: all(len(messages) > 20 for messages in heard.values()))
+            received[key] = []
+            listener.create_subscription(kind, f"/{key}", received[key].append, sensor())
+    spin([node, listener], lambda: all(len(messages) > 20 for messages in received.values()))
     for name, pose in (("fss1", (-1.0, 0.5, 0.0)), ("fss2", (1.0, -0.5, 1.0))):
-        message = heard[f"vicon/{name}/{name}"][-1]
+        message = received[f"vicon/{name}/{name}"][-1]
         assert message.header.frame_id == "world"
         np.testing.assert_allclose(planar_pose(message.pose), pose, atol=0.01)
-        assert heard[f"{name}/fog/imu"][-1].header.frame_id == f"{name}/fss"
-    first, second = (heard[f"vicon/{name}/{name}"] for name in ("fss1", "fss2"))
+        assert received[f"{name}/fog/imu"][-1].header.frame_id == f"{name}/fss"
+    first, second = (received[f"vicon/{name}/{name}"] for name in ("fss1", "fss2"))
     stamps = [{stamp_ns(m.header.stamp) for m in messages} for messages in (first, second)]
     assert len(stamps[0] & stamps[1]) > 15
     errors = [np.array(planar_pose(m.pose)) for m in (first[-1], second[-1])]
     assert abs(errors[0] - (-1.0, 0.5, 0.0) - errors[1] + (1.0, -0.5, 1.0)).min() > 0.0
-    there = {topic for topic, _ in ears.get_topic_names_and_types()}
-    assert not there & {"/fog/imu", "/vicon/fss/fss", "/sim/truth"}
+    topics_found = {topic for topic, _ in listener.get_topic_names_and_types()}
+    assert not topics_found & {"/fog/imu", "/vicon/fss/fss", "/sim/truth"}
 
 
-def test_thrusters_and_faults_are_those_of_their_vehicle(spin, bed):
-    node, person, faults = bed(), Node("person"), {}
-    thrust = person.create_publisher(ThrusterCommand, "/fss2/thrusters/command", COMMAND)
+def test_thrusters_and_faults_act_on_their_vehicle(spin, bed):
+    node, operator, faults = bed(), Node("person"), {}
+    thrust = operator.create_publisher(ThrusterCommand, "/fss2/thrusters/command", COMMAND)
     for name in ("fss1", "fss2"):
-        person.create_subscription(
+        operator.create_subscription(
             SimFaults, f"/{name}/sim/faults", lambda m, name=name: faults.update({name: m}), LATCHED
         )
-    spin([node, person], thrust.get_subscription_count)
+    spin([node, operator], thrust.get_subscription_count)
     thrust.publish(ThrusterCommand(on_time=[0.5, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     one, two, _ = (vehicle.testbed.plant for vehicle in node.vehicles)
-    spin([node, person], lambda: two.thrusters.used > 0.0)
-    assert one.thrusters.used == 0.0
+    spin([node, operator], lambda: two.thrusters.propellant_used > 0.0)
+    assert one.thrusters.propellant_used == 0.0
     assert node.set_parameters([Parameter("fss2.link_1.loss", value=0.5)])[0].successful
-    spin([node, person], lambda: len(faults) == 2 and list(faults["fss2"].part) == ["link_1"])
+    spin([node, operator], lambda: len(faults) == 2 and list(faults["fss2"].part) == ["link_1"])
     assert not faults["fss1"].part
     assert [v.testbed.faults.links[0].loss for v in node.vehicles[:2]] == [0.0, 0.5]
 
 
-def test_a_link_of_one_vehicle_does_not_answer_for_that_of_another(spin, bed):
+def test_links_of_two_vehicles_do_not_answer_for_each_other(spin, bed):
     node = bed(speed=0.0)
     hosts = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in (1, 2)]
     for host, vehicle in zip(hosts, node.vehicles, strict=False):
         host.setblocking(False)
-        host.sendto(encode(QUIET), ("127.0.0.1", vehicle.wires[0].port))
+        host.sendto(encode(DISARM), ("127.0.0.1", vehicle.wires[0].port))
     links = [vehicle.testbed.links[:2] for vehicle in node.vehicles[:2]]
     spin([node], lambda: all(link.electronics.gate.command for link, _ in links))
     assert [other.electronics.gate.command for _, other in links] == [None, None]
@@ -106,17 +106,17 @@ def test_a_link_of_one_vehicle_does_not_answer_for_that_of_another(spin, bed):
 def test_vehicles_share_a_table_and_a_target(spin, bed):
     pose = [-1.0, 1.5, 0.0]
     node = bed(target_mass=5.0, target_pose=pose, target_twist=[0.0, 0.0, 0.0])
-    truths, person = {}, Node("person")
+    truths, operator = {}, Node("person")
     for name in ("fss1", "fss3"):
-        person.create_subscription(
+        operator.create_subscription(
             SimTruth, f"/{name}/sim/truth", lambda m, name=name: truths.update({name: m}), sensor()
         )
-    seen = []
-    person.create_subscription(PoseStamped, "/vicon/target/target", seen.append, sensor())
-    spin([node, person], lambda: len(truths) == 2 and seen)
+    target_poses = []
+    operator.create_subscription(PoseStamped, "/vicon/target/target", target_poses.append, sensor())
+    spin([node, operator], lambda: len(truths) == 2 and target_poses)
     assert len({id(vehicle.testbed.plant.bed) for vehicle in node.vehicles}) == 1
-    np.testing.assert_allclose(planar_pose(seen[-1].pose), pose, atol=0.01)
-    assert person.count_publishers("/vicon/target/target") == 1
+    np.testing.assert_allclose(planar_pose(target_poses[-1].pose), pose, atol=0.01)
+    assert operator.count_publishers("/vicon/target/target") == 1
     for message in truths.values():
         assert message.target_present
         np.testing.assert_allclose(message.target, pose, atol=1e-6)
@@ -133,20 +133,20 @@ def test_vehicles_share_a_table_and_a_target(spin, bed):
 
 def test_vehicles_share_a_vicon_and_a_radio_channel(spin, bed):
     node = bed(preset="laboratory", wifi=True, target_mass=5.0, target_pose=[-1.0, 1.5, 0.0])
-    truths, person = {}, Node("person")
+    truths, operator = {}, Node("person")
     for name in ("fss1", "fss2", "fss3"):
-        person.create_subscription(
+        operator.create_subscription(
             SimTruth, f"/{name}/sim/truth", lambda m, name=name: truths.update({name: m}), sensor()
         )
-    spin([node, person], lambda: len(truths) == 3)
+    spin([node, operator], lambda: len(truths) == 3)
     beds = [vehicle.testbed for vehicle in node.vehicles]
-    assert len({id(one.vicon) for one in beds}) == len({id(one.air) for one in beds}) == 1
+    assert len({id(one.vicon) for one in beds}) == len({id(one.radio_channel) for one in beds}) == 1
     marked = {name: message.markers.tolist() for name, message in truths.items()}
     assert marked == {"fss1": [5, 4, 5], "fss2": [5, 4, 5], "fss3": [5, 0, 5]}
     assert 0.0 < node.health().values["airtime used"] < 1.0
 
 
-def test_all_go_on_together_from_their_state_files(spin, bed, tmp_path):
+def test_all_vehicles_resume_together_from_their_state_files(spin, bed, tmp_path):
     node = bed(state_file=str(tmp_path / "bed.json"))
     spin([node], lambda: node.testbed.frame > 50)
     node.close()
@@ -157,7 +157,7 @@ def test_all_go_on_together_from_their_state_files(spin, bed, tmp_path):
     }  # fmt: skip
     again = bed(state_file=str(tmp_path / "bed.json"))
     frames = [vehicle.testbed.frame for vehicle in again.vehicles]
-    assert max(frames) - min(frames) <= 1  # they go on already, one after the other
+    assert max(frames) - min(frames) <= 1  # they already run, started one after the other
     assert frames.pop() > frame
     again.close()
 
@@ -174,17 +174,17 @@ def test_all_go_on_together_from_their_state_files(spin, bed, tmp_path):
         ("vehicles: {a: {wifi: true}}", "a is 'wifi', expected some of"),
         ("vehicles: {a: {ports: 5001}}", "a: ports is 5001, expected a list"),
         ("vehicles: {a: {base: [0, 0]}}", "a: base has 2 numbers, expected 3"),
-        ("vehicles: {a: {}, b: {base: [0.1, 0, 0]}}", "a and b begin in the same place"),
+        ("vehicles: {a: {}, b: {base: [0.1, 0, 0]}}", "a and b start in the same place"),
         ("vehicles: {a: {}, a: {}}", "a is 'given twice'"),
     ],
 )
-def test_a_file_that_cannot_be_is_refused_in_one_line(ros, bed, text, words):
+def test_an_invalid_file_is_rejected_in_one_line(ros, bed, text, words):
     with pytest.raises(ValueError, match=re.escape(words)) as caught:
         bed(text)
     assert "\n" not in str(caught.value)
 
 
-def test_vehicles_with_a_key_in_common_are_refused(ros, bed, tmp_path):
+def test_vehicles_with_a_common_key_are_rejected(ros, bed, tmp_path):
     for name, first in (("a", "00"), ("b", "01"), ("c", "00")):
         (tmp_path / name).write_text("".join(f"{i} {first}{i:02}{28 * '7'}\n" for i in range(1, 5)))
         (tmp_path / name).chmod(0o600)
@@ -197,9 +197,9 @@ def test_vehicles_with_a_key_in_common_are_refused(ros, bed, tmp_path):
         bed(text.replace("KEYS", "a", 1).replace("KEYS", "c"))
 
 
-def test_the_example_is_a_file_of_vehicles(monkeypatch):
+def test_the_example_is_a_valid_vehicles_file(monkeypatch):
     monkeypatch.chdir(ROOT)
-    each = vehicles(TestbedSettings(vehicles="config/two_vehicles.yaml"))
+    each = read_vehicles(TestbedSettings(vehicles="config/two_vehicles.yaml"))
     assert list(each) == ["fss1", "fss2"]
     ports = [port for one in each.values() for port in (*one.ports, one.board_port)]
     assert len(set(ports)) == len(ports) == 10

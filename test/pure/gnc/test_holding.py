@@ -10,7 +10,7 @@ from fss_arm_model.dynamics import forward_dynamics, inverse_dynamics
 from fss_gnc.control import PoseControl
 from fss_gnc.navigation import KnownInputs
 from fss_gnc.reference import Reference
-from fss_sim.plant.drives import POSITION
+from fss_sim.plant.drives import MODE_POSITION
 from fss_sim.plant.plant import Demand, Plant
 
 POSTURES = np.vstack([np.zeros(4), default(paper_arm())])
@@ -48,7 +48,7 @@ def test_known_inputs_are_what_the_base_does():
     plant = Plant(arm, q)
     inputs = KnownInputs(arm.vector())
     for i in range(4):  # drives hold the joints
-        plant.command(i, Demand(POSITION, float(q[3 + i]), 0.5, 1.0))
+        plant.command(i, Demand(MODE_POSITION, float(q[3 + i]), 0.5, 1.0))
     gained = np.zeros(3)
     for k in range(20):
         on_times = rng.uniform(0.0, 0.2, 8)  # some are replaced while they are open

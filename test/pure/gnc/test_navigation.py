@@ -150,17 +150,17 @@ def pass_by(seed, swap):
     still = np.zeros(4)
     for k in range(2400):
         t, target = k * SECOND // 100, np.array([-0.6, 0.45, 0.3]) + 0.01 * k * drift
-        looks = dict(enumerate(vicon.look(k, [base, tip, target])))
+        results = dict(enumerate(vicon.take_picture(k, [base, tip, target])))
         seen = sensors.observe(k, (0.0, 0.0, 0.0), tip, 0.0, still,
-                               target=tuple(target.tolist()), looks=looks)  # fmt: skip
-        at = t - seen.base.before - SECOND // 100
+                               target=tuple(target.tolist()), marker_results=results)  # fmt: skip
+        at = t - seen.base.age - SECOND // 100
         navigation.base.rate(t, seen.rate)
         if not seen.base.occluded:
             navigation.base.pose(at, *seen.base.pose)
         if not seen.target.occluded:
             navigation.target_pose(at, *seen.target.pose)
         navigation.predict(t)
-        taken.append([look.taken_for for look in looks.values()] != [0, 1, 2])
+        taken.append([result.identified_as for result in results.values()] != [0, 1, 2])
         for body, pose, twist in (
             (navigation.base, base, np.zeros(3)), (navigation.target, target, drift),
         ):  # fmt: skip

@@ -24,7 +24,7 @@ from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.guard.sweep import RELIEF
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import momentum
-from fss_sim.plant.drives import VELOCITY
+from fss_sim.plant.drives import MODE_VELOCITY
 from fss_sim.plant.plant import Demand, Plant
 
 BED = GuardSettings()
@@ -309,7 +309,7 @@ def stopped(seed: int) -> tuple[bool, float, float]:
         except GuardError as error:
             ended, wanted = ended or "table edge" in error.bodies, np.zeros(4)
         for joint, rate in enumerate(0.0 * wanted if ended else wanted):
-            plant.command(joint, Demand(VELOCITY, rate, abs(rate), 2.0))
+            plant.command(joint, Demand(MODE_VELOCITY, rate, abs(rate), 2.0))
         for _ in range(10):
             plant.advance(0.1 * PERIOD)
             nearest, rate = min(nearest, plant.edge_clearance), np.abs(plant.qd[3:]).max()

@@ -18,7 +18,7 @@ from fss_arm_motion.plan_command import uncertain
 from fss_arm_motion.reorientation import Reorientation, reorientation
 from fss_arm_motion.tip_path import TipPath, tip_path
 from fss_arm_motion.zero_reaction import ZeroReaction, zero_reaction
-from fss_sim.plant.drives import VELOCITY
+from fss_sim.plant.drives import MODE_VELOCITY
 from fss_sim.plant.plant import Demand, Plant
 
 SHARE = 0.01  # 1 sigma of masses, inertias and centres of mass
@@ -52,7 +52,7 @@ def run(plan, arm, rng):
             ahead = min(t + 0.5 * PERIOD, plan.duration)
             (q, _), (_, qd) = (x[:, i] for x in plan.at(np.array([t, ahead])))
             rate = qd + GAIN * (q - bed.q[3 + i])
-            bed.command(i, Demand(VELOCITY, float(rate), abs(float(rate)), 2.0))
+            bed.command(i, Demand(MODE_VELOCITY, float(rate), abs(float(rate)), 2.0))
         bed.advance(PERIOD)
         times.append((k + 1) * PERIOD)
         states.append(bed.q.copy())

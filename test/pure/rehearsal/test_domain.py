@@ -1,4 +1,4 @@
-"""The ROS domain of a rehearsal: reserved, silent, and led to by nothing exported."""
+"""ROS domain of a rehearsal: reserved, unused, independent of the environment."""
 
 import os
 import socket
@@ -18,7 +18,7 @@ input()
 """
 
 
-def test_processes_that_look_at_the_same_time_get_domains_and_ports_of_their_own():
+def test_concurrent_processes_get_different_domains_and_ports():
     holders = [
         subprocess.Popen(
             [sys.executable, "-c", HOLD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -31,16 +31,16 @@ def test_processes_that_look_at_the_same_time_get_domains_and_ports_of_their_own
     assert len(set(numbers)) == 4
 
 
-def test_a_refused_domain_is_free_again_and_one_in_use_is_passed_over():
+def test_a_skipped_domain_is_released_and_one_in_use_is_skipped():
     domains = reserve()
     first, second = next(domains), next(domains)
-    assert first.holder.fileno() == -1
+    assert first.reservation.fileno() == -1
     again = next(reserve([first.number]))
     assert set(again.ports(50)).isdisjoint(second.ports(50))
     with pytest.raises(OSError, match=f"none of the ROS domains {second.number} to"):
         next(reserve([second.number]))
-    again.holder.close()
-    # The first port that the fourth process of a domain has, and one of another vendor's choice.
+    again.reservation.close()
+    # The first port of the domain's fourth process, and one used by another vendor.
     for offset in (16, 0):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind(("127.0.0.1", 7400 + 250 * first.number + offset))
@@ -51,7 +51,7 @@ def test_a_refused_domain_is_free_again_and_one_in_use_is_passed_over():
 @pytest.mark.parametrize(
     ("rmw", "reach"), [("", "SYSTEM_DEFAULT"), ("rmw_cyclonedds_cpp", "LOCALHOST")]
 )
-def test_nothing_exported_leads_elsewhere(rmw, reach):
+def test_exported_variables_do_not_connect_it_to_other_nodes(rmw, reach):
     exported = {
         "ROS_DOMAIN_ID": "0",
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",

@@ -1,6 +1,6 @@
-"""Each fault, from the test bed to the results: what drivers and calibrations make of it.
+"""Effect of each fault on drivers and calibrations, without ROS.
 
-Either an answer is within three of its own standard deviations, or its verdict says why not.
+Either a result is within three of its standard deviations, or its verdict gives the reason.
 """
 
 from pathlib import Path
@@ -19,71 +19,75 @@ CONFIG = Path(__file__).parents[3] / "config"
 LINKS = [f"link_{i}" for i in range(1, 5)]
 
 
-def on(parts, *lines):
-    """A script: each of `lines`, on each of `parts`."""
+def script_for(parts, *lines):
+    """Return a fault script with each of `lines` for each of `parts`."""
     return "".join(f"- {{part: {part}, {line}}}\n" for part in parts for line in lines)
 
 
 class Case(NamedTuple):
     script: str
-    counts: tuple[str, ...] = ()  # the driver of link 2 must have counted these
-    adopted: int = 1  # times that this driver met its link, at least
-    unused: str = ""  # why a rest is not used, in part
+    counts: tuple[str, ...] = ()  # counters of link 2's driver that must be above 0
+    adopted: int = 1  # least number of times that this driver adopted its link
+    unused: str = ""  # part of the reason why a rest is not used
     verdict: str = PASS  # of the kinematic calibration
-    dynamic: str = ""  # why the dynamic calibration does not pass, in part; empty: it does
+    dynamic: str = (
+        ""  # part of the reason why the dynamic calibration does not pass; empty: it passes
+    )
     options: dict = {}  # of the test bed  # noqa: RUF012
 
 
 MARKERS = VICON | {"rest_position_error": 0.001, "rest_heading_error": 0.002}
-BEHIND = (-3.0, 0.0, 3.0, -3.0, 1.0, 3.0, 1.0, 3.0, 3.0)  # cameras
+CAMERAS_BEHIND_BASE = (-3.0, 0.0, 3.0, -3.0, 1.0, 3.0, 1.0, 3.0, 3.0)  # cameras
 GAPS = "rejected (joint_1 silent for"
 CASES = {
     "nothing": Case(""),
-    "loss": Case(on(LINKS, "at: 3, fault: loss, value: 0.3"), ("missed",), dynamic=GAPS),
-    "delay": Case(on(LINKS, "at: 3, fault: delay, value: 0.3")),
+    "loss": Case(script_for(LINKS, "at: 3, fault: loss, value: 0.3"), ("missed",), dynamic=GAPS),
+    "delay": Case(script_for(LINKS, "at: 3, fault: delay, value: 0.3")),
     "jitter": Case(
-        on(LINKS, "at: 3, fault: delay, value: 0.15", "at: 3, fault: jitter, value: 0.15"),
+        script_for(LINKS, "at: 3, fault: delay, value: 0.15", "at: 3, fault: jitter, value: 0.15"),
         ("reordered", "missed"),
     ),
-    "duplication": Case(on(LINKS, "at: 3, fault: duplication, value: 0.3"), ("repeated",)),
-    "reordering": Case(on(LINKS, "at: 3, fault: reordering, value: 0.3"), ("reordered",)),
+    "duplication": Case(script_for(LINKS, "at: 3, fault: duplication, value: 0.3"), ("repeated",)),
+    "reordering": Case(script_for(LINKS, "at: 3, fault: reordering, value: 0.3"), ("reordered",)),
     "corruption": Case(
-        on(LINKS, "at: 3, fault: corruption, value: 0.3"), ("crc", "missed"), dynamic=GAPS
+        script_for(LINKS, "at: 3, fault: corruption, value: 0.3"), ("crc", "missed"), dynamic=GAPS
     ),
     "reboot": Case(
-        on(["link_2"], "at: 12, fault: reset, duration: 0.5"), ("candidates", "lost"), adopted=2
+        script_for(["link_2"], "at: 12, fault: reset, duration: 0.5"),
+        ("candidates", "lost"),
+        adopted=2,
     ),
     "cable out for 10 s": Case(
-        on(["link_2"], "at: 20, fault: loss, duration: 10"), ("lost", "missed"), adopted=2
+        script_for(["link_2"], "at: 20, fault: loss, duration: 10"), ("lost", "missed"), adopted=2
     ),
     "dead link": Case(
-        on(["link_2"], "at: 30, fault: dead"),
+        script_for(["link_2"], "at: 30, fault: dead"),
         ("lost",),
         verdict=NOT_EVALUATED,
         dynamic="maneuvers (at least 6)",
     ),
     "clocks that drift": Case("", options={"noise": {"clock_drift": 9e-5}}),
     "slow torque converter": Case("", options={"torque_rate": 10}),
-    "VICON dropout": Case(on(["fss", "end_effector"], "at: 3, fault: dropout, value: 0.3")),
-    "VICON gap": Case(on(["fss"], "at: 20, fault: dropout, duration: 8")),
-    "occlusion": Case(on(["end_effector"], "at: 3, fault: occlusion, value: 0.3")),
-    "occluded for 8 s": Case(on(["end_effector"], "at: 20, fault: occlusion, duration: 8")),
+    "VICON dropout": Case(script_for(["fss", "end_effector"], "at: 3, fault: dropout, value: 0.3")),
+    "VICON gap": Case(script_for(["fss"], "at: 20, fault: dropout, duration: 8")),
+    "occlusion": Case(script_for(["end_effector"], "at: 3, fault: occlusion, value: 0.3")),
+    "occluded for 8 s": Case(script_for(["end_effector"], "at: 20, fault: occlusion, duration: 8")),
     "subjects swapped": Case(
-        on(["fss", "end_effector"], "at: 20, fault: swap, duration: 4"),
+        script_for(["fss", "end_effector"], "at: 20, fault: swap, duration: 4"),
         unused="contradict",
         dynamic="not converged",
     ),
     "subjects swapped at times": Case(
-        on(["fss", "end_effector"], "at: 3, fault: swap, value: 0.3")
+        script_for(["fss", "end_effector"], "at: 3, fault: swap, value: 0.3")
     ),
     "markers swapped": Case(
-        on(["fss"], "at: 20, fault: turn, value: 1.57, duration: 5"),
+        script_for(["fss"], "at: 20, fault: turn, value: 1.57, duration: 5"),
         unused="contradict",
         dynamic="not converged",
     ),
-    "frozen end effector": Case(on(["end_effector"], "at: 20, fault: frozen, duration: 8")),
-    "frozen base": Case(on(["fss"], "at: 20, fault: frozen, duration: 8")),
-    "latency": Case(on(["fss", "end_effector"], "at: 3, fault: latency, value: 0.3")),
+    "frozen end effector": Case(script_for(["end_effector"], "at: 20, fault: frozen, duration: 8")),
+    "frozen base": Case(script_for(["fss"], "at: 20, fault: frozen, duration: 8")),
+    "latency": Case(script_for(["fss", "end_effector"], "at: 3, fault: latency, value: 0.3")),
     "VICON by its markers": Case("", options={"noise": MARKERS}),
     "VICON far off at the table's edge": Case(
         "", options={"noise": {**MARKERS, "vicon_edge_error": 0.01}}
@@ -92,9 +96,14 @@ CASES = {
         "",
         unused="end_effector silent for",
         verdict=NOT_EVALUATED,
-        options={"noise": MARKERS, "room": Room(cameras=BEHIND, heights=(1.2, 0.3, 0.3))},
+        options={
+            "noise": MARKERS,
+            "room": Room(cameras=CAMERAS_BEHIND_BASE, heights=(1.2, 0.3, 0.3)),
+        },
     ),
-    "gyro silent": Case(on(["fog"], "at: 3, fault: dropout", "at: 3, fault: bias, value: 0.1")),
+    "gyro silent": Case(
+        script_for(["fog"], "at: 3, fault: dropout", "at: 3, fault: bias, value: 0.1")
+    ),
 }
 
 
@@ -102,7 +111,7 @@ def check(case, rehearsal, result):
     counts = rehearsal.links[1].counts
     assert all(counts[name] for name in case.counts), counts
     assert counts["adopted"] >= case.adopted
-    # A link that was lost came back disarmed, and moved only when armed anew.
+    # A lost link returns disarmed, and moves only after it is armed again.
     assert rehearsal.arming_asked[1] >= min(case.adopted, counts["adopted"])
     reasons = [o.reason for o in rehearsal.observations if not o.used]
     assert any(case.unused in reason for reason in reasons) or not case.unused
@@ -120,31 +129,37 @@ def check(case, rehearsal, result):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES.values(), ids=list(CASES))
-def test_the_answer_is_within_three_sigma_or_the_verdict_says_why_not(case):
+def test_the_result_is_within_three_sigma_or_the_verdict_gives_the_reason(case):
     rehearsal = Rehearsal(CONFIG, case.script, **case.options)
     dynamic = check(case, rehearsal, rehearsal.run())
     assert (dynamic.verdict == PASS) == (not case.dynamic), dynamic.reason
     assert case.dynamic in dynamic.reason
 
 
-def test_all_faults_at_once_leave_the_answer_within_three_sigma():
+def test_with_all_faults_at_once_the_result_is_within_three_sigma():
     script = (
-        on(["link_1"], "at: 3, fault: duplication, value: 0.3", "at: 3, fault: delay, value: 0.1")
-        + on(
+        script_for(
+            ["link_1"], "at: 3, fault: duplication, value: 0.3", "at: 3, fault: delay, value: 0.1"
+        )
+        + script_for(
             ["link_2"], "at: 3, fault: corruption, value: 0.2", "at: 12, fault: reset, duration: 1"
         )
-        + on(["link_3"], "at: 3, fault: jitter, value: 0.1", "at: 3, fault: loss, value: 0.1")
-        + on(["link_4"], "at: 3, fault: reordering, value: 0.2")
-        + on(["fss"], "at: 3, fault: dropout, value: 0.1", "at: 3, fault: latency, value: 0.1")
-        + on(["end_effector"], "at: 3, fault: occlusion, value: 0.1")
-        + on(["end_effector"], "at: 40, fault: frozen, duration: 2")
-        + on(["fss", "end_effector"], "at: 3, fault: swap, value: 0.02")
+        + script_for(
+            ["link_3"], "at: 3, fault: jitter, value: 0.1", "at: 3, fault: loss, value: 0.1"
+        )
+        + script_for(["link_4"], "at: 3, fault: reordering, value: 0.2")
+        + script_for(
+            ["fss"], "at: 3, fault: dropout, value: 0.1", "at: 3, fault: latency, value: 0.1"
+        )
+        + script_for(["end_effector"], "at: 3, fault: occlusion, value: 0.1")
+        + script_for(["end_effector"], "at: 40, fault: frozen, duration: 2")
+        + script_for(["fss", "end_effector"], "at: 3, fault: swap, value: 0.02")
     )
     rehearsal = Rehearsal(CONFIG, script, torque_rate=10)
     result = rehearsal.run()
     dynamic = check(Case(script, ("crc", "lost", "missed"), adopted=2), rehearsal, result)
-    told = any(words in dynamic.reason for words in ("rejected", "too uncertain"))
-    assert dynamic.verdict == PASS or told, dynamic.reason
+    explained = any(words in dynamic.reason for words in ("rejected", "too uncertain"))
+    assert dynamic.verdict == PASS or explained, dynamic.reason
     counted = [link.counts for link in rehearsal.links]
     assert counted[0]["repeated"]
     assert counted[2]["missed"]
@@ -156,13 +171,13 @@ def test_all_faults_at_once_leave_the_answer_within_three_sigma():
     assert batteries[-1] < batteries[0]
 
 
-def test_stamps_are_as_good_as_they_state_under_loss_and_delay():
-    script = on(
+def test_stamps_have_their_stated_accuracy_under_loss_and_delay():
+    script = script_for(
         LINKS, "at: 0, fault: loss, value: 0.2", "at: 0, fault: delay, value: 0.05",
         "at: 0, fault: jitter, value: 0.04", "at: 0, fault: duplication, value: 0.1",
     )  # fmt: skip
     rehearsal = Rehearsal(CONFIG, script)
-    begin = rehearsal.now - rehearsal.bed.now
+    start = rehearsal.now - rehearsal.bed.now
     measured = {}
     for _ in range(1500):
         rehearsal.step()
@@ -171,7 +186,7 @@ def test_stamps_are_as_good_as_they_state_under_loss_and_delay():
     for samples, deviations in zip(rehearsal.samples, rehearsal.deviations, strict=True):
         known = [(s, d) for s, d in zip(samples, deviations, strict=True) if np.isfinite(d)]
         true = [measured[s.frame.link, s.frame.clock] for s, _ in known]
-        off = [(s.stamp - begin - t) * 1e-9 for (s, _), t in zip(known, true, strict=True)]
+        off = [(s.stamp - start - t) * 1e-9 for (s, _), t in zip(known, true, strict=True)]
         # The offset lies anywhere in an interval, of which a deviation is given.
         bounds = [3**0.5 * d + 1e-6 for _, d in known]
         assert len(known) > 40

@@ -1,4 +1,4 @@
-"""The base's board in the test bed, and a session that drives it: what the base makes of it."""
+"""The base's board in the test bed, driven by a session."""
 
 from dataclasses import replace
 
@@ -17,19 +17,19 @@ from fss_sim.sensors import RATE
 from fss_sim.testbed import FRAME, State, Testbed
 
 VALVES = layout(0.16, 0.11)
-BEGIN = State(frame=0, boots=3, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7, boot_offset=0)
+START = State(frame=0, boots=3, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7, boot_offset=0)
 KEY = bytes(range(16))
 
 
 class Flight:
     """A test bed with a board, and the session that drives it, in simulated time."""
 
-    def __init__(self, preset="ideal", state=BEGIN, key=None):
+    def __init__(self, preset="ideal", state=START, key=None):
         keys = {0: key} if key else {}
         noise = replace(PRESETS[preset], clock_drift=5e-5)
         self.bed = Testbed(paper_arm(), noise, 1, state, keys=keys, board_rate=20.0)
-        self.session, self.heard = BoardSession(key=key, epoch=10**18), []
-        self.sends = True
+        self.session, self.received = BoardSession(key=key, epoch=10**18), []
+        self.sending = True
 
     @property
     def now(self):
@@ -40,13 +40,13 @@ class Flight:
             if self.bed.frame % 5 == 0:
                 self.send()
             for datagram in self.bed.step().board:
-                if datagram.peer and (heard := self.session.feed(datagram.data, self.now)):
-                    self.heard.append(heard)
+                if datagram.peer and (received := self.session.feed(datagram.data, self.now)):
+                    self.received.append(received)
         return self
 
     def send(self):
         data = self.session.command(self.now)
-        if self.sends:
+        if self.sending:
             self.bed.receive_base(data, "driver")
 
     def armed(self):
@@ -67,7 +67,7 @@ class Flight:
 
 
 @pytest.mark.parametrize("key", [None, KEY])
-def test_a_pulse_moves_the_base_as_its_thrust_and_time_say(key):
+def test_a_pulse_gives_the_base_its_impulse(key):
     flight = Flight(key=key).armed()
     flight.open(v1=0.2, v7=0.2)  # both push back along x
     flight.frames(60)
@@ -79,16 +79,16 @@ def test_a_pulse_moves_the_base_as_its_thrust_and_time_say(key):
     assert not any(plant.valves)
 
 
-def test_the_gyros_sums_are_the_bases_turn():
+def test_the_gyro_sums_give_the_rotation_of_the_base():
     flight = Flight().armed()
     flight.open(v2=1.0, v3=1.0, v6=1.0, v7=1.0)  # two couples
-    before, begin = flight.bed.plant.q[2], len(flight.heard)
+    before, start = flight.bed.plant.q[2], len(flight.received)
     flight.frames(300)
     sums, angle = Sums(), 0.0
-    for heard in flight.heard[begin - 1 :]:
-        if turn := sums.take(*heard):
+    for received in flight.received[start - 1 :]:
+        if turn := sums.take(*received):
             angle += GYRO_SCALE * turn.counts * turn.samples / RATE
-    last = flight.heard[-1].stamp - 10**9
+    last = flight.received[-1].stamp - 10**9
     turned = flight.bed.plant.q[2] - before
     turned -= flight.bed.plant.qd[2] * (flight.bed.now - last) / 1e9
     assert abs(turned) > 0.02
@@ -100,14 +100,14 @@ def test_silence_closes_all_valves_within_the_watchdog():
     flight.open(**{f"v{i}": 1.0 for i in range(1, 9)})
     flight.frames(10)
     assert all(flight.bed.plant.valves)
-    flight.sends = False
+    flight.sending = False
     flight.frames(52)
     assert not any(flight.bed.plant.valves)
     assert flight.bed.board.state.flags() == BaseState.WATCHDOG
     assert max(flight.bed.board.state.opened) < 620_000
 
 
-def test_stop_closes_and_stays():
+def test_stop_closes_the_valves_and_is_latched():
     flight = Flight().armed()
     flight.open(v3=1.0)
     flight.frames(10)
@@ -142,15 +142,17 @@ def test_a_valve_that_sticks_open_pushes_and_one_that_sticks_closed_does_not():
     flight.bed.faults.set("valve_3", "stuck_closed", 1.0)
     flight.open(v3=0.3, v4=0.3)
     flight.frames(60)
-    wanted = 0.3 * VALVES[3, :2]
-    np.testing.assert_allclose(flight.impulse, wanted, atol=0.002)
+    expected = 0.3 * VALVES[3, :2]
+    np.testing.assert_allclose(flight.impulse, expected, atol=0.002)
     flight.frames(100)
     assert flight.session.slow[BaseSlow.FAULTS] == 0b100
     flight.bed.faults.set("valve_7", "stuck_open", 1.0)
-    used = flight.bed.plant.thrusters.used
+    used = flight.bed.plant.thrusters.propellant_used
     flight.frames(100)
     assert flight.bed.plant.valves == [False] * 6 + [True, False]
-    assert flight.bed.plant.thrusters.used - used == pytest.approx(0.16 / 34.0 / 9.80665, rel=1e-3)
+    assert flight.bed.plant.thrusters.propellant_used - used == pytest.approx(
+        0.16 / 34.0 / 9.80665, rel=1e-3
+    )
     flight.bed.faults.set("valve_7", "stuck_open", 0.0)
     flight.frames(1)
     assert not any(flight.bed.plant.valves)
@@ -158,19 +160,19 @@ def test_a_valve_that_sticks_open_pushes_and_one_that_sticks_closed_does_not():
 
 @pytest.mark.parametrize("fault", [("loss", 0.3), ("duplication", 0.5), ("reordering", 0.3),
                                    ("corruption", 0.3), ("delay", 0.05)])  # fmt: skip
-def test_a_bad_way_neither_lengthens_nor_repeats_a_pulse(fault):
+def test_bad_communication_neither_lengthens_nor_repeats_a_pulse(fault):
     flight = Flight().armed()
     flight.bed.faults.set("board", *fault)
-    given = 0.0
+    commanded = 0.0
     for k in range(30):
         flight.frames(40)
         if not flight.session.armed:
             break
         flight.open(v1=0.05 + 0.001 * k)
-        given += 0.05 + 0.001 * k
+        commanded += 0.05 + 0.001 * k
     opened = 1e-6 * flight.bed.board.state.opened[0]
-    assert opened <= given + 1e-9
-    assert opened > 0.8 * given
+    assert opened <= commanded + 1e-9
+    assert opened > 0.8 * commanded
 
 
 def test_a_dead_gyro_adds_no_samples():
@@ -182,7 +184,7 @@ def test_a_dead_gyro_adds_no_samples():
     assert flight.session.frame.gyro_samples == samples
 
 
-def test_the_gripper_does_as_it_is_told_and_keeps_what_it_was():
+def test_the_gripper_obeys_commands_and_keeps_its_state_without_power():
     flight = Flight().armed()
     flight.session.grip(True, flight.now)
     flight.frames(10)
@@ -195,11 +197,11 @@ def test_the_gripper_does_as_it_is_told_and_keeps_what_it_was():
     assert flight.bed.plant.closed
 
 
-def test_telemetry_comes_at_its_rate_with_all_slow_fields():
+def test_telemetry_has_its_rate_and_all_slow_fields():
     flight = Flight("default").armed()
-    flight.heard.clear()
+    flight.received.clear()
     flight.frames(200)
-    assert len(flight.heard) == pytest.approx(200 * FRAME * 20e-9, abs=1)
+    assert len(flight.received) == pytest.approx(200 * FRAME * 20e-9, abs=1)
     assert flight.session.slow.keys() == set(BaseSlow)
     assert flight.session.slow[BaseSlow.TANK] == 20_000
     assert flight.session.slow[BaseSlow.SUPPLY] == 7000

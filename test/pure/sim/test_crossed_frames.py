@@ -23,7 +23,7 @@ def links(keys=None, boots=(1, 1, 1, 1)):
 
 
 def command(rng, k, i, boot):
-    """What a driver of a link may ever say: it arms, moves, stops, homes and clears."""
+    """Return a random command: arm, move, stop, home or clear."""
     return Command(
         link=i, flags=rng.choice((0, Order.ARM, Order.STOP, Order.ARM | Order.HOME)), boot=boot,
         sequence=k, clock=SECOND + 1000 * k, expiry=SECOND + 1000 * k + 500, watchdog=2000,
@@ -33,34 +33,34 @@ def command(rng, k, i, boot):
 
 
 @pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
-def test_a_link_takes_no_command_that_is_signed_for_another_vehicle(count):
-    rng, own, other = Random(1), links(KEYS[1]), links(KEYS[2])
+def test_a_link_rejects_commands_signed_for_another_vehicle(count):
+    rng, links_here, links_there = Random(1), links(KEYS[1]), links(KEYS[2])
     for k in range(count):
         i = 1 + k % 4
-        link = own[i - 1]
+        link = links_here[i - 1]
         data = encode(command(rng, k, i, link.gate.boot), KEYS[2][i])
         assert not link.receive(data, SECOND + 1000 * k)
-        if k % 1000 < 4:  # it is a good command to whom it is for
-            other[i - 1].receive(data, SECOND + 1000 * k)
-    for link in own:
+        if k % 1000 < 4:  # its addressee accepts it
+            links_there[i - 1].receive(data, SECOND + 1000 * k)
+    for link in links_here:
         assert link.gate.refused == {Refused.FRAME: count // 4}
         assert not link.armed
         assert link.gate.command is None
-    assert all(link.gate.command for link in other)
+    assert all(link.gate.command for link in links_there)
 
 
-def test_without_keys_only_the_start_that_a_command_is_for_tells_vehicles_apart():
-    """Why docs/how-to/security.md asks for keys of each vehicle's own."""
+def test_without_keys_only_the_boot_number_distinguishes_vehicles():
+    """Reason for the advice in docs/how-to/security.md: each vehicle needs its own keys."""
     first, second = links(boots=(1, 2, 3, 4)), links(boots=(9, 2, 9, 9))
     disarmed = {
         "flags": 0, "sequence": 1, "clock": SECOND, "expiry": 0, "watchdog": 2000,
         "mode": Mode.OFF, "set_point": 0, "velocity": 0, "acceleration": 0,
     }  # fmt: skip
-    taken = [
+    accepted = [
         first[i - 1].receive(encode(Command(link=i, boot=link.gate.boot, **disarmed)), SECOND)
         for i, link in zip(LINKS, second, strict=True)
     ]
-    assert taken == [False, True, False, False]  # link 2 has begun as often as its namesake
-    assert first[0].receive(encode(Command(link=1, boot=0, **disarmed)), SECOND)  # to whom it finds
+    assert accepted == [False, True, False, False]  # link 2 has the same boot number in both
+    assert first[0].receive(encode(Command(link=1, boot=0, **disarmed)), SECOND)  # boot 0: any link
     stop = {**disarmed, "flags": Order.STOP, "sequence": 2, "clock": SECOND + 1}
-    assert first[2].receive(encode(Command(link=3, boot=9, **stop)), SECOND)  # is obeyed always
+    assert first[2].receive(encode(Command(link=3, boot=9, **stop)), SECOND)  # always obeyed

@@ -1,4 +1,4 @@
-"""A link's electronics, emulated: what it takes, what it refuses, how it stops by itself."""
+"""Emulated electronics of a link: accepted and rejected commands, stops, homing."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -18,12 +18,12 @@ LINK = Link(
 )  # fmt: skip
 REST = Motion(q=0.5, qd=0.0, current=0.25, torque=0.2)
 BOOT, SECOND = 7, 1_000_000
-QUIET = Command(
+DISARM = Command(
     link=2, flags=0, boot=BOOT, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
     set_point=0, velocity=0, acceleration=0,
 )  # fmt: skip
-GO = replace(
-    QUIET, flags=Order.ARM, sequence=2, expiry=3 * SECOND, mode=Mode.POSITION, set_point=-40_000,
+MOVE = replace(
+    DISARM, flags=Order.ARM, sequence=2, expiry=3 * SECOND, mode=Mode.POSITION, set_point=-40_000,
     velocity=300_000, acceleration=3000,
 )  # fmt: skip
 
@@ -40,13 +40,13 @@ def frame(electronics, clock=SECOND, motion=REST):
 
 
 def test_it_starts_disarmed_and_off():
-    fresh = link()
-    assert fresh.demand(SECOND, REST).mode == Mode.OFF
-    assert not frame(fresh).flags & (State.ARMED | State.STOPPED | State.WATCHDOG)
+    electronics = link()
+    assert electronics.demand(SECOND, REST).mode == Mode.OFF
+    assert not frame(electronics).flags & (State.ARMED | State.STOPPED | State.WATCHDOG)
 
 
 def test_it_reports_counts_of_its_own_drive_and_torque_converter():
-    got = frame(link(QUIET), clock=SECOND + 300)
+    got = frame(link(DISARM), clock=SECOND + 300)
     assert got.position == round(-0.5 * 240_000 / (2 * pi))
     assert got.current == -25
     assert got.torque == round(0.2 / 1e-6 + 100)
@@ -54,13 +54,13 @@ def test_it_reports_counts_of_its_own_drive_and_torque_converter():
     assert (got.clock, got.echo, got.turnaround) == (SECOND + 300, 5, 300)
 
 
-def test_it_tells_its_serial_number():
+def test_it_reports_its_serial_number():
     electronics = LinkElectronics(2, replace(LINK, serial=23), BOOT)
     frames = [frame(electronics, t) for t in range(SECOND, 3 * SECOND, 200_000)]
     assert {f.slow_value for f in frames if f.slow_id == Slow.SERIAL} == {23}
 
 
-def test_frames_come_at_their_rate_and_slow_fields_take_turns():
+def test_frames_have_their_rate_and_slow_fields_alternate():
     electronics = link()
     times = [t for t in range(0, 3 * SECOND, 10_000) if electronics.telemetry(t, REST)]
     assert [b - a for a, b in pairwise(times)] == [200_000] * 14
@@ -68,8 +68,8 @@ def test_frames_come_at_their_rate_and_slow_fields_take_turns():
     assert set(slow) == set(Slow)
 
 
-def test_an_armed_link_does_what_it_is_told():
-    demand = link(QUIET, GO).demand(SECOND, REST)
+def test_an_armed_link_obeys_commands():
+    demand = link(DISARM, MOVE).demand(SECOND, REST)
     assert demand.mode == Mode.POSITION
     assert demand.set_point == pytest.approx(40_000 * 2 * pi / 240_000)
     assert demand.speed == pytest.approx(30_000 * 2 * pi / 240_000)
@@ -79,16 +79,16 @@ def test_an_armed_link_does_what_it_is_told():
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (replace(GO, sequence=1), Refused.SEQUENCE),
-        (replace(GO, sequence=2), Refused.SEQUENCE),
-        (replace(GO, sequence=0xFFFFFFF0), Refused.SEQUENCE),
-        (replace(GO, sequence=3, boot=BOOT + 1), Refused.BOOT),
-        (replace(GO, sequence=3, expiry=SECOND - 1), Refused.EXPIRED),
-        (replace(GO, sequence=3, link=3), Refused.OTHER),
+        (replace(MOVE, sequence=1), Refused.SEQUENCE),
+        (replace(MOVE, sequence=2), Refused.SEQUENCE),
+        (replace(MOVE, sequence=0xFFFFFFF0), Refused.SEQUENCE),
+        (replace(MOVE, sequence=3, boot=BOOT + 1), Refused.BOOT),
+        (replace(MOVE, sequence=3, expiry=SECOND - 1), Refused.EXPIRED),
+        (replace(MOVE, sequence=3, link=3), Refused.OTHER),
     ],
 )
-def test_it_refuses_and_changes_nothing(command, reason):
-    electronics = link(QUIET, replace(GO, sequence=2))
+def test_a_rejected_command_changes_nothing(command, reason):
+    electronics = link(DISARM, replace(MOVE, sequence=2))
     before = electronics.demand(SECOND, REST)
     assert not electronics.receive(encode(command), SECOND)
     assert electronics.gate.refused == {reason: 1}
@@ -96,28 +96,28 @@ def test_it_refuses_and_changes_nothing(command, reason):
 
 
 @pytest.mark.parametrize("cut", [0, 1, 71])
-def test_what_is_no_frame_is_refused(cut):
+def test_invalid_frames_are_rejected(cut):
     electronics = link()
-    assert not electronics.receive(encode(QUIET)[:cut], SECOND)
+    assert not electronics.receive(encode(DISARM)[:cut], SECOND)
     assert not electronics.receive(electronics.telemetry(SECOND, REST), SECOND)
     assert electronics.gate.refused == {Refused.FRAME: 1, Refused.OTHER: 1}
 
 
-def test_a_session_cannot_begin_armed():
+def test_a_session_cannot_start_armed():
     electronics = link()
-    assert not electronics.receive(encode(GO), SECOND)
+    assert not electronics.receive(encode(MOVE), SECOND)
     assert not electronics.armed
 
 
-def test_silence_trips_the_watchdog_and_only_a_disarming_frame_resets_it():
-    electronics = link(QUIET, replace(GO, expiry=100 * SECOND))
+def test_missing_commands_trip_the_watchdog_and_only_disarming_resets_it():
+    electronics = link(DISARM, replace(MOVE, expiry=100 * SECOND))
     assert electronics.demand(3 * SECOND, REST).speed > 0.0
     held = electronics.demand(3 * SECOND + 1, replace_speed(REST, 0.3))
     assert (held.mode, held.speed) == (Mode.POSITION, 0.0)
     assert frame(electronics, 3 * SECOND + 1).flags & State.WATCHDOG
-    late = replace(GO, sequence=3, expiry=100 * SECOND)
+    late = replace(MOVE, sequence=3, expiry=100 * SECOND)
     assert not electronics.receive(encode(late), 4 * SECOND)
-    assert electronics.receive(encode(replace(QUIET, sequence=4)), 4 * SECOND)
+    assert electronics.receive(encode(replace(DISARM, sequence=4)), 4 * SECOND)
     assert electronics.receive(encode(replace(late, sequence=5)), 4 * SECOND)
     assert electronics.armed
 
@@ -126,28 +126,28 @@ def replace_speed(motion, qd):
     return motion._replace(qd=qd)
 
 
-def test_whatever_stops_it_brakes_as_hard_as_the_drive_can():
-    gentle = replace(GO, acceleration=50)
-    electronics = link(QUIET, gentle)
+def test_every_stop_uses_the_largest_deceleration():
+    gentle = replace(MOVE, acceleration=50)
+    electronics = link(DISARM, gentle)
     assert electronics.demand(SECOND, REST).acceleration < 0.02
-    assert electronics.receive(encode(replace(QUIET, sequence=3, flags=Order.STOP)), SECOND)
+    assert electronics.receive(encode(replace(DISARM, sequence=3, flags=Order.STOP)), SECOND)
     held = electronics.demand(SECOND, replace_speed(REST, 0.3))
     assert held.acceleration == LINK.drive.max_acceleration
 
 
-def test_a_joint_that_does_not_come_to_rest_is_switched_off_in_bounded_time():
-    electronics, pushed = link(QUIET, GO), replace_speed(REST, 0.3)
+def test_a_joint_that_keeps_moving_is_switched_off_after_a_timeout():
+    electronics, pushed = link(DISARM, MOVE), replace_speed(REST, 0.3)
     electronics.demand(SECOND, pushed)
-    for k in range(15):  # told again and again, which begins nothing anew
+    for k in range(15):  # repeated commands do not restart the timeout
         clock = SECOND + 200_000 * k
-        assert electronics.receive(encode(replace(QUIET, sequence=3 + k)), clock)
+        assert electronics.receive(encode(replace(DISARM, sequence=3 + k)), clock)
         assert electronics.demand(clock, pushed).mode == Mode.POSITION
     assert electronics.demand(4 * SECOND, pushed).mode == Mode.POSITION
     assert electronics.demand(4 * SECOND + 1, pushed).mode == Mode.OFF
 
 
-def test_a_link_without_reference_finds_it_once_for_all_such_commands_in_a_row():
-    electronics, home = link(QUIET), replace(GO, flags=Order.ARM | Order.HOME, set_point=0)
+def test_repeated_home_commands_home_once():
+    electronics, home = link(DISARM), replace(MOVE, flags=Order.ARM | Order.HOME, set_point=0)
     assert electronics.drive.referenced
     assert electronics.receive(encode(home), SECOND)
     assert not frame(electronics).flags & State.REFERENCED  # from the first that echoes it
@@ -163,58 +163,58 @@ def test_a_link_without_reference_finds_it_once_for_all_such_commands_in_a_row()
     assert after.mode == Mode.POSITION
 
 
-def test_a_homing_that_is_given_up_leaves_no_reference_and_begins_anew_when_told():
-    home = replace(GO, flags=Order.ARM | Order.HOME, set_point=0)
-    electronics = link(QUIET, home)
+def test_an_aborted_homing_leaves_no_reference_and_can_be_repeated():
+    home = replace(MOVE, flags=Order.ARM | Order.HOME, set_point=0)
+    electronics = link(DISARM, home)
     electronics.demand(SECOND, REST)
-    assert electronics.demand(3 * SECOND + 1, REST).speed == 0.0  # the order has expired
+    assert electronics.demand(3 * SECOND + 1, REST).speed == 0.0  # the command has expired
     assert electronics.demand(3 * SECOND + 1, REST._replace(q=-0.01)).speed == 0.0
     assert not frame(electronics, 3 * SECOND + 1).flags & State.REFERENCED
     again = replace(home, sequence=4, expiry=9 * SECOND)
-    assert electronics.receive(encode(replace(QUIET, sequence=3)), 3 * SECOND)
+    assert electronics.receive(encode(replace(DISARM, sequence=3)), 3 * SECOND)
     assert electronics.receive(encode(again), 3 * SECOND)
     assert electronics.demand(3 * SECOND, REST._replace(q=-0.01)).set_point == 0.2
 
 
 def test_an_expired_set_point_is_held():
-    electronics = link(QUIET, GO)
+    electronics = link(DISARM, MOVE)
     assert electronics.demand(3 * SECOND, REST).speed > 0.0
-    electronics.receive(encode(replace(GO, sequence=3, expiry=2 * SECOND)), 2 * SECOND)
+    electronics.receive(encode(replace(MOVE, sequence=3, expiry=2 * SECOND)), 2 * SECOND)
     assert electronics.demand(2 * SECOND + 1, REST).speed == 0.0
 
 
-def test_stop_latches_until_disarmed_and_armed_anew():
-    electronics = link(QUIET, GO, replace(QUIET, sequence=3, flags=Order.STOP))
-    again = replace(GO, sequence=4)
+def test_stop_latches_until_disarmed_and_armed_again():
+    electronics = link(DISARM, MOVE, replace(DISARM, sequence=3, flags=Order.STOP))
+    again = replace(MOVE, sequence=4)
     assert electronics.receive(encode(again), SECOND)
     assert not electronics.armed
     assert frame(electronics).flags & State.STOPPED
-    assert electronics.receive(encode(replace(QUIET, sequence=5)), SECOND)
+    assert electronics.receive(encode(replace(DISARM, sequence=5)), SECOND)
     assert electronics.receive(encode(replace(again, sequence=6)), SECOND)
     assert electronics.armed
 
 
 def test_a_stop_switches_nothing_on():
-    stop = replace(QUIET, sequence=3, flags=Order.STOP)
-    assert link(QUIET, GO, stop).demand(SECOND, REST).mode == Mode.POSITION
-    for before in ([], [QUIET], [QUIET, GO, replace(QUIET, sequence=3)]):
+    stop = replace(DISARM, sequence=3, flags=Order.STOP)
+    assert link(DISARM, MOVE, stop).demand(SECOND, REST).mode == Mode.POSITION
+    for before in ([], [DISARM], [DISARM, MOVE, replace(DISARM, sequence=3)]):
         electronics = link(*before, stop)
         assert electronics.stopped
         assert electronics.demand(SECOND, REST).mode == Mode.OFF
 
 
 def test_stop_is_obeyed_whatever_its_boot_and_sequence():
-    electronics = link(QUIET, GO)
-    stop = replace(QUIET, sequence=0, boot=BOOT + 5, flags=Order.STOP)
+    electronics = link(DISARM, MOVE)
+    stop = replace(DISARM, sequence=0, boot=BOOT + 5, flags=Order.STOP)
     assert electronics.receive(encode(stop), SECOND)
     assert not electronics.armed
     assert electronics.stopped
 
 
 def test_disarming_brakes_and_switches_off_at_rest():
-    electronics = link(QUIET, GO)
+    electronics = link(DISARM, MOVE)
     electronics.demand(SECOND, REST)
-    assert electronics.receive(encode(replace(QUIET, sequence=3)), SECOND)
+    assert electronics.receive(encode(replace(DISARM, sequence=3)), SECOND)
     assert electronics.demand(SECOND, replace_speed(REST, 0.3)).mode == Mode.POSITION
     assert electronics.demand(SECOND, REST).mode == Mode.OFF
 
@@ -222,12 +222,12 @@ def test_disarming_brakes_and_switches_off_at_rest():
 KEY = bytes(range(16))
 
 
-def test_with_a_key_each_command_is_taken_once_and_only_if_signed():
+def test_with_a_key_each_command_is_accepted_once_and_only_if_signed():
     electronics = LinkElectronics(2, LINK, BOOT, key=KEY)
-    go = replace(GO, clock=6)
-    stop = replace(QUIET, sequence=3, clock=7, flags=Order.STOP)
+    move = replace(MOVE, clock=6)
+    stop = replace(DISARM, sequence=3, clock=7, flags=Order.STOP)
     seen = []
-    for command in (QUIET, go, stop):
+    for command in (DISARM, move, stop):
         assert not electronics.receive(encode(command), SECOND)
         seen.append(encode(command, KEY))
         assert electronics.receive(seen[-1], SECOND)
@@ -236,9 +236,9 @@ def test_with_a_key_each_command_is_taken_once_and_only_if_signed():
     assert decode(electronics.telemetry(SECOND, REST), KEY).flags & State.STOPPED
 
 
-def test_with_a_key_silence_opens_no_way_for_replays():
+def test_with_a_key_replays_are_rejected_after_a_timeout():
     electronics = LinkElectronics(2, LINK, BOOT, key=KEY)
-    assert electronics.receive(encode(replace(QUIET, boot=0), KEY), SECOND)
-    assert electronics.receive(encode(replace(QUIET, sequence=2, clock=9), KEY), SECOND)
-    assert not electronics.receive(encode(replace(QUIET, boot=0), KEY), 60 * SECOND)
-    assert electronics.receive(encode(replace(QUIET, sequence=1, clock=10), KEY), 60 * SECOND)
+    assert electronics.receive(encode(replace(DISARM, boot=0), KEY), SECOND)
+    assert electronics.receive(encode(replace(DISARM, sequence=2, clock=9), KEY), SECOND)
+    assert not electronics.receive(encode(replace(DISARM, boot=0), KEY), 60 * SECOND)
+    assert electronics.receive(encode(replace(DISARM, sequence=1, clock=10), KEY), 60 * SECOND)

@@ -1,4 +1,4 @@
-"""Faults: what there is, scripts of them, and what they do to datagrams on their way."""
+"""Faults: their kinds, fault scripts, and their effects on datagrams."""
 
 from collections import Counter
 from dataclasses import fields
@@ -9,13 +9,13 @@ from random import Random
 import pytest
 
 from fss_arm_model.units import SECOND
-from fss_sim.faults import Event, FaultError, Faults, LinkFaults, kinds, read_script
+from fss_sim.faults import Event, FaultError, Faults, LinkFaults, fault_classes, read_script
 from fss_sim.link.channel import Channel, Datagram
 
 ROOT = Path(__file__).parents[3]
 
 
-def test_a_script_comes_into_force_and_ends_over_what_was_set():
+def test_a_script_overrides_faults_set_by_hand_while_it_is_active():
     faults = Faults(
         2,
         read_script(
@@ -27,15 +27,15 @@ def test_a_script_comes_into_force_and_ends_over_what_was_set():
         ),
     )
     faults.set("link_2", "loss", 0.1)
-    said = []
+    history = []
     for t in (0.5, 1.0, 1.5, 2.0, 2.5, 3.0):
         changed = faults.advance(t)
-        said.append((changed, faults.links[1].loss, faults.tip.frozen))
-    assert said == [
+        history.append((changed, faults.links[1].loss, faults.tip.frozen))
+    assert history == [
         (False, 0.1, 0), (True, 0.5, 0), (False, 0.5, 0), (True, 0.7, 1), (True, 0.5, 1),
         (True, 0.1, 1),
     ]  # fmt: skip
-    assert faults.in_force() == [("link_2", "loss", 0.1), ("end_effector", "frozen", 1.0)]
+    assert faults.active() == [("link_2", "loss", 0.1), ("end_effector", "frozen", 1.0)]
     assert faults.links[0] == LinkFaults()
 
 
@@ -48,11 +48,11 @@ def test_a_script_comes_into_force_and_ends_over_what_was_set():
         ("- {at: -1, part: link_1, fault: loss}", "expected 0 or more"),
         ("- {at: 1, part: link_1, fault: loss, duration: 0}", "above 0"),
         ("- {at: 1, part: link_1, fault: loss, until: 3}", "until"),
-        ("- [1, 2", "no fault script"),
+        ("- [1, 2", "invalid fault script"),
         ("- 3", "expected at"),
     ],
 )
-def test_what_is_no_script_is_refused_in_one_line(text, words):
+def test_an_invalid_script_is_rejected_in_one_line(text, words):
     with pytest.raises(FaultError, match=words) as error:
         read_script(text)
     assert "\n" not in str(error.value)
@@ -61,23 +61,23 @@ def test_what_is_no_script_is_refused_in_one_line(text, words):
 @pytest.mark.parametrize(
     ("event", "words"),
     [
-        (Event(1.0, "link_3", "loss"), "no faults of 'link_3', expected one of link_1, link_2"),
+        (Event(1.0, "link_3", "loss"), "there is no part 'link_3', expected one of link_1, link_2"),
         (Event(1.0, "link_1", "swap"), "link_1 has no fault 'swap', expected one of loss"),
         (Event(1.0, "fss", "dropout", 1.5), "fss.dropout is 1.5, expected 0 to 1"),
     ],
 )
-def test_a_fault_that_cannot_be_is_refused_before_the_begin(event, words):
+def test_an_impossible_fault_is_rejected_before_the_start(event, words):
     with pytest.raises(FaultError, match=words):
         Faults(2, [event])
 
 
-def sent(faults, count=2000, period=SECOND // 5):
-    """Time of arrival and data of so many datagrams sent one a period."""
+def send_all(faults, count=2000, period=SECOND // 5):
+    """Return time of arrival and data of `count` datagrams, one sent per period."""
     channel, got = Channel(Random(1)), []
     for k in range(count + 100):
         now = k * period
         if k < count:
-            channel.put(Datagram(k.to_bytes(4, "big") + bytes(68), None), now, faults)
+            channel.send(Datagram(k.to_bytes(4, "big") + bytes(68), None), now, faults)
         got += [(now, d.data) for d in channel.arrived(now)]
     return got
 
@@ -86,30 +86,30 @@ def numbers(got):
     return [int.from_bytes(data[:4], "big") for _, data in got]
 
 
-def test_without_faults_everything_comes_at_once():
-    got = sent(LinkFaults())
+def test_without_faults_datagrams_arrive_at_once():
+    got = send_all(LinkFaults())
     assert numbers(got) == list(range(2000))
     assert all(t == k * SECOND // 5 for k, (t, _) in enumerate(got))
 
 
 @pytest.mark.parametrize(("name", "least", "most"), [("loss", 0, 1), ("duplication", 1, 2)])
-def test_shares_of_the_datagrams_are_lost_or_come_twice(name, least, most):
-    counts = Counter(numbers(sent(LinkFaults(**{name: 0.3}))))
+def test_shares_of_the_datagrams_are_lost_or_duplicated(name, least, most):
+    counts = Counter(numbers(send_all(LinkFaults(**{name: 0.3}))))
     share = sum(counts[k] != 1 for k in range(2000)) / 2000
     assert share == pytest.approx(0.3, abs=4 * (0.3 * 0.7 / 2000) ** 0.5)
     assert {counts[k] for k in range(2000)} == {least, most}
 
 
-def test_delay_and_jitter_bound_the_time_under_way():
-    got = sent(LinkFaults(delay=0.5, jitter=0.4), period=SECOND // 100)
-    under_way = [t - k * SECOND // 100 for (t, _), k in zip(got, numbers(got), strict=True)]
+def test_delay_and_jitter_bound_the_time_in_transit():
+    got = send_all(LinkFaults(delay=0.5, jitter=0.4), period=SECOND // 100)
+    in_transit = [t - k * SECOND // 100 for (t, _), k in zip(got, numbers(got), strict=True)]
     assert len(got) == 2000
-    assert 0.1 * SECOND <= min(under_way) <= 0.12 * SECOND
-    assert 0.88 * SECOND <= max(under_way) <= 0.91 * SECOND
+    assert 0.1 * SECOND <= min(in_transit) <= 0.12 * SECOND
+    assert 0.88 * SECOND <= max(in_transit) <= 0.91 * SECOND
 
 
 def test_a_reordered_datagram_comes_after_the_next():
-    order = numbers(sent(LinkFaults(reordering=0.2)))
+    order = numbers(send_all(LinkFaults(reordering=0.2)))
     assert sorted(order) == list(range(2000))
     overtaken = sum(b < a for a, b in pairwise(order))
     assert overtaken / 2000 == pytest.approx(0.2 / 1.2, abs=0.04)
@@ -117,7 +117,7 @@ def test_a_reordered_datagram_comes_after_the_next():
 
 
 def test_a_corrupted_datagram_has_one_bit_flipped():
-    got = sent(LinkFaults(corruption=0.3))
+    got = send_all(LinkFaults(corruption=0.3))
     flipped = [
         bin(int.from_bytes(data, "big") ^ int.from_bytes(k.to_bytes(4, "big") + bytes(68), "big"))
         for k, (_, data) in enumerate(got)
@@ -130,9 +130,9 @@ def test_a_corrupted_datagram_has_one_bit_flipped():
 def test_the_documentation_names_each_fault_and_no_other():
     page = (ROOT / "docs/explanation/simulator.md").read_text()
     table = page[page.index("| part | fault |") :].split("\n\n")[0]
-    told = [row.split("|")[2].strip(" `") for row in table.splitlines()[2:]]
-    assert told == [
-        f.name for kind in dict.fromkeys(kinds(2).values()) for f in fields(kind)
+    documented = [row.split("|")[2].strip(" `") for row in table.splitlines()[2:]]
+    assert documented == [
+        f.name for kind in dict.fromkeys(fault_classes(2).values()) for f in fields(kind)
     ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Joints that give: right against MuJoCo, eigenvalues and formulas; books that balance."""
+"""Flexible joints, compared with MuJoCo, eigenvalues and formulas; the audit balances."""
 
 from dataclasses import replace
 
@@ -16,8 +16,8 @@ from fss_arm_model.integration import STEP
 from fss_arm_model.settings import SettingError
 from fss_sim import settings as of_testbed
 from fss_sim.noise import PRESETS as NOISE
-from fss_sim.plant.drives import CURRENT, OFF, POSITION, STIFFNESS, VELOCITY
-from fss_sim.plant.joints import PRESETS, Joints, axes, carried
+from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_VELOCITY, STIFFNESS
+from fss_sim.plant.joints import PRESETS, Joints, link_normals, outboard_momentum
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
@@ -44,8 +44,8 @@ def motors(plant):
 
 @pytest.mark.parametrize("tolerance", [0.0, 1e-12])
 @pytest.mark.parametrize("n", [1, 2, 4, 6])
-def test_it_moves_as_mujoco_says_with_motors_and_springs(n, tolerance):
-    """The same method and step in other coordinates, 2e-9; the truth, which both are near."""
+def test_motors_and_springs_move_as_in_mujoco(n, tolerance):
+    """Same integrator and step in other coordinates; with a tolerance, the converged solution."""
     rng = np.random.default_rng(n)
     arm = random_arm(n, rng)
     model = mujoco_model(arm, BARE)
@@ -61,7 +61,7 @@ def test_it_moves_as_mujoco_says_with_motors_and_springs(n, tolerance):
     data.qfrc_applied[motor] = torques / N
     plant = Plant(arm, q, qd, World(BARE, WIDE, tolerance=tolerance))
     for joint, torque in enumerate(torques):
-        plant.command(joint, Demand(CURRENT, torque / arm.links[joint].drive.torque_constant))
+        plant.command(joint, Demand(MODE_CURRENT, torque / arm.links[joint].drive.torque_constant))
     for _ in range(4):
         plant.advance(0.1)
         for _ in range(500):
@@ -70,10 +70,10 @@ def test_it_moves_as_mujoco_says_with_motors_and_springs(n, tolerance):
         np.testing.assert_allclose(plant.qd, data.qvel[place], rtol=0, atol=1e-6)
         turned = np.column_stack([data.qpos[motor], data.qvel[motor]]) / N
         np.testing.assert_allclose(motors(plant), turned, rtol=0, atol=1e-6)
-    assert np.abs(plant.q[3:] - motors(plant)[:, 0]).max() > 1e-4  # they did wind up
+    assert np.abs(plant.q[3:] - motors(plant)[:, 0]).max() > 1e-4  # the gears are twisted
 
 
-def test_a_dead_band_is_mujocos():
+def test_a_dead_band_agrees_with_mujoco():
     joints, torques = replace(BARE, dead_band=0.002), np.array([0.3, -0.2, 0.1, 0.05])
     model = mujoco_model(paper_arm(), joints)
     model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 0.1 * STEP
@@ -81,7 +81,7 @@ def test_a_dead_band_is_mujocos():
     data.qfrc_applied[motor] = torques / joints.gear_ratio
     plant = Plant(paper_arm(), np.zeros(7), None, World(joints, WIDE, tolerance=1e-11))
     for joint, torque in enumerate(torques):
-        plant.command(joint, Demand(CURRENT, torque / 0.8))
+        plant.command(joint, Demand(MODE_CURRENT, torque / 0.8))
     plant.advance(0.3)
     for _ in range(3000):
         mujoco.mj_step(model, data)
@@ -91,7 +91,7 @@ def test_a_dead_band_is_mujocos():
 
 @pytest.mark.parametrize("n", [1, 4])
 def test_natural_frequencies_are_the_eigenvalues(n):
-    """Of the flow over 1 ms, linearized by differences, against det(K - w^2 M) = 0."""
+    """Eigenvalues of the linearized map over 1 ms agree with det(K - w^2 M) = 0."""
     arm, joints = random_arm(n, np.random.default_rng(n)), replace(BARE, damping=0.0)
     q = np.random.default_rng(n).uniform(-1.0, 1.0, 3 + n)
     J, N = joints.rotor_inertia, joints.gear_ratio
@@ -111,7 +111,7 @@ def test_natural_frequencies_are_the_eigenvalues(n):
         plant._motors[:, 0] = q[3:] + start[0, 3 + n :]
         plant._motors[:, 1] = start[1, 3 + n :]
         for joint in range(n):
-            plant.command(joint, Demand(CURRENT, 0.0))
+            plant.command(joint, Demand(MODE_CURRENT, 0.0))
         plant.advance(STEP)
         turned = motors(plant).T
         return np.array([[*plant.q, *turned[0]], [*plant.qd, *turned[1]]]).ravel()
@@ -128,7 +128,7 @@ def test_natural_frequencies_are_the_eigenvalues(n):
 def test_friction_follows_stribecks_curve(speed):
     joints = replace(REAL, ripple=0.0, dead_band=0.0, current_bandwidth=0.0, static=0.5)
     plant, torques = bed(joints), []
-    plant.command(0, Demand(VELOCITY, speed, speed, 2.0))
+    plant.command(0, Demand(MODE_VELOCITY, speed, speed, 2.0))
     plant.advance(0.5 + speed)
     for _ in range(1000):
         plant.advance(STEP)
@@ -141,12 +141,12 @@ def test_friction_follows_stribecks_curve(speed):
 def test_a_motor_sticks_up_to_static_friction_and_no_further():
     plant = bed(replace(REAL, ripple=0.0))
     for joint in range(4):
-        plant.command(joint, Demand(CURRENT, 0.99 * REAL.static / 0.8))
+        plant.command(joint, Demand(MODE_CURRENT, 0.99 * REAL.static / 0.8))
     before = motors(plant)
     plant.advance(10.0)
     assert (motors(plant) == before).all()
     for joint in range(4):
-        plant.command(joint, Demand(CURRENT, 1.02 * REAL.static / 0.8))
+        plant.command(joint, Demand(MODE_CURRENT, 1.02 * REAL.static / 0.8))
     plant.advance(0.5)
     assert (motors(plant)[:, 0] > before[:, 0] + 1e-4).all()
 
@@ -165,8 +165,8 @@ def test_motors_come_to_rest_exactly_and_energy_never_grows():
 
 
 @pytest.mark.parametrize("n", range(1, 7))
-def test_books_balance_with_springs_and_friction(n):
-    """To 1e-9 where the integration is as exact; in steps of 1 ms, to the error of those."""
+def test_the_audit_balances_with_springs_and_friction(n):
+    """Within 1e-9 with error control; with fixed steps of 1 ms, within their error."""
     rng = np.random.default_rng(n)
     around = Surroundings((0.001, -0.002), 0.01, 0.5, 0.02, table=(20.0, 20.0))
     q, qd = rng.uniform(-1.0, 1.0, (2, 3 + n))
@@ -174,7 +174,7 @@ def test_books_balance_with_springs_and_friction(n):
     for tolerance, momentum, energy in ((1e-12, 1e-9, 1e-9), (0.0, 1e-8, 1e-4)):
         plant = Plant(arm, q, 0.2 * qd, World(REAL, around, tolerance=tolerance))
         for joint in range(n):
-            mode = (OFF, CURRENT, VELOCITY, POSITION)[joint % 4]
+            mode = (MODE_OFF, MODE_CURRENT, MODE_VELOCITY, MODE_POSITION)[joint % 4]
             plant.command(joint, Demand(mode, rng.uniform(-0.5, 0.5), 0.5, 1.0))
         plant.advance(1.5)
         assert np.abs(plant.audit.impulse).min() > 1e-3
@@ -183,7 +183,7 @@ def test_books_balance_with_springs_and_friction(n):
         assert off[3] < energy
 
 
-def test_a_capture_keeps_the_books():
+def test_the_audit_balances_through_a_capture():
     target = Target(mass=9.0, inertia=0.2, fixture=(0.0, 0.0, 0.0))
     gripper = Gripper(reach=10.0, angle=4.0, speed=10.0)
     world = World(REAL, WIDE, gripper=gripper, target=target, tolerance=1e-12)
@@ -197,10 +197,10 @@ def test_a_capture_keeps_the_books():
     np.testing.assert_allclose(plant.imbalance, 0.0, rtol=0, atol=1e-9)
 
 
-def test_a_link_stays_behind_its_motor_by_torque_over_stiffness():
+def test_a_gear_twists_by_torque_over_stiffness():
     joints = replace(BARE, stop_stiffness=2000.0, stop_damping=20.0, dead_band=0.0004)
     plant = bed(joints)
-    plant.command(1, Demand(CURRENT, 1.0))  # into its end stop
+    plant.command(1, Demand(MODE_CURRENT, 1.0))  # into its end stop
     plant.advance(15.0)
     motion = plant.motion(1)
     assert motion.torque == pytest.approx(0.8, rel=1e-3)
@@ -209,7 +209,7 @@ def test_a_link_stays_behind_its_motor_by_torque_over_stiffness():
 
 def test_a_current_follows_its_command_at_the_loops_bandwidth():
     plant, seen = bed(replace(REAL, current_bandwidth=50.0)), []
-    plant.command(0, Demand(CURRENT, 1.0))
+    plant.command(0, Demand(MODE_CURRENT, 1.0))
     for _ in range(10):
         plant.advance(STEP)
         seen.append(plant.motion(0).current)
@@ -219,31 +219,31 @@ def test_a_current_follows_its_command_at_the_loops_bandwidth():
 
 @pytest.mark.parametrize("bandwidth", [0.0, 30.0, 300.0])
 @pytest.mark.parametrize("posture", [(1.0, -0.5, 0.2, 0.6), (-1.4, 1.4, -1.3, 1.4)])
-def test_a_move_arrives_where_friction_lets_it(posture, bandwidth):
+def test_a_move_ends_within_the_friction_band(posture, bandwidth):
     plant = bed(replace(REAL, current_bandwidth=bandwidth))
     for joint, target in enumerate(posture):
-        plant.command(joint, Demand(POSITION, target, 0.8, 1.0))
+        plant.command(joint, Demand(MODE_POSITION, target, 0.8, 1.0))
     plant.advance(6.0)
     q, qd = motors(plant).T
     assert np.abs(q - posture).max() < 2.0 * REAL.static / STIFFNESS
     assert np.abs(qd).max() < 1e-3
     assert np.abs(plant.q[3:] - q).max() < 0.5 * REAL.dead_band + 5e-4
-    assert np.abs(plant.momentum()).max() < 1e-4  # the rotors' is left out
+    assert np.abs(plant.momentum()).max() < 1e-4  # without that of the rotors
 
 
 def test_a_servo_cancels_its_share_of_friction():
-    """While it moves, its following error is what is left over its stiffness."""
+    """In motion, the following error is the remaining friction divided by the stiffness."""
     joints = replace(REAL, ripple=0.0, dead_band=0.0, static=0.3, current_bandwidth=0.0)
     for share in (1.0, 0.5):
         plant, speed = bed(replace(joints, cancelled=share)), 0.1
-        plant.command(0, Demand(VELOCITY, speed, speed, 2.0))
+        plant.command(0, Demand(MODE_VELOCITY, speed, speed, 2.0))
         plant.advance(4.0)
         lag = plant._reference[0, 0] - motors(plant)[0, 0]
         expected = (1.0 - share) * (0.3 + 0.5 * speed) / STIFFNESS
         assert lag == pytest.approx(expected, abs=2e-5)
 
 
-def test_what_joints_carry_is_the_momentum_beyond_them():
+def test_outboard_momentum_is_that_of_the_links_beyond_a_joint():
     rng = np.random.default_rng(2)
     arm, (q, qd) = random_arm(3, rng), rng.uniform(-1.0, 1.0, (2, 6))
     p = arm.vector()
@@ -251,16 +251,16 @@ def test_what_joints_carry_is_the_momentum_beyond_them():
     turn = np.exp(1j * q[2])
     base = arm.base.mass * (complex(*qd[:2]) + 1j * qd[2] * complex(x, y) * turn)
     total = Plant(arm, q, qd).momentum()[:2]
-    momenta = carried(p, q, qd)
+    momenta = outboard_momentum(p, q, qd)
     np.testing.assert_allclose(momenta[0] + [base.real, base.imag], total, atol=1e-12)
-    still = carried(p, q, np.array([0.3, -0.1, 0.0, 0.0, 0.0, 0.0]))
+    still = outboard_momentum(p, q, np.array([0.3, -0.1, 0.0, 0.0, 0.0, 0.0]))
     masses = np.cumsum([link.mass for link in arm.links][::-1])[::-1]
     np.testing.assert_allclose(still, masses[:, None] * [0.3, -0.1], atol=1e-12)
     along = q[2] + arm.base.mount[2] + arm.links[0].theta_0 + q[3]
-    np.testing.assert_allclose(axes(p, q)[0], [-np.sin(along), np.cos(along)], atol=1e-12)
+    np.testing.assert_allclose(link_normals(p, q)[0], [-np.sin(along), np.cos(along)], atol=1e-12)
 
 
-def test_a_preset_sets_joints_and_errors_and_what_is_given_wins():
+def test_a_preset_sets_joints_and_errors_and_parameters_override_it():
     assert PRESETS.keys() == NOISE.keys()
     for name in PRESETS:
         settings = of_testbed.TestbedSettings(preset=name)
@@ -282,6 +282,6 @@ def test_a_preset_sets_joints_and_errors_and_what_is_given_wins():
         ({"friction_cancelled": 1.5, "preset": "laboratory"}, "cancelled is 1.5, expected 0 to 1"),
     ],
 )
-def test_joints_that_cannot_be_are_refused(given, message):
+def test_impossible_joints_are_rejected(given, message):
     with pytest.raises(SettingError, match=message):
         of_testbed.TestbedSettings(**given)

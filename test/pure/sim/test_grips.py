@@ -1,4 +1,4 @@
-"""Fingers that take their time and slip; two arms on one target, and arm in arm."""
+"""Grips: closing time and slip, two arms that hold one target or each other."""
 
 from dataclasses import replace
 
@@ -10,20 +10,20 @@ from fss_arm_model.held import Target
 from fss_arm_model.kinematics import tip_pose
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.contact import Contact
-from fss_sim.plant.drives import CURRENT, VELOCITY
+from fss_sim.plant.drives import MODE_CURRENT, MODE_VELOCITY
 from fss_sim.plant.plant import Demand, Plant, Vehicle, World
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import Gripper, Passive
+from fss_sim.plant.target import Gripper, PassiveTarget
 
 WIDE = Surroundings(table=(40.0, 40.0))
 PAPER = paper_arm()
 BENT = np.array([0.0, 0.0, 0.0, 0.4, 0.3, -0.5, 0.6])
 
 
-def before_the_tip(gripper=Gripper(), away=0.0, twist=(0.0, 0.0, 0.0)):  # noqa: B008
-    """An arm with the fixture of a target before its tip."""
+def target_before_tip(gripper=Gripper(), distance=0.0, twist=(0.0, 0.0, 0.0)):  # noqa: B008
+    """Return an arm with the fixture of a target in front of its tip."""
     x, y, heading = tip_pose(PAPER.vector(), BENT)
-    c = complex(x, y) + (0.19 + away) * np.exp(1j * heading)
+    c = complex(x, y) + (0.19 + distance) * np.exp(1j * heading)
     world = World(surroundings=WIDE, gripper=gripper, target=Target())
     along = np.exp(1j * heading) * complex(*twist[:2])
     moving = [along.real, along.imag, twist[2]]
@@ -31,7 +31,7 @@ def before_the_tip(gripper=Gripper(), away=0.0, twist=(0.0, 0.0, 0.0)):  # noqa:
 
 
 def arm_before(tip, heading, name, gripper):
-    """A vehicle whose tip is at a pose."""
+    """Return a vehicle with its tip at a pose."""
     x, y, theta = tip_pose(PAPER.vector(), -BENT)
     turn = heading - theta
     base = tip - complex(x, y) * np.exp(1j * turn)
@@ -39,16 +39,16 @@ def arm_before(tip, heading, name, gripper):
     return Vehicle(PAPER, q, None, World(surroundings=WIDE, gripper=gripper), name=name)
 
 
-def driven(vehicle, sense=1.0):
+def drive_joints(vehicle, sense=1.0):
     for joint, rate in enumerate((0.2, -0.1, 0.15, 0.1)):
-        vehicle.command(joint, Demand(VELOCITY, sense * rate, abs(rate), 2.0))
+        vehicle.command(joint, Demand(MODE_VELOCITY, sense * rate, abs(rate), 2.0))
 
 
 # Fingers
 
 
-def test_closing_takes_its_time():
-    bed = before_the_tip(Gripper(closing_time=0.2))
+def test_the_grip_closes_after_its_closing_time():
+    bed = target_before_tip(Gripper(closing_time=0.2))
     bed.closed = True
     bed.advance(0.01)
     for _ in range(19):
@@ -59,13 +59,13 @@ def test_closing_takes_its_time():
     assert bed.holds
 
 
-def test_fingers_that_shut_on_nothing_must_open_first():
-    bed = before_the_tip(Gripper(closing_time=0.3), 0.02, (0.09, 0.0, 0.0))
+def test_fingers_closed_on_nothing_must_open_first():
+    bed = target_before_tip(Gripper(closing_time=0.3), 0.02, (0.09, 0.0, 0.0))
     bed.closed = True
-    for _ in range(40):  # it has left by when they are shut
+    for _ in range(40):  # the target has left before they are closed
         bed.advance(0.01)
     assert not bed.holds
-    bed.bed.targets[0]._state = before_the_tip().target
+    bed.bed.targets[0]._state = target_before_tip().target
     bed.advance(0.01)
     assert not bed.holds
     bed.closed = False
@@ -77,7 +77,7 @@ def test_fingers_that_shut_on_nothing_must_open_first():
 
 
 def test_a_missed_grip_pushes_the_target_away():
-    bed = before_the_tip(Gripper(speed=0.02), 0.05, (-0.1, 0.0, 0.0))
+    bed = target_before_tip(Gripper(speed=0.02), 0.05, (-0.1, 0.0, 0.0))
     bed.closed = True
     balance = bed.audit.balance
     for _ in range(250):
@@ -91,28 +91,28 @@ def test_a_missed_grip_pushes_the_target_away():
 
 
 @pytest.mark.parametrize(("force", "slips"), [(0.2, True), (50.0, False)])
-def test_what_is_pulled_too_hard_slips_out(force, slips):
-    bed = before_the_tip(Gripper(force=force))
+def test_an_overloaded_grip_slips(force, slips):
+    bed = target_before_tip(Gripper(force=force))
     bed.closed = True
     bed.advance(0.01)
     assert bed.holds
     balance = bed.audit.balance
-    driven(bed)
+    drive_joints(bed)
     for _ in range(100):
         bed.advance(0.01)
     assert bed.holds != slips
     np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
     if slips:
         bed.advance(1.0)
-        assert not bed.holds  # the fingers are shut
+        assert not bed.holds  # the fingers are closed
 
 
-def test_the_load_of_a_grip_is_what_turns_the_target():
+def test_a_grip_slips_by_the_torque_that_turns_the_target():
     """Torque slips where the force would not: 0.25 kg m^2 at 2 rad/s^2 about its own centre."""
-    bed = before_the_tip(Gripper(force=1000.0, torque=0.05))
+    bed = target_before_tip(Gripper(force=1000.0, torque=0.05))
     bed.closed = True
     bed.advance(0.01)
-    driven(bed)
+    drive_joints(bed)
     for _ in range(100):
         bed.advance(0.01)
     assert not bed.holds
@@ -121,14 +121,14 @@ def test_the_load_of_a_grip_is_what_turns_the_target():
 # Closed chains
 
 
-def both_hold(limit=0.0):
-    """Two arms on either side of one target."""
-    one = before_the_tip()
+def two_arms_holding(limit=0.0):
+    """Return a bed with two arms that hold one target from both sides."""
+    one = target_before_tip()
     x, y, heading = tip_pose(PAPER.vector(), BENT)
     tip = complex(x, y) + 2 * 0.19 * np.exp(1j * heading)
     other = arm_before(tip, heading + np.pi, "fss2", Gripper(0.5, 3.2, 1.0, force=limit))
     first = Vehicle(PAPER, BENT, [0.02, 0.01, 0.03, 0, 0, 0, 0], one.world, name="fss")
-    target = Passive(Target(), [one.target[0], [0.0, 0.0, 0.05]], WIDE)
+    target = PassiveTarget(Target(), [one.target[0], [0.0, 0.0, 0.05]], WIDE)
     bed = Bed([first, other], [target], Contact())
     first.closed = other.closed = True
     bed.advance(0.001)
@@ -136,32 +136,32 @@ def both_hold(limit=0.0):
     return bed, first, other, target
 
 
-def seen_from(vehicle, pose):
-    """A pose in the frame of the vehicle's tip."""
+def in_tip_frame(vehicle, pose):
+    """Return a pose in the frame of the vehicle's tip."""
     x, y, heading = tip_pose(vehicle.p, vehicle.q)
     apart = complex(pose[0] - x, pose[1] - y) * np.exp(-1j * heading)
     return np.array([apart.real, apart.imag, pose[2] - heading])
 
 
-def test_two_arms_hold_one_target_to_a_micron():
-    bed, first, other, target = both_hold()
-    places = [seen_from(vehicle, target.q) for vehicle in (first, other)]
+def test_two_arms_hold_one_target_within_a_micron():
+    bed, first, other, target = two_arms_holding()
+    places = [in_tip_frame(vehicle, target.q) for vehicle in (first, other)]
     balance, worst = bed.audit.balance, 0.0
-    driven(first)
-    driven(other, -1.0)
+    drive_joints(first)
+    drive_joints(other, -1.0)
     for _ in range(150):
         bed.advance(0.01)
         for vehicle, place in zip((first, other), places, strict=True):
-            worst = max(worst, np.abs(seen_from(vehicle, target.q) - place).max())
+            worst = max(worst, np.abs(in_tip_frame(vehicle, target.q) - place).max())
     print(f"worst {worst} m, rad; {bed.audit.balance - balance}")
     assert np.abs(first.qd[3:]).min() > 0.02
     assert worst < 1e-6
     np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
-    first.closed = False  # the other has it alone
+    first.closed = False  # the other one holds it alone
     bed.advance(0.01)
     assert first.held is None
     assert target.holder is other
-    np.testing.assert_allclose(seen_from(other, target.q), places[1], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(in_tip_frame(other, target.q), places[1], rtol=0, atol=1e-6)
     other.closed = False
     for _ in range(20):
         bed.advance(0.01)
@@ -169,7 +169,7 @@ def test_two_arms_hold_one_target_to_a_micron():
     np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
 
 
-def test_arm_in_arm():
+def test_two_arms_hold_each_other():
     first = Vehicle(PAPER, BENT, None, World(surroundings=WIDE), name="fss")
     x, y, heading = tip_pose(PAPER.vector(), BENT)
     other = arm_before(complex(x, y) + 0.01, heading + np.pi, "fss2", Gripper())
@@ -177,28 +177,28 @@ def test_arm_in_arm():
     first.closed = other.closed = True
     bed.advance(0.01)
     assert (first.held, other.held) == (other, first)
-    place = seen_from(first, tip_pose(other.p, other.q))
-    driven(first)
+    place = in_tip_frame(first, tip_pose(other.p, other.q))
+    drive_joints(first)
     for _ in range(100):
         bed.advance(0.01)
     np.testing.assert_allclose(
-        seen_from(first, tip_pose(other.p, other.q)), place, rtol=0, atol=1e-6
+        in_tip_frame(first, tip_pose(other.p, other.q)), place, rtol=0, atol=1e-6
     )
     np.testing.assert_allclose(bed.imbalance, 0.0, atol=1e-9)
     first.closed = False
     bed.advance(0.01)
-    assert other.held is first  # which holds on
+    assert other.held is first  # it still holds
     other.closed = False
     for _ in range(50):
         bed.advance(0.01)
-    assert np.abs(seen_from(first, tip_pose(other.p, other.q)) - place).max() > 1e-3
+    assert np.abs(in_tip_frame(first, tip_pose(other.p, other.q)) - place).max() > 1e-3
 
 
-def test_one_of_two_slips():
-    bed, first, other, target = both_hold(limit=3.0)
-    for vehicle in (first, other):  # each turns the target its own way
-        vehicle.command(1, Demand(CURRENT, 2.0))
-        vehicle.command(2, Demand(CURRENT, 2.0))
+def test_one_of_two_grips_slips():
+    bed, first, other, target = two_arms_holding(limit=3.0)
+    for vehicle in (first, other):  # each turns the target in another direction
+        vehicle.command(1, Demand(MODE_CURRENT, 2.0))
+        vehicle.command(2, Demand(MODE_CURRENT, 2.0))
     for _ in range(60):
         bed.advance(0.01)
     assert first.held is target
@@ -206,8 +206,8 @@ def test_one_of_two_slips():
     np.testing.assert_allclose(bed.imbalance, 0.0, atol=1e-9)
 
 
-def test_a_base_alone_drifts_and_bumps():
-    """A vehicle without an arm, as any other."""
+def test_a_base_without_arm_drifts_and_collides():
+    """A vehicle without an arm behaves like any other."""
     world = World(surroundings=WIDE)
     alone = Vehicle(PAPER.base, [-1.0, 0.0, 0.0], [0.1, 0.0, 0.0], world, name="fss2")
     other = Vehicle(replace(PAPER), BENT, None, world, name="fss")

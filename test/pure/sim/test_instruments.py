@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import TorqueSensor
-from fss_sim.link.instruments import Encoder, TorqueConverter, make
+from fss_sim.link.instruments import Encoder, TorqueConverter, make_instruments
 from fss_sim.noise import PRESETS
 
 ERROR = radians(150 / 3600)
 
 
-def test_an_encoder_is_off_by_as_much_as_stated_and_its_inverse_is_exact():
+def test_an_encoder_has_the_stated_error_and_an_exact_inverse():
     encoder, q = Encoder(ERROR, 1.0), np.linspace(-pi / 2, pi / 2, 5001)
     off = np.array([encoder.reading(x) - x for x in q])
     assert np.abs(off).max() == pytest.approx(ERROR, rel=1e-3)
@@ -23,8 +23,11 @@ def test_an_encoder_is_off_by_as_much_as_stated_and_its_inverse_is_exact():
     np.testing.assert_allclose(back, q, rtol=0, atol=0.1 * 2 * pi / 240_000)
 
 
-def test_an_encoder_off_centre_is_off_once_a_turn():
-    centred, off = Encoder(ERROR, 1.0), Encoder(ERROR, 1.0, eccentricity=0.0003, way=0.5)
+def test_an_eccentric_encoder_has_one_error_period_per_turn():
+    centred, off = (
+        Encoder(ERROR, 1.0),
+        Encoder(ERROR, 1.0, eccentricity=0.0003, eccentricity_phase=0.5),
+    )
     for q in np.linspace(-pi, pi, 13):
         more = off.reading(q) - centred.reading(q)
         assert more == pytest.approx(0.0003 * np.sin(q + 0.5), abs=1e-12)
@@ -39,7 +42,7 @@ def test_the_rate_read_is_the_derivative_of_the_reading():
 
 
 @pytest.mark.parametrize("rate", [10, 80])
-def test_a_converter_samples_by_itself_and_tells_the_age(rate):
+def test_a_converter_has_its_own_sample_rate_and_reports_the_age(rate):
     converter = TorqueConverter(TorqueSensor(gain=1e-6, zero=100.0), rate, 0.0, 0.02, Random(1))
     clocks = range(5_000_000, 7_000_000, 10_000)
     seen = []
@@ -48,7 +51,7 @@ def test_a_converter_samples_by_itself_and_tells_the_age(rate):
         seen.append(converter.counts)
         assert 0 <= converter.age(clock) < 1_000_000 // rate
     assert len(set(seen)) == 2 * rate
-    # What was sampled last, at most a step of this test after its time.
+    # The last sample, at most one step of this test late.
     last = (clocks[-1] - converter.age(clocks[-1])) * 1e-7
     assert seen[-1] == pytest.approx((last + 0.02) / 1e-6 + 100, abs=1001)
 
@@ -78,13 +81,13 @@ def test_a_torque_sensor_feels_forces_across_and_drifts_as_it_warms_up():
         assert converter.counts * 1e-6 == pytest.approx(expected, abs=1e-5)
 
 
-def test_the_laboratorys_errors_leave_the_others_as_they_were():
+def test_the_laboratory_errors_do_not_change_the_others():
     sensor, noise = TorqueSensor(gain=1e-6), PRESETS["default"]
-    known, more = (make(sensor, n, Random(5)) for n in (noise, PRESETS["laboratory"]))
+    known, more = (make_instruments(sensor, n, Random(5)) for n in (noise, PRESETS["laboratory"]))
     off = [one.encoder.reading(0.3) for one in (known, more)]
     assert 1e-6 < abs(off[1] - off[0]) < radians(60 / 3600)
     bare = replace(PRESETS["laboratory"], encoder_eccentricity=0.0, torque_drift=0.0)
-    same = make(sensor, bare, Random(5))
+    same = make_instruments(sensor, bare, Random(5))
     for clock in range(0, 10**6, 12_500):
         known.torque.sample(clock, 0.1)
         same.torque.sample(clock, 0.1)

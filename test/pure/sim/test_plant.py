@@ -1,4 +1,4 @@
-"""The floating arm with its drives: right against an independent integration, and truly at rest."""
+"""The floating arm with its drives, compared with an independent integration; rest and audit."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import forward_dynamics, kinetic_energy
 from fss_arm_model.momentum import system_com
-from fss_sim.plant.drives import CURRENT, OFF, POSITION, VELOCITY
+from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_VELOCITY
 from fss_sim.plant.joints import Joints
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
@@ -17,7 +17,7 @@ COUNT = 2 * np.pi / 240_000  # [rad]
 POSTURES = [(0.3, -0.2, 0.4, 0.1), (-1.4, 1.4, -1.3, 1.4), (1.5, -1.5, 1.5, 0.0)]
 
 
-SMOOTH = Joints(viscous=0.0, coulomb=0.0, stop_stiffness=0.0, stop_damping=0.0)
+FRICTIONLESS = Joints(viscous=0.0, coulomb=0.0, stop_stiffness=0.0, stop_damping=0.0)
 
 
 def plant(q=(0.0, 0.0, 0.0, 0.0)):
@@ -26,17 +26,17 @@ def plant(q=(0.0, 0.0, 0.0, 0.0)):
 
 def move(bed, targets, speed=0.8, acceleration=1.0):
     for joint, target in enumerate(targets):
-        bed.command(joint, Demand(POSITION, target, speed, acceleration))
+        bed.command(joint, Demand(MODE_POSITION, target, speed, acceleration))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_driven_by_currents_it_moves_as_a_tight_integration_says(seed):
+def test_motion_under_currents_agrees_with_an_accurate_integration(seed):
     rng = np.random.default_rng(seed)
     arm = random_arm(3, rng)
     q, currents = rng.uniform(-0.5, 0.5, 6), rng.uniform(-0.3, 0.3, 3)
-    bed = Plant(arm, q, world=World(SMOOTH))
+    bed = Plant(arm, q, world=World(FRICTIONLESS))
     for joint, current in enumerate(currents):
-        bed.command(joint, Demand(CURRENT, current))
+        bed.command(joint, Demand(MODE_CURRENT, current))
     tau = np.concatenate([np.zeros(3), 0.8 * currents])
     p = arm.vector()
     tight = solve_ivp(
@@ -51,9 +51,9 @@ def test_driven_by_currents_it_moves_as_a_tight_integration_says(seed):
 def test_without_torque_energy_and_momentum_stay():
     rng = np.random.default_rng(4)
     qd = rng.uniform(-0.5, 0.5, 7)
-    bed = Plant(paper_arm(), np.zeros(7), qd, World(SMOOTH, Surroundings(table=(20.0, 20.0))))
+    bed = Plant(paper_arm(), np.zeros(7), qd, World(FRICTIONLESS, Surroundings(table=(20.0, 20.0))))
     for joint in range(4):
-        bed.command(joint, Demand(CURRENT, 0.0))
+        bed.command(joint, Demand(MODE_CURRENT, 0.0))
     p = bed.arm.vector()
     energy, before = kinetic_energy(p, bed.q, bed.qd), bed.momentum()
     bed.advance(2.0)
@@ -62,7 +62,7 @@ def test_without_torque_energy_and_momentum_stay():
 
 
 @pytest.mark.parametrize("posture", POSTURES)
-def test_a_move_arrives_rests_and_leaves_the_momentum_alone(posture):
+def test_a_move_arrives_rests_and_conserves_momentum(posture):
     bed = plant()
     move(bed, posture)
     bed.advance(max(map(abs, posture)) / 0.8 + 0.8 + 0.5)  # trapezoid, and half a second
@@ -74,7 +74,7 @@ def test_a_move_arrives_rests_and_leaves_the_momentum_alone(posture):
     assert np.abs(bed.momentum()).max() < 1e-8
 
 
-def test_moves_keep_to_speed_acceleration_and_torque():
+def test_moves_respect_speed_acceleration_and_torque_limits():
     bed, speeds, torques = plant(), [], []
     move(bed, (1.0, 0.0, 0.0, 0.0), speed=0.5, acceleration=0.5)
     for _ in range(350):
@@ -86,9 +86,9 @@ def test_moves_keep_to_speed_acceleration_and_torque():
     assert 0.0 < max(torques) < 1.8
 
 
-def test_no_drive_gives_more_than_its_torque():
+def test_a_drive_is_limited_to_its_torque():
     bed = plant()
-    bed.command(1, Demand(CURRENT, 10.0))
+    bed.command(1, Demand(MODE_CURRENT, 10.0))
     bed.advance(0.05)
     motion = bed.motion(1)
     assert motion.current == pytest.approx(2.25)
@@ -97,19 +97,19 @@ def test_no_drive_gives_more_than_its_torque():
 
 def test_positions_and_velocities_end_at_the_soft_limits():
     bed = plant()
-    bed.command(0, Demand(POSITION, 3.0, 1.0, 2.0))
-    bed.command(1, Demand(VELOCITY, -1.0, 1.0, 2.0))
+    bed.command(0, Demand(MODE_POSITION, 3.0, 1.0, 2.0))
+    bed.command(1, Demand(MODE_VELOCITY, -1.0, 1.0, 2.0))
     bed.advance(5.0)
     np.testing.assert_allclose(bed.q[3:5], [np.pi / 2, -np.pi / 2], rtol=0, atol=1e-4)
 
 
-def test_position_at_speed_0_comes_to_rest_where_braking_ends_and_stays():
+def test_position_mode_at_speed_0_brakes_and_holds():
     bed = plant()
-    bed.command(2, Demand(VELOCITY, 0.5, 0.5, 1.0))
+    bed.command(2, Demand(MODE_VELOCITY, 0.5, 0.5, 1.0))
     bed.advance(1.0)
     q, qd = bed.motion(2)[:2]
     assert qd == pytest.approx(0.5, abs=1e-3)
-    bed.command(2, Demand(POSITION, 0.0, 0.0, 1.0))
+    bed.command(2, Demand(MODE_POSITION, 0.0, 0.0, 1.0))
     bed.advance(1.5)
     assert bed.motion(2).q == pytest.approx(q + 0.5**2 / 2, abs=1e-3)
     rest = bed.motion(2).q
@@ -120,7 +120,7 @@ def test_position_at_speed_0_comes_to_rest_where_braking_ends_and_stays():
 def test_a_drive_that_is_off_is_braked_by_friction_alone():
     bed = Plant(paper_arm(), np.zeros(7), (0, 0, 0, 0.5, 0, 0, 0))
     for joint in range(4):
-        bed.command(joint, Demand(OFF))
+        bed.command(joint, Demand(MODE_OFF))
     bed.advance(3.0)
     assert np.abs(bed.qd[3:]).max() < 1e-3
     assert bed.motion(0).current == 0.0
@@ -129,23 +129,23 @@ def test_a_drive_that_is_off_is_braked_by_friction_alone():
 
 @pytest.mark.parametrize("tolerance", [0.0, 1e-11])
 @pytest.mark.parametrize("n", range(1, 9))
-def test_books_balance_whatever_acts(n, tolerance):
+def test_the_audit_balances_under_all_forces(n, tolerance):
     rng = np.random.default_rng(n)
     around = Surroundings((0.001, -0.002), 0.01, 0.5, 0.02, table=(20.0, 20.0))
     q, qd = rng.uniform(-1.0, 1.0, (2, 3 + n))
     arm = random_arm(n, rng)
     world = World(Joints(rotor_inertia=0.0026), around, tolerance=tolerance)
     bed = Plant(arm, q, 0.2 * qd, world)
-    begin = bed.audit.balance
+    start = bed.audit.balance
     for joint in range(n):
-        mode = (OFF, CURRENT, VELOCITY, POSITION)[joint % 4]
+        mode = (MODE_OFF, MODE_CURRENT, MODE_VELOCITY, MODE_POSITION)[joint % 4]
         bed.command(joint, Demand(mode, rng.uniform(-0.5, 0.5), 0.5, 1.0))
     bed.advance(3.0)
     assert np.abs(bed.audit.impulse).min() > 1e-3
-    np.testing.assert_allclose(bed.audit.balance, begin, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(bed.audit.balance, start, rtol=0, atol=1e-9)
 
 
-def test_energy_and_momentum_of_the_books_are_those_of_the_bodies():
+def test_energy_and_momentum_of_the_audit_are_those_of_the_bodies():
     rng = np.random.default_rng(2)
     q, qd = rng.uniform(-1.0, 1.0, (2, 7))
     bed = Plant(paper_arm(), q, qd)
@@ -165,14 +165,14 @@ def test_energy_and_momentum_of_the_books_are_those_of_the_bodies():
 
 def test_air_film_takes_momentum_away_at_its_rate():
     qd = np.array([0.05, -0.02, 0.3, 0.1, -0.2, 0.1, 0.05])
-    bed = Plant(paper_arm(), np.zeros(7), qd, World(SMOOTH, Surroundings(film=0.05)))
+    bed = Plant(paper_arm(), np.zeros(7), qd, World(FRICTIONLESS, Surroundings(film=0.05)))
     before = bed.momentum()
     bed.advance(4.0)
     np.testing.assert_allclose(bed.momentum(), before * np.exp(-0.05 * 4.0), rtol=1e-8)
 
 
-def test_a_tilted_table_accelerates_all_alike():
-    bed = Plant(paper_arm(), np.zeros(7), None, World(SMOOTH, Surroundings(tilt=(1e-3, 0.0))))
+def test_a_tilted_table_accelerates_all_bodies_equally():
+    bed = Plant(paper_arm(), np.zeros(7), None, World(FRICTIONLESS, Surroundings(tilt=(1e-3, 0.0))))
     bed.advance(3.0)
     expected = np.zeros(7)
     expected[0] = 0.5 * 9.81e-3 * 3.0**2
@@ -180,7 +180,7 @@ def test_a_tilted_table_accelerates_all_alike():
 
 
 def test_the_tether_drags_at_the_base():
-    world = World(SMOOTH, Surroundings(tether=2.0))
+    world = World(FRICTIONLESS, Surroundings(tether=2.0))
     bed = Plant(paper_arm(), np.zeros(7), (0.1, 0, 0, 0, 0, 0, 0), world)
     bed.advance(1e-3)
     force = bed.audit.impulse / 1e-3
@@ -189,29 +189,29 @@ def test_the_tether_drags_at_the_base():
 
 
 @pytest.mark.parametrize(("axis", "sense"), [(0, 1), (0, -1), (1, 1), (1, -1)])
-def test_the_border_sends_back_what_meets_it(axis, sense):
+def test_the_border_pushes_vehicles_back(axis, sense):
     velocity = np.zeros(7)
     velocity[axis] = 0.3 * sense
     bed = Plant(paper_arm(), np.zeros(7), velocity, World(tolerance=1e-9))
-    begin = bed.audit.balance
+    start = bed.audit.balance
     bed.advance(12.0)
     assert bed.audit.impulse[axis] * sense < -0.1
     assert np.abs(bed.q[:2]).max() < 2.0
-    assert bed.audit.energy < begin[3]
-    np.testing.assert_allclose(bed.audit.balance, begin, rtol=0, atol=1e-7)
+    assert bed.audit.energy < start[3]
+    np.testing.assert_allclose(bed.audit.balance, start, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("current", [2.0, -2.0])
 def test_end_stops_hold_what_a_motor_pushes_into_them(current):
     bed = plant()
-    bed.command(1, Demand(CURRENT, current))
+    bed.command(1, Demand(MODE_CURRENT, current))
     bed.advance(4.0)
     beyond = np.sign(current) * bed.q[4] - np.pi / 2
     assert 0.0 < beyond < 0.02
     assert np.abs(bed.qd[3:]).max() < 0.02
-    bed.command(1, Demand(CURRENT, -0.5 * current))
+    bed.command(1, Demand(MODE_CURRENT, -0.5 * current))
     bed.advance(1.0)
-    assert np.sign(current) * bed.q[4] < 1.5  # nothing sticks
+    assert np.sign(current) * bed.q[4] < 1.5  # the stop does not hold it
 
 
 def test_error_control_keeps_to_its_tolerance():
@@ -224,9 +224,9 @@ def test_error_control_keeps_to_its_tolerance():
     ).y[:, -1]  # fmt: skip
     errors = []
     for tolerance in (0.0, 1e-13):
-        bed = Plant(paper_arm(), q, qd, World(SMOOTH, tolerance=tolerance))
+        bed = Plant(paper_arm(), q, qd, World(FRICTIONLESS, tolerance=tolerance))
         for joint in range(4):
-            bed.command(joint, Demand(CURRENT, 0.0))
+            bed.command(joint, Demand(MODE_CURRENT, 0.0))
         bed.advance(0.5)
         errors.append(np.abs(np.concatenate([bed.q, bed.qd]) - tight).max())
     assert errors[1] < 1e-11

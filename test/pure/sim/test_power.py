@@ -1,21 +1,30 @@
-"""Battery, converter and what lives on them: figures as stated, and how they give up."""
+"""Battery, converter and their loads: stated values, limits and brown-out."""
 
 from itertools import pairwise
 
 import pytest
 
-from fss_sim.link.power import BROWN_OUT, CELLS, EFFICIENCY, LOWEST, Battery, Load, Power, Supply
+from fss_sim.link.power import (
+    BROWN_OUT_VOLTAGE,
+    CELLS,
+    EFFICIENCY,
+    MIN_INPUT_VOLTAGE,
+    Battery,
+    Load,
+    Power,
+    Supply,
+)
 
-OFF, HARD = Load(on=False), Load(on=True, current=2.25, mechanical=1.8)
+DRIVE_OFF, DRIVE_AT_FULL_LOAD = Load(on=False), Load(on=True, current=2.25, mechanical=1.8)
 
 
-def run(supply, load, seconds, more=0.0):
+def run(supply, load, seconds, extra_resistance=0.0):
     for _ in range(round(100 * seconds)):
-        supply.advance(load, 0.01, more)
+        supply.advance(load, 0.01, extra_resistance)
     return supply
 
 
-def test_a_battery_gives_the_energy_that_it_has_less_what_its_resistance_takes():
+def test_a_battery_supplies_its_energy_less_the_loss_in_its_resistance():
     battery, given, volts = Battery(89.0, 0.1), 0.0, []
     while battery.charge:
         volts.append(battery.volts)
@@ -27,29 +36,31 @@ def test_a_battery_gives_the_energy_that_it_has_less_what_its_resistance_takes()
     assert given == pytest.approx(89.0 * (1.0 - 0.1 * (10.0 / 14.8) / 14.8), rel=5e-3)
 
 
-def test_its_voltage_solves_the_circuit_and_never_falls_below_what_the_converter_needs():
+def test_its_voltage_solves_the_circuit_and_stays_above_the_converters_minimum():
     battery = Battery(charge=0.5)
     for current, power in ((0.0, 0.0), (1.0, 0.0), (0.25, 15.0), (0.25, 60.0)):
         assert battery.draw(current, power, 0.0, 0.4) == power
         assert battery.volts == pytest.approx(
-            battery.open - 0.5 * (current + power / battery.volts), rel=1e-12
+            battery.open_circuit_voltage - 0.5 * (current + power / battery.volts), rel=1e-12
         )
     given = battery.draw(0.25, 60.0, 0.0, 3.9)
-    assert battery.volts == pytest.approx(LOWEST)
-    assert given == pytest.approx(LOWEST * (battery.open - 1.0 - LOWEST) / 4.0)
+    assert battery.volts == pytest.approx(MIN_INPUT_VOLTAGE)
+    assert given == pytest.approx(
+        MIN_INPUT_VOLTAGE * (battery.open_circuit_voltage - 1.0 - MIN_INPUT_VOLTAGE) / 4.0
+    )
 
 
-def test_it_warms_itself_and_resists_less():
+def test_it_warms_up_and_its_resistance_decreases():
     battery = Battery()
     for _ in range(600):
         battery.draw(4.0, 0.0, 1.0)
     assert battery.temperature > 28.0
-    assert battery.open - battery.volts < 4.0 * 0.1
+    assert battery.open_circuit_voltage - battery.volts < 4.0 * 0.1
 
 
-def test_consumption_is_by_what_runs():
+def test_consumption_depends_on_the_active_loads():
     power, drawn = Power(), []
-    for load in (OFF, Load(on=True), Load(on=True, current=1.5), HARD):
+    for load in (DRIVE_OFF, Load(on=True), Load(on=True, current=1.5), DRIVE_AT_FULL_LOAD):
         supply = Supply(power)
         before = supply.battery.charge
         run(supply, load, 1.0)
@@ -59,41 +70,41 @@ def test_consumption_is_by_what_runs():
         assert watts == pytest.approx(logic + (power.idle + motor) / EFFICIENCY, rel=0.02)
 
 
-def test_a_bad_contact_makes_the_supply_sag_under_load_alone():
-    supply = run(Supply(), OFF, 0.1, more=5.0)
+def test_a_bad_contact_lowers_the_supply_only_under_load():
+    supply = run(Supply(), DRIVE_OFF, 0.1, extra_resistance=5.0)
     assert supply.volts == pytest.approx(24.0)
-    assert 5.0 < run(supply, HARD, 0.1, more=5.0).volts < 20.0
-    assert supply.runs
-    assert run(supply, OFF, 0.1, more=5.0).volts == pytest.approx(24.0)
+    assert 5.0 < run(supply, DRIVE_AT_FULL_LOAD, 0.1, extra_resistance=5.0).volts < 20.0
+    assert supply.regulator_on
+    assert run(supply, DRIVE_OFF, 0.1, extra_resistance=5.0).volts == pytest.approx(24.0)
 
 
-def test_the_converters_limit_is_one_of_power():
+def test_the_converter_limits_its_power():
     supply = run(Supply(), Load(on=True, current=6.0), 0.1)
-    asked = (2.5 + 1.5 + 72.0) / EFFICIENCY
-    assert supply.volts == pytest.approx(24.0 * 60.0 / asked)
+    requested = (2.5 + 1.5 + 72.0) / EFFICIENCY
+    assert supply.volts == pytest.approx(24.0 * 60.0 / requested)
 
 
-def test_a_brown_out_ends_only_well_above_where_it_began():
-    supply, seen = Supply(charge=0.5), []
-    for more in [*range(20, 45), *range(45, 20, -1)]:
-        run(supply, OFF, 0.02, more)
-        seen.append((supply.runs, supply.battery.volts))
-    states = [runs for runs, _ in seen]
+def test_brown_out_has_hysteresis():
+    supply, history = Supply(charge=0.5), []
+    for extra_resistance in [*range(20, 45), *range(45, 20, -1)]:
+        run(supply, DRIVE_OFF, 0.02, extra_resistance)
+        history.append((supply.regulator_on, supply.battery.volts))
+    states = [runs for runs, _ in history]
     assert [a for a, b in pairwise(states) if a != b] == [True, False]
-    down = seen[states.index(False)][1]
-    up = seen[len(states) - 1 - states[::-1].index(False)][1]
-    assert down < BROWN_OUT < up < 7.6
+    down = history[states.index(False)][1]
+    up = history[len(states) - 1 - states[::-1].index(False)][1]
+    assert down < BROWN_OUT_VOLTAGE < up < 7.6
 
 
-def test_an_empty_battery_switches_all_off_until_it_is_charged():
-    supply = run(Supply(charge=1e-6), OFF, 1.0)
-    assert (supply.runs, supply.volts) == (False, 0.0)
+def test_an_empty_battery_switches_everything_off_until_it_is_charged():
+    supply = run(Supply(charge=1e-6), DRIVE_OFF, 1.0)
+    assert (supply.regulator_on, supply.volts) == (False, 0.0)
     supply.battery.charge = 1.0
-    run(supply, OFF, 0.02)
-    assert supply.runs
+    run(supply, DRIVE_OFF, 0.02)
+    assert supply.regulator_on
     assert supply.volts == pytest.approx(24.0)
 
 
-def test_what_is_switched_off_draws_nothing():
+def test_without_a_load_no_charge_is_used():
     supply = run(Supply(charge=0.5), None, 10.0)
     assert (supply.battery.charge, supply.volts) == (0.5, 0.0)

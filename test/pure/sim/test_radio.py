@@ -1,4 +1,4 @@
-"""A radio channel shared: airtime, waiting that grows with load, bursts of loss, retries."""
+"""Shared radio channel: airtime, delay under load, bursts of loss, retries."""
 
 from dataclasses import replace
 from random import Random
@@ -12,7 +12,7 @@ from fss_link.protocol import FRAME_SIZE
 from fss_sim import testbed
 from fss_sim.faults import Event, LinkFaults
 from fss_sim.link.channel import Channel, Datagram
-from fss_sim.link.radio import HEADERS, Air, Radio
+from fss_sim.link.radio import HEADERS, Radio, RadioChannel
 from fss_sim.noise import PRESETS
 from fss_sim.plant.plant import Vehicle, World
 from fss_sim.plant.surroundings import Surroundings
@@ -20,73 +20,77 @@ from fss_sim.testbed import State
 
 WIDE = World(surroundings=Surroundings(table=(20.0, 20.0)))
 CLEAN = Radio(loss=0.0, burst_interval=0.0)
-BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
+START = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
 
 
-def delays(radio, rate, stations=5, seconds=60, taken=0.0, seed="1"):
-    """What datagrams sent at random times, `rate` a second in all, have waited [s]; nan: lost."""
-    air, random = Air(radio, seed), Random(f"{seed}, times")
-    air.taken = taken
-    senders, now, waited = [air.station(str(i)) for i in range(stations)], 0, []
+def delays(radio, rate, stations=5, seconds=60, interference=0.0, seed="1"):
+    """Return the delays of datagrams sent at random times, `rate` per second [s]; nan: lost."""
+    channel, random = RadioChannel(radio, seed), Random(f"{seed}, times")
+    channel.interference = interference
+    senders, now, delays_ = [channel.station(str(i)) for i in range(stations)], 0, []
     while now < seconds * SECOND:
         now += round(SECOND * random.expovariate(rate))
-        through = senders[random.randrange(stations)].carry(FRAME_SIZE, now)
-        waited.append(np.nan if through is None else (through - now) / SECOND)
-    return np.array(waited)
+        arrival = senders[random.randrange(stations)].transmit(FRAME_SIZE, now)
+        delays_.append(np.nan if arrival is None else (arrival - now) / SECOND)
+    return np.array(delays_)
 
 
-def test_a_datagram_alone_takes_its_airtime_and_a_little_chance():
-    air = Air(replace(CLEAN, rate=1e6, overhead=0.001), "1")
-    assert air.airtime(FRAME_SIZE) == 1_000_000 + 8_000 * (FRAME_SIZE + HEADERS)
-    station = air.station("1")
-    waited = [station.carry(FRAME_SIZE, k * SECOND) - k * SECOND for k in range(500)]
-    assert min(waited) == air.airtime(FRAME_SIZE)
-    assert max(waited) == air.airtime(FRAME_SIZE) + 31 * 20_000  # the slots of a first attempt
+def test_an_undisturbed_datagram_takes_its_airtime_and_some_slots():
+    channel = RadioChannel(replace(CLEAN, rate=1e6, overhead=0.001), "1")
+    assert channel.airtime(FRAME_SIZE) == 1_000_000 + 8_000 * (FRAME_SIZE + HEADERS)
+    station = channel.station("1")
+    delays_ = [station.transmit(FRAME_SIZE, k * SECOND) - k * SECOND for k in range(500)]
+    assert min(delays_) == channel.airtime(FRAME_SIZE)
+    assert max(delays_) == channel.airtime(FRAME_SIZE) + 31 * 20_000  # the slots of a first attempt
 
 
 def test_latency_grows_with_the_load():
-    airtime = Air(CLEAN, "1").airtime(FRAME_SIZE) / SECOND
+    airtime = RadioChannel(CLEAN, "1").airtime(FRAME_SIZE) / SECOND
     medians = [np.nanmedian(delays(CLEAN, load / airtime)) for load in (0.01, 0.3, 0.6)]
     worst = [np.nanmax(delays(CLEAN, load / airtime)) for load in (0.01, 0.3, 0.6)]
     assert medians[0] < medians[1] < medians[2]
     assert worst[0] < worst[1] < worst[2]
     assert medians[0] == pytest.approx(airtime, rel=0.35)
     flood = delays(CLEAN, 3.0 / airtime, seconds=20)
-    assert np.isnan(flood).mean() > 0.5  # more than there is room for
+    assert np.isnan(flood).mean() > 0.5  # more than the channel can carry
     assert np.nanmax(flood) <= CLEAN.patience + airtime
 
 
-def test_airtime_that_others_take_is_waited_for():
+def test_interference_delays_datagrams():
     shares = (0.0, 0.5, 0.8)
-    free, half, most = (np.nanmean(delays(CLEAN, 2.0, seconds=2000, taken=t)) for t in shares)
-    # That another sends next is as likely as taken; then it is the same again. 4000 draws.
-    foreign = Air(CLEAN, "1").airtime(1500) / SECOND
+    free, half, most = (
+        np.nanmean(delays(CLEAN, 2.0, seconds=2000, interference=t)) for t in shares
+    )
+    # Before each attempt, another station sends with this probability, repeatedly. 4000 draws.
+    foreign = RadioChannel(CLEAN, "1").airtime(1500) / SECOND
     assert half - free == pytest.approx(0.5 / 0.5 * foreign, rel=0.1)
     assert most - free == pytest.approx(0.8 / 0.2 * foreign, rel=0.15)
 
 
-def test_the_stations_of_a_bed_use_as_much_as_they_send():
-    air, now = Air(CLEAN, "1"), 0
-    stations = [air.station(str(i)) for i in range(4)]
+def test_utilization_is_the_airtime_of_all_stations():
+    channel, now = RadioChannel(CLEAN, "1"), 0
+    stations = [channel.station(str(i)) for i in range(4)]
     for k in range(200):
         now = k * SECOND // 100
-        stations[k % 4].carry(FRAME_SIZE, now)
-    assert air.used(now) == pytest.approx(100 * air.airtime(FRAME_SIZE) / SECOND, rel=0.02)
-    assert air.used(now + 2 * SECOND) == 0.0
+        stations[k % 4].transmit(FRAME_SIZE, now)
+    assert channel.utilization(now) == pytest.approx(
+        100 * channel.airtime(FRAME_SIZE) / SECOND, rel=0.02
+    )
+    assert channel.utilization(now + 2 * SECOND) == 0.0
 
 
 def test_retries_lose_what_fails_each_time_and_cost_time():
     for retries in (0, 1, 3):
-        waited = delays(replace(CLEAN, loss=0.5, retries=retries), 20.0, seconds=200)
-        lost = np.isnan(waited).mean()
-        assert lost == pytest.approx(0.5 ** (retries + 1), abs=4 * (0.25 / len(waited)) ** 0.5)
-    assert np.nanmean(waited) > 1.5 * np.nanmean(delays(CLEAN, 20.0))
+        delays_ = delays(replace(CLEAN, loss=0.5, retries=retries), 20.0, seconds=200)
+        lost = np.isnan(delays_).mean()
+        assert lost == pytest.approx(0.5 ** (retries + 1), abs=4 * (0.25 / len(delays_)) ** 0.5)
+    assert np.nanmean(delays_) > 1.5 * np.nanmean(delays(CLEAN, 20.0))
 
 
-def test_loss_comes_in_bursts_of_one_station_of_the_stated_length_and_share():
+def test_each_station_has_bursts_of_loss_of_the_stated_length_and_share():
     radio = Radio(loss=0.0, burst_interval=5.0, burst_length=0.5, burst_loss=1.0, retries=0)
-    air = Air(radio, "3")
-    one, other = air.station("1"), air.station("2")
+    channel = RadioChannel(radio, "3")
+    one, other = channel.station("1"), channel.station("2")
     times = range(0, 2000 * SECOND, SECOND // 20)
     lost = np.array([[s.loss(t) for s in (one, other)] for t in times]) > 0.5
     shares = lost.mean(axis=0)
@@ -104,31 +108,33 @@ def test_the_same_seed_gives_the_same_and_another_does_not():
     assert len(first) != len(other) or (first != other).any()
 
 
-def test_faults_come_on_top_of_the_air():
-    air = Air(CLEAN, "1")
-    channel = Channel(Random(1), air.station("1"))
-    channel.put(Datagram(bytes(72), None), 0, LinkFaults(delay=0.1))
-    at = air.airtime(72)
+def test_faults_add_to_the_delay_of_the_channel():
+    radio_channel = RadioChannel(CLEAN, "1")
+    channel = Channel(Random(1), radio_channel.station("1"))
+    channel.send(Datagram(bytes(72), None), 0, LinkFaults(delay=0.1))
+    at = radio_channel.airtime(72)
     assert not channel.arrived(SECOND // 10 + at - 1)
     assert channel.arrived(SECOND // 10 + at + 32 * 20_000)
-    channel.put(Datagram(bytes(72), None), SECOND, LinkFaults(loss=1.0))
+    channel.send(Datagram(bytes(72), None), SECOND, LinkFaults(loss=1.0))
     assert not channel.arrived(9 * SECOND)
 
 
 def telemetry(seconds, script=(), radio=CLEAN, rate=20.0):
-    """Frames of each link that arrive at a bed with its board, and the bed."""
+    """Return the frames that arrive from each link of a bed with a board, and the bed."""
     bed = testbed.Testbed(
-        paper_arm(), PRESETS["ideal"], 1, BEGIN, rate, script=script, board_rate=20.0,
-        air=Air(radio, "1, 1"),
+        paper_arm(), PRESETS["ideal"], 1, START, rate, script=script, board_rate=20.0,
+        radio_channel=RadioChannel(radio, "1, 1"),
     )  # fmt: skip
     reports = [bed.step() for _ in range(100 * seconds)]
     return [[d.data for r in reports for d in r.telemetry[i]] for i in range(4)], bed
 
 
-def test_a_bed_on_the_air_sends_all_while_there_is_room_and_repeats_itself():
+def test_a_bed_with_radio_delivers_all_frames_reproducibly_unless_crowded():
     frames, bed = telemetry(10)
     assert all(198 <= len(of_link) <= 201 for of_link in frames)
-    assert bed.air.used(bed.now) == pytest.approx(100 * bed.air.airtime(72) / SECOND, rel=0.05)
+    assert bed.radio_channel.utilization(bed.now) == pytest.approx(
+        100 * bed.radio_channel.airtime(72) / SECOND, rel=0.05
+    )
     assert telemetry(10)[0] == frames
     crowded, _ = telemetry(10, [Event(0.0, "radio", "interference", 0.95)])
     assert sum(map(len, crowded)) < 0.9 * sum(map(len, frames))
@@ -136,23 +142,25 @@ def test_a_bed_on_the_air_sends_all_while_there_is_room_and_repeats_itself():
     assert 0.2 * 800 < sum(map(len, bursts)) < 0.8 * 800
 
 
-def test_vehicles_of_a_table_share_the_air():
-    air, arm = Air(CLEAN, "1, 1"), paper_arm()
-    states = [replace(BEGIN, q=(x, *BEGIN.q[1:3], *4 * (0.0,))) for x in (-5.0, 5.0)]
+def test_vehicles_of_a_table_share_the_radio_channel():
+    channel, arm = RadioChannel(CLEAN, "1, 1"), paper_arm()
+    states = [replace(START, q=(x, *START.q[1:3], *4 * (0.0,))) for x in (-5.0, 5.0)]
     plants = [Vehicle(arm, s.q, s.qd, WIDE, name=n) for n, s in zip("ab", states, strict=True)]
-    testbed.together(plants, states)
+    testbed.place_on_table(plants, states)
     beds = [
-        testbed.Testbed(arm, PRESETS["ideal"], 1, state, 20.0, plant=plant, air=air)
+        testbed.Testbed(arm, PRESETS["ideal"], 1, state, 20.0, plant=plant, radio_channel=channel)
         for state, plant in zip(states, plants, strict=True)
     ]
     for _ in range(300):
         testbed.step(beds)
-    assert air.used(beds[0].now) == pytest.approx(160 * air.airtime(72) / SECOND, rel=0.05)
-    assert air.taken == 0.0
+    assert channel.utilization(beds[0].now) == pytest.approx(
+        160 * channel.airtime(72) / SECOND, rel=0.05
+    )
+    assert channel.interference == 0.0
     beds[1].faults.set("radio", "interference", 0.5)
     testbed.step(beds)
-    assert air.taken == 0.5
+    assert channel.interference == 0.5
     times = range(0, 60 * SECOND, SECOND)
     burst = replace(CLEAN, burst_interval=5.0)
-    ways = [Air(burst, "1").station(f"{name} 1") for name in "ab"]
-    assert [ways[0].loss(t) for t in times] != [ways[1].loss(t) for t in times]
+    stations = [RadioChannel(burst, "1").station(f"{name} 1") for name in "ab"]
+    assert [stations[0].loss(t) for t in times] != [stations[1].loss(t) for t in times]

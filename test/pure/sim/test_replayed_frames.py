@@ -60,7 +60,7 @@ class Simulated:
             self.bed.receive(part - 1, data, "driver")
 
     def run(self):
-        """Let a period pass; what each part sent."""
+        """Run one period; return the frames of each part."""
         reports = [self.bed.step() for _ in range(5)]
         sent = {BOARD: [r.board for r in reports], LINK: [r.telemetry[LINK - 1] for r in reports]}
         return {part: [d.data for those in each for d in those] for part, each in sent.items()}
@@ -101,7 +101,7 @@ class Firmware:
 
 
 class Laboratory:
-    """The sessions of one computer, the parts that they drive, and a tap on what all say."""
+    """Sessions of one computer, the parts that they drive, and an attacker's recordings."""
 
     def __init__(self, world, keys):
         self.world, self.signed, self.now = world, bool(keys), EPOCH
@@ -109,15 +109,18 @@ class Laboratory:
             BOARD: BoardSession(TIMEOUT, 2.0, key=keys.get(BOARD)),
             LINK: LinkSession(LINK, paper_arm().links[LINK - 1], TIMEOUT, key=keys.get(LINK)),
         }
-        self.heard, self.said = {BOARD: [], LINK: []}, {BOARD: [], LINK: []}  # since the start
+        self.received, self.sent_commands = (
+            {BOARD: [], LINK: []},
+            {BOARD: [], LINK: []},
+        )  # since the start
         self.recorded = {BOARD: [], LINK: []}  # telemetry from before it
-        self.seen = Counter()  # frames that were believed, and what they show
+        self.observed = Counter()  # replayed frames; accepted frames by state
 
     def restart(self):
         """Restart all parts; the attacker commands them before the computer does."""
-        commands, self.said = self.said, {BOARD: [], LINK: []}
-        self.recorded, self.heard = self.heard, {BOARD: [], LINK: []}
-        self.seen["armed"] = 0
+        commands, self.sent_commands = self.sent_commands, {BOARD: [], LINK: []}
+        self.recorded, self.received = self.received, {BOARD: [], LINK: []}
+        self.observed["armed"] = 0
         self.world.restart()
         self.now += OUTAGE
         for part, those in commands.items():
@@ -125,86 +128,86 @@ class Laboratory:
                 self.world.send(part, data)
 
     def step(self):
-        """A period, with the recording played before and after each frame."""
+        """Run one period; the recording is replayed before and after each frame."""
         self.now += PERIOD
         for part, session in self.sessions.items():
-            self.said[part].append(session.command(self.now))
-            self.world.send(part, self.said[part][-1])
+            self.sent_commands[part].append(session.command(self.now))
+            self.world.send(part, self.sent_commands[part][-1])
         for part, frames in self.world.run().items():
-            self.play(part)
+            self.replay(part)
             for data in frames:
-                self.heard[part].append(data)
-                self.learn(self.sessions[part].feed(data, self.now))
-                self.play(part)
+                self.received[part].append(data)
+                self.count_states(self.sessions[part].feed(data, self.now))
+                self.replay(part)
 
-    def play(self, part):
-        """Replay telemetry; without a key anybody can stand in for a part that is lost."""
+    def replay(self, part):
+        """Replay telemetry; without a key, only to parts that are not lost: lost ones accept it."""
         session = self.sessions[part]
         for data in self.recorded[part]:
             if self.signed or not session.lost:
-                self.seen["replayed"] += 1
+                self.observed["replayed"] += 1
                 assert session.feed(data, self.now) is None
 
-    def learn(self, heard):
-        if heard:
-            self.seen["armed"] += bool(heard.frame.flags & Flags.ARMED)
-            self.seen["open"] += bool(getattr(heard.frame, "valves", 0))
+    def count_states(self, received):
+        if received:
+            self.observed["armed"] += bool(received.frame.flags & Flags.ARMED)
+            self.observed["open"] += bool(getattr(received.frame, "valves", 0))
 
     def until(self, condition):
         for _ in range(60):
             if condition():
                 return
             self.step()
-        pytest.fail("it took more than 3 s")
+        pytest.fail("the condition did not hold within 3 s")
 
-    def live(self):
-        """From a restart until the board's valves are open and the link is armed."""
+    def arm_and_open(self):
+        """Run from a restart until the board's valves are open and the link is armed."""
         sessions, starts = self.sessions.values(), len(self.world.boots)
         self.until(lambda: all(s.counts["adopted"] == starts for s in sessions))
-        assert not self.seen["armed"]  # whatever was replayed
+        assert not self.observed["armed"]  # despite the replay
         for session in sessions:
             session.arm(self.now)
         self.until(lambda: all(s.armed for s in sessions))
         self.sessions[BOARD].thrust([0.2] * 8, self.now, self.now)
-        opened = self.seen["open"]
-        self.until(lambda: self.seen["open"] > opened + 2)
+        opened = self.observed["open"]
+        self.until(lambda: self.observed["open"] > opened + 2)
 
 
-def drawn(of):
-    return of.begin(4)
+def initial_state(settings):
+    return settings.initial_state(4)
 
 
-def kept(path, of):
+def saved_state(path, settings):
     """State of a test bed that saves it, and is killed soon after its start."""
-    state = replace(of, state_file=str(path)).begin(4)
+    state = replace(settings, state_file=str(path)).initial_state(4)
     state.save(path)
     return state
 
 
-def repeated(_):
+def repeated_state(_):
     return State(frame=0, boots=1, rests=0, q=7 * (0.0,), qd=7 * (0.0,), boot_offset=0)
 
 
-def unlike():
+def distinct_boots():
     return Random(7).sample(range(1, 65536), RESTARTS + 1)
 
 
 WORLDS = {
-    "test bed": lambda keys, path: Simulated(keys, drawn),
-    "test bed with a state file": lambda keys, path: Simulated(keys, partial(kept, path)),
-    "firmware": lambda keys, path: Firmware(keys, unlike()),
-    "test bed, boot repeated": lambda keys, path: Simulated(keys, repeated),
+    "test bed": lambda keys, path: Simulated(keys, initial_state),
+    "test bed with a state file": lambda keys, path: Simulated(keys, partial(saved_state, path)),
+    "firmware": lambda keys, path: Firmware(keys, distinct_boots()),
+    "test bed, boot repeated": lambda keys, path: Simulated(keys, repeated_state),
     "firmware, boot repeated": lambda keys, path: Firmware(keys, (RESTARTS + 1) * [7]),
 }
 CASES = [(name, keys) for name in WORLDS for keys in ({}, KEYS) if keys or "repeated" not in name]
 
 
 @pytest.mark.parametrize(("name", "keys"), CASES, ids=[f"{n}-{len(k)} keys" for n, k in CASES])
-def test_frames_from_before_a_restart_are_not_believed_after_it(name, keys, tmp_path):
+def test_frames_recorded_before_a_restart_are_rejected_after_it(name, keys, tmp_path):
     with closing(WORLDS[name](keys, tmp_path / "state.json")) as world:
         laboratory = Laboratory(world, keys)
         for _ in range(RESTARTS + 1):
             laboratory.restart()
-            laboratory.live()
-    assert laboratory.seen["open"] > 2 * RESTARTS
-    assert laboratory.seen["replayed"] > 100 * RESTARTS
+            laboratory.arm_and_open()
+    assert laboratory.observed["open"] > 2 * RESTARTS
+    assert laboratory.observed["replayed"] > 100 * RESTARTS

@@ -1,4 +1,4 @@
-"""The servo drive in the test bed: each line of the faults page, homing, what its supply does."""
+"""Servo drive of the test bed: each fault of docs/reference/faults.md, homing and supply."""
 
 from dataclasses import dataclass, field, fields
 
@@ -12,18 +12,18 @@ from fss_link.session import Arming, CommandError
 from fss_sim.faults import DriveFaults, LinkFaults
 from fss_sim.link import servo
 
-STUCK = {"blocked": 1.0}
+BLOCKED = {"blocked": 1.0}
 
 
 @dataclass(frozen=True)
 class Case:
-    """How a line of the page comes about: faults of the drive, and where the joint is to go."""
+    """Conditions that cause a fault of the page: injected faults, and the goal of the joint."""
 
     status: int | None = None  # bit
     latched: int | None = None  # bit
     faults: dict = field(default_factory=dict)
     to: float | None = None
-    power: bool = False  # which alone ends it
+    power: bool = False  # True if only switching the power off ends it
     homed: bool = True  # the reference is kept
 
 
@@ -35,7 +35,7 @@ CASES = {
     "motor too hot": Case(4, 4, {"motor_heat": 80.0}),
     "feedback error": Case(5, 7, {"encoder": 1.0}, homed=False),
     "phasing error": Case(6, 8, {"phasing": 1.0}),
-    "tracking error": Case(18, 9, STUCK, 1.0),
+    "tracking error": Case(18, 9, BLOCKED, 1.0),
     "current too high": Case(None, 10, {"overcurrent": 1.0}),
     "command input lost": Case(None, 12, {"command_input": 1.0}),
     "flash memory damaged": Case(None, 0, {"flash": 1.0}, power=True),
@@ -44,8 +44,8 @@ CASES = {
     "enable input inactive": Case(11, None, {"enable": 1.0}),
     "latched fault": Case(22, 2, {"short_circuit": 1.0}),
 }
-SEEN = {  # of those that do not block: the same, and the bit
-    "current limited": (7, STUCK, 1.0),
+NOT_BLOCKING = {  # for status bits that do not block: the bit, faults, goal
+    "current limited": (7, BLOCKED, 1.0),
     "voltage limited": (8, {"voltage_limit": 1.0}, None),
     "positive limit switch": (9, {"positive_limit": 1.0}, None),
     "negative limit switch": (10, {"negative_limit": 1.0}, None),
@@ -55,7 +55,7 @@ SEEN = {  # of those that do not block: the same, and the bit
     "outputs disabled": (15, {}, None),
     "positive soft limit": (16, {}, "up"),
     "negative soft limit": (17, {}, "down"),
-    "tracking warning": (19, STUCK, 1.0),
+    "tracking warning": (19, BLOCKED, 1.0),
     "was reset": (20, {"supply": -24.0}, None),
     "position wrapped": (21, {"wrapped": 1.0}, None),
     "home switch": (26, {}, 0.3),
@@ -63,10 +63,10 @@ SEEN = {  # of those that do not block: the same, and the bit
 }
 
 
-def test_each_line_of_the_page_is_rehearsed_and_names_faults_that_there_are():
+def test_each_fault_of_the_page_has_a_case_and_names_existing_faults():
     rehearsed = {(Word.STATUS, c.status) for c in CASES.values()}
     rehearsed |= {(Word.FAULTS, c.latched) for c in CASES.values()}
-    rehearsed |= {(Word.STATUS, bit) for bit, *_ in SEEN.values()}
+    rehearsed |= {(Word.STATUS, bit) for bit, *_ in NOT_BLOCKING.values()}
     assert {(f.word, f.bit) for f in FAULTS} <= rehearsed
     known = {f.name for f in fields(DriveFaults)}
     for fault in FAULTS:
@@ -81,7 +81,7 @@ def test_the_emulated_drive_blocks_by_the_bits_of_the_page():
         assert bool(blocking(1 << bit, 0)) == bool(servo.BLOCKING >> bit & 1)
 
 
-def afflicted(faults, to=None):
+def bench_with_faults(faults, to=None):
     bench = Bench()
     assert bench.arm()
     bench.go(bench.q if to is None else to)
@@ -98,8 +98,8 @@ def has(bench, status=None, latched=None):
 
 
 @pytest.mark.parametrize(("name", "case"), CASES.items(), ids=list(CASES))
-def test_a_fault_is_reported_lets_go_and_ends_as_the_page_says(name, case):
-    bench = afflicted(case.faults, case.to)
+def test_a_fault_is_reported_stops_the_joint_and_is_cleared_as_documented(name, case):
+    bench = bench_with_faults(case.faults, case.to)
     assert bench.run(10.0, lambda: has(bench, case.status, case.latched))
     assert bench.run(4.0, lambda: bench.frame.mode == Mode.OFF)
     bench.target = None
@@ -110,12 +110,12 @@ def test_a_fault_is_reported_lets_go_and_ends_as_the_page_says(name, case):
         bench.arm()
     if case.latched is not None:
         bench.clear()
-        still = case.faults != STUCK  # a joint that is let go lags behind nothing
+        still = case.faults != BLOCKED  # a released joint has no lag
         assert bool(has(bench, latched=case.latched)) == still
     for fault in case.faults:
         bench.faults.set("drive_2", fault, 0.0)
     bench.run(3.0)
-    if case.latched is not None and case.faults != STUCK:
+    if case.latched is not None and case.faults != BLOCKED:
         with pytest.raises(CommandError, match=cause):
             bench.arm()
         bench.clear()
@@ -130,8 +130,8 @@ def test_a_fault_is_reported_lets_go_and_ends_as_the_page_says(name, case):
     assert bench.run(8.0, lambda: abs(bench.q - 0.2) < 1e-3)
 
 
-@pytest.mark.parametrize(("bit", "faults", "to"), SEEN.values(), ids=list(SEEN))
-def test_what_does_not_block_is_reported(bit, faults, to):
+@pytest.mark.parametrize(("bit", "faults", "to"), NOT_BLOCKING.values(), ids=list(NOT_BLOCKING))
+def test_bits_that_do_not_block_are_reported(bit, faults, to):
     bench = Bench()
     assert to is None or bench.arm()
     if isinstance(to, str):
@@ -149,8 +149,8 @@ def test_what_does_not_block_is_reported(bit, faults, to):
     assert bench.run(4.0, lambda: has(bench, bit))
 
 
-def test_a_joint_at_full_current_for_minutes_becomes_too_hot_and_cools():
-    bench = afflicted(STUCK)
+def test_a_joint_at_full_current_for_minutes_overheats_and_cools():
+    bench = bench_with_faults(BLOCKED)
     bench.target = Mode.CURRENT, 2.25
     assert bench.run(300.0, lambda: has(bench, 4, 4))
     hot = bench.bed.now * 1e-9
@@ -164,22 +164,22 @@ def test_a_joint_at_full_current_for_minutes_becomes_too_hot_and_cools():
     assert bench.arm()
 
 
-def test_a_bad_contact_of_the_battery_is_a_supply_too_low_under_load_alone():
-    bench = afflicted(STUCK)
+def test_a_bad_battery_contact_causes_undervoltage_only_under_load():
+    bench = bench_with_faults(BLOCKED)
     bench.faults.set("link_2", "resistance", 5.0)
     bench.run(3.0)
     assert bench.session.armed
     bench.target = Mode.CURRENT, 2.25
     assert bench.run(5.0, lambda: has(bench, latched=6))
-    assert bench.session.referenced  # its logic went on
+    assert bench.session.referenced  # its logic kept running
     bench.faults.set("link_2", "resistance", 0.0)
     bench.target = None
     bench.clear()
     assert bench.arm()
 
 
-def test_a_joint_that_is_blocked_in_time_for_a_warning_goes_on():
-    bench = afflicted(STUCK, 1.0)
+def test_a_joint_blocked_until_the_warning_continues():
+    bench = bench_with_faults(BLOCKED, 1.0)
     assert bench.run(5.0, lambda: has(bench, 19))
     bench.faults.set("drive_2", "blocked", 0.0)
     assert bench.run(10.0, lambda: abs(bench.q - 1.0) < 1e-3)
@@ -187,30 +187,30 @@ def test_a_joint_that_is_blocked_in_time_for_a_warning_goes_on():
 
 
 def test_a_blocked_joint_stays_where_it_is():
-    bench = afflicted(STUCK, 1.0)
+    bench = bench_with_faults(BLOCKED, 1.0)
     bench.run(0.1)
-    begin = bench.q
+    start = bench.q
     bench.run(1.0)
-    assert abs(bench.q - begin) < 1e-3
+    assert abs(bench.q - start) < 1e-3
     assert np.abs(bench.bed.plant.imbalance).max() < 1e-9
 
 
-def test_a_limit_switch_lets_the_joint_go_back_only():
-    bench = afflicted({"positive_limit": 1.0}, 0.5)
+def test_a_limit_switch_allows_motion_only_away_from_it():
+    bench = bench_with_faults({"positive_limit": 1.0}, 0.5)
     bench.run(3.0)
     assert bench.q < 0.0
     bench.go(-0.5)
     assert bench.run(5.0, lambda: abs(bench.q + 0.5) < 1e-3)
 
 
-def test_the_reference_goes_with_the_power_and_homing_takes_time_and_moves():
+def test_the_reference_is_lost_with_the_power_and_found_by_homing():
     bench = Bench()
-    begin = bench.q
+    start = bench.q
     assert bench.power_cycle()
     bench.run(1.0)
     assert not bench.session.referenced
     assert bench.frame.status >> 20 & 1
-    assert abs(bench.frame.position) <= 1  # it counts from where it is
+    assert abs(bench.frame.position) <= 1  # it counts from its present position
     assert bench.arm()
     with pytest.raises(CommandError, match="not referenced"):
         bench.session.set(Mode.POSITION, 0.1, 0.0, 0.0, bench.now + 10**9, bench.now)
@@ -218,10 +218,10 @@ def test_the_reference_goes_with_the_power_and_homing_takes_time_and_moves():
     since, homings = bench.bed.now, bench.link.electronics.homings
     assert bench.home()
     took = (bench.bed.now - since) * 1e-9
-    assert abs(begin) / servo.HOMING_SPEED < took < 10.0
+    assert abs(start) / servo.HOMING_SPEED < took < 10.0
     assert bench.link.electronics.homings == homings + 1
     assert abs(bench.frame.position * COUNT - bench.q) <= COUNT
-    assert abs(bench.q) < 0.05  # it went there
+    assert abs(bench.q) < 0.05  # it moved to the reference
 
 
 @pytest.mark.parametrize("fault", ["dead", "reset"])
@@ -233,8 +233,8 @@ def test_a_link_restarts_disarmed_with_its_drive_off_at_rest(fault):
     bench.target = None
     bench.faults.set("link_2", fault, 1.0)
     bench.run(0.5)
-    goes_on = abs(bench.bed.plant.qd[4] - 0.2) < 0.01
-    assert goes_on == (fault == "reset")  # nobody told the drive to stop
+    keeps_moving = abs(bench.bed.plant.qd[4] - 0.2) < 0.01
+    assert keeps_moving == (fault == "reset")  # after a reset the drive continues
     bench.run(1.0)
     bench.faults.set("link_2", fault, 0.0)
     assert bench.run(5.0, lambda: not bench.session.lost)
@@ -269,15 +269,15 @@ def test_a_brown_out_is_a_restart():
 
 def test_a_hand_turns_a_free_joint_and_loads_the_torque_sensor():
     bench = Bench()
-    begin = bench.q
+    start = bench.q
     bench.faults.set("drive_2", "hand", 0.5)
     bench.run(0.5)
-    assert bench.q > begin + 0.01
-    bench.run(20.0)  # against the stop
+    assert bench.q > start + 0.01
+    bench.run(20.0)  # until the end stop
     assert bench.frame.current == 0
     torque = bench.session.scale.torque(bench.frame.torque)
     assert torque == pytest.approx(0.5, abs=0.02)
 
 
-def test_faults_of_the_way_and_of_the_power_are_apart():
+def test_fault_names_of_links_and_drives_differ():
     assert {f.name for f in fields(LinkFaults)} & {f.name for f in fields(DriveFaults)} == set()

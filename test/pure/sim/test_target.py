@@ -1,4 +1,4 @@
-"""Capture and release of a target: momentum stays, the impact is plastic, all moves as one."""
+"""Capture and release of a target: momentum is conserved, the impact is plastic."""
 
 import numpy as np
 import pytest
@@ -12,12 +12,12 @@ from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
 
 SURROUNDINGS = Surroundings(table=(20.0, 20.0))
-ANY = Gripper(reach=0.05, angle=3.2, speed=10.0)
+WIDE_GRIPPER = Gripper(reach=0.05, angle=3.2, speed=10.0)
 TARGET = Target(mass=9.0, inertia=0.2, fixture=(0.15, 0.05, 0.3))
 
 
-def before_capture(arm, rng, rotor=0.0026, gripper=ANY):
-    """An arm in motion with the fixture of a tumbling target at its tip."""
+def before_capture(arm, rng, rotor=0.0026, gripper=WIDE_GRIPPER):
+    """Return a moving arm with the fixture of a tumbling target at its tip."""
     q, qd = rng.uniform(-0.5, 0.5, (2, 3 + arm.n))
     x, y, heading = tip_pose(arm.vector(), q)
     theta = heading + np.pi - TARGET.fixture[2]
@@ -28,7 +28,7 @@ def before_capture(arm, rng, rotor=0.0026, gripper=ANY):
 
 
 def total(bed):
-    """Linear and angular momentum about the origin, from bodies apart; and kinetic energy."""
+    """Return momentum about the origin (3,) and kinetic energy, summed over separate bodies."""
     (x, y, _), (vx, vy, omega) = bed.target
     m, inertia = TARGET.mass, TARGET.inertia
     own = Plant(bed.arm, bed.q, bed.qd, World(bed.world.joints)).audit
@@ -38,7 +38,7 @@ def total(bed):
 
 
 @pytest.mark.parametrize("n", range(1, 9))
-def test_momentum_stays_through_capture_and_release(n):
+def test_momentum_is_conserved_by_capture_and_release(n):
     bed = before_capture(random_arm(n, np.random.default_rng(n)), np.random.default_rng(n))
     before, energy = total(bed)
     np.testing.assert_allclose(bed.audit.momentum, before, rtol=0, atol=1e-12)
@@ -50,7 +50,7 @@ def test_momentum_stays_through_capture_and_release(n):
     np.testing.assert_allclose(after, before, rtol=0, atol=1e-12)
     assert less < energy
     bed.advance(0.5)
-    # The composite's own books and those of its parts are the same thing.
+    # The audit of the composite equals the sum over its parts.
     np.testing.assert_allclose(bed.audit.momentum, total(bed)[0], rtol=0, atol=1e-11)
     assert bed.audit.energy == pytest.approx(total(bed)[1], rel=1e-10)
     bed.closed = False
@@ -63,7 +63,7 @@ def test_momentum_stays_through_capture_and_release(n):
     np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
 
 
-def test_the_capture_is_the_least_change_that_makes_the_velocities_alike():
+def test_the_capture_is_the_smallest_change_that_equalizes_the_velocities():
     """Gauss's principle: any other velocity of the joined bodies is farther in kinetic energy."""
     rng = np.random.default_rng(5)
     bed = before_capture(paper_arm(), rng)
@@ -83,20 +83,20 @@ def test_the_capture_is_the_least_change_that_makes_the_velocities_alike():
         assert gap(bed.qd + 1e-3 * rng.standard_normal(7)) > least
 
 
-def test_a_gripper_holds_nothing_askew():
-    assert Gripper().takes(Approach(0.0, -0.4, 0.0))
-    assert not Gripper().takes(Approach(0.0, -0.6, 0.0))
+def test_a_gripper_rejects_a_large_angle():
+    assert Gripper().can_grip(Approach(0.0, -0.4, 0.0))
+    assert not Gripper().can_grip(Approach(0.0, -0.6, 0.0))
 
 
 @pytest.mark.parametrize("gripper", [Gripper(0.005, 3.2, 10.0), Gripper(0.05, 3.2, 0.001)])
-def test_a_gripper_holds_nothing_too_far_or_fast(gripper):
+def test_a_gripper_rejects_a_large_distance_or_speed(gripper):
     bed = before_capture(paper_arm(), np.random.default_rng(1), gripper=gripper)
     bed.closed = True
     bed.advance(0.001)
     assert not bed.holds
 
 
-def test_the_gripper_waits_for_what_comes():
+def test_a_closing_gripper_waits_for_the_target():
     arm, world = paper_arm(), World(surroundings=SURROUNDINGS, target=Target())
     x, y, heading = tip_pose(arm.vector(), np.zeros(7))
     along = np.exp(1j * heading)
@@ -110,23 +110,23 @@ def test_the_gripper_waits_for_what_comes():
         bed.advance(0.01)
     assert bed.holds
     assert bed.approach.distance == pytest.approx(0.03, abs=0.001)
-    assert bed.approach.speed < 1e-6  # both turn by a little
+    assert bed.approach.speed < 1e-6  # both rotate slightly
 
 
-def test_without_a_target_there_is_nothing_to_hold():
+def test_without_a_target_nothing_is_held():
     bed = Plant(paper_arm(), np.zeros(7))
     bed.closed = True
     bed.advance(0.01)
     assert not bed.holds
 
 
-def test_a_free_target_feels_table_and_film():
+def test_a_free_target_follows_the_slope_of_the_table():
     around = Surroundings((1e-3, 0.0), table=(20.0, 20.0))
     bed = Plant(paper_arm(), np.zeros(7), None, World(surroundings=around, target=Target()))
     bed.advance(2.0)
     np.testing.assert_allclose(bed.target[0], [0.5 * 9.81e-3 * 4.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_a_target_without_mass_is_refused():
+def test_a_target_without_mass_is_rejected():
     with pytest.raises(ValueError, match="mass is 0"):
         Target(mass=0.0)

@@ -1,4 +1,4 @@
-"""Sensors and the whole test bed: errors as stated, the same again with the same seed, resumed."""
+"""Sensors and test bed: stated errors, reproducibility by seed, resuming."""
 
 import json
 import math
@@ -13,17 +13,17 @@ from fss_sim import testbed
 from fss_sim.faults import Event, GyroFaults, SubjectFaults
 from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant.joints import PRESETS as JOINTS
-from fss_sim.plant.joints import carried
+from fss_sim.plant.joints import outboard_momentum
 from fss_sim.plant.plant import World
-from fss_sim.sensors import RATE, SEEN, Sensors, compose
-from fss_sim.testbed import OUTAGE, State, StateError
+from fss_sim.sensors import NO_SUBJECT_FAULTS, RATE, Sensors, compose
+from fss_sim.testbed import OUTAGE_FRAMES, State, StateError
 
 BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7, boot_offset=0)
-STILL, MOVING = np.zeros(4), np.full(4, 0.1)
+RESTING, MOVING = np.zeros(4), np.full(4, 0.1)
 
 
-def seen_from_base(sight):
-    (x, y, theta), (u, v, phi) = sight.base.pose, sight.tip.pose
+def seen_from_base(readings):
+    (x, y, theta), (u, v, phi) = readings.base.pose, readings.tip.pose
     z = complex(u - x, v - y) * np.exp(-1j * theta)
     return z.real, z.imag, phi - theta
 
@@ -33,8 +33,8 @@ def test_each_rest_has_its_own_error_of_the_stated_size():
     base, tip = (0.4, -0.1, 2.0), (1.2, 0.3, 0.5)
     for rest in range(1500):
         for k in range(RATE // 5):
-            sight = sensors.observe(rest * RATE + k, base, tip, 0.0, STILL)
-        errors.append(np.subtract(seen_from_base(sight), tip))
+            readings = sensors.observe(rest * RATE + k, base, tip, 0.0, RESTING)
+        errors.append(np.subtract(seen_from_base(readings), tip))
         sensors.observe(rest * RATE + 99, base, tip, 0.0, MOVING)
     deviation = np.std(errors, axis=0)
     # 1500 draws know a deviation to 1.8%, 1 sigma; the white noise adds under 0.1%.
@@ -43,18 +43,18 @@ def test_each_rest_has_its_own_error_of_the_stated_size():
     assert np.abs(np.mean(errors, axis=0) / deviation).max() < 4 / math.sqrt(1500)
 
 
-def test_an_error_stays_for_its_rest():
+def test_the_error_of_a_rest_is_constant():
     sensors = Sensors(PRESETS["paper"], seed=1)
-    sights = [sensors.observe(k, (0, 0, 0), (1, 0, 0), 0.0, STILL).tip.pose for k in range(200)]
+    sights = [sensors.observe(k, (0, 0, 0), (1, 0, 0), 0.0, RESTING).tip.pose for k in range(200)]
     white = np.std(sights, axis=0)
     np.testing.assert_allclose(white, [3e-4, 3e-4, math.radians(0.05)], rtol=0.2)
 
 
-def test_without_noise_the_truth_is_seen():
+def test_without_noise_the_true_poses_are_reported():
     sensors = Sensors(PRESETS["ideal"], seed=1)
-    sight = sensors.observe(5, (0.1, 0.2, 0.3), (1.0, 0.5, 0.2), 0.7, STILL)
+    readings = sensors.observe(5, (0.1, 0.2, 0.3), (1.0, 0.5, 0.2), 0.7, RESTING)
     tip = compose((0.1, 0.2, 0.3), (1.0, 0.5, 0.2))
-    assert (sight.base.pose, sight.tip.pose, sight.rate) == ((0.1, 0.2, 0.3), tip, 0.7)
+    assert (readings.base.pose, readings.tip.pose, readings.rate) == ((0.1, 0.2, 0.3), tip, 0.7)
 
 
 def run(bed, frames):
@@ -66,7 +66,7 @@ def test_the_same_seed_gives_the_same_frames_and_another_does_not():
         run(testbed.Testbed(paper_arm(), PRESETS["paper"], seed, BEGIN), 60) for seed in (1, 1, 2)
     )
     assert first == second
-    assert [r.sight for r in first] != [r.sight for r in other]
+    assert [r.readings for r in first] != [r.readings for r in other]
 
 
 def test_boot_numbers_cover_their_field_and_differ():
@@ -93,7 +93,7 @@ def test_the_boot_number_changes_no_measurement_and_no_fault():
         )
         for offset in (0, 40_000)
     )  # fmt: skip
-    assert [r.sight for r in first] == [r.sight for r in other]
+    assert [r.readings for r in first] == [r.readings for r in other]
     telemetry = [[frames_without_boot(r) for r in reports] for reports in (first, other)]
     assert telemetry[0] == telemetry[1]
     assert sum(map(len, telemetry[0])) > 100
@@ -105,13 +105,13 @@ def frames_without_boot(report):
     return [data[:6] + data[8:52] for data in sent]
 
 
-def test_forces_across_links_are_felt_as_the_arm_is_pushed_along():
+def test_torque_sensors_measure_shear_by_crosstalk():
     noise, arm = replace(PRESETS["ideal"], torque_crosstalk=0.002), paper_arm()
     bed = testbed.Testbed(arm, noise, 1, BEGIN)
-    before = carried(bed.plant.p, bed.plant.q, bed.plant.qd)
+    before = outboard_momentum(bed.plant.p, bed.plant.q, bed.plant.qd)
     bed.plant.thrust([0.05] * 4 + [0.0] * 4)
     bed.step()
-    forces = RATE * (carried(bed.plant.p, bed.plant.q, bed.plant.qd) - before)
+    forces = RATE * (outboard_momentum(bed.plant.p, bed.plant.q, bed.plant.qd) - before)
     turns = [bed.plant.q[2] + arm.base.mount[2], *bed.plant.q[3:] + [k.theta_0 for k in arm.links]]
     along = np.cumsum(turns)[1:]
     across = forces[:, 1] * np.cos(along) - forces[:, 0] * np.sin(along)
@@ -120,10 +120,10 @@ def test_forces_across_links_are_felt_as_the_arm_is_pushed_along():
     bed = testbed.Testbed(arm, PRESETS["ideal"], 1, BEGIN)
     bed.plant.thrust([0.05] * 4 + [0.0] * 4)
     bed.step()
-    assert [m.shear for m in bed._motions] == [0.0] * 4  # as nothing shows them
+    assert [m.shear for m in bed._motions] == [0.0] * 4  # not computed without crosstalk
 
 
-def test_a_laboratory_is_the_same_again_too():
+def test_the_laboratory_preset_is_reproducible():
     first, second = (
         run(
             testbed.Testbed(
@@ -136,7 +136,7 @@ def test_a_laboratory_is_the_same_again_too():
     assert first == second
 
 
-def test_vicon_and_telemetry_tell_of_the_same_arm():
+def test_vicon_and_telemetry_agree():
     state = State(0, 1, 0, (0.1, 0.2, 0.3, 0.4, -0.3, 0.2, 0.1), (0.0,) * 7)
     bed = testbed.Testbed(paper_arm(), PRESETS["ideal"], 1, state)
     reports = run(bed, 30)
@@ -144,7 +144,7 @@ def test_vicon_and_telemetry_tell_of_the_same_arm():
     assert {f.link for f in frames} == {1, 2, 3, 4}
     for f in frames:
         assert f.position == round(state.q[2 + f.link] * 240_000 / (2 * math.pi))
-    x, y, theta = seen_from_base(reports[-1].sight)
+    x, y, theta = seen_from_base(reports[-1].readings)
     arm = paper_arm()
     assert theta == pytest.approx(
         arm.base.mount[2] + sum(k.theta_0 for k in arm.links) + sum(state.q[3:]), abs=1e-12
@@ -152,14 +152,14 @@ def test_vicon_and_telemetry_tell_of_the_same_arm():
     assert math.hypot(x, y) < 2.0
 
 
-def test_it_resumes_after_all_that_was_reported_with_its_links_started_again(tmp_path):
+def test_it_resumes_after_the_last_reported_time_with_restarted_links(tmp_path):
     bed = testbed.Testbed(paper_arm(), PRESETS["paper"], 1, BEGIN)
     run(bed, 50)
     bed.state().save(tmp_path / "state.json")
     kept = State.load(tmp_path / "state.json", 4)
     assert kept == bed.state()
-    resumed = kept.resumed()
-    assert (resumed.frame, resumed.boots) == (50 + OUTAGE, 2)
+    resumed = kept.after_restart()
+    assert (resumed.frame, resumed.boots) == (50 + OUTAGE_FRAMES, 2)
     again = testbed.Testbed(paper_arm(), PRESETS["paper"], 1, resumed)
     np.testing.assert_array_equal(again.plant.q, bed.plant.q)
     report = next(r for r in (again.step() for _ in range(100)) if r.telemetry[0])
@@ -188,7 +188,7 @@ def test_a_state_file_without_a_boot_offset_is_read(tmp_path):
     ["", "{}", "[1]", 10**5 * "[", '{"frame": .inf, "boots": 1, "rests": 0}', "\0",
      '{"frame": 1, "boots": 1, "rests": 0, "q": [0], "qd": [0]}'],
 )  # fmt: skip
-def test_a_file_that_is_no_state_is_refused_by_name(tmp_path, text):
+def test_an_invalid_state_file_is_rejected_by_name(tmp_path, text):
     path = tmp_path / "state.json"
     path.write_text(text)
     with pytest.raises(StateError, match=r"state\.json") as error:
@@ -197,57 +197,64 @@ def test_a_file_that_is_no_state_is_refused_by_name(tmp_path, text):
     assert "Error(" not in str(error.value)
 
 
-def look(faults, frames=2000, **gyro):
+def observe_with_faults(faults, frames=2000, **gyro):
     sensors = Sensors(PRESETS["ideal"], seed=1)
     return [
         sensors.observe(
-            k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, STILL, faults, SEEN, GyroFaults(**gyro)
+            k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, RESTING, faults, NO_SUBJECT_FAULTS,
+            GyroFaults(**gyro),
         )
         for k in range(frames)
     ]  # fmt: skip
 
 
-def test_vicon_drops_out_and_loses_sight_as_often_as_told():
-    dropped = sum(s.base is None for s in look(SubjectFaults(dropout=0.3)))
-    occluded = sum(s.base.occluded for s in look(SubjectFaults(occlusion=0.3)))
+def test_dropouts_and_occlusions_have_the_given_shares():
+    dropped = sum(s.base is None for s in observe_with_faults(SubjectFaults(dropout=0.3)))
+    occluded = sum(s.base.occluded for s in observe_with_faults(SubjectFaults(occlusion=0.3)))
     for count in (dropped, occluded):
         assert count / 2000 == pytest.approx(0.3, abs=4 * (0.21 / 2000) ** 0.5)
-    assert not any(s.tip.occluded for s in look(SubjectFaults(occlusion=1.0)))
-    assert all(s.base.occluded for s in look(SubjectFaults(occlusion=1.0), 10))
+    assert not any(s.tip.occluded for s in observe_with_faults(SubjectFaults(occlusion=1.0)))
+    assert all(s.base.occluded for s in observe_with_faults(SubjectFaults(occlusion=1.0), 10))
 
 
-def test_the_target_is_lost_and_mistaken_as_often_as_told_and_by_itself():
-    def seen(**faults):
+def test_faults_of_the_target_have_the_given_shares_and_are_independent():
+    def all_readings(**faults):
         sensors, at = Sensors(PRESETS["ideal"], seed=1), (3.0, 2.0, 1.0)
         faults = SubjectFaults(**faults)
         return [
-            sensors.observe(k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, STILL, target=at,
+            sensors.observe(k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, RESTING, target=at,
                             target_faults=faults)
             for k in range(2000)
         ]  # fmt: skip
 
-    missed = np.array([sight.target is None for sight in seen(dropout=0.3)])
+    missed = np.array([readings.target is None for readings in all_readings(dropout=0.3)])
     for count in (
         missed.sum(),
-        sum(sight.target.occluded for sight in seen(occlusion=0.3)),
-        sum(sight.target.pose == sight.base.pose for sight in seen(swap=0.3)),
+        sum(readings.target.occluded for readings in all_readings(occlusion=0.3)),
+        sum(readings.target.pose == readings.base.pose for readings in all_readings(swap=0.3)),
     ):
         assert count / 2000 == pytest.approx(0.3, abs=4 * (0.21 / 2000) ** 0.5)
-    without = np.array([sight.base is None for sight in look(SubjectFaults(dropout=0.3))])
+    without = np.array(
+        [readings.base is None for readings in observe_with_faults(SubjectFaults(dropout=0.3))]
+    )
     both = (missed & without).mean()  # by chance
     assert both == pytest.approx(0.09, abs=4 * (0.09 * 0.91 / 2000) ** 0.5)
 
 
-def test_vicon_is_late_turned_or_frozen_as_told():
-    late = [s.base.pose[0] for s in look(SubjectFaults(latency=0.2), 100)]
+def test_vicon_poses_can_be_late_turned_or_frozen():
+    late = [s.base.pose[0] for s in observe_with_faults(SubjectFaults(latency=0.2), 100)]
     np.testing.assert_allclose(late[20:], 0.01 * np.arange(80), atol=1e-12)
-    swapped = look(SubjectFaults(swap=1.0), 3)[-1]
-    assert swapped.base == swapped.tip != look(SEEN, 3)[-1].base
-    assert look(SubjectFaults(turn=math.pi / 2), 3)[-1].base.pose == (0.02, 0.0, 0.5 + math.pi / 2)
+    swapped = observe_with_faults(SubjectFaults(swap=1.0), 3)[-1]
+    assert swapped.base == swapped.tip != observe_with_faults(NO_SUBJECT_FAULTS, 3)[-1].base
+    assert observe_with_faults(SubjectFaults(turn=math.pi / 2), 3)[-1].base.pose == (
+        0.02,
+        0.0,
+        0.5 + math.pi / 2,
+    )
     sensors = Sensors(PRESETS["default"], seed=1)
     poses = [
         sensors.observe(
-            k, (0.01 * k, 0, 0), (1, 0, 0), 0.0, STILL, SubjectFaults(frozen=k >= 5)
+            k, (0.01 * k, 0, 0), (1, 0, 0), 0.0, RESTING, SubjectFaults(frozen=k >= 5)
         ).base
         for k in range(10)
     ]
@@ -255,14 +262,19 @@ def test_vicon_is_late_turned_or_frozen_as_told():
     assert set(poses[4:]) == {poses[4]}
 
 
-def test_the_gyro_is_off_by_bias_walk_and_scale():
-    assert [s.rate for s in look(SEEN, 3, bias=0.02)] == pytest.approx([0.12] * 3)
-    assert sum(s.rate is None for s in look(SEEN, dropout=0.5)) == pytest.approx(1000, abs=90)
+def test_the_gyro_has_bias_random_walk_and_scale_error():
+    assert [s.rate for s in observe_with_faults(NO_SUBJECT_FAULTS, 3, bias=0.02)] == pytest.approx(
+        [0.12] * 3
+    )
+    assert sum(
+        s.rate is None for s in observe_with_faults(NO_SUBJECT_FAULTS, dropout=0.5)
+    ) == pytest.approx(1000, abs=90)
     scales, walks = [], []
     for seed in range(300):
         sensors = Sensors(Noise(gyro_scale=1e-3, gyro_walk=1e-4), seed)
         seen = [
-            sensors.observe(k, (0, 0, 0), (1, 0, 0), 1.0, STILL).rate - 1.0 for k in (0, 2500, 2550)
+            sensors.observe(k, (0, 0, 0), (1, 0, 0), 1.0, RESTING).rate - 1.0
+            for k in (0, 2500, 2550)
         ]
         scales.append(seen[0])
         walks.append(seen[1] - seen[0])
@@ -271,7 +283,7 @@ def test_the_gyro_is_off_by_bias_walk_and_scale():
     assert np.std(walks) == pytest.approx(5e-4, rel=0.17)  # after 25 s
 
 
-def test_an_error_of_vicon_may_stay_for_some_frames():
+def test_vicon_noise_can_be_held_for_some_frames():
     noise = Noise(position_noise=0.001, heading_noise=0.01, vicon_hold=0.1)
     sensors, fresh = Sensors(noise, 3), Sensors(replace(noise, vicon_hold=0.0), 3)
     still = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0, np.zeros(4))

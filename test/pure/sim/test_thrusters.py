@@ -5,7 +5,7 @@ import pytest
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.thrusters import layout
-from fss_sim.plant.drives import POSITION
+from fss_sim.plant.drives import MODE_POSITION
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.thrusters import Propulsion, Thrusters
@@ -39,13 +39,13 @@ def test_a_pulse_gives_its_impulse_and_takes_its_propellant(on_time):
     for _ in range(100):
         bed.advance(0.01)
     assert bed.audit.impulse[0] == pytest.approx(2 * 0.16 * on_time, rel=1e-3)
-    assert bed.thrusters.used == pytest.approx(2 * FLOW * on_time, rel=1e-12)
+    assert bed.thrusters.propellant_used == pytest.approx(2 * FLOW * on_time, rel=1e-12)
     np.testing.assert_allclose(bed.audit.balance, 0.0, atol=1e-9)
 
 
-def test_joints_are_measured_as_ever_while_mass_is_lost():
+def test_joint_torques_stay_within_limits_while_mass_is_lost():
     bed = Plant(paper_arm(), np.zeros(7))
-    bed.command(0, Demand(POSITION, 0.3, 0.5, 1.0))
+    bed.command(0, Demand(MODE_POSITION, 0.3, 0.5, 1.0))
     bed.thrust(pulse(0, 1))
     for _ in range(20):
         bed.advance(0.01)
@@ -58,27 +58,27 @@ def test_a_pulse_below_the_minimum_does_nothing():
     bed.thrust(pulse(0, 1, seconds=0.009))
     bed.advance(0.1)
     assert not bed.audit.impulse.any()
-    assert bed.thrusters.used == 0.0
+    assert bed.thrusters.propellant_used == 0.0
 
 
 def test_a_valve_opens_and_closes_after_its_delay_and_never_before_the_minimum():
     valves = Thrusters()
     valves.command(pulse(3), now=100)
-    assert [valves.open(t)[3] for t in (104, 105, 1104, 1105)] == [False, True, True, False]
+    assert [valves.open_valves(t)[3] for t in (104, 105, 1104, 1105)] == [False, True, True, False]
     valves.command(pulse(), now=600)
-    assert [valves.open(t)[3] for t in (604, 605)] == [True, False]
+    assert [valves.open_valves(t)[3] for t in (604, 605)] == [True, False]
     valves.command(pulse(3), now=700)
     valves.command(pulse(), now=703)
     valves.command(pulse(), now=707)
-    assert [valves.open(t)[3] for t in (704, 705, 714, 715)] == [False, True, True, False]
+    assert [valves.open_valves(t)[3] for t in (704, 705, 714, 715)] == [False, True, True, False]
 
 
 def test_a_new_command_prolongs_without_a_gap():
     valves = Thrusters()
     valves.command(pulse(2, seconds=0.05), now=0)
     valves.command(pulse(2, seconds=0.05), now=40)
-    assert all(valves.open(t)[2] for t in range(5, 95))
-    assert not valves.open(95)[2]
+    assert all(valves.open_valves(t)[2] for t in range(5, 95))
+    assert not valves.open_valves(95)[2]
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.005, 0.05])
@@ -88,15 +88,15 @@ def test_pulses_without_a_gap_are_one(delay):
     for now in range(2000):
         if now % 200 == 0:
             valves.command(pulse(4, seconds=0.2), now)
-        is_open.append(valves.open(now)[4])
+        is_open.append(valves.open_valves(now)[4])
     assert is_open == [now >= late for now in range(2000)]
 
 
-def test_a_pulse_that_is_told_to_end_as_it_does_ends_no_earlier():
+def test_a_pulse_that_is_closed_at_its_end_ends_no_earlier():
     valves = Thrusters()
     valves.command(pulse(3, seconds=0.1), now=0)
     valves.command(pulse(), now=100)
-    assert [valves.open(t)[3] for t in (4, 5, 104, 105)] == [False, True, True, False]
+    assert [valves.open_valves(t)[3] for t in (4, 5, 104, 105)] == [False, True, True, False]
 
 
 def test_more_used_than_a_tank_holds_is_an_empty_tank():
@@ -104,7 +104,7 @@ def test_more_used_than_a_tank_holds_is_an_empty_tank():
     assert (valves.pressure, valves.thrust) == (0.0, 0.0)
 
 
-def test_an_empty_tank_pushes_no_more():
+def test_an_empty_tank_gives_no_thrust():
     small = Propulsion(tank_volume=0.43e-5)  # 1 g
     bed = Plant(paper_arm(), np.zeros(7), None, World(propulsion=small))
     mass = bed._p[0]
@@ -118,31 +118,31 @@ def test_an_empty_tank_pushes_no_more():
     assert (np.diff(pressures) <= 0.0).all()
     assert pressures[-1] < 0.01 * small.regulator_pressure
     assert gains[-1] < 0.01 * max(gains)
-    assert mass - bed._p[0] == pytest.approx(bed.thrusters.used)
-    assert bed.thrusters.used == pytest.approx(bed.thrusters.tank, rel=1e-2)
+    assert mass - bed._p[0] == pytest.approx(bed.thrusters.propellant_used)
+    assert bed.thrusters.propellant_used == pytest.approx(bed.thrusters.capacity, rel=1e-2)
 
 
-def test_books_balance_while_mass_is_lost():
+def test_the_audit_balances_while_mass_is_lost():
     rng = np.random.default_rng(0)
     q, qd = rng.uniform(-0.5, 0.5, (2, 7))
     world = World(surroundings=Surroundings(table=(20.0, 20.0)))
     bed = Plant(paper_arm(), q, 0.3 * qd, world)
-    begin, first = bed.audit.balance, bed.audit.momentum.copy()
+    start, first = bed.audit.balance, bed.audit.momentum.copy()
     for _ in range(20):
         bed.thrust(rng.uniform(0.0, 0.2, 8))
         bed.advance(0.1)
     assert np.abs(bed.audit.momentum - first).min() > 1e-3
-    assert bed.thrusters.used > 1e-3
-    np.testing.assert_allclose(bed.audit.balance, begin, rtol=0, atol=1e-9)
+    assert bed.thrusters.propellant_used > 1e-3
+    np.testing.assert_allclose(bed.audit.balance, start, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("times", [[0.0] * 7, [0.0] * 7 + [-1.0], [0.0] * 7 + [float("nan")]])
-def test_commands_that_make_no_sense_are_refused(times):
-    with pytest.raises(ValueError, match="expected 8 from 0 on"):
+def test_invalid_commands_are_rejected(times):
+    with pytest.raises(ValueError, match="expected 8 of 0 or more"):
         Thrusters().command(times, 0)
 
 
-def test_a_tank_without_volume_is_refused():
+def test_a_tank_without_volume_is_rejected():
     with pytest.raises(ValueError, match="tank_volume is 0"):
         Propulsion(tank_volume=0.0)
 
@@ -153,10 +153,10 @@ AIR = Propulsion(bearing_flow=6e-5)
 def test_bearings_empty_the_tank_in_the_time_that_their_flow_says():
     tank, steps = Thrusters(AIR), 0
     while tank.floats:
-        tank.breathe(1000)
+        tank.use_bearing_air(1000)
         steps += 1
-    begin = tank.tank * (1.0 - AIR.regulator_pressure / AIR.tank_pressure)
-    assert begin / AIR.bearing_flow < steps < tank.tank / AIR.bearing_flow
+    used_until = tank.capacity * (1.0 - AIR.regulator_pressure / AIR.tank_pressure)
+    assert used_until / AIR.bearing_flow < steps < tank.capacity / AIR.bearing_flow
     assert 27 * 60 < steps < 29 * 60
     assert tank.pressure == pytest.approx(AIR.bearing_pressure, rel=0.01)
 
@@ -165,13 +165,13 @@ def test_bearings_fed_from_outside_never_fail():
     tank = Thrusters(used=1.0)
     assert tank.pressure == 0.0
     assert tank.floats
-    assert tank.breathe(1000) == 0.0
+    assert tank.use_bearing_air(1000) == 0.0
 
 
 BENT = (0.0, 0.0, 0.0, 0.4, -0.3, 0.2, 0.5)
 
 
-def empty(twist=(0.2, -0.1, 0.3), q=BENT, tolerance=0.0):
+def vehicle_with_empty_tank(twist=(0.2, -0.1, 0.3), q=BENT, tolerance=0.0):
     """A vehicle that moves as its tank has just become empty."""
     arm, around = paper_arm(), Surroundings(table=(20.0, 20.0), pad_friction=0.2)
     world = World(propulsion=AIR, surroundings=around, tolerance=tolerance)
@@ -182,8 +182,8 @@ def empty(twist=(0.2, -0.1, 0.3), q=BENT, tolerance=0.0):
 
 
 @pytest.mark.parametrize(("tolerance", "exact"), [(0.0, 1e-6), (1e-10, 1e-9)])
-def test_without_air_friction_stops_the_vehicle_as_coulombs_law_has_it(tolerance, exact):
-    bed = empty(twist=(0.2, 0.0, 0.0), tolerance=tolerance)
+def test_without_air_the_vehicle_stops_by_coulombs_law(tolerance, exact):
+    bed = vehicle_with_empty_tank(twist=(0.2, 0.0, 0.0), tolerance=tolerance)
     mass, g = bed._p[0] + sum(link.mass for link in bed.arm.links), 9.80665
     energy = [bed.audit.energy]
     for _ in range(20):
@@ -198,15 +198,17 @@ def test_without_air_friction_stops_the_vehicle_as_coulombs_law_has_it(tolerance
     assert abs(bed.imbalance[3]) < exact
 
 
-def test_books_balance_on_the_table_and_nothing_creeps():
-    bed = empty(tolerance=1e-10)
+def test_the_audit_balances_without_air_and_nothing_creeps():
+    bed = vehicle_with_empty_tank(tolerance=1e-10)
     bed.advance(1.0)
     assert np.abs(bed.imbalance).max() < 1e-9
     assert np.abs(bed.qd).max() < 1e-4
     before = bed.q[:2].copy()
-    bed.thrusters.used = 0.1 * bed.thrusters.tank
+    bed.thrusters.propellant_used = 0.1 * bed.thrusters.capacity
     bed.thrust(pulse(0, 6, seconds=10.0))
-    bed.thrusters.used = bed.thrusters.tank * (1.0 - 0.9 * AIR.bearing_pressure / AIR.tank_pressure)
+    bed.thrusters.propellant_used = bed.thrusters.capacity * (
+        1.0 - 0.9 * AIR.bearing_pressure / AIR.tank_pressure
+    )
     bed.advance(5.0)
     assert np.abs(bed.q[:2] - before).max() < 1e-3  # 0.2 N against 40 N
 
@@ -224,5 +226,5 @@ def test_a_vehicle_floats_until_its_tank_is_empty():
         bed.advance(0.01)
     assert not bed.thrusters.floats
     assert abs(bed.qd[0]) < 1e-4
-    assert mass - bed._p[0] == pytest.approx(bed.thrusters.used)
+    assert mass - bed._p[0] == pytest.approx(bed.thrusters.propellant_used)
     assert np.abs(bed.imbalance).max() < 1e-6

@@ -1,4 +1,4 @@
-"""The joint estimate of two days in the test bed, as honest as from data made up for it."""
+"""Joint estimate from two days in the test bed: its covariance is consistent."""
 
 from math import radians
 from pathlib import Path
@@ -28,18 +28,18 @@ KINDS = {
     "drift": DriftSettings(),
 }  # fmt: skip
 CAMERAS = {"vicon_latency": 0.02, "vicon_jitter": 0.001}
-TILT, DRIFT = 5e-6, (0.001, 0.001, 0.0005)  # that keep the base on the table [rad], [m/s, rad/s]
+TILT, DRIFT = 5e-6, (0.001, 0.001, 0.0005)  # keep the base on the table [rad], [m/s, rad/s]
 
 
-def guessed(rng):
-    """What is believed of the arm: off by as much as is said; b and I by more than is known."""
+def draw_guess(rng):
+    """Return a description with random errors of the stated deviations; b and I are worse."""
     v = values(TRUTH)
     sigma = np.concatenate([DYNAMIC.deviations(4)[:18], [0.008] * 4, [0.006] * 4])
     return with_values(TRUTH, v + sigma * rng.standard_normal(len(v)))
 
 
 def day(seed, truth, guess, rng):
-    """Thirteen postures of an arm, and the ways between."""
+    """Run thirteen postures of an arm and the moves between them; return the session."""
     one = Rehearsal(
         arms=(truth, guess), seed=seed, preset="default", noise=CAMERAS,
         tilt=tuple(TILT * rng.standard_normal(2)), twist=tuple(DRIFT * rng.standard_normal(3)),
@@ -51,9 +51,9 @@ def day(seed, truth, guess, rng):
 
 
 def trial(seed):
-    """NEES a parameter, from two days between which the joints were homed."""
+    """Return the NEES per parameter of two days; the joints are homed between them."""
     rng = np.random.default_rng([7, seed])
-    guess, moved = guessed(rng), JOINT.zero_deviation * rng.standard_normal(4)
+    guess, moved = draw_guess(rng), JOINT.zero_deviation * rng.standard_normal(4)
     arms = turned(TRUTH, moved), TRUTH
     days = [day(2 * seed + k, arm, guess, rng) for k, arm in enumerate(arms)]
     found = calibrate(days, guess, JOINT, JOINED, KINDS)
@@ -63,8 +63,8 @@ def trial(seed):
 
 
 @pytest.mark.slow
-def test_tilt_drift_latency_and_other_zeros_leave_the_joint_estimate_honest():
-    """Somewhat below 1: `dynamic` is told of 0.1 deg, for encoders that err less here."""
+def test_the_joint_estimate_is_consistent_despite_tilt_drift_latency_and_homing():
+    """NEES is slightly below 1: `dynamic` assumes 0.1 deg, but these encoders are better."""
     mean = np.mean([trial(seed) for seed in range(60)])
-    print(f"NEES {mean:.2f} a parameter")
+    print(f"NEES {mean:.2f} per parameter")
     assert 0.7 < mean < 1.1

@@ -1,4 +1,4 @@
-"""What links are reached by: a pseudo-terminal as by RS-232, a TCP port."""
+"""Connections to links: pseudo-terminals (like RS-232) and TCP ports."""
 
 import os
 import socket
@@ -24,20 +24,20 @@ def terminal(tmp_path):
 
 @pytest.fixture
 def driver(terminal):
-    far = os.open(terminal.place, os.O_RDWR | os.O_NOCTTY)
+    far = os.open(terminal.address, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(far)
     yield far
     os.close(far)
 
 
-def test_frames_pass_both_ways_once_somebody_is_known(terminal, driver):
+def test_frames_pass_in_both_directions_once_the_peer_is_known(terminal, driver):
     os.write(driver, b"noise" + pack(FRAME) + pack(FRAME)[:40])
     got = []
-    while not got:  # the line takes its time
+    while not got:  # until the line has delivered it
         got = terminal.receive()
     ((data, peer),) = got
     assert data == FRAME
-    terminal.send(b"to nobody" * 8, None)
+    terminal.send(b"to no peer" * 8, None)
     terminal.send(FRAME[::-1], peer)
     decoder, frames = StreamDecoder(), []
     while not frames:
@@ -45,12 +45,12 @@ def test_frames_pass_both_ways_once_somebody_is_known(terminal, driver):
     assert frames == [FRAME[::-1]]
 
 
-def test_a_line_that_nobody_reads_blocks_nothing(terminal):
+def test_an_unread_line_does_not_block(terminal):
     for _ in range(1000):
         terminal.send(FRAME, terminal)
 
 
-def test_its_path_goes_with_it_and_is_not_taken_from_others(tmp_path):
+def test_its_path_is_removed_on_close_unless_another_owns_it(tmp_path):
     path = tmp_path / "link_1"
     first = LinkTerminal(str(path))
     second = LinkTerminal(str(path))
@@ -72,7 +72,7 @@ def listener():
 
 @pytest.fixture
 def connect(listener):
-    """connect(): somebody connected to the listener."""
+    """connect(): return a socket connected to the listener."""
     lines = []
 
     def one():
@@ -86,7 +86,7 @@ def connect(listener):
 
 
 def frames(wire, count=1):
-    """What comes until there are so many frames."""
+    """Return the received frames once there are `count`."""
     got = []
     wait_until(lambda: got.extend(wire.receive()) or len(got) >= count, 5.0, lambda: None)
     return got
@@ -99,7 +99,7 @@ def test_frames_pass_over_tcp_in_pieces_and_after_noise(listener, connect):
     driver.sendall(pack(FRAME)[40:] + pack(FRAME))
     (first, peer), (second, same) = frames(listener, 2)
     assert (first, second, peer) == (FRAME, FRAME, same)
-    listener.send(FRAME[::-1], None)  # nobody is known: to who is there
+    listener.send(FRAME[::-1], None)  # no known peer: to the newest connection
     listener.send(FRAME[::-1], peer)
     decoder, got = StreamDecoder(), []
     while len(got) < 2:
@@ -107,23 +107,23 @@ def test_frames_pass_over_tcp_in_pieces_and_after_noise(listener, connect):
     assert got == 2 * [FRAME[::-1]]
 
 
-def test_who_connects_and_sends_nothing_or_noise_takes_telemetry_from_nobody(listener, connect):
+def test_connections_without_valid_frames_do_not_get_the_telemetry(listener, connect):
     driver = connect()
     driver.sendall(pack(FRAME))
     ((_, peer),) = frames(listener)
     silent, noisy = connect(), connect()
     noisy.sendall(b"\0GET / HTTP/1.1\r\n\r\n\0" * 100)
-    for _ in range(20):  # of those in the way
+    for _ in range(20):  # more connections than allowed
         connect()
         listener.receive()
     listener.send(FRAME, peer)
     assert StreamDecoder().feed(driver.recv(1000)) == [FRAME]
-    for other in (silent, noisy):  # their place was taken by those who came later
+    for other in (silent, noisy):  # replaced by later connections
         with suppress(ConnectionError):
             assert other.recv(1000) == b""
 
 
-def test_who_is_gone_is_forgotten_and_may_come_again(listener, connect):
+def test_a_closed_connection_is_dropped_and_may_reconnect(listener, connect):
     driver = connect()
     driver.sendall(pack(FRAME))
     ((_, peer),) = frames(listener)
@@ -138,7 +138,7 @@ def test_who_is_gone_is_forgotten_and_may_come_again(listener, connect):
     assert StreamDecoder().feed(again.recv(1000)) == [FRAME[::-1]]
 
 
-def test_a_driver_that_reads_nothing_blocks_nothing_and_finds_whole_frames_later(listener, connect):
+def test_a_driver_that_does_not_read_does_not_block_and_gets_whole_frames_later(listener, connect):
     driver = connect()
     driver.sendall(pack(FRAME))
     ((_, peer),) = frames(listener)
@@ -150,6 +150,6 @@ def test_a_driver_that_reads_nothing_blocks_nothing_and_finds_whole_frames_later
     assert set(got) == {FRAME}
 
 
-def test_a_port_that_is_taken_is_refused_by_name(listener):
+def test_a_port_in_use_is_rejected_by_name(listener):
     with pytest.raises(OSError, match=f"TCP port {listener.port} of 127.0.0.1 cannot be opened"):
         LinkListener("127.0.0.1", listener.port)

@@ -26,41 +26,41 @@ class Channel:
 
     def __init__(self, random: Random, station: Station | None = None) -> None:
         self._random, self._station = random, station
-        self._under_way: list[tuple[int, int, Datagram]] = []  # by time of arrival, then order
+        self._in_transit: list[tuple[int, int, Datagram]] = []  # by time of arrival, then order
         self._held: Datagram | None = None  # held back until the next one is sent
         self._count = 0
 
-    def put(self, datagram: Datagram, now: int, faults: LinkFaults = NO_FAULTS) -> None:
+    def send(self, datagram: Datagram, now: int, faults: LinkFaults = NO_FAULTS) -> None:
         """Send a datagram at a time [ns]."""
         if faults == NO_FAULTS:
-            self._enter(datagram, now, 0)
-        elif not self._happens(faults.loss):
-            if self._happens(faults.corruption):
+            self._schedule(datagram, now, 0)
+        elif not self._occurs(faults.loss):
+            if self._occurs(faults.corruption):
                 datagram = self._corrupted(datagram)
-            if not self._held and self._happens(faults.reordering):
+            if not self._held and self._occurs(faults.reordering):
                 self._held = datagram
                 return
-            for _ in range(1 + self._happens(faults.duplication)):
+            for _ in range(1 + self._occurs(faults.duplication)):
                 jitter = faults.jitter * self._random.uniform(-1.0, 1.0)
-                self._enter(datagram, now, round(SECOND * max(0.0, faults.delay + jitter)))
+                self._schedule(datagram, now, round(SECOND * max(0.0, faults.delay + jitter)))
         if self._held:
-            self._enter(self._held, now, round(SECOND * faults.delay))
+            self._schedule(self._held, now, round(SECOND * faults.delay))
             self._held = None
 
     def arrived(self, now: int) -> list[Datagram]:
         """Return the datagrams that have arrived by a time [ns], in order of arrival."""
         got = []
-        while self._under_way and self._under_way[0][0] <= now:
-            got.append(heappop(self._under_way)[2])
+        while self._in_transit and self._in_transit[0][0] <= now:
+            got.append(heappop(self._in_transit)[2])
         return got
 
-    def _enter(self, datagram: Datagram, now: int, delay: int) -> None:
+    def _schedule(self, datagram: Datagram, now: int, delay: int) -> None:
         self._count += 1
-        through = self._station.carry(len(datagram.data), now) if self._station else now
-        if through is not None:
-            heappush(self._under_way, (through + delay, self._count, datagram))
+        sent_at = self._station.transmit(len(datagram.data), now) if self._station else now
+        if sent_at is not None:
+            heappush(self._in_transit, (sent_at + delay, self._count, datagram))
 
-    def _happens(self, share: float) -> bool:
+    def _occurs(self, share: float) -> bool:
         return share > 0.0 and self._random.random() < share
 
     def _corrupted(self, datagram: Datagram) -> Datagram:

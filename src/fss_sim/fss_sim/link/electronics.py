@@ -21,14 +21,14 @@ from fss_arm_driver.protocol import (
     link_gate,
 )
 from fss_arm_model.description import Link
-from fss_sim.link.instruments import Instruments, make
+from fss_sim.link.instruments import Instruments, make_instruments
 from fss_sim.link.power import Battery
-from fss_sim.link.servo import REST, ServoDrive
+from fss_sim.link.servo import REST_SPEED, ServoDrive
 from fss_sim.plant.plant import Demand, Motion
 
 RELEASE_TIMEOUT = 3_000_000  # a joint to be released is released by then even if it moves [us]
 
-LEAD = 5000  # half the time for which a demand is valid [us]
+VELOCITY_LEAD = 5000  # half the time for which a demand is valid [us]
 
 FIRMWARE = 0x020100  # 2.1.0
 
@@ -63,73 +63,73 @@ class LinkElectronics(LinkState):
     ) -> None:
         super().__init__(link_gate(number, boot, key))
         self.link = link
-        self.instruments = instruments or make(link.torque_sensor)
+        self.instruments = instruments or make_instruments(link.torque_sensor)
         self.drive = drive or ServoDrive(link, self.instruments.encoder)
-        self._homed = self.drive.referenced
-        self.homings = int(self._homed)  # number of times that the drive became referenced
+        self._was_referenced = self.drive.referenced
+        self.homings = int(self._was_referenced)  # number of times that the drive became referenced
         self._homing = self._clearing = False
         self._battery = battery or Battery()
         self._demand = self.drive.demand
-        self._kept = 0  # last time at which the joint was not to be released [us]
+        self._last_hold = 0  # last time at which the joint was not to be released [us]
         self._acceleration = link.drive.max_acceleration
         self._period = round(1e6 / rate)  # [us]
-        self._periods = -1  # periods of the clock until the last frame
+        self._last_period = -1  # periods of the clock until the last frame
         self._sequence = 0  # of the next frame
 
     def receive(self, data: bytes, clock: int) -> bool:
         """Accept or reject a received datagram; return True if it was accepted."""
-        taken, command = super().receive(data, clock), self.gate.command
-        if taken and command:
+        accepted, command = super().receive(data, clock), self.gate.command
+        if accepted and command:
             self._clearing |= bool(command.flags & Order.CLEAR_FAULTS and self.drive.latched)
             homing, self._homing = self._homing, bool(self.armed and command.flags & Order.HOME)
             if self._homing and not homing:
                 self.drive.home()
-        return taken
+        return accepted
 
     def demand(self, clock: int, motion: Motion) -> Demand:
         """Give the servo drive its demand from now on; return what the drive does."""
-        if not self.drive.able:
+        if not self.drive.can_move:
             self.drop()
         goal, command = self.goal(clock), self.gate.command
         self._homing = self._homing and goal is Goal.OBEY
         if goal is not Goal.RELEASE:
-            self._kept = clock
+            self._last_hold = clock
         if goal is Goal.FOLLOW and command:
-            speed = self.velocity(clock, *self._measured(motion), LEAD)
+            speed = self.velocity(clock, *self._encoder_reading(motion), VELOCITY_LEAD)
             turn = replace(command, mode=Mode.VELOCITY, set_point=speed or 0)
-            self._demand = self._held() if speed is None else self._commanded(turn)
+            self._demand = self._hold_demand() if speed is None else self._command_demand(turn)
         elif goal is Goal.OBEY and command and not self._homing:
-            self._demand = self._commanded(command)
+            self._demand = self._command_demand(command)
         elif goal is not Goal.RELEASE:
-            self._demand = self._held()
+            self._demand = self._hold_demand()
         elif self._demand.mode != Mode.OFF:
-            over = abs(motion.qd) < REST or clock - self._kept > RELEASE_TIMEOUT
-            self._demand = Demand(Mode.OFF) if over else self._held()
-        does = self.drive.act(None if self._homing else self._demand, motion)
-        if does.mode == Mode.OFF:
-            self._demand = does
+            released = abs(motion.qd) < REST_SPEED or clock - self._last_hold > RELEASE_TIMEOUT
+            self._demand = Demand(Mode.OFF) if released else self._hold_demand()
+        executed = self.drive.execute(None if self._homing else self._demand, motion)
+        if executed.mode == Mode.OFF:
+            self._demand = executed
             if self._clearing:  # only while off: a drive that is on would resume its motion
                 self._clearing = False
                 self.drive.clear()
-        self._notice()
-        return does
+        self._count_homings()
+        return executed
 
-    def _notice(self) -> None:
+    def _count_homings(self) -> None:
         """Count the times that the drive becomes referenced."""
-        self.homings += self.drive.referenced and not self._homed
-        self._homed = self.drive.referenced
+        self.homings += self.drive.referenced and not self._was_referenced
+        self._was_referenced = self.drive.referenced
 
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
         """Return the frame that is due now; None between frames, or if the drive has no power."""
         torque = self.instruments.torque
         torque.sample(clock, motion.torque, motion.shear)
-        if clock // self._period == self._periods or not self.drive.powered:
+        if clock // self._period == self._last_period or not self.drive.powered:
             return None
-        self._notice()
-        self._periods = clock // self._period
+        self._count_homings()
+        self._last_period = clock // self._period
         sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFFFFFFFF
         slow = self.slow_field(sequence, list(Slow))
-        position, velocity = self._measured(motion)
+        position, velocity = self._encoder_reading(motion)
         gate, command = self.gate, self.gate.command
         frame = Telemetry(
             link=gate.number,
@@ -151,7 +151,7 @@ class LinkElectronics(LinkState):
         )
         return encode(frame, gate.key)
 
-    def _measured(self, motion: Motion) -> tuple[int, int]:
+    def _encoder_reading(self, motion: Motion) -> tuple[int, int]:
         """Return position [counts] and velocity [0.1 counts/s] as read by the encoder."""
         drive = self.drive
         return (
@@ -159,16 +159,16 @@ class LinkElectronics(LinkState):
             _signed(drive.rate(motion) / (drive.count * VELOCITY_UNIT), 32),
         )
 
-    def _held(self) -> Demand:
+    def _hold_demand(self) -> Demand:
         """Return the demand to decelerate and hold; a drive that already holds does not move."""
         return Demand(Mode.POSITION, 0.0, 0.0, self.link.drive.max_acceleration)
 
-    def _commanded(self, command: Command) -> Demand:
+    def _command_demand(self, command: Command) -> Demand:
         """Return the command in SI units, within the limits of the drive."""
         drive, count = self.link.drive, self.drive.count
         if command.mode in (Mode.VELOCITY, Mode.POSITION) and command.acceleration:
-            asked = command.acceleration * ACCELERATION_UNIT * abs(count)
-            self._acceleration = min(asked, drive.max_acceleration)
+            requested = command.acceleration * ACCELERATION_UNIT * abs(count)
+            self._acceleration = min(requested, drive.max_acceleration)
         speed = min(command.velocity * VELOCITY_UNIT * abs(count), drive.max_velocity)
         if command.mode == Mode.POSITION:
             set_point = self.drive.angle(command.set_point * count)

@@ -16,7 +16,7 @@ IDEAL = Noise()
 class Encoder:
     """Encoder of a joint, with the errors that are typical of harmonic drives.
 
-        reading = q + error sin(60 q + phase) + eccentricity sin(q + way)
+        reading = q + error sin(60 q + phase) + eccentricity sin(q + eccentricity_phase)
 
     Encoder and gear are eccentric. The encoder is on the motor, so that errors of the gear are
     errors of the reading too.
@@ -25,39 +25,44 @@ class Encoder:
         error: amplitude of the first error [rad]; 60 times it must be far below 1.
         phase: phase of the first error [rad].
         eccentricity: amplitude of the second error [rad].
-        way: phase of the second error [rad].
+        eccentricity_phase: phase of the second error [rad].
     """
 
     def __init__(
-        self, error: float = 0.0, phase: float = 0.0, eccentricity: float = 0.0, way: float = 0.0
+        self,
+        error: float = 0.0,
+        phase: float = 0.0,
+        eccentricity: float = 0.0,
+        eccentricity_phase: float = 0.0,
     ) -> None:
-        self._error, self._phase, self._eccentricity, self._way = error, phase, eccentricity, way
+        self._error, self._phase = error, phase
+        self._eccentricity, self._eccentricity_phase = eccentricity, eccentricity_phase
 
     def reading(self, q: float) -> float:
         """Return the reading at the angle q [rad]."""
-        return q + self._off(q)
+        return q + self._error_at(q)
 
     def rate(self, q: float, qd: float) -> float:
         """Return the rate of the reading [rad/s] at the angle q [rad] and the rate qd [rad/s]."""
         ripple = RIPPLE * self._error * cos(RIPPLE * q + self._phase)
-        return qd * (1.0 + ripple + self._eccentricity * cos(q + self._way))
+        return qd * (1.0 + ripple + self._eccentricity * cos(q + self._eccentricity_phase))
 
     def angle(self, reading: float) -> float:
         """Return the angle that gives this reading [rad]."""
         q = reading
         for _ in range(4):  # each iteration leaves 4% of the error
-            q = reading - self._off(q)
+            q = reading - self._error_at(q)
         return q
 
-    def _off(self, q: float) -> float:
+    def _error_at(self, q: float) -> float:
         ripple = self._error * sin(RIPPLE * q + self._phase)
-        return ripple + self._eccentricity * sin(q + self._way)
+        return ripple + self._eccentricity * sin(q + self._eccentricity_phase)
 
 
 class TorqueConverter:
     """24-bit torque converter that samples at its own rate and keeps the last sample.
 
-        seen = torque + zero + drift (1 - exp(-time / WARM_UP)) + crosstalk shear + noise
+        measured = torque + zero + drift (1 - exp(-time / WARM_UP)) + crosstalk shear + noise
 
     Its strain gauges are on the spokes between the two halves of a joint. A force across the link
     bends the spokes too. The bridge cancels this except for errors in placing and matching the
@@ -80,7 +85,7 @@ class TorqueConverter:
         self._sensor, self._noise, self._zero, self._random = sensor, noise, zero, random
         self._crosstalk, self._drift = crosstalk, drift
         self._period = 1_000_000 // rate  # [us]
-        self._sampled = -1  # [periods]
+        self._last_period = -1  # [periods]
         self.counts = 0
 
     def sample(self, clock: int, torque: float, shear: float = 0.0) -> None:
@@ -91,18 +96,18 @@ class TorqueConverter:
             torque: torque that the joint transmits [N m].
             shear: force across the link that the joint transmits [N].
         """
-        if (period := clock // self._period) == self._sampled:
+        if (period := clock // self._period) == self._last_period:
             return
-        self._sampled = period
+        self._last_period = period
         warmth = 1.0 - exp(-clock / WARM_UP)
-        seen = torque + self._zero + self._drift * warmth + self._crosstalk * shear
-        seen += self._noise * self._random.gauss(0.0, 1.0)
-        counts = round(seen / self._sensor.gain + self._sensor.zero)
+        measured = torque + self._zero + self._drift * warmth + self._crosstalk * shear
+        measured += self._noise * self._random.gauss(0.0, 1.0)
+        counts = round(measured / self._sensor.gain + self._sensor.zero)
         self.counts = max(-(1 << 23), min(counts, (1 << 23) - 1))
 
     def age(self, clock: int) -> int:
         """Return the age of the last sample [us]."""
-        return clock - self._sampled * self._period
+        return clock - self._last_period * self._period
 
 
 @dataclass(frozen=True)
@@ -113,23 +118,25 @@ class Instruments:
     torque: TorqueConverter
 
 
-def make(
+def make_instruments(
     sensor: TorqueSensor,
     noise: Noise = IDEAL,
     random: Random | None = None,
     torque_rate: int = 80,
-    more: Random | None = None,
+    laboratory_random: Random | None = None,
 ) -> Instruments:
-    """Return the instruments of a link, with errors drawn from `random` and `more`.
+    """Return the instruments of a link, with random errors.
 
-    `more` supplies the errors that only the preset `laboratory` has. The errors of the other
-    presets therefore stay the same for each seed.
+    `laboratory_random` supplies the errors that only the preset `laboratory` has. The errors of the
+    other presets therefore stay the same for each seed.
     """
-    random, more = random or Random(0), more or Random(0)
-    way = more.uniform(-pi, pi)
-    crosstalk = more.gauss(0.0, noise.torque_crosstalk)
-    drift = more.gauss(0.0, noise.torque_drift)
-    encoder = Encoder(noise.encoder_error, random.uniform(-pi, pi), noise.encoder_eccentricity, way)
+    random, laboratory_random = random or Random(0), laboratory_random or Random(0)
+    eccentricity_phase = laboratory_random.uniform(-pi, pi)
+    crosstalk = laboratory_random.gauss(0.0, noise.torque_crosstalk)
+    drift = laboratory_random.gauss(0.0, noise.torque_drift)
+    encoder = Encoder(
+        noise.encoder_error, random.uniform(-pi, pi), noise.encoder_eccentricity, eccentricity_phase
+    )
     zero = random.gauss(0.0, noise.torque_zero)
     torque = TorqueConverter(
         sensor, torque_rate, noise.torque_noise, zero, random, crosstalk, drift

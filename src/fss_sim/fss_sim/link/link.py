@@ -10,11 +10,12 @@ from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.link.power import Power, Supply
 from fss_sim.link.radio import Station
-from fss_sim.link.servo import OFF, ServoDrive
+from fss_sim.link.servo import MODE_OFF, ServoDrive
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Demand, Motion
 
-UPTIME = 10_000_000  # a link is switched on at most this long before the test bed starts [us]
+# A link is switched on at most this long before the test bed starts [us].
+MAX_INITIAL_UPTIME = 10_000_000
 
 
 class Link:
@@ -50,21 +51,24 @@ class Link:
     ) -> None:
         self.number = number
         self._link, self._rate, self._key = link, rate, key
-        made = Random(f"{seed}, {number}")
-        self._drift = made.gauss(0.0, noise.clock_drift)
-        more = Random(f"{seed}, {number}, laboratory")
-        self.instruments = instruments.make(link.torque_sensor, noise, made, torque_rate, more)
+        build_random = Random(f"{seed}, {number}")
+        self._drift = build_random.gauss(0.0, noise.clock_drift)
+        laboratory_random = Random(f"{seed}, {number}, laboratory")
+        self.instruments = instruments.make_instruments(
+            link.torque_sensor, noise, build_random, torque_rate, laboratory_random
+        )
         self.supply = Supply(power, charge)
         self.drive = ServoDrive(link, self.instruments.encoder)
-        ways = Random(f"{seed}, {number}, {run}")
-        self.uptime = ways.randrange(UPTIME)  # when the test bed starts [us]
-        self._in, self._out = (Channel(Random(ways.random()), station) for _ in range(2))
+        run_random = Random(f"{seed}, {number}, {run}")
+        self.uptime = run_random.randrange(MAX_INITIAL_UPTIME)  # when the test bed starts [us]
+        self._in, self._out = (Channel(Random(run_random.random()), station) for _ in range(2))
         self._peer: Any = None  # receiver of the telemetry
-        self._since = self._began = 0  # link clock [us] and simulation time [ns] at the start
+        # Link clock [us] and simulation time [ns] at the start.
+        self._clock_at_start = self._started_at = 0
         self.electronics: LinkElectronics | None = None
 
     @property
-    def refused(self) -> int:
+    def rejected(self) -> int:
         """Number of datagrams rejected since its start."""
         return self.electronics.gate.refused.total() if self.electronics else 0
 
@@ -75,11 +79,11 @@ class Link:
 
     def has_power(self, faults: LinkFaults) -> bool:
         """Return True if the electronics have power and are not held in reset."""
-        return self.supply.runs and not (faults.dead or faults.reset)
+        return self.supply.regulator_on and not (faults.dead or faults.reset)
 
     def clock(self, now: int) -> int:
         """Return the time of the link's own clock [us]."""
-        return self._since + round((now - self._began) * (1.0 + self._drift) / 1000)
+        return self._clock_at_start + round((now - self._started_at) * (1.0 + self._drift) / 1000)
 
     def start(self, boot: int, now: int, uptime: int = 0) -> None:
         """Switch the electronics on, as if `uptime` us ago."""
@@ -93,25 +97,25 @@ class Link:
             self.drive,
             self.supply.battery,
         )
-        self._since, self._began, self._peer = uptime, now, None
+        self._clock_at_start, self._started_at, self._peer = uptime, now, None
 
     def stop(self) -> None:
         """Switch the electronics off."""
         self.electronics = None
 
-    def put(self, data: bytes, peer: Any, now: int, faults: LinkFaults = NO_FAULTS) -> None:
-        """Send a datagram to the link."""
-        self._in.put(Datagram(data, peer), now, faults)
-        self._listen(now)
+    def receive(self, data: bytes, peer: Any, now: int, faults: LinkFaults = NO_FAULTS) -> None:
+        """Receive a datagram through the channel, subject to its faults."""
+        self._in.send(Datagram(data, peer), now, faults)
+        self._process_arrivals(now)
 
     def demand(self, now: int, motion: Motion) -> Demand:
         """Return the demand on its joint from now on."""
-        self._listen(now)
+        self._process_arrivals(now)
         if self.electronics:
             self.electronics.demand(self.clock(now), motion)
         else:
-            self.drive.go_on(motion)
-        return self.drive.effort(motion)
+            self.drive.repeat_demand(motion)
+        return self.drive.effective_demand(motion)
 
     def report(
         self,
@@ -122,7 +126,7 @@ class Link:
         drive: DriveFaults = NO_DRIVE_FAULTS,
     ) -> list[Datagram]:
         """Advance by `seconds`; return the telemetry that has arrived at its driver."""
-        if self.drive.demand.mode == OFF:  # even if a hand moves the joint
+        if self.drive.demand.mode == MODE_OFF:  # even if a hand moves the joint
             motion = motion._replace(current=0.0)
         load = None if faults.dead else self.drive.load(motion)
         self.supply.advance(load, seconds, faults.resistance)
@@ -130,10 +134,10 @@ class Link:
         if self.electronics:
             frame = self.electronics.telemetry(self.clock(now), motion)
             if frame:
-                self._out.put(Datagram(frame, self._peer), now, faults)
+                self._out.send(Datagram(frame, self._peer), now, faults)
         return self._out.arrived(now)
 
-    def _listen(self, now: int) -> None:
+    def _process_arrivals(self, now: int) -> None:
         for datagram in self._in.arrived(now):
             if self.electronics and self.electronics.receive(datagram.data, self.clock(now)):
                 self._peer = datagram.peer

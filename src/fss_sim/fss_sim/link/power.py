@@ -25,15 +25,16 @@ CELLS = 4  # in series
 _MEAN = sum(0.5 * (a + b) for a, b in pairwise(CELL)) / (len(CELL) - 1)
 
 AMBIENT = 25.0  # [deg C]
-WARMTH, COOLING = 6.0, 1200.0  # of the battery in its enclosure [K/W], [s]; assumed
-COLD = 0.02  # relative decrease of the resistance per kelvin
+# Of the battery in its enclosure [K/W], [s]; assumed.
+THERMAL_RESISTANCE, THERMAL_TIME_CONSTANT = 6.0, 1200.0
+TEMPERATURE_COEFFICIENT = 0.02  # relative decrease of the resistance per kelvin
 
 # Battery voltages at which the regulator of the electronics loses and regains its 5 V.
-BROWN_OUT, REVIVAL = 6.5, 7.5  # [V]
+BROWN_OUT_VOLTAGE, RECOVERY_VOLTAGE = 6.5, 7.5  # [V]
 
-VOLTS = 24.0  # of the converter's output
-LOWEST = 9.0  # minimum input voltage of the converter [V]
-LIMIT = 60.0  # of the converter's input [W]
+OUTPUT_VOLTAGE = 24.0  # of the converter [V]
+MIN_INPUT_VOLTAGE = 9.0  # of the converter [V]
+MAX_INPUT_POWER = 60.0  # of the converter [W]
 EFFICIENCY = 0.88
 
 
@@ -53,7 +54,7 @@ class Power(Settings):
     wifi: float = setting(0.1, "current of a link's Wi-Fi", unit="A", check=NOT_NEGATIVE)
     idle: float = setting(2.5, "power of a servo drive that is off", unit="W", check=NOT_NEGATIVE)
     switching: float = setting(
-        1.5, "power that a servo drive takes for itself beyond that when on", unit="W",
+        1.5, "additional power of a servo drive that is on, without its motor", unit="W",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     winding: float = setting(2.0, "resistance of a motor", unit="ohm", check=NOT_NEGATIVE)
@@ -77,29 +78,34 @@ class Battery:
         self.charge, self.temperature = charge, AMBIENT  # [deg C]
         self.capacity = 3600.0 * energy / (CELLS * _MEAN)  # [A s]
         self._resistance = resistance
-        self.volts = self.open  # terminal voltage
+        self.volts = self.open_circuit_voltage  # terminal voltage
 
     @property
-    def open(self) -> float:
+    def open_circuit_voltage(self) -> float:
         """Voltage without a load [V]."""
         at = (len(CELL) - 1) * self.charge
         i = min(int(at), len(CELL) - 2)
         return CELLS * (CELL[i] + (at - i) * (CELL[i + 1] - CELL[i]))
 
-    def draw(self, current: float, power: float, seconds: float, more: float = 0.0) -> float:
+    def draw(
+        self, current: float, power: float, seconds: float, extra_resistance: float = 0.0
+    ) -> float:
         """Supply a current [A] and a power [W] for a time [s]; update voltage and charge.
 
-        `more` is resistance in addition to its own, for example of a bad contact [ohm]. Return the
-        power supplied [W], which is limited so that the terminal voltage stays at LOWEST or above.
+        `extra_resistance` is added to its own, for example that of a bad contact [ohm]. Return the
+        power supplied [W], limited so that the terminal voltage is at least MIN_INPUT_VOLTAGE.
         """
-        inner = self._resistance * exp(COLD * (AMBIENT - self.temperature)) + more
-        left = self.open - inner * current
-        given = min(power, max(0.0, LOWEST * (left - LOWEST) / inner))
-        self.volts = max(0.0, 0.5 * (left + sqrt(max(0.0, left * left - 4.0 * inner * given))))
+        warming = exp(TEMPERATURE_COEFFICIENT * (AMBIENT - self.temperature))
+        resistance = self._resistance * warming + extra_resistance
+        left = self.open_circuit_voltage - resistance * current
+        limit = MIN_INPUT_VOLTAGE * (left - MIN_INPUT_VOLTAGE) / resistance
+        given = min(power, max(0.0, limit))
+        root = sqrt(max(0.0, left * left - 4.0 * resistance * given))
+        self.volts = max(0.0, 0.5 * (left + root))
         drawn = current + (given / self.volts if given else 0.0)
         self.charge = max(0.0, self.charge - drawn * seconds / self.capacity)
-        heat = WARMTH * self._resistance * drawn * drawn
-        self.temperature += (AMBIENT + heat - self.temperature) * seconds / COOLING
+        heat = THERMAL_RESISTANCE * self._resistance * drawn * drawn
+        self.temperature += (AMBIENT + heat - self.temperature) * seconds / THERMAL_TIME_CONSTANT
         return given
 
 
@@ -122,24 +128,27 @@ class Supply:
     def __init__(self, power: Power | None = None, charge: float = 1.0) -> None:
         self.power = power or Power()
         self.battery = Battery(self.power.energy, self.power.resistance, charge)
-        self.volts = VOLTS  # output voltage of the converter
-        self.runs = charge > 0.0  # True if the regulator supplies the electronics
+        self.volts = OUTPUT_VOLTAGE  # at the output of the converter
+        self.regulator_on = charge > 0.0  # True if the regulator supplies the electronics
 
-    def advance(self, load: Load | None, seconds: float, more: float = 0.0) -> None:
+    def advance(self, load: Load | None, seconds: float, extra_resistance: float = 0.0) -> None:
         """Supply electronics and drive for a time [s]; without a load everything is off.
 
-        `more` is resistance in addition to the battery's own [ohm].
+        `extra_resistance` is added to the battery's own [ohm].
         """
         p, battery = self.power, self.battery
         if load is None or not battery.charge:  # the battery's protection opens when it is empty
-            self.volts, self.runs = 0.0, bool(battery.charge)
-            battery.volts = battery.open
+            self.volts, self.regulator_on = 0.0, bool(battery.charge)
+            battery.volts = battery.open_circuit_voltage
             return
-        asked = p.idle
+        requested = p.idle
         if load.on:  # the braking resistor dissipates regenerated power
-            asked += p.switching
-            asked += max(0.0, p.winding * load.current * load.current + load.mechanical)
-        asked /= EFFICIENCY
-        given = battery.draw(p.electronics + p.wifi, min(asked, LIMIT), seconds, more)
-        self.volts = VOLTS * (given / asked) if asked > 0.0 else VOLTS
-        self.runs = battery.volts > (BROWN_OUT if self.runs else REVIVAL)
+            requested += p.switching
+            requested += max(0.0, p.winding * load.current * load.current + load.mechanical)
+        requested /= EFFICIENCY
+        given = battery.draw(
+            p.electronics + p.wifi, min(requested, MAX_INPUT_POWER), seconds, extra_resistance
+        )
+        self.volts = OUTPUT_VOLTAGE * (given / requested) if requested > 0.0 else OUTPUT_VOLTAGE
+        threshold = BROWN_OUT_VOLTAGE if self.regulator_on else RECOVERY_VOLTAGE
+        self.regulator_on = battery.volts > threshold

@@ -9,7 +9,7 @@ from typing import Any
 
 from fss_link.protocol import StreamDecoder, pack
 
-LARGEST = 8192  # maximum number of bytes per read
+MAX_READ_SIZE = 8192  # maximum number of bytes per read
 
 
 class LinkTerminal:
@@ -38,14 +38,14 @@ class LinkTerminal:
             raise OSError(f"terminal {path} cannot be made: {error.strerror}") from None
 
     @property
-    def place(self) -> str:
-        """Path that a driver opens."""
+    def address(self) -> str:
+        """Path that a driver opens, for diagnostics."""
         return str(self._path)
 
     def receive(self) -> list[tuple[bytes, Any]]:
         """Return the received frames; there is only one peer."""
         try:
-            data = os.read(self._near, LARGEST)
+            data = os.read(self._near, MAX_READ_SIZE)
         except OSError:  # no data left
             return []
         return [(frame, self) for frame in self._decoder.feed(data)]

@@ -17,10 +17,10 @@ from random import Random
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, above, between, setting
 from fss_arm_model.units import SECOND
 
-SLOT, SLOTS, MOST_SLOTS = 20_000, 32, 1024  # 802.11b slot [ns]; slots at first and at most
+SLOT_TIME, MIN_SLOTS, MAX_SLOTS = 20_000, 32, 1024  # 802.11b slot [ns]; slots at first and at most
 HEADERS = 8 + 20 + 36  # bytes of the UDP, IP and 802.11 headers of a datagram
-FOREIGN = 1500  # bytes of the datagrams of interfering stations
-WINDOW = SECOND  # time over which the use of the channel is measured [ns]
+INTERFERING_SIZE = 1500  # bytes of the datagrams of interfering stations
+UTILIZATION_WINDOW = SECOND  # time over which the use of the channel is measured [ns]
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Radio(Settings):
 
     rate: float = setting(2e6, "bit rate of the radio channel", unit="bit/s", check=POSITIVE)
     overhead: float = setting(
-        0.0008, "airtime of a datagram beside its bytes': preambles, gaps, acknowledgement",
+        0.0008, "airtime of a datagram in addition to its bytes: preambles, gaps, acknowledgement",
         unit="s", check=NOT_NEGATIVE,
     )  # fmt: skip
     loss: float = setting(
         0.01, "share of the attempts to send that fail outside bursts", check=between(0.0, 1.0)
     )
     burst_interval: float = setting(
-        20.0, "mean time between a station's bursts of loss; 0: there are none", unit="s",
+        20.0, "mean time between a station's bursts of loss; 0: no bursts", unit="s",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     burst_length: float = setting(
@@ -46,15 +46,15 @@ class Radio(Settings):
         0.95, "share of the attempts to send that fail in a burst", check=between(0.0, 1.0)
     )
     retries: int = setting(
-        6, "times that a datagram is sent again before it is given up", check=between(0, 15)
+        6, "largest number of retries before a datagram is dropped", check=between(0, 15)
     )
     patience: float = setting(
-        0.5, "time that a datagram waits for the channel before it is given up", unit="s",
+        0.5, "time that a datagram waits for the channel before it is dropped", unit="s",
         check=POSITIVE,
     )  # fmt: skip
 
 
-class Air:
+class RadioChannel:
     """Shared radio channel; times are simulation times [ns].
 
     Args:
@@ -63,9 +63,10 @@ class Air:
     """
 
     def __init__(self, radio: Radio, seed: str) -> None:
-        self.radio, self.taken = radio, 0.0  # share of the airtime used by interfering stations
+        self.radio = radio
+        self.interference = 0.0  # share of the airtime used by interfering stations
         self._seed, self._random = seed, Random(f"{seed}, air")
-        self._free = 0  # time from which the channel is free
+        self._free_at = 0  # time from which the channel is free
         self._sent: deque[tuple[int, int]] = deque()  # end and airtime of each attempt
 
     def station(self, name: str) -> "Station":
@@ -76,45 +77,45 @@ class Air:
         """Return the airtime of a datagram of `size` bytes [ns]."""
         return round(SECOND * (self.radio.overhead + 8 * (size + HEADERS) / self.radio.rate))
 
-    def used(self, now: int) -> float:
+    def utilization(self, now: int) -> float:
         """Return the share of the last second during which the stations were sending."""
-        while self._sent and self._sent[0][0] <= now - WINDOW:
+        while self._sent and self._sent[0][0] <= now - UTILIZATION_WINDOW:
             self._sent.popleft()
-        return sum(airtime for _, airtime in self._sent) / WINDOW
+        return sum(airtime for _, airtime in self._sent) / UTILIZATION_WINDOW
 
-    def carry(self, station: "Station", size: int, now: int) -> int | None:
+    def transmit(self, station: "Station", size: int, now: int) -> int | None:
         """Return the time at which a datagram sent at `now` arrives; None if it is lost."""
         random, airtime = self._random, self.airtime(size)
-        contended = now < self._free
+        contended = now < self._free_at
         for attempt in range(1 + self.radio.retries):
-            slots = min(SLOTS << attempt, MOST_SLOTS)
-            begin = max(now, self._free) + SLOT * random.randrange(slots)
-            while random.random() < self.taken and begin - now < WINDOW:
-                begin, contended = begin + self.airtime(FOREIGN), True
-            if begin - now > SECOND * self.radio.patience:
+            slots = min(MIN_SLOTS << attempt, MAX_SLOTS)
+            start = max(now, self._free_at) + SLOT_TIME * random.randrange(slots)
+            while random.random() < self.interference and start - now < UTILIZATION_WINDOW:
+                start, contended = start + self.airtime(INTERFERING_SIZE), True
+            if start - now > SECOND * self.radio.patience:
                 return None
-            self._free = begin + airtime
-            self._sent.append((self._free, airtime))
+            self._free_at = start + airtime
+            self._sent.append((self._free_at, airtime))
             collides = contended and random.random() * slots < 1.0
-            if not collides and random.random() >= station.loss(begin):
-                return self._free
+            if not collides and random.random() >= station.loss(start):
+                return self._free_at
         return None
 
 
 class Station:
     """Station on the channel, with its own bursts of loss in both directions."""
 
-    def __init__(self, air: Air, random: Random) -> None:
-        self._air, self._random = air, random
+    def __init__(self, channel: RadioChannel, random: Random) -> None:
+        self._channel, self._random = channel, random
         self._in_burst, self._until = True, 0  # a burst that ends immediately
 
-    def carry(self, size: int, now: int) -> int | None:
+    def transmit(self, size: int, now: int) -> int | None:
         """Return the time of arrival, as Air.carry does."""
-        return self._air.carry(self, size, now)
+        return self._channel.transmit(self, size, now)
 
     def loss(self, now: int) -> float:
         """Return the share of attempts that fail now; `now` may decrease a little."""
-        radio = self._air.radio
+        radio = self._channel.radio
         if radio.burst_interval:
             means = radio.burst_interval, radio.burst_length
             while self._until <= now:

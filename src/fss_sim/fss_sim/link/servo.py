@@ -17,18 +17,19 @@ from typing import NamedTuple
 from fss_arm_model.description import Link
 from fss_sim.faults import NO_DRIVE_FAULTS, DriveFaults
 from fss_sim.link.instruments import Encoder
-from fss_sim.link.power import AMBIENT, VOLTS, Load
+from fss_sim.link.power import AMBIENT, OUTPUT_VOLTAGE, Load
 from fss_sim.plant.plant import Demand, Motion
 
 # Modes of a demand.
-OFF, CURRENT, VELOCITY, POSITION = 0, 1, 11, 21
-OFF_NOW = Demand(OFF)
+MODE_OFF, MODE_CURRENT, MODE_VELOCITY, MODE_POSITION = 0, 1, 11, 21
+DEMAND_OFF = Demand(MODE_OFF)
 
 # Bits of the status word for states that are not faults, docs/reference/faults.md.
 CURRENT_LIMITED, VOLTAGE_LIMITED = 1 << 7, 1 << 8
 AT_POSITIVE_SWITCH, AT_NEGATIVE_SWITCH = 1 << 9, 1 << 10
 ENABLE_OPEN, IS_OFF, STOPPING = 1 << 11, 1 << 12 | 1 << 14 | 1 << 15, 1 << 13
-AT_HIGHEST, AT_LOWEST, LAGS, WAS_RESET, WRAPPED = 1 << 16, 1 << 17, 1 << 19, 1 << 20, 1 << 21
+AT_MAX_POSITION, AT_MIN_POSITION = 1 << 16, 1 << 17
+TRACKING_WARNING, WAS_RESET, WRAPPED = 1 << 19, 1 << 20, 1 << 21
 LATCHED, FLAG, IN_MOTION = 1 << 22, 1 << 26, 1 << 27
 
 
@@ -39,16 +40,18 @@ class Cause(NamedTuple):
     latch: int
 
 
-SHORT, TOO_HIGH, TOO_LOW = Cause(1 << 0, 1 << 2), Cause(1 << 2, 1 << 5), Cause(1 << 3, 1 << 6)
+SHORT_CIRCUIT = Cause(1 << 0, 1 << 2)
+OVERVOLTAGE, UNDERVOLTAGE = Cause(1 << 2, 1 << 5), Cause(1 << 3, 1 << 6)
 DRIVE_HOT, MOTOR_HOT = Cause(1 << 1, 1 << 3), Cause(1 << 4, 1 << 4)
 FEEDBACK, PHASING, TRACKING = Cause(1 << 5, 1 << 7), Cause(1 << 6, 1 << 8), Cause(1 << 18, 1 << 9)
 OVERCURRENT, INPUT_LOST = Cause(0, 1 << 10), Cause(0, 1 << 12)
 FLASH, INTERNAL, LOGIC = Cause(0, 1 << 0), Cause(0, 1 << 1), Cause(0, 1 << 11)
-FOR_GOOD = FLASH.latch | INTERNAL.latch | LOGIC.latch  # cannot be cleared by a command
+PERMANENT = FLASH.latch | INTERNAL.latch | LOGIC.latch  # cannot be cleared by a command
 #: Causes that injected faults of the on/off type trigger.
 INJECTED = {
-    "short_circuit": SHORT, "overcurrent": OVERCURRENT, "encoder": FEEDBACK, "phasing": PHASING,
-    "flash": FLASH, "internal": INTERNAL, "logic": LOGIC, "command_input": INPUT_LOST,
+    "short_circuit": SHORT_CIRCUIT, "overcurrent": OVERCURRENT,
+    "encoder": FEEDBACK, "phasing": PHASING, "flash": FLASH, "internal": INTERNAL,
+    "logic": LOGIC, "command_input": INPUT_LOST,
     "positive_limit": Cause(AT_POSITIVE_SWITCH, 0), "negative_limit": Cause(AT_NEGATIVE_SWITCH, 0),
     "enable": Cause(ENABLE_OPEN, 0), "voltage_limit": Cause(VOLTAGE_LIMITED, 0),
     "wrapped": Cause(WRAPPED, 0),
@@ -58,15 +61,18 @@ BLOCKING = 0x7F | ENABLE_OPEN | TRACKING.status | LATCHED  # status bits that pr
 # All of these values are assumed. The motor's heating is chosen so that its continuous current
 # heats it to its limit. This is the current for 0.75 N m plus friction. The friction follows from
 # the peak values, 3.0 A for 1.8 N m (docs/start/hardware.md).
-HIGHEST, LOWEST, DEAD = 55.0, 20.0, 12.0  # supply limits; below DEAD the logic loses power [V]
-DRIVE_LIMIT, DRIVE_WARMTH, DRIVE_COOLING = 70.0, 6.0, 200.0  # [deg C], [K] when idle, [s]
-DRIVE_LOSS = 2.0  # [K/A^2]
-MOTOR_LIMIT, MOTOR_COOLING, CONTINUOUS = 100.0, 300.0, 1.6  # [deg C], [s], [A]
+# Limits of the supply; below the last one, the logic loses power [V].
+MAX_SUPPLY, MIN_SUPPLY, MIN_LOGIC_SUPPLY = 55.0, 20.0, 12.0
+# [deg C], [K] when idle, [s].
+MAX_DRIVE_TEMPERATURE, DRIVE_IDLE_RISE, DRIVE_TIME_CONSTANT = 70.0, 6.0, 200.0
+DRIVE_HEATING = 2.0  # [K/A^2]
+# [deg C], [s], [A].
+MAX_MOTOR_TEMPERATURE, MOTOR_TIME_CONSTANT, CONTINUOUS_CURRENT = 100.0, 300.0, 1.6
 HYSTERESIS = 5.0  # of both temperature limits [K]
-MOTOR_WARMTH = (MOTOR_LIMIT - AMBIENT) / CONTINUOUS**2  # [K/A^2]
-LAG, WARNED_LAG = 0.2, 0.1  # lag behind the profile that latches a fault, and that warns [rad]
-PUSH = 3000.0  # current against an obstacle, per position error [A/rad]
-REST = 1e-3  # speed below which a joint is at rest [rad/s]
+MOTOR_HEATING = (MAX_MOTOR_TEMPERATURE - AMBIENT) / CONTINUOUS_CURRENT**2  # [K/A^2]
+MAX_LAG, LAG_WARNING = 0.2, 0.1  # lags behind the profile that latch a fault, or warn [rad]
+OBSTACLE_GAIN = 3000.0  # current against an obstacle, per position error [A/rad]
+REST_SPEED = 1e-3  # speed below which a joint is at rest [rad/s]
 HOMING_SPEED, HOMING_ACCELERATION = 0.2, 1.0  # [rad/s], [rad/s^2]
 
 
@@ -83,22 +89,22 @@ class ServoDrive:
         self.count = link.drive.direction * 2.0 * pi / link.drive.counts_per_turn  # [rad]
         self.powered, self.referenced, self.homings = True, True, 0  # homings since power-on
         self.latched = 0  # latched faults, its variable 0xa4
-        self._drive_rise, self._motor_rise = DRIVE_WARMTH, 0.0  # above AMBIENT [K]
-        self.supply = VOLTS  # [V]
-        self.demand = OFF_NOW  # demand in execution
+        self._drive_rise, self._motor_rise = DRIVE_IDLE_RISE, 0.0  # above AMBIENT [K]
+        self.supply = OUTPUT_VOLTAGE  # [V]
+        self.demand = DEMAND_OFF  # demand in execution
         self._zero = 0.0  # encoder angle that it counts from [rad]
         self._frozen: float | None = None  # last encoder angle while the encoder is lost [rad]
-        self._wrong = 0  # status bits of present faults and limits
+        self._status_bits = 0  # status bits of present faults and limits
         self._was_reset = 0
         self._faults, self._injected = NO_DRIVE_FAULTS, Cause(0, 0)
-        self._order: Demand | None = self.demand  # last demand given to `act`
-        self._above: bool | None = None  # whether homing started above the flag's end
+        self._last_demand: Demand | None = self.demand  # last demand passed to `execute`
+        self._homing_from_above: bool | None = None  # whether homing started above the flag's end
         self._speed = self._lag = 0.0  # speed of its profile [rad/s], lag behind it [rad]
 
     @property
-    def able(self) -> bool:
+    def can_move(self) -> bool:
         """Return True if the drive has power and no fault prevents motion."""
-        return self.powered and not self._wrong & BLOCKING and not self.latched
+        return self.powered and not self._status_bits & BLOCKING and not self.latched
 
     @property
     def blocked(self) -> bool:
@@ -130,16 +136,16 @@ class ServoDrive:
 
     def status(self, motion: Motion) -> int:
         """Return the status word, its variable 0xa0."""
-        off = self.demand.mode == OFF
-        moves = abs(motion.qd) >= REST
-        brakes = self.demand.mode == POSITION and self.demand.speed == 0.0
+        off = self.demand.mode == MODE_OFF
+        moves = abs(motion.qd) >= REST_SPEED
+        brakes = self.demand.mode == MODE_POSITION and self.demand.speed == 0.0
         return (
-            self._wrong
+            self._status_bits
             | self._was_reset
             | IS_OFF * off
             | STOPPING * (moves and brakes)
-            | AT_HIGHEST * (motion.q >= self._link.q_max)
-            | AT_LOWEST * (motion.q <= self._link.q_min)
+            | AT_MAX_POSITION * (motion.q >= self._link.q_max)
+            | AT_MIN_POSITION * (motion.q <= self._link.q_min)
             | LATCHED * bool(self.latched)
             | FLAG * (motion.q >= 0.0)
             | IN_MOTION * moves
@@ -147,83 +153,88 @@ class ServoDrive:
 
     def home(self) -> None:
         """Start homing; the reference is unknown until it is found."""
-        self.referenced, self._above = False, None
+        self.referenced, self._homing_from_above = False, None
 
     def clear(self) -> None:
         """Clear the latched faults; those whose cause is still present are latched again."""
-        self.latched &= FOR_GOOD
+        self.latched &= PERMANENT
 
-    def act(self, demand: Demand | None, motion: Motion) -> Demand:
+    def execute(self, demand: Demand | None, motion: Motion) -> Demand:
         """Return the demand that the motor executes from now on; None as argument: homing."""
-        self._order = demand
-        if not self.able:
-            demand = OFF_NOW
+        self._last_demand = demand
+        if not self.can_move:
+            demand = DEMAND_OFF
         elif demand is None:
-            demand = self._home(motion)
-        if demand.mode == OFF or demand.mode != self.demand.mode:
+            demand = self._homing_demand(motion)
+        if demand.mode == MODE_OFF or demand.mode != self.demand.mode:
             self._speed, self._lag = motion.qd, 0.0
         self.demand = demand
         return demand
 
-    def effort(self, motion: Motion) -> Demand:
+    def effective_demand(self, motion: Motion) -> Demand:
         """Return the demand that acts on the joint, with limit switches, obstacles and hands."""
         faults, drive, (mode, goal, speed, _) = self._faults, self._link.drive, self.demand
-        if mode == OFF:
-            return Demand(CURRENT, faults.hand / drive.torque_constant) if faults.hand else OFF_NOW
-        way = goal - motion.q if mode == POSITION else goal
-        way = 0.0 if mode == POSITION and not speed else way
-        barred = AT_POSITIVE_SWITCH if way > 0.0 else AT_NEGATIVE_SWITCH
-        if way and self._wrong & barred:  # a limit switch stops the motion
-            return Demand(POSITION, 0.0, 0.0, drive.max_acceleration)
-        if self.blocked and mode != CURRENT:  # the drive pushes against the obstacle
-            return Demand(CURRENT, max(-drive.max_current, min(PUSH * way, drive.max_current)))
+        if mode == MODE_OFF:
+            hand = Demand(MODE_CURRENT, faults.hand / drive.torque_constant)
+            return hand if faults.hand else DEMAND_OFF
+        error = goal - motion.q if mode == MODE_POSITION else goal
+        error = 0.0 if mode == MODE_POSITION and not speed else error
+        blocked_by = AT_POSITIVE_SWITCH if error > 0.0 else AT_NEGATIVE_SWITCH
+        if error and self._status_bits & blocked_by:  # a limit switch stops the motion
+            return Demand(MODE_POSITION, 0.0, 0.0, drive.max_acceleration)
+        if self.blocked and mode != MODE_CURRENT:  # the drive pushes against the obstacle
+            current = max(-drive.max_current, min(OBSTACLE_GAIN * error, drive.max_current))
+            return Demand(MODE_CURRENT, current)
         return self.demand
 
-    def go_on(self, motion: Motion) -> Demand:
+    def repeat_demand(self, motion: Motion) -> Demand:
         """Return the demand that the motor executes while the drive receives no commands."""
-        return self.act(self._order, motion)
+        return self.execute(self._last_demand, motion)
 
-    def _home(self, motion: Motion) -> Demand:
+    def _homing_demand(self, motion: Motion) -> Demand:
         """Return the demand for homing: move to the flag's end, then hold there."""
         above = motion.q >= 0.0
         if self.referenced:
-            return Demand(POSITION, self.angle(0.0), HOMING_SPEED, HOMING_ACCELERATION)
-        if self._above is None:
-            self._above = above
-        if above != self._above:  # the drive's input latches the count exactly at the edge
+            return Demand(MODE_POSITION, self.angle(0.0), HOMING_SPEED, HOMING_ACCELERATION)
+        if self._homing_from_above is None:
+            self._homing_from_above = above
+        # The drive's input latches the count exactly at the edge.
+        if above != self._homing_from_above:
             self._zero, self.referenced, self.homings = 0.0, True, self.homings + 1
-        speed = -HOMING_SPEED if self._above else HOMING_SPEED
-        return Demand(VELOCITY, speed, HOMING_SPEED, HOMING_ACCELERATION)
+        speed = -HOMING_SPEED if self._homing_from_above else HOMING_SPEED
+        return Demand(MODE_VELOCITY, speed, HOMING_SPEED, HOMING_ACCELERATION)
 
     def load(self, motion: Motion) -> Load:
         """Return the load on its supply."""
         mechanical = self._link.drive.torque_constant * motion.current * motion.qd
-        return Load(self.demand.mode != OFF, motion.current, mechanical)
+        return Load(self.demand.mode != MODE_OFF, motion.current, mechanical)
 
     def advance(
         self,
         seconds: float,
         motion: Motion,
-        supply: float = VOLTS,
+        supply: float = OUTPUT_VOLTAGE,
         faults: DriveFaults = NO_DRIVE_FAULTS,
     ) -> None:
         """Advance by a time [s], with the motion and the supply [V] during that time."""
         self.supply = max(0.0, supply + faults.supply)
         square = motion.current * motion.current
-        self._motor_rise += (MOTOR_WARMTH * square - self._motor_rise) * seconds / MOTOR_COOLING
-        steady = DRIVE_WARMTH + DRIVE_LOSS * square
-        self._drive_rise += (steady - self._drive_rise) * seconds / DRIVE_COOLING
+        self._motor_rise += (
+            (MOTOR_HEATING * square - self._motor_rise) * seconds / MOTOR_TIME_CONSTANT
+        )
+        steady = DRIVE_IDLE_RISE + DRIVE_HEATING * square
+        self._drive_rise += (steady - self._drive_rise) * seconds / DRIVE_TIME_CONSTANT
         if faults is not self._faults:
             self._inject(faults)
-        if self.supply < DEAD:
+        if self.supply < MIN_LOGIC_SUPPLY:
             self._lose_power()
             return
         if not self.powered:
             self._gain_power(motion)
-        self._follow(seconds, motion)
+        self._update_lag(seconds, motion)
         if (faults.encoder > 0.0) != (self._frozen is not None):
-            self._freeze(motion)
-        self._judge(motion)
+            self._update_encoder_loss(motion)
+        self._update_faults(motion)
 
     def _inject(self, faults: DriveFaults) -> None:
         """Set the injected faults."""
@@ -231,42 +242,47 @@ class ServoDrive:
         status, latch = (sum(column) for column in zip(Cause(0, 0), *causes, strict=True))
         self._faults, self._injected = faults, Cause(status, latch)
 
-    def _follow(self, seconds: float, motion: Motion) -> None:
+    def _update_lag(self, seconds: float, motion: Motion) -> None:
         """Update the lag behind the profile, which occurs in position mode at the current limit."""
         mode, goal, speed, acceleration = self.demand
         is_limited = abs(motion.current) >= 0.999 * self._link.drive.max_current
-        if mode != POSITION or not is_limited:
+        if mode != MODE_POSITION or not is_limited:
             self._speed, self._lag = motion.qd, 0.0
             return
-        way = goal - motion.q
-        wanted = copysign(min(speed, sqrt(2.0 * acceleration * abs(way))), way) if speed else 0.0
-        most = acceleration * seconds
-        self._speed += max(-most, min(wanted - self._speed, most))
+        error = goal - motion.q
+        target_speed = (
+            copysign(min(speed, sqrt(2.0 * acceleration * abs(error))), error) if speed else 0.0
+        )
+        max_change = acceleration * seconds
+        self._speed += max(-max_change, min(target_speed - self._speed, max_change))
         self._lag += (self._speed - motion.qd) * seconds
 
-    def _judge(self, motion: Motion) -> None:
+    def _update_faults(self, motion: Motion) -> None:
         """Update the status bits of present faults, and latch faults."""
-        wrong, latch = self._injected
+        status, latch = self._injected
         if abs(motion.current) >= 0.999 * self._link.drive.max_current:
-            wrong |= CURRENT_LIMITED
-        if abs(self._lag) > WARNED_LAG:
-            wrong |= LAGS
+            status |= CURRENT_LIMITED
+        if abs(self._lag) > LAG_WARNING:
+            status |= TRACKING_WARNING
         for cause, holds in (
-            (TOO_LOW, self.supply < LOWEST),
-            (TOO_HIGH, self.supply > HIGHEST),
-            (DRIVE_HOT, self.temperature > DRIVE_LIMIT - self._cooling(DRIVE_HOT)),
-            (MOTOR_HOT, self.motor_temperature > MOTOR_LIMIT - self._cooling(MOTOR_HOT)),
-            (TRACKING, abs(self._lag) > LAG or self.latched & TRACKING.latch),
+            (UNDERVOLTAGE, self.supply < MIN_SUPPLY),
+            (OVERVOLTAGE, self.supply > MAX_SUPPLY),
+            (DRIVE_HOT, self.temperature > MAX_DRIVE_TEMPERATURE - self._hysteresis(DRIVE_HOT)),
+            (
+                MOTOR_HOT,
+                self.motor_temperature > MAX_MOTOR_TEMPERATURE - self._hysteresis(MOTOR_HOT),
+            ),
+            (TRACKING, abs(self._lag) > MAX_LAG or self.latched & TRACKING.latch),
         ):
             if holds:
-                wrong, latch = wrong | cause.status, latch | cause.latch
-        self._wrong, self.latched = wrong, self.latched | latch
+                status, latch = status | cause.status, latch | cause.latch
+        self._status_bits, self.latched = status, self.latched | latch
 
-    def _cooling(self, cause: Cause) -> float:
+    def _hysteresis(self, cause: Cause) -> float:
         """Return the hysteresis of a temperature limit: 0 unless it was exceeded [K]."""
-        return HYSTERESIS if self._wrong & cause.status else 0.0
+        return HYSTERESIS if self._status_bits & cause.status else 0.0
 
-    def _freeze(self, motion: Motion) -> None:
+    def _update_encoder_loss(self, motion: Motion) -> None:
         """Lose the encoder, or regain it without the counts that were missed."""
         if self._frozen is None:
             self._frozen, self.referenced = self._encoder.reading(motion.q), False
@@ -277,8 +293,8 @@ class ServoDrive:
     def _lose_power(self) -> None:
         """Lose power, and with it reference, faults and demand."""
         self.powered = self.referenced = False
-        self.latched = self._wrong = 0
-        self._frozen, self.demand = None, OFF_NOW
+        self.latched = self._status_bits = 0
+        self._frozen, self.demand = None, DEMAND_OFF
 
     def _gain_power(self, motion: Motion) -> None:
         """Regain power, and count from the present encoder angle."""

@@ -6,10 +6,10 @@ from typing import Any
 
 from fss_link.protocol import StreamDecoder, pack
 
-LARGEST = 8192  # maximum number of bytes per read of one connection
+MAX_READ_SIZE = 8192  # maximum number of bytes per read of one connection
 # Maximum number of connections. A further connection replaces one that has sent no frame, or else
 # the oldest, but never the one that receives telemetry.
-MOST = 4
+MAX_CONNECTIONS = 4
 
 
 class LinkListener:
@@ -31,7 +31,7 @@ class LinkListener:
         self._peer: socket.socket | None = None
         try:
             self._listener.bind((host, port))
-            self._listener.listen(MOST)
+            self._listener.listen(MAX_CONNECTIONS)
         except OSError as error:
             self._listener.close()
             raise OSError(f"TCP port {port} of {host} cannot be opened: {error.strerror}") from None
@@ -42,7 +42,7 @@ class LinkListener:
         return int(self._listener.getsockname()[1])
 
     @property
-    def place(self) -> str:
+    def address(self) -> str:
         """Description of the port, for diagnostics."""
         return f"TCP port {self.port}"
 
@@ -52,7 +52,7 @@ class LinkListener:
         got: list[tuple[bytes, Any]] = []
         for line, decoder in list(self._connections.items()):
             try:
-                if data := line.recv(LARGEST):
+                if data := line.recv(MAX_READ_SIZE):
                     got += [(frame, line) for frame in decoder.feed(data)]
                 else:  # closed by the other end
                     self._drop(line)
@@ -94,7 +94,7 @@ class LinkListener:
                 line, _ = self._listener.accept()
                 line.setblocking(False)
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                if len(self._connections) == MOST:
+                if len(self._connections) == MAX_CONNECTIONS:
                     others = [one for one in self._connections if one is not self._peer]
                     self._drop(min(others, key=lambda one: self._connections[one].frames > 0))
                 self._connections[line] = StreamDecoder()

@@ -5,7 +5,7 @@ from contextlib import suppress
 from typing import Any
 
 BATCH = 64  # maximum number of datagrams per read, so that a flood cannot block the test bed
-LARGEST = 2048  # bytes read of one datagram; a longer one is not a valid frame anyway
+MAX_READ_SIZE = 2048  # bytes read of one datagram; a longer one is not a valid frame anyway
 
 
 class LinkSocket:
@@ -30,7 +30,7 @@ class LinkSocket:
         return int(self._socket.getsockname()[1])
 
     @property
-    def place(self) -> str:
+    def address(self) -> str:
         """Description of the port, for diagnostics."""
         return f"port {self.port}"
 
@@ -39,7 +39,7 @@ class LinkSocket:
         got = []
         try:
             for _ in range(BATCH):
-                got.append(self._socket.recvfrom(LARGEST))
+                got.append(self._socket.recvfrom(MAX_READ_SIZE))
         except OSError:  # no datagram left, or an error caused by a datagram sent earlier
             pass
         return got

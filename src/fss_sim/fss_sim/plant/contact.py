@@ -34,13 +34,15 @@ class Contact(Settings):
     """Parameters of the law of contact between bodies."""
 
     restitution: float = setting(
-        0.3, "share of the speed with which bodies meet that they part with", check=between(0, 1)
+        0.3,
+        "coefficient of restitution: ratio of the speeds after and before an impact",
+        check=between(0, 1),
     )
     friction: float = setting(
         0.2, "coefficient of the Coulomb friction between bodies that touch", check=NOT_NEGATIVE
     )
     threshold: float = setting(
-        0.005, "speed below which bodies that meet do not bounce", unit="m/s", check=NOT_NEGATIVE
+        0.005, "impact speed below which bodies do not bounce", unit="m/s", check=NOT_NEGATIVE
     )
 
 
@@ -49,7 +51,7 @@ class Part(NamedTuple):
 
     name: str
     body: int  # index in its chain
-    begin: complex  # in the body's frame [m]
+    start: complex  # in the body's frame [m]
     end: complex
     radius: float  # [m]
     inner: bool = True  # can touch parts of its own chain, except neighbours
@@ -60,7 +62,7 @@ class Part(NamedTuple):
 
 # Columns of the kernels' tables of chains and of parts.
 P, Q, COUNT = range(3)
-CHAIN, BODY, BEGIN_X, BEGIN_Y, END_X, END_Y, RADIUS = range(7)
+CHAIN, BODY, START_X, START_Y, END_X, END_Y, RADIUS = range(7)
 # Columns of a touch.
 GAP, AT_X, AT_Y, NORMAL_X, NORMAL_Y = range(5)
 FEATURES = 4  # possible touches of a pair: each end of either line with the other line
@@ -86,8 +88,8 @@ def _frames(p, q, chains, r, u):  # type: ignore[no-untyped-def]
 @helper
 def _ends(part, r, u):  # type: ignore[no-untyped-def]
     c, k = int(part[CHAIN]), int(part[BODY])
-    begin, end = complex(part[BEGIN_X], part[BEGIN_Y]), complex(part[END_X], part[END_Y])
-    return r[c, k] + begin * u[c, k], r[c, k] + end * u[c, k]
+    start, end = complex(part[START_X], part[START_Y]), complex(part[END_X], part[END_Y])
+    return r[c, k] + start * u[c, k], r[c, k] + end * u[c, k]
 
 
 @helper
@@ -110,12 +112,12 @@ def _nearest(x, a, b):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _off(x, a, b):  # type: ignore[no-untyped-def]
+def _distance(x, a, b):  # type: ignore[no-untyped-def]
     return abs(x - a - _nearest(x, a, b) * (b - a))
 
 
 @kernel("(p),(m),(m),(c,f),(s,h),(g,w)->(g,w)")
-def _room(p, q, v, chains, parts, pairs, out):  # type: ignore[no-untyped-def]
+def _gaps(p, q, v, chains, parts, pairs, out):  # type: ignore[no-untyped-def]
     bodies = int(chains[:, COUNT].max()) + 1
     r, u = np.empty((2, chains.shape[0], bodies), np.complex128)
     _frames(p, q, chains, r, u)
@@ -123,15 +125,17 @@ def _room(p, q, v, chains, parts, pairs, out):  # type: ignore[no-untyped-def]
         i, j = parts[int(pairs[g, 0])], parts[int(pairs[g, 1])]
         a, b = _ends(i, r, u)
         c, d = _ends(j, r, u)
-        apart = min(min(_off(a, c, d), _off(b, c, d)), min(_off(c, a, b), _off(d, a, b)))
+        apart = min(
+            min(_distance(a, c, d), _distance(b, c, d)), min(_distance(c, a, b), _distance(d, a, b))
+        )
         crossed = _cross(b - a, c - a) * _cross(b - a, d - a) < 0.0
         if crossed and _cross(d - c, a - c) * _cross(d - c, b - c) < 0.0:
             apart = 0.0
         out[g, 0] = apart - i[RADIUS] - j[RADIUS]
-        own = _velocity(i, chains, r, v, a)
-        turning = abs(_velocity(i, chains, r, v, b) - own)
-        passing = abs(_velocity(j, chains, r, v, c) - own)
-        out[g, 1] = turning + max(passing, abs(_velocity(j, chains, r, v, d) - own))
+        reference = _velocity(i, chains, r, v, a)
+        turning = abs(_velocity(i, chains, r, v, b) - reference)
+        passing = abs(_velocity(j, chains, r, v, c) - reference)
+        out[g, 1] = turning + max(passing, abs(_velocity(j, chains, r, v, d) - reference))
 
 
 @kernel("(p),(m),(c,f),(s,h),(g,w),(k,t)->(g,k,t)")
@@ -186,11 +190,11 @@ def _jacobian(p, q, chains, parts, pairs, touches, out):  # type: ignore[no-unty
 
 
 @helper
-def _settle(W, v, goals, share, friction, impulse):  # type: ignore[no-untyped-def]
+def _solve_rows(W, v, goals, share, friction, impulse):  # type: ignore[no-untyped-def]
     """Solve the rows in turn, with goals above 0 scaled by `share`; return the energy gained."""
     impulse[:] = 0.0
     for _ in range(5000):
-        change, most = 0.0, 0.0
+        change, largest = 0.0, 0.0
         for i in range(v.size):
             if W[i, i] <= 0.0:
                 continue
@@ -202,13 +206,13 @@ def _settle(W, v, goals, share, friction, impulse):  # type: ignore[no-untyped-d
                 goal = share * goal if goal > 0.0 else goal
                 new = max(0.0, impulse[i] + (goal - velocity) / W[i, i])
             else:
-                most_here = friction * impulse[i - 1]
+                max_friction = friction * impulse[i - 1]
                 new = impulse[i] - velocity / W[i, i]
-                new = min(max(new, -most_here), most_here)
+                new = min(max(new, -max_friction), max_friction)
             change = max(change, abs(new - impulse[i]))
-            most = max(most, abs(new))
+            largest = max(largest, abs(new))
             impulse[i] = new
-        if change <= 1e-13 * most:
+        if change <= 1e-13 * largest:
             break
     gained = 0.0
     for i in range(v.size):
@@ -222,15 +226,15 @@ def _settle(W, v, goals, share, friction, impulse):  # type: ignore[no-untyped-d
 @kernel("(r,r),(r),(c),(s)->(r)")
 def _impulses(W, v, goals, friction, out):  # type: ignore[no-untyped-def]
     low, high = 0.0, 1.0
-    gained = _settle(W, v, goals, 1.0, friction[0], out)
+    gained = _solve_rows(W, v, goals, 1.0, friction[0], out)
     if gained > 0.0:
         for _ in range(20):
             share = 0.5 * (low + high)
-            if _settle(W, v, goals, share, friction[0], out) > 0.0:
+            if _solve_rows(W, v, goals, share, friction[0], out) > 0.0:
                 high = share
             else:
                 low = share
-        gained = _settle(W, v, goals, low, friction[0], out)
+        gained = _solve_rows(W, v, goals, low, friction[0], out)
     if gained > 0.0:  # by rounding, or where the rows did not settle
         out[:] = 0.0
 
@@ -256,12 +260,12 @@ class Scene:
         self._chains = np.column_stack([starts[:-1], counts]).astype(float)
         every = [(c, part) for c, row in enumerate(parts) for part in row]
         rows = [
-            (c, x.body, x.begin.real, x.begin.imag, x.end.real, x.end.imag, x.radius)
+            (c, x.body, x.start.real, x.start.imag, x.end.real, x.end.imag, x.radius)
             for c, x in every
         ]
         self._parts = np.array(rows).reshape(-1, RADIUS + 1)
 
-        def meet(c: int, a: Part, d: int, b: Part) -> bool:
+        def can_touch(c: int, a: Part, d: int, b: Part) -> bool:
             if c == d and not (a.held or b.held):
                 return a.inner and b.inner and abs(a.body - b.body) > 1
             if c == d:
@@ -270,17 +274,17 @@ class Scene:
             return a.outer and b.outer and not ((a.gripper and b.gripper) or last)
 
         pairs = [
-            (i, j) for i, j in combinations(range(len(every)), 2) if meet(*every[i], *every[j])
+            (i, j) for i, j in combinations(range(len(every)), 2) if can_touch(*every[i], *every[j])
         ]
         self.names = [(every[i][1].name, every[j][1].name) for i, j in pairs]
         self.pairs = np.array(pairs, dtype=float).reshape(-1, 2)
 
-    def room(self, q: Floats, v: Floats) -> Floats:
+    def gaps(self, q: Floats, v: Floats) -> Floats:
         """Return each pair's gap [m], and an upper bound of its closing speed [m/s], (g, 2)."""
         if not self.names:
             return np.empty((0, 2))
-        room: Floats = _room(self.p, q, v, self._chains, self._parts, self.pairs)
-        return room
+        gaps: Floats = _gaps(self.p, q, v, self._chains, self._parts, self.pairs)
+        return gaps
 
     def touches(self, q: Floats, pairs: Floats) -> Floats:
         """Return the nearest points of some pairs, (g, 4, 5): gap, point, normal.

@@ -25,21 +25,21 @@ import math
 from fss_arm_model.centroidal import Bodies
 from fss_arm_model.integration import STEP
 from fss_arm_model.kernels import helper
-from fss_sim.plant.surroundings import Forces, _act_called
+from fss_sim.plant.surroundings import Forces, _derivative_called
 
 #: Modes of a drive, with the numbers of docs/reference/protocol.md.
-OFF, CURRENT, VELOCITY, POSITION = 0.0, 1.0, 11.0, 21.0
+MODE_OFF, MODE_CURRENT, MODE_VELOCITY, MODE_POSITION = 0.0, 1.0, 11.0, 21.0
 
 # With four links the generalized inertia of a joint is 0.01 to 2 kg m^2, depending on the posture.
 # For such loads all motion decays by exp(-20 t) or faster, and 1.8 N m turn the joint by 0.75 mrad.
 STIFFNESS, DAMPING = 2400.0, 80.0  # [N m/rad], [N m s/rad]
-SMOOTH = 0.005  # smoothing speed of the Coulomb friction [rad/s]
+SMOOTHING_SPEED = 0.005  # of the Coulomb friction [rad/s]
 
 
 @helper
 def _goal(mode, set_point, lowest, highest, r):  # type: ignore[no-untyped-def]
     """Return the angle to which a reference at r moves."""
-    if mode == POSITION:
+    if mode == MODE_POSITION:
         return min(max(set_point, lowest), highest)
     return max(highest, r) if set_point > 0.0 else min(lowest, r)
 
@@ -55,13 +55,13 @@ def _profile(goal, speed, acceleration, r, v):  # type: ignore[no-untyped-def]
     dv = acceleration * STEP
     distance = abs(goal - r)
     k = 0.5 * (math.sqrt(1.0 + 8.0 * distance / (dv * STEP)) - 1.0)
-    wanted = math.copysign(min(speed, k * dv, distance / STEP), goal - r)
-    v += min(max(wanted - v, -dv), dv)
+    target_speed = math.copysign(min(speed, k * dv, distance / STEP), goal - r)
+    v += min(max(target_speed - v, -dv), dv)
     return r + v * STEP, v
 
 
 @helper
-def _stop(joint, q, qd):  # type: ignore[no-untyped-def]
+def _end_stop(joint, q, qd):  # type: ignore[no-untyped-def]
     """Return the torque of the end stop, and its decrease at an acceleration of 1/STEP."""
     lowest, highest, stiffness, damping = joint[0], joint[1], joint[5], joint[6]
     ahead = q + STEP * qd
@@ -73,7 +73,7 @@ def _stop(joint, q, qd):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _ask(joint, demand, q, qd, reference, law):  # type: ignore[no-untyped-def]
+def _servo_law(joint, demand, q, qd, reference, law):  # type: ignore[no-untyped-def]
     """Advance the reference (2,) by one step; write to law (6,) the torques at zero acceleration.
 
     The torques are those of servo, friction and end stop, each followed by its damping.
@@ -82,26 +82,26 @@ def _ask(joint, demand, q, qd, reference, law):  # type: ignore[no-untyped-def]
     most, viscous, coulomb = joint[2], joint[3], joint[4]
     r, v = q, qd
     law[0] = law[1] = 0.0
-    if mode == CURRENT:
+    if mode == MODE_CURRENT:
         law[0] = min(max(set_point, -most), most)
-    elif mode != OFF:
+    elif mode != MODE_OFF:
         goal = _goal(mode, set_point, joint[0], joint[1], reference[0])
         r, v = _profile(goal, speed, acceleration, reference[0], reference[1])
         law[0], law[1] = -STIFFNESS * (q + STEP * qd - r) - DAMPING * (qd - v), DAMPING
     reference[0], reference[1] = r, v
-    law[3] = viscous + coulomb / math.sqrt(qd * qd + SMOOTH * SMOOTH)
+    law[3] = viscous + coulomb / math.sqrt(qd * qd + SMOOTHING_SPEED * SMOOTHING_SPEED)
     law[2] = -law[3] * qd
-    law[4], law[5] = _stop(joint, q, qd)
+    law[4], law[5] = _end_stop(joint, q, qd)
 
 
 @helper
-def _give(joint, q, qd, qdd, reference, law, torques):  # type: ignore[no-untyped-def]
+def _joint_torque(joint, q, qd, qdd, reference, law, torques):  # type: ignore[no-untyped-def]
     """Return the torque between the bodies; write motor and transmitted torque to torques (2,)."""
     most, follows = joint[2], law[1] > 0.0
     friction, stop = law[2] - STEP * law[3] * qdd, law[4] - STEP * law[5] * qdd
-    wanted = law[0] - STEP * law[1] * qdd - (friction if follows else 0.0)
-    motor = min(max(wanted, -most), most)
-    if motor != wanted:
+    command_torque = law[0] - STEP * law[1] * qdd - (friction if follows else 0.0)
+    motor = min(max(command_torque, -most), most)
+    if motor != command_torque:
         # The torque is saturated: the reference continues from the joint's position.
         reference[0] = q + STEP * qd + (motor + friction) / STIFFNESS
         reference[1] = qd
@@ -110,36 +110,38 @@ def _give(joint, q, qd, qdd, reference, law, torques):  # type: ignore[no-untype
 
 
 @helper
-def _drive(  # type: ignore[no-untyped-def]
-    bodies, forces, joints, demand, q, qd, reference, z, begin, work, dz, inertia, asked, laws,
-    torques,
+def _apply_drives(  # type: ignore[no-untyped-def]
+    bodies, forces, joints, demand, q, qd, reference, z, start_vectors, work, dz, inertia,
+    requested, laws, torques,
 ):  # fmt: skip
     """Add the joint torques of the next step to forces.held, and write torques (n, 2).
 
     With the damping D of the terms predicted one step ahead, (A + STEP D) v' = forces(v' = 0).
-    inertia (2, m), asked (m,), laws (n, 6) and the arrays passed to _act are scratch.
+    inertia (2, m), requested (m,), laws (n, 6) and the arrays passed to _derivative are scratch.
     """
     n, held = demand.shape[0], forces.held
     for k in range(n + 1):
         inertia[0, k], inertia[1, k] = bodies.inertia[0, k], bodies.inertia[1, k]
-        asked[k] = held[k]
+        requested[k] = held[k]
     for j in range(n):
         law = laws[j]
-        _ask(joints[j], demand[j], q[3 + j], qd[3 + j], reference[j], law)
+        _servo_law(joints[j], demand[j], q[3 + j], qd[3 + j], reference[j], law)
         # A servo compensates the friction.
         follows = law[1] > 0.0
-        given = law[0] + law[4] + (0.0 if follows else law[2])
+        applied = law[0] + law[4] + (0.0 if follows else law[2])
         damping = STEP * (law[1] + law[5] + (0.0 if follows else law[3]))
-        asked[j] -= given
-        asked[j + 1] += given
+        requested[j] -= applied
+        requested[j + 1] += applied
         inertia[0, j] += damping
         inertia[0, j + 1] += damping
         inertia[1, j + 1] -= damping
     damped = Bodies(bodies.p, bodies.mass, bodies.arms, inertia)
-    tried = Forces(forces.around, forces.thrust, asked, forces.torque)
-    _act_called(damped, tried, begin, z, work, dz)
+    tried = Forces(forces.around, forces.thrust, requested, forces.torque)
+    _derivative_called(damped, tried, start_vectors, z, work, dz)
     for j in range(n):
         qdd = dz[1, 3 + j] - dz[1, 2 + j]
-        given = _give(joints[j], q[3 + j], qd[3 + j], qdd, reference[j], laws[j], torques[j])
-        held[j] -= given
-        held[j + 1] += given
+        applied = _joint_torque(
+            joints[j], q[3 + j], qd[3 + j], qdd, reference[j], laws[j], torques[j]
+        )
+        held[j] -= applied
+        held[j + 1] += applied

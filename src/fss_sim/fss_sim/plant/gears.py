@@ -27,11 +27,11 @@ from typing import NamedTuple
 from fss_arm_model.centroidal import _rate
 from fss_arm_model.integration import STEP
 from fss_arm_model.kernels import Floats, helper, inlined
-from fss_sim.plant.drives import CURRENT, DAMPING, OFF, STIFFNESS, _goal, _profile
-from fss_sim.plant.surroundings import Forces, _act
+from fss_sim.plant.drives import DAMPING, MODE_CURRENT, MODE_OFF, STIFFNESS, _goal, _profile
+from fss_sim.plant.surroundings import Forces, _derivative
 
 # Columns of the gear parameters.
-SPRING, DAMPER, BAND, STATIC, STRIBECK, RIPPLE, PERIODS, MEAN, LEFT, CANCELLED, REST = range(11)
+SPRING, DAMPER, BAND, STATIC, STRIBECK, RIPPLE, PERIODS, MEAN, DECAY, CANCELLED, REST = range(11)
 
 
 class Gears(NamedTuple):
@@ -47,7 +47,7 @@ class Gears(NamedTuple):
 
 
 @helper
-def _wind_up(gear, x):  # type: ignore[no-untyped-def]
+def _spring_torque(gear, x):  # type: ignore[no-untyped-def]
     """Return the torque of a gear's spring twisted by x."""
     return gear[SPRING] * (max(x - gear[BAND], 0.0) + min(x + gear[BAND], 0.0))
 
@@ -61,8 +61,8 @@ def _twist(gear, z, j):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _act_geared(bodies, geared, turned, z, work, dz):  # type: ignore[no-untyped-def]
-    """Write dz (2, 4 + m + n) under all forces, as _act does, including the gears' springs."""
+def _geared_derivative(bodies, geared, turned, z, work, dz):  # type: ignore[no-untyped-def]
+    """Write dz (2, 4 + m + n) under all forces, including the gears' springs."""
     forces, joints, gears, rotor, turns, drive, sprung = geared
     n, m = drive.size, sprung.size
     ratio, power, spun = rotor[1] / rotor[0], 0.0, 0.0
@@ -72,19 +72,19 @@ def _act_geared(bodies, geared, turned, z, work, dz):  # type: ignore[no-untyped
         q, qd = z[0, 3 + j] - z[0, 2 + j] - gears[j, REST], z[1, 3 + j] - z[1, 2 + j]
         x, xd = z[0, 4 + m + j] - q, z[1, 4 + m + j] - qd
         wound = gears[j, SPRING] * (max(x - gears[j, BAND], 0.0) + min(x + gears[j, BAND], 0.0))
-        given = wound + gears[j, DAMPER] * xd
-        left = turns[j] * (drive[j] - given)  # of the drive's torque, for its rotor
+        applied = wound + gears[j, DAMPER] * xd
+        left = turns[j] * (drive[j] - applied)  # of the drive's torque, for its rotor
         power += wound * xd + left * (z[1, 4 + m + j] + ratio * z[1, 2 + j])
         spun += ratio * left
         over = max(q - joints[j, 1], 0.0) + min(q - joints[j, 0], 0.0)
         push = -joints[j, 5] * over - joints[j, 6] * qd  # of the end stop
         if push * over < 0.0:
-            given += push
-        sprung[j] -= given + ratio * left
-        sprung[j + 1] += given
+            applied += push
+        sprung[j] -= applied + ratio * left
+        sprung[j + 1] += applied
         dz[1, 4 + m + j] = left / rotor[0]
     sum_of_all = Forces(forces.around, forces.thrust, sprung, forces.torque)
-    _act(bodies, sum_of_all, turned, z, work, dz)
+    _derivative(bodies, sum_of_all, turned, z, work, dz)
     for j in range(n):
         dz[0, 4 + m + j] = z[1, 4 + m + j]
         dz[1, 4 + m + j] -= turns[j] * ratio * dz[1, 2 + j]
@@ -92,7 +92,7 @@ def _act_geared(bodies, geared, turned, z, work, dz):  # type: ignore[no-untyped
     dz[1, 3 + m] += spun
 
 
-_act_geared_called = helper(_act_geared.py_func)
+_geared_derivative_called = helper(_geared_derivative.py_func)
 
 
 @helper
@@ -103,13 +103,13 @@ def _stribeck(joint, gear, v):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _left(push, friction):  # type: ignore[no-untyped-def]
+def _after_friction(push, friction):  # type: ignore[no-untyped-def]
     """Return the remainder of a push after friction; 0 if the friction is larger."""
     return max(push - friction, 0.0) + min(push + friction, 0.0)
 
 
 @helper
-def _steer(joint, gear, demand, inertia, x, v, s, carried, motor, reference):  # type: ignore[no-untyped-def]
+def _advance_motor(joint, gear, demand, inertia, x, v, s, carried, motor, reference):  # type: ignore[no-untyped-def]
     """Advance the reference (2,) and the motor's torque, motor[2], by one step.
 
     x and v are the motor's angle and rate, s is the gear's torque, carried is the joint's rate.
@@ -119,42 +119,42 @@ def _steer(joint, gear, demand, inertia, x, v, s, carried, motor, reference):  #
     """
     mode, set_point, speed, acceleration = demand
     most, viscous, coulomb = joint[2], joint[3], joint[4]
-    mean, left = gear[MEAN], gear[LEFT]
-    r, rate, follows, wanted, made_up = x, v, 0.0, 0.0, 0.0
-    if mode == CURRENT:
-        wanted = min(max(set_point, -most), most)
-    elif mode == OFF:
+    mean, left = gear[MEAN], gear[DECAY]
+    r, rate, servo_damping, command_torque, compensation = x, v, 0.0, 0.0, 0.0
+    if mode == MODE_CURRENT:
+        command_torque = min(max(set_point, -most), most)
+    elif mode == MODE_OFF:
         mean, left = 1.0, 0.0
     else:
         goal = _goal(mode, set_point, joint[0], joint[1], reference[0])
         r, rate = _profile(goal, speed, acceleration, reference[0], reference[1])
-        follows = DAMPING
+        servo_damping = DAMPING
         if rate != 0.0:
-            made_up = gear[CANCELLED] * (viscous * rate + math.copysign(coulomb, rate))
-        wanted = made_up - STIFFNESS * (x + STEP * v - r) + DAMPING * rate
+            compensation = gear[CANCELLED] * (viscous * rate + math.copysign(coulomb, rate))
+        command_torque = compensation - STIFFNESS * (x + STEP * v - r) + DAMPING * rate
     reference[0], reference[1] = r, rate
     friction = _stribeck(joint, gear, v)
     other = inertia * v / STEP + (1.0 - mean) * motor[2] - s
     if gear[RIPPLE] > 0.0:
         other += gear[RIPPLE] * math.sin(gear[PERIODS] * x)
     slope = inertia / STEP + viscous
-    pushed = _left(other + mean * wanted, friction)
-    after = pushed / (slope + mean * follows)
-    asked = wanted - follows * after
-    given = min(max(asked, -most), most)
-    if given != asked:
+    pushed = _after_friction(other + mean * command_torque, friction)
+    after = pushed / (slope + mean * servo_damping)
+    requested = command_torque - servo_damping * after
+    applied = min(max(requested, -most), most)
+    if applied != requested:
         # The torque is saturated: the reference continues from the motor's position.
-        pushed = _left(other + mean * given, friction)
+        pushed = _after_friction(other + mean * applied, friction)
         after = pushed / slope
-        reference[0], reference[1] = x + STEP * v + (given - made_up) / STIFFNESS, carried
+        reference[0], reference[1] = x + STEP * v + (applied - compensation) / STIFFNESS, carried
     net = (after - v) * inertia / STEP + s
-    motor[2] = left * motor[2] + (1.0 - left) * given
+    motor[2] = left * motor[2] + (1.0 - left) * applied
     return net, pushed == 0.0 and friction > 0.0
 
 
 @helper
-def _drive_geared(  # type: ignore[no-untyped-def]
-    bodies, geared, whole, demand, reference, motors, z, begin, work, dz, still
+def _apply_geared_drives(  # type: ignore[no-untyped-def]
+    bodies, geared, whole, demand, reference, motors, z, start_vectors, work, dz, still
 ):  # fmt: skip
     """Set the drives' torques for the next step, and stop the motors that stick in it.
 
@@ -169,9 +169,9 @@ def _drive_geared(  # type: ignore[no-untyped-def]
         torque[k], bodies.inertia[0, k] = 0.0, whole[k]
     for j in range(n):
         qd, x, xd = _twist(geared.gears[j], z, j)
-        s = _wind_up(geared.gears[j], x) + geared.gears[j, DAMPER] * xd
+        s = _spring_torque(geared.gears[j], x) + geared.gears[j, DAMPER] * xd
         theta, rate = z[0, 4 + m + j], z[1, 4 + m + j]
-        geared.drive[j], sticks = _steer(
+        geared.drive[j], sticks = _advance_motor(
             geared.joints[j], geared.gears[j], demand[j], rotor[0], theta, rate, s, qd,
             motors[j], reference[j],
         )  # fmt: skip
@@ -181,7 +181,7 @@ def _drive_geared(  # type: ignore[no-untyped-def]
             torque[j] += rotor[1] * rate
             stops = True
     if stops:
-        _rate(bodies, begin, 0j, torque, still, work, dz)
+        _rate(bodies, start_vectors, 0j, torque, still, work, dz)
         for k in range(m):
             z[1, 2 + k] += dz[1, 2 + k]
         for j in range(n):

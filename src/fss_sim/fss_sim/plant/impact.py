@@ -10,7 +10,7 @@ from fss_arm_model.kernels import Floats
 from fss_sim.plant.contact import GAP, Contact, Scene, impulses
 from fss_sim.plant.weld import Weld
 
-TOUCH = 1e-7  # tolerance of a gap at the end of a step [m]
+GAP_TOLERANCE = 1e-7  # tolerance of a gap at the end of a step [m]
 
 
 class Impact:
@@ -39,84 +39,90 @@ class Impact:
     ) -> None:
         self._law, self._scene, self._pairs = law, scene, pairs
         self._q, self._v, self._inverse = q, v, inverse
-        self._here = self._scene.touches(q, pairs)
+        self._touches = self._scene.touches(q, pairs)
         self._welds = [weld for weld, _, _ in welds]
         self._W = np.zeros((3 * len(welds), v.size))
         for k, (weld, one, other) in enumerate(welds):
-            weld.last = None
-            J, its = weld.jacobians()
+            weld.previous = None
+            J, other_jacobian = weld.jacobians()
             self._W[3 * k : 3 * k + 3, one] = -J
-            self._W[3 * k : 3 * k + 3, other] = its
+            self._W[3 * k : 3 * k + 3, other] = other_jacobian
         self._stiff = np.linalg.inv(self._W @ self._inverse @ self._W.T)
-        drawn = self._inverse @ self._W.T
-        self._free = self._inverse - drawn @ self._stiff @ drawn.T  # with the grips holding
-        self._drawn = drawn @ self._stiff
-        self.on = np.zeros(self._here.shape[:2], dtype=bool)  # True where parts touch
-        self._at, self._goals, self._before = np.zeros((0, 2), dtype=np.intp), *np.zeros((2, 0))
-        self._tried, self._came = np.zeros((2, 0))
-        self._J, self._pushes = np.zeros((0, self._v.size)), np.zeros(0)
-        self._given = np.zeros(self._v.size)
+        weld_response = self._inverse @ self._W.T
+        # The inverse inertia with the grips holding.
+        self._welded_inverse = self._inverse - weld_response @ self._stiff @ weld_response.T
+        self._weld_gain = weld_response @ self._stiff
+        self.touching = np.zeros(self._touches.shape[:2], dtype=bool)  # True where parts touch
+        self._contacts = np.zeros((0, 2), dtype=np.intp)
+        self._goals, self._speeds_before = np.zeros((2, 0))
+        self._last_goals, self._last_gaps = np.zeros((2, 0))
+        self._J, self._impulses = np.zeros((0, self._v.size)), np.zeros(0)
+        self._impulse = np.zeros(self._v.size)
 
     @property
     def _bounces(self) -> npt.NDArray[np.bool_]:
-        return self._before < -self._law.threshold
+        return self._speeds_before < -self._law.threshold
 
-    def begin(self, new: npt.NDArray[np.bool_]) -> None:
+    def add_contacts(self, new: npt.NDArray[np.bool_]) -> None:
         """Add contacts at the places (g, 4) that are True in `new`."""
         if not new.any():
             return
-        self.on |= new
-        more = np.argwhere(new)
-        here = self._here[new]
-        J = self._scene.jacobian(self._q, self._pairs[more[:, 0]], here)
-        before = (J @ self._v)[::2]
-        back = -self._law.restitution * before
-        there = -np.maximum(here[:, GAP], 0.0) / STEP
-        goals = np.where(before < -self._law.threshold, back, there)
-        self._at, self._J = np.concatenate([self._at, more]), np.concatenate([self._J, J])
+        self.touching |= new
+        places = np.argwhere(new)
+        touches = self._touches[new]
+        J = self._scene.jacobian(self._q, self._pairs[places[:, 0]], touches)
+        speeds = (J @ self._v)[::2]
+        bounce = -self._law.restitution * speeds
+        close_gap = -np.maximum(touches[:, GAP], 0.0) / STEP
+        goals = np.where(speeds < -self._law.threshold, bounce, close_gap)
+        self._contacts = np.concatenate([self._contacts, places])
+        self._J = np.concatenate([self._J, J])
         self._goals = np.concatenate([self._goals, goals])
         # The goals of the previous trial, and below the gaps that resulted from them.
-        self._tried = np.concatenate([self._tried, goals])
-        self._came = np.concatenate([self._came, np.zeros_like(goals)])
-        self._before = np.concatenate([self._before, before])
+        self._last_goals = np.concatenate([self._last_goals, goals])
+        self._last_gaps = np.concatenate([self._last_gaps, np.zeros_like(goals)])
+        self._speeds_before = np.concatenate([self._speeds_before, speeds])
 
-    def change(self) -> Floats:
+    def velocity_change(self) -> Floats:
         """Return the change of velocity that reaches the goals."""
-        wanted = np.array([weld.goal for weld in self._welds]).ravel()
-        held = self._v + self._drawn @ (wanted - self._W @ self._v)
+        weld_goals = np.array([weld.goal for weld in self._welds]).ravel()
+        welded = self._v + self._weld_gain @ (weld_goals - self._W @ self._v)
         J = self._J
         if self._goals.size:
-            self._pushes = impulses(J @ self._free @ J.T, J @ held, self._goals, self._law.friction)
-        self._given = J.T @ self._pushes
-        missing = wanted - self._W @ (self._v + self._inverse @ self._given)
-        held_by = self._stiff @ missing
-        for weld, impulse in zip(self._welds, held_by.reshape(-1, 3), strict=True):
+            self._impulses = impulses(
+                J @ self._welded_inverse @ J.T, J @ welded, self._goals, self._law.friction
+            )
+        self._impulse = J.T @ self._impulses
+        missing = weld_goals - self._W @ (self._v + self._inverse @ self._impulse)
+        weld_impulses = self._stiff @ missing
+        for weld, impulse in zip(self._welds, weld_impulses.reshape(-1, 3), strict=True):
             weld.impulse = impulse
-        self._given = self._given + self._W.T @ held_by
-        return self._inverse @ self._given
+        self._impulse = self._impulse + self._W.T @ weld_impulses
+        return self._inverse @ self._impulse
 
-    def improve(self, ended: Floats) -> bool:
+    def correct_goals(self, gaps: Floats) -> bool:
         """Correct the goals by the gaps (g, 4) at the step's end; return True if any changed."""
-        held = [weld.improve() for weld in self._welds]
+        welded = [weld.correct_goal() for weld in self._welds]
         if not self._goals.size:
-            return any(held)
-        off = ended[tuple(self._at.T)]
-        rests = (self._pushes[::2] > 0.0) & ~self._bounces & (off > TOUCH)
-        tried, came = self._goals - self._tried, off - self._came
-        rate = np.where(abs(tried) > 1e-9, came / np.where(tried == 0.0, 1.0, tried), STEP)
-        better = self._goals - off / np.clip(rate, 0.1 * STEP, STEP)
-        better = np.minimum(better, np.maximum(-self._before, 0.0))  # more would add energy
-        wrong = ((off < -TOUCH) | rests) & (better != self._goals)
-        self._tried, self._came = self._goals, off
-        self._goals = np.where(wrong, better, self._goals)
-        return bool(wrong.any()) or any(held)
+            return any(welded)
+        contact_gaps = gaps[tuple(self._contacts.T)]
+        unneeded = (self._impulses[::2] > 0.0) & ~self._bounces & (contact_gaps > GAP_TOLERANCE)
+        goal_change, gap_change = self._goals - self._last_goals, contact_gaps - self._last_gaps
+        slope = gap_change / np.where(goal_change == 0.0, 1.0, goal_change)
+        rate = np.where(abs(goal_change) > 1e-9, slope, STEP)
+        better = self._goals - contact_gaps / np.clip(rate, 0.1 * STEP, STEP)
+        better = np.minimum(better, np.maximum(-self._speeds_before, 0.0))  # more would add energy
+        to_correct = ((contact_gaps < -GAP_TOLERANCE) | unneeded) & (better != self._goals)
+        self._last_goals, self._last_gaps = self._goals, contact_gaps
+        self._goals = np.where(to_correct, better, self._goals)
+        return bool(to_correct.any()) or any(welded)
 
-    def gained(self) -> float:
+    def work(self) -> float:
         """Return the work of the impulses [J]."""
-        return float(self._given @ (self._v + 0.5 * self._inverse @ self._given))
+        return float(self._impulse @ (self._v + 0.5 * self._inverse @ self._impulse))
 
-    def pushed(self) -> Iterator[tuple[int, float]]:
+    def pair_impulses(self) -> Iterator[tuple[int, float]]:
         """Yield the index of each pair that touches, and the impulse that pushes it apart [N s]."""
-        for (pair, _), push in zip(self._at, self._pushes[::2], strict=True):
+        for (pair, _), push in zip(self._contacts, self._impulses[::2], strict=True):
             if push > 0.0:
                 yield int(pair), float(push)

@@ -24,7 +24,7 @@ class Joints(Settings):
     """Mechanical parameters that all joints share."""
 
     rotor_inertia: float = setting(
-        0.0, "inertia of each motor, felt at its joint, 0.0026 in the FHA-8C-30; 0: none",
+        0.0, "inertia of each rotor, seen at its joint, 0.0026 for the FHA-8C-30; 0: none",
         unit="kg m^2", check=NOT_NEGATIVE,
     )  # fmt: skip
     gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
@@ -40,31 +40,31 @@ class Joints(Settings):
     )
 
     stiffness: float = setting(
-        0.0, "stiffness of the harmonic drives, 340 to 440 in the FHA-8C-30; 0: rigid",
+        0.0, "stiffness of the harmonic drives, 340 to 440 for the FHA-8C-30; 0: rigid",
         unit="N m/rad", check=NOT_NEGATIVE,
     )  # fmt: skip
     damping: float = setting(
         0.0, "damping of a harmonic drive's twist", unit="N m s/rad", check=NOT_NEGATIVE
     )
     dead_band: float = setting(
-        0.0, "twist of a harmonic drive without torque, from end to end", unit="rad",
+        0.0, "dead band (backlash) of a harmonic drive, from end to end", unit="rad",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     static: float = setting(
-        0.0, "friction of a joint that stands still, if more than Coulomb's", unit="N m",
+        0.0, "static friction of a joint, if larger than its Coulomb friction", unit="N m",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     stribeck_speed: float = setting(
-        0.05, "speed at which 1/e of what static friction is more is left", unit="rad/s",
+        0.05, "speed at which 1/e of the excess of static friction is left", unit="rad/s",
         check=POSITIVE,
     )  # fmt: skip
     cancelled: float = setting(
         1.0,
-        "share of viscous and Coulomb friction that a servo makes up for",
+        "share of viscous and Coulomb friction that a servo compensates",
         check=between(0.0, 1.0),
     )
     ripple: float = setting(
-        0.0, "amplitude of the motors' torque ripple, two periods a turn of the motor",
+        0.0, "amplitude of the motors' torque ripple, two periods per motor turn",
         unit="N m", check=NOT_NEGATIVE,
     )  # fmt: skip
     current_bandwidth: float = setting(
@@ -75,8 +75,8 @@ class Joints(Settings):
         super().__post_init__()
         if self.stiffness and not self.rotor_inertia:
             raise SettingError(
-                f"stiffness is {self.stiffness:g} N m/rad with a rotor_inertia of 0, expected one "
-                "above 0: behind a gear that gives, a motor turns by itself"
+                f"stiffness is {self.stiffness:g} N m/rad with a rotor_inertia of 0: flexible "
+                "gears need a rotor_inertia above 0"
             )
         rigid = Joints.__dataclass_fields__
         needs = "damping", "dead_band", "static", "cancelled", "ripple", "current_bandwidth"
@@ -101,7 +101,7 @@ class Joints(Settings):
         return self.rotor_inertia, self.rotor_inertia / self.gear_ratio
 
 
-def carried(p: Floats, q: Floats, qd: Floats) -> Floats:
+def outboard_momentum(p: Floats, q: Floats, qd: Floats) -> Floats:
     """Return the linear momentum of all links beyond each joint, (n, 2) [N s].
 
     Its change over time equals the impulse of the force that the joint transmits plus that of the
@@ -112,7 +112,7 @@ def carried(p: Floats, q: Floats, qd: Floats) -> Floats:
         q: (3 + n,) state.
         qd: (3 + n,) its rate.
     """
-    turns, spins = _turns(p, q), np.cumsum(qd[2:])
+    turns, spins = _directions(p, q), np.cumsum(qd[2:])
     arms = np.array([reach(p, k) for k in range(turns.size)]) * turns
     rates = complex(*qd[:2]) + np.concatenate([[0.0], np.cumsum(1j * spins * arms)[:-1]])
     centres = np.array([com(p, k) for k in range(turns.size)]) * turns
@@ -121,13 +121,13 @@ def carried(p: Floats, q: Floats, qd: Floats) -> Floats:
     return np.column_stack([beyond.real, beyond.imag])
 
 
-def axes(p: Floats, q: Floats) -> Floats:
+def link_normals(p: Floats, q: Floats) -> Floats:
     """Return the unit vectors perpendicular to each link, in the world frame, (n, 2)."""
-    across = 1j * _turns(p, q)[1:]
+    across = 1j * _directions(p, q)[1:]
     return np.column_stack([across.real, across.imag])
 
 
-def _turns(p: Floats, q: Floats) -> npt.NDArray[np.complex128]:
+def _directions(p: Floats, q: Floats) -> npt.NDArray[np.complex128]:
     """Return exp(i psi) for base and links, (1 + n,)."""
     angles = q[2:].copy()
     angles[1:] += each(p, OFFSET)
@@ -136,7 +136,7 @@ def _turns(p: Floats, q: Floats) -> npt.NDArray[np.complex128]:
     return turns
 
 
-_AS_THEY_ARE = Joints(
+_REALISTIC = Joints(
     rotor_inertia=0.0026,
     stiffness=390.0,
     damping=1.0,
@@ -153,5 +153,5 @@ PRESETS = {
     "ideal": Joints(),
     "default": Joints(),
     "paper": Joints(),
-    "laboratory": _AS_THEY_ARE,
+    "laboratory": _REALISTIC,
 }

@@ -16,16 +16,16 @@ from fss_arm_model.layout import BASE_SIZE, LENGTH, MASS, each
 from fss_arm_model.momentum import momentum
 from fss_sim.plant.bed import Audit, Bed
 from fss_sim.plant.contact import Contact, Part
-from fss_sim.plant.drives import CURRENT, OFF
+from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF
 from fss_sim.plant.joints import Joints
 from fss_sim.plant.simulation import advance, advance_geared
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import SHUT, Fingers, Gripper, Passive, rotors_inertia
+from fss_sim.plant.target import VALVES_CLOSED, Fingers, Gripper, PassiveTarget, rotors_inertia
 from fss_sim.plant.thrusters import Propulsion, Thrusters
 
 Floats = npt.NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
-HELD = 1000.0  # Coulomb friction of a blocked joint [N m]
+BLOCKED_FRICTION = 1000.0  # Coulomb friction of a blocked joint [N m]
 
 
 class Demand(NamedTuple):
@@ -88,31 +88,31 @@ class Vehicle:
         self.n = len(links)
         self.thrusters = Thrusters(self.world.propulsion, propellant)
         self.closed, self.fingers = False, Fingers()  # commanded and actual state of the gripper
-        self.held: Passive | Vehicle | None = None
-        self._place: Floats | None = None  # pose in the last link of the target that is part of it
+        self.held: PassiveTarget | Vehicle | None = None
+        self._held_pose: Floats | None = None  # of a held target, in the last link's frame
         self._p = arm.vector()
         self._p[MASS] -= propellant
         joints = self.world.joints
-        alike = joints.viscous, joints.coulomb, joints.stop_stiffness, joints.stop_damping
+        common = joints.viscous, joints.coulomb, joints.stop_stiffness, joints.stop_damping
         self._gears = joints.gears(self._p).reshape(self.n, 11)
         self._torque_constant = np.array([k.drive.torque_constant for k in links])
         self._joints = np.array(
             [
-                (k.q_min, k.q_max, k.drive.torque_constant * k.drive.max_current, *alike)
+                (k.q_min, k.q_max, k.drive.torque_constant * k.drive.max_current, *common)
                 for k in links
             ]
         ).reshape(-1, 7)
         self._rotors = rotors_inertia(3 + self.n, joints.rotor, bool(joints.stiffness))
         self._surroundings = self.world.surroundings.vector()
         self._pads = self.world.surroundings.vector(floats=False)
-        self._valves: tuple[int, npt.ArrayLike] = -1, SHUT  # with the step that they are for
-        self._demand = np.tile(np.array([OFF, 0.0, 0.0, 1.0]), (self.n, 1))
+        self._valves: tuple[int, npt.ArrayLike] = -1, VALVES_CLOSED  # first step, valves in it
+        self._demand = np.tile(np.array([MODE_OFF, 0.0, 0.0, 1.0]), (self.n, 1))
         self._state = np.zeros((2, 3 + self.n))
         self._state[0] = q
         self._state[1] = 0.0 if qd is None else qd
         self._reference = self._state[:, 3:].T.copy()
         self._motors = np.column_stack([self._reference, np.zeros(self.n)])
-        self.books, self._torques = np.zeros((2, 4)), np.zeros((self.n, 2))
+        self.audit_rows, self._torques = np.zeros((2, 4)), np.zeros((self.n, 2))
 
     @property
     def p(self) -> Floats:
@@ -132,12 +132,12 @@ class Vehicle:
     def command(self, joint: int, demand: Demand) -> None:
         """Command the drive of a joint; joints are counted from 0."""
         mode, set_point, speed, acceleration = demand
-        scale = self._torque_constant[joint] if mode == CURRENT else 1.0
+        scale = self._torque_constant[joint] if mode == MODE_CURRENT else 1.0
         self._demand[joint] = mode, scale * set_point, speed, acceleration
 
-    def block(self, joint: int, is_held: bool) -> None:
+    def block(self, joint: int, is_blocked: bool) -> None:
         """Block a joint by a very large friction, or free it; joints are counted from 0."""
-        self._joints[joint, 4] = HELD if is_held else self.world.joints.coulomb
+        self._joints[joint, 4] = BLOCKED_FRICTION if is_blocked else self.world.joints.coulomb
 
     def thrust(self, on_times: Sequence[float]) -> None:
         """Open each thruster's valve for a time [s].
@@ -153,9 +153,9 @@ class Vehicle:
 
     def motions(self) -> list[Motion]:
         """Return the motion of each joint."""
-        motor, passed = self._torques.T
+        motor, transmitted = self._torques.T
         turning = self._motors[:, :2].T if self.world.joints.stiffness else self._state[:, 3:]
-        rows = [*turning, motor / self._torque_constant, passed]
+        rows = [*turning, motor / self._torque_constant, transmitted]
         return [Motion(*row) for row in np.stack(rows, axis=1).tolist()]
 
     @property
@@ -183,7 +183,7 @@ class Vehicle:
     @property
     def valves(self) -> list[bool]:
         """State of each thruster's valve; True: open."""
-        return self.thrusters.open(self.bed.step)
+        return self.thrusters.open_valves(self.bed.step)
 
     @property
     def edge_clearance(self) -> float:
@@ -202,19 +202,19 @@ class Vehicle:
         """
         return momentum(self._p, self.q, self.qd)
 
-    def holding(self) -> Floats:
+    def held_state(self) -> Floats:
         """Return pose and twist of the target that is part of the last link, (2, 3)."""
-        assert self._place is not None
-        return held(self._p, self.q, self.qd, self._place)
+        assert self._held_pose is not None
+        return held(self._p, self.q, self.qd, self._held_pose)
 
     @property
-    def kept(self) -> tuple[Floats, ...]:
+    def snapshot(self) -> tuple[Floats, ...]:
         """State that a step changes."""
-        return self._state, self._reference, self._motors, self.books, self._torques
+        return self._state, self._reference, self._motors, self.audit_rows, self._torques
 
-    @kept.setter
-    def kept(self, kept: tuple[Floats, ...]) -> None:
-        self._state, self._reference, self._motors, self.books, self._torques = kept
+    @snapshot.setter
+    def snapshot(self, snapshot: tuple[Floats, ...]) -> None:
+        self._state, self._reference, self._motors, self.audit_rows, self._torques = snapshot
 
     def parts(self) -> list[Part]:
         """Return the parts that can touch others.
@@ -227,14 +227,14 @@ class Vehicle:
         for k, length in enumerate(lengths, 1):
             parts.append(Part(f"{name}link {k}", k, 0j, length, radius, outer=k < self.n))
         if self.n:
-            begin = max(0.0, lengths[-1] - self.world.gripper.length)
+            start = max(0.0, lengths[-1] - self.world.gripper.length)
             parts += [
-                Part(f"{name}link {self.n}", self.n, 0j, begin, radius, inner=False),
-                Part(f"{name}gripper", self.n, begin, length, 0.0, inner=False, gripper=True),
+                Part(f"{name}link {self.n}", self.n, 0j, start, radius, inner=False),
+                Part(f"{name}gripper", self.n, start, length, 0.0, inner=False, gripper=True),
             ]
-        if self._place is not None and isinstance(self.held, Passive):
-            at, its = complex(*self._place[:2]), self.held
-            parts.append(Part(its.name, self.n, at, at, its.target.radius, held=True))
+        if self._held_pose is not None and isinstance(self.held, PassiveTarget):
+            at, held = complex(*self._held_pose[:2]), self.held
+            parts.append(Part(held.name, self.n, at, at, held.target.radius, held=True))
         return parts
 
     def inertia(self) -> Floats:
@@ -244,58 +244,60 @@ class Vehicle:
         """
         return inertia_matrix(self._p, self.q) + self._rotors
 
-    def kick(self, change: Floats) -> None:
+    def add_velocity(self, change: Floats) -> None:
         """Add an instantaneous change to the velocity."""
         self._state = np.array([self.q, self.qd + change])
         if self.world.joints.stiffness:  # rotors keep their spin: their relative rates change
             stators = np.cumsum(change[2:])[:-1] / self.world.joints.gear_ratio
             self._motors = self._motors - np.outer(stators, [0.0, 1.0, 0.0])
 
-    def go(self, steps: int, at: int, tolerance: float) -> None:
-        """Advance by steps from the step `at` on; with 0 steps, only update the audit."""
-        if steps and self._valves[0] != at:  # otherwise it is another trial of the same steps
-            self._valves = at, self.thrusters.valves(at) if self.thrusters.busy(at) else SHUT
+    def advance_steps(self, steps: int, first_step: int, tolerance: float) -> None:
+        """Advance by steps from `first_step` on; with 0 steps, only update the audit."""
+        tank = self.thrusters
+        if steps and self._valves[0] != first_step:  # not another trial of the same steps
+            is_active = tank.is_active(first_step)
+            self._valves = first_step, tank.valves(first_step) if is_active else VALVES_CLOSED
         joints, valves = self.world.joints, self._valves[1]
-        around = self._surroundings if self.thrusters.floats else self._pads
+        around = self._surroundings if tank.floats else self._pads
         if joints.stiffness:
-            self._state, self._reference, self._motors, self.books, torques = advance_geared(
+            self._state, self._reference, self._motors, self.audit_rows, torques = advance_geared(
                 self._p, joints.rotor, self._joints, self._gears, around, valves, self._demand,
-                self._state, self._reference, self._motors, self.books, steps, tolerance,
+                self._state, self._reference, self._motors, self.audit_rows, steps, tolerance,
             )  # fmt: skip
         else:
-            self._state, self._reference, self.books, torques = advance(
+            self._state, self._reference, self.audit_rows, torques = advance(
                 self._p, joints.rotor, self._joints, around, valves, self._demand, self._state,
-                self._reference, self.books, steps, tolerance,
+                self._reference, self.audit_rows, steps, tolerance,
             )  # fmt: skip
         self._torques = torques if steps else self._torques
 
-    def spend(self, begin: int, steps: int) -> None:
+    def use_gas(self, start: int, steps: int) -> None:
         """Take from the tank the gas that bearings and thrusters used in the past steps."""
         tank = self.thrusters
-        spent = tank.spend(begin, steps) if tank.busy(begin) else 0.0
-        spent += tank.breathe(steps)
-        if not spent:
+        used = tank.use_propellant(start, steps) if tank.is_active(start) else 0.0
+        used += tank.use_bearing_air(steps)
+        if not used:
             return
-        had = self.books[0].copy()
-        self._p[MASS] -= spent
-        self.go(0, begin, 0.0)
-        self.books[1] += self.books[0] - had
+        had = self.audit_rows[0].copy()
+        self._p[MASS] -= used
+        self.advance_steps(0, start, 0.0)
+        self.audit_rows[1] += self.audit_rows[0] - had
 
-    def take(self, target: Passive, velocity: Floats | None = None) -> None:
+    def attach(self, target: PassiveTarget, velocity: Floats | None = None) -> None:
         """Make the target part of the last link; set the vehicle's velocity (3 + n,) if given."""
-        self._place = hold(self._p, self.q, target.q)
-        self._p = with_held(self._p, target.target, self._place)
+        self._held_pose = hold(self._p, self.q, target.q)
+        self._p = with_held(self._p, target.target, self._held_pose)
         target.holder, self.held = self, target
         if velocity is not None:
-            self.kick(velocity - self.qd)
-        self.go(0, 0, 0.0)
+            self.add_velocity(velocity - self.qd)
+        self.advance_steps(0, 0, 0.0)
 
-    def drop(self, target: Passive) -> None:
+    def detach(self, target: PassiveTarget) -> None:
         """Release the target so that it floats freely; momentum and energy are conserved."""
-        state, self._place, self.held = target.state, None, None
+        state, self._held_pose, self.held = target.state, None, None
         self._p = np.concatenate([self._p[:BASE_SIZE], self.arm.vector()[BASE_SIZE:]])
-        self.go(0, 0, 0.0)
-        target.freed(state)
+        self.advance_steps(0, 0, 0.0)
+        target.set_free(state)
 
 
 class Plant(Vehicle):
@@ -318,11 +320,11 @@ class Plant(Vehicle):
         propellant: float = 0.0,
     ) -> None:
         super().__init__(arm, q, qd, world, propellant)
-        self._given, its = np.array(target, dtype=float), self.world
-        targets = [Passive(its.target, target, its.surroundings)] if its.target else []
+        self._target_state, its = np.array(target, dtype=float), self.world
+        targets = [PassiveTarget(its.target, target, its.surroundings)] if its.target else []
         self.closed = holds
         if holds and targets:
-            self.take(targets[0])
+            self.attach(targets[0])
         self.bed = Bed([self], targets, its.contact, its.tolerance)
 
     def advance(self, seconds: float) -> None:
@@ -332,7 +334,7 @@ class Plant(Vehicle):
     @property
     def target(self) -> Floats:
         """Pose and twist of the target in the world frame, (2, 3)."""
-        return self.bed.targets[0].state if self.bed.targets else self._given
+        return self.bed.targets[0].state if self.bed.targets else self._target_state
 
     @property
     def audit(self) -> Audit:

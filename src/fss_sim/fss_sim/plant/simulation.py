@@ -11,25 +11,26 @@ import numpy.typing as npt
 from fss_arm_model.centroidal import _bodies, _from_centroidal, _momenta, _to_centroidal
 from fss_arm_model.integration import STEP, classical, controlled
 from fss_arm_model.kernels import Floats, helper, kernel
-from fss_sim.plant.drives import _drive
+from fss_sim.plant.drives import _apply_drives
 from fss_sim.plant.gears import (
     DAMPER,
     SPRING,
     Gears,
-    _act_geared,
-    _act_geared_called,
-    _drive_geared,
+    _apply_geared_drives,
+    _geared_derivative,
+    _geared_derivative_called,
+    _spring_torque,
     _twist,
-    _wind_up,
 )
-from fss_sim.plant.surroundings import Forces, _act, _act_called
+from fss_sim.plant.surroundings import Forces, _derivative, _derivative_called
 
-_classical, _controlled = classical(_act), controlled(_act_called)
-_classical_geared, _controlled_geared = classical(_act_geared), controlled(_act_geared_called)
+_classical, _controlled = classical(_derivative), controlled(_derivative_called)
+_classical_geared = classical(_geared_derivative)
+_controlled_geared = controlled(_geared_derivative_called)
 
 
 @helper
-def _open(valves, step, held):  # type: ignore[no-untyped-def]
+def _thrust(valves, step, held):  # type: ignore[no-untyped-def]
     """Return the force of the open valves in a step, as a complex number.
 
     Their torque is added to held[0].
@@ -43,7 +44,7 @@ def _open(valves, step, held):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _book(  # type: ignore[no-untyped-def]
+def _write_audit(  # type: ignore[no-untyped-def]
     bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit
 ):  # fmt: skip
     """Write to `audit` the bodies' momentum and energy, and the total impulse and work on them."""
@@ -61,34 +62,36 @@ def _advance(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     m, kind = state.shape[1] - 2, np.complex128
     bodies, z, k = _bodies(p.copy(), rotor.copy()), np.zeros((2, 4 + m)), np.zeros((8, 2, 4 + m))
-    begin, turned, work = np.empty((3, m), kind), np.empty((3, m), kind), np.empty((2, m), kind)
-    held, torque, asked, inertia = np.empty(m), np.empty(m), np.empty(m), np.empty((2, m))
+    start_vectors, turned = np.empty((3, m), kind), np.empty((3, m), kind)
+    work = np.empty((2, m), kind)
+    held, torque, requested, inertia = np.empty(m), np.empty(m), np.empty(m), np.empty((2, m))
     laws, dz, around = np.empty((m, 6)), np.zeros((2, 4 + m)), surroundings.copy()
-    tight, wants, follows, gives = joints.copy(), demand.copy(), reference0.copy(), np.zeros((m, 2))
+    joint_rows, demands, references = joints.copy(), demand.copy(), reference0.copy()
+    joint_torques = np.zeros((m, 2))
     q, qd = state0[0].copy(), state0[1].copy()
-    _to_centroidal(bodies, q, qd, begin, z)
+    _to_centroidal(bodies, q, qd, start_vectors, z)
     start_x, start_y = z[1, 0], z[1, 1]
     steps, tolerance = int(control[0]), control[1]
     for step in range(steps):
         held[:] = 0.0
-        thrust = _open(valves, step, held)
+        thrust = _thrust(valves, step, held)
         forces = Forces(around, thrust, held, torque)
-        _drive(
-            bodies, forces, tight, wants, q, qd, follows, z, begin, work, dz, inertia, asked, laws,
-            gives,
+        _apply_drives(
+            bodies, forces, joint_rows, demands, q, qd, references, z, start_vectors, work, dz,
+            inertia, requested, laws, joint_torques,
         )  # fmt: skip
         if tolerance > 0.0:
-            _controlled(bodies, forces, STEP, tolerance, z, begin, turned, work, k)
+            _controlled(bodies, forces, STEP, tolerance, z, start_vectors, turned, work, k)
         else:
-            _classical(bodies, forces, STEP, z, begin, turned, work, k)
-        _from_centroidal(bodies, begin, z, q, qd)
+            _classical(bodies, forces, STEP, z, start_vectors, turned, work, k)
+        _from_centroidal(bodies, start_vectors, z, q, qd)
     for i in range(2 + m):
         state[0, i], state[1, i] = q[i], qd[i]
     for j in range(m - 1):
-        reference[j, 0], reference[j, 1] = follows[j, 0], follows[j, 1]
-        torques[j, 0], torques[j, 1] = gives[j, 0], gives[j, 1]
-    twice_energy, moment = _momenta(bodies, begin, z)
-    _book(bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit)
+        reference[j, 0], reference[j, 1] = references[j, 0], references[j, 1]
+        torques[j, 0], torques[j, 1] = joint_torques[j, 0], joint_torques[j, 1]
+    twice_energy, moment = _momenta(bodies, start_vectors, z)
+    _write_audit(bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit)
 
 
 @kernel(
@@ -101,44 +104,59 @@ def _advance_geared(  # type: ignore[no-untyped-def]
     n, kind = demand.shape[0], np.complex128
     m, size = n + 1, 5 + 2 * n
     bodies, z, k = _bodies(p.copy(), np.zeros(2)), np.zeros((2, size)), np.zeros((8, 2, size))
-    begin, turned, work = np.empty((3, m), kind), np.empty((3, m), kind), np.empty((2, m), kind)
+    start_vectors, turned = np.empty((3, m), kind), np.empty((3, m), kind)
+    work = np.empty((2, m), kind)
     dz, still, whole = np.zeros((2, size)), np.zeros((2, size)), bodies.inertia[0].copy()
     held, torque, turns, drive = np.empty(m), np.empty(m), np.ones(n), np.zeros(n)
     around, turning, sprung, springs = surroundings.copy(), rotor.copy(), np.empty(m), gears.copy()
-    tight, wants, follows, engines = joints.copy(), demand.copy(), reference0.copy(), motors0.copy()
+    joint_rows, demands, references = joints.copy(), demand.copy(), reference0.copy()
+    motor_states = motors0.copy()
     q, qd = state0[0].copy(), state0[1].copy()
-    _to_centroidal(bodies, q, qd, begin, z)
+    _to_centroidal(bodies, q, qd, start_vectors, z)
     for j in range(n):
-        z[0, 4 + m + j], z[1, 4 + m + j] = engines[j, 0], engines[j, 1]
+        z[0, 4 + m + j], z[1, 4 + m + j] = motor_states[j, 0], motor_states[j, 1]
     start_x, start_y = z[1, 0], z[1, 1]
     steps, tolerance = int(control[0]), control[1]
     for step in range(steps):
         held[:] = 0.0
-        thrust = _open(valves, step, held)
+        thrust = _thrust(valves, step, held)
         forces = Forces(around, thrust, held, torque)
-        geared = Gears(forces, tight, springs, turning, turns, drive, sprung)
-        _drive_geared(bodies, geared, whole, wants, follows, engines, z, begin, work, dz, still)
+        geared = Gears(forces, joint_rows, springs, turning, turns, drive, sprung)
+        _apply_geared_drives(
+            bodies,
+            geared,
+            whole,
+            demands,
+            references,
+            motor_states,
+            z,
+            start_vectors,
+            work,
+            dz,
+            still,
+        )
         if tolerance > 0.0:
-            _controlled_geared(bodies, geared, STEP, tolerance, z, begin, turned, work, k)
+            _controlled_geared(bodies, geared, STEP, tolerance, z, start_vectors, turned, work, k)
         else:
-            _classical_geared(bodies, geared, STEP, z, begin, turned, work, k)
-    _from_centroidal(bodies, begin, z, q, qd)
+            _classical_geared(bodies, geared, STEP, z, start_vectors, turned, work, k)
+    _from_centroidal(bodies, start_vectors, z, q, qd)
     for i in range(2 + m):
         state[0, i], state[1, i] = q[i], qd[i]
     ratio = turning[1] / turning[0]
     for i in range(n):
         bodies.inertia[0, i] = whole[i] - ratio * turning[1]
     bodies.inertia[0, n] = whole[n]
-    twice_energy, moment = _momenta(bodies, begin, z)
+    twice_energy, moment = _momenta(bodies, start_vectors, z)
     for j in range(n):
         _, x, xd = _twist(springs[j], z, j)
-        wound, spin = _wind_up(springs[j], x), z[1, 4 + m + j] + ratio * z[1, 2 + j]
+        wound, spin = _spring_torque(springs[j], x), z[1, 4 + m + j] + ratio * z[1, 2 + j]
         twice_energy += turning[0] * spin * spin + wound * wound / springs[j, SPRING]
         moment += turning[1] * spin
-        torques[j, 0], torques[j, 1] = engines[j, 2], wound + springs[j, DAMPER] * xd
-        motors[j, 0], motors[j, 1], motors[j, 2] = z[0, 4 + m + j], z[1, 4 + m + j], engines[j, 2]
-        reference[j, 0], reference[j, 1] = follows[j, 0], follows[j, 1]
-    _book(bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit)
+        torques[j, 0], torques[j, 1] = motor_states[j, 2], wound + springs[j, DAMPER] * xd
+        motors[j, 0], motors[j, 1] = z[0, 4 + m + j], z[1, 4 + m + j]
+        motors[j, 2] = motor_states[j, 2]
+        reference[j, 0], reference[j, 1] = references[j, 0], references[j, 1]
+    _write_audit(bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit)
 
 
 def advance(

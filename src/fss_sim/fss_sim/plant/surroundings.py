@@ -34,13 +34,16 @@ class Surroundings(Settings):
         (0.0, 0.0), "slope of the table along x and y, downhill", unit="rad", check=FINITE, size=2
     )
     film: float = setting(
-        0.0, "shear of the air films, by mass carried and velocity", unit="1/s", check=NOT_NEGATIVE
+        0.0,
+        "damping by the air films, per mass carried and velocity",
+        unit="1/s",
+        check=NOT_NEGATIVE,
     )
     tether: float = setting(
         0.0, "drag of the tether on the base's origin", unit="N s/m", check=NOT_NEGATIVE
     )
     tether_twist: float = setting(
-        0.0, "drag of the tether against the base's turning", unit="N m s", check=NOT_NEGATIVE
+        0.0, "drag of the tether on the base's rotation", unit="N m s", check=NOT_NEGATIVE
     )
     table: tuple[float, ...] = like(Extents, "table")
     border_stiffness: float = setting(
@@ -129,7 +132,7 @@ class Forces(NamedTuple):
 
 
 @inlined
-def _act(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
+def _derivative(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
     """Write dz (2, 4 + m), the derivative of z under all forces.
 
     The last two columns of dz[1] are the power of all forces, and the moment of the external ones
@@ -169,4 +172,5 @@ def _act(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
     dz[0, 2 + m], dz[0, 3 + m], dz[1, 2 + m], dz[1, 3 + m] = 0.0, 0.0, power, moment
 
 
-_act_called = helper(_act.py_func)  # for callers where inlining is not worth its compile time
+# For callers where inlining is not worth its compile time.
+_derivative_called = helper(_derivative.py_func)

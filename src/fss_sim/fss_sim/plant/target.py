@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fss_sim.plant.plant import Vehicle
 
 Floats = npt.NDArray[np.float64]
-SHUT = ((0.0,) * 5,)  # valves, all of them closed
+VALVES_CLOSED = ((0.0,) * 5,)  # valves, all of them closed
 
 
 @dataclass(frozen=True)
@@ -31,26 +31,32 @@ class Gripper(Settings):
     """Limits of the gripper: distance, angle and speed for a grip, and the load that it holds."""
 
     reach: float = setting(
-        0.03, "largest distance of the gripper from what it grips", unit="m", check=NOT_NEGATIVE
+        0.03, "largest distance of the gripper from the thing to grip", unit="m", check=NOT_NEGATIVE
     )
     angle: float = setting(
-        0.5, "largest angle of the gripper against what it grips", unit="rad", check=NOT_NEGATIVE
+        0.5,
+        "largest angle of the gripper against the thing to grip",
+        unit="rad",
+        check=NOT_NEGATIVE,
     )
     speed: float = setting(
-        0.1, "largest speed of what is gripped past the gripper", unit="m/s", check=NOT_NEGATIVE
+        0.1,
+        "largest speed of the thing to grip relative to the gripper",
+        unit="m/s",
+        check=NOT_NEGATIVE,
     )
 
     length: float = setting(
-        0.15, "length of the last link's end that is the gripper", unit="m", check=NOT_NEGATIVE
+        0.15, "length of the gripper, the end of the last link", unit="m", check=NOT_NEGATIVE
     )
     closing_time: float = setting(
         0.0, "time that the gripper's fingers take to close", unit="s", check=NOT_NEGATIVE
     )
     force: float = setting(
-        0.0, "force above which what is gripped slips out; 0: none", unit="N", check=NOT_NEGATIVE
+        0.0, "force above which a grip slips; 0: no limit", unit="N", check=NOT_NEGATIVE
     )
     torque: float = setting(
-        0.0, "torque above which what is gripped slips out; 0: none", unit="N m",
+        0.0, "torque above which a grip slips; 0: no limit", unit="N m",
         check=NOT_NEGATIVE,
     )  # fmt: skip
 
@@ -59,7 +65,7 @@ class Gripper(Settings):
         """Return True if force or torque can overload the grip."""
         return self.force > 0.0 or self.torque > 0.0
 
-    def takes(self, approach: Approach) -> bool:
+    def can_grip(self, approach: Approach) -> bool:
         """Return True if the gripper can close on a fixture seen at this approach."""
         return (
             approach.distance <= self.reach
@@ -72,11 +78,11 @@ class Gripper(Settings):
 class Fingers:
     """State of a gripper that is commanded to close: waiting, closing, or closed on nothing."""
 
-    since: int | None = None  # step at which the fingers started to close
+    closing_since: int | None = None  # step at which the fingers started to close
     missed: bool = False  # True if they closed on nothing or lost the thing: they must open first
 
 
-class Passive:
+class PassiveTarget:
     """Target that floats freely or is held by a gripper.
 
     Args:
@@ -99,13 +105,13 @@ class Passive:
         around = around or Surroundings()
         radius = max(target.radius, 1e-9)
         self._around = replace(around, tether=0.0, tether_twist=0.0, base_radius=radius).vector()
-        self.p, self.books = target.vector(), np.zeros((2, 4))
+        self.p, self.audit_rows = target.vector(), np.zeros((2, 4))
         self._state = np.array(state, dtype=float)
 
     @property
     def state(self) -> Floats:
         """Pose and twist in the world frame, (2, 3)."""
-        return self._state if self.holder is None else self.holder.holding()
+        return self._state if self.holder is None else self.holder.held_state()
 
     @property
     def q(self) -> Floats:
@@ -118,13 +124,13 @@ class Passive:
         return self.state[1]
 
     @property
-    def kept(self) -> tuple[Floats, ...]:
+    def snapshot(self) -> tuple[Floats, ...]:
         """State that a step changes."""
-        return self._state, self.books
+        return self._state, self.audit_rows
 
-    @kept.setter
-    def kept(self, kept: tuple[Floats, ...]) -> None:
-        self._state, self.books = kept
+    @snapshot.setter
+    def snapshot(self, snapshot: tuple[Floats, ...]) -> None:
+        self._state, self.audit_rows = snapshot
 
     def parts(self) -> list[Part]:
         """Return the parts of the target that can touch others."""
@@ -134,31 +140,33 @@ class Passive:
         """Return the inertia that an impulse acts on, (3, 3)."""
         return np.diag(self.masses)
 
-    def kick(self, change: Floats) -> None:
+    def add_velocity(self, change: Floats) -> None:
         """Add an instantaneous change to the twist."""
         self._state = np.array([self._state[0], self._state[1] + change])
 
-    def go(self, steps: int, at: int, tolerance: float) -> None:
+    def advance_steps(self, steps: int, first_step: int, tolerance: float) -> None:
         """Advance by steps; with 0 steps, only update the audit of momentum and energy."""
-        self._state, _, self.books, _ = advance(
-            self.p, (0.0, 0.0), np.zeros((0, 7)), self._around, SHUT, np.zeros((0, 4)),
-            self._state, np.zeros((0, 2)), self.books, steps, tolerance,
+        self._state, _, self.audit_rows, _ = advance(
+            self.p, (0.0, 0.0), np.zeros((0, 7)), self._around, VALVES_CLOSED, np.zeros((0, 4)),
+            self._state, np.zeros((0, 2)), self.audit_rows, steps, tolerance,
         )  # fmt: skip
 
-    def freed(self, state: Floats) -> None:
+    def set_free(self, state: Floats) -> None:
         """Let the target float freely from this state on."""
-        self.holder, self._state, self.books = None, state, np.zeros((2, 4))
-        self.go(0, 0, 0.0)
+        self.holder, self._state, self.audit_rows = None, state, np.zeros((2, 4))
+        self.advance_steps(0, 0, 0.0)
 
 
-def caught(p: Floats, q: Floats, qd: Floats, H: Floats, body: Passive) -> Floats:
+def velocity_after_capture(
+    p: Floats, q: Floats, qd: Floats, H: Floats, body: PassiveTarget
+) -> Floats:
     """Return the velocity of the arm of inertia H immediately after it has gripped the target."""
     J = held_jacobian(p, q, hold(p, q, body.q))
     gained = J.T @ (body.masses * (body.qd - J @ qd))
     return qd + np.linalg.solve(H + J.T @ (body.masses[:, None] * J), gained)
 
 
-def rotors_inertia(size: int, rotor: tuple[float, float], free: bool) -> Floats:
+def rotors_inertia(size: int, rotor: tuple[float, float], flexible: bool) -> Floats:
     """Return the rotors' contribution to H, for an impulse on the links.
 
     A rotor adds N^2 J at its joint, and N J between this joint and all coordinates that turn its
@@ -167,9 +175,9 @@ def rotors_inertia(size: int, rotor: tuple[float, float], free: bool) -> Floats:
     """
     H = np.zeros((size, size))
     for k in range(3, size):
-        if free and rotor[0]:
+        if flexible and rotor[0]:
             H[2:k, 2:k] -= rotor[1] * rotor[1] / rotor[0]
-        elif not free:
+        elif not flexible:
             H[k, k] += rotor[0]
             H[k, 2:k] += rotor[1]
             H[2:k, k] += rotor[1]

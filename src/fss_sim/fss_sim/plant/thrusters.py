@@ -13,7 +13,7 @@ from fss_arm_model.units import GRAVITY
 
 Floats = npt.NDArray[np.float64]
 
-FOREVER = 1e9  # [step]
+NEVER_CLOSES = 1e9  # [step]
 
 
 @dataclass(frozen=True)
@@ -29,25 +29,31 @@ class Propulsion(Settings):
         34.0, "specific impulse of the thrusters", unit="s", check=POSITIVE
     )
     minimum_on_time: float = setting(
-        0.01, "least time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
+        0.01, "shortest time for which a thruster's valve can open", unit="s", check=NOT_NEGATIVE
     )
     valve_delay: float = setting(
-        0.005, "time from a command to the thrust, and to its end", unit="s", check=NOT_NEGATIVE
+        0.005,
+        "delay from a command to the start or end of the thrust",
+        unit="s",
+        check=NOT_NEGATIVE,
     )
     tank_volume: float = setting(0.43e-3, "volume of the gas tank", unit="m^3", check=POSITIVE)
     tank_pressure: float = setting(
-        20e6, "pressure of the gas tank at the begin", unit="Pa", check=POSITIVE
+        20e6, "initial pressure of the gas tank", unit="Pa", check=POSITIVE
     )
     regulator_pressure: float = setting(
-        0.7e6, "pressure below which the thrust falls with the tank's", unit="Pa", check=POSITIVE
+        0.7e6,
+        "tank pressure below which the thrust decreases with the pressure",
+        unit="Pa",
+        check=POSITIVE,
     )
     temperature: float = setting(293.0, "temperature of tank and gas", unit="K", check=POSITIVE)
     bearing_flow: float = setting(
-        0.0, "air that the bearings of base and links take from the tank; 0: they are fed from "
-        "outside and never fail", unit="kg/s", check=NOT_NEGATIVE,
+        0.0, "air flow from the tank to the bearings of base and links; 0: an external supply "
+        "feeds them, and they never fail", unit="kg/s", check=NOT_NEGATIVE,
     )  # fmt: skip
     bearing_pressure: float = setting(
-        0.4e6, "pressure of the tank below which its bearings carry nothing", unit="Pa",
+        0.4e6, "tank pressure below which the bearings do not carry the vehicle", unit="Pa",
         check=POSITIVE,
     )  # fmt: skip
 
@@ -63,16 +69,16 @@ class Thrusters:
     def __init__(self, propulsion: Propulsion | None = None, used: float = 0.0) -> None:
         self.propulsion = p = propulsion or Propulsion()
         self.layout = layout(p.thrust, p.lever)
-        self.tank = gas_mass(p.tank_pressure, p.tank_volume, p.temperature)  # [kg]
-        self.used = min(used, self.tank)  # propellant [kg]
-        self._begin, self._end = np.zeros(COUNT), np.zeros(COUNT)  # of each pulse [step]
+        self.capacity = gas_mass(p.tank_pressure, p.tank_volume, p.temperature)  # [kg]
+        self.propellant_used = min(used, self.capacity)  # propellant [kg]
+        self._start, self._end = np.zeros(COUNT), np.zeros(COUNT)  # of each pulse [step]
         self._stuck_open = self._stuck_closed = np.zeros(COUNT, dtype=bool)
-        self.driven = False  # True if the last command opened a valve
+        self.pulse_commanded = False  # True if the last command opened a valve
 
     @property
     def pressure(self) -> float:
         """Pressure of the tank [Pa], for an isothermal tank."""
-        return self.propulsion.tank_pressure * (1.0 - self.used / self.tank)
+        return self.propulsion.tank_pressure * (1.0 - self.propellant_used / self.capacity)
 
     @property
     def thrust(self) -> float:
@@ -90,16 +96,16 @@ class Thrusters:
         """Valves that do not open, as bits: bit i is valve i + 1."""
         return sum(1 << i for i, stuck in enumerate(self._stuck_closed) if stuck)
 
-    def stick(self, is_open: Sequence[bool], is_closed: Sequence[bool]) -> None:
+    def set_stuck(self, is_open: Sequence[bool], is_closed: Sequence[bool]) -> None:
         """Make valves stick open or closed, whatever is commanded; both: closed."""
         self._stuck_closed = np.array(is_closed, dtype=bool)
         self._stuck_open = np.array(is_open, dtype=bool) & ~self._stuck_closed
 
     def _pulses(self, now: int) -> tuple[Floats, Floats]:
         """Return the start and the end of each valve's pulse, with stuck valves [step]."""
-        begin = np.where(self._stuck_open, 0.0, self._begin)
-        end = np.where(self._stuck_open, now + FOREVER, self._end)
-        return begin, np.where(self._stuck_closed, begin, end)
+        start = np.where(self._stuck_open, 0.0, self._start)
+        end = np.where(self._stuck_open, now + NEVER_CLOSES, self._end)
+        return start, np.where(self._stuck_closed, start, end)
 
     def command(self, on_times: Sequence[float], now: int) -> None:
         """Open each valve for a time from now on [s]; 0 closes it.
@@ -112,46 +118,48 @@ class Thrusters:
         """
         times = np.asarray(on_times, dtype=float)
         if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
-            raise ValueError(f"on times are {times.tolist()}, expected {COUNT} from 0 on [s]")
-        p, self.driven = self.propulsion, bool(times.any())
-        at, least = now + round(p.valve_delay / STEP), round(p.minimum_on_time / STEP)
+            raise ValueError(f"on times are {times.tolist()}, expected {COUNT} of 0 or more [s]")
+        p, self.pulse_commanded = self.propulsion, bool(times.any())
+        at, min_steps = now + round(p.valve_delay / STEP), round(p.minimum_on_time / STEP)
         is_open = self._end > now  # or is about to open
-        wanted = np.where(times >= p.minimum_on_time, np.round(times / STEP), 0.0)
-        self._begin = np.where(is_open, self._begin, at)
-        kept = np.minimum(np.maximum(at, self._begin + least), self._end)
-        self._end = np.where(wanted > 0.0, at + wanted, np.where(is_open, kept, at))
+        durations = np.where(times >= p.minimum_on_time, np.round(times / STEP), 0.0)
+        self._start = np.where(is_open, self._start, at)
+        shortened = np.minimum(np.maximum(at, self._start + min_steps), self._end)
+        self._end = np.where(durations > 0.0, at + durations, np.where(is_open, shortened, at))
 
     def valves(self, now: int) -> Floats:
         """Return force, torque, start step and end step of each valve, relative to now, (8, 5)."""
-        begin, end = self._pulses(now)
-        pulses = np.stack([begin - now, end - now], axis=-1)
+        start, end = self._pulses(now)
+        pulses = np.stack([start - now, end - now], axis=-1)
         return np.hstack([self.thrust * self.layout, pulses])
 
-    def busy(self, now: int) -> bool:
+    def is_active(self, now: int) -> bool:
         """Return True if a valve is open or will open."""
         return bool((self._pulses(now)[1] > now).any())
 
-    def breathe(self, steps: int) -> float:
+    def use_bearing_air(self, steps: int) -> float:
         """Take the bearings' air for `steps` steps from the tank; return its mass [kg].
 
         The flow falls with the pressure upstream of the regulator, as the thrust does.
         """
         flow = self.thrust * self.propulsion.bearing_flow
-        spent = min(flow * STEP * steps, self.tank - self.used)
-        self.used += spent
-        return spent
+        used_now = min(flow * STEP * steps, self.capacity - self.propellant_used)
+        self.propellant_used += used_now
+        return used_now
 
-    def open(self, now: int) -> list[bool]:
+    def open_valves(self, now: int) -> list[bool]:
         """Return for each valve whether it is open."""
-        begin, end = self._pulses(now)
-        return ((begin <= now) & (now < end)).tolist()
+        start, end = self._pulses(now)
+        return ((start <= now) & (now < end)).tolist()
 
-    def spend(self, now: int, steps: int) -> float:
+    def use_propellant(self, now: int, steps: int) -> float:
         """Take the propellant of the next `steps` steps from the tank; return its mass [kg]."""
         p = self.propulsion
-        begin, end = self._pulses(now)
-        times = np.minimum(end, now + steps) - np.maximum(begin, now)
+        start, end = self._pulses(now)
+        times = np.minimum(end, now + steps) - np.maximum(start, now)
         flow = self.thrust * p.thrust / (p.specific_impulse * GRAVITY)
-        spent = min(float(flow * STEP * np.maximum(times, 0.0).sum()), self.tank - self.used)
-        self.used += spent
-        return spent
+        used_now = min(
+            float(flow * STEP * np.maximum(times, 0.0).sum()), self.capacity - self.propellant_used
+        )
+        self.propellant_used += used_now
+        return used_now

@@ -12,7 +12,7 @@ from fss_arm_model.kinematics import tip_jacobian, tip_pose
 if TYPE_CHECKING:
     from fss_sim.plant.plant import Vehicle
 
-WELD = 1e-8  # tolerance of the relative pose at the end of a step [m, rad]
+POSE_TOLERANCE = 1e-8  # tolerance of the relative pose at the end of a step [m, rad]
 
 
 @dataclass
@@ -21,40 +21,46 @@ class Weld:
 
     one: "Vehicle"
     other: "Vehicle"
-    place: Floats = field(init=False)  # (3,) pose of the tip of `other` in the frame of one's tip
+    relative_pose: Floats = field(
+        init=False
+    )  # (3,) pose of the tip of `other` in the frame of one's tip
     goal: Floats = field(default_factory=lambda: np.zeros(3))  # its velocity at a step's start
     impulse: Floats = field(default_factory=lambda: np.zeros(3))  # of the last step [N s, N m s]
-    answer: Floats = field(default_factory=lambda: STEP * np.eye(3))  # d(pose error) / d(goal)
-    last: tuple[Floats, Floats] | None = None  # previous goal in this step, and its pose error
+    sensitivity: Floats = field(default_factory=lambda: STEP * np.eye(3))  # d(pose error) / d(goal)
+    previous: tuple[Floats, Floats] | None = None  # previous goal in this step, and its pose error
 
     def __post_init__(self) -> None:
         (x, y, turn), (u, v, other) = self._tips()
         apart = complex(u - x, v - y) * np.exp(-1j * turn)
-        self.place = np.array([apart.real, apart.imag, other - turn])
+        self.relative_pose = np.array([apart.real, apart.imag, other - turn])
 
     def _tips(self) -> tuple[Floats, Floats]:
         return tip_pose(self.one.p, self.one.q), tip_pose(self.other.p, self.other.q)
 
-    def off(self) -> Floats:
+    def pose_error(self) -> Floats:
         """Return the pose error of the tip of `other`, (3,) [m, m, rad]."""
         (x, y, turn), (u, v, other) = self._tips()
-        apart = complex(*self.place[:2]) * np.exp(1j * turn)
-        return np.array([u - x - apart.real, v - y - apart.imag, other - turn - self.place[2]])
+        apart = complex(*self.relative_pose[:2]) * np.exp(1j * turn)
+        return np.array(
+            [u - x - apart.real, v - y - apart.imag, other - turn - self.relative_pose[2]]
+        )
 
-    def improve(self) -> bool:
+    def correct_goal(self) -> bool:
         """Correct the goal by the pose error at the end of the step, by Broyden's method.
 
         Return False if the error is within the tolerance. The method is needed because a servo
         that holds its joint lets the tip move by less than the velocity times the step.
         """
-        off, last = self.off(), self.last
-        self.last = self.goal, off
-        if last is not None and (tried := self.goal - last[0]).any():
-            missed = off - last[1] - self.answer @ tried
-            self.answer = self.answer + np.outer(missed, tried) / (tried @ tried)
-        if abs(off).max() <= WELD:
+        error, previous = self.pose_error(), self.previous
+        self.previous = self.goal, error
+        if previous is not None and (goal_change := self.goal - previous[0]).any():
+            missed = error - previous[1] - self.sensitivity @ goal_change
+            self.sensitivity = self.sensitivity + np.outer(missed, goal_change) / (
+                goal_change @ goal_change
+            )
+        if abs(error).max() <= POSE_TOLERANCE:
             return False
-        self.goal = self.goal - np.linalg.solve(self.answer, off)
+        self.goal = self.goal - np.linalg.solve(self.sensitivity, error)
         return True
 
     def jacobians(self) -> tuple[Floats, Floats]:

@@ -19,14 +19,17 @@ from fss_rehearsal.domain import Domain, reserve
 from fss_rehearsal.processes import RehearsalError
 
 LINKS = 4
-DISCOVERY = 1.0  # discovery time [s]; nodes on this computer are found within a few tenths
+DISCOVERY_TIME = 1.0  # discovery time [s]; nodes on this computer are found within a few tenths
 ANSWER_TIMEOUT = 2.0  # [s]
-NUMBERS = range(1, 13)  # possible link numbers
-DRIVERS = {"/arm/enable", *(f"/link_{i}/{what}" for i in NUMBERS for what in ("arm", "telemetry"))}
+LINK_NUMBERS = range(1, 13)  # possible link numbers
+DRIVER_NAMES = {
+    "/arm/enable",
+    *(f"/link_{i}/{kind}" for i in LINK_NUMBERS for kind in ("arm", "telemetry")),
+}
 
 
 @contextmanager
-def own_domain() -> Iterator[Domain]:
+def isolated_domain() -> Iterator[Domain]:
     """Enter a ROS domain without other nodes, whatever is exported, and initialize rclpy.
 
     Raises:
@@ -43,14 +46,14 @@ def own_domain() -> Iterator[Domain]:
 
 def is_alone(domain: Domain) -> bool:
     """Return True if no other node is discovered in the domain."""
-    node, end = Node("operator"), time.monotonic() + DISCOVERY
-    while not (others := list(strangers(node, domain))) and time.monotonic() < end:
+    node, end = Node("operator"), time.monotonic() + DISCOVERY_TIME
+    while not (foreign := list(foreign_nodes(node, domain))) and time.monotonic() < end:
         rclpy.spin_once(node, timeout_sec=0.05)
     node.destroy_node()
-    return not others
+    return not foreign
 
 
-def strangers(node: Node, domain: Domain) -> Iterator[tuple[str, str, str]]:
+def foreign_nodes(node: Node, domain: Domain) -> Iterator[tuple[str, str, str]]:
     """Yield name, namespace and enclave ('' if still unknown) of each foreign node."""
     for name, space, enclave in node.get_node_names_and_namespaces_with_enclaves():
         if enclave != domain.enclave:
@@ -60,7 +63,7 @@ def strangers(node: Node, domain: Domain) -> Iterator[tuple[str, str, str]]:
 class Operator(Node):
     """Node that monitors which links are armed, and arms them if no other node drives links."""
 
-    PATIENCE = 60.0  # default timeout of each wait [s]
+    TIMEOUT = 60.0  # default timeout of each wait [s]
 
     def __init__(self, domain: Domain, **options: Any) -> None:
         super().__init__("operator", **options)
@@ -69,39 +72,42 @@ class Operator(Node):
         for i in self.armed:
             self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
         self.arm = self.create_client(SetBool, "arm/enable")
-        self.answer, self.due = Future(), 0.0
-        self.set = self.create_client(SetParameters, "testbed/set_parameters")
+        self.response, self.retry_at = Future(), 0.0
+        self.parameter_client = self.create_client(SetParameters, "testbed/set_parameters")
 
     def now(self) -> int:
         """Return the current time [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
-    def wait(self, until: Callable[[], bool], complaint: str, patience: float = 0.0) -> None:
+    def wait(self, condition: Callable[[], bool], error: str, timeout: float = 0.0) -> None:
         """Spin until the condition holds.
 
         Raises:
-            RehearsalError: it does not hold within `patience` [s] (0: PATIENCE).
+            RehearsalError: it does not hold within `timeout` [s] (0: TIMEOUT).
         """
-        deadline = time.monotonic() + (patience or self.PATIENCE)
-        while not until():
+        deadline = time.monotonic() + (timeout or self.TIMEOUT)
+        while not condition():
             if time.monotonic() > deadline:
-                raise RehearsalError(complaint)
+                raise RehearsalError(error)
             rclpy.spin_once(self, timeout_sec=0.02)
 
-    def stay(self, until: int) -> None:
+    def wait_until(self, time_ns: int) -> None:
         """Spin until a time [ns].
 
         Raises:
-            RehearsalError: the clock does not reach it within PATIENCE.
+            RehearsalError: the clock does not reach it within TIMEOUT.
         """
-        self.wait(lambda: self.now() > until, "the clock stands still")
+        self.wait(lambda: self.now() > time_ns, "the clock does not advance")
 
-    def put(self, faults: Mapping[str, float]) -> int:
+    def set_faults(self, faults: Mapping[str, float]) -> int:
         """Set faults of the test bed through its parameters; return when it was done [ns]."""
-        self.wait(self.set.service_is_ready, "the test bed offers no parameters")
-        given = [Parameter(name, value=value).to_parameter_msg() for name, value in faults.items()]
-        answer = self.set.call_async(SetParameters.Request(parameters=given))
-        self.wait(answer.done, "the test bed does not answer")
+        ready = self.parameter_client.service_is_ready
+        self.wait(ready, "the test bed's parameter service is not available")
+        parameters = [
+            Parameter(name, value=value).to_parameter_msg() for name, value in faults.items()
+        ]
+        response = self.parameter_client.call_async(SetParameters.Request(parameters=parameters))
+        self.wait(response.done, "the test bed does not respond")
         return self.now()
 
     def on_link(self, message: LinkTelemetry) -> None:
@@ -114,33 +120,35 @@ class Operator(Node):
         Raises:
             RehearsalError: a foreign node drives links in this domain.
         """
-        answered = self.answer.done() or time.monotonic() > self.due
-        wanted = not all(self.armed.values()) and self.arm.service_is_ready()
-        if self.drives_alone() and answered and wanted:
-            self.answer = self.arm.call_async(SetBool.Request(data=True))
-            self.due = time.monotonic() + ANSWER_TIMEOUT
+        answered = self.response.done() or time.monotonic() > self.retry_at
+        needed = not all(self.armed.values()) and self.arm.service_is_ready()
+        if self.is_only_driver() and answered and needed:
+            self.response = self.arm.call_async(SetBool.Request(data=True))
+            self.retry_at = time.monotonic() + ANSWER_TIMEOUT
 
-    def drives_alone(self) -> bool:
+    def is_only_driver(self) -> bool:
         """Return True if all nodes that drive links are known to belong to this rehearsal.
 
         Raises:
             RehearsalError: one of them belongs to another enclave.
         """
-        others = [one for one in strangers(self, self.domain) if self.drives(*one[:2])]
-        for name, space, enclave in others:
+        foreign = [
+            node for node in foreign_nodes(self, self.domain) if self.drives_links(*node[:2])
+        ]
+        for name, space, enclave in foreign:
             if enclave:
                 raise RehearsalError(
                     f"node {space.rstrip('/')}/{name} in ROS domain {self.domain.number} drives "
-                    "links, too, and is not of this rehearsal"
+                    "links, too, but does not belong to this rehearsal: stop it"
                 )
-        return not others
+        return not foreign
 
-    def drives(self, name: str, space: str) -> bool:
+    def drives_links(self, name: str, space: str) -> bool:
         """Return True if the node drives links, or offers to arm them."""
         with suppress(NodeNameNonExistentError):  # it has just ended
             offered = self.get_publisher_names_and_types_by_node(name, space)
             offered += self.get_service_names_and_types_by_node(name, space)
-            return any(what in DRIVERS for what, _ in offered)
+            return any(kind in DRIVER_NAMES for kind, _ in offered)
         return False
 
 
@@ -148,7 +156,8 @@ class Mover(Operator):
     """Operator that commands all joints all the time, like a program that ignores telemetry."""
 
     GOALS = (0.9, -0.9, 0.9, -0.9)  # joint angles [rad]
-    SPEED, MOVING = 0.05, 0.03  # commanded rate; rate above which a joint moves [rad/s]
+    # Commanded rate; rate above which a joint moves [rad/s].
+    COMMANDED_RATE, MOVING_RATE = 0.05, 0.03
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)
@@ -157,10 +166,10 @@ class Mover(Operator):
         self.commands = {
             i: self.create_publisher(LinkCommand, f"link_{i}/command", COMMAND) for i in self.armed
         }
-        self.homes: set[int] = set()  # links that are commanded to home instead
+        self.homing: set[int] = set()  # links that are commanded to home instead
         self.create_timer(0.2, self.command)
-        self.arms = False  # True: arm links that are not armed
-        self.create_timer(0.5, lambda: self.keep_armed() if self.arms else None)
+        self.arming = False  # True: arm links that are not armed
+        self.create_timer(0.5, lambda: self.keep_armed() if self.arming else None)
 
     def on_truth(self, message: SimTruth) -> None:
         """Store the absolute joint rates."""
@@ -170,15 +179,15 @@ class Mover(Operator):
         """Command each joint to its goal, or to home."""
         for (i, publisher), goal in zip(self.commands.items(), self.GOALS, strict=True):
             command = LinkCommand(mode=LinkCommand.POSITION, set_point=goal)
-            command.max_velocity, command.time_to_live = self.SPEED, 60.0
-            if i in self.homes:
+            command.max_velocity, command.time_to_live = self.COMMANDED_RATE, 60.0
+            if i in self.homing:
                 command = LinkCommand(mode=LinkCommand.HOME, time_to_live=2.0)
             publisher.publish(command)
 
-    def turn(self) -> int:
+    def arm_and_turn(self) -> int:
         """Arm all links and wait until they turn; return when they do [ns]."""
-        self.arms = True
-        self.wait(lambda: all(self.armed.values()), "not all links get armed")
-        self.wait(lambda: bool((self.rates > self.MOVING).all()), "not all joints turn")
-        self.arms = False
+        self.arming = True
+        self.wait(lambda: all(self.armed.values()), "not all links become armed")
+        self.wait(lambda: bool((self.rates > self.MOVING_RATE).all()), "not all joints turn")
+        self.arming = False
         return self.now()

@@ -1,4 +1,4 @@
-"""The operator of a rehearsal: alone in its domain, and without a hand on others' links."""
+"""Operator of a rehearsal: isolated domain, and no arming next to foreign drivers."""
 
 import os
 from unittest.mock import patch
@@ -13,18 +13,18 @@ from std_srvs.srv import SetBool
 
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import SENSOR
-from fss_rehearsal import person
+from fss_rehearsal import operators
 from fss_rehearsal.domain import Domain, reserve
 from fss_rehearsal.processes import RehearsalError
 
 
 class Arm:
-    """Somebody's driver and arm, and what the arm is asked for."""
+    """Driver and arm of an enclave, with the received arm requests."""
 
     def __init__(self, enclave):
-        self.asked, self.context = [], Context()
-        given = ["--ros-args", "--enclave", enclave]
-        rclpy.init(args=given, context=self.context, domain_id=DOMAIN)
+        self.requests, self.context = [], Context()
+        arguments = ["--ros-args", "--enclave", enclave]
+        rclpy.init(args=arguments, context=self.context, domain_id=DOMAIN)
         self.node = Node("arm", context=self.context)
         self.node.create_service(SetBool, "arm/enable", self.on_arm)
         self.node.create_publisher(LinkTelemetry, "link_1/telemetry", SENSOR)
@@ -32,7 +32,7 @@ class Arm:
         self.executor.add_node(self.node)
 
     def on_arm(self, request, response):
-        self.asked.append(request.data)
+        self.requests.append(request.data)
         return response
 
     def spin(self):
@@ -41,40 +41,40 @@ class Arm:
 
 @pytest.fixture
 def arm():
-    """arm(enclave): somebody's arm in this test's domain."""
-    made = []
+    """arm(enclave): return a new arm in this test's domain."""
+    arms = []
 
     def make(enclave):
-        made.append(Arm(enclave))
-        return made[-1]
+        arms.append(Arm(enclave))
+        return arms[-1]
 
     yield make
-    for one in made:
-        one.executor.shutdown()
-        one.node.destroy_node()
-        one.context.shutdown()
+    for each in arms:
+        each.executor.shutdown()
+        each.node.destroy_node()
+        each.context.shutdown()
 
 
 @pytest.fixture
 def rehearsal():
-    """A domain, which is that of this test, entered by the rehearsal."""
+    """Operator of a rehearsal in this test's domain."""
     domain = Domain(DOMAIN, "/rehearsal_1", None)
     rclpy.init(args=["--ros-args", "--enclave", domain.enclave], domain_id=DOMAIN)
-    node = person.Operator(domain)
+    node = operators.Operator(domain)
     yield node
     node.destroy_node()
     rclpy.try_shutdown()
 
 
-def test_a_domain_where_somebody_answers_is_left_for_the_next(arm):
-    """Somebody whom the ports did not tell of: who came after the look at them."""
+def test_a_domain_with_a_foreign_node_is_skipped(arm):
+    """The node started after the check of the ports."""
     arm("/")
     free = reserve(range(66, 102))
     domains = iter([Domain(DOMAIN, "/rehearsal_1", None), next(free)])
     with (
         patch.dict(os.environ),
-        patch.object(person, "reserve", lambda: domains),
-        person.own_domain() as domain,
+        patch.object(operators, "reserve", lambda: domains),
+        operators.isolated_domain() as domain,
     ):
         assert domain.number != DOMAIN
         assert os.environ["ROS_DOMAIN_ID"] == str(domain.number)
@@ -83,24 +83,24 @@ def test_a_domain_where_somebody_answers_is_left_for_the_next(arm):
 
 
 def test_an_arm_of_this_rehearsal_is_armed(arm, rehearsal):
-    own = arm("/rehearsal_1")
+    own_arm = arm("/rehearsal_1")
 
     def step():
         rehearsal.keep_armed()
         rclpy.spin_once(rehearsal, timeout_sec=0.02)
-        own.spin()
+        own_arm.spin()
 
-    wait_until(lambda: own.asked, 20.0, step)
-    assert set(own.asked) == {True}
+    wait_until(lambda: own_arm.requests, 20.0, step)
+    assert set(own_arm.requests) == {True}
 
 
-def test_nothing_is_armed_while_somebody_else_drives_links_in_the_domain(arm, rehearsal):
-    own, other = arm("/rehearsal_1"), arm("/")
+def test_nothing_is_armed_while_a_foreign_node_drives_links(arm, rehearsal):
+    own_arm, foreign_arm = arm("/rehearsal_1"), arm("/")
     wait_until(
         lambda: (
-            len(list(person.strangers(rehearsal, rehearsal.domain))) == 1
+            len(list(operators.foreign_nodes(rehearsal, rehearsal.domain))) == 1
             and rehearsal.arm.service_is_ready()
-            and rehearsal.drives("arm", "/")
+            and rehearsal.drives_links("arm", "/")
         ),
         20.0,
         lambda: rclpy.spin_once(rehearsal, timeout_sec=0.02),
@@ -108,20 +108,20 @@ def test_nothing_is_armed_while_somebody_else_drives_links_in_the_domain(arm, re
     with pytest.raises(RehearsalError, match=f"node /arm in ROS domain {DOMAIN} drives links, too"):
         rehearsal.keep_armed()
     for _ in range(20):
-        other.spin()
-        own.spin()
-    assert own.asked == other.asked == []
+        foreign_arm.spin()
+        own_arm.spin()
+    assert own_arm.requests == foreign_arm.requests == []
 
 
-def test_somebody_who_only_looks_on_does_not_disturb(arm, rehearsal):
-    own, context = arm("/rehearsal_1"), Context()
+def test_a_foreign_viewer_does_not_prevent_arming(arm, rehearsal):
+    own_arm, context = arm("/rehearsal_1"), Context()
     rclpy.init(context=context, domain_id=DOMAIN)
     viewer = Node("view", context=context)
     wait_until(
-        lambda: list(person.strangers(rehearsal, rehearsal.domain)), 20.0,
+        lambda: list(operators.foreign_nodes(rehearsal, rehearsal.domain)), 20.0,
         lambda: rclpy.spin_once(rehearsal, timeout_sec=0.02),
     )  # fmt: skip
-    assert rehearsal.drives_alone()
-    assert not own.asked
+    assert rehearsal.is_only_driver()
+    assert not own_arm.requests
     viewer.destroy_node()
     context.shutdown()
