@@ -10,7 +10,7 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.momentum import momentum
 from fss_base_driver.allocation import Allocation
 from fss_gnc.control import PoseControl
-from fss_gnc.guidance.activity import ActivityError, Body, Craft, Ended, Orders, Seen
+from fss_gnc.guidance.activity import ActivityError, Body, Commands, Craft, Observation, Outcome
 from fss_gnc.guidance.capture import Capture
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.navigation.navigation import Navigation
@@ -131,18 +131,18 @@ class Flight:
                 flown.phases.append(orders.phase)
                 if orders.phase == self.case.phase and np.isinf(self.faulted):
                     self.faulted = self.t + self.case.after
-            if orders.ended:
+            if orders.outcome:
                 break
             self.obey(orders)
             self.pass_time()
         flown.time, flown.propellant = self.t, self.plant.thrusters.propellant_used
-        ended = orders.ended or Ended(False, "it took too long")
-        flown.well, flown.message = ended.well, ended.message
+        outcome = orders.outcome or Outcome(False, "it took too long")
+        flown.well, flown.message = outcome.success, outcome.message
         flown.spin = float(self.plant.target[1, 2])
         if not flown.well or self.case.fault:
             until = self.t + AFTER
             while self.t < until:
-                self.obey(Orders("idle", rates=np.zeros(self.arm.n)))
+                self.obey(Commands("idle", rates=np.zeros(self.arm.n)))
                 self.pass_time()
         return flown
 
@@ -150,10 +150,10 @@ class Flight:
         now = round(self.t * SECOND)
         known = []
         for body in (self.navigation.base, self.navigation.target):
-            if not body.events or body.lost(now):
+            if not body.events or body.lost_reason(now):
                 known.append(None)
                 continue
-            state = body.state().at(now)
+            state = body.state().extrapolate_to(now)
             known.append(Body(state.pose, state.twist))
         q = qd = effort = None
         if self.heard and not self.struck("link"):
@@ -163,10 +163,10 @@ class Flight:
         last = self.heard[0] if self.heard else None
         held = self.measured if self.plant.holds else None
         holds = None if self.struck("gripper") else self.plant.holds
-        faults = self.navigation.valves.found
+        faults = self.navigation.valves.faults
         open_valves = tuple(sorted(i + 1 for i in faults.open))
-        return Seen(
-            self.t, *known, q, qd, effort, holds, left, last, held, open_valves, faults.pushed
+        return Observation(
+            self.t, *known, q, qd, effort, holds, left, last, held, open_valves, faults.unknown_push
         )  # fmt: skip
 
     def order(self):
@@ -174,7 +174,7 @@ class Flight:
         try:
             return self.activity.step(seen)
         except ActivityError as error:
-            return Orders("abort", ended=Ended(False, str(error)))
+            return Commands("abort", outcome=Outcome(False, str(error)))
 
     def obey(self, orders):
         """Base by control and valves, joints late, gripper at once."""
@@ -189,13 +189,13 @@ class Flight:
             )
             times = self.allocation.on_times(wrench)
         self.command(times)
-        if orders.close is not None and not self.struck("gripper"):
-            self.plant.closed = bool(orders.close)
+        if orders.close_gripper is not None and not self.struck("gripper"):
+            self.plant.closed = bool(orders.close_gripper)
         if orders.rates is not None:
             self.demands.append((self.frame + LATE, orders.rates))
 
     def command(self, times):
-        self.navigation.pulses(round(self.t * SECOND), times)
+        self.navigation.add_pulses(round(self.t * SECOND), times)
         times = np.array(times)
         if self.struck("open"):
             times[self.case.valve] = 2.0 * PERIOD
@@ -234,7 +234,9 @@ class Flight:
             self.heard = self.joints.popleft()[1]
             q, qd, _, then = self.heard
             for i in range(self.arm.n):
-                self.navigation.joint(i, round(then * SECOND), float(q[i]), float(qd[i]))
+                self.navigation.add_joint_reading(
+                    i, round(then * SECOND), float(q[i]), float(qd[i])
+                )
         if self.frame % LOOK:
             return
         sight = self.sensors.observe(
@@ -242,21 +244,21 @@ class Flight:
             target=plant.target[0].tolist(),
         )  # fmt: skip
         if not self.struck("gyro"):
-            self.navigation.base.rate(now, sight.rate)
+            self.navigation.base.update_rate(now, sight.rate)
         if not self.struck("outage"):
-            self.navigation.base.pose(now, *sight.base.pose)
-            self.navigation.target_pose(now, *sight.target.pose)
-        self.navigation.gripper(plant.holds)
+            self.navigation.base.update_pose(now, *sight.base.pose)
+            self.navigation.update_target_pose(now, *sight.target.pose)
+        self.navigation.set_gripper(plant.holds)
         self.navigation.predict(now)
-        if faults := self.navigation.diagnose(now):
+        if faults := self.navigation.detect_valve_faults(now):
             self.allocation = Allocation(
                 self.valves, PERIOD, self.least, faults.open, faults.closed
             )
             self.faults.append((self.t, faults))
             self.measured = None
-        if self.learns and (found := self.navigation.observe(now)):
+        if self.learns and (found := self.navigation.estimate_mass(now)):
             self.found.append((self.t, found))
-            self.measured = found.held
+            self.measured = found.as_held_body
 
     def judge(self):
         """Who touches whom."""

@@ -77,15 +77,15 @@ def hold(motion, feed_forward, seed=0, gains=None):
         seen = sensors.observe(frame, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:])
         if frame % round(READING * RATE) == 0:
             for i in range(arm.n):
-                navigation.joint(i, now, float(plant.q[3 + i]), float(plant.qd[3 + i]))
+                navigation.add_joint_reading(i, now, float(plant.q[3 + i]), float(plant.qd[3 + i]))
         if frame % round(PERIOD * RATE) == 0:
             ahead = 0.1 * np.arange(6)
             rates = np.array([motion.at(now / SECOND + s)[1] for s in ahead])
-            navigation.inputs.plan(now, ahead, rates)
-        navigation.base.rate(now, seen.rate)
-        navigation.base.pose(now, *seen.base.pose)
+            navigation.inputs.set_plan(now, ahead, rates)
+        navigation.base.update_rate(now, seen.rate)
+        navigation.base.update_pose(now, *seen.base.pose)
         if frame % round(PERIOD * RATE) == 0:
-            base = navigation.base.state().at(now)
+            base = navigation.base.state().extrapolate_to(now)
             q = np.concatenate([base.pose, plant.q[3:]])
             qd = np.concatenate([base.twist, plant.qd[3:]])
             qdd_m = motion.at(t + 0.5 * PERIOD)[2]
@@ -93,7 +93,7 @@ def hold(motion, feed_forward, seed=0, gains=None):
             wrench = control.wrench(q, qd, Reference.at_rest(begin), PERIOD, known)
             on_times = allocation.on_times(wrench)
             plant.thrust(on_times)
-            navigation.pulses(now, on_times)
+            navigation.add_pulses(now, on_times)
         plant.advance(1.0 / RATE)
         off.append(plant.q[:3].copy())
     return Held(np.array(off), plant.thrusters.propellant_used)

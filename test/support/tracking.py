@@ -93,36 +93,38 @@ def track(
         if planned and frame % PLANNED == 2:  # as the node arm tells it
             ahead = 0.1 * np.arange(6)
             rates = [ramp(was, wanted, slopes, now / SECOND + s - since) for s in ahead]
-            navigation.inputs.plan(now, ahead, np.array(rates))
+            navigation.inputs.set_plan(now, ahead, np.array(rates))
         if thrusting and frame % PERIOD == 0:
             on_times = np.round(rng.uniform(0.0, 0.1, 8) * (rng.random(8) < 0.3), 3)
             on_times[on_times < 0.01] = 0.0
             plant.thrust(on_times)
             if told:
-                navigation.pulses(now, on_times)
+                navigation.add_pulses(now, on_times)
         plant.advance(1.0 / RATE)
         now += FRAME
         for i, motion in enumerate(plant.motions()):
             if frame % READ == 5 * i:
                 e = encoders[i]
-                navigation.joint(i, now, e.reading(motion.q), e.rate(motion.q, motion.qd))
+                navigation.add_joint_reading(
+                    i, now, e.reading(motion.q), e.rate(motion.q, motion.qd)
+                )
         seen = sensors.observe(
             frame + 1, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:],
             target=plant.target[0].tolist(),
             marker_results=vicon and look_at(vicon, frame + 1, plant),
         )  # fmt: skip
-        at = now - seen.base.age - round(SECOND * noise.vicon_latency)
-        if gyro and navigation.base.rate(now, seen.rate):
+        at = now - seen.base.before - round(SECOND * noise.vicon_latency)
+        if gyro and navigation.base.update_rate(now, seen.rate):
             nis["gyro"].append(navigation.base.nis[TURN_RATE][-1])
         looks = not outage[0] <= frame < outage[1]
         has_base = looks and not seen.base.occluded
-        if has_base and navigation.base.pose(at, *seen.base.pose) and frame:
+        if has_base and navigation.base.update_pose(at, *seen.base.pose) and frame:
             nis["pose"].append(navigation.base.nis[POSE][-1] / 3.0)
         if looks and not seen.target.occluded:
-            navigation.target_pose(at, *seen.target.pose)
+            navigation.update_target_pose(at, *seen.target.pose)
         navigation.predict(now)
         square, error = nees(navigation.base.state(), plant.q[:3], plant.qd[:3])
-        base.append(np.nan if navigation.base.lost(now) else square)
+        base.append(np.nan if navigation.base.lost_reason(now) else square)
         errors.append(error)
         variances.append(navigation.base.state().covariance.diagonal())
         target.append(nees(navigation.target.state(), *plant.target)[0])

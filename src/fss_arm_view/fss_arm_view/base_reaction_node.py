@@ -111,13 +111,13 @@ class BaseReactionNode(Node):
             self.filter.rejected["frozen"] += 1  # the motion capture receiver repeats its last pose
             return
         self.pose = pose
-        if self.filter.pose(t, *pose):
+        if self.filter.update_pose(t, *pose):
             self.take()
 
     def on_gyro(self, message: Imu) -> None:
         """Add a sample of the base's rate."""
         t = self.stamp(self.settings.gyro_topic, message) - self.offsets.get(DYNAMIC, 0)
-        self.filter.rate(t, message.angular_velocity.z)
+        self.filter.update_rate(t, message.angular_velocity.z)
 
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Store when thrusters fire: a prediction from the joints does not include them."""

@@ -16,7 +16,7 @@ MAX_DURATION = 86_400.0  # [s], one day
 MAX_TWIST = (1.0, 1.0, 3.0)  # motion capture rejects a faster base [m/s, m/s, rad/s]
 MAX_ACCELERATION = (1.0, 1.0, 3.0)  # [m/s^2, m/s^2, rad/s^2]
 BRAKING_TIME = 3.0  # time for which a moving reference may be beyond the table's edge [s]
-ROUNDING = 1e-9  # of interpolated numbers
+ROUNDING_TOLERANCE = 1e-9  # for interpolated numbers
 
 UNITS = (("m", "m", "rad"), ("m/s", "m/s", "rad/s"), ("m/s^2", "m/s^2", "rad/s^2"))
 FIELDS = (("x", "y", "heading"), *2 * (("linear.x", "linear.y", "angular.z"),))
@@ -38,19 +38,19 @@ def check_all(values: Floats, limits: Floats, field: Callable[..., tuple[str, st
         limits: of the same shape.
         field: function that returns name and unit of a value, given its indices.
     """
-    beyond = np.argwhere(~(np.abs(values) <= limits + ROUNDING))
+    beyond = np.argwhere(~(np.abs(values) <= limits + ROUNDING_TOLERANCE))
     if len(beyond):
-        at = tuple(beyond[0].tolist())
-        name, unit = field(*at)
-        check(name, float(values[at]), -float(limits[at]), float(limits[at]), unit)
+        index = tuple(beyond[0].tolist())
+        name, unit = field(*index)
+        check(name, float(values[index]), -float(limits[index]), float(limits[index]), unit)
 
 
-def duration(name: str, value: float) -> float:
+def check_duration(name: str, value: float) -> float:
     """Return a duration [s] if it is not negative and at most one day."""
     return check(name, value, 0.0, MAX_DURATION, "s")
 
 
-def poses(name: str, values: npt.ArrayLike, table: Sequence[float]) -> Floats:
+def check_poses(name: str, values: npt.ArrayLike, table: Sequence[float]) -> Floats:
     """Return poses on the table as rows.
 
     Args:
@@ -64,28 +64,28 @@ def poses(name: str, values: npt.ArrayLike, table: Sequence[float]) -> Floats:
     return _rows(name, values, _pose_limits(table), UNITS[0])
 
 
-def pose(name: str, values: npt.ArrayLike, table: Sequence[float]) -> Floats:
-    """Return one pose (3,) on the table; arguments as of `poses`."""
+def check_pose(name: str, values: npt.ArrayLike, table: Sequence[float]) -> Floats:
+    """Return one pose (3,) on the table; arguments as of `check_poses`."""
     if (count := np.size(values)) != 3:
         raise ValueError(f"{name} has {count} numbers, expected 3: x, y [m] and heading [rad]")
-    return np.asarray(poses(name, values, table)[0])
+    return np.asarray(check_poses(name, values, table)[0])
 
 
-def twists(name: str, values: npt.ArrayLike) -> Floats:
+def check_twists(name: str, values: npt.ArrayLike) -> Floats:
     """Return twists (3 k,) that a base can have as rows (k, 3) [m/s, m/s, rad/s]."""
     return _rows(name, values, np.array(MAX_TWIST), UNITS[1])
 
 
-def knot_times(name: str, values: npt.ArrayLike, step: float) -> Floats:
+def check_knot_times(name: str, values: npt.ArrayLike, step: float) -> Floats:
     """Return times (k,) [s] if they increase by more than `step` from 0 on, within a day."""
     times = np.array(values, dtype=float)
     for k, value in enumerate(times.tolist()):
-        duration(f"{name}[{k}]", value)
-    close = np.flatnonzero(np.diff(times) <= step)
-    if close.size:
-        k = int(close[0]) + 1
-        least = times[k - 1] + step
-        raise ValueError(f"{name}[{k}] is {times[k]:g} s, expected more than {least:g} s")
+        check_duration(f"{name}[{k}]", value)
+    too_close = np.flatnonzero(np.diff(times) <= step)
+    if too_close.size:
+        k = int(too_close[0]) + 1
+        minimum = times[k - 1] + step
+        raise ValueError(f"{name}[{k}] is {times[k]:g} s, expected more than {minimum:g} s")
     return times
 
 
@@ -99,12 +99,14 @@ def check_stamp(stamp: int, now: int, end: float, timeout: float) -> None:
         timeout: longest time until its stamp, and since its last point [s].
     """
     if not stamp:
-        raise ValueError("header.stamp is 0, expected the time from which its points count")
+        raise ValueError("header.stamp is 0, expected the start time of the points")
     ahead = (stamp - now) / SECOND
     if ahead > timeout:
-        raise ValueError(f"header.stamp is {ahead:.1f} s ahead, expected at most {timeout:g} s")
-    if (over := -ahead - end) > timeout:
-        raise ValueError(f"the last point was {over:.1f} s ago, expected at most {timeout:g} s")
+        raise ValueError(
+            f"header.stamp is {ahead:.1f} s in the future, expected at most {timeout:g} s"
+        )
+    if (elapsed := -ahead - end) > timeout:
+        raise ValueError(f"the last point was {elapsed:.1f} s ago, expected at most {timeout:g} s")
 
 
 def check_reference(path: Path, table: Sequence[float]) -> None:
@@ -119,15 +121,17 @@ def check_reference(path: Path, table: Sequence[float]) -> None:
     """
     last = len(path.times) - 1
     for k in (0, last):
-        duration(f"points[{k}].time_from_start", float(path.times[k]))
+        check_duration(f"points[{k}].time_from_start", float(path.times[k]))
     _check_states(path.knots, table, lambda k, d: f"points[{k}].{POINT_FIELDS[d]}.")
-    times, states = (each[:-1] for each in path.resolved(float(path.times[0])))  # end: at rest
+    times, states = (
+        values[:-1] for values in path.sample_segments(float(path.times[0]))
+    )  # end: at rest
     _check_states(states[:, :2], table, lambda k, _: f"reference at {times[k]:g} s, ")
 
 
 def _check_states(states: Floats, table: Sequence[float], name: Callable[[int, int], str]) -> None:
-    each = np.array([_pose_limits(table), MAX_TWIST, MAX_ACCELERATION])
-    limits = np.tile(each[: states.shape[1]], (len(states), 1, 1))
+    state_limits = np.array([_pose_limits(table), MAX_TWIST, MAX_ACCELERATION])
+    limits = np.tile(state_limits[: states.shape[1]], (len(states), 1, 1))
     if states.shape[1] > 1:
         limits[:, 0, :2] += BRAKING_TIME * np.abs(states[:, 1, :2])
     check_all(states, limits, lambda k, d, i: (name(k, d) + FIELDS[d][i], UNITS[d][i]))

@@ -1,6 +1,6 @@
 """Node `guidance`: runs one activity at a time, from actions to commands for base and arm.
 
-It ends the running activity, with valves closed and joints at rest, on base/stop and arm/stop, and
+It stops the running activity, with valves closed and joints at rest, on base/stop and arm/stop, and
 when the base or the joints are no longer known. If the node itself dies, its last commands to
 control and arm expire.
 """
@@ -35,12 +35,12 @@ from fss_gnc.guidance import capture
 from fss_gnc.guidance.activity import (
     Activity,
     ActivityError,
+    Commands,
     Craft,
-    Ended,
     Floats,
-    Held,
-    Orders,
-    Seen,
+    HeldBody,
+    Observation,
+    Outcome,
 )
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.kinds import KINDS, Kind
@@ -49,23 +49,23 @@ from fss_gnc.latest import Latest
 from fss_gnc.programs import guidance as main
 from fss_gnc.reference import Body
 
-STEP = 0.25  # between points of base/trajectory [s]
-PICTURED = 32  # largest number of poses of a path in mission/state
-FORGETFUL = 2.0  # age after which the state of gripper and tank is unknown [s]
+POINT_SPACING = 0.25  # between points of base/trajectory [s]
+MAX_PUBLISHED_POSES = 32  # largest number of poses of a path in mission/state
+STALE_AFTER = 2.0  # age after which the state of gripper and tank is unknown [s]
 
 
 @dataclass
-class Flight:
+class RunningActivity:
     """A running activity."""
 
     kind: Kind
     handle: ServerGoalHandle
     activity: Activity
-    begun: int  # [ns]
+    start_time: int  # [ns]
     budget: Budget
-    over: Future = field(default_factory=Future)  # result of the activity
-    rates: bool = False  # True once it has commanded the arm
-    trouble: str = ""  # why it aborts or brakes, after the phase; empty: neither
+    finished: Future = field(default_factory=Future)  # result of the activity
+    moves_joints: bool = False  # True once it has commanded the arm
+    problem: str = ""  # why it aborts or brakes, after the phase; empty: neither
 
 
 class GuidanceNode(Node):
@@ -75,16 +75,17 @@ class GuidanceNode(Node):
         super().__init__("guidance", **options)
         self.settings = s = declare(self, MissionSettings)
         self.craft = Craft(described(s.arm), s)
-        Budget(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels, which takes long
-        capture.load(self.craft)
-        self.flight: Flight | None = None
+        # Load the kernels in advance, because that takes long.
+        Budget(self.craft).update(resting_observation(self.craft.arm.n))
+        capture.load_kernels(self.craft)
+        self.running: RunningActivity | None = None
         self.base = Latest[Body]("base/state", s.max_age)
         self.target = Latest[Body]("target/state", s.max_age)
         self.joints = Latest[Floats]("arm/joint_states", s.max_age)
-        self.held: Held | None = None  # held body as estimated by the navigation
+        self.held_body: HeldBody | None = None  # held body as estimated by the navigation
         self.valves = ThrusterHealth()
-        self.holds = Latest[bool]("gripper/state", FORGETFUL)
-        self.propellant = Latest[float]("base/propellant", FORGETFUL)
+        self.holds = Latest[bool]("gripper/state", STALE_AFTER)
+        self.propellant = Latest[float]("base/propellant", STALE_AFTER)
         self.polled = [
             PolledSubscription(self, Odometry, topic.name, partial(self.on_body, topic))
             for topic in (self.base, self.target)
@@ -96,10 +97,12 @@ class GuidanceNode(Node):
         subscribe(self, ThrusterHealth, "thrusters/health", self.on_valves, LATCHED)
         for name in ("base/stop", "arm/stop"):
             self.create_subscription(Empty, name, partial(self.on_stop, name), 10)
-        lives = command(0.5)
-        self.trajectory = self.create_publisher(MultiDOFJointTrajectory, "base/trajectory", lives)
-        self.rates = self.create_publisher(JointState, "arm/joint_commands", lives)
-        self.grip = self.create_publisher(Bool, "gripper/command", COMMAND)
+        expiring = command(0.5)
+        self.trajectory = self.create_publisher(
+            MultiDOFJointTrajectory, "base/trajectory", expiring
+        )
+        self.joint_commands = self.create_publisher(JointState, "arm/joint_commands", expiring)
+        self.gripper = self.create_publisher(Bool, "gripper/command", COMMAND)
         self.state = self.create_publisher(MissionState, "mission/state", LATCHED)
         group = ReentrantCallbackGroup()  # activities take long; other callbacks must run meanwhile
         self.servers = [
@@ -109,7 +112,7 @@ class GuidanceNode(Node):
             )
             for kind in KINDS
         ]  # fmt: skip
-        self.state.publish(self.mission(None, Orders("idle")))
+        self.state.publish(self.mission_state(None, Commands("idle")))
         self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health)
 
@@ -122,7 +125,7 @@ class GuidanceNode(Node):
         """Return the node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
-    def look(self) -> None:
+    def poll_states(self) -> None:
         """Poll the states of base and target."""
         for subscription in self.polled:
             subscription.poll()
@@ -130,30 +133,30 @@ class GuidanceNode(Node):
     def on_body(self, topic: Latest[Body], message: Odometry) -> None:
         """Store the state of base or target; reject it if it is not finite."""
         try:
-            topic.take(stamp_ns(message.header.stamp), messages.body(message))
+            topic.store(stamp_ns(message.header.stamp), messages.body(message))
         except ValueError as error:
             self.get_logger().warning(f"{topic.name}: {error}", throttle_duration_sec=1.0)
 
     def on_joints(self, message: JointState) -> None:
         """Store the state of all joints."""
         try:
-            found = messages.joints(message, self.craft.arm.n)
-            self.joints.take(stamp_ns(message.header.stamp), found)
+            values = messages.joints(message, self.craft.arm.n)
+            self.joints.store(stamp_ns(message.header.stamp), values)
         except ValueError as error:
             self.get_logger().warning(f"arm/joint_states: {error}", throttle_duration_sec=1.0)
 
     def on_gripper(self, message: GripperState) -> None:
         """Store whether the gripper holds the target."""
-        self.holds.take(self.now(), message.holds)
-        self.held = self.held if message.holds else None
+        self.holds.store(self.now(), message.holds)
+        self.held_body = self.held_body if message.holds else None
 
     def on_mass(self, message: MassProperties) -> None:
         """Store the mass properties of the held target."""
         try:
-            self.held = messages.mass_properties(message) if self.holds.value else None
+            self.held_body = messages.mass_properties(message) if self.holds.value else None
         except ValueError as error:
-            words = f"target/mass_properties: {error}"
-            self.get_logger().warning(words, throttle_duration_sec=1.0)
+            text = f"target/mass_properties: {error}"
+            self.get_logger().warning(text, throttle_duration_sec=1.0)
 
     def on_valves(self, message: ThrusterHealth) -> None:
         """Store the health of the valves."""
@@ -161,176 +164,179 @@ class GuidanceNode(Node):
 
     def on_propellant(self, message: Float64) -> None:
         """Store the remaining propellant."""
-        self.propellant.take(self.now(), message.data)
+        self.propellant.store(self.now(), message.data)
 
     def on_stop(self, name: str, _: Empty) -> None:
         """End the running activity at once."""
-        if self.flight:
-            self.end(self.flight, Ended(False, f"stopped by {name}"))
+        if self.running:
+            self.finish(self.running, Outcome(False, f"stopped by {name}"))
 
-    def seen(self, begun: int) -> Seen:
+    def observe(self, start_time: int) -> Observation:
         """Return what is known now, with base, target and joints extrapolated to the present."""
-        self.look()
+        self.poll_states()
         now = self.now()
 
-        def moved(topic: Latest[Body]) -> Body | None:
-            found = topic.at(now)
-            return found and found.after(topic.age(now))
+        def extrapolated(topic: Latest[Body]) -> Body | None:
+            values = topic.valid_value(now)
+            return values and values.extrapolate(topic.age(now))
 
-        joints, left = self.joints.at(now), self.propellant.at(now)
+        joints, propellant = self.joints.valid_value(now), self.propellant.valid_value(now)
         q, qd, effort = (None,) * 3 if joints is None else joints
         if q is not None and qd is not None:
             q = q + self.joints.age(now) * qd
-        return Seen(
-            (now - begun) / SECOND, moved(self.base), moved(self.target), q, qd, effort,
-            self.holds.at(now), np.nan if left is None else left,
-            None if self.joints.value is None else self.joints.value[0], self.held,
+        return Observation(
+            (now - start_time) / SECOND, extrapolated(self.base), extrapolated(self.target), q, qd,
+            effort, self.holds.valid_value(now), np.nan if propellant is None else propellant,
+            None if self.joints.value is None else self.joints.value[0], self.held_body,
             tuple((np.flatnonzero(self.valves.stuck_open) + 1).tolist()), self.valves.pushed,
         )  # fmt: skip
 
-    def trouble(self) -> str:
+    def state_problem(self) -> str:
         """Return why base or joints are unknown; empty if both are known."""
-        self.look()
+        self.poll_states()
         now = self.now()
-        return self.base.trouble(now) or self.joints.trouble(now)
+        return self.base.problem(now) or self.joints.problem(now)
 
     async def on_execute(self, kind: Kind, handle: ServerGoalHandle) -> Any:
         """Start the activity of a goal and wait for its end; abort a goal that is rejected."""
         try:
-            flight = self.begin(kind, handle)
+            running = self.start(kind, handle)
         except ActivityError as error:
-            self.get_logger().warning(f"{kind.name} refused: {error}")
+            self.get_logger().warning(f"{kind.name} rejected: {error}")
             handle.abort()
             return kind.action.Result(message=str(error))
-        ended = await flight.over
+        outcome = await running.finished
         if handle.is_cancel_requested:
             handle.canceled()
-        elif ended.well:
+        elif outcome.success:
             handle.succeed()
         else:
             handle.abort()
-        fields = kind.result(flight.activity, flight.budget, ended)
-        return kind.action.Result(message=ended.message, **fields)
+        fields = kind.result(running.activity, running.budget, outcome)
+        return kind.action.Result(message=outcome.message, **fields)
 
-    def begin(self, kind: Kind, handle: ServerGoalHandle) -> Flight:
+    def start(self, kind: Kind, handle: ServerGoalHandle) -> RunningActivity:
         """Start an activity; it replaces one that it preempts.
 
         Raises:
             ActivityError: it cannot start; the running activity continues.
         """
-        other = self.flight
+        other = self.running
         if other and not other.kind.name.startswith(kind.preempts):
-            raise ActivityError(f"{other.kind.name} is under way")
-        begun = self.now()
-        seen, trouble = self.seen(begun), self.trouble()
+            raise ActivityError(f"{other.kind.name} is running, cancel it first")
+        start_time = self.now()
+        obs, problem = self.observe(start_time), self.state_problem()
         try:
-            activity = kind.begin(self.craft, seen, handle.request)
+            activity = kind.start(self.craft, obs, handle.request)
         except ValueError as error:
-            raise ActivityError(trouble or str(error)) from None
+            raise ActivityError(problem or str(error)) from None
         if other:
-            self.end(other, Ended(False, f"preempted by {kind.name}"), coast=False)
-        self.flight = Flight(kind, handle, activity, begun, Budget(self.craft))
-        self.get_logger().info(f"{kind.name} begins")
-        return self.flight
+            self.finish(other, Outcome(False, f"preempted by {kind.name}"), coast=False)
+        self.running = RunningActivity(kind, handle, activity, start_time, Budget(self.craft))
+        self.get_logger().info(f"{kind.name} started")
+        return self.running
 
     def tick(self) -> None:
         """Step the running activity."""
-        if not (flight := self.flight):
+        if not (running := self.running):
             return
-        seen = self.seen(flight.begun)
-        flight.budget.update(seen)
-        orders = self.step(flight, seen)
-        if orders.ended:
-            self.end(flight, orders.ended)
+        obs = self.observe(running.start_time)
+        running.budget.update(obs)
+        commands = self.step(running, obs)
+        if commands.outcome:
+            self.finish(running, commands.outcome)
             return
-        self.order(flight, orders, seen)
-        flight.handle.publish_feedback(
-            flight.kind.action.Feedback(**flight.kind.feedback(flight.activity, orders))
+        self.publish_commands(running, commands, obs)
+        running.handle.publish_feedback(
+            running.kind.action.Feedback(**running.kind.feedback(running.activity, commands))
         )
 
-    def step(self, flight: Flight, seen: Seen) -> Orders:
-        """Return an activity's orders; its end if it cannot continue."""
-        if seen.t < 0.0:
-            return Orders("abort", ended=Ended(False, "the clock was set back"))
-        if flight.handle.is_cancel_requested:
-            flight.activity.cancel("cancelled")
-        if not flight.activity.blind and (why := self.trouble()):
-            return Orders("abort", ended=Ended(False, why))
+    def step(self, running: RunningActivity, obs: Observation) -> Commands:
+        """Return an activity's commands; abort it if it cannot continue."""
+        if obs.t < 0.0:
+            return Commands("abort", outcome=Outcome(False, "the clock jumped back"))
+        if running.handle.is_cancel_requested:
+            running.activity.cancel("cancelled")
+        if not running.activity.tolerates_unknown_state and (problem := self.state_problem()):
+            return Commands("abort", outcome=Outcome(False, problem))
         try:
-            return flight.activity.step(seen)
+            return running.activity.step(obs)
         except ActivityError as error:
-            return Orders("abort", ended=Ended(False, str(error)))
+            return Commands("abort", outcome=Outcome(False, str(error)))
 
-    def order(self, flight: Flight, orders: Orders, seen: Seen) -> None:
+    def publish_commands(
+        self, running: RunningActivity, commands: Commands, obs: Observation
+    ) -> None:
         """Publish the commands of an activity."""
-        now, trouble = self.now(), orders.reason and f"{orders.phase}: {orders.reason}"
-        if trouble not in ("", flight.trouble):
-            self.get_logger().warning(f"{flight.kind.name}, {trouble}")
-        flight.trouble = trouble
+        now, problem = self.now(), commands.reason and f"{commands.phase}: {commands.reason}"
+        if problem not in ("", running.problem):
+            self.get_logger().warning(f"{running.kind.name}: {problem}")
+        running.problem = problem
         self.trajectory.publish(
-            messages.trajectory(orders.path, seen.t, now, self.settings.horizon, STEP)
+            messages.trajectory(commands.path, obs.t, now, self.settings.horizon, POINT_SPACING)
         )
-        if orders.rates is not None:
-            flight.rates = True
-            self.rates.publish(self.joint_rates(orders.rates, now))
-        if orders.close is not None:
-            self.grip.publish(Bool(data=orders.close))
-        self.state.publish(self.mission(flight, orders))
+        if commands.rates is not None:
+            running.moves_joints = True
+            self.joint_commands.publish(self.joint_command(commands.rates, now))
+        if commands.close_gripper is not None:
+            self.gripper.publish(Bool(data=commands.close_gripper))
+        self.state.publish(self.mission_state(running, commands))
 
-    def end(self, flight: Flight, ended: Ended, coast: bool = True) -> None:
+    def finish(self, running: RunningActivity, outcome: Outcome, coast: bool = True) -> None:
         """End an activity: close the valves and stop the joints, unless another follows."""
-        self.flight = None
+        self.running = None
         now = self.now()
         if coast:
-            self.trajectory.publish(messages.trajectory(None, 0.0, now, 0.0, STEP))
-        if coast and flight.rates:
-            self.rates.publish(self.joint_rates(np.zeros(self.craft.arm.n), now))
-        phase = "done" if ended.well else "abort"
-        self.state.publish(self.mission(flight, Orders(phase, ended=ended)))
-        if ended.well:
-            self.get_logger().info(f"{flight.kind.name} ended")
+            self.trajectory.publish(messages.trajectory(None, 0.0, now, 0.0, POINT_SPACING))
+        if coast and running.moves_joints:
+            self.joint_commands.publish(self.joint_command(np.zeros(self.craft.arm.n), now))
+        phase = "done" if outcome.success else "abort"
+        self.state.publish(self.mission_state(running, Commands(phase, outcome=outcome)))
+        if outcome.success:
+            self.get_logger().info(f"{running.kind.name} succeeded")
         else:
-            self.get_logger().warning(f"{flight.kind.name} ended: {ended.message}")
-        flight.over.set_result(ended)
+            self.get_logger().warning(f"{running.kind.name} failed: {outcome.message}")
+        running.finished.set_result(outcome)
 
-    def joint_rates(self, rates: Floats, now: int) -> JointState:
+    def joint_command(self, rates: Floats, now: int) -> JointState:
         """Return rates of all joints [rad/s] as a command."""
         names = [f"joint_{i + 1}" for i in range(len(rates))]
         message = JointState(name=names, velocity=np.asarray(rates, dtype=float).tolist())
         message.header.stamp = to_time(now)
         return message
 
-    def mission(self, flight: Flight | None, orders: Orders) -> MissionState:
+    def mission_state(self, running: RunningActivity | None, commands: Commands) -> MissionState:
         """Return the state of the mission, and the resources that it has used."""
-        budget = flight.budget if flight else Budget(self.craft)
+        budget = running.budget if running else Budget(self.craft)
+        reason = commands.outcome.message if commands.outcome else commands.reason
         state = MissionState(
-            mission=flight.kind.name.partition("/")[2] if flight else "",
-            phase=orders.phase, reason=orders.ended.message if orders.ended else orders.reason,
+            mission=running.kind.name.partition("/")[2] if running else "",
+            phase=commands.phase, reason=reason,
             elapsed=budget.elapsed, reference=np.full(3, np.nan),
-            keep_out=orders.keep_out, fixture_distance=orders.fixture_distance,
-            edge_clearance=budget.edge, target_clearance=budget.target,
+            keep_out=commands.keep_out, fixture_distance=commands.fixture_distance,
+            edge_clearance=budget.edge_gap, target_clearance=budget.target_gap,
             propellant=budget.propellant, momentum=budget.momentum,
             largest_torque=budget.largest_torque,
         )  # fmt: skip
         state.header.stamp, state.header.frame_id = to_time(self.now()), "world"
-        if orders.path is not None:
-            ahead = orders.path.sampled(budget.elapsed, PICTURED)[1]
-            state.reference, state.path = ahead[0, 0], ahead[:, 0].ravel().tolist()
+        if commands.path is not None:
+            path = commands.path.sample(budget.elapsed, MAX_PUBLISHED_POSES)[1]
+            state.reference, state.path = path[0, 0], path[:, 0].ravel().tolist()
         return state
 
     def health(self) -> Health:
         """Return the health for diagnostics."""
-        if flight := self.flight:
-            words = ", ".join(filter(None, (flight.kind.name, flight.trouble)))
-            return Health(WARN if flight.trouble else OK, words)
-        why = self.trouble()
-        return Health(WARN if why else OK, why or "ready")
+        if running := self.running:
+            text = ": ".join(filter(None, (running.kind.name, running.problem)))
+            return Health(WARN if running.problem else OK, text)
+        problem = self.state_problem()
+        return Health(WARN if problem else OK, problem or "ready")
 
 
-def at_rest(n: int) -> Seen:
+def resting_observation(n: int) -> Observation:
     """Return a state of base, target and n joints, all zero and at rest."""
     body, zero = Body(np.zeros(3), np.zeros(3)), np.zeros(n)
-    return Seen(0.0, body, body, zero, zero)
+    return Observation(0.0, body, body, zero, zero)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ class Latest(Generic[T]):
         self.stamp: int | None = None  # [ns]
         self.value: T | None = None
 
-    def take(self, stamp: int, value: T) -> None:
+    def store(self, stamp: int, value: T) -> None:
         """Store a value with its stamp [ns]."""
         self.stamp, self.value = stamp, value
 
@@ -28,14 +28,14 @@ class Latest(Generic[T]):
         """Return the age of the value [s]; infinite if there is none."""
         return float("inf") if self.stamp is None else (now - self.stamp) / SECOND
 
-    def at(self, now: int) -> T | None:
+    def valid_value(self, now: int) -> T | None:
         """Return the value; None if there is none that is valid at `now` [ns]."""
         return self.value if abs(self.age(now)) <= self.max_age else None
 
-    def trouble(self, now: int) -> str:
+    def problem(self, now: int) -> str:
         """Return why there is no valid value; empty if there is one."""
         if self.stamp is None:
-            return f"{self.name} was not heard yet"
+            return f"waiting for {self.name}"
         if (age := self.age(now)) > self.max_age:
             return f"{self.name} is {age:.1f} s old"
-        return f"{self.name} is {-age:.1f} s ahead of the clock" if age < -self.max_age else ""
+        return f"{self.name} is stamped {-age:.1f} s in the future" if age < -self.max_age else ""

@@ -15,9 +15,9 @@ from fss_gnc import bounds
 from fss_gnc.reference import Body, Floats, Path
 
 BASE, WORLD = "fss", "world"  # name of the one "joint" of a base trajectory, and its frame
-HEIGHTS = (-10.0, 10.0)  # allowed heights of a base's origin, ignored by control [m]
+HEIGHT_RANGE = (-10.0, 10.0)  # allowed heights of a base's origin, ignored by control [m]
 MAX_TILT = 0.1  # of the base's z axis [rad]
-ASIDE = 1e-3  # allowed motion out of the plane [m/s, rad/s, m/s^2, rad/s^2]
+MAX_OUT_OF_PLANE = 1e-3  # allowed motion out of the plane [m/s, rad/s, m/s^2, rad/s^2]
 MAX_OVERSPEED = 3.0  # planned rate of a joint, as a multiple of its drive's max_velocity
 
 
@@ -70,23 +70,23 @@ def planned_rates(message: Any, arm: Arm) -> tuple[int, Floats, Floats]:
     """
     names, points = [f"joint_{i}" for i in range(1, arm.n + 1)], message.points
     if list(message.joint_names) != names:
-        raise ValueError(f"joint_names is {_short(message.joint_names)}, expected {names}")
+        raise ValueError(f"joint_names is {_abbreviate(message.joint_names)}, expected {names}")
     if not points:
         raise ValueError("there are no points, expected one or more")
     for k, point in enumerate(points):
         if (count := len(point.velocities)) != arm.n:
             raise ValueError(f"points[{k}] has {count} velocities, expected {arm.n}")
-    ahead = np.array([stamp_ns(point.time_from_start) for point in points]) / SECOND
-    bounds.duration("points[0].time_from_start", float(ahead[0]))
-    if (np.diff(ahead) <= 0.0).any():
-        raise ValueError("time_from_start does not rise from point to point")
+    times = np.array([stamp_ns(point.time_from_start) for point in points]) / SECOND
+    bounds.check_duration("points[0].time_from_start", float(times[0]))
+    if (np.diff(times) <= 0.0).any():
+        raise ValueError("time_from_start must increase from point to point")
     rates = np.array([point.velocities for point in points])
-    fastest = MAX_OVERSPEED * np.array([link.drive.max_velocity for link in arm.links])
+    max_rates = MAX_OVERSPEED * np.array([link.drive.max_velocity for link in arm.links])
     bounds.check_all(
-        rates, np.broadcast_to(fastest, rates.shape),
+        rates, np.broadcast_to(max_rates, rates.shape),
         lambda k, i: (f"points[{k}].velocities[{i}]", "rad/s"),
     )  # fmt: skip
-    return stamp_ns(message.header.stamp), ahead, rates
+    return stamp_ns(message.header.stamp), times, rates
 
 
 def trajectory(path: Path | None, t: float, stamp: int, horizon: float, step: float) -> Any:
@@ -102,8 +102,8 @@ def trajectory(path: Path | None, t: float, stamp: int, horizon: float, step: fl
     message = MultiDOFJointTrajectory(joint_names=[BASE])
     message.header.stamp, message.header.frame_id = to_time(stamp), WORLD
     if path is not None:
-        ahead = min(horizon, max(0.0, path.end - t))
-        count = int(np.ceil(ahead / step - 1e-9)) + 1
+        length = min(horizon, max(0.0, path.end_time - t))
+        count = int(np.ceil(length / step - 1e-9)) + 1
         message.points = [_point(path, t, step * k) for k in range(count)]
     return message
 
@@ -134,7 +134,7 @@ def path(message: Any) -> Path | None:
         ValueError: it is not a planar path in the world; the message names the fault.
     """
     if list(message.joint_names) != [BASE]:
-        raise ValueError(f"joint_names is {_short(message.joint_names)}, expected ['{BASE}']")
+        raise ValueError(f"joint_names is {_abbreviate(message.joint_names)}, expected ['{BASE}']")
     if (frame := message.header.frame_id) != WORLD:
         raise ValueError(f"frame_id is {frame[:40]!r}, expected {WORLD!r}")
     if not message.points:
@@ -143,8 +143,8 @@ def path(message: Any) -> Path | None:
     counts = {tuple(len(part) for part in parts) for parts in given}
     if counts not in ({(1, 0, 0)}, {(1, 1, 0)}, {(1, 1, 1)}):
         raise ValueError(
-            "each point must have one transform, and all or none of them a velocity, and those an "
-            "acceleration"
+            "each point must have one transform; all points or none must have one velocity, and "
+            "only then one acceleration each"
         )
     for k, parts in enumerate(given):
         _check_planar(f"points[{k}]", *(part[0] for part in parts if len(part)))
@@ -156,17 +156,19 @@ def path(message: Any) -> Path | None:
 
 def _check_planar(name: str, transform: Any, *twists: Any) -> None:
     """Raise ValueError if a point has height, tilt or motion out of the table's plane."""
-    bounds.check(f"{name}.transforms[0].translation.z", transform.translation.z, *HEIGHTS, "m")
+    bounds.check(f"{name}.transforms[0].translation.z", transform.translation.z, *HEIGHT_RANGE, "m")
     r = transform.rotation
     tilt = 2.0 * atan2(hypot(r.x, r.y), hypot(r.z, r.w))
     bounds.check(f"tilt of {name}.transforms[0].rotation", tilt, 0.0, MAX_TILT, "rad")
     parts = ("velocities", "/s"), ("accelerations", "/s^2")
-    for (part, unit), twist in zip(parts, twists, strict=False):
-        for field, value, of in (
+    for (part, per), twist in zip(parts, twists, strict=False):
+        for field, value, unit in (
             ("linear.z", twist.linear.z, "m"), ("angular.x", twist.angular.x, "rad"),
             ("angular.y", twist.angular.y, "rad"),
         ):  # fmt: skip
-            bounds.check(f"{name}.{part}[0].{field}", value, -ASIDE, ASIDE, of + unit)
+            bounds.check(
+                f"{name}.{part}[0].{field}", value, -MAX_OUT_OF_PLANE, MAX_OUT_OF_PLANE, unit + per
+            )
 
 
 def _pose(transform: Any) -> tuple[float, float, float]:
@@ -180,6 +182,6 @@ def _twist(twist: Any) -> tuple[float, float, float]:
     return twist.linear.x, twist.linear.y, twist.angular.z
 
 
-def _short(names: Any) -> str:
+def _abbreviate(names: Any) -> str:
     """Return the names of joints for an error message, shortened."""
     return str(list(names[:8]))[:80]

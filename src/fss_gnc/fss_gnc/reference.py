@@ -25,7 +25,7 @@ class Body(NamedTuple):
     pose: Floats  # (3,) x, y [m], heading [rad]
     twist: Floats  # (3,) [m/s, m/s, rad/s]
 
-    def after(self, dt: float) -> "Body":
+    def extrapolate(self, dt: float) -> "Body":
         """Return the state after dt [s] at constant twist."""
         return Body(self.pose + dt * self.twist, self.twist)
 
@@ -60,22 +60,22 @@ class Path:
             raise ValueError("the path has no points")
         if not (np.isfinite(self.times).all() and np.isfinite(self.knots).all()):
             raise ValueError("the path has a number that is not finite")
-        if (late := np.flatnonzero(np.diff(self.times) <= 0.0)).size:
-            k = int(late[0])
+        if (unordered := np.flatnonzero(np.diff(self.times) <= 0.0)).size:
+            k = int(unordered[0])
             raise ValueError(
                 f"time of point {k + 1} is {self.times[k + 1]:g} s, expected more than "
                 f"{self.times[k]:g} s"
             )
 
     @staticmethod
-    def between(begin: Reference, end: npt.ArrayLike, start: float, duration: float) -> "Path":
+    def between(initial: Reference, goal: npt.ArrayLike, start: float, duration: float) -> "Path":
         """Return the path from a state at the time `start` [s] to a pose at rest."""
-        first = [begin.pose, begin.twist, begin.acceleration]
-        last = [np.asarray(end), np.zeros(3), np.zeros(3)]
+        first = [initial.pose, initial.twist, initial.acceleration]
+        last = [np.asarray(goal), np.zeros(3), np.zeros(3)]
         return Path(np.array([start, start + duration]), np.array([first, last]))
 
     @property
-    def end(self) -> float:
+    def end_time(self) -> float:
         """Time of the last knot [s]."""
         return float(self.times[-1])
 
@@ -85,17 +85,17 @@ class Path:
 
     def states(self, t: Floats) -> Floats:
         """Return pose, twist and acceleration at times (m,) [s], (m, 3, 3)."""
-        found = np.zeros((len(t), 3, 3))
-        found[:, 0] = np.where(t[:, None] < self.times[0], self.knots[0, 0], self.knots[-1, 0])
-        on = (self.times[0] <= t) & (t < self.times[-1])
-        k = np.searchsorted(self.times, t[on], side="right") - 1
+        states = np.zeros((len(t), 3, 3))
+        states[:, 0] = np.where(t[:, None] < self.times[0], self.knots[0, 0], self.knots[-1, 0])
+        inside = (self.times[0] <= t) & (t < self.times[-1])
+        k = np.searchsorted(self.times, t[inside], side="right") - 1
         h, c = (self.times[k + 1] - self.times[k])[:, None], self._coefficients[k]
         size = c.shape[1]
-        s = ((t[on] - self.times[k])[:, None] / h) ** _POWERS[:size]
-        slope, bend = _POWERS[1:size] * s[:, :-1], _BENDS[: size - 2] * s[:, :-2]
-        for d, part in enumerate((s, slope, bend)):
-            found[on, d] = np.einsum("mj,mji->mi", part, c[:, d:]) / h**d
-        return found
+        s = ((t[inside] - self.times[k])[:, None] / h) ** _EXPONENTS[:size]
+        first, second = _EXPONENTS[1:size] * s[:, :-1], _SECOND_FACTORS[: size - 2] * s[:, :-2]
+        for d, part in enumerate((s, first, second)):
+            states[inside, d] = np.einsum("mj,mji->mi", part, c[:, d:]) / h**d
+        return states
 
     @cached_property
     def _coefficients(self) -> Floats:
@@ -103,27 +103,27 @@ class Path:
         steps, depth = np.diff(self.times), self.knots.shape[1]
         scale = steps[:, None] ** np.arange(depth)  # from time to s
         ends = np.stack([self.knots[:-1], self.knots[1:]], axis=1) * scale[:, None, :, None]
-        return _solved(depth) @ ends.reshape(len(steps), 2 * depth, 3)
+        return _coefficient_matrix(depth) @ ends.reshape(len(steps), 2 * depth, 3)
 
-    def sampled(self, begin: float, count: int = 65) -> tuple[Floats, Floats]:
-        """Return times from `begin` to the end, (count,), and the states then, (count, 3, 3)."""
-        times = np.linspace(min(begin, self.end), self.end, count)
+    def sample(self, start: float, count: int = 65) -> tuple[Floats, Floats]:
+        """Return times from `start` to the end, (count,), and the states then, (count, 3, 3)."""
+        times = np.linspace(min(start, self.end_time), self.end_time, count)
         return times, self.states(times)
 
-    def resolved(self, begin: float) -> tuple[Floats, Floats]:
-        """Return the times of `sampled` and SEGMENT_STEPS more per segment, and the states then."""
-        even, share = self.sampled(begin)[0], np.arange(SEGMENT_STEPS) / SEGMENT_STEPS
-        inside = (self.times[:-1, None] + np.diff(self.times)[:, None] * share).ravel()
-        times = np.union1d(even, inside[inside >= begin])
+    def sample_segments(self, start: float) -> tuple[Floats, Floats]:
+        """Return the times of `sample` and SEGMENT_STEPS more per segment, and the states then."""
+        even, fractions = self.sample(start)[0], np.arange(SEGMENT_STEPS) / SEGMENT_STEPS
+        inside = (self.times[:-1, None] + np.diff(self.times)[:, None] * fractions).ravel()
+        times = np.union1d(even, inside[inside >= start])
         return times, self.states(times)
 
 
-_POWERS = np.arange(6.0)
-_BENDS = _POWERS[2:] * _POWERS[1:-1]
+_EXPONENTS = np.arange(6.0)
+_SECOND_FACTORS = _EXPONENTS[2:] * _EXPONENTS[1:-1]
 
 
 @cache
-def _solved(depth: int) -> Floats:
+def _coefficient_matrix(depth: int) -> Floats:
     """Return the matrix from the values at s = 0 and s = 1 to the polynomial's coefficients."""
     size = 2 * depth
     rows = [
@@ -134,8 +134,8 @@ def _solved(depth: int) -> Floats:
     return np.asarray(np.linalg.inv(rows), dtype=float)
 
 
-def off(pose: npt.ArrayLike, wanted: npt.ArrayLike) -> Floats:
+def pose_error(pose: npt.ArrayLike, desired: npt.ArrayLike) -> Floats:
     """Return the difference of two poses, (3,), with the heading wrapped to the shorter turn."""
-    apart = np.asarray(pose, dtype=float) - np.asarray(wanted, dtype=float)
-    apart[2] = wrap(apart[2])
-    return apart
+    error = np.asarray(pose, dtype=float) - np.asarray(desired, dtype=float)
+    error[2] = wrap(error[2])
+    return error

@@ -1,4 +1,4 @@
-"""The node `control` by its topics."""
+"""Topics of the node `control`."""
 
 from copy import deepcopy
 
@@ -30,12 +30,12 @@ def bench(spin):
     return Bench(spin)
 
 
-def test_without_a_trajectory_it_is_silent(bench):
-    bench.until(lambda: "coasts: base/trajectory was not heard yet" in bench.words)
+def test_no_wrench_without_a_trajectory(bench):
+    bench.until(lambda: "thrusters idle: waiting for base/trajectory" in bench.words)
     assert not bench.wrenches
 
 
-def test_it_draws_the_base_to_its_reference_in_the_base_s_axes(bench):
+def test_wrench_points_to_the_reference_in_the_base_s_axes(bench):
     bench.pose = np.array([0.0, 0.0, np.pi / 2])
     bench.path = at(0.05, 0.0, np.pi / 2)
     bench.until(lambda: bench.control.base.value.pose[2] > 1.5)
@@ -46,7 +46,7 @@ def test_it_draws_the_base_to_its_reference_in_the_base_s_axes(bench):
     assert abs(w[0]) < 1e-3
 
 
-def test_the_reference_moves_with_time(bench):
+def test_reference_moves_with_time(bench):
     knots = np.zeros((2, 2, 3))
     knots[:, 1, 0], knots[1, 0, 0] = 0.02, 0.1
     bench.path = Path(np.array([0.0, 5.0]), knots)  # the base should move with 0.02 m/s already
@@ -55,44 +55,44 @@ def test_the_reference_moves_with_time(bench):
     assert bench.acts()[0] == pytest.approx(expected, rel=0.1)
 
 
-def test_a_base_that_is_not_heard_any_more_closes_the_valves(bench):
+def test_stale_base_state_closes_the_valves(bench):
     bench.acts()
     bench.silent |= {"base/state"}
-    bench.stops("coasts: base/state is ", within=1.0)
+    bench.stops("thrusters idle: base/state is ", within=1.0)
 
 
-def test_joints_that_are_not_heard_any_more_are_taken_to_rest(bench):
+def test_stale_joints_are_assumed_at_rest(bench):
     bench.acts()
     bench.silent |= {"arm/joint_states"}
-    bench.until(lambda: "arm/joint_states is " in bench.control.trouble)
+    bench.until(lambda: "arm/joint_states is " in bench.control.problem)
     at_rest = bench.acts()
     assert np.isfinite(at_rest).all()
     words = bench.control.health()
-    assert words.message.startswith("takes the joints to rest: arm/joint_states is ")
+    assert words.message.startswith("joints assumed at rest: arm/joint_states is ")
 
 
-def test_stamps_that_are_old_count_not_their_arrival(bench):
+def test_age_counts_from_the_stamp_and_not_from_the_arrival(bench):
     bench.acts()
     bench.late = 2.0
-    bench.stops("coasts: base/state is 2.0 s old", within=1.0)
+    bench.stops("thrusters idle: base/state is 2.0 s old", within=1.0)
 
 
-def test_a_trajectory_that_is_not_repeated_holds_for_its_timeout(bench):
+def test_trajectory_expires_after_its_timeout(bench):
     bench.acts()
     bench.silent |= {"base/trajectory"}
-    begun = bench.now()
-    bench.stops("coasts: base/trajectory is ")
-    assert (bench.now() - begun) / SECOND > 0.9
+    start = bench.now()
+    bench.stops("thrusters idle: base/trajectory is ")
+    assert (bench.now() - start) / SECOND > 0.9
 
 
-def test_a_trajectory_without_points_lets_it_coast_at_once(bench):
+def test_trajectory_without_points_closes_the_valves_at_once(bench):
     bench.acts()
     bench.path = None
-    bench.stops("coasts: base/trajectory has no points", within=0.3)
+    bench.stops("thrusters idle: base/trajectory has no points", within=0.3)
 
 
 @pytest.mark.parametrize("spoil", ["pose", "twist"])
-def test_what_is_no_number_is_left_out_and_so_grows_old(bench, spoil):
+def test_states_with_nan_are_ignored(bench, spoil):
     bench.acts()
     setattr(bench, spoil, np.full(4 if spoil == "q" else 3, np.nan))
     bench.stops("s old", within=1.0)
@@ -105,7 +105,7 @@ def spoiled(bench, **changes):
     return message
 
 
-def test_trajectories_that_make_no_sense_are_left_out(bench):
+def test_invalid_trajectories_are_ignored(bench):
     bench.acts()
     bench.silent |= {"base/trajectory"}
     nan = spoiled(bench)
@@ -122,7 +122,7 @@ def test_trajectories_that_make_no_sense_are_left_out(bench):
     assert bench.control.trajectory.value[1].knots[0, 0, 0] == bench.path.knots[0, 0, 0]
 
 
-def test_after_numbers_that_no_arithmetic_survives_it_goes_on(bench):
+def test_control_continues_after_huge_numbers(bench):
     huge = spoiled(bench)
     huge.points.append(deepcopy(huge.points[0]))
     huge.points[1].time_from_start = Duration(seconds=1.0).to_msg()
@@ -138,15 +138,15 @@ def test_after_numbers_that_no_arithmetic_survives_it_goes_on(bench):
     assert refusals(bench.control) == {"refused on base/trajectory": 5}
 
 
-def test_two_who_say_where_the_base_is_are_named(bench):
+def test_duplicate_publishers_of_the_base_state_are_reported(bench):
     other = Node("other")
     other.create_publisher(Odometry, "base/state", 1)
     bench.run([other], lambda: "base/state has 2 sources: /fake_craft, /other" in bench.words)
 
 
-def test_a_tank_that_is_said_to_hold_less_than_nothing_weighs_nothing(bench):
+def test_negative_propellant_counts_as_zero(bench):
     bench.propellant = -20.0
-    bench.until(lambda: bench.control.used > 0.0)
+    bench.until(lambda: bench.control.propellant_used > 0.0)
     bench.acts()
     assert bench.control.control.p[layout.MASS] == pytest.approx(ARM.vector()[layout.MASS] - 0.1)
 
@@ -160,9 +160,9 @@ def planned(bench, rates):
     return message
 
 
-@pytest.mark.parametrize("fed", [True, False])
-def test_the_arm_s_planned_accelerations_are_balanced_if_wanted(spin, fed):
-    bench = Bench(spin, feed_forward=fed)
+@pytest.mark.parametrize("feed_forward", [True, False])
+def test_feedforward_compensates_planned_accelerations(spin, feed_forward):
+    bench = Bench(spin, feed_forward=feed_forward)
     bench.path, bench.plan = at(0.0, 0.0, 0.0), planned(bench, [0.0, 0.0])
     bench.acts()
     assert np.abs(bench.wrenches).max() < 1e-3
@@ -171,8 +171,8 @@ def test_the_arm_s_planned_accelerations_are_balanced_if_wanted(spin, fed):
     bench.until(lambda: len(bench.wrenches) > count + 10)
     q = np.array([0.0, 0.0, 0.0, *FOLDED])
     expected = inertia_matrix(ARM.vector(), q)[:3, 3:] @ np.full(4, 3.0)
-    if fed:
-        # Each is given for a period, and makes up for what has passed since the one before it.
+    if feed_forward:
+        # Each wrench acts for one period and compensates the time since the last one.
         lasted = (bench.stamps[count + 10] - bench.stamps[count + 3]) / SECOND
         given = np.sum(bench.wrenches[count + 4 : count + 11], axis=0) / bench.control.settings.rate
         np.testing.assert_allclose(given / lasted, expected, rtol=0.1)
@@ -180,7 +180,7 @@ def test_the_arm_s_planned_accelerations_are_balanced_if_wanted(spin, fed):
         assert np.abs(bench.wrenches[count:]).max() < 1e-3
 
 
-def test_mass_and_inertia_are_those_with_the_target_and_without_the_propellant(bench):
+def test_model_includes_the_target_and_excludes_used_propellant(bench):
     bench.acts()
     p, q = ARM.vector(), np.array([0.0, 0.0, 0.0, *FOLDED])
     x, y, heading = tip_pose(p, q)
@@ -191,15 +191,15 @@ def test_mass_and_inertia_are_those_with_the_target_and_without_the_propellant(b
     whole = with_held(p, Target(), hold(p, q, bench.target[0]))
     mass = inertia_matrix(bench.control.control.p, q)[0, 0]
     assert mass == pytest.approx(inertia_matrix(whole, q)[0, 0] - 0.06)
-    told = bench.create_publisher(MassProperties, "target/mass_properties", 1)
-    bench.until(lambda: told.get_subscription_count())
-    told.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
+    publisher = bench.create_publisher(MassProperties, "target/mass_properties", 1)
+    bench.until(lambda: publisher.get_subscription_count())
+    publisher.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
     bench.until(lambda: bench.control.measured is not None)
     bench.acts()
     found = with_held(p, Target(20.0, 0.6), np.array([0.4, 0.05, 0.0]))
     found[layout.MASS] -= 0.06
     np.testing.assert_allclose(bench.control.control.p, found)
-    told.publish(MassProperties(mass=-1.0, inertia=0.6))
+    publisher.publish(MassProperties(mass=-1.0, inertia=0.6))
     bench.acts()
     np.testing.assert_allclose(bench.control.control.p, found)
     bench.holds = False
@@ -209,14 +209,14 @@ def test_mass_and_inertia_are_those_with_the_target_and_without_the_propellant(b
     assert mass == pytest.approx(inertia_matrix(p, q)[0, 0] - 0.06)
 
 
-def test_a_clock_that_is_set_back_closes_the_valves_until_all_is_heard_anew(spin):
+def test_clock_that_jumps_back_closes_the_valves_until_new_messages_arrive(spin):
     bench = Bench(spin, time=100 * SECOND, use_sim_time=True)
     bench.acts()
     bench.time = 10 * SECOND
     bench.silent |= {"base/state", "base/trajectory"}
     bench.until(lambda: bench.wrenches[-1] == ZERO)
     count = len(bench.wrenches)
-    bench.until(lambda: "s ahead of the clock" in bench.words)
+    bench.until(lambda: "s in the future" in bench.words)
     assert len(bench.wrenches) == count
     bench.silent -= {"base/state"}
     bench.acts()

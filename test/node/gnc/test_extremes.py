@@ -1,4 +1,4 @@
-"""Every field of every goal and command of `control` and `guidance`, at values without sense."""
+"""Invalid values in every field of the goals and commands of `control` and `guidance`."""
 
 from math import inf, nan
 from operator import attrgetter
@@ -27,7 +27,7 @@ DENORMAL = 5e-324
 NOT_FINITE = (nan, inf, -inf)
 HUGE = (1e9, -1e9, 1e18, -1e18)
 MILLION = 1_000_000
-QUIET = 1e-6  # a wrench that opens no valve [N, N m]
+MIN_WRENCH = 1e-6  # a smaller wrench opens no valve [N, N m]
 
 # --- control ------------------------------------------------------------------------------------
 
@@ -50,8 +50,8 @@ NUMBERS = [
     *[("time_from_start", Duration(sec=sec)) for sec in (-1, 86_401, 2**31 - 1)],
     *[(part, []) for part in ("transforms", "velocities", "accelerations")],
 ]
-#: Field of the whole message, and value.
-WHOLE = [
+#: Field of the message itself, and value.
+MESSAGE_FIELDS = [
     *[("header.stamp", Time(sec=sec)) for sec in (0, -1, 1, 2**31 - 1)],
     *[("header.frame_id", frame) for frame in ("", "fss", 9000 * "x")],
     *[("joint_names", names) for names in ([], ["joint_1"], 2 * ["fss"], 9000 * ["fss"])],
@@ -89,22 +89,22 @@ def resting(bench):
     return through(bench, [0, 1], [0, 0], [0, 0], [0, 0])
 
 
-def put(message, name, value):
+def set_field(message, name, value):
     """Set a field, of the message or of a message in it."""
     path, _, last = name.rpartition(".")
     setattr(attrgetter(path)(message) if path else message, last, value)
 
 
-def put_in_point(point, name, value):
+def set_point_field(point, name, value):
     part, _, rest = name.partition(".")
     if rest:
-        put(getattr(point, part)[0], rest, value)
+        set_field(getattr(point, part)[0], rest, value)
     else:
-        put(point, name, value)
+        set_field(point, name, value)
 
 
-def rejects(bench, publisher, message, what):
-    """Publish a message: it is counted, and opens no valve."""
+def check_rejected(bench, publisher, message, what):
+    """Check that a published message is rejected and counted, and opens no valve."""
     key = f"refused on {publisher.topic_name.lstrip('/')}"
     before = refusals(bench.control).get(key, 0)
     publisher.publish(message)
@@ -113,26 +113,26 @@ def rejects(bench, publisher, message, what):
     except pytest.fail.Exception:
         pytest.fail(f"{what} is not rejected")
     assert refusals(bench.control)[key] == before + 1, what
-    assert np.abs(bench.wrenches or [0.0]).max() < QUIET, what
+    assert np.abs(bench.wrenches or [0.0]).max() < MIN_WRENCH, what
 
 
-def follows_still(bench):
-    """A valid reference is followed."""
+def still_follows(bench):
+    """Check that a valid reference is followed."""
     bench.path = at(0.05, 0.0, 0.0)
     bench.silent -= {"base/trajectory"}
     bench.until(lambda: bench.wrenches and bench.wrenches[-1][0] > 0.01)
 
 
-def test_no_reference_that_makes_no_sense_is_followed(control):
+def test_invalid_references_are_rejected(control):
     for name, value in NUMBERS:
         for k in (0, 1):
             message = resting(control)
-            put_in_point(message.points[k], name, value)
-            rejects(control, control.trajectory, message, f"points[{k}].{name} = {value}")
-    for name, value in WHOLE:
+            set_point_field(message.points[k], name, value)
+            check_rejected(control, control.trajectory, message, f"points[{k}].{name} = {value}")
+    for name, value in MESSAGE_FIELDS:
         message = resting(control)
-        put(message, name, value)
-        rejects(control, control.trajectory, message, f"{name} = {str(value)[:40]}")
+        set_field(message, name, value)
+        check_rejected(control, control.trajectory, message, f"{name} = {str(value)[:40]}")
     late, early = resting(control), resting(control)
     late.header.stamp = to_time(control.now() - 5 * SECOND)
     early.header.stamp = to_time(control.now() + 5 * SECOND)
@@ -145,9 +145,9 @@ def test_no_reference_that_makes_no_sense_is_followed(control):
         "across the table in 0.1 s": through(control, [0.0, 0.1], x=[0.0, 1.9]),
         "off the table between points": through(control, [0, 60], x=[0, 0], speed=[0.9, -0.9]),
     }.items():  # fmt: skip
-        rejects(control, control.trajectory, message, what)
+        check_rejected(control, control.trajectory, message, what)
     assert not control.wrenches
-    follows_still(control)
+    still_follows(control)
 
 
 def follow(bench, message):
@@ -158,14 +158,14 @@ def follow(bench, message):
     bench.until(lambda: len(bench.wrenches) > before + 1)
 
 
-def test_denormal_numbers_of_a_reference_are_as_zero(control):
+def test_denormal_numbers_in_a_reference_count_as_zero(control):
     for name in PLACE + TURN[:3] + MOTION:
         message = resting(control)
-        put_in_point(message.points[0], name, DENORMAL)
+        set_point_field(message.points[0], name, DENORMAL)
         follow(control, message)
-    assert np.abs(control.wrenches).max() < QUIET
+    assert np.abs(control.wrenches).max() < MIN_WRENCH
     assert not refusals(control.control)
-    follows_still(control)
+    still_follows(control)
 
 
 def plan(bench, **fields):
@@ -180,7 +180,7 @@ def plan(bench, **fields):
     return message
 
 
-def test_no_plan_of_the_joints_that_makes_no_sense_is_balanced(control):
+def test_invalid_joint_plans_are_rejected(control):
     control.path = at(0.0, 0.0, 0.0)
     control.acts()
     for name, i, value in PLANS:
@@ -189,25 +189,25 @@ def test_no_plan_of_the_joints_that_makes_no_sense_is_balanced(control):
             numbers = 4 * [0.0]
             numbers[i] = value
             setattr(message.points[k], name, numbers)
-            rejects(control, control.planned, message, f"points[{k}].{name}[{i}] = {value}")
+            check_rejected(control, control.planned, message, f"points[{k}].{name}[{i}] = {value}")
     for velocities in ([], [0.0], 5 * [0.0], 9000 * [0.0]):
         message = plan(control)
         message.points[1].velocities = velocities
-        rejects(control, control.planned, message, f"{len(velocities)} velocities")
+        check_rejected(control, control.planned, message, f"{len(velocities)} velocities")
     for sec in (-1, 0, 2**31 - 1):
         message = plan(control)
         message.points[0].time_from_start = Duration(sec=sec)
         message.points[1].time_from_start = Duration(sec=0)
-        rejects(control, control.planned, message, f"points[0].time_from_start = {sec} s")
+        check_rejected(control, control.planned, message, f"points[0].time_from_start = {sec} s")
     for names in ([], ["joint_1"], 9000 * ["joint_1"]):
-        rejects(control, control.planned, plan(control, joint_names=names), f"{names[:2]}")
-    rejects(control, control.planned, plan(control, points=[]), "no points")
+        check_rejected(control, control.planned, plan(control, joint_names=names), f"{names[:2]}")
+    check_rejected(control, control.planned, plan(control, points=[]), "no points")
     denormal = plan(control)
     denormal.points[1].velocities = 4 * [DENORMAL]
     control.planned.publish(denormal)
     control.acts(10)
-    assert np.abs(control.wrenches).max() < QUIET
-    follows_still(control)
+    assert np.abs(control.wrenches).max() < MIN_WRENCH
+    still_follows(control)
 
 
 # --- guidance -----------------------------------------------------------------------------------
@@ -224,7 +224,7 @@ def with_one(numbers, i, value):
     return changed
 
 
-#: Action, goal, and the field that its answer names.
+#: Action, goal, and the field that the result names.
 GOALS = [
     *[
         (kind, {"pose": with_one(3 * [0.0], i, value)}, f"pose[{i}]")
@@ -261,7 +261,7 @@ GOALS = [
     (FOLLOW, {}, "time has 0 knots"),
     (FOLLOW, KNOTS | {"pose": []}, "pose has 0 numbers"),
 ]  # fmt: skip
-#: As if the number were 0.
+#: Goals with numbers that count as 0.
 AS_ZERO = [
     (HOLD, {"pose": 3 * [DENORMAL], "duration": DENORMAL}),
     (GO_TO, {"pose": 3 * [-DENORMAL], "hold_duration": DENORMAL}),
@@ -275,7 +275,7 @@ def guidance(spin):
     return guidance_bench.Bench(spin, max_age=3.0)  # of a busy computer
 
 
-def test_a_goal_that_makes_no_sense_is_answered_with_field_value_and_what_was_expected(guidance):
+def test_invalid_goals_are_rejected_with_field_and_expected_value(guidance):
     for kind, goal, field in GOALS:
         ended = guidance.does(kind, **goal)
         what = f"{kind.name} {str(goal)[:80]}: {ended.result.message[:200]}"
@@ -294,9 +294,9 @@ def test_a_goal_that_makes_no_sense_is_answered_with_field_value_and_what_was_ex
 
 @pytest.mark.parametrize(
     ("reason", "shown"),
-    [("", "asked for"), ("lost\nit", "lost it"), (MILLION * "x", 200 * "x")],
+    [("", "requested by the operator"), ("lost\nit", "lost it"), (MILLION * "x", 200 * "x")],
 )
-def test_an_abort_is_carried_out_whatever_its_reason(guidance, reason, shown):
+def test_abort_accepts_any_reason(guidance, reason, shown):
     guidance.begin(ABORT, reason=reason)
     guidance.until(lambda: guidance.states[-1].phase == "abort")
     assert guidance.states[-1].reason == shown

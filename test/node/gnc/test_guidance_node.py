@@ -1,4 +1,4 @@
-"""The node `guidance` by its actions and topics: one activity at a time, and how it ends."""
+"""Actions and topics of the node `guidance`: one activity at a time, and its outcome."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import WARN
 from fss_arm_ros.qos import LATCHED
 from fss_gnc import guidance_node
-from fss_gnc.guidance.activity import Ended, Orders
+from fss_gnc.guidance.activity import Commands, Outcome
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.kinds import BASE, MISSIONS, HoldBase, Kind
 from fss_gnc.reference import Body
@@ -31,14 +31,14 @@ def bench(spin):
     return Bench(spin)
 
 
-def test_it_says_that_it_does_nothing(bench):
+def test_state_is_idle_without_a_goal(bench):
     state = bench.states[-1]
     assert (state.mission, state.phase) == ("", "idle")
     assert np.isnan(state.reference).all()
     assert not bench.paths
 
 
-def test_it_goes_there_tells_of_it_and_coasts(bench):
+def test_go_to_reaches_its_goal_and_then_coasts(bench):
     ended = bench.does(GO_TO, pose=[0.02, 0.01, 0.1], hold_duration=0.5)
     assert ended.status == DONE
     assert ended.result.reached
@@ -59,7 +59,7 @@ def test_it_goes_there_tells_of_it_and_coasts(bench):
     assert bench.feedback[0].feedback.remaining > bench.feedback[-1].feedback.remaining
 
 
-def test_it_follows_poses_in_time(spin):
+def test_follow_reaches_its_last_pose(spin):
     bench = Bench(spin, max_age=3.0)  # of a busy computer
     poses = np.array([[0, 0, 0], [0.01, 0, 0], [0.01, 0.01, 0]], dtype=float)
     ended = bench.does(FOLLOW, time=[0.0, 3.0, 6.0], pose=poses.ravel().tolist())
@@ -68,15 +68,15 @@ def test_it_follows_poses_in_time(spin):
     assert max(ended.result.largest_offset) < 0.01
 
 
-def test_a_trajectory_tells_of_the_next_moments(bench):
+def test_trajectory_covers_the_horizon(bench):
     bench.begin(GO_TO, pose=[0.5, 0.0, 0.0])
     bench.until(lambda: len(bench.paths) > 3)
     path = bench.paths[-1]
-    assert path.end == pytest.approx(bench.guidance.settings.horizon)
+    assert path.end_time == pytest.approx(bench.guidance.settings.horizon)
     assert path.knots.shape[1] == 3
 
 
-def test_what_is_refused_says_why_and_what_is_under_way_goes_on(bench):
+def test_rejected_goal_gives_a_reason_and_the_running_action_continues(bench):
     bench.holding()
     ended = bench.does(GO_TO, pose=[1.9, 0.0, 0.0])
     assert ended.status == ABORTED
@@ -87,7 +87,7 @@ def test_what_is_refused_says_why_and_what_is_under_way_goes_on(bench):
     assert bench.paths[-1] is not None
 
 
-def test_a_base_activity_takes_the_place_of_another_without_a_break(bench):
+def test_base_action_preempts_another_without_a_gap(bench):
     handle = bench.holding()
     bench.begin(GO_TO, pose=[0.3, 0.0, 0.0])
     ended = bench.end(handle)
@@ -96,7 +96,7 @@ def test_a_base_activity_takes_the_place_of_another_without_a_break(bench):
     assert None not in bench.paths
 
 
-def test_a_cancelled_hold_was_held(bench):
+def test_cancelled_hold_counts_as_held(bench):
     handle = bench.holding()
     bench.until(lambda: bench.states[-1].elapsed > 1.1)
     bench.after(handle.cancel_goal_async())
@@ -106,7 +106,7 @@ def test_a_cancelled_hold_was_held(bench):
     assert bench.coasts().phase == "done"
 
 
-def test_cancelled_on_its_way_it_brakes(bench):
+def test_cancelled_motion_brakes(bench):
     handle = bench.begin(GO_TO, pose=[0.5, 0.0, 0.0])
     bench.until(lambda: np.hypot(*bench.twist[:2]) > 0.002)
     bench.after(handle.cancel_goal_async())
@@ -118,7 +118,7 @@ def test_cancelled_on_its_way_it_brakes(bench):
 
 
 @pytest.mark.parametrize("topic", ["base/stop", "arm/stop"])
-def test_a_stop_ends_it_at_once(bench, topic):
+def test_stop_ends_the_action_at_once(bench, topic):
     handle = bench.holding()
     bench.stops[topic].publish(Empty())
     ended = bench.end(handle)
@@ -128,7 +128,7 @@ def test_a_stop_ends_it_at_once(bench, topic):
 
 
 @pytest.mark.parametrize("topic", ["base/state", "arm/joint_states"])
-def test_it_ends_when_base_or_joints_are_not_known_any_more(bench, topic):
+def test_unknown_base_or_joints_end_the_action(bench, topic):
     handle = bench.holding()
     bench.silent |= {topic}
     ended = bench.end(handle)
@@ -139,7 +139,7 @@ def test_it_ends_when_base_or_joints_are_not_known_any_more(bench, topic):
     assert ended.result.message.startswith(f"{topic} is ")
 
 
-def test_a_base_that_does_not_follow_ends_it(bench):
+def test_base_off_its_reference_ends_the_action(bench):
     handle = bench.holding()
     bench.obeys = False
     bench.pose = np.array([0.0, 0.2, 0.0])
@@ -148,51 +148,51 @@ def test_a_base_that_does_not_follow_ends_it(bench):
     bench.coasts()
 
 
-def test_a_goal_of_numbers_that_no_arithmetic_survives_is_refused_with_the_reason(bench):
+def test_goal_with_huge_numbers_is_rejected_with_a_reason(bench):
     ended = bench.does(GO_TO, pose=[1e300, 0.0, 0.0])
     assert ended.status == ABORTED
     assert ended.result.message == "pose[0] is 1e+300 m, expected -2 to 2 m"
 
 
-def test_whoever_died_anybody_may_cancel_what_goes_on(bench):
+def test_another_client_can_cancel_an_action(bench):
     bench.holding()
     bench.clients_.pop(HOLD.name).destroy()
-    anybody = bench.create_client(CancelGoal, "base/hold/_action/cancel_goal")
-    bench.until(anybody.service_is_ready)
+    client = bench.create_client(CancelGoal, "base/hold/_action/cancel_goal")
+    bench.until(client.service_is_ready)
     bench.until(lambda: bench.states[-1].elapsed > 1.1)
     assert bench.paths[-1] is not None  # it outlives its client
-    assert bench.after(anybody.call_async(CancelGoal.Request())).goals_canceling
+    assert bench.after(client.call_async(CancelGoal.Request())).goals_canceling
     bench.until(lambda: bench.states[-1].phase == "done")
 
 
-def test_a_clock_that_is_set_back_ends_it(spin):
+def test_clock_that_jumps_back_ends_the_action(spin):
     bench = Bench(spin, time=100 * SECOND, use_sim_time=True)
     handle = bench.holding()
     bench.time = 10 * SECOND
     ended = bench.end(handle)
-    assert ended.result.message == "the clock was set back"
+    assert ended.result.message == "the clock jumped back"
     bench.coasts()
 
 
-# --- activities of others -------------------------------------------------------------------------
+# --- missions ---------------------------------------------------------------------------------
 
 
 class Reach:
     """A mission that moves the joints and closes the gripper, until it is cancelled."""
 
-    blind = False
-    over = None
+    tolerates_unknown_state = False
+    outcome = None
 
-    def step(self, seen):
-        return Orders("reach", rates=np.full(4, 0.1), close=True, ended=self.over)
+    def step(self, obs):
+        return Commands("reach", rates=np.full(4, 0.1), close_gripper=True, outcome=self.outcome)
 
     def cancel(self, reason):
-        self.over = Ended(False, reason)
+        self.outcome = Outcome(False, reason)
 
 
 def reach(name, preempts):
     return Kind(
-        name, HoldBase, lambda craft, seen, goal: Reach(), lambda *_: {}, lambda *_: {}, preempts
+        name, HoldBase, lambda craft, obs, goal: Reach(), lambda *_: {}, lambda *_: {}, preempts
     )
 
 
@@ -204,7 +204,7 @@ def mission(spin, monkeypatch):
     return bench, *kinds
 
 
-def test_a_mission_moves_joints_and_gripper_and_rests_the_joints_in_the_end(mission):
+def test_mission_commands_joints_and_gripper_and_stops_the_joints_at_its_end(mission):
     bench, capture, _ = mission
     handle = bench.begin(capture)
     bench.until(lambda: len(bench.rates) > 3 and bench.grips)
@@ -217,14 +217,17 @@ def test_a_mission_moves_joints_and_gripper_and_rests_the_joints_in_the_end(miss
     bench.until(lambda: list(bench.rates[-1].velocity) == [0.0] * 4)
 
 
-def test_a_mission_is_not_preempted_by_the_base_s_but_by_an_abort(mission):
+def test_mission_is_preempted_only_by_an_abort(mission):
     bench, capture, abort = mission
     hold = bench.holding()
     running = bench.begin(capture)
     assert bench.end(hold).result.message == "preempted by mission/capture"
     for kind in (HOLD, capture):
         ended = bench.does(kind)
-        assert (ended.status, ended.result.message) == (ABORTED, "mission/capture is under way")
+        assert (ended.status, ended.result.message) == (
+            ABORTED,
+            "mission/capture is running, cancel it first",
+        )
     bench.begin(abort)
     assert bench.end(running).result.message == "preempted by mission/abort"
     count = len(bench.rates)
@@ -239,7 +242,7 @@ def before_a_target(bench):
     bench.until(lambda: bench.guidance.target.value is not None)
 
 
-def test_a_capture_approaches_and_an_abort_takes_its_place(bench):
+def test_abort_preempts_a_capture(bench):
     before_a_target(bench)
     handle = bench.begin(CAPTURE, detumble=True)
     bench.until(lambda: bench.states[-1].phase == "approach", 60.0)
@@ -254,7 +257,7 @@ def test_a_capture_approaches_and_an_abort_takes_its_place(bench):
     bench.coasts()
 
 
-def test_a_capture_whose_target_is_lost_ends_with_valves_closed_and_joints_at_rest(bench):
+def test_capture_without_target_ends_with_valves_closed_and_joints_at_rest(bench):
     before_a_target(bench)
     handle = bench.begin(CAPTURE, detumble=True)
     bench.until(lambda: bench.states[-1].phase == "approach", 60.0)
@@ -267,45 +270,45 @@ def test_a_capture_whose_target_is_lost_ends_with_valves_closed_and_joints_at_re
 
 
 def momentum_along_x(craft):
-    """Of base and arm at 1 m/s."""
+    """Return the momentum of base and arm at 1 m/s."""
     zero = np.zeros(3 + craft.arm.n)
     return inertia_matrix(craft.arm.vector(), zero)[0, 0]
 
 
-def test_what_is_held_is_what_the_navigation_has_found_until_it_is_let_go(bench):
-    told = bench.create_publisher(MassProperties, "target/mass_properties", 1)
+def test_held_body_is_the_navigation_s_estimate_until_its_release(bench):
+    publisher = bench.create_publisher(MassProperties, "target/mass_properties", 1)
     bench.holds = True
-    bench.until(lambda: bench.guidance.holds.value and told.get_subscription_count())
-    told.publish(MassProperties(mass=-1.0, inertia=0.6))  # that is no body
-    told.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
-    bench.until(lambda: bench.guidance.seen(bench.now()).held is not None)
-    target, place = bench.guidance.seen(bench.now()).held
+    bench.until(lambda: bench.guidance.holds.value and publisher.get_subscription_count())
+    publisher.publish(MassProperties(mass=-1.0, inertia=0.6))  # invalid
+    publisher.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
+    bench.until(lambda: bench.guidance.observe(bench.now()).held_body is not None)
+    target, place = bench.guidance.observe(bench.now()).held_body
     assert (target.mass, target.inertia, *place) == (20.0, 0.6, 0.4, 0.05, 0.0)
-    budget, seen = Budget(bench.guidance.craft), bench.guidance.seen(bench.now())
-    budget.update(replace(seen, base=Body(np.zeros(3), np.array([1.0, 0.0, 0.0]))))
+    budget, obs = Budget(bench.guidance.craft), bench.guidance.observe(bench.now())
+    budget.update(replace(obs, base=Body(np.zeros(3), np.array([1.0, 0.0, 0.0]))))
     assert budget.momentum[0] == pytest.approx(momentum_along_x(bench.guidance.craft) + 20.0)
     bench.holds = False
-    bench.until(lambda: bench.guidance.seen(bench.now()).held is None)
+    bench.until(lambda: bench.guidance.observe(bench.now()).held_body is None)
 
 
-def test_a_valve_that_does_not_close_ends_a_mission(bench):
-    told = bench.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
-    told.publish(ThrusterHealth(stuck_open=[i == 2 for i in range(8)]))
-    bench.until(lambda: bench.guidance.seen(bench.now()).open_valves == (3,))
+def test_open_valve_aborts_a_mission(bench):
+    publisher = bench.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
+    publisher.publish(ThrusterHealth(stuck_open=[i == 2 for i in range(8)]))
+    bench.until(lambda: bench.guidance.observe(bench.now()).open_valves == (3,))
     bench.holds = True
     handle = bench.begin(DETUMBLE)
     bench.until(lambda: bench.states[-1].phase == "abort" and bench.paths[-1])
     assert bench.states[-1].reason == "valve 3 does not close"
     health = bench.guidance.health()
     assert (health.level, health.message) == (
-        WARN, "mission/detumble, abort: valve 3 does not close",
+        WARN, "mission/detumble: abort: valve 3 does not close",
     )  # fmt: skip
-    bench.stops["base/stop"].publish(Empty())  # as the tank would never be empty
+    bench.stops["base/stop"].publish(Empty())  # the fake tank is never empty
     ended = bench.end(handle)
     assert (ended.status, ended.result.stopped) == (ABORTED, False)
 
 
-def test_what_rests_is_detumbled(spin):
+def test_detumble_of_a_resting_target_succeeds(spin):
     bench = Bench(spin, max_age=3.0)  # of a busy computer
     bench.holds = True
     ended = bench.does(DETUMBLE)

@@ -1,4 +1,4 @@
-"""The node navigation, fed with what sensors say of base and target, in simulated time."""
+"""The node `navigation`, with simulated sensors of base and target, in simulated time."""
 
 from functools import partial
 from math import cos, sin
@@ -25,9 +25,9 @@ from fss_arm_ros.qos import LATCHED, SENSOR, sensor
 from fss_arm_ros.validation import refusals
 from fss_gnc.navigation_node import NavigationNode
 
-BEGIN = 500 * SECOND
+START = 500 * SECOND
 FRAME = SECOND // 100
-BASE, TARGET = (0.1, -0.2, 0.3), (1.2, 0.9, -1.0)  # at the begin
+BASE, TARGET = (0.1, -0.2, 0.3), (1.2, 0.9, -1.0)  # at the start
 DRIFT, TUMBLE = (0.02, 0.01, 0.05), (-0.01, 0.02, 0.15)
 
 
@@ -36,7 +36,7 @@ def pose(at, by, t):
 
 
 class Bench(Node):
-    """What sensors publish, and what is made of it."""
+    """Publishers of the sensors, and the messages that navigation publishes."""
 
     def __init__(self):
         super().__init__("bench")
@@ -62,12 +62,12 @@ class Bench(Node):
 
     @property
     def t(self):
-        """Since the begin [s]."""
+        """Time since the start [s]."""
         return 0.01 * self.k
 
     @property
     def now(self):
-        return BEGIN + self.k * FRAME
+        return START + self.k * FRAME
 
     def turn(self, stamp, rate):
         imu = Imu()
@@ -75,7 +75,7 @@ class Bench(Node):
         self.gyro.publish(imu)
 
     def step(self, seen=True, gyro=True, joints=True, swapped=False, stamp=None):
-        """One frame."""
+        """Publish one frame."""
         self.k += 1
         stamp = self.now if stamp is None else stamp
         self.clock.publish(Clock(clock=to_time(self.now)))
@@ -95,9 +95,9 @@ class Bench(Node):
             self.joints.publish(message)
 
 
-def has_heard(node, now, taken):
-    seen = not taken or node.newest == node.base.filter.seen == now
-    return seen and node.get_clock().now().nanoseconds == now
+def is_up_to_date(node, now, expects_pose):
+    done = not expects_pose or node.newest_stamp == node.base.filter.last_pose_time == now
+    return done and node.get_clock().now().nanoseconds == now
 
 
 @pytest.fixture
@@ -112,33 +112,33 @@ def fly(spin):
         spin(made, made[1].ready)
         return made
 
-    def go(seconds, **how):
+    def advance(seconds, **how):
         node, bench = made or start()
         for _ in range(round(100 * seconds)):
             bench.step(**how)
-            taken = how.get("seen", True) and not how.get("swapped")
-            spin(made, partial(has_heard, node, bench.now, taken))
+            expects_pose = how.get("seen", True) and not how.get("swapped")
+            spin(made, partial(is_up_to_date, node, bench.now, expects_pose))
         return node, bench
 
-    go.start = start
-    return go
+    advance.start = start
+    return advance
 
 
 def off(message, at, by):
-    """Of a state from a motion: position [m], heading [rad], velocity [m/s], turning [rad/s]."""
-    x, y, heading = pose(at, by, (stamp_ns(message.header.stamp) - BEGIN) / SECOND)
+    """Return the errors of a state: position [m], heading [rad], velocity [m/s], rate [rad/s]."""
+    x, y, heading = pose(at, by, (stamp_ns(message.header.stamp) - START) / SECOND)
     p, o = message.pose.pose.position, message.pose.pose.orientation
     twist = message.twist.twist
-    own = complex(by[0], by[1]) * complex(cos(heading), -sin(heading))
+    velocity = complex(by[0], by[1]) * complex(cos(heading), -sin(heading))
     return (
         abs(complex(p.x - x, p.y - y)),
         abs(np.angle(np.exp(1j * (2.0 * np.arctan2(o.z, o.w) - heading)))),
-        abs(complex(twist.linear.x, twist.linear.y) - own),
+        abs(complex(twist.linear.x, twist.linear.y) - velocity),
         abs(twist.angular.z - by[2]),
     )
 
 
-def test_base_and_target_are_known_with_their_covariance(fly, spin):
+def test_states_and_covariances_of_base_and_target_are_published(fly, spin):
     node, bench = fly(2.0)
     spin([node, bench], lambda: len(bench.states) > 150 and len(bench.targets) > 150)
     for message, at, by in ((bench.states[-1], BASE, DRIFT), (bench.targets[-1], TARGET, TUMBLE)):
@@ -158,10 +158,10 @@ def test_base_and_target_are_known_with_their_covariance(fly, spin):
     assert transform.transform.rotation == state.pose.pose.orientation
     assert transform.transform.translation.x == state.pose.pose.position.x
     health = node.health()
-    assert (health.level, health.message) == (OK, "knows")
+    assert (health.level, health.message) == (OK, "tracking")
 
 
-def test_it_predicts_through_a_second_and_ceases_in_three(fly, spin):
+def test_state_is_predicted_for_a_while_and_then_lost(fly, spin):
     node, bench = fly(1.0)
     bench.states.clear(), bench.targets.clear()
     fly(1.0, seen=False)
@@ -170,61 +170,61 @@ def test_it_predicts_through_a_second_and_ceases_in_three(fly, spin):
     assert max(off(bench.states[-1], BASE, DRIFT)) < 2e-3
     deviation = bench.states[-1].pose.covariance[0] ** 0.5
     assert 5e-4 < deviation < 5e-3
-    assert "base predicted, not seen for 1.0 s" in node.health().message
+    assert "base predicted, not observed for 1.0 s" in node.health().message
     fly(2.0, seen=False)
     newest = stamp_ns(bench.states[-1].header.stamp)
     assert bench.now - 1.1 * SECOND < newest < bench.now - 0.9 * SECOND
-    assert node.health().message.startswith("base not seen for 3.0 s; target not seen")
+    assert node.health().message.startswith("base not observed for 3.0 s; target not observed")
     bench.states.clear()
     fly(0.2)
     spin([node, bench], lambda: bench.states)
     assert max(off(bench.states[-1], BASE, DRIFT)) < 2e-3
-    assert (node.health().level, node.base.filter.begun) == (OK, 1)
+    assert (node.health().level, node.base.filter.start_count) == (OK, 1)
 
 
-def test_base_and_target_taken_for_each_other_are_named_and_not_used(fly, spin):
+def test_swapped_poses_of_base_and_target_are_reported_and_rejected(fly, spin):
     node, bench = fly(1.0)
     fly(1.0, swapped=True)
     words = node.health().message
-    assert "base is seen where target" in words
-    assert "target is seen where base" in words
+    assert "pose of the base fits the target" in words
+    assert "pose of the target fits the base" in words
     spin([node, bench], lambda: max(off(bench.states[-1], BASE, DRIFT)[:2]) < 2e-3)
     assert max(off(bench.targets[-1], TARGET, TUMBLE)[:2]) < 5e-3
     fly(3.0, swapped=True)
-    assert node.health().message.startswith("base not seen for")
-    assert max(off(bench.states[-1], BASE, DRIFT)[:2]) < 5e-3  # the last one that was published
+    assert node.health().message.startswith("base not observed for")
+    assert max(off(bench.states[-1], BASE, DRIFT)[:2]) < 5e-3  # of the last published state
     fly(0.3)
-    assert node.base.filter.begun == node.free.filter.begun == 1
+    assert node.base.filter.start_count == node.target_body.filter.start_count == 1
     spin([node, bench], lambda: node.health().values["base: pose of the target rejected"] == 400)
 
 
-def test_after_an_outage_the_swapped_ones_are_not_used_either(fly, spin):
+def test_swapped_poses_after_an_outage_are_rejected(fly, spin):
     node, bench = fly(1.0)
     fly(3.0, seen=False)
     fly(0.3, swapped=True)
-    assert node.base.filter.begun == node.free.filter.begun == 1
+    assert node.base.filter.start_count == node.target_body.filter.start_count == 1
     spin([node, bench], lambda: node.health().values["base: pose of the target rejected"] == 30)
     assert node.health().level == WARN
 
 
-def test_without_gyro_it_goes_on_by_motion_capture_alone(fly, spin):
+def test_navigation_continues_without_gyro(fly, spin):
     node, bench = fly(1.0)
     fly(1.0, gyro=False)
-    assert node.health().message == "no gyro: by motion capture alone"
+    assert node.health().message == "no gyro: heading from motion capture only"
     spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == bench.now)
     assert max(off(bench.states[-1], BASE, DRIFT)) < 2e-3
 
 
-def test_without_joints_it_says_so(fly, spin):
+def test_missing_joint_readings_are_reported(fly, spin):
     node, bench = fly(1.0, joints=False)
-    assert node.health().message.startswith("not every joint is heard")
+    assert node.health().message.startswith("readings of a joint are missing")
     spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == bench.now)
 
 
-def test_known_thrust_carries_through_an_outage(fly, spin):
+def test_known_thrust_is_predicted_through_an_outage(fly, spin):
     node, bench = fly(1.0)
     on_time = np.zeros(8)
-    on_time[[2, 4]] = 1.0  # two that push forward, at the left and at the right
+    on_time[[2, 4]] = 1.0  # two valves that push forward, left and right
     command = ThrusterCommand(on_time=on_time)
     command.header.stamp = to_time(bench.now)
     bench.pulses.publish(command)
@@ -232,15 +232,15 @@ def test_known_thrust_carries_through_an_outage(fly, spin):
     fly(1.0, seen=False)
     spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) > bench.now - SECOND // 10)
     gained = bench.states[-1].twist.twist.linear.x - DRIFT[0]
-    assert gained == pytest.approx(2 * 0.16 / 21.52, rel=0.5)  # the arm hangs on aside
+    assert gained == pytest.approx(2 * 0.16 / 21.52, rel=0.5)  # the arm is off-center
 
 
-def test_a_valve_that_does_not_close_is_told(fly, spin):
+def test_open_valve_is_reported(fly, spin):
     node, bench = fly(1.0)
-    told = []
-    bench.create_subscription(ThrusterHealth, "thrusters/health", told.append, LATCHED)
-    spin([node, bench], lambda: told)
-    assert not any((*told[-1].stuck_open, *told[-1].stuck_closed, told[-1].pushed))
+    reports = []
+    bench.create_subscription(ThrusterHealth, "thrusters/health", reports.append, LATCHED)
+    spin([node, bench], lambda: reports)
+    assert not any((*reports[-1].stuck_open, *reports[-1].stuck_closed, reports[-1].pushed))
     p, (fx, fy, torque) = paper_arm().vector(), layout(0.16, 0.11)[2]
     q, twist = np.array([*pose(BASE, DRIFT, bench.t), *4 * [0.1]]), np.array(DRIFT)
     for _ in range(800):
@@ -251,15 +251,15 @@ def test_a_valve_that_does_not_close_is_told(fly, spin):
         bench.step(seen=False, gyro=False)
         bench.base.publish(pose_stamped(bench.now, "world", q[:3].tolist()))
         bench.turn(bench.now, twist[2])
-        spin([node, bench], lambda now=bench.now: node.base.filter.seen == now)
-        if any(told[-1].stuck_open):
+        spin([node, bench], lambda now=bench.now: node.base.filter.last_pose_time == now)
+        if any(reports[-1].stuck_open):
             break
-    assert np.flatnonzero(told[-1].stuck_open).tolist() == [2]
-    assert not any(told[-1].stuck_closed)
+    assert np.flatnonzero(reports[-1].stuck_open).tolist() == [2]
+    assert not any(reports[-1].stuck_closed)
     assert "valve 3 does not close" in node.health().message
 
 
-def test_a_stranger_s_messages_do_no_harm(fly, spin):
+def test_invalid_messages_are_rejected(fly, spin):
     node, bench = fly(1.0)
     nan, far = float("nan"), (1e300, -1e300, 0.0)
     for k in range(5):
@@ -282,17 +282,17 @@ def test_a_stranger_s_messages_do_no_harm(fly, spin):
     assert max(off(bench.states[-1], BASE, DRIFT)) < 2e-3
     assert max(off(bench.targets[-1], TARGET, TUMBLE)) < 2e-3
     values = node.health().values
-    assert values["begun anew"] == 0
+    assert values["filter restarts"] == 0
     assert values["vicon/fss/fss from the future"] == 5
     assert values["vicon/fss/fss occluded"] == 5
-    told = refusals(node)
-    assert told["refused on fog/imu"] == 5
-    assert told["refused on vicon/fss/fss"] == told["refused on vicon/target/target"] == 5
-    assert values["thrusters/pulses refused"] == 5
+    rejected = refusals(node)
+    assert rejected["refused on fog/imu"] == 5
+    assert rejected["refused on vicon/fss/fss"] == rejected["refused on vicon/target/target"] == 5
+    assert values["thrusters/pulses rejected"] == 5
     assert values["base: late rejected"] >= 5
 
 
-def test_a_plan_that_is_none_is_refused(fly, spin):
+def test_invalid_plan_is_rejected(fly, spin):
     node, bench = fly(0.2)
     planned = bench.create_publisher(JointTrajectory, "arm/planned", SENSOR)
     spin([node, bench], planned.get_subscription_count)
@@ -300,11 +300,11 @@ def test_a_plan_that_is_none_is_refused(fly, spin):
     points = [JointTrajectoryPoint(velocities=qd) for qd in rates]
     planned.publish(JointTrajectory(joint_names=names, points=points))
     planned.publish(JointTrajectory(joint_names=names))
-    spin([node, bench], lambda: node.health().values.get("arm/planned refused") == 2)
+    spin([node, bench], lambda: node.health().values.get("arm/planned rejected") == 2)
     fly(0.1)
 
 
-def test_joints_whose_clock_is_ahead_for_a_moment_do_not_take_the_present_along(fly, spin):
+def test_joint_stamp_from_the_future_does_not_shift_the_present(fly, spin):
     node, bench = fly(1.0)
     message = JointState(name=["joint_1"], position=[0.1], velocity=[0.0])
     message.header.stamp = to_time(bench.now + 9 * SECOND // 10)
@@ -316,23 +316,23 @@ def test_joints_whose_clock_is_ahead_for_a_moment_do_not_take_the_present_along(
     assert 0 <= node.now() - bench.now <= SECOND // 100
 
 
-def test_its_timers_keep_a_clock_that_nobody_sets(spin):
+def test_timers_use_the_steady_clock(spin):
     node = NavigationNode()
     spin(node, lambda: True)
     assert {timer.clock.clock_type for timer in node.timers} == {ClockType.STEADY_TIME}
 
 
-def test_a_clock_that_is_set_back_begins_anew(fly, spin, capfd):
+def test_clock_that_jumps_back_resets_the_filters(fly, spin, capfd):
     node, bench = fly(1.0)
     for k in range(60):
-        stamp = BEGIN - 100 * SECOND + k * FRAME
+        stamp = START - 100 * SECOND + k * FRAME
         bench.step(stamp=stamp)
         spin([node, bench], lambda now=bench.now: node.get_clock().now().nanoseconds == now)
     spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == stamp)
-    assert capfd.readouterr().err.count("begins anew") == 1
+    assert capfd.readouterr().err.count("filters reset") == 1
 
 
-def test_a_held_target_goes_with_the_gripper(fly, spin):
+def test_held_target_moves_with_the_gripper(fly, spin):
     fly.start(frame_prefix="fss2/")
     node, bench = fly(1.0)
     assert not bench.masses  # it holds nothing
@@ -340,13 +340,13 @@ def test_a_held_target_goes_with_the_gripper(fly, spin):
     spin([node, bench], lambda: node.navigation.holds)
     rest = (0.0, 0.0, 0.0)
     still = {"base": pose(BASE, DRIFT, bench.t), "target": pose(TARGET, TUMBLE, bench.t)}
-    for k in range(150):  # both rest, then the base goes on alone, as far as is seen
+    for k in range(150):  # both rest, then only the base is seen to move
         moved = max(0.0, 2e-4 * (k - 50))
         bench.step(seen=False, gyro=False)
         bench.base.publish(pose_stamped(bench.now, "world", pose(still["base"], (1, 0, 0), moved)))
         if k < 50:
             bench.target.publish(pose_stamped(bench.now, "world", still["target"]))
-        spin([node, bench], lambda now=bench.now: node.base.filter.seen == now)
+        spin([node, bench], lambda now=bench.now: node.base.filter.last_pose_time == now)
     assert node.health().values["target"] == "held"
     spin([node, bench], lambda: stamp_ns(bench.targets[-1].header.stamp) > bench.now - SECOND // 10)
     there = pose(still["target"], (1, 0, 0), moved)

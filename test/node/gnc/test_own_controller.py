@@ -1,4 +1,4 @@
-"""The example of a controller of one's own, as the documentation has it."""
+"""The example of a user's controller in the documentation."""
 
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -14,7 +14,7 @@ from fss_arm_ros.convert import SECOND, stamp_ns
 EXAMPLE = Path(__file__).parents[3] / "docs/examples/own_controller.py"
 
 
-def test_it_draws_the_base_back_and_swings_the_joint_and_is_silent_without_either(spin):
+def test_example_returns_the_base_swings_the_joint_and_stops_without_input(spin):
     spec = spec_from_file_location("own_controller", EXAMPLE)
     example = module_from_spec(spec)
     spec.loader.exec_module(example)
@@ -38,6 +38,6 @@ def test_it_draws_the_base_back_and_swings_the_joint_and_is_silent_without_eithe
     assert rates[-1].name == ["joint_1"]
     assert abs(rates[-1].velocity[0]) == pytest.approx(0.01)
     craft.silent |= {"base/state", "arm/joint_states"}
-    count, begun = len(wrenches), craft.now()
-    spin(nodes, lambda: craft.now() > begun + SECOND // 2)
+    count, start = len(wrenches), craft.now()
+    spin(nodes, lambda: craft.now() > start + SECOND // 2)
     assert len(wrenches) - count < 5

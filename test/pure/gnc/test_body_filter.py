@@ -1,4 +1,4 @@
-"""The filter of one body, against flights that are known."""
+"""The filter of one body, on simulated motions."""
 
 import numpy as np
 import pytest
@@ -13,23 +13,23 @@ def truth(t):
 
 
 def fly(filter_, errors, seed, end=20.0):
-    """A base that turns and drifts; poses at 100 Hz, the gyro at 100 Hz with a bias."""
+    """Filter a base that turns and drifts: poses at 100 Hz, gyro at 100 Hz with a bias."""
     rng = np.random.default_rng(seed)
-    found = []
+    states = []
     for k in range(int(end * 100)):
         t = 10 * MS * k
         x, y, heading = truth(t * 1e-9) + rng.normal(
             0, [errors.position_error, errors.position_error, errors.heading_error]
         )
         wrapped = (heading + np.pi) % (2 * np.pi) - np.pi
-        assert filter_.pose(t, x, y, wrapped)
-        found.append(filter_.state())
+        assert filter_.update_pose(t, x, y, wrapped)
+        states.append(filter_.state())
         omega = 0.2 + 0.3 * np.cos(t * 1e-9 + 0.005) + 0.003 + rng.normal(0, errors.rate_error)
-        filter_.rate(t + 5 * MS, omega)
-    return found
+        filter_.update_rate(t + 5 * MS, omega)
+    return states
 
 
-def test_the_filter_is_as_good_as_it_says():
+def test_filter_errors_match_its_covariance():
     errors = SensorErrors(bias_walk=1e-6)
     late = [e for e in fly(BodyFilter(errors), errors, 1) if e.t > 10_000 * MS]
     off = np.array([e.pose - truth(e.t * 1e-9) for e in late])
@@ -37,105 +37,108 @@ def test_the_filter_is_as_good_as_it_says():
     assert np.abs(off[:, 2]).max() < 0.5 * errors.heading_error  # the gyro helps
     assert late[-1].pose[2] > 3.0 + 3.0  # unwrapped
     rates = np.array([e.twist[2] - 0.2 - 0.3 * np.cos(e.t * 1e-9) for e in late])
-    assert np.abs(rates).max() < 5.0 * late[-1].twist_variance[2] ** 0.5  # bias 0.003 found
+    assert np.abs(rates).max() < 5.0 * late[-1].twist_variance[2] ** 0.5  # bias 0.003 states
 
 
 def resting(poses=100, **errors):
     filter_ = BodyFilter(SensorErrors(**errors))
     for k in range(poses):
-        filter_.pose(10 * MS * k, 0.0, 0.0, 0.0)
+        filter_.update_pose(10 * MS * k, 0.0, 0.0, 0.0)
     return filter_
 
 
-def test_a_jump_is_rejected_and_a_moved_body_believed_in_the_end():
+def test_outliers_are_rejected_and_a_moved_body_restarts_the_filter():
     filter_ = resting()
-    assert not any(filter_.pose(10 * MS * k, 1.0, 1.0, 1.0) for k in range(100, 105))
-    assert all(filter_.pose(10 * MS * k, 0.0, 0.0, 0.0) for k in range(105, 200))
+    assert not any(filter_.update_pose(10 * MS * k, 1.0, 1.0, 1.0) for k in range(100, 105))
+    assert all(filter_.update_pose(10 * MS * k, 0.0, 0.0, 0.0) for k in range(105, 200))
     assert filter_.rejected == {"pose": 5}
     assert np.abs(filter_.state().pose).max() < 1e-6
-    took = [filter_.pose(10 * MS * k, 1.0, 1.0, 1.0) for k in range(200, 260)]
-    assert took.index(True) == 30  # after the settle time
-    assert filter_.begun == 2
+    accepted = [filter_.update_pose(10 * MS * k, 1.0, 1.0, 1.0) for k in range(200, 260)]
+    assert accepted.index(True) == 30  # after the settle time
+    assert filter_.start_count == 2
     np.testing.assert_allclose(filter_.state().pose, 1.0, atol=1e-6)
 
 
-def test_poses_all_over_the_place_are_never_believed():
+def test_random_poses_never_restart_the_filter():
     filter_, rng = resting(), np.random.default_rng(1)
     for k in range(100, 300):
-        filter_.pose(10 * MS * k, *rng.uniform(-2.0, 2.0, 3))
-    assert filter_.begun == 1
+        filter_.update_pose(10 * MS * k, *rng.uniform(-2.0, 2.0, 3))
+    assert filter_.start_count == 1
     assert filter_.rejected["pose"] > 195
 
 
-def test_a_kick_is_followed():
+def test_filter_follows_a_kick():
     filter_ = resting(acceleration=1e-3, position_error=3e-4)
     for k in range(100, 200):
-        filter_.pose(10 * MS * k, 5e-4 * (k - 100), 0.0, 0.0)  # 5 cm/s at once
-    assert filter_.begun == 1
+        filter_.update_pose(10 * MS * k, 5e-4 * (k - 100), 0.0, 0.0)  # 5 cm/s at once
+    assert filter_.start_count == 1
     assert filter_.rejected.total() == 0
     assert filter_.state().twist[0] == pytest.approx(0.05, rel=0.05)
 
 
-def test_another_body_s_poses_are_named_and_never_believed():
-    filter_ = BodyFilter(elsewhere=lambda t, pose, within: "target" if within > 0.5 else "")
+def test_poses_of_another_body_are_rejected_under_its_name():
+    filter_ = BodyFilter(other_body_at=lambda t, pose, within: "target" if within > 0.5 else "")
     for k in range(100):
-        filter_.pose(10 * MS * k, 0.0, 0.0, 0.0)
+        filter_.update_pose(10 * MS * k, 0.0, 0.0, 0.0)
     for k in range(100, 300):
-        filter_.pose(10 * MS * k, 1.0, 1.0, 1.0)
+        filter_.update_pose(10 * MS * k, 1.0, 1.0, 1.0)
     assert filter_.rejected == {"pose of the target": 200}
-    assert filter_.begun == 1
+    assert filter_.start_count == 1
 
 
-def test_a_rate_that_is_no_number_ruins_nothing():
+def test_nan_rate_is_rejected():
     filter_, clean = BodyFilter(), BodyFilter()
     for k in range(50):
         for one in (filter_, clean):
-            one.rate(10 * MS * k, 0.1)
-            one.pose(10 * MS * k, 0.0, 0.0, 0.001 * k)
-        filter_.rate(10 * MS * k, float("nan"))
+            one.update_rate(10 * MS * k, 0.1)
+            one.update_pose(10 * MS * k, 0.0, 0.0, 0.001 * k)
+        filter_.update_rate(10 * MS * k, float("nan"))
     assert filter_.rejected == {"gyro not finite": 50}
     np.testing.assert_array_equal(filter_.state().pose, clean.state().pose)
 
 
-def test_samples_in_any_order_give_the_same():
+def test_order_of_arrival_does_not_matter():
     merged, ordered = BodyFilter(), BodyFilter()
     rng = np.random.default_rng(2)
     samples = [(10 * MS * k, rng.normal(0, 1e-3, 3)) for k in range(50)]
     for k in range(50):
-        ordered.pose(samples[k][0], *samples[k][1])
-        ordered.rate(samples[k][0] + 5 * MS, 0.1)
-    merged.pose(samples[0][0], *samples[0][1])
+        ordered.update_pose(samples[k][0], *samples[k][1])
+        ordered.update_rate(samples[k][0] + 5 * MS, 0.1)
+    merged.update_pose(samples[0][0], *samples[0][1])
     for k in range(50):
-        merged.rate(samples[k][0] + 5 * MS, 0.1)  # 0.1 s ahead of the poses
+        merged.update_rate(samples[k][0] + 5 * MS, 0.1)  # 0.1 s ahead of the poses
         if k >= 10:
-            merged.pose(samples[k - 9][0], *samples[k - 9][1])
+            merged.update_pose(samples[k - 9][0], *samples[k - 9][1])
     for k in range(41, 50):
-        merged.pose(samples[k][0], *samples[k][1])
+        merged.update_pose(samples[k][0], *samples[k][1])
     np.testing.assert_allclose(merged.state().pose, ordered.state().pose, atol=1e-12)
     np.testing.assert_allclose(merged.state().covariance, ordered.state().covariance, rtol=1e-9)
-    merged.pose(-1000 * MS, 0.0, 0.0, 0.0)
+    merged.update_pose(-1000 * MS, 0.0, 0.0, 0.0)
     assert merged.rejected == {"late": 1}
 
 
-def test_it_says_when_it_no_longer_knows_and_knows_again():
+def test_state_is_lost_after_an_outage_and_found_again():
     filter_ = resting(acceleration=1e-3, position_error=3e-4, angular_acceleration=3e-3)
     filter_.predict(1990 * MS)
-    assert filter_.lost(1990 * MS) == ""
+    assert filter_.lost_reason(1990 * MS) == ""
     deviations = np.sqrt(filter_.state().pose_variance)
     filter_.predict(4000 * MS)
-    assert filter_.lost(4000 * MS) == "not seen for 3.0 s"
+    assert filter_.lost_reason(4000 * MS) == "not observed for 3.0 s"
     assert (np.sqrt(filter_.state().pose_variance) > 2.0 * deviations).all()
-    assert filter_.pose(4001 * MS, 0.001, 0.0, 0.0)
-    assert filter_.lost(4001 * MS) == ""
+    assert filter_.update_pose(4001 * MS, 0.001, 0.0, 0.0)
+    assert filter_.lost_reason(4001 * MS) == ""
 
 
-def test_what_is_no_number_is_not_known():
+def test_nan_covariance_counts_as_lost():
     filter_ = resting()
     filter_.events[-1].P[:] = np.nan
-    assert filter_.lost(1000 * MS) == "position known to nan m only"
+    assert (
+        filter_.lost_reason(1000 * MS)
+        == "position uncertain: 1 sigma is nan m, expected at most 0.02 m"
+    )
 
 
-def test_one_that_may_be_anywhere_is_lost_before_the_outage_s_end():
+def test_uncertain_state_is_lost_before_the_outage_timeout():
     filter_ = resting(acceleration=0.05)
     filter_.predict(1990 * MS)
-    assert filter_.lost(1990 * MS).startswith("position known to 0.0")
+    assert filter_.lost_reason(1990 * MS).startswith("position uncertain: 1 sigma is 0.0")

@@ -1,4 +1,4 @@
-"""Bounds of references: what a base cannot do is rejected, what guidance asks for is not."""
+"""Bounds of references: infeasible ones are rejected, those of the guidance are accepted."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def path(times, x, speed=None, acceleration=None):
         (path([0, 1e5], [0, 0]), "points[1].time_from_start is 100000 s, expected 0 to 86400 s"),
     ],
 )
-def test_a_reference_that_no_base_can_follow_is_named(reference, words):
+def test_infeasible_reference_is_rejected(reference, words):
     with pytest.raises(ValueError) as error:  # noqa: PT011
         check_reference(reference, TABLE)
     assert str(error.value).startswith(words)
@@ -49,10 +49,10 @@ def test_a_reference_that_no_base_can_follow_is_named(reference, words):
     [
         path([0], [1.0]),
         path([0, 10], [-1.0, 1.0]),
-        path([0, 1], [0.9, 1.1], [0.3, 0.1]),  # beyond the edge, as a base that brakes too late
+        path([0, 1], [0.9, 1.1], [0.3, 0.1]),  # beyond the edge: a base that brakes too late
     ],
 )
-def test_a_reference_on_the_table_is_accepted(reference):
+def test_reference_on_the_table_is_accepted(reference):
     check_reference(reference, TABLE)
 
 
@@ -60,37 +60,37 @@ def test_a_reference_on_the_table_is_accepted(reference):
 def test_braking_is_accepted_until_the_base_has_passed_the_edge(speed):
     settings, start = GuidanceSettings(), np.array([0.0, 0.7, 3.0])
     way = braking(settings, Body(start, np.array([0.0, speed, 0.5])))
-    for t in np.arange(0.0, way.end + 1.0, 0.1):
+    for t in np.arange(0.0, way.end_time + 1.0, 0.1):
         if way.at(t).pose[1] > 1.0:
             break
         message = messages.trajectory(way, t, SECOND, settings.horizon, 0.25)
         check_reference(messages.path(message), TABLE)
 
 
-def test_the_way_between_two_rests_is_accepted():
-    way = Path.between(Reference.at_rest([0.0, -0.9, 0.0]), [1.9, 0.9, 3.0], 0.0, 100.0)
-    check_reference(way, TABLE)
+def test_path_between_two_poses_at_rest_is_accepted():
+    path = Path.between(Reference.at_rest([0.0, -0.9, 0.0]), [1.9, 0.9, 3.0], 0.0, 100.0)
+    check_reference(path, TABLE)
 
 
-NOW = 100 * SECOND
+PRESENT = 100 * SECOND  # [ns]
 
 
 @pytest.mark.parametrize(
     ("stamp", "end", "words"),
     [
-        (NOW, 0.0, ""),
-        (NOW - SECOND, 0.0, ""),
-        (NOW - 60 * SECOND, 59.5, ""),
-        (NOW + SECOND, 5.0, ""),
-        (0, 200.0, "header.stamp is 0, expected the time from which its points count"),
-        (NOW + 5 * SECOND, 5.0, "header.stamp is 5.0 s ahead, expected at most 1 s"),
-        (NOW - 5 * SECOND, 2.0, "the last point was 3.0 s ago, expected at most 1 s"),
+        (PRESENT, 0.0, ""),
+        (PRESENT - SECOND, 0.0, ""),
+        (PRESENT - 60 * SECOND, 59.5, ""),
+        (PRESENT + SECOND, 5.0, ""),
+        (0, 200.0, "header.stamp is 0, expected the start time of the points"),
+        (PRESENT + 5 * SECOND, 5.0, "header.stamp is 5.0 s in the future, expected at most 1 s"),
+        (PRESENT - 5 * SECOND, 2.0, "the last point was 3.0 s ago, expected at most 1 s"),
     ],
 )
-def test_a_path_is_for_the_present(stamp, end, words):
+def test_path_stamp_must_be_close_to_the_present(stamp, end, words):
     if not words:
-        check_stamp(stamp, NOW, end, 1.0)
+        check_stamp(stamp, PRESENT, end, 1.0)
         return
     with pytest.raises(ValueError) as error:  # noqa: PT011
-        check_stamp(stamp, NOW, end, 1.0)
+        check_stamp(stamp, PRESENT, end, 1.0)
     assert str(error.value) == words

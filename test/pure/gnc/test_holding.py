@@ -1,4 +1,4 @@
-"""The base held by thrusters against the reaction of the arm."""
+"""Holding the base by thrusters against the reaction of the arm."""
 
 import numpy as np
 import pytest
@@ -16,18 +16,18 @@ from fss_sim.plant.plant import Demand, Plant
 POSTURES = np.vstack([np.zeros(4), default(paper_arm())])
 
 
-def test_the_base_stays_within_a_centimetre_and_a_degree():
+def test_base_stays_within_a_centimeter_and_a_degree():
     motion = Motion(POSTURES[1:3], duration=40.0)
-    led, felt = hold(motion, True), hold(motion, False)
-    assert led.farthest < 0.002
-    assert led.most_turned < 0.25
-    assert felt.farthest > 3.0 * led.farthest  # the arm's reaction, when it is left to be felt
-    assert felt.most_turned > 3.0 * led.most_turned
+    with_feedforward, feedback_only = hold(motion, True), hold(motion, False)
+    assert with_feedforward.farthest < 0.002
+    assert with_feedforward.most_turned < 0.25
+    assert feedback_only.farthest > 3.0 * with_feedforward.farthest
+    assert feedback_only.most_turned > 3.0 * with_feedforward.most_turned
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-def test_through_the_experiments_postures(seed):
+def test_base_is_held_through_the_postures_of_the_experiment(seed):
     held = hold(Motion(POSTURES, duration=120.0), True, seed)
     print(
         f"{1e3 * held.farthest:.2f} mm, {held.most_turned:.3f} deg, {1e3 * held.propellant:.1f} g"
@@ -36,13 +36,13 @@ def test_through_the_experiments_postures(seed):
     assert held.most_turned < 1.0
 
 
-def turned(heading, a):
-    """From the base's axes to the world's."""
+def to_world(heading, a):
+    """Rotate a planar vector and a turn rate from the base's axes to the world's."""
     line = complex(a[0], a[1]) * np.exp(1j * heading)
     return np.array([line.real, line.imag, a[2]])
 
 
-def test_known_inputs_are_what_the_base_does():
+def test_known_inputs_match_the_motion_of_the_base():
     arm, rng = paper_arm(), np.random.default_rng(3)
     q = np.concatenate([[0.1, -0.2, 0.7], rng.uniform(-1.0, 1.0, 4)])
     plant = Plant(arm, q)
@@ -55,21 +55,23 @@ def test_known_inputs_are_what_the_base_does():
         on_times[on_times < 0.02] = on_times[4:] = 0.0
         now = k * 100_000_000
         plant.thrust(on_times)
-        inputs.pulses(now, on_times)
+        inputs.add_pulses(now, on_times)
         for i in range(4):
-            inputs.joint(i, now, float(plant.q[3 + i]), 0.0, float(plant.qd[2]))
+            inputs.add_joint_reading(i, now, float(plant.q[3 + i]), 0.0, float(plant.qd[2]))
         for _ in range(10):
             plant.advance(0.01)
-        gained += 0.1 * turned(plant.q[2], inputs.over([now, now + 100_000_000])[0][0])
-        # Joints give by a milliradian under a thrust, and swing.
+        gained += 0.1 * to_world(
+            plant.q[2], inputs.mean_accelerations([now, now + 100_000_000])[0][0]
+        )
+        # Joints deflect by a milliradian under thrust, and oscillate.
         np.testing.assert_allclose(gained, plant.qd[:3], atol=5e-4)
     assert np.abs(gained).max() > 5e-3
-    parts = inputs.over(range(0, 2_000_000_000, 7_000_000))[0]
-    whole = inputs.over([0, len(parts) * 7_000_000])[0][0]
+    parts = inputs.mean_accelerations(range(0, 2_000_000_000, 7_000_000))[0]
+    whole = inputs.mean_accelerations([0, len(parts) * 7_000_000])[0][0]
     np.testing.assert_allclose(np.mean(parts, axis=0), whole, rtol=1e-9, atol=1e-12)
 
 
-def test_the_wrench_of_a_planned_arm_leaves_the_base_at_rest():
+def test_feedforward_wrench_keeps_the_base_at_rest():
     arm, rng = paper_arm(), np.random.default_rng(4)
     p = arm.vector()
     for _ in range(20):

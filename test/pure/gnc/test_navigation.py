@@ -1,4 +1,4 @@
-"""Navigation on the simulated table, with the simulator's default errors: is it as good as it says?
+"""Consistency of the navigation on the simulated table, with the simulator's default errors.
 
 NEES is the square of the error by its covariance, NIS that of an innovation; of k runs with d
 degrees of freedom k NEES is chi-square with k d (Bar-Shalom, Li, Kirubarajan, section 5.4).
@@ -19,21 +19,21 @@ from fss_sim.sensors import Sensors
 from fss_sim.vicon import BASE, TARGET, TIP, Room, Vicon
 
 DOF = 6  # of pose and twist
-EVEN = 1.0 - 1e-3  # probability of both sides of the bounds
+CONFIDENCE = 1.0 - 1e-3  # of the two-sided bounds
 OUTAGE = (400, 500)  # frames
-#: As if nothing but what is known acted, which is so of bodies that drift on the simulated table.
+#: Almost no process noise: only known inputs act on bodies that drift on the simulated table.
 EXACT = EstimatorSettings(acceleration=2e-6, angular_acceleration=2e-6, bias_walk=1e-6)
 EXACT_TARGET = TargetErrors(acceleration=2e-6, angular_acceleration=2e-6)
 
 
 def bounds(runs):
-    """Of the mean NEES of so many runs at one time."""
-    low, high = chi2.ppf([0.5 - 0.5 * EVEN, 0.5 + 0.5 * EVEN], DOF * runs) / runs
+    """Return the bounds of the mean NEES of several runs at one time."""
+    low, high = chi2.ppf([0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE], DOF * runs) / runs
     return float(low), float(high)
 
 
 def fly(runs, frames, **how):
-    """NEES (runs, frames) of base and target, and the mean NIS of the base by what it is of."""
+    """Return the NEES (runs, frames) of base and target, and the mean NIS of the base by sensor."""
     flights = [track(seed, frames, **how) for seed in range(runs)]
     nis = {
         kind: float(np.mean(np.concatenate([f.nis[kind] for f in flights])))
@@ -43,7 +43,7 @@ def fly(runs, frames, **how):
 
 
 def drift(runs):
-    """Base and target drift: errors are the sensors' alone, and the bounds have two sides."""
+    """Check drifting base and target against two-sided bounds; only the sensors have errors."""
     low, high = bounds(runs)
     base, target, nis = fly(
         runs, 500, moving=False, thrusting=False, settings=EXACT, of_target=EXACT_TARGET
@@ -58,9 +58,9 @@ def drift(runs):
 
 
 def disturb(runs, **how):
-    """Thrusters fire, the arm moves, poses are missing for 1 s; as much noise as is the default.
+    """Check thrust, a moving arm and an outage of 1 s, with the default process noise.
 
-    That allows for a table that is not level, so NEES lies below 6 but where a joint has begun to
+    The noise allows for a tilted table, so NEES lies below 6, except when a joint has started to
     move and has not been read since.
     """
     base, target, nis = fly(runs, 650, outage=OUTAGE, **how)
@@ -77,11 +77,11 @@ def disturb(runs, **how):
     return known.mean(), in_outage, beyond, nis
 
 
-def test_drifting_bodies_are_where_they_are_said_to_be():
+def test_drifting_bodies_are_consistent():
     drift(12)
 
 
-def test_thrust_arm_and_an_outage_leave_it_consistent():
+def test_thrust_arm_motion_and_outage_are_consistent():
     mean, in_outage, beyond, _ = disturb(8)
     assert 3.0 < mean < DOF
     assert 1.5 < in_outage < DOF
@@ -103,8 +103,8 @@ def test_200_flights_with_plans():
 
 
 @pytest.mark.slow
-def test_200_flights_of_which_nobody_tells_the_plan():
-    """When a joint sets off it is not known for 0.2 s, and the gate takes it as a kick."""
+def test_200_flights_without_plans():
+    """The start of a joint is unknown for 0.2 s, and the gate treats it as a kick."""
     mean, in_outage, beyond, _ = disturb(200, planned=False)
     assert 3.0 < mean < 1.2 * DOF
     assert 1.5 < in_outage < DOF
@@ -112,7 +112,7 @@ def test_200_flights_of_which_nobody_tells_the_plan():
 
 
 @pytest.mark.slow
-def test_200_flights_with_an_arm_known_from_its_drawings():
+def test_200_flights_with_the_arm_of_the_cad_model():
     mean, in_outage, beyond, _ = disturb(200, known="config/cad.yaml")
     assert 3.0 < mean < DOF
     assert 1.5 < in_outage < DOF
@@ -123,7 +123,7 @@ LABORATORY = replace(PRESETS["default"], **VICON)
 VOLUME = {"volume_error": 0.0005, "volume_heading_error": 0.0008}  # halfway to the edge
 
 
-def test_vicon_as_it_is_leaves_it_consistent_if_told_of_the_volumes_error():
+def test_real_vicon_errors_are_consistent_with_the_volume_error_given():
     flights = [
         track(seed, 500, preset=LABORATORY, settings=EstimatorSettings(**VOLUME),
               of_target=TargetErrors(**VOLUME)) for seed in range(4)
@@ -135,12 +135,12 @@ def test_vicon_as_it_is_leaves_it_consistent_if_told_of_the_volumes_error():
     assert 1.0 < base.mean() < DOF
     assert 0.3 < target.mean() < DOF
     assert (base > chi2.ppf(0.99, DOF)).mean() < 0.05
-    untold = track(0, 500, preset=LABORATORY)
-    assert untold.target[100:].mean() > 2.0 * DOF  # which nothing but a survey of the volume tells
+    without = track(0, 500, preset=LABORATORY)
+    assert without.target[100:].mean() > 2.0 * DOF  # only a survey of the volume shows this error
 
 
 def pass_by(seed, swap):
-    """A target passes the base, and its markers merge with the base's; both filters, NEES."""
+    """Move a target past the base so that their markers merge; return navigation, NEES, swaps."""
     low = Room(heights=(0.3, 0.3, 0.3))  # all markers in a plane
     merging = replace(LABORATORY, vicon_merge_distance=0.16, vicon_merge_swap=swap,
                       vicon_edge_error=0.0)  # fmt: skip
@@ -154,63 +154,63 @@ def pass_by(seed, swap):
         seen = sensors.observe(k, (0.0, 0.0, 0.0), tip, 0.0, still,
                                target=tuple(target.tolist()), marker_results=results)  # fmt: skip
         at = t - seen.base.age - SECOND // 100
-        navigation.base.rate(t, seen.rate)
+        navigation.base.update_rate(t, seen.rate)
         if not seen.base.occluded:
-            navigation.base.pose(at, *seen.base.pose)
+            navigation.base.update_pose(at, *seen.base.pose)
         if not seen.target.occluded:
-            navigation.target_pose(at, *seen.target.pose)
+            navigation.update_target_pose(at, *seen.target.pose)
         navigation.predict(t)
         taken.append([result.identified_as for result in results.values()] != [0, 1, 2])
         for body, pose, twist in (
             (navigation.base, base, np.zeros(3)), (navigation.target, target, drift),
         ):  # fmt: skip
-            if not body.lost(t):
+            if not body.lost_reason(t):
                 found.append(nees(body.state(), pose, twist)[0])
     return navigation, np.array(found), sum(taken)
 
 
 @pytest.mark.parametrize("swap", [0.0, 1.0])
-def test_base_and_target_whose_markers_merge_are_never_believed_to_be_each_other(swap):
+def test_merged_markers_never_swap_base_and_target(swap):
     for seed in range(3):
         navigation, found, taken = pass_by(seed, swap)
         named = navigation.base.rejected["pose of the target"]
         assert (taken > 50) == (swap > 0.0)  # longer than rejected poses must agree
         assert (named > 20) == (swap > 0.0), navigation.base.rejected
-        assert len(found) > 4000  # of 4800: else it is said to be lost
+        assert len(found) > 4000  # of 4800; at other times the state is lost
         assert np.max(found[200:]) < chi2.ppf(1.0 - 1e-7, DOF)
-        assert navigation.base.begun == navigation.target.begun == 1
+        assert navigation.base.start_count == navigation.target.start_count == 1
 
 
-def test_without_known_inputs_an_outage_takes_it_away():
-    """What thrust and arm do is worth knowing: else the error outgrows its deviation."""
-    told, untold = (
+def test_outage_without_known_inputs_is_inconsistent():
+    """Thrust and arm motion must be known, else the error exceeds its deviation."""
+    known, unknown = (
         [track(seed, 500, outage=OUTAGE, moving=False, told=told) for seed in range(3)]
         for told in (True, False)
     )
-    lost, kept = (max(np.abs(f.error[499, :2]).max() for f in fs) for fs in (untold, told))
-    assert lost > 2.0 * kept
-    assert max(f.base[499] for f in untold) > chi2.ppf(0.99, DOF)
-    assert max(f.base[499] for f in told) < chi2.ppf(0.999, DOF)
+    large, small = (max(np.abs(f.error[499, :2]).max() for f in fs) for fs in (unknown, known))
+    assert large > 2.0 * small
+    assert max(f.base[499] for f in unknown) > chi2.ppf(0.99, DOF)
+    assert max(f.base[499] for f in known) < chi2.ppf(0.999, DOF)
 
 
-def test_without_gyro_heading_is_that_of_motion_capture():
+def test_heading_without_gyro_follows_motion_capture():
     found = track(5, 400, gyro=False, moving=False)
     assert np.abs(found.error[100:, 2]).max() < 5.0 * 8.7e-4
     assert found.base[100:].mean() < DOF
 
 
-def test_a_late_motion_capture_is_allowed_for():
-    """The base turns; poses older than their stamps seem to lag behind the gyro's turning."""
+def test_latency_of_motion_capture_is_compensated():
+    """Poses of a turning base that are older than their stamps lag behind the gyro."""
     arm = load("config/truth.yaml")
-    off = {}
-    for told in (0, 30_000_000):
+    errors = {}
+    for latency in (0, 30_000_000):
         navigation = Navigation(arm)
         for k in range(200):
             t = k * 10_000_000
-            navigation.base.rate(t, 0.5 * np.cos(2e-9 * t))
+            navigation.base.update_rate(t, 0.5 * np.cos(2e-9 * t))
             seen = (t - 30_000_000) * 1e-9
-            navigation.base.pose(t - told, 0.1 * seen, 0.0, 0.25 * np.sin(2.0 * seen))
+            navigation.base.update_pose(t - latency, 0.1 * seen, 0.0, 0.25 * np.sin(2.0 * seen))
         state = navigation.base.state()
-        off[told] = abs(state.pose[0] - 0.1e-9 * state.t)
-    assert off[30_000_000] < 5e-4
-    assert off[0] > 2e-3
+        errors[latency] = abs(state.pose[0] - 0.1e-9 * state.t)
+    assert errors[30_000_000] < 5e-4
+    assert errors[0] > 2e-3

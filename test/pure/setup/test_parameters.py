@@ -29,7 +29,7 @@ DIMENSIONLESS = {
     *("LimitSettings.share", "MissionSettings.authority", "MissionSettings.torque_share"),
     *("thrust_error", "joint_rate_error", "joint_change_error"),
     *("DriftSettings.mass_deviation", "Event.value", "PoseGains.damping", "PoseGains.integral"),
-    *("CaughtErrors.mass_error",),
+    *("MassErrors.mass_error",),
 }
 
 # A description that begins with one of these leans on the parameter's name or on the one before it.

@@ -135,7 +135,7 @@ class BaseReaction:
             return None
         before, after = self.past[k], self.past[min(k + 1, len(self.past) - 1)]
         w = (t - before.t) / max(after.t - before.t, 1)
-        pose = (1.0 - w) * before.at(t).pose + w * after.at(t).pose
+        pose = (1.0 - w) * before.extrapolate_to(t).pose + w * after.extrapolate_to(t).pose
         return before._replace(t=t, pose=pose, twist=(1.0 - w) * before.twist + w * after.twist)
 
     def _drift(self, t: int) -> Anchor | None:

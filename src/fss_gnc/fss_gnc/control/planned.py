@@ -16,36 +16,36 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 SECOND = 1_000_000_000
-OVER = 1.0  # time before or after a plan's times at which it is ignored [s]
+MAX_EXTRAPOLATION = 1.0  # time before or after a plan's times at which it is ignored [s]
 
 
 class PlannedRates:
     """Planned rates of n joints."""
 
     def __init__(self) -> None:
-        self._stamp, self._ahead = 0, np.zeros(1)
+        self._stamp, self._times = 0, np.zeros(1)
         self._rates: Floats | None = None  # (k, n)
-        self._reached: Floats | None = None  # (n,) at the end of the last period
+        self._last_rates: Floats | None = None  # (n,) at the end of the last period
 
-    def take(self, stamp: int, ahead: Floats, rates: Floats) -> None:
+    def store(self, stamp: int, times: Floats, rates: Floats) -> None:
         """Store rates (k, n) [rad/s], planned for increasing times (k,) [s] after a stamp [ns]."""
-        self._stamp, self._ahead, self._rates = stamp, ahead, rates
+        self._stamp, self._times, self._rates = stamp, times, rates
 
     def accelerations(self, now: int, period: float) -> Floats | None:
         """Return the mean over a period [s] from now [ns], (n,) [rad/s^2]; None without a plan."""
         t = (now - self._stamp) / SECOND
-        if self._rates is None or not -OVER < t < self._ahead[-1] + OVER:
+        if self._rates is None or not -MAX_EXTRAPOLATION < t < self._times[-1] + MAX_EXTRAPOLATION:
             self.reset()
             return None
-        end = self._at(t + period)
-        begin = end if self._reached is None else self._reached
-        self._reached = end
-        return (end - begin) / period if len(self._ahead) > 1 else np.zeros(end.size)
+        end = self._rates_at(t + period)
+        start = end if self._last_rates is None else self._last_rates
+        self._last_rates = end
+        return (end - start) / period if len(self._times) > 1 else np.zeros(end.size)
 
     def reset(self) -> None:
-        """Forget the rates that were reached: nothing was balanced in the last period."""
-        self._reached = None
+        """Forget the rates of the last period, in which nothing was compensated."""
+        self._last_rates = None
 
-    def _at(self, t: float) -> Floats:
+    def _rates_at(self, t: float) -> Floats:
         assert self._rates is not None
-        return np.array([np.interp(t, self._ahead, column) for column in self._rates.T])
+        return np.array([np.interp(t, self._times, column) for column in self._rates.T])

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix, inverse_dynamics
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
-from fss_gnc.reference import Reference, off
+from fss_gnc.reference import Reference, pose_error
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,18 +31,20 @@ class PoseGains(Settings):
     """Gains of the controller that makes the base follow its reference."""
 
     bandwidth: float = setting(
-        0.35, "bandwidth of the base's control", unit="rad/s", check=POSITIVE
+        0.35, "bandwidth of the base controller", unit="rad/s", check=POSITIVE
     )
-    damping: float = setting(0.9, "damping ratio of the base's control", check=POSITIVE)
+    damping: float = setting(0.9, "damping ratio of the base controller", check=POSITIVE)
     integral: float = setting(
-        0.1, "share of the bandwidth at which steady disturbances are balanced", check=NOT_NEGATIVE
+        0.1,
+        "integral gain, as a fraction of the bandwidth; compensates steady disturbances",
+        check=NOT_NEGATIVE,
     )
     max_disturbance: float = setting(
-        0.005, "most acceleration that is balanced as a steady disturbance", unit="m/s^2",
+        0.005, "largest acceleration by steady disturbances that is compensated", unit="m/s^2",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     max_offset: float = setting(
-        0.2, "offset from the reference above which the base is drawn there no harder", unit="m",
+        0.2, "position error above which the control action does not increase", unit="m",
         check=POSITIVE,
     )  # fmt: skip
 
@@ -73,20 +75,20 @@ class PoseControl:
             qd: (3 + n,) rate of the state.
             reference: of the base; the heading error is wrapped to the shorter turn.
             period: since the last call [s].
-            qdd_m: (n,) planned accelerations of the joints [rad/s^2]; None: the arm's reaction is
-                not balanced in advance.
+            qdd_m: (n,) planned accelerations of the joints [rad/s^2]; None: no feedforward of the
+                arm's reaction.
         """
         q, qd, g = np.asarray(q, float), np.asarray(qd, float), self.gains
-        apart = off(reference.pose, q[:3])
-        apart[:2] *= min(1.0, g.max_offset / max(float(np.hypot(*apart[:2])), 1e-9))
+        error = pose_error(reference.pose, q[:3])
+        error[:2] *= min(1.0, g.max_offset / max(float(np.hypot(*error[:2])), 1e-9))
         w_n = g.bandwidth
-        self._disturbance += period * g.integral * w_n**3 * apart
+        self._disturbance += period * g.integral * w_n**3 * error
         np.clip(self._disturbance, -g.max_disturbance, g.max_disturbance, out=self._disturbance)
-        slow = 2.0 * g.damping * w_n * (reference.twist - qd[:3])
-        a = reference.acceleration + slow + w_n**2 * apart + self._disturbance
+        damping = 2.0 * g.damping * w_n * (reference.twist - qd[:3])
+        a = reference.acceleration + damping + w_n**2 * error + self._disturbance
         wrench = inertia_matrix(self.p, q)[:3, :3] @ a
         if qdd_m is not None:
-            still = np.concatenate([np.zeros(3), qdd_m])
-            wrench += inverse_dynamics(self.p, q, qd, still)[:3]
-        turn = np.exp(-1j * q[2]) * complex(wrench[0], wrench[1])
-        return np.array([turn.real, turn.imag, wrench[2]])
+            accelerations = np.concatenate([np.zeros(3), qdd_m])
+            wrench += inverse_dynamics(self.p, q, qd, accelerations)[:3]
+        force = np.exp(-1j * q[2]) * complex(wrench[0], wrench[1])
+        return np.array([force.real, force.imag, wrench[2]])

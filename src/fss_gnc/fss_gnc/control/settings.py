@@ -14,17 +14,19 @@ class ControlSettings(PoseGains):
     """Parameters of a ControlNode."""
 
     arm: str = setting("", "arm to control: paper, cad, truth or a file; empty: paper")
-    rate: float = setting(10.0, "rate of base/wrench", unit="1/s", check=between(1.0, 200.0))
+    rate: float = setting(
+        10.0, "publishing rate of base/wrench", unit="1/s", check=between(1.0, 200.0)
+    )
     timeout: float = setting(
-        1.0, "time after which a base/trajectory that is not repeated holds no more", unit="s",
+        1.0, "time after which a base/trajectory expires unless it is repeated", unit="s",
         check=POSITIVE,
     )  # fmt: skip
     max_age: float = setting(
-        0.5, "age of base/state or arm/joint_states at which the valves are left closed", unit="s",
-        check=POSITIVE,
+        0.5, "largest age of base/state, else the valves close, and of arm/joint_states, else the "
+        "joints are assumed at rest", unit="s", check=POSITIVE,
     )  # fmt: skip
     feed_forward: bool = setting(
-        True, "whether to balance the arm's planned reaction before it is felt"
+        True, "whether to compensate the arm's planned reaction by feedforward"
     )
     table: tuple[float, ...] = like(Extents, "table")
     full_tank: float = like(Vehicle, "full_tank")

@@ -20,20 +20,20 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.held import hold, with_held
-from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
-from fss_gnc.guidance.base_motion import least_duration
-from fss_gnc.guidance.drift import Drift, Drifting
-from fss_gnc.guidance.rest import braking, slowing
-from fss_gnc.reference import Body, Path, Reference, off
+from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
+from fss_gnc.guidance.base_motion import min_duration
+from fss_gnc.guidance.drift import Drift, DriftPredictor
+from fss_gnc.guidance.stopping import braking, joint_stop_time
+from fss_gnc.reference import Body, Path, Reference, pose_error
 
 Floats = npt.NDArray[np.float64]
 
-QUIET = 3.0  # time for which the drift must be safe, joints at rest, before the abort ends [s]
-PATIENCE = 30.0  # longest time without a known base [s]
-STILL = 0.01  # rate below which a joint is at rest [rad/s]
-LATE = 2.0  # extra time for joints to stop, and time until silent joints count as stopped [s]
-EMPTY = 5e-4  # mass of propellant below which the valves have no effect [kg]
-HOLD = 60.0  # time at rest at a place, until it is checked again whether a valve leaks [s]
+SAFE_DRIFT_TIME = 3.0  # time with a safe drift and joints at rest before the abort ends [s]
+UNKNOWN_STATE_TIMEOUT = 30.0  # longest time without a known base [s]
+JOINT_REST_RATE = 0.01  # rate below which a joint is at rest [rad/s]
+JOINT_STOP_MARGIN = 2.0  # extra time for joints to stop; silent joints count as stopped then [s]
+EMPTY_TANK_MASS = 5e-4  # mass of propellant below which the valves have no effect [kg]
+LEAK_CHECK_PERIOD = 60.0  # time to hold the base until the valve leak is checked again [s]
 
 
 class Abort:
@@ -44,34 +44,34 @@ class Abort:
     Args:
         craft: base and arm.
         reason: why it aborts.
-        asked: True if it was requested itself, and is not the end of another mission.
+        requested: True if the operator requested it, False if it ends another mission.
     """
 
-    blind = True
+    tolerates_unknown_state = True
 
-    def __init__(self, craft: Craft, reason: str, asked: bool = False) -> None:
-        self.p, self.reason, self.asked = craft.arm.vector(), reason, asked
+    def __init__(self, craft: Craft, reason: str, requested: bool = False) -> None:
+        self.p, self.reason, self.requested = craft.arm.vector(), reason, requested
         self.settings = settings = craft.settings
         self.torques = settings.torque_share * np.array(
             [link.drive.max_torque for link in craft.arm.links]
         )
-        self.joints = Stopping(self.torques)
+        self.joints = JointStop(self.torques)
         self.drift: Drift | None = None
         self._push: Path | None = None
-        self._busy = -np.inf  # until when it pushes or holds the base [s]
-        self._leaks = False  # True if a valve leaks
-        self._gone = False  # True if the valves no longer hold the base at its place
-        self._held: Floats | None = None  # place of the target in the gripper (held.py)
-        self._known = self._quiet = np.nan  # since when; NaN: not yet
-        self._heard = np.nan  # time of the last joint readings, or of the start [s]
+        self._thrust_until = -np.inf  # until when it pushes or holds the base [s]
+        self._valve_leaks = False
+        self._hold_lost = False  # True if the valves no longer hold the base at its place
+        self._held_place: Floats | None = None  # place of the target in the gripper (held.py)
+        self._last_known = self._unsafe_until = np.nan  # [s]; NaN: not yet
+        self._last_joint_reading = np.nan  # time of the last joint readings, or of the start [s]
 
-    def step(self, seen: Seen) -> Orders:
-        """Return the orders for now."""
-        if np.isnan(self._known):
-            self._known = self._quiet = self._heard = seen.t
-        rates = self.joints.rates(self.p, seen)
-        path, ended = self._path(seen), self._end(seen)
-        return Orders("abort", path, rates, seen.keeping, reason=self.reason, ended=ended)
+    def step(self, obs: Observation) -> Commands:
+        """Return the commands until the next step."""
+        if np.isnan(self._last_known):
+            self._last_known = self._unsafe_until = self._last_joint_reading = obs.t
+        rates = self.joints.rates(self.p, obs)
+        path, outcome = self._plan_path(obs), self._outcome(obs)
+        return Commands("abort", path, rates, obs.keep_gripper, reason=self.reason, outcome=outcome)
 
     def cancel(self, reason: str) -> None:
         """Ignore a cancel request, because nothing is safer than the abort."""
@@ -87,96 +87,103 @@ class Abort:
         known = self.drift is not None and np.isfinite(self.drift.target)
         return self.drift.target if self.drift is not None and known else np.nan
 
-    def _path(self, seen: Seen) -> Path | None:
-        q_m = seen.last_q if seen.q is None and not seen.holds else seen.q
-        if seen.base is None or q_m is None or seen.holds is None:
-            self._push, self._busy = None, -np.inf
+    def _plan_path(self, obs: Observation) -> Path | None:
+        q_m = obs.last_q if obs.q is None and not obs.holds else obs.q
+        if obs.base is None or q_m is None or obs.holds is None:
+            self._push, self._thrust_until = None, -np.inf
             return None
-        self._known = seen.t
-        self._heard = self._heard if seen.q is None else seen.t
-        qd_m = np.zeros(q_m.size) if seen.qd is None else seen.qd
-        q, qd = np.concatenate([seen.base.pose, q_m]), np.concatenate([seen.base.twist, qd_m])
-        if seen.holds and seen.target is not None and self._held is None:
-            self._held = hold(self.p, q, seen.target.pose)
-            self.p = with_held(self.p, self.settings.target, self._held)
-        target = None if seen.holds else seen.target
-        drifting = Drifting(self.p, self.settings, self._held if seen.holds else None)
-        if np.isnan(seen.propellant) and self._leaks and self._push is not None:
-            apart = off(seen.base.pose, self._push.at(seen.t).pose)
-            far = float(np.hypot(*apart[:2])) > self.settings.max_offset
-            self._gone = self._gone or (far and seen.t > self._push.end)
-        gas = not (self._gone or seen.propellant <= EMPTY)
-        if seen.t < self._busy and gas:
-            if self._leaks and self._push is not None and seen.t > self._push.end:
-                self._make_room(drifting, seen.t, q, target)
-            self._quiet = seen.t
+        self._last_known = obs.t
+        self._last_joint_reading = self._last_joint_reading if obs.q is None else obs.t
+        qd_m = np.zeros(q_m.size) if obs.qd is None else obs.qd
+        q, qd = np.concatenate([obs.base.pose, q_m]), np.concatenate([obs.base.twist, qd_m])
+        if obs.holds and obs.target is not None and self._held_place is None:
+            self._held_place = hold(self.p, q, obs.target.pose)
+            self.p = with_held(self.p, self.settings.target, self._held_place)
+        target = None if obs.holds else obs.target
+        drifting = DriftPredictor(self.p, self.settings, self._held_place if obs.holds else None)
+        if np.isnan(obs.propellant) and self._valve_leaks and self._push is not None:
+            error = pose_error(obs.base.pose, self._push.at(obs.t).pose)
+            is_far = float(np.hypot(*error[:2])) > self.settings.max_offset
+            self._hold_lost = self._hold_lost or (is_far and obs.t > self._push.end_time)
+        has_gas = not (self._hold_lost or obs.propellant <= EMPTY_TANK_MASS)
+        if obs.t < self._thrust_until and has_gas:
+            if self._valve_leaks and self._push is not None and obs.t > self._push.end_time:
+                self._move_to_refuge(drifting, obs.t, q, target)
+            self._unsafe_until = obs.t
             return self._push
-        if np.abs(qd_m).max() > STILL and seen.t < self.joints.end + LATE:
+        if (
+            np.abs(qd_m).max() > JOINT_REST_RATE
+            and obs.t < self.joints.end_time + JOINT_STOP_MARGIN
+        ):
             return None
-        if seen.q is None and seen.t < self._heard + LATE:
+        if obs.q is None and obs.t < self._last_joint_reading + JOINT_STOP_MARGIN:
             return None
-        self.drift, self._push = drifting.as_is(q, qd, target), None
-        self._leaks = gas and (bool(seen.open_valves) or seen.pushed)
-        if self._leaks:
-            self._push = braking(self.p, q, qd, self.settings, seen.t)
-            self._busy = self._push.end + HOLD
-        elif gas and not self.drift.safe:
-            away = drifting.away(q, qd, target)
-            if away.safe or not np.allclose(away.twist, qd[:3], atol=2e-3):
-                self._push = braking(self.p, q, qd, self.settings, seen.t, away.twist)
-                self._busy = self._push.end
+        self.drift, self._push = drifting.predict(q, qd, target), None
+        self._valve_leaks = has_gas and (bool(obs.open_valves) or obs.unknown_push)
+        if self._valve_leaks:
+            self._push = braking(self.p, q, qd, self.settings, obs.t)
+            self._thrust_until = self._push.end_time + LEAK_CHECK_PERIOD
+        elif has_gas and not self.drift.safe:
+            push = drifting.plan_push(q, qd, target)
+            if push.safe or not np.allclose(push.twist, qd[:3], atol=2e-3):
+                self._push = braking(self.p, q, qd, self.settings, obs.t, push.twist)
+                self._thrust_until = self._push.end_time
         if self._push is not None:
-            self._quiet = seen.t
+            self._unsafe_until = obs.t
         return self._push
 
-    def _make_room(self, drifting: Drifting, t: float, q: Floats, target: Body | None) -> None:
+    def _move_to_refuge(
+        self, drifting: DriftPredictor, t: float, q: Floats, target: Body | None
+    ) -> None:
         """Move on from the place where the base is held, if it cannot stay there."""
         assert self._push is not None
-        here = Reference.at_rest(self._push.knots[-1, 0])
-        goal = drifting.refuge(np.concatenate([here.pose, q[3:]]), target)
-        if not np.array_equal(goal, here.pose):
-            lasts = least_duration(self.settings, here, goal)
-            self._push = Path.between(here, goal, t, t + lasts)
-            self._busy = max(self._busy, self._push.end)
+        reference = Reference.at_rest(self._push.knots[-1, 0])
+        goal = drifting.find_refuge(np.concatenate([reference.pose, q[3:]]), target)
+        if not np.array_equal(goal, reference.pose):
+            duration = min_duration(self.settings, reference, goal)
+            self._push = Path.between(reference, goal, t, t + duration)
+            self._thrust_until = max(self._thrust_until, self._push.end_time)
 
-    def _end(self, seen: Seen) -> Ended | None:
-        if seen.qd is not None and np.abs(seen.qd).max() > STILL:
-            self._quiet = max(self._quiet, seen.t - 0.5 * QUIET)
-        if seen.t - self._known > PATIENCE:
-            return Ended(False, f"{self.reason}; base, joints or gripper not known, valves closed")
-        if seen.t - self._quiet < QUIET or self.drift is None or seen.base is None:
+    def _outcome(self, obs: Observation) -> Outcome | None:
+        if obs.qd is not None and np.abs(obs.qd).max() > JOINT_REST_RATE:
+            self._unsafe_until = max(self._unsafe_until, obs.t - 0.5 * SAFE_DRIFT_TIME)
+        if obs.t - self._last_known > UNKNOWN_STATE_TIMEOUT:
+            return Outcome(
+                False, f"{self.reason}; valves closed: state of base, joints or gripper unknown"
+            )
+        if obs.t - self._unsafe_until < SAFE_DRIFT_TIME or self.drift is None or obs.base is None:
             return None
-        if self._gone:
-            return Ended(False, f"{self.reason}; the valves do not hold the base any more")
+        if self._hold_lost:
+            return Outcome(False, f"{self.reason}; the valves no longer hold the base")
         if not self.drift.safe:
-            near = f"{self.drift.edge:.2f} m from the table's edge"
+            distances = f"{self.drift.edge:.2f} m from the table's edge"
             if np.isfinite(self.drift.target):
-                near = f"{near} and {self.drift.target:.2f} m from the target"
+                distances = f"{distances} and {self.drift.target:.2f} m from the target"
             horizon = f"{self.settings.drift_horizon:g} s"
-            return Ended(False, f"{self.reason}; it drifts to within {near} in {horizon}")
-        return Ended(self.asked, self.reason)
+            return Outcome(False, f"{self.reason}; the base drifts to {distances} within {horizon}")
+        return Outcome(self.requested, self.reason)
 
 
-class Stopping:
+class JointStop:
     """Joint motion that slows down within torque limits (n,) [N m], and then holds."""
 
     def __init__(self, torques: Floats) -> None:
         self.torques = torques
-        self._from: tuple[float, float, Floats] | None = None  # start, duration and initial rates
+        self._start: tuple[float, float, Floats] | None = None  # start, duration and initial rates
 
     @property
-    def end(self) -> float:
+    def end_time(self) -> float:
         """Time at which the joints rest [s]; infinite before they start to slow down."""
-        return np.inf if self._from is None else self._from[0] + self._from[1]
+        return np.inf if self._start is None else self._start[0] + self._start[1]
 
-    def rates(self, p: Floats, seen: Seen) -> Floats:
+    def rates(self, p: Floats, obs: Observation) -> Floats:
         """Return the rates of the joints now [rad/s]."""
-        if seen.q is None or seen.qd is None:
+        if obs.q is None or obs.qd is None:
             return np.zeros(self.torques.size)
-        if self._from is None:
-            twist = np.zeros(3) if seen.base is None else seen.base.twist
-            pose = np.zeros(3) if seen.base is None else seen.base.pose
-            q, qd = np.concatenate([pose, seen.q]), np.concatenate([twist, seen.qd])
-            self._from = seen.t, slowing(p, q, qd, self.torques), np.array(seen.qd)
-        begin, duration, rates = self._from
-        return rates * max(0.0, 1.0 - (seen.t - begin) / duration)
+        if self._start is None:
+            twist = np.zeros(3) if obs.base is None else obs.base.twist
+            pose = np.zeros(3) if obs.base is None else obs.base.pose
+            q, qd = np.concatenate([pose, obs.q]), np.concatenate([twist, obs.qd])
+            self._start = obs.t, joint_stop_time(p, q, qd, self.torques), np.array(obs.qd)
+        start, duration, rates = self._start
+        return rates * max(0.0, 1.0 - (obs.t - start) / duration)

@@ -1,7 +1,7 @@
 """Activities of the guidance, one at a time, without ROS and without a clock.
 
-The node steps an activity at its rate with the known state. It executes the orders that the
-activity returns, until they contain a result. After that, and whenever the base is unknown, the
+The node steps an activity at its rate with the known state. It executes the commands that the
+activity returns, until they contain an outcome. After that, and whenever the base is unknown, the
 base coasts.
 """
 
@@ -18,7 +18,7 @@ from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Body, Path
 
 Floats = npt.NDArray[np.float64]
-Held = tuple[Target, Floats]  # a body and its place (3,) in the last link's frame (held.py)
+HeldBody = tuple[Target, Floats]  # a body and its place (3,) in the last link's frame (held.py)
 
 
 class ActivityError(ValueError):
@@ -26,10 +26,10 @@ class ActivityError(ValueError):
 
 
 @dataclass(frozen=True)
-class Seen:
+class Observation:
     """Known state at one time."""
 
-    t: float  # since the activity began [s]
+    t: float  # since the activity started [s]
     base: Body | None = None  # None: not known now
     target: Body | None = None
     q: Floats | None = None  # (n,) [rad]; None: not all joints are known
@@ -38,17 +38,17 @@ class Seen:
     holds: bool | None = None  # whether the gripper holds the target; None: not known
     propellant: float = np.nan  # left [kg]; NaN: not known
     last_q: Floats | None = None  # (n,) last received joint angles [rad]; None: none yet
-    held: Held | None = None  # held body as measured; None: not measured yet
+    held_body: HeldBody | None = None  # held body as measured; None: not measured yet
     open_valves: tuple[int, ...] = ()  # valves that do not close, from 1
-    pushed: bool = False  # momentum changes without a known cause
+    unknown_push: bool = False  # momentum changes without a known cause
 
     @property
-    def keeping(self) -> bool | None:
-        """Gripper order that keeps the present state: close if it holds a target, open if not."""
+    def keep_gripper(self) -> bool | None:
+        """Gripper command that keeps the present state: close if it holds a target, open if not."""
         return None if self.holds is None else bool(self.holds)
 
     @property
-    def floating(self) -> tuple[Floats, Floats]:
+    def floating_state(self) -> tuple[Floats, Floats]:
         """State of base and arm and its rate, (3 + n,) each.
 
         Raises:
@@ -61,15 +61,15 @@ class Seen:
         return np.concatenate([self.base.pose, self.q]), np.concatenate([self.base.twist, self.qd])
 
 
-class Ended(NamedTuple):
+class Outcome(NamedTuple):
     """Result of an activity."""
 
-    well: bool
-    message: str = ""  # why it failed; empty if it succeeded
+    success: bool
+    message: str = ""  # reason of a failure or of a requested abort; else empty
 
 
 @dataclass(frozen=True)
-class Orders:
+class Commands:
     """Commands until the next step.
 
     By default the valves are closed and the arm gets no commands.
@@ -78,20 +78,20 @@ class Orders:
     phase: str
     path: Path | None = None  # of the base, by the activity's time; None: coast
     rates: Floats | None = None  # (n,) of the joints [rad/s]; None: no command
-    close: bool | None = None  # close the gripper, or open it; None: unchanged
+    close_gripper: bool | None = None  # close the gripper, or open it; None: unchanged
     keep_out: float = 0.0  # radius of the keep-out zone about the target [m]
     fixture_distance: float = np.nan  # from the end effector to the target's fixture [m]
     reason: str = ""  # why it aborts or brakes; empty: neither
-    ended: Ended | None = None
+    outcome: Outcome | None = None
 
 
 class Activity(Protocol):
     """Behaviour of the guidance, executed in steps."""
 
-    blind: bool  # True if it continues while base or joints are unknown
+    tolerates_unknown_state: bool  # True if it continues while base or joints are unknown
 
-    def step(self, seen: Seen) -> Orders:
-        """Return the orders for now.
+    def step(self, obs: Observation) -> Commands:
+        """Return the commands until the next step.
 
         Raises:
             ActivityError: it cannot continue, and so has failed.

@@ -46,18 +46,18 @@ class Points(NamedTuple):
     acceleration: Floats
 
 
-def quintic(begin: float, rate: float, end: float, duration: float, t: Floats) -> Floats:
+def quintic(start: float, rate: float, end: float, duration: float, t: Floats) -> Floats:
     """Return value, rate and acceleration (3, k), from a value and a rate to rest at another."""
     T, u = duration, np.clip(t / duration, 0.0, 1.0)
-    way, kick = end - begin, rate * T
-    a, b, c = 10 * way - 6 * kick, -15 * way + 8 * kick, 6 * way - 3 * kick
-    value = begin + u * (kick + u * u * (a + u * (b + u * c)))
-    first = (kick + u * u * (3 * a + u * (4 * b + u * 5 * c))) / T
+    change, ramp = end - start, rate * T
+    a, b, c = 10 * change - 6 * ramp, -15 * change + 8 * ramp, 6 * change - 3 * ramp
+    value = start + u * (ramp + u * u * (a + u * (b + u * c)))
+    first = (ramp + u * u * (3 * a + u * (4 * b + u * 5 * c))) / T
     second = u * (6 * a + u * (12 * b + u * 20 * c)) / T**2
     return np.stack([value, first, second])
 
 
-class Rigid:
+class RigidCraft:
     """Base and arm with joints held: centre of mass, and pointing direction of the end effector."""
 
     def __init__(self, p: Floats, q_m: npt.ArrayLike) -> None:
@@ -71,21 +71,21 @@ class Rigid:
 
         None if the centre of mass is too close to the target.
         """
-        turned = np.exp(1j * pose[2]) * self.com
-        c = complex(*pose[:2]) + turned
-        v = complex(*twist[:2]) + 1j * twist[2] * turned
-        across = abs(c) ** 2 - self.k.imag**2
-        if across <= 0.0:
+        com_offset = np.exp(1j * pose[2]) * self.com
+        c = complex(*pose[:2]) + com_offset
+        v = complex(*twist[:2]) + 1j * twist[2] * com_offset
+        square = abs(c) ** 2 - self.k.imag**2
+        if square <= 0.0:
             return None
-        d = self.k.real + np.sqrt(across)
+        d = self.k.real + np.sqrt(square)
         s = c / (d - self.k)
-        along = v / s
-        round_ = along.imag / (d - self.k.real)
+        linear = v / s
+        phi_rate = linear.imag / (d - self.k.real)
         psi = wrap(pose[2] - (np.angle(s) + pi - self.tip_heading))
-        inward = along.real - round_ * self.k.imag
+        inward = linear.real - phi_rate * self.k.imag
         return (
             np.array([d, np.angle(s), psi]),
-            np.array([inward, round_, twist[2] - round_]),
+            np.array([inward, phi_rate, twist[2] - phi_rate]),
         )
 
     def points(self, d: Floats, phi: Floats, psi: Floats) -> Points:
@@ -109,44 +109,44 @@ class Rigid:
         )
 
 
-def _rows(along: Complexes, turning: Floats) -> Floats:
-    return np.stack([along.real, along.imag, turning], axis=-1)
+def _rows(linear: Complexes, turning: Floats) -> Floats:
+    return np.stack([linear.real, linear.imag, turning], axis=-1)
 
 
 @dataclass(frozen=True)
-class Way:
+class ApproachTrajectory:
     """Trajectory from the start to the stand-off, in the target's drifting frame."""
 
-    body: Rigid
-    begin: Floats  # (3,) d, phi, psi
-    rate: Floats  # (3,)
+    body: RigidCraft
+    start: Floats  # (3,) d, phi, psi
+    start_rate: Floats  # (3,)
     end: Floats  # (3,)
     duration: float  # [s]
-    order: "Order"
+    timing: "Timing"
 
     def points(self, t: npt.ArrayLike) -> Points:
         """Return the points at times since the start [s], seen from the target."""
-        t, T, order = np.atleast_1d(np.asarray(t, dtype=float)), self.duration, self.order
-        begin, speed, end = self.begin.tolist(), self.rate.tolist(), self.end.tolist()
-        d = quintic(begin[0], speed[0], end[0], T, t)
-        if order.far is not None:
-            half, far = order.share * T, order.far
-            out = quintic(begin[0], speed[0], far, half, t)
-            back = quintic(far, 0.0, end[0], T - half, np.maximum(t - half, 0.0))
-            d = np.where(t > half, back, out)
-        since, until = order.round[0] * T, order.round[1] * T
+        t, T, timing = np.atleast_1d(np.asarray(t, dtype=float)), self.duration, self.timing
+        start, speed, end = self.start.tolist(), self.start_rate.tolist(), self.end.tolist()
+        d = quintic(start[0], speed[0], end[0], T, t)
+        if timing.detour_distance is not None:
+            half, detour_distance = timing.detour_end * T, timing.detour_distance
+            outward = quintic(start[0], speed[0], detour_distance, half, t)
+            back = quintic(detour_distance, 0.0, end[0], T - half, np.maximum(t - half, 0.0))
+            d = np.where(t > half, back, outward)
+        since, until = timing.turn_interval[0] * T, timing.turn_interval[1] * T
         rate = 0.0 if since else speed[1]
-        phi = quintic(begin[1], rate, end[1], until - since, np.maximum(t - since, 0.0))
-        psi = quintic(begin[2], speed[2], end[2], min(until, 0.6 * T), t)
+        phi = quintic(start[1], rate, end[1], until - since, np.maximum(t - since, 0.0))
+        psi = quintic(start[2], speed[2], end[2], min(until, 0.6 * T), t)
         return self.body.points(d, phi, psi)
 
 
-class Order(NamedTuple):
+class Timing(NamedTuple):
     """Timing of the motions inward and around the target, as shares of the duration."""
 
-    round: tuple[float, float]  # start and end of the change of phi
-    share: float = 0.0  # end of a first motion of d to another distance
-    far: float | None = None  # that distance [m]; None: straight in
+    turn_interval: tuple[float, float]  # start and end of the change of phi
+    detour_end: float = 0.0  # end of a first motion of d to another distance
+    detour_distance: float | None = None  # that distance [m]; None: straight in
 
 
 class Planner:
@@ -161,28 +161,32 @@ class Planner:
         self.p, self.settings, self.target = p, settings, settings.target
         n = (p.size - layout.BASE_SIZE) // layout.LINK_SIZE
         self._pairs = np.array([*with_target(n), *with_edge(n)], dtype=float)
-        room = settings.keep_out - settings.target_radius
-        self._room = np.array([room] * (n + 2) + [settings.edge_room] * (n + 2))
+        min_gaps = settings.keep_out - settings.target_radius
+        self._min_gaps = np.array([min_gaps] * (n + 2) + [settings.approach_edge_gap] * (n + 2))
         self._sizes = sizes(settings, settings.target_radius, settings.gripper_length)
 
-    def standing(self) -> float:
+    def standoff_distance(self) -> float:
         """Return the end effector's distance from the target's centre after the approach [m]."""
         return float(abs(complex(*self.target.fixture[:2]))) + self.settings.stand_off
 
-    def side(self, heading: float) -> float:
+    def fixture_direction(self, heading: float) -> float:
         """Return the fixture's direction from the target's centre, at a target heading [rad]."""
         return heading + float(np.angle(complex(*self.target.fixture[:2])))
 
-    def load(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+    def valve_load(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return the share of the valves' authority that the base's motion needs, (k,)."""
         w = inverse_dynamics(self.p, q, qd, qdd)[..., :3]
-        return load(w, q[..., 2], self.settings)
+        return valve_load(w, q[..., 2], self.settings)
 
-    def find(self, q: Floats, qd: Floats, state: Floats, lead: float) -> Way | None:
+    def plan(self, q: Floats, qd: Floats, state: Floats, lead: float) -> ApproachTrajectory | None:
         """Return the quickest trajectory of `search`; None if there is none."""
-        return next((way for way in self.search(q, qd, state, lead) if way), None)
+        return next(
+            (trajectory for trajectory in self.search(q, qd, state, lead) if trajectory), None
+        )
 
-    def search(self, q: Floats, qd: Floats, state: Floats, lead: float) -> Iterator[Way | None]:
+    def search(
+        self, q: Floats, qd: Floats, state: Floats, lead: float
+    ) -> Iterator[ApproachTrajectory | None]:
         """Yield feasible trajectories of base and arm, the quickest first; None for a failed try.
 
         Args:
@@ -191,82 +195,90 @@ class Planner:
             state: (2, 3) pose and twist of the target.
             lead: time from the end of a trajectory until the fixture faces the arm [s].
         """
-        body = Rigid(self.p, q[3:])
+        body = RigidCraft(self.p, q[3:])
         drift = np.array([*state[1, :2], 0.0])
-        apart = np.array([*(q[:2] - state[0, :2]), q[2]])
-        here = body.polar(apart, qd[:3] - drift)
-        if here is None:
+        relative_pose = np.array([*(q[:2] - state[0, :2]), q[2]])
+        initial = body.polar(relative_pose, qd[:3] - drift)
+        if initial is None:
             return
-        for way in self._ways(body, *here, state, lead):
-            yield way if self._can_drive(way) and self._is_clear(way, state) else None
+        for trajectory in self._candidates(body, *initial, state, lead):
+            yield (
+                trajectory
+                if self._is_feasible(trajectory) and self._is_clear(trajectory, state)
+                else None
+            )
 
-    def _ways(
-        self, body: Rigid, here: Floats, rate: Floats, state: Floats, lead: float
-    ) -> Iterator[Way]:
-        standing = self.standing()
-        off = max(float(here[0]), standing)
-        orders = (
-            Order((0.0, 1.0)), Order((0.0, 0.6), 0.45, off), Order((0.3, 1.0), 0.5, standing),
-            Order((0.0, 0.6), 0.4, off + 0.3), Order((0.1, 0.8), 0.2, off + 0.1),
+    def _candidates(
+        self, body: RigidCraft, initial: Floats, rate: Floats, state: Floats, lead: float
+    ) -> Iterator[ApproachTrajectory]:
+        distance = self.standoff_distance()
+        outer = max(float(initial[0]), distance)
+        timings = (
+            Timing((0.0, 1.0)), Timing((0.0, 0.6), 0.45, outer), Timing((0.3, 1.0), 0.5, distance),
+            Timing((0.0, 0.6), 0.4, outer + 0.3), Timing((0.1, 0.8), 0.2, outer + 0.1),
         )  # fmt: skip
         t = 6.0
-        while t < self.settings.longest_way:
-            facing = self.side(float(state[0, 2] + state[1, 2] * (t + lead)))
-            round_ = wrap(facing - here[1])
-            for turn in (round_, round_ - np.copysign(2.0 * pi, round_)):
-                end = np.array([standing, here[1] + turn, 0.0])
-                for order in orders:
-                    yield Way(body, here, rate, end, t, order)
+        while t < self.settings.max_approach_duration:
+            facing = self.fixture_direction(float(state[0, 2] + state[1, 2] * (t + lead)))
+            shorter = wrap(facing - initial[1])
+            for turn in (shorter, shorter - np.copysign(2.0 * pi, shorter)):
+                end = np.array([distance, initial[1] + turn, 0.0])
+                for timing in timings:
+                    yield ApproachTrajectory(body, initial, rate, end, t, timing)
             t += max(1.0, 0.05 * t)
 
-    def _can_drive(self, way: Way) -> bool:
-        points = way.points(np.linspace(0.0, way.duration, 25))
-        q, qd, qdd = (self._with_joints(rows, way) for rows in points)
+    def _is_feasible(self, trajectory: ApproachTrajectory) -> bool:
+        points = trajectory.points(np.linspace(0.0, trajectory.duration, 25))
+        q, qd, qdd = (self._with_joints(rows, trajectory) for rows in points)
         qd[:, 3:] = qdd[:, 3:] = 0.0
-        return bool(self.load(q, qd, qdd).max() <= self.settings.authority)
+        return bool(self.valve_load(q, qd, qdd).max() <= self.settings.authority)
 
-    def _is_clear(self, way: Way, state: Floats) -> bool:
-        t = np.linspace(0.0, way.duration, 40)[1:]
-        seen = way.points(t)
+    def _is_clear(self, trajectory: ApproachTrajectory, state: Floats) -> bool:
+        t = np.linspace(0.0, trajectory.duration, 40)[1:]
+        relative = trajectory.points(t)
         drift = np.array([*state[1, :2], 0.0])
         target = state[0, :2] + t[:, None] * state[1, :2]
-        pose = seen.pose + np.column_stack([target, np.zeros(t.size)])
+        pose = relative.pose + np.column_stack([target, np.zeros(t.size)])
         # A gap that is too small at the start must not become smaller.
-        room = np.minimum(self._room, self.room(np.concatenate([pose[0], way.body.q_m]), state[0]))
-        if (self.gaps_of(pose, way.body, target) < room - 1e-3).any():
+        min_gaps = np.minimum(
+            self._min_gaps, self.gaps_at(np.concatenate([pose[0], trajectory.body.q_m]), state[0])
+        )
+        if (self.gaps_along(pose, trajectory.body, target) < min_gaps - 1e-3).any():
             return False
         for ahead in np.array([0.25, 0.5, 0.75, 1.0]) * self.settings.coast:
-            later = coasted(pose, seen.twist + drift, way.body.com, ahead)
-            gone = target + ahead * state[1, :2]
-            if (self.gaps_of(later, way.body, gone) < np.minimum(room, 0.02)).any():
+            later = propagate_coast(pose, relative.twist + drift, trajectory.body.com, ahead)
+            later_target = target + ahead * state[1, :2]
+            if (
+                self.gaps_along(later, trajectory.body, later_target) < np.minimum(min_gaps, 0.02)
+            ).any():
                 return False
         return True
 
-    def room(self, q: Floats, target: Floats) -> Floats:
+    def gaps_at(self, q: Floats, target: Floats) -> Floats:
         """Return the gaps of all bodies to target and edge, (g,)."""
         return np.asarray(gaps(self.p, q, self._pairs, self._sizes, target[:2]))
 
-    def gaps_of(self, pose: Floats, body: Rigid, target: Floats) -> Floats:
+    def gaps_along(self, pose: Floats, body: RigidCraft, target: Floats) -> Floats:
         """Return the gaps with the base at poses (k, 3) and the target at (k, 2), (k, g)."""
         q = np.column_stack([pose, np.broadcast_to(body.q_m, (len(pose), body.q_m.size))])
         return np.asarray(gaps(self.p, q, self._pairs, self._sizes, target))
 
     @staticmethod
-    def _with_joints(rows: Floats, way: Way) -> Floats:
-        joints = np.broadcast_to(way.body.q_m, (len(rows), way.body.q_m.size))
+    def _with_joints(rows: Floats, trajectory: ApproachTrajectory) -> Floats:
+        joints = np.broadcast_to(trajectory.body.q_m, (len(rows), trajectory.body.q_m.size))
         return np.column_stack([rows, joints])
 
 
-def coasted(pose: Floats, twist: Floats, com: complex, time: float | Floats) -> Floats:
+def propagate_coast(pose: Floats, twist: Floats, com: complex, time: float | Floats) -> Floats:
     """Return poses (..., 3) of the base a time later [s], base and arm moving as one free body."""
     w = com * np.exp(1j * pose[..., 2])
     v = twist[..., 0] + 1j * twist[..., 1] + 1j * twist[..., 2] * w
     heading = pose[..., 2] + time * twist[..., 2]
-    at = pose[..., 0] + 1j * pose[..., 1] + w + time * v - com * np.exp(1j * heading)
-    return np.stack([at.real, at.imag, heading], axis=-1)
+    origin = pose[..., 0] + 1j * pose[..., 1] + w + time * v - com * np.exp(1j * heading)
+    return np.stack([origin.real, origin.imag, heading], axis=-1)
 
 
-def load(wrench: Floats, heading: Floats, settings: MissionSettings) -> Floats:
+def valve_load(wrench: Floats, heading: Floats, settings: MissionSettings) -> Floats:
     """Return the share of the valves' authority that wrenches (..., 3) in world axes need, (...).
 
     Four valves of thrust T and lever l push along each axis. Together they can produce

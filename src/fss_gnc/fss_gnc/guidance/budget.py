@@ -7,10 +7,10 @@ import numpy as np
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
 from fss_arm_model.held import with_held
 from fss_arm_model.momentum import momentum
-from fss_gnc.guidance.activity import Craft, Floats, Seen
+from fss_gnc.guidance.activity import Craft, Floats, Observation
 
 
-def _unknown() -> Floats:
+def _nan_vector() -> Floats:
     return np.full(3, np.nan)
 
 
@@ -20,30 +20,31 @@ class Budget:
 
     craft: Craft
     elapsed: float = 0.0  # [s]
-    before: float = np.nan  # propellant at the start [kg]
+    initial_propellant: float = np.nan  # [kg]
     propellant: float = np.nan  # used since [kg]
     largest_torque: float = np.nan  # at a joint [N m]
-    momentum: Floats = field(default_factory=_unknown)  # [N s, N s, N m s]
-    edge: float = np.nan  # least gap of a body to the table's edge [m]
-    target: float = np.nan  # least gap of base and arm, without the gripper, to the target [m]
+    momentum: Floats = field(default_factory=_nan_vector)  # [N s, N s, N m s]
+    edge_gap: float = np.nan  # least gap of a body to the table's edge [m]
+    target_gap: float = np.nan  # least gap to the target, of base and arm without gripper [m]
 
-    def update(self, seen: Seen) -> None:
+    def update(self, obs: Observation) -> None:
         """Update it from the known state."""
-        self.elapsed = seen.t
-        self.before = seen.propellant if np.isnan(self.before) else self.before
-        self.propellant = self.before - seen.propellant
-        if seen.effort is not None:
-            most = np.fmax.reduce(np.abs(seen.effort))  # NaN is ignored
-            self.largest_torque = float(np.fmax(self.largest_torque, most))
-        self.momentum, self.edge, self.target = _unknown(), np.nan, np.nan
-        if seen.base is None or seen.q is None:
+        self.elapsed = obs.t
+        if np.isnan(self.initial_propellant):
+            self.initial_propellant = obs.propellant
+        self.propellant = self.initial_propellant - obs.propellant
+        if obs.effort is not None:
+            largest = np.fmax.reduce(np.abs(obs.effort))  # NaN is ignored
+            self.largest_torque = float(np.fmax(self.largest_torque, largest))
+        self.momentum, self.edge_gap, self.target_gap = _nan_vector(), np.nan, np.nan
+        if obs.base is None or obs.q is None:
             return
-        q, qd = seen.floating
+        q, qd = obs.floating_state
         p, n, s = self.craft.arm.vector(), self.craft.arm.n, self.craft.settings
-        around = sizes(s, s.target_radius, s.gripper_length)
-        held = seen.held if seen.holds else None
+        body_sizes = sizes(s, s.target_radius, s.gripper_length)
+        held = obs.held_body if obs.holds else None
         self.momentum = momentum(p if held is None else with_held(p, *held), q, qd)
-        self.edge = float(gaps(p, q, list(with_edge(n)), around).min())
-        if seen.target is not None:
+        self.edge_gap = float(gaps(p, q, list(with_edge(n)), body_sizes).min())
+        if obs.target is not None:
             pairs = list(with_target(n))[:-1]
-            self.target = float(gaps(p, q, pairs, around, seen.target.pose[:2]).min())
+            self.target_gap = float(gaps(p, q, pairs, body_sizes, obs.target.pose[:2]).min())

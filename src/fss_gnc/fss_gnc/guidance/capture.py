@@ -19,255 +19,267 @@ from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.held import Approach, approach, momentum_of_both
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.abort import Abort
-from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
-from fss_gnc.guidance.approach import Planner, Points, Way
+from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
+from fss_gnc.guidance.approach import ApproachTrajectory, Planner, Points
 from fss_gnc.guidance.detumble import Detumble
-from fss_gnc.guidance.drift import Drifting
+from fss_gnc.guidance.drift import DriftPredictor
+from fss_gnc.guidance.mission_monitor import MissionMonitor
 from fss_gnc.guidance.reach import Reach
-from fss_gnc.guidance.rest import braking, slowing
-from fss_gnc.guidance.watch import Watch
-from fss_gnc.reference import Body, Path, off
+from fss_gnc.guidance.stopping import braking, joint_stop_time
+from fss_gnc.reference import Body, Path, pose_error
 
 Floats = npt.NDArray[np.float64]
 
-AHEAD = np.linspace(0.0, 2.0, 9)  # times of the published reference [s]
-SETTLED = 3.0  # time with everything known and joints at rest before the search starts [s]
-TRIES = 24  # trajectories tried per step, which must be quick
-LONGEST = 6.0  # longest search; after it the initial state is outdated [s]
-RETRY = 2.0  # time on a trajectory before another one is searched for [s]
-NEAR, STRAIGHT = 0.03, 0.05  # largest error at the stand-off when the reach starts [m], [rad]
-SLOW, SLOW_TURN = 0.008, 0.008  # largest error of the twist then [m/s], [rad/s]
-FACING = 0.25  # largest error of the fixture's angle when the reach starts [rad]
+REFERENCE_TIMES = np.linspace(0.0, 2.0, 9)  # of the published reference, from now on [s]
+SETTLING_TIME = 3.0  # time with everything known and joints at rest before the search starts [s]
+CANDIDATES_PER_STEP = 24  # trajectories tried per step, which must be quick
+MAX_SEARCH_TIME = 6.0  # longest search; after it the initial state is outdated [s]
+MIN_REPLAN_INTERVAL = 2.0  # time on a trajectory before another one is searched for [s]
+MAX_POSITION_ERROR, MAX_HEADING_ERROR = 0.03, 0.05  # at the start of the reach [m], [rad]
+MAX_SPEED_ERROR, MAX_TURN_RATE_ERROR = 0.008, 0.008  # then [m/s], [rad/s]
+MAX_FACING_ANGLE = 0.25  # largest error of the fixture's angle when the reach starts [rad]
 LOST_ANGLE, LOST_DISTANCE = 1.2, 0.35  # errors beyond which a reach is abandoned [rad], [m]
-LATE = 5.0  # time before the end of a trajectory in which no other is searched for [s]
-PATIENCE = 25.0  # longest wait for the fixture, before another side is chosen [s]
+REPLAN_CUTOFF = 5.0  # time before the end of a trajectory in which no other is searched for [s]
+FIXTURE_WAIT_TIMEOUT = 25.0  # longest wait for the fixture, before another side is chosen [s]
 
 
 class Capture:
     """Activity that captures a tumbling target.
 
     Args:
-        craft: whose base and arm.
+        craft: base and arm.
         detumble: whether to stop the motion after the grip.
     """
 
-    blind = True
+    tolerates_unknown_state = True
 
     def __init__(self, craft: Craft, detumble: bool = True) -> None:
         self.craft, self.detumbles = craft, detumble
         self.settings = settings = craft.settings
         self.p, self.target = craft.arm.vector(), settings.target
-        self.guide = Reach(craft.arm, settings)
-        self.planner, self.watch = Planner(self.p, settings), Watch(craft)
+        self.reach = Reach(craft.arm, settings)
+        self.planner, self.monitor = Planner(self.p, settings), MissionMonitor(craft)
         self.guard = Guard(craft.arm, settings)
-        self.phase, self.since, self.attempts = "wait", 0.0, 0
-        self.met: Approach | None = None
+        self.phase, self.phase_start, self.attempts = "wait", 0.0, 0
+        self.fixture_error: Approach | None = None
         self.posture: Floats | None = None  # joint angles held in the approach
-        self.after: Detumble | Abort | None = None
+        self.follow_up: Detumble | Abort | None = None
         self.captured = False
         self.momentum = np.full(3, np.nan)  # total, when the valves close; a grip keeps it
-        self._way: tuple[float, Way] | None = None  # start of the trajectory, and the trajectory
-        self._sought, self._moved = -np.inf, 0.0
-        self._search: Iterator[Way | None] | None = None
+        self._trajectory: tuple[float, ApproachTrajectory] | None = None  # with its start time
+        self._search_start, self._last_motion = -np.inf, 0.0
+        self._search: Iterator[ApproachTrajectory | None] | None = None
         self._path: Path | None = None
 
-    def step(self, seen: Seen) -> Orders:
-        """Return the orders for now."""
-        if self.after is None:
-            reason = self._reason(seen)
+    def step(self, obs: Observation) -> Commands:
+        """Return the commands until the next step."""
+        if self.follow_up is None:
+            reason = self._abort_reason(obs)
             if reason:
                 self.cancel(reason)
-        if self.after is not None:
-            return self._told(self.after.step(seen))
-        if seen.holds and seen.base is not None and seen.q is not None:
-            return self._grasped(seen)
-        if seen.base is None or seen.q is None or seen.target is None:
-            self._moved = seen.t
-            return Orders("wait", close=seen.keeping)
-        q, qd = seen.floating
-        state = np.array([seen.target.pose, seen.target.twist])
-        self.met = approach(self.p, q, qd, self.target, state)
-        act = {"wait": self._wait, "approach": self._approach, "reach": self._reach,
+        if self.follow_up is not None:
+            return self._adopt_phase(self.follow_up.step(obs))
+        if obs.holds and obs.base is not None and obs.q is not None:
+            return self._finish_grip(obs)
+        if obs.base is None or obs.q is None or obs.target is None:
+            self._last_motion = obs.t
+            return Commands("wait", close_gripper=obs.keep_gripper)
+        q, qd = obs.floating_state
+        state = np.array([obs.target.pose, obs.target.twist])
+        self.fixture_error = approach(self.p, q, qd, self.target, state)
+        handlers = {"wait": self._wait, "approach": self._approach, "reach": self._reach,
                "grip": self._reach}  # fmt: skip
-        return act[self.phase](seen, q, qd, state)
+        return handlers[self.phase](obs, q, qd, state)
 
     def cancel(self, reason: str) -> None:
         """Abort the mission."""
-        if isinstance(self.after, Detumble):
-            self.after.cancel(reason)
-        elif self.after is None:
-            self.after = Abort(self.craft, reason)
+        if isinstance(self.follow_up, Detumble):
+            self.follow_up.cancel(reason)
+        elif self.follow_up is None:
+            self.follow_up = Abort(self.craft, reason)
             self.phase = "abort"
 
-    def _told(self, orders: Orders) -> Orders:
-        self.phase = orders.phase
-        return orders
+    def _adopt_phase(self, commands: Commands) -> Commands:
+        self.phase = commands.phase
+        return commands
 
-    def _begin(self, phase: str, t: float) -> None:
-        self.phase, self.since = phase, t
+    def _enter_phase(self, phase: str, t: float) -> None:
+        self.phase, self.phase_start = phase, t
 
-    def _reason(self, seen: Seen) -> str:
+    def _abort_reason(self, obs: Observation) -> str:
         s = self.settings
         timeouts = {
             "wait": s.wait_timeout, "approach": s.approach_timeout, "reach": s.reach_timeout + 5.0,
             "grip": s.grip_timeout + 5.0,
         }  # fmt: skip
-        if seen.target is None and self.phase != "wait" and not seen.holds:
+        if obs.target is None and self.phase != "wait" and not obs.holds:
             return "target/state is not known"
-        if seen.holds is None and self.phase in ("reach", "grip"):
+        if obs.holds is None and self.phase in ("reach", "grip"):
             return "gripper/state is not known"
-        known = seen.base is not None and seen.q is not None and seen.target is not None
-        if self.phase == "wait" and not known and not seen.open_valves:
-            late = seen.t - self.since > s.wait_timeout
-            return "base, arm or target are not known" if late else ""
-        return self.watch.reason(seen, self._path, self.phase, timeouts[self.phase], self.since)
+        known = obs.base is not None and obs.q is not None and obs.target is not None
+        if self.phase == "wait" and not known and not obs.open_valves:
+            timed_out = obs.t - self.phase_start > s.wait_timeout
+            return "state of base, arm or target is not known" if timed_out else ""
+        return self.monitor.abort_reason(
+            obs, self._path, self.phase, timeouts[self.phase], self.phase_start
+        )
 
-    def _wait(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
+    def _wait(self, obs: Observation, q: Floats, qd: Floats, state: Floats) -> Commands:
         self._path = None
         if self.posture is None:
             self.posture = (
                 np.array(self.settings.posture) if self.settings.posture else q[3:].copy()
             )
-        is_there = np.abs(q[3:] - self.posture).max() < 0.02 and np.abs(qd[3:]).max() < 0.01
-        self._moved = self._moved if is_there else seen.t
-        if seen.t >= self._moved + SETTLED:
-            self._seek(seen.t, q, qd, state)
-        return Orders("wait", None, self._still(q), seen.keeping)
+        at_posture = np.abs(q[3:] - self.posture).max() < 0.02 and np.abs(qd[3:]).max() < 0.01
+        self._last_motion = self._last_motion if at_posture else obs.t
+        if obs.t >= self._last_motion + SETTLING_TIME:
+            self._search_trajectory(obs.t, q, qd, state)
+        return Commands("wait", None, self._posture_rates(q), obs.keep_gripper)
 
-    def _seek(self, t: float, q: Floats, qd: Floats, state: Floats) -> None:
+    def _search_trajectory(self, t: float, q: Floats, qd: Floats, state: Floats) -> None:
         """Search for a trajectory, a few tries per step.
 
         It starts from the state of base, arm and target at the start of the search.
         """
-        if self._search is None or t > self._sought + LONGEST:
+        if self._search is None or t > self._search_start + MAX_SEARCH_TIME:
             assert self.posture is not None
-            held = np.concatenate([q[:3], self.posture])
-            self._sought = t
-            self._search = self.planner.search(held, qd, state, self.settings.lead)
-        for way in islice(self._search, TRIES):
-            if way is not None:
-                self._way, self._search = (self._sought, way), None
+            state_at_posture = np.concatenate([q[:3], self.posture])
+            self._search_start = t
+            self._search = self.planner.search(state_at_posture, qd, state, self.settings.lead)
+        for trajectory in islice(self._search, CANDIDATES_PER_STEP):
+            if trajectory is not None:
+                self._trajectory, self._search = (self._search_start, trajectory), None
                 if self.phase != "approach":
-                    self._begin("approach", t)
+                    self._enter_phase("approach", t)
                 return
 
-    def _still(self, q: Floats) -> Floats:
+    def _posture_rates(self, q: Floats) -> Floats:
         """Return rates that move the joints to the posture of the approach, and hold them there."""
         if self.posture is None:
             return np.zeros(q.size - 3)
         return np.clip(0.5 * (self.posture - q[3:]), -0.15, 0.15)
 
-    def _approach(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
-        assert self._way is not None
-        begin, way = self._way
-        points = way.points(seen.t - begin + AHEAD)
-        self._path = on_target(points, seen.t, state)
-        left = begin + way.duration - seen.t
-        facing = self._facing(state, way, max(left, 0.0) + self.settings.lead)
-        if left > LATE and abs(facing) > FACING and seen.t > begin + RETRY:
-            self._seek(seen.t, q, qd, state)  # the target's rotation has changed
-        elif left <= 0.0:
-            self._arrived(seen, q, qd, state, way)
-        return Orders(
-            "approach", self._path, self._still(q), seen.keeping, keep_out=self.settings.keep_out,
-            fixture_distance=self.met.distance if self.met else np.nan,
+    def _approach(self, obs: Observation, q: Floats, qd: Floats, state: Floats) -> Commands:
+        assert self._trajectory is not None
+        start, trajectory = self._trajectory
+        points = trajectory.points(obs.t - start + REFERENCE_TIMES)
+        self._path = path_relative_to_target(points, obs.t, state)
+        remaining = start + trajectory.duration - obs.t
+        lead = max(remaining, 0.0) + self.settings.lead
+        has_turned = abs(self._facing_angle(state, trajectory, lead)) > MAX_FACING_ANGLE
+        if remaining > REPLAN_CUTOFF and has_turned and obs.t > start + MIN_REPLAN_INTERVAL:
+            self._search_trajectory(obs.t, q, qd, state)  # the target's rotation has changed
+        elif remaining <= 0.0:
+            self._start_reach_if_ready(obs, q, qd, state, trajectory)
+        return Commands(
+            "approach", self._path, self._posture_rates(q), obs.keep_gripper,
+            keep_out=self.settings.keep_out,
+            fixture_distance=self.fixture_error.distance if self.fixture_error else np.nan,
         )  # fmt: skip
 
-    def _arrived(self, seen: Seen, q: Floats, qd: Floats, state: Floats, way: Way) -> None:
+    def _start_reach_if_ready(
+        self, obs: Observation, q: Floats, qd: Floats, state: Floats, trajectory: ApproachTrajectory
+    ) -> None:
         assert self._path is not None
-        now = self._path.at(seen.t)
-        apart, moving = off(q[:3], now.pose), qd[:3] - now.twist
-        there = np.hypot(*apart[:2]) < NEAR and abs(apart[2]) < STRAIGHT
-        there &= np.hypot(*moving[:2]) < SLOW and abs(moving[2]) < SLOW_TURN
+        reference = self._path.at(obs.t)
+        error, twist_error = pose_error(q[:3], reference.pose), qd[:3] - reference.twist
+        is_ready = np.hypot(*error[:2]) < MAX_POSITION_ERROR and abs(error[2]) < MAX_HEADING_ERROR
+        is_ready &= (
+            np.hypot(*twist_error[:2]) < MAX_SPEED_ERROR
+            and abs(twist_error[2]) < MAX_TURN_RATE_ERROR
+        )
         spin = float(state[1, 2])
-        ahead = self._facing(state, way, self.settings.lead)
-        if there and abs(ahead) < FACING:
+        facing = self._facing_angle(state, trajectory, self.settings.lead)
+        if is_ready and abs(facing) < MAX_FACING_ANGLE:
             self.attempts += 1
             self._path = None
-            self.guide.begin(q, qd)
+            self.reach.set_momentum(q, qd)
             self.momentum = momentum_of_both(self.p, q, qd, self.target, state)
-            self._begin("reach", seen.t)
-        elif abs(ahead) > FACING:
-            late = ahead * spin < 0.0 or abs(ahead) > PATIENCE * abs(spin)
-            if late:
-                self._seek(seen.t, q, qd, state)
+            self._enter_phase("reach", obs.t)
+        elif abs(facing) > MAX_FACING_ANGLE:
+            missed = facing * spin < 0.0 or abs(facing) > FIXTURE_WAIT_TIMEOUT * abs(spin)
+            if missed:
+                self._search_trajectory(obs.t, q, qd, state)
 
-    def _facing(self, state: Floats, way: Way, ahead: float) -> float:
+    def _facing_angle(self, state: Floats, trajectory: ApproachTrajectory, ahead: float) -> float:
         """Return the angle that the fixture must still turn to face the arm, a time ahead [s]."""
-        side = self.planner.side(float(state[0, 2] + ahead * state[1, 2]))
-        return float(wrap(way.end[1] - side))
+        direction = self.planner.fixture_direction(float(state[0, 2] + ahead * state[1, 2]))
+        return float(wrap(trajectory.end[1] - direction))
 
-    def _reach(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
+    def _reach(self, obs: Observation, q: Floats, qd: Floats, state: Floats) -> Commands:
         """Move the arm to the fixture and close the gripper; the arm follows while it closes."""
-        assert self.met is not None
-        s, met = self.settings, self.met
-        near = met.distance < s.grip_distance and abs(met.angle) < s.grip_angle
-        lost = abs(met.angle) > LOST_ANGLE or met.distance > LOST_DISTANCE
+        assert self.fixture_error is not None
+        s, error = self.settings, self.fixture_error
+        is_near = error.distance < s.grip_distance and abs(error.angle) < s.grip_angle
+        is_lost = abs(error.angle) > LOST_ANGLE or error.distance > LOST_DISTANCE
         timeout = s.reach_timeout if self.phase == "reach" else s.grip_timeout
-        if lost or seen.t - self.since > timeout:
-            self._retreat(seen.t)
-        elif self.phase == "reach" and near and met.speed < s.grip_speed:
-            self._begin("grip", seen.t)
-        rates = self._guarded(self.guide.rates(q, state), q, qd, state)
-        return Orders(
-            self.phase, None, rates, self.phase == "grip", s.keep_out, fixture_distance=met.distance
-        )
+        if is_lost or obs.t - self.phase_start > timeout:
+            self._retreat(obs.t)
+        elif self.phase == "reach" and is_near and error.speed < s.grip_speed:
+            self._enter_phase("grip", obs.t)
+        rates = self._collision_free_rates(self.reach.rates(q, state), q, qd, state)
+        return Commands(
+            self.phase, None, rates, self.phase == "grip", s.keep_out,
+            fixture_distance=error.distance,
+        )  # fmt: skip
 
     def _retreat(self, t: float) -> None:
         """Back off with open gripper, to try another approach."""
         if self.attempts >= self.settings.attempts:
-            self.cancel(f"not captured in {self.attempts} reaches")
+            self.cancel(f"target not captured in {self.attempts} attempts")
             return
-        self._way, self._search = None, None
-        self._begin("wait", t)
+        self._trajectory, self._search = None, None
+        self._enter_phase("wait", t)
 
-    def _guarded(self, rates: Floats, q: Floats, qd: Floats, state: Floats) -> Floats:
+    def _collision_free_rates(self, rates: Floats, q: Floats, qd: Floats, state: Floats) -> Floats:
         """Return the rates, scaled down until no link hits target or base; zero if that fails."""
-        for share in (1.0, 0.5, 0.25):
+        for scale in (1.0, 0.5, 0.25):
             try:
                 self.guard.check_command(
-                    q[3:], qd[3:], 0.2, velocity=share * rates, base=q[:3], twist=qd[:3],
+                    q[3:], qd[3:], 0.2, velocity=scale * rates, base=q[:3], twist=qd[:3],
                     target=state,
                 )  # fmt: skip
             except GuardError:
                 continue
-            return share * rates
+            return scale * rates
         return np.zeros(rates.size)
 
-    def _grasped(self, seen: Seen) -> Orders:
+    def _finish_grip(self, obs: Observation) -> Commands:
         self.captured = True
         if not self.detumbles:
             at_rest = np.zeros(self.craft.arm.n)
-            return self._told(Orders("done", None, at_rest, ended=Ended(True)))
+            return self._adopt_phase(Commands("done", None, at_rest, outcome=Outcome(True)))
         self._path = None
-        self.after = Detumble(self.craft)
-        return self._told(self.after.step(seen))
+        self.follow_up = Detumble(self.craft)
+        return self._adopt_phase(self.follow_up.step(obs))
 
 
-def load(craft: Craft) -> None:
+def load_kernels(craft: Craft) -> None:
     """Load the kernels of the missions in advance, because that takes long."""
     p, s, n = craft.arm.vector(), craft.settings, craft.arm.n
-    q, rest = np.array([-1.0, -1.0, 0.0, *n * [0.3]]), np.zeros(3 + n)
+    q, zero = np.array([-1.0, -1.0, 0.0, *n * [0.3]]), np.zeros(3 + n)
     target = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
     Guard(craft.arm, s)
-    next(Planner(p, s).search(q, rest, target, s.lead), None)
-    Drifting(p, s).away(q, rest, Body(*target))
-    braking(p, q, rest, s, 0.0)
-    slowing(p, q, rest, np.ones(n))
-    approach(p, q, rest, s.target, target)
+    next(Planner(p, s).search(q, zero, target, s.lead), None)
+    DriftPredictor(p, s).plan_push(q, zero, Body(*target))
+    braking(p, q, zero, s, 0.0)
+    joint_stop_time(p, q, zero, np.ones(n))
+    approach(p, q, zero, s.target, target)
     reach = Reach(craft.arm, s)
-    reach.begin(q, rest)
+    reach.set_momentum(q, zero)
     reach.rates(q, target)
 
 
-def on_target(points: Points, t: float, state: Floats) -> Path:
+def path_relative_to_target(points: Points, t: float, state: Floats) -> Path:
     """Return a path in the world of points given relative to the drifting target.
 
     Args:
-        points: seen from the target, at the times AHEAD after t.
+        points: relative to the target, at the times REFERENCE_TIMES after t.
         t: present time [s].
         state: (2, 3) pose and twist of the target.
     """
     drift = np.array([*state[1, :2], 0.0])
-    pose = points.pose + np.array([*state[0, :2], 0.0]) + AHEAD[:, None] * drift
-    return Path(t + AHEAD, np.stack([pose, points.twist + drift, points.acceleration], axis=1))
+    pose = points.pose + np.array([*state[0, :2], 0.0]) + REFERENCE_TIMES[:, None] * drift
+    return Path(
+        t + REFERENCE_TIMES, np.stack([pose, points.twist + drift, points.acceleration], axis=1)
+    )

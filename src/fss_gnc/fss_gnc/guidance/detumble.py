@@ -8,17 +8,17 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.held import hold, with_held
-from fss_gnc.guidance.abort import Abort, Stopping
-from fss_gnc.guidance.activity import Craft, Ended, Held, Orders, Seen
-from fss_gnc.guidance.rest import braking
-from fss_gnc.guidance.watch import Watch
+from fss_gnc.guidance.abort import Abort, JointStop
+from fss_gnc.guidance.activity import Commands, Craft, HeldBody, Observation, Outcome
+from fss_gnc.guidance.mission_monitor import MissionMonitor
+from fss_gnc.guidance.stopping import braking
 from fss_gnc.reference import Path
 
 Floats = npt.NDArray[np.float64]
 
-ARM_STILL = 0.01  # rate of a joint below which the base is slowed down [rad/s]
-CALM = 2.0  # time for which everything must be at rest [s]
-LEFT = 2.5  # time of coasting, valves closed, before and after the braking [s]
+JOINT_REST_RATE = 0.01  # rate of a joint below which the base is slowed down [rad/s]
+REST_TIME = 2.0  # time for which everything must be at rest [s]
+COAST_TIME = 2.5  # time of coasting, valves closed, before and after the braking [s]
 
 
 class Detumble:
@@ -28,69 +28,72 @@ class Detumble:
         craft: whose base and arm.
     """
 
-    blind = True
+    tolerates_unknown_state = True
 
     def __init__(self, craft: Craft) -> None:
         self.craft = craft
         self.settings = settings = craft.settings
         self.p = craft.arm.vector()
         torques = np.array([link.drive.max_torque for link in craft.arm.links])
-        self.joints = Stopping(settings.torque_share * torques)
-        self.watch = Watch(craft)
+        self.joints = JointStop(settings.torque_share * torques)
+        self.monitor = MissionMonitor(craft)
         self.abort: Abort | None = None
         self.twist = np.full(3, np.nan)  # of the base
         self._path: Path | None = None
-        self._held = False
-        self._known: Held | None = None  # held target as measured
-        self._begun = self._moving = np.nan
-        self._resting, self._left = np.inf, np.inf  # start of the joints' rest, start of coasting
+        self._has_target_mass = False
+        self._used_estimate: HeldBody | None = None  # estimate that p contains
+        self._start = self._last_motion = np.nan
+        self._joint_rest_start, self._coast_start = np.inf, np.inf  # [s]
 
-    def step(self, seen: Seen) -> Orders:
-        """Return the orders for now."""
-        if np.isnan(self._begun):
-            self._begun = self._moving = seen.t
+    def step(self, obs: Observation) -> Commands:
+        """Return the commands until the next step."""
+        if np.isnan(self._start):
+            self._start = self._last_motion = obs.t
         if self.abort is None:
-            reason = self.watch.reason(
-                seen, self._path, "detumble", self.settings.detumble_timeout, self._begun
+            reason = self.monitor.abort_reason(
+                obs, self._path, "detumble", self.settings.detumble_timeout, self._start
             )
             if reason:
                 self.cancel(reason)
         if self.abort is not None:
-            return self.abort.step(seen)
-        q, qd = seen.floating
+            return self.abort.step(obs)
+        q, qd = obs.floating_state
         self.twist = qd[:3]
-        if seen.holds and seen.held is not None and seen.held is not self._known:
-            self.p, self._held = with_held(self.craft.arm.vector(), *seen.held), True
-            self._known = seen.held
-            self._path = self._path if self._is_still(qd) else None  # planned for another mass
-        elif seen.holds and seen.target is not None and not self._held:
-            place = hold(self.p, q, seen.target.pose)
-            self.p, self._held = with_held(self.p, self.settings.target, place), True
-        rates = self.joints.rates(self.p, seen)
-        if not rates.any() and np.abs(qd[3:]).max() < ARM_STILL:
-            self._resting = min(self._resting, seen.t)
-        if self._path is None and seen.t >= self._resting + LEFT:
+        if obs.holds and obs.held_body is not None and obs.held_body is not self._used_estimate:
+            self.p, self._has_target_mass = with_held(self.craft.arm.vector(), *obs.held_body), True
+            self._used_estimate = obs.held_body
+            self._path = self._path if self._is_at_rest(qd) else None  # planned for another mass
+        elif obs.holds and obs.target is not None and not self._has_target_mass:
+            place = hold(self.p, q, obs.target.pose)
+            self.p, self._has_target_mass = with_held(self.p, self.settings.target, place), True
+        rates = self.joints.rates(self.p, obs)
+        if not rates.any() and np.abs(qd[3:]).max() < JOINT_REST_RATE:
+            self._joint_rest_start = min(self._joint_rest_start, obs.t)
+        if self._path is None and obs.t >= self._joint_rest_start + COAST_TIME:
             # The joints' effect on the base ended with their motion; the rest is momentum.
-            self._path = braking(self.p, q, qd, self.settings, seen.t)
-        if self._path is None or not self._is_still(qd):
-            self._moving = seen.t
-        if self._path is not None and seen.t - max(self._moving, self._path.end) >= CALM:
-            self._left = min(self._left, seen.t)
-        if seen.t < self._left:
-            return Orders("detumble", self._path, rates)
-        if seen.pushed:
-            self.cancel("something pushes that is not known")
-        over = seen.t - self._left >= LEFT
-        return Orders("detumble", None, rates, ended=Ended(True) if over else None)
+            self._path = braking(self.p, q, qd, self.settings, obs.t)
+        if self._path is None or not self._is_at_rest(qd):
+            self._last_motion = obs.t
+        if (
+            self._path is not None
+            and obs.t - max(self._last_motion, self._path.end_time) >= REST_TIME
+        ):
+            self._coast_start = min(self._coast_start, obs.t)
+        if obs.t < self._coast_start:
+            return Commands("detumble", self._path, rates)
+        if obs.unknown_push:
+            self.cancel("an unknown force pushes the base")
+        is_done = obs.t - self._coast_start >= COAST_TIME
+        return Commands("detumble", None, rates, outcome=Outcome(True) if is_done else None)
 
     def cancel(self, reason: str) -> None:
         """Abort the mission."""
         self.abort = self.abort or Abort(self.craft, reason)
 
-    def _is_still(self, qd: Floats) -> bool:
+    def _is_at_rest(self, qd: Floats) -> bool:
         s = self.settings
         return bool(
-            np.hypot(*qd[:2]) < s.still
-            and abs(qd[2]) < s.turning_still
-            and np.abs(qd[3:]).max() < s.turning_still
+            np.hypot(*qd[:2]) < s.rest_speed
+            and abs(qd[2]) < s.rest_turn_rate
+            and np.abs(qd[3:]).max() < s.rest_turn_rate
         )

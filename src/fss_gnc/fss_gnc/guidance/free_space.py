@@ -5,10 +5,10 @@ import numpy as np
 from fss_arm_model.clearance import body_name, gaps, sizes, with_edge, with_target
 from fss_arm_model.extents import Extents
 from fss_arm_model.held import held_at, hold
-from fss_gnc.guidance.activity import ActivityError, Craft, Floats, Seen
+from fss_gnc.guidance.activity import ActivityError, Craft, Floats, Observation
 from fss_gnc.reference import Path
 
-SLACK = 1e-3  # by how much a gap that is too small may still shrink [m]
+SHRINK_TOLERANCE = 1e-3  # allowed decrease of a gap that is too small already [m]
 
 
 def held_gap(p: Floats, states: Floats, place: Floats, radius: float, extents: Extents) -> Floats:
@@ -21,8 +21,8 @@ def held_gap(p: Floats, states: Floats, place: Floats, radius: float, extents: E
         radius: of the target [m].
         extents: of the table.
     """
-    apart = 0.5 * np.array(extents.table) - np.abs(held_at(p, states, place))
-    return np.asarray(apart.min(axis=-1) - radius)
+    distance = 0.5 * np.array(extents.table) - np.abs(held_at(p, states, place))
+    return np.asarray(distance.min(axis=-1) - radius)
 
 
 class FreeSpace:
@@ -35,43 +35,47 @@ class FreeSpace:
         self.names = [body_name(body, n) for body, _ in self.target]  # the same as for the edge
         self.sizes = sizes(self.settings, self.settings.keep_out)
 
-    def check(self, path: Path, begin: float, seen: Seen, whole: bool = False) -> None:
+    def check(
+        self, path: Path, start: float, obs: Observation, every_segment: bool = False
+    ) -> None:
         """Check the rest of a path, with the joints held and the target drifting on.
 
         A body that is already closer than allowed may move away, but no closer.
 
         Args:
             path: of the base.
-            begin: time on the path at which the base is now [s].
-            seen: the state then; base and joints are known.
-            whole: check each segment between two knots, which takes 0.15 s for 10,000 knots.
+            start: time on the path at which the base is now [s].
+            obs: the state then; base and joints are known.
+            every_segment: check each segment between two knots; takes 0.15 s for 10,000 knots.
 
         Raises:
             ActivityError: a body would come too close to the edge or into the keep-out zone.
         """
-        times, found = path.resolved(begin) if whole else path.sampled(begin)
-        here, _ = seen.floating
-        states = np.hstack([found[:, 0], np.tile(here[3:], (len(times), 1))])
-        near, names = gaps(self.p, states, self.edge, self.sizes), self.names
-        target, s = seen.target, self.settings
-        if target is not None and seen.holds:
-            place = hold(self.p, here, target.pose)
-            near = np.column_stack([near, held_gap(self.p, states, place, s.target_radius, s)])
+        times, base = path.sample_segments(start) if every_segment else path.sample(start)
+        present, _ = obs.floating_state
+        states = np.hstack([base[:, 0], np.tile(present[3:], (len(times), 1))])
+        gap, names = gaps(self.p, states, self.edge, self.sizes), self.names
+        target, s = obs.target, self.settings
+        if target is not None and obs.holds:
+            place = hold(self.p, present, target.pose)
+            gap = np.column_stack([gap, held_gap(self.p, states, place, s.target_radius, s)])
             names = [*names, "the held target"]
-        self._refuse(near, names, times - begin, s.edge_margin, "the table's edge")
-        if target is not None and not seen.holds:
-            ahead = (times - begin)[:, None] * target.twist[:2]
-            near = gaps(self.p, states, self.target, self.sizes, target.pose[:2] + ahead)
-            self._refuse(near, self.names, times - begin, 0.0, "the keep-out zone")
+        self._check_gaps(gap, names, times - start, s.edge_margin, "the table's edge")
+        if target is not None and not obs.holds:
+            ahead = (times - start)[:, None] * target.twist[:2]
+            gap = gaps(self.p, states, self.target, self.sizes, target.pose[:2] + ahead)
+            self._check_gaps(gap, self.names, times - start, 0.0, "the keep-out zone")
 
     @staticmethod
-    def _refuse(near: Floats, names: list[str], ahead: Floats, margin: float, what: str) -> None:
+    def _check_gaps(
+        gap: Floats, names: list[str], ahead: Floats, margin: float, obstacle: str
+    ) -> None:
         """Raise ActivityError if a gap (k, names) falls below the margin at times ahead (k,)."""
-        over = np.minimum(margin, near[0] - SLACK) - near
-        if over.max() <= 0.0:
+        excess = np.minimum(margin, gap[0] - SHRINK_TOLERANCE) - gap
+        if excess.max() <= 0.0:
             return
-        k, body = np.unravel_index(int(over.argmax()), over.shape)
+        k, body = np.unravel_index(int(excess.argmax()), excess.shape)
         raise ActivityError(
-            f"{names[body]} would be {near[k, body]:.3f} m from {what} in {ahead[k]:.1f} s, "
+            f"{names[body]} would be {gap[k, body]:.3f} m from {obstacle} in {ahead[k]:.1f} s, "
             f"expected at least {margin:g} m"
         )

@@ -9,8 +9,8 @@ from typing import Any
 
 from fss_arm_msgs.action import AbortMission, Capture, Detumble, FollowPoses, GoToPose, HoldBase
 from fss_gnc.guidance import abort, capture, detumble
-from fss_gnc.guidance.activity import Activity, Craft, Ended, Orders, Seen
-from fss_gnc.guidance.base_motion import AlongPath, follow, go_to, hold
+from fss_gnc.guidance.activity import Activity, Commands, Craft, Observation, Outcome
+from fss_gnc.guidance.base_motion import PathMotion, follow, go_to, hold
 from fss_gnc.guidance.budget import Budget
 
 MAX_REASON = 200  # characters
@@ -22,26 +22,26 @@ class Kind:
 
     name: str
     action: Any  # its type; its results have a `message`
-    begin: Callable[[Craft, Seen, Any], Activity]  # from a goal; may raise ActivityError
-    result: Callable[[Any, Budget, Ended], dict[str, Any]]  # fields except `message`
-    feedback: Callable[[Any, Orders], dict[str, Any]]
+    start: Callable[[Craft, Observation, Any], Activity]  # from a goal; may raise ActivityError
+    result: Callable[[Any, Budget, Outcome], dict[str, Any]]  # fields except `message`
+    feedback: Callable[[Any, Commands], dict[str, Any]]
     preempts: tuple[str, ...] = ()  # prefixes of the names of the actions that it preempts
 
 
-def _reached(motion: AlongPath, budget: Budget, ended: Ended) -> dict[str, Any]:
-    return {"reached": ended.well, "propellant": budget.propellant}
+def _motion_result(motion: PathMotion, budget: Budget, outcome: Outcome) -> dict[str, Any]:
+    return {"reached": outcome.success, "propellant": budget.propellant}
 
 
-def _progress(motion: AlongPath, _: Orders) -> dict[str, Any]:
+def _motion_feedback(motion: PathMotion, _: Commands) -> dict[str, Any]:
     return {"offset": motion.offset, "remaining": motion.remaining}
 
 
 BASE = (
     Kind(
         "base/hold", HoldBase,
-        lambda craft, seen, goal: hold(craft, seen, goal.pose, goal.duration),
-        lambda motion, budget, ended: {
-            "held": ended.well, "largest_offset": motion.largest_offset,
+        lambda craft, obs, goal: hold(craft, obs, goal.pose, goal.duration),
+        lambda motion, budget, outcome: {
+            "held": outcome.success, "largest_offset": motion.largest_offset,
             "propellant": budget.propellant,
         },
         lambda motion, _: {"offset": motion.offset},
@@ -49,53 +49,56 @@ BASE = (
     ),
     Kind(
         "base/go_to", GoToPose,
-        lambda craft, seen, goal: go_to(craft, seen, goal.pose, goal.duration, goal.hold_duration),
-        lambda motion, budget, ended: _reached(motion, budget, ended) | {"offset": motion.offset},
-        _progress, preempts=("base/",),
+        lambda craft, obs, goal: go_to(craft, obs, goal.pose, goal.duration, goal.hold_duration),
+        lambda motion, budget, outcome: _motion_result(motion, budget, outcome)
+        | {"offset": motion.offset},
+        _motion_feedback, preempts=("base/",),
     ),
     Kind(
         "base/follow", FollowPoses,
-        lambda craft, seen, goal: follow(craft, seen, goal.time, goal.pose, goal.twist),
-        lambda motion, budget, ended: _reached(motion, budget, ended)
+        lambda craft, obs, goal: follow(craft, obs, goal.time, goal.pose, goal.twist),
+        lambda motion, budget, outcome: _motion_result(motion, budget, outcome)
         | {"largest_offset": motion.largest_offset},
-        _progress, preempts=("base/",),
+        _motion_feedback, preempts=("base/",),
     ),
 )  # fmt: skip
 
 
-def _captured(mission: capture.Capture, budget: Budget, ended: Ended) -> dict[str, Any]:
+def _capture_result(mission: capture.Capture, budget: Budget, outcome: Outcome) -> dict[str, Any]:
     return {
-        "captured": mission.captured, "stopped": ended.well and mission.detumbles,
-        "phase": "done" if ended.well else mission.phase, "duration": budget.elapsed,
+        "captured": mission.captured, "stopped": outcome.success and mission.detumbles,
+        "phase": "done" if outcome.success else mission.phase, "duration": budget.elapsed,
         "propellant": budget.propellant, "momentum": mission.momentum,
         "largest_torque": budget.largest_torque,
     }  # fmt: skip
 
 
-def _reason(given: str) -> str:
+def _short_reason(reason: str) -> str:
     """Return the reason for an abort as one short line."""
-    return " ".join(given.split())[:MAX_REASON] or "asked for"
+    return " ".join(reason.split())[:MAX_REASON] or "requested by the operator"
 
 
 MISSIONS = (
     Kind(
         "mission/capture", Capture,
-        lambda craft, seen, goal: capture.Capture(craft, goal.detumble),
-        _captured,
-        lambda _, orders: {"phase": orders.phase, "fixture_distance": orders.fixture_distance},
+        lambda craft, obs, goal: capture.Capture(craft, goal.detumble),
+        _capture_result,
+        lambda _, commands: {
+            "phase": commands.phase, "fixture_distance": commands.fixture_distance,
+        },
         preempts=("base/",),
     ),
     Kind(
-        "mission/detumble", Detumble, lambda craft, seen, goal: detumble.Detumble(craft),
-        lambda _, budget, ended: {
-            "stopped": ended.well, "duration": budget.elapsed, "propellant": budget.propellant,
+        "mission/detumble", Detumble, lambda craft, obs, goal: detumble.Detumble(craft),
+        lambda _, budget, outcome: {
+            "stopped": outcome.success, "duration": budget.elapsed, "propellant": budget.propellant,
         },
         lambda mission, _: {"twist": mission.twist},
         preempts=("base/",),
     ),
     Kind(
         "mission/abort", AbortMission,
-        lambda craft, seen, goal: abort.Abort(craft, _reason(goal.reason), asked=True),
+        lambda craft, obs, goal: abort.Abort(craft, _short_reason(goal.reason), requested=True),
         lambda mission, *_: {"safe": mission.safe},
         lambda mission, _: {"target_clearance": mission.target_clearance},
         preempts=("base/", "mission/"),

@@ -24,12 +24,14 @@ from fss_gnc.guidance.mission_settings import MissionSettings
 
 Floats = npt.NDArray[np.float64]
 
-WEIGHT = np.array([1.0, 1.0, 0.1])  # of the twist's rows [1, 1, m]
+ROW_WEIGHTS = np.array([1.0, 1.0, 0.1])  # of the twist's rows [1, 1, m]
 DAMPING = 1e-3  # lambda^2 [m^2]
-MEETINGS = np.linspace(1.0, 6.0, 26)  # possible times until the end effector meets the fixture [s]
-MOST_TURN = 0.2  # largest turn rate of the end effector [rad/s]
-CENTRING = 10.0  # T [s]
-AHEAD = 0.3  # time within which a joint must not reach its limit [s]
+INTERCEPT_TIMES = np.linspace(
+    1.0, 6.0, 26
+)  # possible times until the end effector meets the fixture [s]
+MAX_TURN_RATE = 0.2  # largest turn rate of the end effector [rad/s]
+CENTERING_TIME = 10.0  # T [s]
+LIMIT_LOOKAHEAD = 0.3  # time within which a joint must not reach its limit [s]
 
 
 class Reach:
@@ -37,11 +39,11 @@ class Reach:
 
     def __init__(self, arm: Arm, settings: MissionSettings) -> None:
         self.p, self.settings = arm.vector(), settings
-        self.lowest = np.array([link.q_min for link in arm.links])
-        self.highest = np.array([link.q_max for link in arm.links])
+        self.q_min = np.array([link.q_min for link in arm.links])
+        self.q_max = np.array([link.q_max for link in arm.links])
         self.momentum = np.zeros(3)
 
-    def begin(self, q: Floats, qd: Floats) -> None:
+    def set_momentum(self, q: Floats, qd: Floats) -> None:
         """Store the momentum of state q and rate qd, (3 + n,) each; the valves must be closed."""
         self.momentum = momentum(self.p, q, qd)
 
@@ -52,25 +54,25 @@ class Reach:
             q: (3 + n,) state of base and arm.
             state: (2, 3) pose and twist of the target.
         """
-        wanted = self._wanted(tip_pose(self.p, q), state)
-        J = WEIGHT[:, None] * generalized_jacobian(self.p, q)
-        twist = WEIGHT * (wanted - self._drift(q))
+        desired = self._desired_twist(tip_pose(self.p, q), state)
+        J = ROW_WEIGHTS[:, None] * generalized_jacobian(self.p, q)
+        twist = ROW_WEIGHTS * (desired - self._drift_twist(q))
         inverse = J.T @ np.linalg.inv(J @ J.T + DAMPING * np.eye(3))
-        centring = (0.5 * (self.lowest + self.highest) - q[3:]) / CENTRING
-        rates = inverse @ twist + centring - inverse @ (J @ centring)
-        return limited(rates, q[3:], self.lowest, self.highest, self.settings.joint_rate)
+        centering = (0.5 * (self.q_min + self.q_max) - q[3:]) / CENTERING_TIME
+        rates = inverse @ twist + centering - inverse @ (J @ centering)
+        return limit_rates(rates, q[3:], self.q_min, self.q_max, self.settings.joint_rate)
 
-    def _wanted(self, tip: Floats, state: Floats) -> Floats:
+    def _desired_twist(self, tip: Floats, state: Floats) -> Floats:
         """Return the end effector's twist that meets the fixture as soon as its speed allows."""
-        ahead = fixtures(state, self.settings, MEETINGS)
-        apart = ahead[:, 0] + 1j * ahead[:, 1] - complex(*tip[:2])
-        in_time = np.abs(apart) <= self.settings.reach_speed * MEETINGS
-        k = int(np.argmax(in_time)) if in_time.any() else len(MEETINGS) - 1
-        v = shortened(complex(apart[k]) / MEETINGS[k], 2.0 * self.settings.reach_speed)
-        turn = float(wrap(ahead[k, 2] - tip[2])) / MEETINGS[k]
-        return np.array([v.real, v.imag, min(max(turn, -MOST_TURN), MOST_TURN)])
+        poses = fixture_poses(state, self.settings, INTERCEPT_TIMES)
+        offsets = poses[:, 0] + 1j * poses[:, 1] - complex(*tip[:2])
+        is_reachable = np.abs(offsets) <= self.settings.reach_speed * INTERCEPT_TIMES
+        k = int(np.argmax(is_reachable)) if is_reachable.any() else len(INTERCEPT_TIMES) - 1
+        v = limit_length(complex(offsets[k]) / INTERCEPT_TIMES[k], 2.0 * self.settings.reach_speed)
+        turn = float(wrap(poses[k, 2] - tip[2])) / INTERCEPT_TIMES[k]
+        return np.array([v.real, v.imag, min(max(turn, -MAX_TURN_RATE), MAX_TURN_RATE)])
 
-    def _drift(self, q: Floats) -> Floats:
+    def _drift_twist(self, q: Floats) -> Floats:
         """Return the twist of the end effector for joints at rest and the stored momentum."""
         H, c = inertia_matrix(self.p, q), complex(*system_com(self.p, q))
         x, y, L = self.momentum.tolist()
@@ -81,21 +83,24 @@ class Reach:
         return np.array([v.real, v.imag, omega])
 
 
-def fixtures(state: Floats, settings: MissionSettings, ahead: Floats) -> Floats:
-    """Return poses (k, 3) of an end effector at the fixture, times ahead [s], at constant twist."""
+def fixture_poses(state: Floats, settings: MissionSettings, times: Floats) -> Floats:
+    """Return poses (k, 3) of a tip at the fixture at future times [s], at constant twist."""
     x, y, outward = settings.target_fixture
-    pose = state[0] + ahead[:, None] * state[1]
-    at = pose[:, 0] + 1j * pose[:, 1] + complex(x, y) * np.exp(1j * pose[:, 2])
-    return np.stack([at.real, at.imag, pose[:, 2] + outward + pi], axis=1)
+    pose = state[0] + times[:, None] * state[1]
+    position = pose[:, 0] + 1j * pose[:, 1] + complex(x, y) * np.exp(1j * pose[:, 2])
+    return np.stack([position.real, position.imag, pose[:, 2] + outward + pi], axis=1)
 
 
-def limited(rates: Floats, q_m: Floats, lowest: Floats, highest: Floats, most: float) -> Floats:
-    """Return the rates, scaled down together to `most`, and limited near the ends of the ranges."""
-    rates = rates * min(1.0, most / max(float(np.abs(rates).max()), 1e-9))
-    least, most_ = (np.minimum(lowest - q_m, 0.0) / AHEAD, np.maximum(highest - q_m, 0.0) / AHEAD)
-    return np.clip(rates, least, most_)
+def limit_rates(rates: Floats, q_m: Floats, q_min: Floats, q_max: Floats, maximum: float) -> Floats:
+    """Return the rates, scaled down together to `maximum`, and limited near the joint limits."""
+    rates = rates * min(1.0, maximum / max(float(np.abs(rates).max()), 1e-9))
+    slowest, fastest = (
+        np.minimum(q_min - q_m, 0.0) / LIMIT_LOOKAHEAD,
+        np.maximum(q_max - q_m, 0.0) / LIMIT_LOOKAHEAD,
+    )
+    return np.clip(rates, slowest, fastest)
 
 
-def shortened(vector: complex, most: float) -> complex:
-    """Return the vector, shortened to the length `most` if it is longer."""
-    return vector if abs(vector) <= most else vector * (most / abs(vector))
+def limit_length(vector: complex, maximum: float) -> complex:
+    """Return the vector, shortened to the length `maximum` if it is longer."""
+    return vector if abs(vector) <= maximum else vector * (maximum / abs(vector))

@@ -11,54 +11,54 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, between, like, settin
 class GuidanceSettings(Extents):
     """Parameters of a GuidanceNode, without those of the missions."""
 
-    arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
+    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
     rate: float = setting(
-        10.0, "rate of the guidance, at which base/trajectory is repeated", unit="1/s",
+        10.0, "rate of the guidance and of base/trajectory", unit="1/s",
         check=between(1.0, 100.0),
     )  # fmt: skip
     horizon: float = setting(
-        2.0, "time ahead that each base/trajectory tells of", unit="s", check=between(1.0, 60.0)
+        2.0, "length of each base/trajectory", unit="s", check=between(1.0, 60.0)
     )
     max_age: float = setting(
-        0.5, "age of base/state or arm/joint_states at which what goes on is aborted", unit="s",
-        check=POSITIVE,
+        0.5, "largest age of base/state and arm/joint_states; beyond it the running action is "
+        "aborted", unit="s", check=POSITIVE,
     )  # fmt: skip
-    speed: float = setting(0.06, "most speed of the base", unit="m/s", check=POSITIVE)
+    speed: float = setting(0.06, "largest speed of the base", unit="m/s", check=POSITIVE)
     acceleration: float = setting(
-        0.003, "most acceleration of the base", unit="m/s^2", check=POSITIVE
+        0.003, "largest acceleration of the base", unit="m/s^2", check=POSITIVE
     )
-    turn_rate: float = setting(0.1, "most turn rate of the base", unit="rad/s", check=POSITIVE)
+    turn_rate: float = setting(0.1, "largest turn rate of the base", unit="rad/s", check=POSITIVE)
     turn_acceleration: float = setting(
-        0.003, "most angular acceleration of the base", unit="rad/s^2", check=POSITIVE
+        0.003, "largest angular acceleration of the base", unit="rad/s^2", check=POSITIVE
     )
     tolerance: float = setting(
-        0.02, "distance from a goal at which the base has reached it", unit="m", check=POSITIVE
+        0.02, "largest position error at which a goal counts as reached", unit="m", check=POSITIVE
     )
     heading_tolerance: float = setting(
-        0.03, "turn away from a goal at which the base has reached it", unit="rad", check=POSITIVE
+        0.03, "largest heading error at which a goal counts as reached", unit="rad", check=POSITIVE
     )
-    still: float = setting(
-        0.005, "speed at which a base that is at its goal has reached it", unit="m/s",
+    rest_speed: float = setting(
+        0.005, "largest speed at which a goal counts as reached", unit="m/s",
         check=POSITIVE,
     )  # fmt: skip
-    turning_still: float = setting(
-        0.01, "turn rate at which a base that is at its goal has reached it", unit="rad/s",
+    rest_turn_rate: float = setting(
+        0.01, "largest turn rate at which a goal counts as reached", unit="rad/s",
         check=POSITIVE,
     )  # fmt: skip
     max_overrun: float = setting(
-        30.0, "most time beyond the planned one to reach a goal", unit="s", check=POSITIVE
+        30.0, "longest delay after the planned time to reach a goal", unit="s", check=POSITIVE
     )
     max_offset: float = setting(
-        0.15, "farthest that the base may be from its reference, else what goes on is aborted",
+        0.15, "largest position error of the base; beyond it the running action is aborted",
         unit="m", check=POSITIVE,
     )  # fmt: skip
     max_turn: float = setting(
-        0.35, "most that the base may be turned from its reference, else what goes on is aborted",
+        0.35, "largest heading error of the base; beyond it the running action is aborted",
         unit="rad", check=POSITIVE,
     )  # fmt: skip
     keep_out: float = setting(
-        0.3, "radius about the target's origin that base, arm and gripper stay out of", unit="m",
-        check=NOT_NEGATIVE,
+        0.3, "radius of the keep-out zone of base, arm and gripper about the target's origin",
+        unit="m", check=NOT_NEGATIVE,
     )  # fmt: skip
     edge_margin: float = like(GuardSettings, "edge_margin")
     target_radius: float = like(GuardSettings, "target_radius")

@@ -26,21 +26,22 @@ from .settings import EstimatorSettings
 from .valve_faults import Faults
 
 SECOND = 1_000_000_000
-UNHEARD = 0.5  # after this time without a reading, a joint's motion is unknown [s]
-FOLLOWS = 0.2  # correlation time of a joint's deviation from its plan [s]
-RESTS = 1e-4  # change of a joint's rate without effect on the base [rad/s]
-LATELY = 0.5  # window of recent changes of a joint's rate [s]
-RATE_ERROR = 5e-4  # smallest error of a measured joint rate [rad/s]
-FASTEST = 100.0  # joint rate beyond which a reading is rejected [rad/s]
+JOINT_TIMEOUT = 0.5  # after this time without a reading, a joint's motion is unknown [s]
+PLAN_CORRELATION_TIME = 0.2  # of a joint's deviation from its plan [s]
+MIN_RATE_CHANGE = 1e-4  # smaller changes of a joint's rate do not affect the base [rad/s]
+CHANGE_WINDOW = 0.5  # window of recent changes of a joint's rate [s]
+MIN_RATE_ERROR = 5e-4  # smallest error of a measured joint rate [rad/s]
+MAX_JOINT_RATE = 100.0  # joint rate beyond which a reading is rejected [rad/s]
 #: Number of stored readings of each joint, of valve commands and of points of a plan. At 50 a
-#: second the first two span more than the filter's MEMORY, within which it may recompute.
-READINGS, PULSES, POINTS = 64, 64, 16
-NEVER, FOREVER = -np.inf, np.inf
+#: second the first two span more than the filter's HISTORY_LENGTH, within which it may recompute.
+MAX_READINGS, MAX_PULSES, MAX_PLAN_POINTS = 64, 64, 16
+UNUSED, NO_END = -np.inf, np.inf  # times [s]
 
 
 @kernel("(p),(n),(n,k),(n,k),(w),(w,w),(c)->(w,w),(w,n),(w),(w,w),(w,w)")
-def _linearized(  # type: ignore[no-untyped-def]
-    p, angles, read_at, rates, leaks, quiet, control, mobility, by_joint, still, read, tail,
+def _linearize(  # type: ignore[no-untyped-def]
+    p, angles, read_at, rates, leak_wrench, base_noise, control, mobility, by_joint,
+    bias_acceleration, read_density, unread_density,
 ):  # fmt: skip
     """Return M, B and M (w - h) at a time, and the noise before and after the last readings.
 
@@ -49,92 +50,96 @@ def _linearized(  # type: ignore[no-untyped-def]
         angles: (n,) last readings [rad].
         read_at: (n, k) times of readings, the newest last [s].
         rates: (n, k) [rad/s].
-        leaks: (3,) wrench w of valves that stay open.
-        quiet: (3, 3) density of the noise that does not come from the joints.
+        leak_wrench: (3,) wrench w of valves that stay open.
+        base_noise: (3, 3) density of the noise that does not come from the joints.
         control: (5,) the time [s], the base's turn rate [rad/s], relative errors of a joint's rate
             and of its change, random walk of the rate of a joint without recent readings.
         mobility: (3, 3) M, written.
         by_joint: (3, n) B, written.
-        still: (3,) M (w - h), written.
-        read: (3, 3) density of the noise until the time at which all joints were read, written.
-        tail: (3, 3) density of the noise after that, written.
+        bias_acceleration: (3,) M (w - h), written.
+        read_density: (3, 3) density of the noise until all joints were read, written.
+        unread_density: (3, 3) density of the noise after that, written.
     """
     t, n = control[0], angles.size
     q, qd, tau = np.zeros(3 + n), np.zeros(3 + n), np.zeros(3 + n)
-    even, loose = np.empty(n), np.empty(n)
+    read_noise, noise_weight = np.empty(n), np.empty(n)
     qd[2] = control[1]
     for i in range(n):
         at, age = read_at[i], t - read_at[i, -1]
-        is_heard = age <= UNHEARD
-        qd[3 + i] = rates[i, -1] if is_heard else 0.0
-        q[3 + i] = angles[i] + qd[3 + i] * (age if is_heard else 0.0)
-        late = 0.0  # squared change between two readings by time, the larger of the last two
+        is_recent = age <= JOINT_TIMEOUT
+        qd[3 + i] = rates[i, -1] if is_recent else 0.0
+        q[3 + i] = angles[i] + qd[3 + i] * (age if is_recent else 0.0)
+        change = 0.0  # squared change between two readings by time, the larger of the last two
         for k in range(at.size - 2, at.size):
-            if at[k - 1] > NEVER:
-                late = max(late, (rates[i, k] - rates[i, k - 1]) ** 2 / (at[k] - at[k - 1]))
-        step = 2.0 * (control[2] * qd[3 + i]) ** 2 / FOLLOWS  # from one reading to the next
-        even[i] = step + control[3] ** 2 * late
-        loose[i] = step + late if is_heard else control[4] ** 2
+            if at[k - 1] > UNUSED:
+                change = max(change, (rates[i, k] - rates[i, k - 1]) ** 2 / (at[k] - at[k - 1]))
+        step = 2.0 * (control[2] * qd[3 + i]) ** 2 / PLAN_CORRELATION_TIME  # per reading
+        read_noise[i] = step + control[3] ** 2 * change
+        noise_weight[i] = step + change if is_recent else control[4] ** 2
     work, H = np.empty((3, n + 1), np.complex128), np.empty((3 + n, 3 + n))
     _inertia(p, q, work, H)
     _bias(p, q, qd, work, tau)
     M = np.linalg.inv(H[:3, :3])
     B = -M @ np.ascontiguousarray(H[:3, 3:])
-    mobility[:], by_joint[:], still[:] = M, B, M @ (leaks - tau[:3])
-    read[:], tail[:] = quiet + B * even @ B.T, quiet + B * loose @ B.T
+    mobility[:], by_joint[:], bias_acceleration[:] = M, B, M @ (leak_wrench - tau[:3])
+    read_density[:], unread_density[:] = (
+        base_noise + B * read_noise @ B.T,
+        base_noise + B * noise_weight @ B.T,
+    )
 
 
 @kernel(
     "(),(),(n,k),(n,k),(p),(p,v),(v,w),(w,w),(w,n),(w),(w,w),(w,w),(q),(q,n),(c)->(w),(w,w)"
 )  # fmt: skip
-def _over(  # type: ignore[no-untyped-def]
-    begins, ends, read_at, rates, opened, closed, valves, mobility, by_joint, still, read, tail,
+def _mean_acceleration(  # type: ignore[no-untyped-def]
+    starts, ends, read_at, rates, opened, closed, valves, mobility, by_joint,
+    bias_acceleration, read_density, unread_density,
     planned_at, planned, control, acceleration, noise,
 ):  # fmt: skip
     """Compute the mean acceleration (3,) and noise (3, 3) of the base in an interval, in its axes.
 
-    The newest entries are last; unused times are NEVER. `control` is the time until which all
+    The newest entries are last; unused times are UNUSED. `control` is the time until which all
     joints were read, the relative variance of the thrust, and the variance of a planned
     acceleration relative to its square.
     """
-    begin, end = begins[0], ends[0]
-    span = end - begin
-    sure = tail if end > control[0] else read
+    start, end = starts[0], ends[0]
+    span = end - start
+    known_noise = unread_density if end > control[0] else read_density
     for i in range(3):
-        acceleration[i] = still[i]
+        acceleration[i] = bias_acceleration[i]
         for j in range(3):
-            noise[i, j] = sure[i, j]
+            noise[i, j] = known_noise[i, j]
     if span <= 0.0:
         return
     for joint in range(read_at.shape[0]):
-        gained = loose = 0.0
+        rate_change = noise_weight = 0.0
         for k in range(read_at.shape[1] - 1, 0, -1):
             first, last = read_at[joint, k - 1], read_at[joint, k]
-            if first == NEVER or last <= begin:
+            if first == UNUSED or last <= start:
                 break
-            overlap = min(end, last) - max(begin, first)
+            overlap = min(end, last) - max(start, first)
             if overlap > 0.0:
-                gained += (rates[joint, k] - rates[joint, k - 1]) * overlap / (last - first)
-        if read_at[joint, -1] <= begin:
+                rate_change += (rates[joint, k] - rates[joint, k - 1]) * overlap / (last - first)
+        if read_at[joint, -1] <= start:
             for k in range(planned_at.shape[0] - 1):
-                overlap = min(end, planned_at[k + 1]) - max(begin, planned_at[k])
+                overlap = min(end, planned_at[k + 1]) - max(start, planned_at[k])
                 if overlap > 0.0:
-                    gained += planned[k, joint] * overlap
-            loose = control[2] * (gained / span) ** 2
+                    rate_change += planned[k, joint] * overlap
+            noise_weight = control[2] * (rate_change / span) ** 2
         for i in range(3):
-            acceleration[i] += by_joint[i, joint] * gained / span
+            acceleration[i] += by_joint[i, joint] * rate_change / span
             for j in range(3):
-                noise[i, j] += by_joint[i, joint] * loose * by_joint[j, joint]
-    wrench, following = np.zeros(3), end
+                noise[i, j] += by_joint[i, joint] * noise_weight * by_joint[j, joint]
+    wrench, next_opened = np.zeros(3), end
     for k in range(opened.shape[0] - 1, -1, -1):
-        since = max(begin, opened[k])
+        pulse_start = max(start, opened[k])
         for valve in range(valves.shape[0]):
-            lasts = min(closed[k, valve], following) - since
-            if lasts > 0.0:
+            open_time = min(closed[k, valve], next_opened) - pulse_start
+            if open_time > 0.0:
                 for i in range(3):
-                    wrench[i] += valves[valve, i] * lasts / span
-        following = min(following, opened[k])
-        if opened[k] <= begin:
+                    wrench[i] += valves[valve, i] * open_time / span
+        next_opened = min(next_opened, opened[k])
+        if opened[k] <= start:
             break
     thrust = np.zeros(3)
     for i in range(3):
@@ -157,21 +162,31 @@ class KnownInputs:
     def __init__(self, p: npt.ArrayLike, settings: EstimatorSettings | None = None) -> None:
         self.settings = s = settings or EstimatorSettings()
         self.valves = layout(s.thrust, s.thruster_lever)
-        self._driven, self._leaks, self.faults = self.valves, np.zeros(3), Faults()
-        self._quiet = np.diag(np.square([s.acceleration, s.acceleration, s.angular_acceleration]))
-        self._opened, self._closed = np.full(PULSES, NEVER), np.full((PULSES, COUNT), NEVER)
-        self._control = np.array([0.0, s.thrust_error**2, s.joint_change_error**2 * FOLLOWS])
+        self._working_valves, self._leak_wrench, self.faults = self.valves, np.zeros(3), Faults()
+        self._base_noise = np.diag(
+            np.square([s.acceleration, s.acceleration, s.angular_acceleration])
+        )
+        self._opened, self._closed = (
+            np.full(MAX_PULSES, UNUSED),
+            np.full((MAX_PULSES, COUNT), UNUSED),
+        )
+        self._control = np.array(
+            [0.0, s.thrust_error**2, s.joint_change_error**2 * PLAN_CORRELATION_TIME]
+        )
         self._origin: int | None = None  # time at which the times in the arrays are zero [ns]
-        self._joints(count(np.asarray(p)))
-        self.describe(p)
+        self._reset_joints(count(np.asarray(p)))
+        self.set_parameters(p)
 
-    def _joints(self, n: int) -> None:
+    def _reset_joints(self, n: int) -> None:
         """Reset to n joints without readings or plan."""
         self.n = n
-        self._read_at, self._rates = np.full((n, READINGS), NEVER), np.zeros((n, READINGS))
+        self._read_at, self._rates = np.full((n, MAX_READINGS), UNUSED), np.zeros((n, MAX_READINGS))
         self._angles = np.zeros(n)
-        self._newest, self._omega = NEVER, 0.0  # point of linearization
-        self._planned_at, self._planned = np.full(POINTS, NEVER), np.zeros((POINTS, n))
+        self._model_time, self._model_omega = UNUSED, 0.0  # point of linearization
+        self._planned_at, self._planned_accelerations = (
+            np.full(MAX_PLAN_POINTS, UNUSED),
+            np.zeros((MAX_PLAN_POINTS, n)),
+        )
 
     def _seconds(self, t: int) -> float:
         """Return a time [ns] in the unit and from the origin of the arrays [s]."""
@@ -179,22 +194,22 @@ class KnownInputs:
             self._origin = t
         return (t - self._origin) * 1e-9
 
-    def describe(self, p: npt.ArrayLike) -> None:
+    def set_parameters(self, p: npt.ArrayLike) -> None:
         """Use new parameters (8 + 6 n,), after a calibration or with a held body."""
         self.p = np.asarray(p, dtype=float)
         if count(self.p) != self.n:
-            self._joints(count(self.p))
-        self._model(self._newest, self._omega)
+            self._reset_joints(count(self.p))
+        self._linearize_at(self._model_time, self._model_omega)
 
-    def fail(self, faults: Faults) -> None:
+    def set_valve_faults(self, faults: Faults) -> None:
         """Predict with valves that stay open or closed, whatever their commands are."""
         self.faults = faults
-        self._leaks = self.valves[list(faults.open)].sum(axis=0)
-        self._driven = self.valves.copy()
-        self._driven[list(faults.open | faults.closed)] = 0.0
-        self._model(self._newest, self._omega)
+        self._leak_wrench = self.valves[list(faults.open)].sum(axis=0)
+        self._working_valves = self.valves.copy()
+        self._working_valves[list(faults.open | faults.closed)] = 0.0
+        self._linearize_at(self._model_time, self._model_omega)
 
-    def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
+    def add_pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
         """Store a command to the valves; it replaces the one before.
 
         Args:
@@ -207,14 +222,14 @@ class KnownInputs:
         times = np.asarray(on_times, dtype=float)
         if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
             return False
-        begin = self._seconds(t) + self.settings.valve_delay
-        if begin <= self._opened[-1]:
+        start = self._seconds(t) + self.settings.valve_delay
+        if start <= self._opened[-1]:
             return False
         self._opened[:-1], self._closed[:-1] = self._opened[1:], self._closed[1:]
-        self._opened[-1], self._closed[-1] = begin, begin + times
+        self._opened[-1], self._closed[-1] = start, start + times
         return True
 
-    def joint(self, i: int, t: int, q: float, qd: float, omega: float) -> int | None:
+    def add_joint_reading(self, i: int, t: int, q: float, qd: float, omega: float) -> int | None:
         """Store a reading of a joint.
 
         Args:
@@ -230,53 +245,55 @@ class KnownInputs:
         """
         at, rates = self._read_at[i], self._rates[i]
         now = self._seconds(t)
-        if not (isfinite(q) and abs(qd) < FASTEST) or now <= at[-1]:
+        if not (isfinite(q) and abs(qd) < MAX_JOINT_RATE) or now <= at[-1]:
             return None
         before = float(at[-1])
-        if now - before > UNHEARD:  # its motion in the meantime is unknown
-            at[:], before, rates[-1] = NEVER, now, qd
-        changed = abs(qd - rates[-1]) > RESTS
+        if now - before > JOINT_TIMEOUT:  # its motion in the meantime is unknown
+            at[:], before, rates[-1] = UNUSED, now, qd
+        changed = abs(qd - rates[-1]) > MIN_RATE_CHANGE
         at[:-1], rates[:-1] = at[1:], rates[1:]
         at[-1], rates[-1], self._angles[i] = now, qd, q
-        self._model(max(now, self._newest), omega)
+        self._linearize_at(max(now, self._model_time), omega)
         return t - round((now - before) * SECOND) if changed else None
 
-    def plan(self, stamp: int, ahead: Floats, rates: Floats) -> None:
+    def set_plan(self, stamp: int, ahead: Floats, rates: Floats) -> None:
         """Store a plan of the joints' rates; it replaces the one before.
 
         Args:
             stamp: when it starts [ns].
-            ahead: (k,) increasing times since then [s]; only the first POINTS are used.
+            ahead: (k,) increasing times since then [s]; only the first MAX_PLAN_POINTS are used.
             rates: (k, n) of the joints at these times [rad/s].
         """
-        t, qd = self._seconds(stamp) + ahead[:POINTS], rates[:POINTS]
+        t, qd = self._seconds(stamp) + ahead[:MAX_PLAN_POINTS], rates[:MAX_PLAN_POINTS]
         k = len(t)
-        self._planned_at[:], self._planned[:] = NEVER, 0.0
+        self._planned_at[:], self._planned_accelerations[:] = UNUSED, 0.0
         if k > 1:
             self._planned_at[-k:] = t
-            self._planned[-k:-1] = np.diff(qd, axis=0) / np.diff(t)[:, None]
+            self._planned_accelerations[-k:-1] = np.diff(qd, axis=0) / np.diff(t)[:, None]
 
-    def open_times(self, begin: int, end: int) -> Floats:
+    def open_times(self, start: int, end: int) -> Floats:
         """Return how long each valve was open from one time [ns] to another, (8,) [s].
 
-        Only the last PULSES commands are stored.
+        Only the last MAX_PULSES commands are stored.
         """
-        first, last = self._seconds(begin), self._seconds(end)
-        following = np.append(self._opened[1:], FOREVER)
-        closed = np.minimum(np.minimum(self._closed, following[:, None]), last)
-        lasts = np.maximum(closed - np.maximum(self._opened, first)[:, None], 0.0)
-        found: Floats = lasts.sum(axis=0)
+        first, last = self._seconds(start), self._seconds(end)
+        next_opened = np.append(self._opened[1:], NO_END)
+        closed = np.minimum(np.minimum(self._closed, next_opened[:, None]), last)
+        open_time = np.maximum(closed - np.maximum(self._opened, first)[:, None], 0.0)
+        found: Floats = open_time.sum(axis=0)
         found[list(self.faults.open)], found[list(self.faults.closed)] = last - first, 0.0
         return found
 
     @property
-    def heard(self) -> bool:
+    def all_joints_read(self) -> bool:
         """True if every joint has been read."""
-        return bool((self._read_at[:, -1] > NEVER).all())
+        return bool((self._read_at[:, -1] > UNUSED).all())
 
-    def heard_at(self, t: int) -> bool:
-        """Return True if every joint was read less than UNHEARD before t [ns]."""
-        return self.heard and bool((self._read_at[:, -1] > self._seconds(t) - UNHEARD).all())
+    def joints_are_recent(self, t: int) -> bool:
+        """Return True if every joint was read less than JOINT_TIMEOUT before t [ns]."""
+        return self.all_joints_read and bool(
+            (self._read_at[:, -1] > self._seconds(t) - JOINT_TIMEOUT).all()
+        )
 
     def joints_at(self, t: int) -> tuple[Floats, Floats]:
         """Return extrapolated angles [rad] and rates [rad/s] of the joints at t [ns], (n,) each."""
@@ -284,48 +301,56 @@ class KnownInputs:
 
     def _extrapolated(self, t: float) -> tuple[Floats, Floats]:
         age = t - self._read_at[:, -1]
-        qd = np.where(age <= UNHEARD, self._rates[:, -1], 0.0)
-        return self._angles + qd * np.where(age <= UNHEARD, age, 0.0), qd
+        qd = np.where(age <= JOINT_TIMEOUT, self._rates[:, -1], 0.0)
+        return self._angles + qd * np.where(age <= JOINT_TIMEOUT, age, 0.0), qd
 
-    def loose(self) -> Floats:
+    def joint_rate_deviations(self) -> Floats:
         """Return standard deviations of the joints' rates, (n,) [rad/s].
 
-        They include recent changes of the rates, because the filter needs the time LATELY to
-        measure
-        the real reaction of the joints.
+        They include recent changes of the rates, because the filter needs the time CHANGE_WINDOW
+        to measure the real reaction of the joints.
         """
-        heard = np.where(self._read_at > self._read_at[:, -1:] - LATELY, self._rates, np.nan)
-        late = np.nanmax(heard, axis=1) - np.nanmin(heard, axis=1)
-        found: Floats = RATE_ERROR + self.settings.joint_rate_error * np.abs(heard[:, -1]) + late
+        recent = np.where(
+            self._read_at > self._read_at[:, -1:] - CHANGE_WINDOW, self._rates, np.nan
+        )
+        change = np.nanmax(recent, axis=1) - np.nanmin(recent, axis=1)
+        found: Floats = (
+            MIN_RATE_ERROR + self.settings.joint_rate_error * np.abs(recent[:, -1]) + change
+        )
         return found
 
-    def _model(self, t: float, omega: float) -> None:
+    def _linearize_at(self, t: float, omega: float) -> None:
         """Linearize about the joints' state at t [s], with the base's turn rate omega [rad/s]."""
-        self._newest, self._omega, s = t, omega, self.settings
-        at = t if t > NEVER else 0.0
-        control = at, omega, s.joint_rate_error, s.joint_change_error, s.unheard_change
-        self.mobility, self._by_joint, self._still, self._read, self._tail = _linearized(
-            self.p, self._angles, self._read_at, self._rates, self._leaks, self._quiet, control
-        )
+        self._model_time, self._model_omega, s = t, omega, self.settings
+        at = t if t > UNUSED else 0.0
+        control = at, omega, s.joint_rate_error, s.joint_change_error, s.silent_joint_walk
+        (
+            self.mobility, self._by_joint, self._bias_acceleration, self._read_noise,
+            self._unread_noise,
+        ) = _linearize(
+            self.p, self._angles, self._read_at, self._rates, self._leak_wrench, self._base_noise,
+            control,
+        )  # fmt: skip
         newest = self._read_at[:, -1].tolist()
         self._control[0] = min(newest)
         # Time at which the next joint counts as silent.
-        heard = (read_at for read_at in newest if at - read_at <= UNHEARD)
-        self._silent = min(heard, default=FOREVER) + UNHEARD
+        recent = (read_at for read_at in newest if at - read_at <= JOINT_TIMEOUT)
+        self._next_timeout = min(recent, default=NO_END) + JOINT_TIMEOUT
 
-    def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
+    def mean_accelerations(self, times: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the mean acceleration of the base and its noise, in its own axes; see Inputs."""
         until = self._seconds(times[-1])
-        if until > self._silent and until > self._newest:
+        if until > self._next_timeout and until > self._model_time:
             if len(times) > 2:  # one by one, as joints become silent in between
-                parts = [self.over(pair) for pair in pairwise(times)]
+                parts = [self.mean_accelerations(pair) for pair in pairwise(times)]
                 means, noises = zip(*parts, strict=True)
                 return np.concatenate(means), np.concatenate(noises)
-            self._model(until, self._omega)
+            self._linearize_at(until, self._model_omega)
         t = np.array([self._seconds(at) for at in times])
-        found: tuple[Floats, Floats] = _over(
-            t[:-1], t[1:], self._read_at, self._rates, self._opened, self._closed, self._driven,
-            self.mobility, self._by_joint, self._still, self._read, self._tail, self._planned_at,
-            self._planned, self._control,
+        found: tuple[Floats, Floats] = _mean_acceleration(
+            t[:-1], t[1:], self._read_at, self._rates, self._opened, self._closed,
+            self._working_valves, self.mobility, self._by_joint, self._bias_acceleration,
+            self._read_noise, self._unread_noise, self._planned_at, self._planned_accelerations,
+            self._control,
         )  # fmt: skip
         return found

@@ -6,7 +6,7 @@ from fss_arm_model.held import Target
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
 from fss_arm_model.vehicle import Vehicle
 
-from .caught import CaughtErrors
+from .mass_estimator import MassErrors
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,11 @@ class SensorErrors(Settings):
         0.009, "standard deviation of the base's measured heading", unit="rad", check=POSITIVE
     )
     volume_error: float = setting(
-        0.0, "what motion capture is off by in a place, along each axis, however often it looks",
+        0.0, "systematic position error of motion capture at a place, along each axis, 1 sigma",
         unit="m", check=NOT_NEGATIVE,
     )  # fmt: skip
     volume_heading_error: float = setting(
-        0.0, "what motion capture's headings are off by in a place, however often it looks",
+        0.0, "systematic heading error of motion capture at a place, 1 sigma",
         unit="rad", check=NOT_NEGATIVE,
     )  # fmt: skip
     rate_error: float = setting(
@@ -43,18 +43,21 @@ class SensorErrors(Settings):
         0.3, "random walk of the base's turn rate", unit="rad/s/sqrt(s)", check=POSITIVE
     )
     kick: float = setting(
-        0.05, "change of the base's speed at once, as by a touch, that is believed", unit="m/s",
-        check=NOT_NEGATIVE,
+        0.05, "sudden change of the base's speed that is accepted, as by a touch, 1 sigma",
+        unit="m/s", check=NOT_NEGATIVE,
     )  # fmt: skip
     angular_kick: float = setting(
-        0.01, "change of the base's turn rate between two measurements that is believed",
+        0.01, "sudden change of the base's turn rate that is accepted, 1 sigma",
         unit="rad/s", check=NOT_NEGATIVE,
     )  # fmt: skip
     settle_time: float = setting(
-        0.3, "time for which rejected poses must agree to be believed", unit="s", check=POSITIVE
+        0.3,
+        "time for which rejected poses must agree until the filter restarts there",
+        unit="s",
+        check=POSITIVE,
     )
     max_speed: float = setting(
-        0.5, "highest speed at which rejected poses count as those of one body", unit="m/s",
+        0.5, "largest speed at which rejected poses count as those of one body", unit="m/s",
         check=POSITIVE,
     )  # fmt: skip
 
@@ -64,19 +67,19 @@ class Bounds(Settings):
     """Bounds beyond which the state of a body counts as unknown."""
 
     max_outage: float = setting(
-        2.0, "time without a pose after which where a body is counts as unknown", unit="s",
+        2.0, "time without a pose after which the state of a body counts as unknown", unit="s",
         check=POSITIVE,
     )  # fmt: skip
     max_position_deviation: float = setting(
-        0.02, "deviation of a body's position above which it counts as unknown", unit="m",
-        check=POSITIVE,
+        0.02, "standard deviation of the position above which the state counts as unknown",
+        unit="m", check=POSITIVE,
     )  # fmt: skip
     max_heading_deviation: float = setting(
-        0.03, "deviation of a body's heading above which it counts as unknown", unit="rad",
-        check=POSITIVE,
+        0.03, "standard deviation of the heading above which the state counts as unknown",
+        unit="rad", check=POSITIVE,
     )  # fmt: skip
     max_speed_deviation: float = setting(
-        0.05, "deviation of a body's speed above which it counts as unknown", unit="m/s",
+        0.05, "standard deviation of the speed above which the state counts as unknown", unit="m/s",
         check=POSITIVE,
     )  # fmt: skip
 
@@ -100,39 +103,39 @@ class EstimatorSettings(SensorErrors, Bounds):
     rate_error: float = like(SensorErrors, "rate_error", 1.75e-4)
     acceleration: float = like(SensorErrors, "acceleration", 0.001)
     angular_acceleration: float = like(SensorErrors, "angular_acceleration", 0.003)
-    thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
+    thrust: float = setting(0.16, "thrust of one thruster", unit="N", check=POSITIVE)
     thruster_lever: float = setting(
-        0.11, "lever of a thruster: from the base's origin to the line of thrust", unit="m",
+        0.11, "lever arm of a thruster: from the base's origin to the line of thrust", unit="m",
         check=POSITIVE,
     )  # fmt: skip
     valve_delay: float = setting(
-        0.005, "time from a pulse of a thruster being sent to the thrust, and to its end",
+        0.005, "delay from a command to a thruster until its thrust starts, or ends",
         unit="s", check=NOT_NEGATIVE,
     )  # fmt: skip
     thrust_error: float = setting(
         0.05, "relative error of the thrust, 1 sigma", check=between(0.0, 1.0)
     )
     joint_rate_error: float = setting(
-        0.04, "relative error of a joint's rate, as of a harmonic drive's ripple, 1 sigma",
+        0.04, "relative error of a joint's rate, as by the ripple of a harmonic drive, 1 sigma",
         check=between(0.0, 1.0),
     )  # fmt: skip
     joint_change_error: float = setting(
-        0.3, "part of a joint's change of rate between two readings that is not as if even",
+        0.3, "relative error of assuming a constant acceleration between two joint readings",
         check=between(0.0, 1.0),
     )  # fmt: skip
-    unheard_change: float = setting(
-        0.05, "random walk of the rate of a joint that is not heard", unit="rad/s/sqrt(s)",
+    silent_joint_walk: float = setting(
+        0.05, "random walk of the rate of a joint without readings", unit="rad/s/sqrt(s)",
         check=NOT_NEGATIVE,
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class NavigationSettings(EstimatorSettings, CaughtErrors):
+class NavigationSettings(EstimatorSettings, MassErrors):
     """Parameters of a NavigationNode."""
 
     latency: float = setting(
-        0.0, "age of motion capture's poses at their stamps, which is taken off", unit="s",
-        check=between(0.0, 0.5),
+        0.0, "latency of the poses of motion capture, which is subtracted from their stamps",
+        unit="s", check=between(0.0, 0.5),
     )  # fmt: skip
     target_acceleration: float = setting(
         5e-4, "random walk of the target's velocity", unit="m/s/sqrt(s)", check=POSITIVE
@@ -143,20 +146,20 @@ class NavigationSettings(EstimatorSettings, CaughtErrors):
     target_mass: float = like(Target, "mass")
     target_inertia: float = like(Target, "inertia")
     rate: float = setting(
-        20.0, "rate of base/state and target/state while no poses come", unit="Hz",
+        20.0, "rate of base/state and target/state without poses", unit="Hz",
         check=between(1.0, 100.0),
     )  # fmt: skip
-    arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
+    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
     base_topic: str = like(Vehicle, "base_topic")
     target_topic: str = like(Vehicle, "target_topic")
-    gyro_topic: str = setting("fog/imu", "topic of the base's rate")
+    gyro_topic: str = setting("fog/imu", "topic of the gyro")
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
-    world_frame: str = setting("world", "frame id of what is published")
+    world_frame: str = setting("world", "frame id of the published poses")
     base_frame: str = like(Vehicle, "base_frame")
     frame_prefix: str = like(Vehicle, "frame_prefix")
     target_frame: str = setting("target", "child frame id of target/state")
 
-    def of_target(self) -> TargetErrors:
+    def target_errors(self) -> TargetErrors:
         """Return the errors of the target: those of the base's poses, and its own process noise."""
         return TargetErrors(
             position_error=self.position_error,
@@ -167,6 +170,6 @@ class NavigationSettings(EstimatorSettings, CaughtErrors):
             angular_acceleration=self.target_angular_acceleration,
         )
 
-    def body(self) -> Target:
+    def assumed_body(self) -> Target:
         """Return the target with its assumed mass and inertia."""
         return Target(mass=self.target_mass, inertia=self.target_inertia)

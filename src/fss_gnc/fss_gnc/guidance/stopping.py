@@ -6,13 +6,13 @@ import numpy.typing as npt
 from fss_arm_model.dynamics import inverse_dynamics
 from fss_arm_model.free_floating import free_torques
 from fss_arm_model.momentum import momentum
-from fss_gnc.guidance.approach import load
+from fss_gnc.guidance.approach import valve_load
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Path
 
 Floats = npt.NDArray[np.float64]
 
-SHORTEST, LONGEST = 0.5, 120.0  # bounds of the time to come to rest [s]
+MIN_DURATION, MAX_DURATION = 0.5, 120.0  # bounds of the time to come to rest [s]
 
 
 def braking(
@@ -21,7 +21,7 @@ def braking(
     qd: Floats,
     settings: MissionSettings,
     start: float,
-    to: npt.ArrayLike = (0.0, 0.0, 0.0),
+    final_twist: npt.ArrayLike = (0.0, 0.0, 0.0),
 ) -> Path:
     """Return a path of the base from its twist to another, joints held, as short as valves allow.
 
@@ -31,14 +31,14 @@ def braking(
         qd: (3 + n,) rate of the state.
         settings: of the missions.
         start: time of the start [s].
-        to: twist at the end [m/s, m/s, rad/s].
+        final_twist: twist at the end [m/s, m/s, rad/s].
     """
-    end, still = np.asarray(to, dtype=float), np.zeros(q.size - 3)
-    duration, twist = SHORTEST, np.concatenate([qd[:3], still])
-    while duration < LONGEST:
-        change = np.concatenate([(end - qd[:3]) / duration, still])
+    end, zero = np.asarray(final_twist, dtype=float), np.zeros(q.size - 3)
+    duration, twist = MIN_DURATION, np.concatenate([qd[:3], zero])
+    while duration < MAX_DURATION:
+        change = np.concatenate([(end - qd[:3]) / duration, zero])
         wrench = inverse_dynamics(p, q, twist, change)[:3]
-        if load(wrench, q[2], settings) <= settings.authority:
+        if valve_load(wrench, q[2], settings) <= settings.authority:
             break
         duration *= 1.25
     pose = q[:3] + 0.5 * duration * (qd[:3] + end)
@@ -46,12 +46,12 @@ def braking(
     return Path(np.array([start, start + duration]), knots)
 
 
-def slowing(p: Floats, q: Floats, qd: Floats, torques: Floats) -> float:
+def joint_stop_time(p: Floats, q: Floats, qd: Floats, torques: Floats) -> float:
     """Return the time in which the joints stop within torques (n,), the base floating [s]."""
-    duration, L = SHORTEST, momentum(p, q, qd)[2]
-    while duration < LONGEST:
-        needed, _ = free_torques(p, q[3:], qd[3:], -qd[3:] / duration, L)
-        if (np.abs(needed) <= torques).all():
+    duration, L = MIN_DURATION, momentum(p, q, qd)[2]
+    while duration < MAX_DURATION:
+        torques_needed, _ = free_torques(p, q[3:], qd[3:], -qd[3:] / duration, L)
+        if (np.abs(torques_needed) <= torques).all():
             break
         duration *= 1.25
     return duration

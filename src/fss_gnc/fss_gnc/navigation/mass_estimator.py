@@ -35,35 +35,37 @@ from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
 
-LOG_M, C, LOG_I, GAIN, BASE, FREE = 0, slice(1, 3), 3, 4, slice(5, 8), slice(8, 11)
-UNKNOWNS, OF_BODY = 11, 4
+LOG_MASS, C, LOG_INERTIA, GAIN, BASE, FREE = 0, slice(1, 3), 3, 4, slice(5, 8), slice(8, 11)
+UNKNOWNS, BODY_UNKNOWNS = 11, 4
 SPACING = 1.0  # initial spacing of samples; errors of a filtered twist last a quarter of that [s]
-MOST = 60  # largest number of samples; beyond it every other one is dropped
-ITERATIONS, SETTLED = 20, 1e-3  # of the solver; step below which it stops, in standard deviations
-VAGUE = 1.0  # prior standard deviation of the base's twist [m/s, m/s, rad/s]
-CHANCE = 5.0  # a sum of squares as unlikely as this many deviations of a Gaussian is still accepted
-STEP = 1e-5  # step of finite differences, in prior standard deviations
+MAX_SAMPLES = 60  # largest number of samples; beyond it every other one is dropped
+MAX_ITERATIONS = 20  # of the solver
+STEP_TOLERANCE = 1e-3  # step below which the solver stops, in prior standard deviations
+PRIOR_TWIST_SIGMA = 1.0  # prior standard deviation of the base's twist [m/s, m/s, rad/s]
+MAX_RESIDUAL_SIGMA = 5.0  # of the sum of squares, as a quantile in Gaussian deviations
+DIFFERENCE_STEP = 1e-5  # step of finite differences, in prior standard deviations
 
 
 @dataclass(frozen=True)
-class CaughtErrors(Settings):
+class MassErrors(Settings):
     """Uncertainty of the body's prior, and random walk of the momentum."""
 
     mass_error: float = setting(
-        0.7, "relative error of the target's mass and of its inertia, 1 sigma of the logarithm",
+        0.7, "relative standard deviation of the target's mass and inertia (of their logarithms)",
         check=POSITIVE,
     )  # fmt: skip
     com_error: float = setting(
         0.05, "standard deviation of the target's centre of mass from its frame's origin", unit="m",
         check=POSITIVE,
     )  # fmt: skip
-    push: float = setting(
-        0.003, "random walk of the momentum, by what else pushes", unit="N sqrt(s)",
+    momentum_walk: float = setting(
+        0.003, "random walk of the momentum by unknown forces", unit="N sqrt(s)",
         check=NOT_NEGATIVE,
     )  # fmt: skip
-    twisting: float = setting(
-        0.001, "random walk of the angular momentum", unit="N m sqrt(s)", check=NOT_NEGATIVE
-    )
+    angular_momentum_walk: float = setting(
+        0.001, "random walk of the angular momentum by unknown torques", unit="N m sqrt(s)",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
 
 
 class MassProperties(NamedTuple):
@@ -73,10 +75,12 @@ class MassProperties(NamedTuple):
     covariance: Floats  # (4, 4)
 
     @staticmethod
-    def assumed(body: Target, place: Floats, errors: CaughtErrors) -> "MassProperties":
+    def from_assumption(body: Target, place: Floats, errors: MassErrors) -> "MassProperties":
         """Return the prior of a body whose frame is at `place` (held.py) in the gripper."""
         e = errors
-        found = MassProperties(np.array([body.mass, *place[:2], body.inertia]), np.eye(OF_BODY))
+        found = MassProperties(
+            np.array([body.mass, *place[:2], body.inertia]), np.eye(BODY_UNKNOWNS)
+        )
         deviations = found.scale * (e.mass_error, e.com_error, e.com_error, e.mass_error)
         return found._replace(covariance=np.diag(deviations**2))
 
@@ -92,8 +96,8 @@ class MassProperties(NamedTuple):
         return found
 
     @property
-    def held(self) -> tuple[Target, Floats]:
-        """The held body and its place (3,) in the last link's frame (held.py)."""
+    def as_held_body(self) -> tuple[Target, Floats]:
+        """Held body and its place (3,) in the last link's frame (held.py)."""
         mass, x, y, inertia = self.values.tolist()
         return Target(mass, inertia), np.array([x, y, 0.0])
 
@@ -104,8 +108,8 @@ class Sample(NamedTuple):
     t: float  # [s]
     q: Floats  # (3 + n,)
     qd: Floats  # (3 + n,)
-    base: Floats  # (3, 3) covariance of the base's twist
-    joints: Floats  # (n,) deviations of the joints' rates [rad/s]
+    twist_covariance: Floats  # (3, 3) of the base
+    rate_deviations: Floats  # (n,) 1 sigma of the joints' rates [rad/s]
     impulse: Floats  # (3,) of the valves since a common start: [N s] and about the world's origin
 
 
@@ -117,7 +121,9 @@ class FreeBody(NamedTuple):
     covariance: Floats  # (3, 3)
 
     @staticmethod
-    def of(p: Floats, place: Floats, pose: Floats, twist: Floats, covariance: Floats) -> "FreeBody":
+    def from_frame(
+        p: Floats, place: Floats, pose: Floats, twist: Floats, covariance: Floats
+    ) -> "FreeBody":
         """Return the body's motion from that of its frame, which will be at `place` in the gripper.
 
         Args:
@@ -128,8 +134,8 @@ class FreeBody(NamedTuple):
             covariance: (3, 3) of the twist.
         """
         heading = pose[2] - place[2]
-        apart = (layout.reach(p, layout.count(p)) - complex(*place[:2])) * np.exp(1j * heading)
-        x, y = apart.real, apart.imag
+        offset = (layout.reach(p, layout.count(p)) - complex(*place[:2])) * np.exp(1j * heading)
+        x, y = offset.real, offset.imag
         J = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
         at = pose + np.array([x, y, 0.0])
         at[2] = heading + p[layout.TIP_ANGLE]
@@ -137,7 +143,7 @@ class FreeBody(NamedTuple):
 
 
 @dataclass
-class Caught:
+class MassEstimator:
     """Estimator of the mass properties of one body, from the grip on.
 
     Args:
@@ -153,31 +159,31 @@ class Caught:
     prior: MassProperties
     earlier: list[Sample]
     free: FreeBody
-    errors: CaughtErrors = field(default_factory=CaughtErrors)
+    errors: MassErrors = field(default_factory=MassErrors)
     thrust_error: float = 0.05
     samples: list[Sample] = field(default_factory=list)
     spacing: float = SPACING
 
     def __post_init__(self) -> None:
         mass, x, y, inertia = self.prior.values
-        self._known = np.concatenate([
+        self._prior_mean = np.concatenate([
             [np.log(mass), x, y, np.log(inertia), 1.0], self.earlier[0].qd[:3], self.free.twist,
         ])  # fmt: skip
         scale = self.prior.scale
         covariance = self.prior.covariance / np.outer(scale, scale)
-        self._root = np.zeros((UNKNOWNS, UNKNOWNS))  # square root of the prior's covariance
-        self._root[:OF_BODY, :OF_BODY] = np.linalg.cholesky(covariance)
-        self._root[GAIN, GAIN] = max(self.thrust_error, 1e-9)
-        self._root[BASE, BASE] = VAGUE * np.eye(3)
-        self._root[FREE, FREE] = np.linalg.cholesky(self.free.covariance)
+        self._prior_root = np.zeros((UNKNOWNS, UNKNOWNS))  # square root of the prior's covariance
+        self._prior_root[:BODY_UNKNOWNS, :BODY_UNKNOWNS] = np.linalg.cholesky(covariance)
+        self._prior_root[GAIN, GAIN] = max(self.thrust_error, 1e-9)
+        self._prior_root[BASE, BASE] = PRIOR_TWIST_SIGMA * np.eye(3)
+        self._prior_root[FREE, FREE] = np.linalg.cholesky(self.free.covariance)
         self._z = np.zeros(UNKNOWNS)  # in standard deviations from the prior mean
         self._covariance: Floats = np.eye(UNKNOWNS)
-        self._squares = 0.0  # sum of squared normalized residuals, the prior's included
+        self._residual_squares = 0.0  # sum of squared normalized residuals, the prior's included
 
-    def take(self, sample: Sample) -> None:
+    def add_sample(self, sample: Sample) -> None:
         """Add a sample of the held body, with errors independent of earlier samples."""
         self.samples.append(sample)
-        if len(self.samples) > MOST:
+        if len(self.samples) > MAX_SAMPLES:
             self.samples, self.spacing = self.samples[::2], 2.0 * self.spacing
 
     def is_due(self, t: float) -> bool:
@@ -185,58 +191,61 @@ class Caught:
         return t >= (self.samples or self.earlier)[-1].t + self.spacing
 
     @property
-    def explained(self) -> bool:
+    def is_consistent(self) -> bool:
         """True if chance can explain the residuals, by the quantile of Wilson and Hilferty."""
-        free = 3.0 * len(self.earlier + self.samples)
-        spread = 2.0 / (9.0 * free)
-        return bool(self._squares < free * (1.0 - spread + CHANCE * spread**0.5) ** 3)
+        dof = 3.0 * len(self.earlier + self.samples)
+        variance = 2.0 / (9.0 * dof)
+        return bool(
+            self._residual_squares
+            < dof * (1.0 - variance + MAX_RESIDUAL_SIGMA * variance**0.5) ** 3
+        )
 
     def solve(self) -> MassProperties:
         """Estimate the mass properties from all samples, starting at the last solution."""
         self._solve()
-        x = self._known + self._root @ self._z
-        covariance = self._root @ self._covariance @ self._root.T
-        values = np.array([np.exp(x[LOG_M]), *x[C], np.exp(x[LOG_I])])
-        found = MassProperties(values, covariance[:OF_BODY, :OF_BODY])
+        x = self._prior_mean + self._prior_root @ self._z
+        covariance = self._prior_root @ self._covariance @ self._prior_root.T
+        values = np.array([np.exp(x[LOG_MASS]), *x[C], np.exp(x[LOG_INERTIA])])
+        found = MassProperties(values, covariance[:BODY_UNKNOWNS, :BODY_UNKNOWNS])
         return found._replace(covariance=found.covariance * np.outer(found.scale, found.scale))
 
     def _solve(self) -> None:
         """Run a damped Gauss-Newton (Levenberg-Marquardt) in prior standard deviations."""
         rows = _Rows(self.p, self.earlier, self.samples)
-        white = self._correlations(rows)
-        cost, off = self._cost(rows, white, self._z)
+        whitening = self._whitening_matrix(rows)
+        cost, residuals = self._cost(rows, whitening, self._z)
         damping = 1e-3
-        for _ in range(ITERATIONS):
+        for _ in range(MAX_ITERATIONS):
             J = np.stack([
-                (self._off(rows, white, self._z + step) - off) / STEP
-                for step in STEP * np.eye(UNKNOWNS)
+                (self._residuals(rows, whitening, self._z + step) - residuals) / DIFFERENCE_STEP
+                for step in DIFFERENCE_STEP * np.eye(UNKNOWNS)
             ], axis=1)  # fmt: skip
             information = J.T @ J + np.eye(UNKNOWNS)
-            slope = J.T @ off + self._z
-            step = -np.linalg.solve(information + damping * np.eye(UNKNOWNS), slope)
-            tried, off_then = self._cost(rows, white, self._z + step)
-            if tried <= cost:
-                self._z, cost, off, damping = self._z + step, tried, off_then, 0.1 * damping
-                white = self._correlations(rows)
-                cost, off = self._cost(rows, white, self._z)
+            gradient = J.T @ residuals + self._z
+            step = -np.linalg.solve(information + damping * np.eye(UNKNOWNS), gradient)
+            next_cost, _ = self._cost(rows, whitening, self._z + step)
+            if next_cost <= cost:
+                self._z, damping = self._z + step, 0.1 * damping
+                whitening = self._whitening_matrix(rows)
+                cost, residuals = self._cost(rows, whitening, self._z)
             else:
                 damping = max(10.0 * damping, 1e-3)
-            if np.abs(step).max() < SETTLED:
+            if np.abs(step).max() < STEP_TOLERANCE:
                 break
-        self._squares, self._covariance = cost, np.asarray(np.linalg.inv(information))
+        self._residual_squares, self._covariance = cost, np.asarray(np.linalg.inv(information))
 
-    def _cost(self, rows: "_Rows", white: Floats, z: Floats) -> tuple[float, Floats]:
-        off = self._off(rows, white, z)
-        return float(off @ off + z @ z), off
+    def _cost(self, rows: "_Rows", whitening: Floats, z: Floats) -> tuple[float, Floats]:
+        residuals = self._residuals(rows, whitening, z)
+        return float(residuals @ residuals + z @ z), residuals
 
-    def _off(self, rows: "_Rows", white: Floats, z: Floats) -> Floats:
+    def _residuals(self, rows: "_Rows", whitening: Floats, z: Floats) -> Floats:
         """Return measured less predicted twists, in their standard deviations, (3 k,)."""
-        x = self._known + self._root @ z
-        apart = rows.twist - self._predicted(rows, x)[0]
-        found: Floats = white @ apart.ravel()
+        x = self._prior_mean + self._prior_root @ z
+        offset = rows.twist - self._predict_twists(rows, x)[0]
+        found: Floats = whitening @ offset.ravel()
         return found
 
-    def _predicted(self, rows: "_Rows", x: Floats) -> tuple[Floats, Floats, Floats]:
+    def _predict_twists(self, rows: "_Rows", x: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the base's predicted twists and their Jacobians.
 
         Returns:
@@ -246,7 +255,7 @@ class Caught:
         inverse = np.linalg.inv(H[:, :, :3])
         to_base = inverse @ rows.about_base
         by_joints = -inverse @ H[:, :, 3:]
-        arm, body = self._before(x)
+        arm, body = self._initial_momenta(x)
         momentum = arm + rows.held[:, None] * body
         momentum = momentum + x[GAIN] * (rows.impulse - self.earlier[0].impulse)
         at = np.einsum("kij,kj->ki", to_base, momentum)
@@ -257,7 +266,7 @@ class Caught:
         """Position of the tip in the last link's frame, (2,) [m]."""
         return np.array([layout.each(self.p, layout.LENGTH)[-1], 0.0])
 
-    def _before(self, x: Floats) -> tuple[Floats, Floats]:
+    def _initial_momenta(self, x: Floats) -> tuple[Floats, Floats]:
         """Return the momenta before the grip about the world's origin.
 
         Returns:
@@ -271,17 +280,17 @@ class Caught:
         body = body_inertia(x, self.place_of_tip, np.array([heading]))[0] @ x[FREE]
         return arm, to_origin(tip[:2], body)
 
-    def _correlations(self, rows: "_Rows") -> Floats:
+    def _whitening_matrix(self, rows: "_Rows") -> Floats:
         """Return the matrix that whitens the errors of all twists, (3 k, 3 k)."""
         k, e = len(rows.t), self.errors
-        x = self._known + self._root @ self._z
-        _, to_base, by_joints = self._predicted(rows, x)
-        walk = np.diag(np.square([e.push, e.push, e.twisting]))
+        x = self._prior_mean + self._prior_root @ self._z
+        _, to_base, by_joints = self._predict_twists(rows, x)
+        walk = np.diag(np.square([e.momentum_walk, e.momentum_walk, e.angular_momentum_walk]))
         since = np.minimum.outer(rows.t, rows.t) - self.earlier[0].t
-        moved = to_base @ walk
-        found = np.einsum("aij,ab,bkj->aibk", moved, since, to_base)
-        loose = by_joints * rows.loose[:, None, :]
-        found[range(k), :, range(k)] += rows.covariance + loose @ loose.transpose(0, 2, 1)
+        walk_effect = to_base @ walk
+        found = np.einsum("aij,ab,bkj->aibk", walk_effect, since, to_base)
+        rate_noise = by_joints * rows.rate_noise[:, None, :]
+        found[range(k), :, range(k)] += rows.covariance + rate_noise @ rate_noise.transpose(0, 2, 1)
         return np.linalg.inv(np.linalg.cholesky(found.reshape(3 * k, 3 * k)))
 
 
@@ -294,8 +303,8 @@ class _Rows:
         q, qd = np.array([s.q for s in samples]), np.array([s.qd for s in samples])
         self.t = np.array([s.t for s in samples])
         self.twist, self.rates = qd[:, :3], qd[:, 3:]
-        self.covariance = np.array([s.base for s in samples])
-        self.loose = np.array([s.joints for s in samples])
+        self.covariance = np.array([s.twist_covariance for s in samples])
+        self.rate_noise = np.array([s.rate_deviations for s in samples])
         self.impulse = np.array([s.impulse for s in samples])
         self._arm, self._tip = inertia_matrix(p, q)[:, :3], tip_jacobian(p, q)
         self._headings = tip_pose(p, q)[:, 2] - p[layout.TIP_ANGLE]
@@ -316,13 +325,13 @@ def body_inertia(x: Floats, tip: Floats, headings: Floats) -> Floats:
         tip: (2,) tip in the last link's frame.
         headings: (k,) of the last link.
     """
-    mass, (u, v) = np.exp(x[LOG_M]), x[C] - tip
+    mass, (u, v) = np.exp(x[LOG_MASS]), x[C] - tip
     S = mass * complex(u, v) * np.exp(1j * headings)
     M = np.zeros((len(headings), 3, 3))
     M[:, 0, 0] = M[:, 1, 1] = mass
     M[:, 0, 2] = M[:, 2, 0] = -S.imag
     M[:, 1, 2] = M[:, 2, 1] = S.real
-    M[:, 2, 2] = np.exp(x[LOG_I]) + mass * (u * u + v * v)
+    M[:, 2, 2] = np.exp(x[LOG_INERTIA]) + mass * (u * u + v * v)
     return M
 
 
