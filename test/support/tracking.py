@@ -113,7 +113,7 @@ def track(
             target=plant.target[0].tolist(),
             marker_results=vicon and look_at(vicon, frame + 1, plant),
         )  # fmt: skip
-        at = now - seen.base.before - round(SECOND * noise.vicon_latency)
+        at = now - seen.base.age - round(SECOND * noise.vicon_latency)
         if gyro and navigation.base.update_rate(now, seen.rate):
             nis["gyro"].append(navigation.base.nis[TURN_RATE][-1])
         looks = not outage[0] <= frame < outage[1]
