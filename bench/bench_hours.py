@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_bags.doctor.health import findings, streams
 from fss_arm_bags.inspection import is_sound
-from fss_arm_bags.reader import find, open_bags
+from fss_arm_bags.reader import find_bags, open_bags
 from fss_arm_msgs.action import MoveArm
 
 MODULES |= {
@@ -169,7 +169,7 @@ def main() -> int:
         growth = {name: last[name] / first[name] - 1.0 for name in first}
         print("growth after the first hour: "
               + ", ".join(f"{name} {100 * g:+.1f}%" for name, g in growth.items()))  # fmt: skip
-        bags = find(folder / "bag")
+        bags = find_bags(folder / "bag")
         all_sound = all(map(is_sound, bags))
         with open_bags(folder / "bag") as bags_read:
             topic_streams = streams(bags_read)

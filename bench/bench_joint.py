@@ -59,7 +59,7 @@ from fss_arm_calib.joint.problem import solve
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import JOINED
 from fss_arm_model import dynamics as model
-from fss_arm_model.drifting import whole
+from fss_arm_model.drifting import single_body
 from fss_arm_model.joint_path import sampled
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import system_com
@@ -198,7 +198,7 @@ class Peer:
 
     def drift_poses(self, p, one, start, surroundings):
         """Return the poses of the base during a drift."""
-        M, K, *com = whole(p, one.q)
+        M, K, *com = single_body(p, one.q)
         c, g, (tau, kappa, d) = complex(*com), complex(*surroundings[:2]), surroundings[2:]
 
         def rate(_, s):

@@ -8,7 +8,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from fss_arm_bags.definitions import message_class
-from fss_arm_bags.record_node import match
+from fss_arm_bags.record_node import matching_qos
 from fss_arm_ros.run import run
 
 
@@ -29,7 +29,7 @@ class CounterNode(Node):
                 self.counts[topic] = 0
                 callback = self.on_clock if topic == "/clock" else partial(self.on_message, topic)
                 kind = message_class(msgtype)
-                self.create_subscription(kind, topic, callback, match(offered), raw=True)
+                self.create_subscription(kind, topic, callback, matching_qos(offered), raw=True)
 
     def on_message(self, topic: str, _: bytes) -> None:
         """Count a message."""

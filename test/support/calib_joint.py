@@ -18,7 +18,7 @@ from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model import base_motion, joint_path
 from fss_arm_model.description import Arm, Known, paper_arm
-from fss_arm_model.drifting import drift, whole
+from fss_arm_model.drifting import drift, single_body
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.layout import kinematic_index
 from fss_arm_model.parameters import parameter_names, values, with_values
@@ -143,7 +143,7 @@ def drifts(arm, count, rng, acting, start=0, s=DRIFT, length=40.0):
         q = rng.uniform(-1.2, 1.2, arm.n)
         own = [*rng.uniform(-0.3, 0.3, 2), rng.uniform(-3.0, 3.0), *rng.normal(0.0, 0.003, 2),
                rng.normal(0.0, 0.02)]  # fmt: skip
-        poses = drift(whole(arm.vector(), q), acting, own, times)[:, :3]
+        poses = drift(single_body(arm.vector(), q), acting, own, times)[:, :3]
         poses = poses + sigma * rng.standard_normal(poses.shape)
         at = start + k * 100 * SECOND
         found.append(

@@ -1,4 +1,4 @@
-"""A node that plays a flight to the nodes under test, and hears what comes of it."""
+"""Node that publishes a flight to the nodes under test, and receives their results."""
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
@@ -14,7 +14,7 @@ BEGIN = 1_000_000_000
 
 
 class Bench(Node):
-    """Publishes a flight and hears what comes of it."""
+    """Node that publishes a flight and receives the results."""
 
     def __init__(self, flight):
         super().__init__("bench")
@@ -35,7 +35,7 @@ class Bench(Node):
         return all(p.get_subscription_count() for p in publishers)
 
     def play(self, frames):
-        """Publish so many milliseconds of the flight: a reading of one link each 50 ms."""
+        """Publish `frames` milliseconds of the flight: one link's reading every 50 ms."""
         f = self.flight
         for k in range(self.k, min(self.k + frames, len(f.t))):
             t = BEGIN + k * 1_000_000

@@ -1,4 +1,4 @@
-"""An arm that moves as its drives would, and the base that floats under it."""
+"""Simulated flight: an arm that moves with the drives' profile, on a floating base."""
 
 from functools import cache
 from math import radians
@@ -33,7 +33,7 @@ def trapezoid(t, begin, angle, rate=0.5, acceleration=1.0):
 
 
 class Flight:
-    """Joints that follow their laws, and the base that floats with a given twist at first."""
+    """Joints that follow trapezoidal profiles, and a floating base with an initial twist."""
 
     def __init__(self, arm, twist=(0.0, 0.0, 0.0), end=8.0):
         p, n = arm.vector(), arm.n
@@ -48,16 +48,16 @@ class Flight:
         half_q, half_qd, _ = laws(self.t + STEP / 2)
         state = np.concatenate([np.zeros(3), self.q[0]])
         rate = np.concatenate([twist, self.qd[0]])
-        kept = momentum(p, state, rate)
+        initial = momentum(p, state, rate)
         self.pose, self.twist = np.empty((2, len(self.t), 3))
         pose = np.zeros(3)
 
         def twist_at(pose, q, qd):
-            # The twist with which the momentum is what it was.
+            # The twist that conserves the momentum.
             x = np.concatenate([pose, q])
             rates = np.concatenate([np.eye(3, 3 + n), [[0.0, 0.0, 0.0, *qd]]])
-            *by_twist, none = momentum(p, x, rates)
-            return np.linalg.solve(np.transpose(by_twist), kept - none)
+            *by_twist, joint_part = momentum(p, x, rates)
+            return np.linalg.solve(np.transpose(by_twist), initial - joint_part)
 
         for k in range(len(self.t)):
             self.pose[k] = pose
@@ -68,7 +68,7 @@ class Flight:
                 c = twist_at(pose + STEP / 2 * b, half_q[k], half_qd[k])
                 d = twist_at(pose + STEP * c, self.q[k + 1], self.qd[k + 1])
                 pose = pose + STEP / 6 * (a + 2 * b + 2 * c + d)
-        self.momentum = kept
+        self.momentum = initial
 
     def index(self, t):
         return round(t * 1e-9 / STEP)

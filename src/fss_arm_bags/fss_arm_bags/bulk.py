@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from fss_arm_ros.convert import SECOND, TURN_RATE
 
-LITTLE = b"\1"  # the second byte of a message with the low byte first
+LITTLE_ENDIAN = b"\1"  # second byte of a message whose numbers have the low byte first
 
 
 Stamps = npt.NDArray[np.int64]
@@ -29,7 +29,7 @@ class Poses(NamedTuple):
     """Planar poses of k messages."""
 
     stamp: Stamps  # (k,) [ns]
-    pose: npt.NDArray[np.float64]  # (k, 3) x [m], y [m], heading [rad]; NaN: nothing was seen
+    pose: npt.NDArray[np.float64]  # (k, 3) x [m], y [m], heading [rad]; NaN: occluded
 
 
 def poses(messages: Sequence[bytes]) -> Poses:
@@ -38,11 +38,11 @@ def poses(messages: Sequence[bytes]) -> Poses:
     Raises:
         SerializedError: a message is something else.
     """
-    stamp, numbers = whole_poses(messages)
-    return Poses(stamp, planar(numbers))
+    stamp, numbers = spatial_poses(messages)
+    return Poses(stamp, project_to_plane(numbers))
 
 
-def whole_poses(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:
+def spatial_poses(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:
     """Return stamps [ns], positions [m] and quaternions x, y, z, w in geometry_msgs/PoseStamped.
 
     Returns:
@@ -51,12 +51,12 @@ def whole_poses(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float
     Raises:
         SerializedError: a message is something else.
     """
-    return _taken_apart(messages, 7, "geometry_msgs/PoseStamped")
+    return _decode(messages, 7, "geometry_msgs/PoseStamped")
 
 
 def frame_id(message: bytes) -> str:
     """Return the frame id of a serialized message that starts with a header."""
-    size = int.from_bytes(message[12:16], "little" if message[1:2] == LITTLE else "big")
+    size = int.from_bytes(message[12:16], "little" if message[1:2] == LITTLE_ENDIAN else "big")
     return message[16 : 16 + size].rstrip(b"\0").decode(errors="replace")
 
 
@@ -66,18 +66,18 @@ def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float6
     Raises:
         SerializedError: a message is something else.
     """
-    stamp, numbers = _taken_apart(messages, 37, "sensor_msgs/Imu")
+    stamp, numbers = _decode(messages, 37, "sensor_msgs/Imu")
     return stamp, numbers[:, TURN_RATE]
 
 
-def _taken_apart(
+def _decode(
     messages: Sequence[bytes], count: int, kind: str
 ) -> tuple[Stamps, npt.NDArray[np.float64]]:
     """Return the stamps and the numbers that follow the header, (k,) and (k, count)."""
     groups = groupby(messages, key=_layout)
-    parts = [_alike(list(group), count, kind) for _, group in groups]
-    none = np.empty(0, np.int64), np.empty((0, count))
-    stamps, numbers = zip(none, *parts, strict=True)
+    parts = [_decode_group(list(group), count, kind) for _, group in groups]
+    empty = np.empty(0, np.int64), np.empty((0, count))
+    stamps, numbers = zip(empty, *parts, strict=True)
     return np.concatenate(stamps), np.concatenate(numbers)
 
 
@@ -86,24 +86,26 @@ def _layout(message: bytes) -> bytes:
     return b"%d" % len(message) + message[1:2] + message[12:16]
 
 
-def _alike(messages: list[bytes], count: int, kind: str) -> tuple[Stamps, npt.NDArray[np.float64]]:
+def _decode_group(
+    messages: list[bytes], count: int, kind: str
+) -> tuple[Stamps, npt.NDArray[np.float64]]:
     size = len(messages[0])
-    little = messages[0][1:2] == LITTLE
-    text = int.from_bytes(messages[0][12:16], "little" if little else "big")
-    first = -(-(12 + text) // 8) * 8  # offset of the numbers
-    if size < 4 + first + 8 * count:
-        raise SerializedError(f"{size} bytes are no {kind}")
+    little = messages[0][1:2] == LITTLE_ENDIAN
+    id_length = int.from_bytes(messages[0][12:16], "little" if little else "big")
+    offset = -(-(12 + id_length) // 8) * 8  # of the numbers
+    if size < 4 + offset + 8 * count:
+        raise SerializedError(f"a message of {size} bytes is not a {kind}")
     rows = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(-1, size)[:, 4:]
 
-    def column(begin: int, end: int, code: str) -> npt.NDArray[np.generic]:
-        return np.ascontiguousarray(rows[:, begin:end]).view(f"{'<' if little else '>'}{code}")
+    def column(start: int, end: int, code: str) -> npt.NDArray[np.generic]:
+        return np.ascontiguousarray(rows[:, start:end]).view(f"{'<' if little else '>'}{code}")
 
     time = column(0, 8, "u4").astype(np.int64)  # the seconds and the nanoseconds are positive
-    numbers = column(first, first + 8 * count, "f8").astype(np.float64)
+    numbers = column(offset, offset + 8 * count, "f8").astype(np.float64)
     return time[:, 0] * SECOND + time[:, 1], numbers
 
 
-def planar(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def project_to_plane(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Project poses x, y, z [m] and quaternion x, y, z, w, (k, 7), as `planar_pose` does.
 
     Returns:
@@ -112,22 +114,22 @@ def planar(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     x, y, z, w = numbers[:, 3:].T
     # Use math.atan2: numpy's differs from it in the last bit.
     heading = map(atan2, (2.0 * (w * z + x * y)).tolist(), (w * w + x * x - y * y - z * z).tolist())
-    seen = np.isfinite(numbers).all(axis=1) & (x * x + y * y + z * z + w * w >= 0.25)
+    visible = np.isfinite(numbers).all(axis=1) & (x * x + y * y + z * z + w * w >= 0.25)
     found = np.column_stack([numbers[:, :2], np.fromiter(heading, np.float64, len(numbers))])
-    return np.where(seen[:, None], found, np.nan)
+    return np.where(visible[:, None], found, np.nan)
 
 
-def pieces(
+def batches(
     messages: Iterable[tuple[str, str, int, bytes]], span: int
 ) -> Iterator[dict[str, list[bytes]]]:
     """Group messages of `Bags.raw` by topic and yield `span` [ns] of receipt times at once."""
-    piece: dict[str, list[bytes]] = {}
+    batch: dict[str, list[bytes]] = {}
     until = -1
     for topic, _, receipt, data in messages:
         if receipt > until:
-            if piece:
-                yield piece
-            piece, until = {}, receipt + span
-        piece.setdefault(topic, []).append(data)
-    if piece:
-        yield piece
+            if batch:
+                yield batch
+            batch, until = {}, receipt + span
+        batch.setdefault(topic, []).append(data)
+    if batch:
+        yield batch

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 
 RECORD = Struct("<BQ")  # kind of the record, length of its content
-HEAD = Struct("<HIQQ")  # of a message: channel, sequence, time of receipt, time of publication
+MESSAGE_HEADER = Struct("<HIQQ")  # channel, sequence, time of receipt, time of publication
 CRC = Struct("<I")
 CHUNK_CRC = RECORD.size + 24  # offset of the checksum in a chunk record
 
@@ -52,9 +52,9 @@ class _Chunk(NamedTuple):
         found = []
         for kind, at, end in records(data):
             if kind == MESSAGE:
-                channel, _, receipt, _ = HEAD.unpack_from(data, at)
+                channel, _, receipt, _ = MESSAGE_HEADER.unpack_from(data, at)
                 if channel in wanted:
-                    found.append((receipt, wanted[channel], data[at + HEAD.size : end]))
+                    found.append((receipt, wanted[channel], data[at + MESSAGE_HEADER.size : end]))
         return found
 
 
@@ -75,7 +75,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
         yield kind, at - length, at
 
 
-def indexed(readers: Iterable[AnyReader]) -> list[_Chunk] | None:
+def indexed_chunks(readers: Iterable[AnyReader]) -> list[_Chunk] | None:
     """Return the chunks of all files by start time; None if some messages are outside of chunks."""
     found = []
     for bag in chain.from_iterable(reader.readers for reader in readers):
@@ -88,7 +88,7 @@ def indexed(readers: Iterable[AnyReader]) -> list[_Chunk] | None:
     return sorted(found, key=lambda chunk: chunk.info.message_start_time)
 
 
-def in_order(
+def read_in_order(
     chunks: Iterable[_Chunk],
     topics: Container[str],
     start: int | None = None,

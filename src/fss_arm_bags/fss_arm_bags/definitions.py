@@ -28,14 +28,15 @@ MEASUREMENTS = frozenset(
         "fss_arm_msgs/msg/GripperState",
     }
 )
-RECORDERS = "rosbag2_interfaces/"  # types that rosbag2 publishes, as /events/write_split
+#: Start of the types that rosbag2 publishes about itself, as on /events/write_split.
+ROSBAG2_TYPES = "rosbag2_interfaces/"
 
 
 class NotInstalledError(LookupError):
     """A message type is not installed here."""
 
 
-class NotUnderstoodError(ValueError):
+class DefinitionError(ValueError):
     """A definition in a bag cannot be used to decode messages."""
 
 
@@ -76,7 +77,7 @@ def hash_of(msgtype: str, text: str, *, idl: bool = False) -> str:
         return store.hash_rihs01(msgtype)
     except Exception as error:  # rosbags parses without checks, so any exception is possible
         about = f"its definition of {short(msgtype)}"
-        raise NotUnderstoodError(f"{about} is not understood: {short(str(error))}") from None
+        raise DefinitionError(f"{about} cannot be parsed: {short(str(error))}") from None
 
 
 @cache
@@ -87,14 +88,14 @@ def definition(msgtype: str) -> Definition:
         NotInstalledError: a file is missing.
     """
     texts: dict[str, str] = {}
-    _collect(msgtype, texts)
+    _collect_texts(msgtype, texts)
     first, *others = texts
     parts = [texts[first]] + [f"MSG: {n.replace('/msg/', '/')}\n{texts[n]}" for n in others]
     text = ("=" * 80 + "\n").join(parts)
     return Definition(text, hash_of(msgtype, text))
 
 
-def installed(msgtype: str, digest: str) -> Definition:
+def installed_definition(msgtype: str, digest: str) -> Definition:
     """Return the installed definition of a type that the bag does not define.
 
     The bag may give the hash of the type (`digest`; empty: unknown).
@@ -119,10 +120,10 @@ def extends(msgtype: str, text: str) -> bool:
     Raises:
         NotInstalledError: it is not installed.
     """
-    present: Any = get_types_from_msg(definition(msgtype).text, msgtype)
+    current: Any = get_types_from_msg(definition(msgtype).text, msgtype)
     earlier: Any = get_types_from_msg(text, msgtype)
     return all(
-        name in present and all(field in present[name][1] for field in fields)
+        name in current and all(field in current[name][1] for field in fields)
         for name, (_, fields) in earlier.items()
     )
 
@@ -130,24 +131,27 @@ def extends(msgtype: str, text: str) -> bool:
 def upgrade(earlier: Any, kind: Any) -> Any:
     """Convert a message of an earlier version to `kind`; new fields get their defaults."""
     message = kind()
-    for name, of in kind.get_fields_and_field_types().items():
+    for name, field_type in kind.get_fields_and_field_types().items():
         if hasattr(earlier, name):
-            setattr(message, name, _present(getattr(earlier, name), of))
+            setattr(message, name, _convert_value(getattr(earlier, name), field_type))
     return message
 
 
-def _present(value: Any, of: str) -> Any:
-    """Convert a field's value for rclpy; `of` is its type, as `sequence<std_msgs/Header>`."""
+def _convert_value(value: Any, field_type: str) -> Any:
+    """Convert a field's value for rclpy; `field_type` is as `sequence<std_msgs/Header>`."""
     if isinstance(value, list | ndarray):
-        element = of.removeprefix("sequence<").partition("[")[0].partition(",")[0].rstrip(">")
+        bare = field_type.removeprefix("sequence<").partition("[")[0]
+        element = bare.partition(",")[0].rstrip(">")
         plain = value if isinstance(value, list) else value.tolist()
-        return [_present(v, element) for v in plain]
-    if of == "octet":
+        return [_convert_value(v, element) for v in plain]
+    if field_type == "octet":
         return bytes([value])
-    return upgrade(value, message_class(of.replace("/", "/msg/"))) if "/" in of else value
+    if "/" in field_type:
+        return upgrade(value, message_class(field_type.replace("/", "/msg/")))
+    return value
 
 
-def _collect(msgtype: str, texts: dict[str, str]) -> None:
+def _collect_texts(msgtype: str, texts: dict[str, str]) -> None:
     """Add the text of a type, then those of the types of its fields."""
     prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     files = (Path(prefix, "share", f"{msgtype}.msg") for prefix in prefixes)
@@ -161,4 +165,4 @@ def _collect(msgtype: str, texts: dict[str, str]) -> None:
         if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             kind = kind[1][0]  # type of the elements; kind[1][1] is their number
         if kind[0] == Nodetype.NAME and kind[1] not in texts:
-            _collect(kind[1], texts)
+            _collect_texts(kind[1], texts)

@@ -8,17 +8,17 @@ from typing import Any
 
 from rosbags.rosbag2 import Reader
 
-from fss_arm_bags.definitions import NotUnderstoodError, hash_of
+from fss_arm_bags.definitions import DefinitionError, hash_of
 from fss_arm_bags.integrity import Contents, DamageError, examine
 from fss_arm_bags.layout import storage_files
-from fss_arm_bags.metadata import disagreement, metadata, unlisted
+from fss_arm_bags.metadata import file_list_problem, metadata_problem, read_metadata
 from fss_arm_bags.readers import TopicReader
 from fss_arm_bags.recovery import BagError
 from fss_arm_model.files import short
 
 
 @dataclass(frozen=True)
-class Inspected:
+class Inspection:
     """The state of a bag."""
 
     files: list[Path]  # to read
@@ -28,7 +28,7 @@ class Inspected:
     metadata: str = ""  # problem of metadata.yaml alone
 
 
-def inspect(path: Path, *, thorough: bool = False) -> Inspected:
+def inspect(path: Path, *, thorough: bool = False) -> Inspection:
     """Check a bag for damage, as far as its checksums and redundant data show it.
 
     Args:
@@ -41,33 +41,35 @@ def inspect(path: Path, *, thorough: bool = False) -> Inspected:
     """
     files = storage_files(path)
     about: Mapping[str, Any] = {}
-    wrong = ""
+    problem = ""
     if path.is_dir():
         try:
-            about = metadata(path)
+            about = read_metadata(path)
         except DamageError as error:
-            wrong = str(error)
+            problem = str(error)
     if not files:
-        raise BagError(f"{path}: has no file of messages")
+        raise BagError(f"{path}: contains no .mcap or .db3 file")
     if any(file.suffix != ".mcap" for file in files):
-        return _database(path, files, about, wrong)
-    known: dict[Path, Contents] = {}
+        return _inspect_sqlite(path, files, about, problem)
+    contents_by_file: dict[Path, Contents] = {}
     for file in files:
         try:
-            known[file] = examine(file, thorough=thorough)
+            contents_by_file[file] = examine(file, thorough=thorough)
         except DamageError as error:
             name = f"{file.name}: " if len(files) > 1 else ""
-            return Inspected(files, damage=f"{name}{error}")
-    checked = all(contents.checked for contents in known.values())
-    count = sum(c.statistics.message_count for c in known.values() if c.statistics)
-    if path.is_dir() and not wrong:
-        wrong = disagreement(about, known, _hashes(known))
-    if path.is_dir() and not wrong and thorough and not about.get("compression_mode"):
-        wrong = _refused(path)
-    return Inspected(files, count, checked, metadata=wrong)
+            return Inspection(files, damage=f"{name}{error}")
+    checked = all(contents.checked for contents in contents_by_file.values())
+    count = sum(c.statistics.message_count for c in contents_by_file.values() if c.statistics)
+    if path.is_dir() and not problem:
+        problem = metadata_problem(about, contents_by_file, _hashes(contents_by_file))
+    if path.is_dir() and not problem and thorough and not about.get("compression_mode"):
+        problem = _open_error(path)
+    return Inspection(files, count, checked, metadata=problem)
 
 
-def _database(path: Path, files: list[Path], about: Mapping[str, Any], wrong: str) -> Inspected:
+def _inspect_sqlite(
+    path: Path, files: list[Path], about: Mapping[str, Any], problem: str
+) -> Inspection:
     """Return the state of a bag of SQLite files."""
     count = 0
     for file in files:
@@ -77,9 +79,9 @@ def _database(path: Path, files: list[Path], about: Mapping[str, Any], wrong: st
         except Exception as error:  # rosbags parses without checks, so any exception is possible
             place = path if file == path else f"{path}: {file.name}"
             raise BagError(f"{place}: {short(str(error))}") from None
-    if about and not wrong:
-        wrong = unlisted(about, files)
-    return Inspected(files, count, metadata=wrong)
+    if about and not problem:
+        problem = file_list_problem(about, files)
+    return Inspection(files, count, metadata=problem)
 
 
 def is_sound(path: Path) -> bool:
@@ -92,7 +94,7 @@ def is_sound(path: Path) -> bool:
     return not (found.damage or found.metadata)
 
 
-def _refused(path: Path) -> str:
+def _open_error(path: Path) -> str:
     """Return the reason why rosbags does not open a bag; empty: it does."""
     try:
         with Reader(path):
@@ -107,6 +109,6 @@ def _hashes(files: Mapping[Path, Contents]) -> dict[str, str]:
     for contents in files.values():
         for schema in contents.schemas.values():
             if schema.encoding == "ros2msg":
-                with suppress(NotUnderstoodError):
+                with suppress(DefinitionError):
                     hashes[schema.name] = hash_of(schema.name, schema.data.decode(errors="replace"))
     return hashes

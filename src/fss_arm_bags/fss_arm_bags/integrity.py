@@ -22,15 +22,24 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import decompress
 
-from fss_arm_bags.chunks import CHANNEL, CHUNK, CRC, HEAD, MESSAGE, RECORD, SCHEMA, records
+from fss_arm_bags.chunks import (
+    CHANNEL,
+    CHUNK,
+    CRC,
+    MESSAGE,
+    MESSAGE_HEADER,
+    RECORD,
+    SCHEMA,
+    records,
+)
 from fss_arm_bags.storage import FOOTER
 from fss_arm_model.files import read_yaml, short
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, DATA_END = 1, 7, 8, 11, 15
-LAST = 2**63 - 1  # [ns] latest possible time
-MOST_QOS = 2**16  # longest QoS profiles of a channel [characters]
-BLOCK = 2**20  # [bytes] read at once
+MAX_TIME = 2**63 - 1  # latest possible time [ns]
+MAX_QOS_LENGTH = 2**16  # of the QoS profiles of a channel [characters]
+BLOCK_SIZE = 2**20  # read at once [bytes]
 
 
 class DamageError(ValueError):
@@ -57,21 +66,21 @@ class Contents:
         stream = ReadDataStream(BytesIO(data))
         if kind == SCHEMA:
             schema = Schema.read(stream)
-            _once(self.schemas, schema.id, schema)
+            _add_unique(self.schemas, schema.id, schema)
         elif kind == CHANNEL:
             channel = Channel.read(stream)
             qos(channel)
-            _once(self.channels, channel.id, channel)
+            _add_unique(self.channels, channel.id, channel)
         elif kind == CHUNK_INDEX:
             chunk = ChunkIndex.read(stream)
-            _once(self.chunks, chunk.chunk_start_offset, chunk)
+            _add_unique(self.chunks, chunk.chunk_start_offset, chunk)
         elif kind == STATISTICS:
             self.statistics = Statistics.read(stream)
 
 
-def _once(known: dict[int, Any], key: int, value: Any) -> None:
+def _add_unique(known: dict[int, Any], key: int, value: Any) -> None:
     if known.setdefault(key, value) != value:
-        raise DamageError(f"{type(value).__name__} {key} is there in two versions")
+        raise DamageError(f"there are two versions of {type(value).__name__} {key}")
 
 
 def qos(channel: Channel) -> list[Qos]:
@@ -93,16 +102,16 @@ def profiles(text: str) -> list[Qos]:
     Raises:
         Exception: the text is something else.
     """
-    if len(text) > MOST_QOS:  # rosbags needs long for it
-        raise DamageError(f"{len(text)} characters")
+    if len(text) > MAX_QOS_LENGTH:  # rosbags needs long for it
+        raise DamageError(f"{len(text)} characters, at most {MAX_QOS_LENGTH} are possible")
     return parse_qos(read_yaml(text) or [])
 
 
 class Chunk(NamedTuple):
     """A chunk record."""
 
-    begin: int  # time of its first message, as `end` of the last [ns]
-    end: int
+    start: int  # time of its first message [ns]
+    end: int  # time of its last message [ns]
     size: int  # unpacked [bytes]
     crc: int  # checksum of the unpacked data; 0: none
     compression: str
@@ -117,12 +126,12 @@ class Chunk(NamedTuple):
         """
         if len(data) < 40:
             raise DamageError("a chunk is too short")
-        begin, end, size, crc, length = struct.unpack_from("<QQQII", data)
+        start, end, size, crc, length = struct.unpack_from("<QQQII", data)
         name, at = data[32 : 32 + length], 40 + length
         packed = int.from_bytes(data[at - 8 : at], "little")
         if name not in (b"", b"lz4", b"zstd") or packed != len(data) - at:
-            raise DamageError("a chunk's head does not fit it")
-        return cls(begin, end, size, crc, name.decode(), data[at:])
+            raise DamageError("a chunk's header does not match its data")
+        return cls(start, end, size, crc, name.decode(), data[at:])
 
     def unpacked(self) -> bytes:
         """Return the unpacked data.
@@ -156,8 +165,8 @@ def examine(path: Path, *, thorough: bool = False) -> Contents:
 class End(NamedTuple):
     """The summary and the checksums at the end of a file."""
 
-    known: Contents  # contents by the summary
-    data: int  # length of the data [bytes]
+    summary: Contents
+    data_end: int  # offset of the end of the data [bytes]
     data_crc: int  # 0: none, as for summary_crc
     summary_crc: int
 
@@ -177,7 +186,7 @@ def read_end(file: BinaryIO) -> End:
     end = start - RECORD.size - CRC.size  # end of the data
     if not len(MAGIC) < end < size - FOOTER:
         raise DamageError(
-            "it has no index" if start == 0 else "its index is not where it should be"
+            "it has no index" if start == 0 else "its index is not where its footer says"
         )
     file.seek(end)
     closing = file.read(RECORD.size + CRC.size)
@@ -185,47 +194,47 @@ def read_end(file: BinaryIO) -> End:
     if crc and crc32(footer[: RECORD.size + 16], crc32(summary)) != crc:
         raise DamageError("its index is damaged")
     if RECORD.unpack_from(closing) != (DATA_END, CRC.size):
-        raise DamageError("its data do not end before its index")
-    known = Contents()
+        raise DamageError("the end of the data is not marked before its index")
+    contents = Contents()
     for kind, at, to in records(summary):
-        known.add(kind, summary[at:to])
-    times = [c.message_end_time for c in known.chunks.values()]
-    times += [known.statistics.message_end_time] if known.statistics else []
-    if max(times, default=0) > LAST:
-        raise DamageError(f"its messages are of {max(times)} ns")
-    return End(known, end, CRC.unpack_from(closing, RECORD.size)[0], crc)
+        contents.add(kind, summary[at:to])
+    times = [c.message_end_time for c in contents.chunks.values()]
+    times += [contents.statistics.message_end_time] if contents.statistics else []
+    if max(times, default=0) > MAX_TIME:
+        raise DamageError(f"its index has a message time of {max(times)} ns, which is not possible")
+    return End(contents, end, CRC.unpack_from(closing, RECORD.size)[0], crc)
 
 
 def _examine(file: BinaryIO, thorough: bool) -> Contents:
     if file.read(len(MAGIC)) != MAGIC:
-        raise DamageError("its begin is not an MCAP file's")
+        raise DamageError("it does not start as an MCAP file")
     end = read_end(file)
-    if end.data_crc and _sum(file, end.data) != end.data_crc:
+    if end.data_crc and _checksum(file, end.data_end) != end.data_crc:
         raise DamageError("its data are damaged")
     if end.data_crc and end.summary_crc:
-        end.known.checked = True
-        return end.known
-    return _Walk(file, end, thorough).run()
+        end.summary.checked = True
+        return end.summary
+    return _RecordCheck(file, end, thorough).run()
 
 
-def _sum(file: BinaryIO, end: int) -> int:
+def _checksum(file: BinaryIO, end: int) -> int:
     """Return the checksum of the file up to `end`."""
     file.seek(0)
     crc = 0
-    for at in range(0, end, BLOCK):
-        crc = crc32(file.read(min(BLOCK, end - at)), crc)
+    for at in range(0, end, BLOCK_SIZE):
+        crc = crc32(file.read(min(BLOCK_SIZE, end - at)), crc)
     return crc
 
 
-class _Walk:
+class _RecordCheck:
     """Reader that compares the data of a file with its index, record by record."""
 
     def __init__(self, file: BinaryIO, end: End, thorough: bool) -> None:
-        self.file, self.end, self.known = file, end.data, end.known
-        self.every = thorough or not end.summary_crc  # also read chunks that have a checksum
-        self.met = Contents(checked=end.summary_crc != 0)
-        self.begins, self.ends = LAST, 0
-        self.index: dict[int, list[tuple[int, int]]] | None = None  # of the last chunk
+        self.file, self.end, self.summary = file, end.data_end, end.summary
+        self.read_all = thorough or not end.summary_crc  # also read chunks that have a checksum
+        self.found = Contents(checked=end.summary_crc != 0)
+        self.first, self.last = MAX_TIME, 0  # times of messages [ns]
+        self.index: dict[int, list[tuple[int, int]]] | None = None  # expected after the last chunk
 
     def run(self) -> Contents:
         """Return the contents of the file.
@@ -239,40 +248,40 @@ class _Walk:
             kind, length = RECORD.unpack(self.file.read(RECORD.size))
             to = at + RECORD.size + length
             if to > self.end or not (0 < kind < DATA_END or kind >= 0x80):
-                raise DamageError(f"no whole record at byte {at}")
+                raise DamageError(f"no complete record at byte {at}")
             if (kind == HEADER) != (at == len(MAGIC)):
-                raise DamageError(f"its header is at byte {at}")
+                raise DamageError(f"a header is missing or misplaced at byte {at}")
             if kind in (HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX):
-                self._take(kind, at, self.file.read(length))
+                self._check_record(kind, at, self.file.read(length))
             at = to
-        self._compare()
-        return self.known
+        self._compare_with_summary()
+        return self.summary
 
-    def _take(self, kind: int, at: int, data: bytes) -> None:
+    def _check_record(self, kind: int, at: int, data: bytes) -> None:
         if kind == CHUNK:
-            self._chunk(at, Chunk.read(data))
+            self._check_chunk(at, Chunk.read(data))
         elif kind == MESSAGE_INDEX:
             channel, size = struct.unpack_from("<HI", data)
             entries = sorted(struct.iter_unpack("<QQ", data[6 : 6 + size]))
             fits = size <= len(data) - 6
             if self.index is not None and (not fits or entries != self.index.pop(channel, None)):
-                raise DamageError(f"the message index at byte {at} does not fit its chunk")
+                raise DamageError(f"the message index at byte {at} does not match its chunk")
         elif kind == HEADER:
             profile = int.from_bytes(data[:4], "little")
             library = int.from_bytes(data[4 + profile : 8 + profile], "little")
             if 8 + profile + library > len(data):
-                raise DamageError(f"the header at byte {at} holds less than it says")
+                raise DamageError(f"the header at byte {at} is shorter than it states")
         elif kind == MESSAGE:
-            self.met.checked = False
-            channel, _, receipt, _ = HEAD.unpack_from(data)
-            self._count(channel, [(receipt, 0)], 0, LAST)
+            self.found.checked = False
+            channel, _, receipt, _ = MESSAGE_HEADER.unpack_from(data)
+            self._count_messages(channel, [(receipt, 0)], 0, MAX_TIME)
         else:
-            self.met.checked = False
-            self.met.add(kind, data)
+            self.found.checked = False
+            self.found.add(kind, data)
 
-    def _chunk(self, at: int, chunk: Chunk) -> None:
-        self._indexed()
-        index = self.known.chunks.get(at)
+    def _check_chunk(self, at: int, chunk: Chunk) -> None:
+        self._check_message_index()
+        index = self.summary.chunks.get(at)
         size = len(chunk.data) + RECORD.size + 40 + len(chunk.compression)
         if index is None or (*chunk[:3], chunk.compression, len(chunk.data), size) != (
             index.message_start_time,
@@ -282,58 +291,63 @@ class _Walk:
             index.compressed_size,
             index.chunk_length,
         ):
-            raise DamageError(f"the chunk at byte {at} is not the index's")
+            raise DamageError(f"the chunk at byte {at} does not match the index")
         data = chunk.unpacked()
-        self.met.chunks[at] = index
-        self.met.checked &= chunk.crc != 0
+        self.found.chunks[at] = index
+        self.found.checked &= chunk.crc != 0
         self.index = None
-        if chunk.crc and not self.every:
+        if chunk.crc and not self.read_all:
             return
-        found: dict[int, list[tuple[int, int]]] = {}
-        for kind, begin, end in records(data):
+        by_channel: dict[int, list[tuple[int, int]]] = {}
+        for kind, start, end in records(data):
             if kind == MESSAGE:
-                if end - begin < HEAD.size:
+                if end - start < MESSAGE_HEADER.size:
                     raise DamageError(f"a message in the chunk at byte {at} is too short")
-                channel, _, receipt, _ = HEAD.unpack_from(data, begin)
-                found.setdefault(channel, []).append((receipt, begin - RECORD.size))
+                channel, _, receipt, _ = MESSAGE_HEADER.unpack_from(data, start)
+                by_channel.setdefault(channel, []).append((receipt, start - RECORD.size))
             else:
-                self.met.add(kind, data[begin:end])
-        for channel, entries in found.items():
+                self.found.add(kind, data[start:end])
+        for channel, entries in by_channel.items():
             entries.sort()
-            self._count(channel, entries, chunk.begin, min(chunk.end, LAST))
+            self._count_messages(channel, entries, chunk.start, min(chunk.end, MAX_TIME))
         if index.message_index_offsets:  # the message index is optional
-            self.index = found
+            self.index = by_channel
 
-    def _count(self, channel: int, entries: list[tuple[int, int]], begin: int, end: int) -> None:
+    def _count_messages(
+        self, channel: int, entries: list[tuple[int, int]], start: int, end: int
+    ) -> None:
         """Count the messages of a channel by their times [ns] and places, in order."""
-        if channel not in self.known.channels:
-            raise DamageError(f"a message is on channel {channel}, which is not there")
+        if channel not in self.summary.channels:
+            raise DamageError(f"a message has channel {channel}, which is not defined")
         first, last = entries[0][0], entries[-1][0]
-        if not begin <= first <= last <= end:
-            raise DamageError(f"messages from {first} to {last} ns are out of their chunk's times")
-        self.met.counts[channel] += len(entries)
-        self.begins, self.ends = min(self.begins, first), max(self.ends, last)
+        if not start <= first <= last <= end:
+            raise DamageError(
+                f"messages from {first} to {last} ns are outside the time range of their chunk"
+            )
+        self.found.counts[channel] += len(entries)
+        self.first, self.last = min(self.first, first), max(self.last, last)
 
-    def _indexed(self) -> None:
+    def _check_message_index(self) -> None:
         """Raise DamageError if the last chunk's message index is not complete."""
         if self.index:
             raise DamageError("a chunk lacks its message index")
 
-    def _compare(self) -> None:
-        self._indexed()
-        known, met = self.known, self.met
-        if met.chunks.keys() != known.chunks.keys():
-            raise DamageError("it lacks chunks that its index has")
+    def _compare_with_summary(self) -> None:
+        self._check_message_index()
+        summary, found = self.summary, self.found
+        if found.chunks.keys() != summary.chunks.keys():
+            raise DamageError("its chunks do not match its index")
         for name in ("schemas", "channels"):
-            theirs = getattr(known, name)
-            if any(theirs.get(k, v) != v for k, v in getattr(met, name).items()):
-                raise DamageError(f"its {name} are not those of its index")
-        said = known.statistics
-        if self.every and said:
-            told = (said.message_count, +Counter(said.channel_message_counts))
-            if told != (met.counts.total(), met.counts) or (
-                met.counts
-                and (said.message_start_time, said.message_end_time) != (self.begins, self.ends)
+            listed = getattr(summary, name)
+            if any(listed.get(k, v) != v for k, v in getattr(found, name).items()):
+                raise DamageError(f"its {name} do not match its index")
+        statistics = summary.statistics
+        if self.read_all and statistics:
+            counts = (statistics.message_count, +Counter(statistics.channel_message_counts))
+            if counts != (found.counts.total(), found.counts) or (
+                found.counts
+                and (statistics.message_start_time, statistics.message_end_time)
+                != (self.first, self.last)
             ):
-                raise DamageError("it does not hold the messages that its index counts")
-        known.checked = met.checked
+                raise DamageError("its messages do not match the counts in its index")
+        summary.checked = found.checked

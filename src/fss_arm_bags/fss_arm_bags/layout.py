@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
-PACKED = ".zstd"  # suffix of a file that is compressed as a whole
-STORAGE = (".mcap", ".db3", f".mcap{PACKED}", f".db3{PACKED}")
+COMPRESSED = ".zstd"  # suffix of a file that is compressed as a whole
+STORAGE_SUFFIXES = (".mcap", ".db3", f".mcap{COMPRESSED}", f".db3{COMPRESSED}")
 
 
 def storage_files(path: Path) -> list[Path]:
@@ -15,16 +15,18 @@ def storage_files(path: Path) -> list[Path]:
     """
     if path.is_file():
         return [path]
-    found = {p.name: p for p in path.iterdir() if p.name.endswith(STORAGE) and p.is_file()}
-    names = {name.removesuffix(PACKED): name for name in sorted(found, reverse=True)}
+    found = {p.name: p for p in path.iterdir() if p.name.endswith(STORAGE_SUFFIXES) and p.is_file()}
+    names = {name.removesuffix(COMPRESSED): name for name in sorted(found, reverse=True)}
     return [found[names[name]] for name in sorted(names, key=lambda name: (len(name), name))]
 
 
-def names_by(about: Mapping[str, Any]) -> list[str]:
+def listed_names(about: Mapping[str, Any]) -> list[str]:
     """Return the names of the storage files in metadata.yaml, without the suffix of compression."""
-    return sorted(PurePath(name).name.removesuffix(PACKED) for name in about["relative_file_paths"])
+    return sorted(
+        PurePath(name).name.removesuffix(COMPRESSED) for name in about["relative_file_paths"]
+    )
 
 
-def names_of(files: Iterable[Path]) -> list[str]:
+def file_names(files: Iterable[Path]) -> list[str]:
     """Return the names of existing files, without the suffix of compression."""
-    return sorted(file.name.removesuffix(PACKED) for file in files)
+    return sorted(file.name.removesuffix(COMPRESSED) for file in files)

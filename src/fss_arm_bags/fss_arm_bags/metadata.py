@@ -9,13 +9,13 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
 from fss_arm_bags.integrity import Contents, DamageError, profiles, qos
-from fss_arm_bags.layout import names_by, names_of
+from fss_arm_bags.layout import file_names, listed_names
 from fss_arm_model.files import read_yaml, short
 
-TOLERANCE = 10**9  # tolerance of the times [ns]
+TIME_TOLERANCE = 10**9  # [ns]
 
 
-def metadata(path: Path) -> Mapping[str, Any]:
+def read_metadata(path: Path) -> Mapping[str, Any]:
     """Return the contents of a bag's metadata.yaml.
 
     Raises:
@@ -28,11 +28,11 @@ def metadata(path: Path) -> Mapping[str, Any]:
     except Exception as error:  # not YAML, or values of the wrong type
         raise DamageError(f"metadata.yaml: {short(str(error).removeprefix(str(path)))}") from None
     if not isinstance(about, dict):
-        raise DamageError(f"metadata.yaml says {short(repr(about))} of the bag")
+        raise DamageError(f"metadata.yaml describes the bag by {short(repr(about))}")
     return about
 
 
-def unlisted(about: Mapping[str, Any], files: Iterable[Path]) -> str:
+def file_list_problem(about: Mapping[str, Any], files: Iterable[Path]) -> str:
     """Return how the file list of metadata.yaml differs from the bag's files; empty: it does not.
 
     Whether files are compressed makes no difference.
@@ -40,10 +40,10 @@ def unlisted(about: Mapping[str, Any], files: Iterable[Path]) -> str:
     try:
         return next(_listing(about, files), "")
     except Exception as error:  # values may be of any type
-        return _not_understood(error)
+        return _interpretation_error(error)
 
 
-def disagreement(
+def metadata_problem(
     about: Mapping[str, Any], files: Mapping[Path, Contents], hashes: Mapping[str, str]
 ) -> str:
     """Return the first difference between metadata.yaml and the bag's files; empty: none.
@@ -56,20 +56,20 @@ def disagreement(
     try:
         return next(_disagreements(about, files, hashes), "")
     except Exception as error:  # as above
-        return _not_understood(error)
+        return _interpretation_error(error)
 
 
-def _not_understood(error: Exception) -> str:
-    return f"metadata.yaml is not understood: {short(repr(error))}"
+def _interpretation_error(error: Exception) -> str:
+    return f"metadata.yaml cannot be interpreted: {short(repr(error))}"
 
 
-def _differs(what: str, said: object, present: object) -> Iterator[str]:
-    if said != present:
-        yield f"{what} is {short(repr(said))} in metadata.yaml, {short(repr(present))} in fact"
+def _differs(what: str, listed: object, actual: object) -> Iterator[str]:
+    if listed != actual:
+        yield f"{what} is {short(repr(listed))} in metadata.yaml, {short(repr(actual))} in files"
 
 
 def _listing(about: Mapping[str, Any], files: Iterable[Path]) -> Iterator[str]:
-    yield from _differs("the list of files", names_by(about), names_of(files))
+    yield from _differs("the list of files", listed_names(about), file_names(files))
 
 
 def _disagreements(
@@ -78,37 +78,39 @@ def _disagreements(
     yield from _listing(about, files)
     yield from _differs("the storage", about["storage_identifier"], "mcap")
     if about["version"] not in range(1, 10):
-        yield f"version {short(repr(about['version']))} in metadata.yaml is not known"
+        yield f"metadata.yaml has the unknown version {short(repr(about['version']))}"
     counts: Counter[tuple[str, str]] = Counter()
     offered: dict[tuple[str, str], list[Qos]] = {}
     for contents in files.values():
-        each = contents.statistics.channel_message_counts if contents.statistics else {}
+        messages_by_channel = (
+            contents.statistics.channel_message_counts if contents.statistics else {}
+        )
         for key, channel in contents.channels.items():
             name = channel.topic, contents.schemas[channel.schema_id].name
-            counts[name] += each.get(key, 0)
+            counts[name] += messages_by_channel.get(key, 0)
             offered[name] = qos(channel)
     topics = [(t["topic_metadata"], t["message_count"]) for t in about["topics_with_message_count"]]
-    said = {(t["name"], t["type"]): count for t, count in topics if count}
+    listed = {(t["name"], t["type"]): count for t, count in topics if count}
     if any(contents.statistics is None for contents in files.values()):
         return
-    yield from _differs("the number of messages by topic", said, dict(+counts))
+    yield from _differs("the number of messages by topic", listed, dict(+counts))
     yield from _differs("the number of messages", about["message_count"], counts.total())
-    if len(said) != sum(bool(count) for _, count in topics):
-        yield "a topic is twice in metadata.yaml"
+    if len(listed) != sum(bool(count) for _, count in topics):
+        yield "metadata.yaml lists a topic twice"
     for topic, _ in topics:
         name, kind = topic["name"], topic["type"]
         yield from _differs(f"{short(name)}'s format", topic["serialization_format"], "cdr")
         if digest := topic.get("type_description_hash"):
             yield from _differs(f"the hash of {short(kind)}", digest, hashes.get(kind, digest))
         if (name, kind) in offered:
-            given = topic.get("offered_qos_profiles", [])
-            read = profiles(given) if isinstance(given, str) else parse_qos(given)
-            yield from _differs(f"{short(name)}'s QoS", read, offered[name, kind])
+            recorded = topic.get("offered_qos_profiles", [])
+            recorded_qos = profiles(recorded) if isinstance(recorded, str) else parse_qos(recorded)
+            yield from _differs(f"{short(name)}'s QoS", recorded_qos, offered[name, kind])
     if counts.total():
         ends = [s for c in files.values() if (s := c.statistics) and s.message_count]
-        begin = min(s.message_start_time for s in ends)
+        first = min(s.message_start_time for s in ends)
         last = max(s.message_end_time for s in ends)
         start = about["starting_time"]["nanoseconds_since_epoch"]
-        lasts = about["duration"]["nanoseconds"]
-        if abs(start - begin) > TOLERANCE or abs(start + lasts - last) > TOLERANCE:
-            yield "its times in metadata.yaml are not those of its messages"
+        duration = about["duration"]["nanoseconds"]
+        if abs(start - first) > TIME_TOLERANCE or abs(start + duration - last) > TIME_TOLERANCE:
+            yield "the times in metadata.yaml do not match the messages"

@@ -21,15 +21,15 @@ from typing import Any, NamedTuple, cast
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
 
-from fss_arm_bags.chunks import Received, in_order, indexed
-from fss_arm_bags.inspection import Inspected, inspect
+from fss_arm_bags.chunks import Received, indexed_chunks, read_in_order
+from fss_arm_bags.inspection import Inspection, inspect
 from fss_arm_bags.layout import storage_files
 from fss_arm_bags.readers import TopicReader
 from fss_arm_bags.recovery import BagError, Recovered, recover
-from fss_arm_bags.unpacking import readable
+from fss_arm_bags.unpacking import make_readable
 from fss_arm_model.files import short
 
-__all__ = ["BagError", "Bags", "Topic", "digest", "find", "open_bags", "two_versions"]
+__all__ = ["BagError", "Bags", "Topic", "digest", "find_bags", "open_bags", "two_versions"]
 
 AnyPath = str | PathLike[str]
 
@@ -49,7 +49,7 @@ class Bags:
     """Several bags read as one; made by `open_bags`, a context manager."""
 
     def __init__(self, paths: Iterable[Path], *, thorough: bool = False) -> None:
-        self.paths = [bag for path in paths for bag in find(path)]
+        self.paths = [bag for path in paths for bag in find_bags(path)]
         if not self.paths:
             raise BagError("no bag is given")
         self.recovered: list[Recovered] = []
@@ -62,18 +62,18 @@ class Bags:
         except BaseException:
             self._stack.close()
             raise
-        self._connections = list(chain.from_iterable(map(_hashed, self._readers)))
-        self._of_type = {c.msgtype: r for r in self._readers for c in r.connections}
-        self._mixed = _mixed(self._readers)
+        self._connections = list(chain.from_iterable(map(_connections_with_hash, self._readers)))
+        self._reader_of_type = {c.msgtype: r for r in self._readers for c in r.connections}
+        self._mixed_types = _mixed_types(self._readers)
 
     def _open(self, path: Path, thorough: bool) -> AnyReader:
         bag = path  # or its unpacked copy
         try:
-            bag = readable(path, self._folder)
-            inspected = inspect(bag, thorough=thorough)
-            if not (inspected.checked or inspected.damage):
+            bag = make_readable(path, self._folder)
+            inspection = inspect(bag, thorough=thorough)
+            if not (inspection.checked or inspection.damage):
                 self.unchecked.append(path)
-            reader = AnyReader(self._sound(path, bag, inspected))
+            reader = AnyReader(self._files_to_read(path, bag, inspection))
             readers = [TopicReader(file) for file in reader.paths]
             reader.readers = readers
             self._stack.enter_context(reader)
@@ -89,14 +89,14 @@ class Bags:
         """Return a folder for copies, which is removed when the bags are closed."""
         return Path(self._stack.enter_context(TemporaryDirectory(prefix="fss_arm_bag_")))
 
-    def _sound(self, path: Path, bag: Path, inspected: Inspected) -> list[Path]:
+    def _files_to_read(self, path: Path, bag: Path, inspection: Inspection) -> list[Path]:
         """Return the files to read: the bag's own, or an undamaged copy."""
-        if not inspected.damage:
-            if inspected.metadata:
-                self.recovered.append(Recovered(path, inspected.messages, 0, inspected.metadata))
-            return inspected.files
+        if not inspection.damage:
+            if inspection.metadata:
+                self.recovered.append(Recovered(path, inspection.messages, 0, inspection.metadata))
+            return inspection.files
         copy = self._folder() / bag.name
-        self.recovered.append(replace(recover(bag, copy, inspected.damage), path=path))
+        self.recovered.append(replace(recover(bag, copy, inspection.damage), path=path))
         return storage_files(copy)
 
     def __enter__(self) -> "Bags":
@@ -117,19 +117,19 @@ class Bags:
             _, count, qos, *_ = topics.get(c.topic, Topic("", 0, [], "", ""))
             count += c.msgcount
             qos = qos + cast(ConnectionExtRosbag2, c.ext).offered_qos_profiles
-            mixed = c.msgtype in self._mixed
+            mixed = c.msgtype in self._mixed_types
             topics[c.topic] = Topic(c.msgtype, count, qos, c.digest, c.msgdef.data, mixed)
         return topics
 
     @property
     def span(self) -> tuple[int, int]:
         """Times of receipt of the first and the last message [ns]; (0, 0) if there is none."""
-        if not self.begins:
+        if not self.starts:
             return 0, 0
-        return self.begins[0], max(reader.end_time for reader in self._readers) - 1
+        return self.starts[0], max(reader.end_time for reader in self._readers) - 1
 
     @property
-    def begins(self) -> list[int]:
+    def starts(self) -> list[int]:
         """Times of receipt of the first message of each bag that has one [ns], in order."""
         return sorted(reader.start_time for reader in self._readers if reader.message_count)
 
@@ -158,13 +158,13 @@ class Bags:
         except OSError:
             raise
         except Exception as error:  # rosbags does not check for damaged bytes
-            raise BagError(f"{_list(self.paths)}: damaged: {short(str(error))}") from None
+            raise BagError(f"{_join(self.paths)}: damaged: {short(str(error))}") from None
 
     def _received(
         self, wanted: set[str], start: int | None, stop: int | None
     ) -> Iterable[Received]:
         """Return the messages from indexed chunks if all are indexed (fast), else by rosbags."""
-        chunks = indexed(self._readers)
+        chunks = indexed_chunks(self._readers)
         if chunks is None:
             every = merge(
                 *(
@@ -175,7 +175,7 @@ class Bags:
                 key=itemgetter(1),
             )
             return ((receipt, connection, data) for connection, receipt, data in every)
-        return in_order(chunks, wanted, start, stop)
+        return read_in_order(chunks, wanted, start, stop)
 
     def messages(
         self, topics: Collection[str] | None = None
@@ -190,20 +190,20 @@ class Bags:
         Raises:
             BagError: the data are not of that type, or the bags hold two versions of it.
         """
-        if msgtype in self._mixed:
-            raise BagError(f"{_list(self.paths)}: {two_versions(msgtype)}")
+        if msgtype in self._mixed_types:
+            raise BagError(f"{_join(self.paths)}: {two_versions(msgtype)}")
         try:
-            return self._of_type[msgtype].deserialize(data, msgtype)
+            return self._reader_of_type[msgtype].deserialize(data, msgtype)
         except Exception as error:  # rosbags does not check for damaged bytes
-            raise BagError(f"{_list(self.paths)}: damaged: {short(str(error))}") from None
+            raise BagError(f"{_join(self.paths)}: damaged: {short(str(error))}") from None
 
 
 def two_versions(msgtype: str) -> str:
     """Return the error text for bags recorded before and after a message type was extended."""
-    return f"hold two versions of {msgtype}: give them one by one"
+    return f"contain two versions of {msgtype}: open them one by one"
 
 
-def _mixed(readers: Iterable[AnyReader]) -> set[str]:
+def _mixed_types(readers: Iterable[AnyReader]) -> set[str]:
     """Return the types of which the bags hold two versions."""
     versions: dict[str, str] = {}
     mixed = set()
@@ -216,7 +216,7 @@ def _mixed(readers: Iterable[AnyReader]) -> set[str]:
     return mixed
 
 
-def _hashed(reader: AnyReader) -> list[Connection]:
+def _connections_with_hash(reader: AnyReader) -> list[Connection]:
     """Return a bag's connections; a missing hash is computed from the definition."""
     return [
         c
@@ -240,7 +240,7 @@ def open_bags(paths: AnyPath | Iterable[AnyPath], *, thorough: bool = False) -> 
     return Bags([Path(path) for path in several], thorough=thorough)
 
 
-def find(path: Path) -> list[Path]:
+def find_bags(path: Path) -> list[Path]:
     """Return the bags that a path names, numbered ones in the order of their numbers.
 
     Raises:
@@ -253,7 +253,7 @@ def find(path: Path) -> list[Path]:
     inner = [p for p in path.iterdir() if p.is_dir() and not p.name.startswith(".")]
     bags = [p for p in inner if (p / "metadata.yaml").exists() or storage_files(p)]
     if not bags:
-        raise BagError(f"{path}: holds no bag")
+        raise BagError(f"{path}: contains no bag")
     return sorted(bags, key=lambda p: (len(p.name), p.name))
 
 
@@ -271,5 +271,5 @@ def digest(path: Path) -> str:
     return hashed.hexdigest()
 
 
-def _list(paths: Iterable[Path]) -> str:
+def _join(paths: Iterable[Path]) -> str:
     return ", ".join(map(str, paths))

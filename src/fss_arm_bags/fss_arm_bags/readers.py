@@ -20,19 +20,24 @@ from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import Channel, McapReader, Schema, read_string
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from fss_arm_bags.definitions import NotInstalledError, NotUnderstoodError, hash_of, installed
+from fss_arm_bags.definitions import (
+    DefinitionError,
+    NotInstalledError,
+    hash_of,
+    installed_definition,
+)
 from fss_arm_model.files import short
 
-FORMATS = ("ros2msg", "ros2idl", "omgidl")  # of definitions that rosbags reads
-FRAME = b"\x28\xb5\x2f\xfd"  # magic number of zstd
-NONE, MSG = MessageDefinitionFormat.NONE, MessageDefinitionFormat.MSG
+DEFINITION_FORMATS = ("ros2msg", "ros2idl", "omgidl")  # of definitions that rosbags reads
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+NO_DEFINITION, MSG_FORMAT = MessageDefinitionFormat.NONE, MessageDefinitionFormat.MSG
 
 
 class _Schemas(dict[int, Schema]):
     """The schemas of an MCAP file; one in an unknown format counts as missing."""
 
     def __setitem__(self, key: int, schema: Schema) -> None:
-        known = schema.encoding in FORMATS
+        known = schema.encoding in DEFINITION_FORMATS
         super().__setitem__(key, schema if known else schema._replace(encoding="", data=""))
 
 
@@ -45,7 +50,7 @@ class _McapReader(McapReader):
         """Open the file; for missing definitions keep the type's hash, which rosbags drops."""
         super().open()
         self.connections = [
-            c._replace(digest=_hash(self.channels[c.id])) if c.msgdef.format is NONE else c
+            c._replace(digest=_hash(self.channels[c.id])) if c.msgdef.format is NO_DEFINITION else c
             for c in self.connections
         ]
 
@@ -67,7 +72,7 @@ class _Sqlite3Reader(Sqlite3Reader):
     ) -> Generator[tuple[Connection, int, bytes], None, None]:
         """Yield the messages, those of `--compression-mode message` decompressed."""
         for connection, receipt, data in super().messages(connections, start, stop):
-            yield connection, receipt, zstd.decompress(data) if data[:4] == FRAME else data
+            yield connection, receipt, zstd.decompress(data) if data[:4] == ZSTD_MAGIC else data
 
 
 class TopicReader(Reader):
@@ -79,20 +84,20 @@ class TopicReader(Reader):
         """Open the bag."""
         super().open()
         self.left_out: dict[str, str] = {}  # reason, by topic
-        self._told = []
+        self._readable = []
         for c in self.storage.connections:
             try:
-                self._told.append(_told(c))
-            except (NotInstalledError, NotUnderstoodError) as error:
+                self._readable.append(_with_definition(c))
+            except (NotInstalledError, DefinitionError) as error:
                 self.left_out[c.topic] = str(error)
 
     @property
     def connections(self) -> list[Connection]:
         """Connections that can be read."""
-        return self._told
+        return self._readable
 
 
-def _told(c: Connection) -> Connection:
+def _with_definition(c: Connection) -> Connection:
     """Return a topic with a definition that can decode its messages.
 
     Raises:
@@ -100,14 +105,14 @@ def _told(c: Connection) -> Connection:
         NotUnderstoodError: the definition in the bag cannot be used.
     """
     if (serialized := cast(ConnectionExtRosbag2, c.ext).serialization_format) != "cdr":
-        raise NotUnderstoodError(f"it is serialized as {short(repr(serialized))}")
-    if c.msgdef.format is not NONE:
-        idl = c.msgdef.format is not MSG
+        raise DefinitionError(f"its serialization format is {short(repr(serialized))}, not 'cdr'")
+    if c.msgdef.format is not NO_DEFINITION:
+        idl = c.msgdef.format is not MSG_FORMAT
         if c.digest not in ("", hash_of(c.msgtype, c.msgdef.data, idl=idl)):
-            raise NotUnderstoodError(
-                f"its definition of {short(c.msgtype)} has not the hash {short(c.digest)} "
-                "that the bag gives it"
+            raise DefinitionError(
+                f"its definition of {short(c.msgtype)} does not have the hash "
+                f"{short(c.digest)} that the bag states"
             )
         return c
-    text, digest = installed(c.msgtype, c.digest)
-    return c._replace(msgdef=MessageDefinition(MSG, text), digest=digest)
+    text, digest = installed_definition(c.msgtype, c.digest)
+    return c._replace(msgdef=MessageDefinition(MSG_FORMAT, text), digest=digest)

@@ -22,7 +22,7 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.subscription_set import subscribe_bytes, unsubscribe
 
 MEGABYTE = 1_000_000
-EARLY = 1000  # latched messages kept until the first time of receipt is known
+MAX_EARLY_MESSAGES = 1000  # latched, kept until the first time of receipt is known
 
 
 class RecordNode(Node):
@@ -42,14 +42,14 @@ class RecordNode(Node):
         settings = self.settings = declare(self, RecordSettings)
         self.topics = {self.resolve_topic_name(topic) for topic in settings.topics}
         names = settings.namespace, *filter(None, settings.shared)
-        self.places = [f"/{name.strip('/')}".rstrip("/") for name in names]
+        self.prefixes = [f"/{name.strip('/')}".rstrip("/") for name in names]
         limits = Limits(round(settings.split_size * MEGABYTE), round(settings.split_time * SECOND))
         self.recording = Recording(Path(settings.output), limits)
-        self.heard: dict[str, Subscription] = {}
-        self.unknown: set[str] = set()
+        self.subscribed: dict[str, Subscription] = {}
+        self.unknown_types: set[str] = set()
         self.counts: Counter[str] = Counter()
-        self.stuck = False  # the disk is full or gone
-        self.early: deque[tuple[str, bytes]] = deque(maxlen=EARLY)
+        self.disk_failed = False  # the disk is full or gone
+        self.early_messages: deque[tuple[str, bytes]] = deque(maxlen=MAX_EARLY_MESSAGES)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self.discover, clock=steady)
         self.create_timer(0.5, self.flush, clock=steady)
@@ -59,46 +59,46 @@ class RecordNode(Node):
     def discover(self) -> None:
         """Subscribe to new topics, and again to topics whose publishers need another QoS."""
         for topic, (msgtype, *_) in self.get_topic_names_and_types():
-            if topic in self.unknown or "/_" in topic or not self.wanted(topic):
+            if topic in self.unknown_types or "/_" in topic or not self.is_wanted(topic):
                 continue
             offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
-            present = [self.heard[topic].qos_profile] if topic in self.heard else []
-            if offered and match(offered + present) not in present:
-                self.listen(topic, msgtype, offered + present)
+            current = [self.subscribed[topic].qos_profile] if topic in self.subscribed else []
+            if offered and matching_qos(offered + current) not in current:
+                self.subscribe(topic, msgtype, offered + current)
 
-    def wanted(self, topic: str) -> bool:
+    def is_wanted(self, topic: str) -> bool:
         """Return True if a topic is to be recorded."""
         if self.topics:
             return topic in self.topics
-        return any(topic == name or topic.startswith(f"{name}/") for name in self.places)
+        return any(topic == name or topic.startswith(f"{name}/") for name in self.prefixes)
 
-    def listen(self, topic: str, msgtype: str, offered: list[QoSProfile]) -> None:
+    def subscribe(self, topic: str, msgtype: str, offered: list[QoSProfile]) -> None:
         """Subscribe to a topic; replace a subscription that does not match all publishers."""
         try:
             kind = message_class(msgtype)
             if topic not in self.recording.topics:
                 self.recording.add(topic, msgtype, offered)
         except NotInstalledError as error:
-            self.unknown.add(topic)
+            self.unknown_types.add(topic)
             self.get_logger().warning(f"{topic} is not recorded: {error}")
             return
-        if topic in self.heard:
-            unsubscribe(self, self.heard[topic])
-        take = partial(self.take, topic)
-        self.heard[topic] = subscribe_bytes(self, kind, topic, take, match(offered))
+        if topic in self.subscribed:
+            unsubscribe(self, self.subscribed[topic])
+        callback = partial(self.record_message, topic)
+        self.subscribed[topic] = subscribe_bytes(self, kind, topic, callback, matching_qos(offered))
 
-    def take(self, topic: str, data: bytes) -> None:
+    def record_message(self, topic: str, data: bytes) -> None:
         """Record one serialized message."""
         if receipt := self.get_clock().now().nanoseconds:
-            self.write_early(receipt)
+            self.write_early_messages(receipt)
             self.write(receipt, topic, data)
-        elif self.heard[topic].qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-            self.early.append((topic, data))
+        elif self.subscribed[topic].qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            self.early_messages.append((topic, data))
 
-    def write_early(self, receipt: int) -> None:
+    def write_early_messages(self, receipt: int) -> None:
         """Write the messages received before the first /clock, once the time is known."""
-        while receipt and self.early:
-            self.write(receipt, *self.early.popleft())
+        while receipt and self.early_messages:
+            self.write(receipt, *self.early_messages.popleft())
 
     def write(self, receipt: int, topic: str, data: bytes) -> None:
         """Write one serialized message."""
@@ -106,21 +106,21 @@ class RecordNode(Node):
 
     def flush(self) -> None:
         """Write pending data to the operating system; log a disk error once."""
-        self.write_early(self.get_clock().now().nanoseconds)
+        self.write_early_messages(self.get_clock().now().nanoseconds)
         try:
             self.recording.flush()
         except OSError as error:
-            if not self.stuck:
+            if not self.disk_failed:
                 self.get_logger().error(
-                    f"cannot write {self.recording.path}: {error.strerror}; tries on"
+                    f"cannot write {self.recording.path}: {error.strerror}; retrying"
                 )
-            self.stuck = True
+            self.disk_failed = True
             return
-        if self.stuck:
+        if self.disk_failed:
             self.get_logger().warning(
-                f"writes {self.recording.path} again; {self.recording.lost} messages are lost"
+                f"writing {self.recording.path} again; {self.recording.lost} messages were lost"
             )
-        self.stuck = False
+        self.disk_failed = False
 
     def health(self) -> Health:
         """Return the diagnostic status: bag, free space and number of messages by topic."""
@@ -132,25 +132,25 @@ class RecordNode(Node):
         if self.get_clock().now().nanoseconds == 0:
             return Health(WARN, "waiting for /clock", values)
         if free < self.settings.reserve:
-            return Health(WARN, f"only {free:.0f} MB are left on the disk", values)
+            return Health(WARN, f"only {free:.0f} MB are free on the disk", values)
         if self.recording.lost:
             return Health(WARN, f"{self.recording.lost} messages were lost", values)
         return Health(OK, f"recording {len(self.recording.topics)} topics", values)
 
     def close(self) -> None:
         """Close the bag; exit with an error if the disk is full or gone."""
-        self.write_early(self.get_clock().now().nanoseconds)
+        self.write_early_messages(self.get_clock().now().nanoseconds)
         try:
             self.recording.close()
         except OSError as error:
             self.recording.abort()
             raise SystemExit(
-                f"cannot write {self.recording.path}: {error.strerror}; what it has is kept, "
-                f"{self.recording.lost} messages are lost"
+                f"cannot write {self.recording.path}: {error.strerror}; earlier messages "
+                f"are saved, {self.recording.lost} are lost"
             ) from None
 
 
-def match(offered: list[QoSProfile]) -> QoSProfile:
+def matching_qos(offered: list[QoSProfile]) -> QoSProfile:
     """Return the best QoS that all offers match, with KEEP_ALL: a replay waits for the recorder."""
     latched = all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offered)
     reliable = all(o.reliability == ReliabilityPolicy.RELIABLE for o in offered)

@@ -79,7 +79,7 @@ class Recording:
             raise
         with suppress(OSError):  # a file system without locks
             flock(self._storage.file, LOCK_EX | LOCK_NB)  # as long as the file is open
-        self.connections = {topic: begin() for topic, begin in self.topics.items()}
+        self.connections = {topic: connect() for topic, connect in self.topics.items()}
 
     @property
     def _storage(self) -> Storage:
@@ -94,18 +94,18 @@ class Recording:
         text, digest = definition(msgtype)
         qos = [bag_qos(profile) for profile in offered]
 
-        def begin() -> Connection:
+        def connect() -> Connection:
             return self.writer.add_connection(
                 topic, msgtype, msgdef=text, rihs01=digest, offered_qos_profiles=qos
             )
 
-        self.topics[topic] = begin
+        self.topics[topic] = connect
         if self.writer.storage:  # otherwise the next bag starts with it
-            self.connections[topic] = begin()
+            self.connections[topic] = connect()
 
     def write(self, topic: str, receipt: int, data: bytes) -> bool:
         """Add a message received at `receipt` [ns]; return False if it is lost to a disk error."""
-        if self.failure is None and self._full(receipt):
+        if self.failure is None and self._is_full(receipt):
             self._split()
         if self.failure:
             self.lost += 1
@@ -123,11 +123,11 @@ class Recording:
             self.failure = error
             self.abort()
 
-    def _full(self, receipt: int) -> bool:
+    def _is_full(self, receipt: int) -> bool:
         """Return True if a message received at this time belongs in the next bag."""
         size, span = self.limits.size, self.limits.span
-        begun = min(self.writer.min_timestamp, receipt)  # a bag without messages has no start time
-        return (0 < size <= self._storage.bio.tell()) or (0 < span <= receipt - begun)
+        start = min(self.writer.min_timestamp, receipt)  # a bag without messages has no start time
+        return (0 < size <= self._storage.bio.tell()) or (0 < span <= receipt - start)
 
     def flush(self) -> None:
         """Write all pending messages to the operating system as a complete chunk.

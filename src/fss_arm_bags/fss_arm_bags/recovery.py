@@ -16,17 +16,17 @@ from typing import cast
 from mcap.records import Channel, McapRecord, Message, Schema
 from rosbags.interfaces import Connection
 
-from fss_arm_bags.chunks import CHANNEL, CHUNK, HEAD, MESSAGE, RECORD, SCHEMA, records
+from fss_arm_bags.chunks import CHANNEL, CHUNK, MESSAGE, MESSAGE_HEADER, RECORD, SCHEMA, records
 from fss_arm_bags.definitions import (
+    DefinitionError,
     NotInstalledError,
-    NotUnderstoodError,
     hash_of,
-    installed,
+    installed_definition,
 )
 from fss_arm_bags.integrity import (
     DATA_END,
-    LAST,
     MAGIC,
+    MAX_TIME,
     Chunk,
     Contents,
     DamageError,
@@ -37,7 +37,7 @@ from fss_arm_bags.layout import storage_files
 from fss_arm_bags.storage import CheckedWriter, Storage
 from fss_arm_model.files import short
 
-SHOWN = 3  # number of damaged places that the report names
+MAX_PLACES = 3  # damaged places that the report names
 #: Pattern of a possible chunk: its kind, length, times, sizes, checksum and compression.
 CHUNK_HEAD = re.compile(
     rb"\x06.{5}\0{3}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd).{5}\0{3}", re.DOTALL
@@ -79,14 +79,14 @@ def recover(path: Path, copy: Path, damage: str) -> Recovered:
     salvage = _Salvage()
     with CheckedWriter(copy) as writer:
         for file in storage_files(path):
-            salvage.file(file, writer)
+            salvage.recover_file(file, writer)
     damages = [damage]
     if salvage.expected > salvage.messages:
         damages.append(f"{salvage.expected - salvage.messages} messages are missing")
-    damages += salvage.places[:SHOWN]
-    if len(salvage.places) > SHOWN:
-        damages.append(f"and {len(salvage.places) - SHOWN} more")
-    damages += salvage.untold.values()
+    damages += salvage.places[:MAX_PLACES]
+    if len(salvage.places) > MAX_PLACES:
+        damages.append(f"and {len(salvage.places) - MAX_PLACES} more")
+    damages += salvage.left_out.values()
     return Recovered(path, salvage.messages, salvage.lost, ", ".join(damages))
 
 
@@ -99,10 +99,10 @@ class _Salvage:
         self.lost = 0  # bytes
         self.places: list[str] = []  # damaged places
         self.connections: dict[tuple[str, str], Connection] = {}
-        self.untold: dict[tuple[str, str], str] = {}  # reasons why topics are left out
-        self.met: set[tuple[int, int]] = set()  # chunks: number and hash of their messages
+        self.left_out: dict[tuple[str, str], str] = {}  # reasons why topics are left out
+        self.copied: set[tuple[int, int]] = set()  # number and hash of the messages of each chunk
 
-    def file(self, file: Path, writer: CheckedWriter) -> None:
+    def recover_file(self, file: Path, writer: CheckedWriter) -> None:
         """Write the undamaged part of a file."""
         schemas: dict[int, Schema] = {}
         channels: dict[int, Connection] = {}
@@ -116,8 +116,8 @@ class _Salvage:
                     if key not in self.connections:
                         self.connections[key] = _connect(writer, record, schema)
                     channels[record.id] = self.connections[key]
-                except (NotInstalledError, NotUnderstoodError) as error:
-                    self.untold[key] = f"{short(record.topic)} is left out: {error}"
+                except (NotInstalledError, DefinitionError) as error:
+                    self.left_out[key] = f"{short(record.topic)} is left out: {error}"
             elif isinstance(record, Message) and record.channel_id in channels:
                 writer.write(channels[record.channel_id], record.log_time, record.data)
                 self.messages += 1
@@ -130,17 +130,17 @@ class _Salvage:
         """Yield the schemas, channels and messages in a file."""
         with file.open("rb") as stream:
             with suppress(Exception):  # the end may be damaged
-                known = read_end(stream).known
-                self.expected += known.statistics.message_count if known.statistics else 0
+                summary = read_end(stream).summary
+                self.expected += summary.statistics.message_count if summary.statistics else 0
                 # First those of the summary: the chunk that defines them may be damaged.
-                yield from [*known.schemas.values(), *known.channels.values()]
+                yield from [*summary.schemas.values(), *summary.channels.values()]
             if stream.seek(0, SEEK_END):
                 with mmap(stream.fileno(), 0, access=ACCESS_READ) as data:
-                    yield from self._in_turn(file, data)
+                    yield from self._scan(file, data)
 
-    def _in_turn(self, file: Path, data: mmap) -> Iterator[McapRecord]:
+    def _scan(self, file: Path, data: mmap) -> Iterator[McapRecord]:
         """Yield the records in order; where no record follows, continue at the next good chunk."""
-        at, sure = len(MAGIC), 0  # the file is undamaged up to `sure`
+        at, intact = len(MAGIC), 0  # the file is undamaged up to `intact`
         if data[: len(MAGIC)] != MAGIC[: len(data)]:
             at = next_chunk(data, 0)
             if at == len(data):
@@ -151,36 +151,38 @@ class _Salvage:
             if kind == DATA_END:
                 return
             if not kind:
-                found = next_chunk(data, sure)  # a damaged record's length may have been too large
+                found = next_chunk(
+                    data, intact
+                )  # a damaged record's length may have been too large
                 self.lost += max(0, found - at)
                 self.places.append(f"no record at byte {at}")
                 at = found
             elif kind == CHUNK:
                 try:
-                    inside = in_chunk(data[at + RECORD.size : end])
+                    chunk = chunk_records(data[at + RECORD.size : end])
                 except Exception:  # the parsers do not check for damaged bytes
                     self.lost += end - at
                     self.places.append(f"damaged chunk at byte {at}")
                 else:
-                    yield from self._new(inside, at)
-                    sure = end
+                    yield from self._skip_copy(chunk, at)
+                    intact = end
                 at = end
             else:
                 with suppress(Exception):  # as above
-                    yield from parsed(kind, data[at + RECORD.size : end])
+                    yield from parse_record(kind, data[at + RECORD.size : end])
                 at = end
 
-    def _new(self, inside: list[McapRecord], at: int) -> list[McapRecord]:
+    def _skip_copy(self, chunk: list[McapRecord], at: int) -> list[McapRecord]:
         """Return the records of a chunk; empty if it is a copy of an earlier chunk."""
         messages = [
-            hash((r.channel_id, r.log_time, r.data)) for r in inside if isinstance(r, Message)
+            hash((r.channel_id, r.log_time, r.data)) for r in chunk if isinstance(r, Message)
         ]
         key = len(messages), hash(tuple(messages))
-        if messages and key in self.met:
+        if messages and key in self.copied:
             self.places.append(f"a second copy of a chunk at byte {at}")
             return []
-        self.met.add(key)
-        return inside
+        self.copied.add(key)
+        return chunk
 
 
 def record_at(data: mmap, at: int) -> tuple[int, int]:
@@ -195,16 +197,16 @@ def record_at(data: mmap, at: int) -> tuple[int, int]:
 def next_chunk(data: mmap, at: int) -> int:
     """Return the offset of the next undamaged chunk from `at` on; the end of the data: none."""
     for match in CHUNK_HEAD.finditer(data, at):
-        begin = match.start()
-        kind, end = record_at(data, begin)
+        start = match.start()
+        kind, end = record_at(data, start)
         if kind == CHUNK:
             with suppress(Exception):  # the parsers do not check for damaged bytes
-                in_chunk(data[begin + RECORD.size : end])
-                return begin
+                chunk_records(data[start + RECORD.size : end])
+                return start
     return len(data)
 
 
-def in_chunk(record: bytes) -> list[McapRecord]:
+def chunk_records(record: bytes) -> list[McapRecord]:
     """Return the schemas, channels and messages in a chunk.
 
     Raises:
@@ -212,25 +214,27 @@ def in_chunk(record: bytes) -> list[McapRecord]:
     """
     chunk = Chunk.read(record)
     data = chunk.unpacked()
-    found = list(chain.from_iterable(parsed(kind, data[at:to]) for kind, at, to in records(data)))
+    found = list(
+        chain.from_iterable(parse_record(kind, data[at:to]) for kind, at, to in records(data))
+    )
     if not chunk.crc and not all(
-        chunk.begin <= r.log_time <= chunk.end for r in found if isinstance(r, Message)
+        chunk.start <= r.log_time <= chunk.end for r in found if isinstance(r, Message)
     ):
-        raise DamageError("a message is out of its chunk's times")
+        raise DamageError("a message is outside the time range of its chunk")
     return found
 
 
-def parsed(kind: int, data: bytes) -> Iterator[McapRecord]:
+def parse_record(kind: int, data: bytes) -> Iterator[McapRecord]:
     """Yield the content of a record if it is a schema, a channel or a message.
 
     Raises:
         Exception: it is damaged.
     """
     if kind == MESSAGE:
-        channel, sequence, receipt, published = HEAD.unpack_from(data)
-        if receipt > LAST:
-            raise DamageError(f"a message is of {receipt} ns")
-        yield Message(channel, receipt, data[HEAD.size :], published, sequence)
+        channel, sequence, receipt, published = MESSAGE_HEADER.unpack_from(data)
+        if receipt > MAX_TIME:
+            raise DamageError(f"a message has the time {receipt} ns, which is not possible")
+        yield Message(channel, receipt, data[MESSAGE_HEADER.size :], published, sequence)
     elif kind in (SCHEMA, CHANNEL):
         contents = Contents()
         contents.add(kind, data)
@@ -248,7 +252,9 @@ def _connect(writer: CheckedWriter, channel: Channel, schema: Schema) -> Connect
         text = schema.data.decode(errors="replace")
         digest = hash_of(schema.name, text)
     else:
-        text, digest = installed(schema.name, channel.metadata.get("topic_type_hash", ""))
+        text, digest = installed_definition(
+            schema.name, channel.metadata.get("topic_type_hash", "")
+        )
     return writer.add_connection(
         channel.topic,
         schema.name,

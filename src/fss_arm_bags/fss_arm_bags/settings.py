@@ -16,22 +16,25 @@ class RecordSettings(Settings):
 
     output: str = setting("", "folder of the bags; the next of bag_0, bag_1, ... is written")
     topics: tuple[str, ...] = setting(
-        (), "names of the topics to record, wherever they are; none: all of the namespace"
+        (), "topics to record, also outside the namespace; empty: all topics of the namespace"
     )
     namespace: str = setting(
-        "/", "namespace whose topics are recorded; /: all there are", within="/{namespace}"
+        "/", "namespace whose topics are recorded; /: all topics", within="/{namespace}"
     )
     shared: tuple[str, ...] = setting(
-        SHARED, "topics, with those below them, that are recorded beside those of the namespace"
+        SHARED, "topics outside the namespace to record too, with all topics below them"
     )
     split_size: float = setting(
-        2000.0, "size at which the next bag is begun; 0: never", unit="MB", check=NOT_NEGATIVE
+        2000.0, "size at which the next bag is started; 0: never", unit="MB", check=NOT_NEGATIVE
     )
     split_time: float = setting(
-        3600.0, "duration after which the next bag is begun; 0: never", unit="s", check=NOT_NEGATIVE
+        3600.0,
+        "duration after which the next bag is started; 0: never",
+        unit="s",
+        check=NOT_NEGATIVE,
     )
     reserve: float = setting(
-        1000.0, "free space on the disk below which it warns", unit="MB", check=NOT_NEGATIVE
+        1000.0, "free disk space below which a warning is published", unit="MB", check=NOT_NEGATIVE
     )
 
     def __post_init__(self) -> None:
@@ -45,23 +48,27 @@ class ReplaySettings(Settings):
     """The parameters of a ReplayNode."""
 
     rate: float = setting(
-        1.0, "multiple of the recorded pace; 0: as fast as subscribers take it", check=NOT_NEGATIVE
+        1.0,
+        "speed relative to the recording; 0: as fast as subscribers receive",
+        check=NOT_NEGATIVE,
     )
     start: float = setting(
-        0.0, "where to begin, after the first message", unit="s", check=NOT_NEGATIVE
+        0.0, "time after the first message at which to start", unit="s", check=NOT_NEGATIVE
     )
-    loop: bool = setting(False, "begin again at the end")
+    loop: bool = setting(False, "repeat from the start")
     topics: tuple[str, ...] = setting(
-        (), "play these alone, in place; none: measurements in place, results under recorded/"
+        (), "play only these, in place; empty: measurements in place, results under recorded/"
     )
     clock: bool = setting(False, "publish /clock from the times of receipt")
-    hold: bool = setting(False, "stay up after the end, so that latched topics stay, too")
+    hold: bool = setting(
+        False, "keep running after the end, so that late subscribers get latched topics"
+    )
     wait_for: tuple[str, ...] = setting(
-        (), "topics that must have a subscriber before the start; one named n times: n of them"
+        (), "topics that need a subscriber before the start; repeat a topic for several subscribers"
     )
     deadline: float = setting(
-        20.0, "how long to wait for those topics' subscribers", unit="s", check=NOT_NEGATIVE
+        20.0, "timeout waiting for the subscribers of wait_for", unit="s", check=NOT_NEGATIVE
     )
     discovery: float = setting(
-        3.0, "time for subscribers to show up if wait_for is empty", unit="s", check=NOT_NEGATIVE
+        3.0, "time to wait for subscribers if wait_for is empty", unit="s", check=NOT_NEGATIVE
     )

@@ -20,15 +20,15 @@ from fss_arm_bags.chunks import CHUNK_CRC, CRC, RECORD
 FOOTER = RECORD.size + 20 + 8  # bytes at the end, with the magic ones
 
 
-class _Next(BytesIO):
-    """Buffer of the data to write next, which start at `begin` in the file."""
+class _PendingData(BytesIO):
+    """Buffer of the data to write next, which start at `offset` in the file."""
 
-    def __init__(self, begin: int) -> None:
+    def __init__(self, offset: int) -> None:
         super().__init__()
-        self.begin = begin
+        self.offset = offset
 
     def tell(self) -> int:
-        return self.begin + super().tell()
+        return self.offset + super().tell()
 
     def close(self) -> None:
         """Do nothing: the data are not written yet."""
@@ -45,9 +45,9 @@ class Storage(McapWriter):
     def __init__(self, path: Path, compression: CompressionMode) -> None:
         super().__init__(path, compression)
         self.file: Any = self.bio.detach()
-        begun = self.path.read_bytes()
-        self.crc = crc32(begun)  # checksum of the data written
-        self.bio = _Next(len(begun))
+        header = self.path.read_bytes()
+        self.crc = crc32(header)  # checksum of the data written
+        self.bio = _PendingData(len(header))
         self.failure: OSError | None = None  # error of the last chunk
 
     def close_chunk(self) -> None:
@@ -62,7 +62,7 @@ class Storage(McapWriter):
         data = bytearray(self.bio.getvalue())
         CRC.pack_into(data, CHUNK_CRC, crc)
         try:
-            self._put(data)
+            self._append(data)
         except OSError as error:
             self.chunk, self.failure = chunk, error
             del self.chunks[before:]
@@ -89,27 +89,27 @@ class Storage(McapWriter):
         CRC.pack_into(data, end + RECORD.size, crc32(data[:end], self.crc))
         place = len(data) - FOOTER + RECORD.size + 16
         CRC.pack_into(data, place, crc32(data[summary:place]))
-        self._put(data)
+        self._append(data)
         self.file.close()
 
     def abort(self) -> None:
         """Close the file without an index."""
         self.file.close()
 
-    def _put(self, data: bytearray) -> None:
+    def _append(self, data: bytearray) -> None:
         """Write the next data completely or not at all."""
-        begin = self.bio.begin
-        self.bio = _Next(begin)
+        offset = self.bio.offset
+        self.bio = _PendingData(offset)
         rest = memoryview(data)
         try:
             while rest:
                 rest = rest[self.file.write(rest) :]
         except OSError:
             with suppress(OSError):
-                self.file.seek(begin)
+                self.file.seek(offset)
                 self.file.truncate()
             raise
-        self.bio = _Next(begin + len(data))
+        self.bio = _PendingData(offset + len(data))
 
 
 class CheckedWriter(Writer):

@@ -9,7 +9,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import Imu, JointState
 
-from fss_arm_bags.bulk import frame_id, pieces, turn_rates, whole_poses
+from fss_arm_bags.bulk import batches, frame_id, spatial_poses, turn_rates
 from fss_arm_bags.reader import BagError, Bags, digest
 from fss_arm_calib.calibration import Finder, Input
 from fss_arm_calib.outcome import Datum
@@ -39,7 +39,7 @@ def fed(
     """
     topics = {name(bags, one, namespace): one for one in inputs}
     found: list[D] = []
-    for piece in pieces(bags.raw(set(topics)), round(PIECE * horizon * SECOND)):
+    for piece in batches(bags.raw(set(topics)), round(PIECE * horizon * SECOND)):
         for topic, one in topics.items():
             data = piece.get(topic, [])
             if one.bulk:
@@ -77,7 +77,7 @@ def recorded_streams(bags: Bags, inputs: Sequence[Input], namespace: str = "") -
                     row = stamp_ns(state.header.stamp), received, float(q), float(qd)
                     joints.setdefault(str(joint), []).append(row)
         elif one.message is PoseStamped and messages:
-            stamps, numbers = whole_poses(messages)
+            stamps, numbers = spatial_poses(messages)
             poses[one.subject] = Track(stamps, heard, numbers)
             frames[one.subject] = frame_id(messages[0])
         elif messages:

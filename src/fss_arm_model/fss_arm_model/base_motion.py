@@ -34,7 +34,7 @@ LANES = 16  # nodes that are computed side by side
 # _gradients computes a node's contribution to the derivatives by s_k, d_k and K_k.
 COS, SIN, RATE, SX, SY, PX, PY, OMEGA, BODY = range(0, 9 * LANES, LANES)
 # For sums: all s; p before and s after a body, and both with rates; N, dt, and a node's results.
-TX, TY, BX, BY, AX, AY, OX, OY, MX, MY, WHOLE, DT, TURN, BY_M, BY_L, SUMS = range(
+TX, TY, BX, BY, AX, AY, OX, OY, MX, MY, TOTAL, DT, TURN, BY_M, BY_L, SUMS = range(
     0, 16 * LANES, LANES
 )
 
@@ -68,7 +68,7 @@ def _inertias(p, delta, sigma, K):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _place(delta, sigma, row, d, s):  # type: ignore[no-untyped-def]
+def _turn_bodies(delta, sigma, row, d, s):  # type: ignore[no-untyped-def]
     """Turn the bodies to a row of a path: write d_k and s_k; return their sum s."""
     d[0], s[0] = delta[0], sigma[0]
     total = s[0]
@@ -110,7 +110,7 @@ def _headings(nodes, first, delta, sigma, K, per_mass, L, work, sums):  # type: 
     for j in range(LANES):
         sums[BX + j], sums[BY + j] = 0.0, 0.0
         sums[AX + j], sums[AY + j] = sums[TX + j], sums[TY + j]
-        sums[WHOLE + j], sums[TURN + j] = 0.0, L * sums[DT + j]
+        sums[TOTAL + j], sums[TURN + j] = 0.0, L * sums[DT + j]
     for k in range(m):
         body = work[BODY * k : BODY * (k + 1)]
         own = K[k]
@@ -122,10 +122,10 @@ def _headings(nodes, first, delta, sigma, K, per_mass, L, work, sums):  # type: 
             N = own - per_mass * (sx * sx + sy * sy) + (sx * bx + sy * by) + (px * ax + py * ay)
             body[PX + j], body[PY + j], body[OMEGA + j] = px, py, N
             sums[AX + j], sums[AY + j], sums[BX + j], sums[BY + j] = ax, ay, bx + px, by + py
-            sums[WHOLE + j] += N
+            sums[TOTAL + j] += N
             sums[TURN + j] -= N * body[RATE + j]
     for j in range(LANES):
-        sums[TURN + j] = sums[TURN + j] / sums[WHOLE + j]
+        sums[TURN + j] = sums[TURN + j] / sums[TOTAL + j]
 
 
 @inlined
@@ -139,20 +139,20 @@ def _gradients(per_mass, work, sums):  # type: ignore[no-untyped-def]
     """
     m = work.shape[0] // BODY
     for j in range(LANES):
-        sums[WHOLE + j] = 1.0 / sums[WHOLE + j]
+        sums[TOTAL + j] = 1.0 / sums[TOTAL + j]
         sums[MX + j], sums[MY + j] = 0.0, 0.0  # sum of omega_k s_k
     for k in range(m):
         body = work[BODY * k : BODY * (k + 1)]
         # omega has a weight: the node's angle of each body, over N.
         for j in range(LANES):
-            omega = sums[WHOLE + j] * (sums[TURN + j] + body[RATE + j])
+            omega = sums[TOTAL + j] * (sums[TURN + j] + body[RATE + j])
             body[OMEGA + j] = omega
             sums[MX + j] += omega * body[SX + j]
             sums[MY + j] += omega * body[SY + j]
     for j in range(LANES):
         about = sums[TX + j] * sums[MX + j] + sums[TY + j] * sums[MY + j]
         sums[BY_M + j] = per_mass * per_mass * about
-        sums[BY_L + j] = sums[WHOLE + j] * sums[DT + j]
+        sums[BY_L + j] = sums[TOTAL + j] * sums[DT + j]
         sums[AX + j], sums[AY + j] = sums[TX + j], sums[TY + j]
         sums[BX + j], sums[BY + j] = 0.0, 0.0
         sums[OX + j], sums[OY + j] = 0.0, 0.0  # sum of omega_j p_j
@@ -176,7 +176,7 @@ def _gradients(per_mass, work, sums):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _turn(angle):  # type: ignore[no-untyped-def]
+def _rotation(angle):  # type: ignore[no-untyped-def]
     return complex(math.cos(angle), math.sin(angle))
 
 
@@ -206,7 +206,7 @@ def _base_poses(p, state, nodes, marks, _t, poses):  # type: ignore[no-untyped-d
             for j in range(lane, beyond):
                 heading += sums[TURN + j]
             done += beyond - lane
-        z = _turn(heading) * _place(delta, sigma, marks[i], d, s)
+        z = _rotation(heading) * _turn_bodies(delta, sigma, marks[i], d, s)
         if i == 0:
             begin = z
         away = _course(state, M, t) + (begin - z) / M
@@ -262,7 +262,7 @@ def _base_pose_sensitivities(p, state, nodes, marks, _t, _x, poses, J):  # type:
     work[:], sums[:], work[COS : COS + LANES] = 0.0, 0.0, 1.0
     M = _inertias(p, delta, sigma, K)
     per_mass, heading, done = 1.0 / M, state[2], 0
-    begin, start, columns = 0j, _turn(state[2]), p.size
+    begin, start, columns = 0j, _rotation(state[2]), p.size
     J[:] = 0.0
     for i in range(marks.shape[0]):
         until, t = int(marks[i, 2 * size - 2]), marks[i, 2 * size - 1]
@@ -285,8 +285,8 @@ def _base_pose_sensitivities(p, state, nodes, marks, _t, _x, poses, J):  # type:
                     total -= body[OMEGA + j]
                 Gs[k], Gd[k], gK[k] = complex(sx, sy), complex(dx, dy), total
             done += beyond - lane
-        turn = _turn(heading)
-        z = turn * _place(delta, sigma, marks[i], d, s) * per_mass
+        turn = _rotation(heading)
+        z = turn * _turn_bodies(delta, sigma, marks[i], d, s) * per_mass
         if i == 0:
             begin = z
         away = _course(state, M, t) + begin - z

@@ -90,7 +90,7 @@ def _turn(bodies, z, turned):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _turn_on(bodies, start, z0, z, turned):  # type: ignore[no-untyped-def]
+def _advance_rotation(bodies, start, z0, z, turned):  # type: ignore[no-untyped-def]
     """Turn the bodies to z from `start`, their state at z0: exact, and cheap for small turns.
 
     The truncation error of the series is below 0.0625^10 / 10!, 3e-19.

@@ -51,20 +51,20 @@ def body_name(body: int, n: int) -> str:
 
 
 @helper
-def _to_segment(a, d, x):  # type: ignore[no-untyped-def]
+def _point_distance(a, d, x):  # type: ignore[no-untyped-def]
     """Return the distance of the point x from the segment a to a + d."""
-    along = min(max(_dot(d, x - a) / _dot(d, d), 0.0), 1.0)
-    return abs(x - a - along * d)
+    share = min(max(_dot(d, x - a) / _dot(d, d), 0.0), 1.0)
+    return abs(x - a - share * d)
 
 
 @helper
-def _apart(a, d, b, e):  # type: ignore[no-untyped-def]
+def _segment_distance(a, d, b, e):  # type: ignore[no-untyped-def]
     """Return the distance of the segments a to a + d and b to b + e; 0 where they cross."""
     sides = _cross(d, b - a) * _cross(d, b + e - a), _cross(e, a - b) * _cross(e, a + d - b)
     if sides[0] < 0.0 and sides[1] < 0.0:
         return 0.0
-    ends = min(_to_segment(a, d, b), _to_segment(a, d, b + e))
-    return min(ends, _to_segment(b, e, a), _to_segment(b, e, a + d))
+    ends = min(_point_distance(a, d, b), _point_distance(a, d, b + e))
+    return min(ends, _point_distance(b, e, a), _point_distance(b, e, a + d))
 
 
 @helper
@@ -75,8 +75,8 @@ def _gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
     if j <= n:
         if i == 0:
             reach = sizes[BASE_RADIUS] + sizes[LINK_RADIUS]
-            return _to_segment(r[j], r[j + 1] - r[j], r[0]) - reach
-        apart = _apart(r[i], r[i + 1] - r[i], r[j], r[j + 1] - r[j])
+            return _point_distance(r[j], r[j + 1] - r[j], r[0]) - reach
+        apart = _segment_distance(r[i], r[i + 1] - r[i], r[j], r[j + 1] - r[j])
         return apart - 2.0 * sizes[LINK_RADIUS]
     radius = sizes[BASE_RADIUS] if i == 0 else sizes[LINK_RADIUS]
     if j == n + EDGE:
@@ -86,9 +86,9 @@ def _gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
     if i == 0:
         return abs(target - r[0]) - radius - sizes[TARGET_RADIUS]
     if i == n + GRIPPER:
-        return _to_segment(r[n + 1], -(share + 1e-9) * last, target) - sizes[TARGET_RADIUS]
-    along = (1.0 - share) * last if i == n else r[i + 1] - r[i]
-    return _to_segment(r[i], along, target) - radius - sizes[TARGET_RADIUS]
+        return _point_distance(r[n + 1], -(share + 1e-9) * last, target) - sizes[TARGET_RADIUS]
+    share = (1.0 - share) * last if i == n else r[i + 1] - r[i]
+    return _point_distance(r[i], share, target) - radius - sizes[TARGET_RADIUS]
 
 
 @helper

@@ -25,7 +25,7 @@ class DescriptionError(ContentError):
 
 
 @contextmanager
-def within(part: str) -> Iterator[None]:
+def error_context(part: str) -> Iterator[None]:
     """Name the fields of errors raised inside as fields of `part`, if it has a name."""
     try:
         yield
@@ -261,9 +261,11 @@ class Known:
         _check(self)
         C, size = np.array(self.covariance), len(self.names)
         if len(C) != size:
-            raise DescriptionError("covariance", f"of {len(C)} values", f"of {size}, as names has")
+            raise DescriptionError(
+                "covariance", f"of {len(C)} values", f"of {size} values as names"
+            )
         if size and not ((C == C.T).all() and (np.diag(C) >= 0.0).all()):
-            expected = "a symmetric one, its diagonal 0 or more"
+            expected = "a symmetric matrix whose diagonal is 0 or more"
             raise DescriptionError("covariance", self.covariance, expected)
 
     @classmethod
@@ -271,24 +273,27 @@ class Known:
         """Return an object with a covariance (p, p), made symmetric."""
         return cls(tuple(names), (0.5 * (covariance + covariance.T)).tolist())
 
-    def over(
+    def covariance_of(
         self, names: Sequence[str], deviations: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """Return the covariance (p, p) of parameters; unknown ones use their deviations (p,)."""
         C = np.diag(np.square(deviations))
-        told = [k for k, name in enumerate(names) if name in self.names]
-        mine = [self.names.index(names[k]) for k in told]
-        if told:
-            C[told] = C[:, told] = 0.0
-            C[np.ix_(told, told)] = np.array(self.covariance)[np.ix_(mine, mine)]
+        known = [k for k, name in enumerate(names) if name in self.names]
+        index = [self.names.index(names[k]) for k in known]
+        if known:
+            C[known] = C[:, known] = 0.0
+            C[np.ix_(known, known)] = np.array(self.covariance)[np.ix_(index, index)]
         return C
 
-    def told(self, names: Sequence[str], covariance: npt.NDArray[np.float64]) -> "Known":
+    def updated(self, names: Sequence[str], covariance: npt.NDArray[np.float64]) -> "Known":
         """Return a copy with a new covariance (p, p) of `names`, independent of all others."""
         others = [name for name in self.names if name not in names]
-        kept = self.over(others, np.zeros(len(others)))
+        others_covariance = self.covariance_of(others, np.zeros(len(others)))
         C = np.zeros((len(others) + len(names),) * 2)
-        C[: len(others), : len(others)], C[len(others) :, len(others) :] = kept, covariance
+        C[: len(others), : len(others)], C[len(others) :, len(others) :] = (
+            others_covariance,
+            covariance,
+        )
         return Known.of([*others, *names], C)
 
 
@@ -346,9 +351,9 @@ class Arm:
         offsets = [0.0, *xi[self.n : 2 * self.n - 1]]
         links = []
         for i, link in enumerate(self.links):
-            with within(f"link {i + 1}"):
+            with error_context(f"link {i + 1}"):
                 links.append(replace(link, a=xi[i], theta_0=offsets[i]))
-        with within("base"):
+        with error_context("base"):
             base = replace(self.base, mount=tuple(xi[-3:]))
         return replace(self, base=base, links=tuple(links))
 

@@ -25,17 +25,17 @@ from .description import (
     Link,
     TorqueSensor,
     check_count,
+    error_context,
     paper_arm,
-    within,
 )
 from .files import read_text, read_yaml, short, write_text
 
 #: A link's own parameter, by its position in the arm or by the link's serial number.
-OF_PLACE = re.compile(r"(a|theta_0|m|b|I)_([1-9]\d*)")
-OF_SERIAL = re.compile(r"(a|theta_0|m|b|I)_#(\d+)")
+POSITION_NAME = re.compile(r"(a|theta_0|m|b|I)_([1-9]\d*)")
+SERIAL_NAME = re.compile(r"(a|theta_0|m|b|I)_#(\d+)")
 
 #: Standard deviation of an unknown angle after another link was mounted first [rad].
-ANY_ANGLE = math.radians(5.0)
+UNKNOWN_ANGLE_SIGMA = math.radians(5.0)
 
 #: Descriptions in the package, by the name that settings use.
 ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
@@ -68,7 +68,7 @@ def _read(key: str, value: Any, kind: type[Any] | None = None) -> Any:
     kind = kind or _PARTS.get(key)
     if kind is None or not isinstance(value, dict):
         return value
-    with within(key):
+    with error_context(key):
         return _build(kind, value)
 
 
@@ -84,7 +84,7 @@ def read_link(path: Path) -> tuple[Link, list[dict[str, Any]]]:
         DescriptionError: it cannot be read, or its content is invalid.
     """
     try:
-        with within(str(path)):
+        with error_context(str(path)):
             given = read_yaml(read_text(path))
             if not isinstance(given, dict):
                 raise DescriptionError("link", given, _entries(Link))
@@ -93,14 +93,14 @@ def read_link(path: Path) -> tuple[Link, list[dict[str, Any]]]:
                 raise DescriptionError("history", history, "a list of calibrations")
             link: Link = _build(Link, given)
             if link_file(path.parent, link.serial) != path:
-                expected = f"that of the file's name, {path.name}"
+                expected = f"the number in the file name {path.name}"
                 raise DescriptionError("serial", link.serial, expected)
     except OSError as error:
         raise DescriptionError("links", path.name, f"a file: {error.strerror or error}") from None
     return link, history
 
 
-def _mounted(given: dict[str, Any], folder: str | os.PathLike[str]) -> dict[str, Any]:
+def _with_link_files(given: dict[str, Any], folder: str | os.PathLike[str]) -> dict[str, Any]:
     """Return an arm's entries, with links given by serial number replaced by their files' content.
 
     The first joint's angle is then the sum of the base's part and the link's, because the link may
@@ -117,33 +117,42 @@ def _mounted(given: dict[str, Any], folder: str | os.PathLike[str]) -> dict[str,
         links[0] = replace(links[0], theta_0=0.0)
     known = _read("known", given.get("known", Known()))
     if isinstance(known, Known):
-        known = _remounted(known, links)
+        known = _by_position(known, links)
     return {**given, "base": base, "links": links, "known": known}
 
 
-def _remounted(known: Known, links: Sequence[Any]) -> Known:
+def _by_position(known: Known, links: Sequence[Any]) -> Known:
     """Convert covariances of links from serial numbers to their present positions.
 
     The covariance of a link moves with it; that of a link that is not mounted is dropped. The first
     link's offset is part of theta_BJ1: if another link is first now, both are unknown.
     """
-    if by_place := [name for name in known.names if OF_PLACE.fullmatch(name)]:
-        expected = "names by serial number as a_#7, as links are"
-        raise DescriptionError("known: names", by_place[0], expected)
-    place = {link.serial: i for i, link in enumerate(links, 1) if isinstance(link, Link)}
-    found = [OF_SERIAL.fullmatch(name) for name in known.names]
-    then = [int(m[2]) for m in found if m and m[1] == "a"]  # in order from the base
+    if by_position := [name for name in known.names if POSITION_NAME.fullmatch(name)]:
+        expected = "a name by serial number such as a_#7, because links are given by serial number"
+        raise DescriptionError("known: names", by_position[0], expected)
+    position = {link.serial: i for i, link in enumerate(links, 1) if isinstance(link, Link)}
+    found = [SERIAL_NAME.fullmatch(name) for name in known.names]
+    previous_serials = [int(m[2]) for m in found if m and m[1] == "a"]  # in order from the base
     names = [
-        f"{m[1]}_{place.get(int(m[2]), m[2] + ' is not mounted')}" if m else name
+        f"{m[1]}_{position.get(int(m[2]), m[2] + ' is not mounted')}" if m else name
         for m, name in zip(found, known.names, strict=True)
     ]
-    here = [k for k in names if not k.endswith("mounted") and k != "theta_0_1"]
-    moved = Known(tuple(names), known.covariance)
-    moved = Known.of(here, moved.over(here, np.zeros(len(here))))
-    lost: list[str] = []
-    if then and place.get(then[0]) != 1:
-        lost = ["theta_BJ1", *(f"theta_0_{place[k]}" for k in then[:1] if k in place)]
-    return moved.told(lost, ANY_ANGLE**2 * np.eye(len(lost))) if lost else moved
+    mounted_names = [k for k in names if not k.endswith("mounted") and k != "theta_0_1"]
+    renamed = Known(tuple(names), known.covariance)
+    renamed = Known.of(
+        mounted_names, renamed.covariance_of(mounted_names, np.zeros(len(mounted_names)))
+    )
+    unknown: list[str] = []
+    if previous_serials and position.get(previous_serials[0]) != 1:
+        unknown = [
+            "theta_BJ1",
+            *(f"theta_0_{position[k]}" for k in previous_serials[:1] if k in position),
+        ]
+    return (
+        renamed.updated(unknown, UNKNOWN_ANGLE_SIGMA**2 * np.eye(len(unknown)))
+        if unknown
+        else renamed
+    )
 
 
 def from_yaml(text: str, folder: str | os.PathLike[str] = ".") -> Arm:
@@ -152,11 +161,11 @@ def from_yaml(text: str, folder: str | os.PathLike[str] = ".") -> Arm:
     Raises:
         DescriptionError: it is not YAML, or an entry is missing, unknown, given twice or wrong.
     """
-    with within(""):
+    with error_context(""):
         given = read_yaml(text)
     if not isinstance(given, dict):
         raise DescriptionError("arm", given, _entries(Arm))
-    arm: Arm = _build(Arm, _mounted(given, folder))
+    arm: Arm = _build(Arm, _with_link_files(given, folder))
     return arm
 
 
@@ -167,9 +176,9 @@ def load(path: str | os.PathLike[str]) -> Arm:
         OSError: the file cannot be read.
         DescriptionError: the content is invalid; the message names the file and the field.
     """
-    with within(""):
+    with error_context(""):
         text = read_text(path)
-    with within(str(path)):
+    with error_context(str(path)):
         return from_yaml(text, Path(path).parent)
 
 
@@ -191,10 +200,10 @@ def described(arm: str) -> Arm:
 
 def _installed() -> Path:
     """Return the folder of the descriptions in ARMS, in the source tree or where installed."""
-    here = Path(__file__).resolve()
-    if (here.parents[1] / "package.xml").exists():
-        return here.parents[1] / "config"
-    places = (folder / "share/fss_arm_model/config" for folder in here.parents)
+    mounted_names = Path(__file__).resolve()
+    if (mounted_names.parents[1] / "package.xml").exists():
+        return mounted_names.parents[1] / "config"
+    places = (folder / "share/fss_arm_model/config" for folder in mounted_names.parents)
     return next(filter(Path.is_dir, places))
 
 
@@ -236,8 +245,8 @@ def _comment(f: Field[Any], value: Any) -> str:
     angle = value[-1] if isinstance(value, tuple) else value
     if unit.split(", ")[-1] == "rad":
         unit += f" = {math.degrees(angle):.6g} deg"
-    words = f"{f'[{unit}] ' if unit else ''}{about}".strip()
-    return f"  # {words}" if words else ""
+    text = f"{f'[{unit}] ' if unit else ''}{about}".strip()
+    return f"  # {text}" if text else ""
 
 
 def to_yaml(arm: Arm, origin: Sequence[str] = ()) -> str:
@@ -287,7 +296,7 @@ def save_links(
     base = replace(arm.base, mount=(x, y, angle - first.theta_0))
     serials = [link.serial for link in arm.links]
     names = [
-        f"{m[1]}_#{serials[int(m[2]) - 1]}" if (m := OF_PLACE.fullmatch(name)) else name
+        f"{m[1]}_#{serials[int(m[2]) - 1]}" if (m := POSITION_NAME.fullmatch(name)) else name
         for name in arm.known.names
     ]
     known = Known(tuple(names), arm.known.covariance)

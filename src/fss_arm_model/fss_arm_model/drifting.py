@@ -22,7 +22,7 @@ SURROUNDINGS = ("g_x", "g_y", "torque", "twist_damping", "drag")
 BODY = ("mass", "inertia", "x", "y")  # of base and arm as one body; x, y: its centre of mass
 
 _FOUR = np.empty(4)
-_TURN = 0.1  # largest rotation in a step of the integration [rad]
+_MAX_TURN = 0.1  # largest rotation in a step of the integration [rad]
 
 
 @helper
@@ -44,7 +44,7 @@ def _drift(body, shared, own, times, _f, out):  # type: ignore[no-untyped-def]
     u = complex(own[3], own[4]) + 1j * omega * lever
     for i in range(times.size):
         span = times[i] - times[i - 1] if i > 0 else 0.0
-        count = max(1, math.ceil(abs(omega) * span / _TURN)) if span > 0.0 else 0
+        count = max(1, math.ceil(abs(omega) * span / _MAX_TURN)) if span > 0.0 else 0
         for _ in range(count):  # Runge-Kutta method of fourth order
             h = span / count
             a1, b1 = _rates(M, K, c, shared, u, theta, omega)
@@ -76,7 +76,7 @@ def drift(
     return _drift(body, shared, own, times, _FOUR)
 
 
-def whole(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
+def single_body(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
     """Return base and arm, Arm.vector(), at readings (..., n) as one body, (..., 4) as BODY."""
     p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
     state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
@@ -86,10 +86,10 @@ def whole(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
     return np.concatenate([np.stack([mass, inertia], axis=-1), com], axis=-1)
 
 
-def whole_sensitivities(p: Floats, q: npt.ArrayLike) -> Floats:
-    """Return derivatives of `whole` by Arm.vector(), (..., 4, 8 + 6 n), at readings q (..., n)."""
+def single_body_sensitivities(p: Floats, q: npt.ArrayLike) -> Floats:
+    """Return derivatives of single_body by Arm.vector(), (..., 4, 8 + 6 n), at q (..., n)."""
     step = 1e-6
     moved = p + step * np.concatenate([np.eye(p.size), -np.eye(p.size)])
-    bodies = whole(moved, np.asarray(q, dtype=float)[..., None, :])
+    bodies = single_body(moved, np.asarray(q, dtype=float)[..., None, :])
     by = (bodies[..., : p.size, :] - bodies[..., p.size :, :]) / (2.0 * step)
     return np.swapaxes(by, -1, -2)

@@ -9,7 +9,7 @@ import yaml
 
 MAX_SIZE = 2**20  # largest text [bytes]
 MAX_ENTRIES, MAX_DEPTH = 50_000, 20  # limits; entries that aliases repeat count again
-MAX_SHOWN = 80  # longest value in a message [characters]
+MAX_TEXT = 80  # longest value in a message [characters]
 
 _Safe = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # with libyaml it is ten times as fast
 
@@ -19,11 +19,11 @@ class ContentError(ValueError):
 
     def __init__(self, field: str, value: Any, expected: str) -> None:
         self.field, self.value, self.expected = field, value, expected
-        given = "missing" if value is None else shown(value)
+        given = "missing" if value is None else format_value(value)
         super().__init__(f"{field} is {given}, expected {expected}")
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Return a value as messages show it."""
     try:
         return short(repr(value))
@@ -32,9 +32,9 @@ def shown(value: Any) -> str:
 
 
 def short(text: str) -> str:
-    """Return a text as messages show it: one line of at most MAX_SHOWN characters."""
-    line = " ".join(text[: MAX_SHOWN + 1].split())
-    return line if len(line) <= MAX_SHOWN else f"{line[: MAX_SHOWN - 3]}..."
+    """Return a text as messages show it: one line of at most MAX_TEXT characters."""
+    line = " ".join(text[: MAX_TEXT + 1].split())
+    return line if len(line) <= MAX_TEXT else f"{line[: MAX_TEXT - 3]}..."
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

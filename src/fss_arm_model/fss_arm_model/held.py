@@ -26,14 +26,14 @@ class Target(Settings):
 
     mass: float = setting(10.0, "mass of the target", unit="kg", check=POSITIVE)
     inertia: float = setting(
-        0.25, "inertia of the target about its centre of mass", unit="kg m^2", check=POSITIVE
+        0.25, "inertia of the target about its center of mass", unit="kg m^2", check=POSITIVE
     )
     fixture: tuple[float, ...] = setting(
-        (0.19, 0.0, 0.0), "place to grip the target at, in its frame: x, y, outward heading",
+        (0.19, 0.0, 0.0), "grip fixture in the target's frame: x, y, outward heading",
         unit="m, m, rad", check=FINITE, size=3,
     )  # fmt: skip
     radius: float = setting(
-        0.19, "radius within which the target lies about its centre of mass", unit="m",
+        0.19, "radius of the target about its center of mass", unit="m",
         check=NOT_NEGATIVE,
     )  # fmt: skip
 
@@ -63,7 +63,7 @@ def approach(p: Floats, q: Floats, qd: Floats, target: Target, state: Floats) ->
     return Approach(abs(apart), float((angle + pi) % (2.0 * pi) - pi), abs(moving))
 
 
-def hold(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
+def payload_pose(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
     """Return the pose of a body in the frame of the last link: x, y [m], heading [rad]."""
     x, y, heading = tip_pose(p, q)
     heading -= p[layout.TIP_ANGLE]
@@ -72,23 +72,23 @@ def hold(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
     return np.array([apart.real + _length(p), apart.imag, body_heading - heading])
 
 
-def held_at(p: Floats, q: Floats, place: Floats) -> Floats:
+def payload_positions(p: Floats, q: Floats, place: Floats) -> Floats:
     """Return the positions (..., 2) of a body held at `place` in the last link's frame."""
     x, y, heading = np.moveaxis(tip_pose(p, q), -1, 0)
     apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * (heading - p[layout.TIP_ANGLE]))
     return np.stack([x + apart.real, y + apart.imag], axis=-1)
 
 
-def held(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
+def payload_state(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
     """Return pose and twist (2, 3) of a body held at `place` in the frame of the last link."""
     x, y, heading = tip_pose(p, q)
     heading -= p[layout.TIP_ANGLE]
     apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
-    twist = held_jacobian(p, q, place) @ qd
+    twist = payload_jacobian(p, q, place) @ qd
     return np.array([[x + apart.real, y + apart.imag, heading + place[2]], twist])
 
 
-def held_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
+def payload_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
     """Return the Jacobian (3, 3 + n) from qd to the twist of a body held at `place`."""
     J = tip_jacobian(p, q)
     heading = tip_pose(p, q)[2] - p[layout.TIP_ANGLE]
@@ -98,7 +98,7 @@ def held_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
     return J
 
 
-def with_held(p: Floats, target: Target, place: Floats) -> Floats:
+def with_payload(p: Floats, target: Target, place: Floats) -> Floats:
     """Return the arm's parameters with the target at `place` added to the last link."""
     n = layout.count(p)
     mass, moment, at = layout.mass(p, n), layout.inertia(p, n), layout.com(p, n)
@@ -118,7 +118,7 @@ def _length(p: Floats) -> float:
     return float(layout.each(p, layout.LENGTH)[-1])
 
 
-def momentum_of_both(
+def combined_momentum(
     p: Floats, q: Floats, qd: Floats, target: Target, state: npt.ArrayLike
 ) -> Floats:
     """Return the momentum of arm and free target at `state`, (2, 3) pose and twist.

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .centroidal import _turn_on
+from .centroidal import _advance_rotation
 from .kernels import helper, inlined
 
 STEP = 0.001  # step of the classical method, and period of a drive [s]
@@ -18,36 +18,36 @@ STEP = 0.001  # step of the classical method, and period of a drive [s]
 @inlined
 def _accept(bodies, x, z, begin):  # type: ignore[no-untyped-def]
     """Accept x as the new state."""
-    _turn_on(bodies, begin, z, x, begin)
+    _advance_rotation(bodies, begin, z, x, begin)
     for r in range(2):
         for i in range(z.shape[1]):
             z[r, i] = x[r, i]
 
 
-def classical(act: Callable[..., None]) -> Callable[..., None]:
+def classical(derivative: Callable[..., None]) -> Callable[..., None]:
     """Return a function that makes one step of fourth order; k is (3 or more, 2, N)."""
 
     @helper
-    def step_on(bodies, forces, step, z, begin, turned, work, k):  # type: ignore[no-untyped-def]
+    def step_forward(bodies, forces, step, z, begin, turned, work, k):  # type: ignore[no-untyped-def]
         x, dx, total, N = k[0], k[1], k[2], z.shape[1]
         for r in range(2):
             for i in range(N):
                 x[r, i], total[r, i] = z[r, i], 0.0
         for stage in range(4):
-            _turn_on(bodies, begin, z, x, turned)
-            act(bodies, forces, turned, x, work, dx)
+            _advance_rotation(bodies, begin, z, x, turned)
+            derivative(bodies, forces, turned, x, work, dx)
             weight = step / 6 if stage == 0 or stage == 3 else step / 3
-            reach = step if stage == 2 else step / 2
+            substep = step if stage == 2 else step / 2
             for r in range(2):
                 for i in range(N):
                     total[r, i] += weight * dx[r, i]
-                    x[r, i] = z[r, i] + reach * dx[r, i]
+                    x[r, i] = z[r, i] + substep * dx[r, i]
         for r in range(2):
             for i in range(N):
                 x[r, i] = z[r, i] + total[r, i]
         _accept(bodies, x, z, begin)
 
-    return step_on
+    return step_forward
 
 
 # Dormand & Prince (1980): the stages, the last of which is the solution of fifth order, and the
@@ -63,18 +63,18 @@ STAGES = np.array(
     ]
 )
 ERROR = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
-LEAST = 1e-3  # shortest step as a share of the time to integrate
+MIN_STEP_SHARE = 1e-3  # shortest step as a share of the time to integrate
 
 
-def controlled(act: Callable[..., None]) -> Callable[..., int]:
+def controlled(derivative: Callable[..., None]) -> Callable[..., int]:
     """Return a function that integrates over a time within a tolerance; k is (8, 2, N)."""
 
     @helper
-    def go_on(bodies, forces, time, tolerance, z, begin, turned, work, k):  # type: ignore[no-untyped-def]
+    def integrate(bodies, forces, time, tolerance, z, begin, turned, work, k):  # type: ignore[no-untyped-def]
         """Integrate over `time` with errors of at most `tolerance` in each of z; return the steps.
 
-        Steps are never shorter than LEAST of the time: an abrupt change, such as a contact, is then
-        integrated without error control.
+        Steps are never shorter than MIN_STEP_SHARE of the time: an abrupt change, such as a
+        contact, is then integrated without error control.
         """
         N, done, step, steps = z.shape[1], 0.0, time, 0
         x = k[7]
@@ -86,8 +86,8 @@ def controlled(act: Callable[..., None]) -> Callable[..., int]:
                         x[r, i] = z[r, i]
                         for j in range(s):
                             x[r, i] += step * STAGES[s - 1, j] * k[j, r, i]
-                _turn_on(bodies, begin, z, x, turned)
-                act(bodies, forces, turned, x, work, k[s])
+                _advance_rotation(bodies, begin, z, x, turned)
+                derivative(bodies, forces, turned, x, work, k[s])
             worst = 1e-300
             for r in range(2):
                 for i in range(N):
@@ -95,11 +95,13 @@ def controlled(act: Callable[..., None]) -> Callable[..., int]:
                     for j in range(7):
                         error += step * ERROR[j] * k[j, r, i]
                     worst = max(worst, abs(error))
-            if worst <= tolerance or step <= LEAST * time:
+            if worst <= tolerance or step <= MIN_STEP_SHARE * time:
                 _accept(bodies, x, z, begin)
                 done += step
                 steps += 1
-            step = max(step * min(5.0, max(0.2, 0.9 * (tolerance / worst) ** 0.2)), LEAST * time)
+            step = max(
+                step * min(5.0, max(0.2, 0.9 * (tolerance / worst) ** 0.2)), MIN_STEP_SHARE * time
+            )
         return steps
 
-    return go_on
+    return integrate

@@ -44,7 +44,7 @@ _one_thread = Lock()  # numba reads the cache folder from a global variable
 
 
 @contextmanager
-def alone(folder: Path) -> Iterator[bool]:
+def cache_lock(folder: Path) -> Iterator[bool]:
     """Let one process at a time use a cache folder; yield False if it cannot be written.
 
     numba stores a kernel and its loop in two files. If two processes compile at once, each may
@@ -88,7 +88,7 @@ class Kernel:
 
         cores = self.layout.replace("->", ",").split("),")
         types = [numba.float64[(slice(None),) * (core.count(",") + 1)] for core in cores]
-        with alone(self.folder) as kept:
+        with cache_lock(self.folder) as kept:
             wrap = numba.guvectorize([tuple(types)], self.layout, nopython=True, cache=kept)
             return wrap(self.function)
 

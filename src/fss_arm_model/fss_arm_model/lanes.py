@@ -7,8 +7,8 @@ compiler, which then knows that they do not overlap. Vectors are stored as x and
 numbers do not vectorize.
 
 All functions are inlined into kernels that give the number of lanes, so this is a constant, too. No
-lane's arithmetic depends on other lanes, except in `_turn_on`: if one lane turns far, it uses the
-slower method for all. Both methods agree to the last digit or two.
+lane's arithmetic depends on other lanes, except in `_advance_rotation`: if one lane turns far, it
+uses the slower method for all. Both methods agree to the last digit or two.
 """
 
 import math
@@ -21,16 +21,17 @@ from .kinematics import _com, _dot, _mass, _moment, _reach
 from .layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
 
 # Rows of a body's constants: D - b, M b, diagonal of the inertia, and the joints' terms beside it.
-SX, SY, TX, TY, DIAGONAL, BESIDE = range(6)
+SX, SY, TX, TY, DIAGONAL, OFF_DIAGONAL = range(6)
 CONSTANTS = 6
 # Rows of a body's scratch: S, T, the square of its rate; then of L, and the joint's term.
 SPIN, LX, LY, JOINT = 4, 5, 6, 7
 SCRATCH = 8
 # Rows of sums along the chain.
-BEYOND, BEFORE, G, LAST, XX, XY, YY, FORWARD, INVERSE, TWIST = 0, 2, 4, 6, 8, 9, 10, 11, 12, 13
+OUTER, INNER, G, PREVIOUS, XX, XY, YY, FORWARD, INVERSE, TWIST = 0, 2, 4, 6, 8, 9, 10, 11, 12, 13
 SUMS = 14
 
-FAR = 0.25  # [rad]; the truncation error of the series below is less than FAR^13 / 13!, 2e-18
+# Largest angle of the series below [rad]. Their truncation error is less than x^13 / 13!, 2e-18.
+MAX_SERIES_ANGLE = 0.25
 
 
 @helper
@@ -51,21 +52,21 @@ def _constants(p, rotor, bodies, mass):  # type: ignore[no-untyped-def]
             bodies[k, TX, j], bodies[k, TY, j] = T.real, T.imag
             about_pivot = _moment(p[j], k) + m * _dot(E, E) + beyond * _dot(D, D)
             bodies[k, DIAGONAL, j] = about_pivot - _dot(T, T) / M
-            bodies[k, BESIDE, j] = 0.0
+            bodies[k, OFF_DIAGONAL, j] = 0.0
         for k in range(1, bodies.shape[0]):
             bodies[k - 1, DIAGONAL, j] += rotor[0] - 2.0 * rotor[1]
             bodies[k, DIAGONAL, j] += rotor[0]
-            bodies[k, BESIDE, j] = rotor[1] - rotor[0]
+            bodies[k, OFF_DIAGONAL, j] = rotor[1] - rotor[0]
 
 
 @inlined
-def _turn_on(lanes, start, y0, y, u):  # type: ignore[no-untyped-def]
+def _advance_rotation(lanes, start, y0, y, u):  # type: ignore[no-untyped-def]
     """Write u at the angles of y, from `start`, the u of y0."""
     for k in range(u.shape[0]):
-        far = 0.0
+        largest = 0.0
         for j in range(lanes):
-            far = max(far, abs(y[2 + k, j] - y0[2 + k, j]))
-        if far > FAR:
+            largest = max(largest, abs(y[2 + k, j] - y0[2 + k, j]))
+        if largest > MAX_SERIES_ANGLE:
             for j in range(lanes):
                 u[k, 0, j], u[k, 1, j] = math.cos(y[2 + k, j]), math.sin(y[2 + k, j])
         else:
@@ -109,7 +110,7 @@ def _rate(lanes, bodies, mass, around, u, v, tau, work, sums, a):  # type: ignor
             sums[i, j] = 0.0
         sums[INVERSE, j] = 1.0
         sums[TWIST, j] = -around[4] * v[2, j]
-        sums[BEFORE, j], sums[BEFORE + 1, j] = 0.0, 0.0  # first the origin's velocity
+        sums[INNER, j], sums[INNER + 1, j] = 0.0, 0.0  # first the origin's velocity
     for k in range(m):
         for j in range(lanes):
             c, s, omega = u[k, 0, j], u[k, 1, j], v[2 + k, j]
@@ -119,30 +120,30 @@ def _rate(lanes, bodies, mass, around, u, v, tau, work, sums, a):  # type: ignor
             ty = bodies[k, TX, j] * s + bodies[k, TY, j] * c
             spin = omega * omega
             work[k, TX, j], work[k, TY, j], work[k, SPIN, j] = tx, ty, spin
-            sums[BEYOND, j] += spin * tx
-            sums[BEYOND + 1, j] += spin * ty
-            sums[BEFORE, j] += omega * ty
-            sums[BEFORE + 1, j] -= omega * tx
+            sums[OUTER, j] += spin * tx
+            sums[OUTER + 1, j] += spin * ty
+            sums[INNER, j] += omega * ty
+            sums[INNER + 1, j] -= omega * tx
     for j in range(lanes):
         light = 1.0 / mass[j]
-        x = light * (tau[0, j] - drag * (v[0, j] + light * sums[BEFORE, j]))
-        y = light * (tau[1, j] - drag * (v[1, j] + light * sums[BEFORE + 1, j]))
-        sums[BEFORE, j], sums[BEFORE + 1, j] = -x, -y
+        x = light * (tau[0, j] - drag * (v[0, j] + light * sums[INNER, j]))
+        y = light * (tau[1, j] - drag * (v[1, j] + light * sums[INNER + 1, j]))
+        sums[INNER, j], sums[INNER + 1, j] = -x, -y
         a[0, j] = x + around[0] - film * v[0, j]
         a[1, j] = y + around[1] - film * v[1, j]
     for k in range(m):
         for j in range(lanes):
             sx, sy, tx, ty = work[k, SX, j], work[k, SY, j], work[k, TX, j], work[k, TY, j]
-            spin, r, inverse = work[k, SPIN, j], bodies[k, BESIDE, j], sums[INVERSE, j]
+            spin, r, inverse = work[k, SPIN, j], bodies[k, OFF_DIAGONAL, j], sums[INVERSE, j]
             beside = r * inverse
-            bx, by = sums[BEYOND, j] - spin * tx, sums[BEYOND + 1, j] - spin * ty
-            ex, ey = sums[BEFORE, j], sums[BEFORE + 1, j]
+            bx, by = sums[OUTER, j] - spin * tx, sums[OUTER + 1, j] - spin * ty
+            ex, ey = sums[INNER, j], sums[INNER + 1, j]
             Q = tau[2 + k, j] + sums[TWIST, j] + (sx * by - sy * bx) - (ex * ty - ey * tx)
             sums[TWIST, j] = 0.0
-            sums[BEYOND, j], sums[BEYOND + 1, j] = bx, by
-            sums[BEFORE, j], sums[BEFORE + 1, j] = ex + spin * sx, ey + spin * sy
+            sums[OUTER, j], sums[OUTER + 1, j] = bx, by
+            sums[INNER, j], sums[INNER + 1, j] = ex + spin * sx, ey + spin * sy
             xx, xy, yy = sums[XX, j], sums[XY, j], sums[YY, j]
-            lx, ly = sums[LAST, j], sums[LAST + 1, j]
+            lx, ly = sums[PREVIOUS, j], sums[PREVIOUS + 1, j]
             px, py = xx * tx + xy * ty + r * lx, xy * tx + yy * ty + r * ly
             d = bodies[k, DIAGONAL, j] - r * (tx * lx + ty * ly + beside) - (tx * px + ty * py)
             inverse = 1.0 / d
@@ -153,7 +154,7 @@ def _rate(lanes, bodies, mass, around, u, v, tau, work, sums, a):  # type: ignor
             lx, ly = inverse * sx, inverse * sy
             sums[XX, j], sums[XY, j], sums[YY, j] = xx + sx * lx, xy + sx * ly, yy + sy * ly
             sums[G, j], sums[G + 1, j] = gx + forward * lx, gy + forward * ly
-            sums[LAST, j], sums[LAST + 1, j] = lx, ly
+            sums[PREVIOUS, j], sums[PREVIOUS + 1, j] = lx, ly
             sums[FORWARD, j], sums[INVERSE, j] = forward, inverse
             work[k, LX, j], work[k, LY, j], work[k, JOINT, j] = lx, ly, beside
             a[2 + k, j] = forward * inverse
@@ -219,7 +220,7 @@ def _roll(lanes, p, q0, qd0, tau, rotor, around, step, q, qd):  # type: ignore[n
                     for j in range(lanes):
                         u[k, 0, j], u[k, 1, j] = start[k, 0, j], start[k, 1, j]
             else:
-                _turn_on(lanes, start, y0, y, u)
+                _advance_rotation(lanes, start, y0, y, u)
             _rate(lanes, bodies, mass, around, u, v, given, work, sums, a)
             weight = h / 6 if stage == 0 or stage == 3 else h / 3
             reach = h if stage == 2 else h / 2
@@ -233,7 +234,7 @@ def _roll(lanes, p, q0, qd0, tau, rotor, around, step, q, qd):  # type: ignore[n
             for j in range(lanes):
                 y[i, j] = y0[i, j] + y_sum[i, j]
                 v0[i, j] += v_sum[i, j]
-        _turn_on(lanes, start, y0, y, u)
+        _advance_rotation(lanes, start, y0, y, u)
         for k in range(m):
             for j in range(lanes):
                 start[k, 0, j], start[k, 1, j] = u[k, 0, j], u[k, 1, j]

@@ -13,7 +13,7 @@ from .lanes import _roll
 
 LANES = 16  # two rows of the widest vectors, so that one is computed while the other waits
 LAYOUT = "(l,p),(l,m),(l,m),(l,t,m),(r),(a),()->(l,t,m),(l,t,m)"
-FEW = 4  # up to here, single rollouts are faster than a row of lanes
+MIN_LANES = 4  # for fewer rollouts, single ones are faster than a row of lanes
 FREE = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -68,29 +68,31 @@ def rollout(
         raise ValueError(f"step is {step} and threads {threads}, expected more than 0")
     batch = np.broadcast_shapes(p.shape[:-1], q.shape[:-1], qd.shape[:-1], tau.shape[:-2])
     steps, count = tau.shape[-2], math.prod(batch)
-    given = [
+    inputs = [
         np.broadcast_to(x, (*batch, *x.shape[-core:])).reshape(count, *x.shape[-core:])
         for x, core in ((p, 1), (q, 1), (qd, 1), (tau, 2))
     ]
     out = np.empty((count, steps, 3 + n)), np.empty((count, steps, 3 + n))
 
-    def roll(begin: int) -> None:
-        one = [x[begin : begin + LANES] for x in given]
+    def roll(start: int) -> None:
+        batch_inputs = [x[start : start + LANES] for x in inputs]
         compiled = _rollouts
-        if len(one[0]) < FEW:
-            one, compiled = [x[:, None] for x in one], _rollout
-        elif len(one[0]) < LANES:
-            one = [np.concatenate([x, np.repeat(x[-1:], LANES - len(x), axis=0)]) for x in one]
-        found = compiled(*one, rotor, around, step)
-        for whole, part in zip(out, found, strict=True):
-            ours = whole[begin : begin + LANES]
-            ours[...] = part.reshape(-1, steps, 3 + n)[: len(ours)]
+        if len(batch_inputs[0]) < MIN_LANES:
+            batch_inputs, compiled = [x[:, None] for x in batch_inputs], _rollout
+        elif len(batch_inputs[0]) < LANES:
+            batch_inputs = [
+                np.concatenate([x, np.repeat(x[-1:], LANES - len(x), axis=0)]) for x in batch_inputs
+            ]
+        results = compiled(*batch_inputs, rotor, around, step)
+        for output, part in zip(out, results, strict=True):
+            target = output[start : start + LANES]
+            target[...] = part.reshape(-1, steps, 3 + n)[: len(target)]
 
-    begins = range(0, count, LANES)
+    starts = range(0, count, LANES)
     if threads == 1:
-        list(map(roll, begins))
+        list(map(roll, starts))
     else:
         with ThreadPoolExecutor(threads) as pool:  # a compiled kernel releases Python's lock
-            list(pool.map(roll, begins))
+            list(pool.map(roll, starts))
     q, qd = (x.reshape(*batch, steps, 3 + n) for x in out)
     return q, qd

@@ -48,8 +48,8 @@ def at_least(low: float) -> Check:
 
 def one_of(*choices: str) -> Check:
     """Return a check for one of several words."""
-    words = ", ".join(choice or "''" for choice in choices)
-    return Check(f"one of {words}", lambda value: value in choices)
+    text = ", ".join(choice or "''" for choice in choices)
+    return Check(f"one of {text}", lambda value: value in choices)
 
 
 def setting(
@@ -142,8 +142,8 @@ def converted(name: str, value: Any, hint: Any) -> Any:
 def meaning(f: "Field[Any]") -> str:
     """Return a field's meaning, unit and bounds in one line, for help and `ros2 param describe`."""
     about, unit, check = (f.metadata[key] for key in ("about", "unit", "check"))
-    words = f"{about} [{unit}]" if unit else about
+    text = f"{about} [{unit}]" if unit else about
     each = "each " if isinstance(f.default, tuple) else ""
-    words = f"{words}; {each}{check.expected}" if check else words
+    text = f"{text}; {each}{check.expected}" if check else text
     within = default_in(f, "NAME") if f.metadata["within"] else ""
-    return f"{words}; default in a namespace /NAME: {within}" if within else words
+    return f"{text}; default in a namespace /NAME: {within}" if within else text

@@ -14,7 +14,7 @@ from .description import Arm, Link
 
 WIDTH, HEIGHT = 0.08, 0.06  # size of a link's box [m]
 BASE_SIZE = 0.27  # size of the base's box [m]
-SLENDER = 1e-3  # moment about a link's long axis over that about z; must be positive
+SLENDER_RATIO = 1e-3  # moment about a link's long axis over that about z; must be positive
 ROOT = "fss"
 
 
@@ -63,7 +63,7 @@ def urdf(arm: Arm) -> str:
 def _joint(robot: Element, frame: Frame, arm: Arm) -> None:
     name = f"joint_{frame.joint}" if frame.joint else f"{frame.name}_fixed"
     joint = SubElement(robot, "joint", name=name, type="revolute" if frame.joint else "fixed")
-    _place(joint, (frame.x, frame.y, frame.theta))
+    _add_origin(joint, (frame.x, frame.y, frame.theta))
     SubElement(joint, "parent", link=frame.parent)
     SubElement(joint, "child", link=frame.name)
     if frame.joint:
@@ -83,22 +83,22 @@ def _limits(link: Link) -> dict[str, str]:
 
 def _inertial(link: Element, mass: float, inertia: float, com: tuple[float, float]) -> None:
     inertial = SubElement(link, "inertial")
-    _place(inertial, (*com, 0.0))
+    _add_origin(inertial, (*com, 0.0))
     SubElement(inertial, "mass", value=repr(mass))
     # Only the moment about z is known; the others are those of a slender rod along x.
-    moments = {"ixx": SLENDER * inertia, "iyy": inertia, "izz": inertia}
+    moments = {"ixx": SLENDER_RATIO * inertia, "iyy": inertia, "izz": inertia}
     zeros = dict.fromkeys(("ixy", "ixz", "iyz"), 0.0)
     SubElement(inertial, "inertia", {k: repr(v) for k, v in {**moments, **zeros}.items()})
 
 
-def _box(link: Element, size: tuple[float, float, float], centre: tuple[float, float]) -> None:
+def _box(link: Element, size: tuple[float, float, float], center: tuple[float, float]) -> None:
     for kind in ("visual", "collision"):
         shape = SubElement(link, kind)
-        _place(shape, (*centre, 0.0))
+        _add_origin(shape, (*center, 0.0))
         SubElement(SubElement(shape, "geometry"), "box", size=" ".join(map(repr, size)))
     SubElement(link[1], "material", name="link")
 
 
-def _place(element: Element, pose: tuple[float, float, float]) -> None:
+def _add_origin(element: Element, pose: tuple[float, float, float]) -> None:
     x, y, theta = pose
     SubElement(element, "origin", xyz=f"{x!r} {y!r} 0", rpy=f"0 0 {theta!r}")

@@ -24,12 +24,15 @@ class Vehicle(Settings):
         "vicon/target/target", "topic of the target's poses", within="/vicon/target/target"
     )
     base_frame: str = setting(
-        "fss", "frame id of the base, and of what is relative to it", within="{namespace}/fss"
+        "fss", "frame id of the base, and of data relative to it", within="{namespace}/fss"
     )
     frame_prefix: str = setting(
-        "", "what the frame ids of the vehicle begin with, as in robot_state_publisher",
+        "", "prefix of the vehicle's frame ids, as in robot_state_publisher",
         within="{namespace}/",
     )  # fmt: skip
     full_tank: float = setting(
-        0.1, "propellant that is in the mass of the described base", unit="kg", check=NOT_NEGATIVE
+        0.1,
+        "propellant that the described mass of the base includes",
+        unit="kg",
+        check=NOT_NEGATIVE,
     )

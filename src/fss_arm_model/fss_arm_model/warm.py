@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from .kernels import KERNELS, alone
+from .kernels import KERNELS, cache_lock
 
 
 def modules() -> Iterator[str]:
@@ -27,19 +27,18 @@ def modules() -> Iterator[str]:
 
 def main() -> int:
     """Load every kernel, and print the result."""
-    begin = time.perf_counter()
+    start = time.perf_counter()
     for module in modules():
         import_module(module)
     for folder in {kernel.folder for kernel in KERNELS}:
-        with alone(folder) as kept:
-            if not kept:
-                words = "expected a folder: set NUMBA_CACHE_DIR"
-                print(f"cannot write to {folder}, {words}", file=sys.stderr)
+        with cache_lock(folder) as writable:
+            if not writable:
+                print(f"cannot write to {folder}: set NUMBA_CACHE_DIR to a folder", file=sys.stderr)
                 return 1
     for kernel in KERNELS:
         _ = kernel.compiled
-    took = time.perf_counter() - begin
-    print(f"{len(KERNELS)} kernels ready in {took:.1f} s, kept in {KERNELS[0].folder.parent}")
+    took = time.perf_counter() - start
+    print(f"{len(KERNELS)} kernels ready in {took:.1f} s, stored in {KERNELS[0].folder.parent}")
     return 0
 
 

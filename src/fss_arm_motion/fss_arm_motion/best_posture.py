@@ -33,10 +33,10 @@ from fss_arm_motion.plan import Plan, PlanError, Start
 from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 
 FLOATING, FIXED = "floating", "fixed"
-SAMPLES = 20_000
-CLIMBED = 24
+SAMPLE_COUNT = 20_000
+MAX_CLIMBS = 24
 STEP = 1e-6  # of central differences [rad]
-MET = 1e-6  # largest distance from a place that is reached [m]
+PLACE_TOLERANCE = 1e-6  # largest distance from a place that is reached [m]
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class BestPosture(Settings):
         unit="m",
         check=FINITE,
     )
-    base: str = setting(FLOATING, "what the base does", check=one_of(FLOATING, FIXED))
+    base: str = setting(FLOATING, "base during the motion", check=one_of(FLOATING, FIXED))
     seed: int = setting(0, "seed of the search", check=at_least(0))
 
     def __post_init__(self) -> None:
@@ -81,32 +81,32 @@ def velocity_ratio(arm: Arm, q: npt.ArrayLike, direction: float, base: str = FLO
     return np.sqrt((xx * yy - xy * xy).clip(0.0) / np.maximum(across, 1e-300))
 
 
-def best(start: Start, asked: BestPosture) -> tuple[Floats, float]:
+def best(start: Start, request: BestPosture) -> tuple[Floats, float]:
     """Return the best posture (n,) and its ratio.
 
     Raises:
         PlanError: no posture within limits has the tip at the place.
     """
-    arm, rng = start.arm, np.random.default_rng(asked.seed)
+    arm, rng = start.arm, np.random.default_rng(request.seed)
     low, high = start.limits.bounds.T
-    place = np.array(asked.place) if asked.place else None
-    q = rng.uniform(low, high, (SAMPLES, arm.n))
+    place = np.array(request.place) if request.place else None
+    q = rng.uniform(low, high, (SAMPLE_COUNT, arm.n))
     q = q[start.gap(q) >= start.limits.margin]
     if place is not None:
-        q = _brought(start, q, place)
+        q = _move_to_place(start, q, place)
     if not len(q):
         raise PlanError(
-            f"place is {list(asked.place)} m from the base, expected one that the end effector "
+            f"place is {list(request.place)} m from the base, expected one that the end effector "
             f"reaches within joint limits, bodies {start.limits.margin:g} m apart"
         )
-    r = velocity_ratio(arm, q, asked.direction, asked.base)
-    found = [_climbed(start, q[k], place, asked) for k in np.argsort(-r)[:CLIMBED]]
-    ratios = [float(velocity_ratio(arm, one, asked.direction, asked.base)) for one in found]
+    r = velocity_ratio(arm, q, request.direction, request.base)
+    found = [_climb(start, q[k], place, request) for k in np.argsort(-r)[:MAX_CLIMBS]]
+    ratios = [float(velocity_ratio(arm, one, request.direction, request.base)) for one in found]
     k = int(np.argmax(ratios))
     return found[k], ratios[k]
 
 
-def _brought(start: Start, q: Floats, place: Floats) -> Floats:
+def _move_to_place(start: Start, q: Floats, place: Floats) -> Floats:
     """Return postures near a place with the tip moved there and within limits, from (k, n)."""
     p, (low, high) = start.arm.vector(), start.limits.bounds.T
     off = np.linalg.norm(tip_in_base(p, q)[:, :2] - place, axis=1)
@@ -119,27 +119,27 @@ def _brought(start: Start, q: Floats, place: Floats) -> Floats:
         step = np.einsum("krn,kr->kn", J, np.linalg.solve(JJ, error[..., None])[..., 0])
         q = np.clip(q + step.clip(-0.3, 0.3), low, high)
     off = np.linalg.norm(tip_in_base(p, q)[:, :2] - place, axis=1)
-    return q[(off < MET) & (start.gap(q) >= start.limits.margin)]
+    return q[(off < PLACE_TOLERANCE) & (start.gap(q) >= start.limits.margin)]
 
 
-def _climbed(start: Start, q: Floats, place: Floats | None, asked: BestPosture) -> Floats:
+def _climb(start: Start, q: Floats, place: Floats | None, request: BestPosture) -> Floats:
     """Return a local maximum of the ratio, or the posture itself if none is within limits."""
     from scipy.optimize import minimize
 
     arm, p, steps = start.arm, start.arm.vector(), STEP * np.eye(start.arm.n)
 
     def loss(q: Floats) -> Floats:
-        r = velocity_ratio(arm, q, asked.direction, asked.base)
+        r = velocity_ratio(arm, q, request.direction, request.base)
         return -np.log(np.maximum(r, 1e-12))
 
-    def slope(of: Any, q: Floats) -> Floats:
-        return (of(q + steps) - of(q - steps)) / (2.0 * STEP)
+    def slope(function: Any, q: Floats) -> Floats:
+        return (function(q + steps) - function(q - steps)) / (2.0 * STEP)
 
-    def room(q: Floats) -> Floats:
+    def margins(q: Floats) -> Floats:
         return np.minimum(start.gap(q), 1.0) - start.limits.margin
 
     held: list[dict[str, Any]] = [
-        {"type": "ineq", "fun": room, "jac": lambda q: slope(room, q)},
+        {"type": "ineq", "fun": margins, "jac": lambda q: slope(margins, q)},
     ]
     if place is not None:
         held.append(
@@ -153,24 +153,24 @@ def _climbed(start: Start, q: Floats, place: Floats | None, asked: BestPosture) 
         loss, q, jac=lambda q: slope(loss, q), bounds=start.limits.bounds, constraints=held,
         method="SLSQP", options={"maxiter": 100, "ftol": 1e-9},
     ).x.clip(*start.limits.bounds.T)  # fmt: skip
-    good = room(got) > -1e-6
+    good = margins(got) > -1e-6
     if place is not None:
-        good &= np.linalg.norm(tip_in_base(p, got)[:2] - place) < MET
+        good &= np.linalg.norm(tip_in_base(p, got)[:2] - place) < PLACE_TOLERANCE
     return got if good and loss(got) < loss(q) else q
 
 
-def best_posture(start: Start, asked: BestPosture) -> Plan:
+def best_posture(start: Start, request: BestPosture) -> Plan:
     """Plan the fastest motion to the best posture.
 
     Raises:
         PlanError: no posture has the tip at the place, or limits cannot be kept.
     """
-    q, ratio = best(start, asked)
+    q, ratio = best(start, request)
     plan = point_to_point(start, PointToPoint(tuple(q.tolist())))
-    here = float(velocity_ratio(start.arm, start.q, asked.direction, asked.base))
+    here = float(velocity_ratio(start.arm, start.q, request.direction, request.base))
     arguments = {
-        "direction": asked.direction, "place": list(asked.place), "base": asked.base,
-        "seed": asked.seed,
+        "direction": request.direction, "place": list(request.place), "base": request.base,
+        "seed": request.seed,
     }  # fmt: skip
     notes = {"ratio": ratio, "ratio_before": here}
     return Plan(

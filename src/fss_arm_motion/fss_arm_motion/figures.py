@@ -9,7 +9,7 @@ from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_motion.limits import KINDS
 from fss_arm_motion.plan import Plan, PlanError, Start, predicted, probed
-from fss_arm_motion.point_to_point import STILL, straight
+from fss_arm_motion.point_to_point import MIN_DISTANCE, straight
 from fss_arm_motion.tip_path import TipPath, way_of
 
 STROBES = 9
@@ -154,7 +154,7 @@ def _heading(axes: Any, start: Start, plan: Plan) -> None:
             label="± 2 sigma",
         )  # fmt: skip
     axes.plot(base.times, turn, color=BASE, linewidth=1.6, label="this motion")
-    if np.abs(plan.q[-1] - plan.q[0]).max() > STILL:
+    if np.abs(plan.q[-1] - plan.q[0]).max() > MIN_DISTANCE:
         try:
             h, q, qd = straight(start, [plan.q[0], plan.q[-1]], 6)
             move = predicted(start, np.append(0.0, np.cumsum(h)), q, qd)

@@ -23,15 +23,15 @@ from fss_arm_motion.transcription import (
     POINTS,
     WEIGHTS,
     Limited,
-    _asked,
+    _is_constrained,
     _rows,
     _scratch,
     _turn,
     _values,
 )
 
-_FALL = 0.4  # factor of the barrier's weight after a good step
-_KEPT = 0.02  # least share of its distance to a limit that remains after a step
+_BARRIER_FACTOR = 0.4  # factor of the barrier's weight after a good step
+_MIN_REMAINDER = 0.02  # least share of its distance to a limit that remains after a step
 
 
 @helper
@@ -44,7 +44,7 @@ def _merit(weights, mu, least, h, room, omegas):  # type: ignore[no-untyped-def]
         for j in range(POINTS):
             total += 0.5 * weights[1] * WEIGHTS[j] / h.size * omegas[k, j] ** 2
             for r in range(4 * n + 1):
-                if _asked(r, n, k, j, h.size):
+                if _is_constrained(r, n, k, j, h.size):
                     below, above = room[k, j, r, 0], room[k, j, r, 1]
                     total -= mu * math.log(below * above)
                     if r > 3 * n:
@@ -82,7 +82,7 @@ def _assemble(weights, mu, least, h, room, dual, dual_h, omegas, rows, A, g, c):
             if share > 0.0:
                 _add(A, g, first, turn, share, share * omegas[k, j])
             for r in range(4 * n + 1):
-                if _asked(r, n, k, j, K):
+                if _is_constrained(r, n, k, j, K):
                     below, above = room[k, j, r, 0], room[k, j, r, 1]
                     weight = dual[k, j, r, 0] / below + dual[k, j, r, 1] / above
                     slope = mu / above - mu / below
@@ -119,7 +119,7 @@ def _solve(A, x):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _moved(least, step, dx, h, q, qd, x_h, x_q, x_qd):  # type: ignore[no-untyped-def]
+def _step_variables(least, step, dx, h, q, qd, x_h, x_q, x_qd):  # type: ignore[no-untyped-def]
     """Write the variables after a step to x_h, x_q, x_qd; return False if a time is too short."""
     n = q.shape[1]
     x_q[:], x_qd[:] = q, qd
@@ -136,15 +136,15 @@ def _moved(least, step, dx, h, q, qd, x_h, x_q, x_qd):  # type: ignore[no-untype
 
 
 @helper
-def _keeps(room, trial):  # type: ignore[no-untyped-def]
+def _stays_inside(room, trial):  # type: ignore[no-untyped-def]
     """Return True if each limit keeps a minimum share of its distance."""
     K, n = room.shape[0], room.shape[2] // 4
     for k in range(K):
         for j in range(POINTS):
             for r in range(4 * n + 1):
-                if _asked(r, n, k, j, K):
+                if _is_constrained(r, n, k, j, K):
                     own, new = room[k, j, r], trial[k, j, r]
-                    if not (new[0] > _KEPT * own[0] and new[1] > _KEPT * own[1]):
+                    if not (new[0] > _MIN_REMAINDER * own[0] and new[1] > _MIN_REMAINDER * own[1]):
                         return False
     return True
 
@@ -158,7 +158,7 @@ def _dualize(mu, dx, rows, room, trial, dual, toward):  # type: ignore[no-untype
         first = (k - 1) * (2 * n + 1) + 1
         for j in range(POINTS):
             for r in range(4 * n + 1):
-                if _asked(r, n, k, j, K):
+                if _is_constrained(r, n, k, j, K):
                     moves, row = 0.0, rows[k, j, r]
                     for a in range(max(0, -first), min(row.size, dx.size - first)):
                         moves += row[a] * dx[first + a]
@@ -171,7 +171,7 @@ def _dualize(mu, dx, rows, room, trial, dual, toward):  # type: ignore[no-untype
     for k in range(K):
         for j in range(POINTS):
             for r in range(4 * n + 1):
-                if _asked(r, n, k, j, K):
+                if _is_constrained(r, n, k, j, K):
                     for side in range(2):
                         central = mu / trial[k, j, r, side]
                         new = dual[k, j, r, side] + reach * toward[k, j, r, side]
@@ -189,7 +189,7 @@ def _complementarity(h, least, timed, room, dual, dual_h):  # type: ignore[no-un
             count += 1
         for j in range(POINTS):
             for r in range(4 * n + 1):
-                if _asked(r, n, k, j, K):
+                if _is_constrained(r, n, k, j, K):
                     for side in range(2):
                         gap += dual[k, j, r, side] * room[k, j, r, side]
                         count += 1
@@ -197,7 +197,7 @@ def _complementarity(h, least, timed, room, dual, dual_h):  # type: ignore[no-un
 
 
 @kernel("(p),(n,b),(n,l),(r),(u),(o),(s),(m,n),(m,n),(i)->(s),(m,n),(m,n),(i)")
-def _optimized(  # type: ignore[no-untyped-def]
+def _optimize(  # type: ignore[no-untyped-def]
     p, bounds, limits, rotor, radii, options, h0, q0, qd0, _i, h_out, q_out, qd_out, report,
 ):  # fmt: skip
     # Helpers get contiguous arrays: numba takes long to compile them for other arrays.
@@ -251,10 +251,10 @@ def _optimized(  # type: ignore[no-untyped-def]
         before = _merit(weights, mu, least, h, room, omegas) + penalty * abs(lack)
         step, good = 1.0, False
         for _ in range(30):
-            good = _moved(least if timed else 0.0, step, dx, h, q, qd, x_h, x_q, x_qd)
+            good = _step_variables(least if timed else 0.0, step, dx, h, q, qd, x_h, x_q, x_qd)
             if good:
                 _values(arm, scratch, x_h, x_q, x_qd, trial, x_omegas)
-                good = _keeps(room, trial)
+                good = _stays_inside(room, trial)
             if good:
                 after = _merit(weights, mu, least, x_h, trial, x_omegas)
                 after += penalty * abs(_turn(x_h, x_omegas) - goal) if turning else 0.0
@@ -281,7 +281,7 @@ def _optimized(  # type: ignore[no-untyped-def]
                 break
             mark, marked = cost, iteration
         if step > 0.7:
-            damping, mu = max(0.2 * damping, 1e-9), _FALL * gap / count
+            damping, mu = max(0.2 * damping, 1e-9), _BARRIER_FACTOR * gap / count
         elif step < 0.3:
             damping, mu = max(4.0 * damping, 1e-3), gap / count
         else:
@@ -341,5 +341,5 @@ def optimized(
     asked = p, bounds, limits, rotor, radii, np.array(options), h, q, qd
     # Vectorized code also divides by entries that are not limited; their results are not used.
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = _optimized(*asked, np.empty(4))
+        found = _optimize(*asked, np.empty(4))
     return found[0], found[1], found[2], found[3]

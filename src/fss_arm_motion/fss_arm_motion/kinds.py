@@ -27,7 +27,7 @@ KINDS = {
     for kind in (
         Kind(
             "point_to_point",
-            "To a posture, as fast as limits allow, or turning the base least in a given time.",
+            "To a posture, as fast as possible, or with the least base rotation in a given time.",
             PointToPoint,
             point_to_point,
         ),
@@ -45,7 +45,7 @@ KINDS = {
         ),
         Kind(
             "tip_path",
-            "The end effector along a line or through places, in the world or seen from the base.",
+            "The end effector along a line or through points, in the world's or the base's frame.",
             TipPath,
             tip_path,
         ),

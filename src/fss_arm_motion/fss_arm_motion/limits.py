@@ -70,8 +70,8 @@ class Limits:
         s = settings or LimitSettings()
         drives = [link.drive for link in arm.links]
         most = np.array([min(k.max_torque, k.torque_constant * k.max_current) for k in drives])
-        if not ((left := s.share * most - s.coulomb) > 0.0).all():
-            i = int(np.argmin(left))
+        if not ((available := s.share * most - s.coulomb) > 0.0).all():
+            i = int(np.argmin(available))
             raise SettingError(
                 f"coulomb is {s.coulomb:g} N m, expected less than the {s.share * most[i]:.4g} N m "
                 f"that joint {i + 1} may use"
@@ -80,7 +80,7 @@ class Limits:
             np.array([[link.q_min, link.q_max] for link in arm.links]),
             s.share * np.array([k.max_velocity for k in drives]),
             s.share * np.array([k.max_acceleration for k in drives]),
-            left,
+            available,
             s.viscous,
             np.array([s.rotor_inertia, s.rotor_inertia / s.gear_ratio]),
             (s.base_radius, s.link_radius),
@@ -96,14 +96,14 @@ class Limits:
     def used(self, p: Floats, q: Floats, qd: Floats, qdd: Floats, momentum: float = 0.0) -> Floats:
         """Return the shares of rates, accelerations and torques used, (..., 3, n)."""
         tau = free_torques(p, q, qd, qdd, momentum, self.rotor)[0] + self.viscous * qd
-        asked = np.stack([qd, qdd, tau], axis=-2)
-        return np.abs(asked) / np.stack([self.rate, self.acceleration, self.torque])
+        required = np.stack([qd, qdd, tau], axis=-2)
+        return np.abs(required) / np.stack([self.rate, self.acceleration, self.torque])
 
-    def outside(self, q: npt.ArrayLike, slack: float = 1e-9) -> str:
+    def outside(self, q: npt.ArrayLike, tolerance: float = 1e-9) -> str:
         """Return the first joint outside its angles, its value and the limits; empty: none."""
         q = np.atleast_2d(np.asarray(q, dtype=float))
         low, high = self.bounds.T
-        for i in np.flatnonzero(((q < low - slack) | (q > high + slack)).any(axis=0)):
+        for i in np.flatnonzero(((q < low - tolerance) | (q > high + tolerance)).any(axis=0)):
             worst = q[np.argmax(np.maximum(low[i] - q[:, i], q[:, i] - high[i])), i]
             return (
                 f"joint {i + 1} at {worst:.4f} rad ({np.degrees(worst):.2f} deg), "

@@ -24,8 +24,8 @@ from fss_arm_model.momentum import momentum
 from fss_arm_motion.limits import KINDS, Limits
 from fss_arm_motion.transcription import gaps
 
-SPACING = 0.05  # of predicted poses [s]
-PROBES = 40  # number of times in each segment at which limits are checked
+PREDICTION_STEP = 0.05  # of predicted poses [s]
+PROBES_PER_SEGMENT = 40  # number of times in each segment at which limits are checked
 
 
 #: Additional results of the kinds of plans, with units.
@@ -79,8 +79,8 @@ class Start:
             raise PlanError(f"{name} has {q.size} angles, expected {self.arm.n}")
         if not np.isfinite(q).all():
             raise PlanError(f"{name} is {np.degrees(q).tolist()} deg, expected finite angles")
-        if wrong := self.limits.outside(q):
-            raise PlanError(f"{name}: {wrong}")
+        if problem := self.limits.outside(q):
+            raise PlanError(f"{name}: {problem}")
         return q
 
     def gap(self, q: Floats) -> Floats:
@@ -164,7 +164,7 @@ class Plan:
 def probed(times: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
     """Return angles, rates and accelerations along a path, both sides of each knot, (k, n)."""
     h = np.diff(times)[:, None, None]
-    x = np.linspace(0.0, 1.0, PROBES)[:, None]
+    x = np.linspace(0.0, 1.0, PROBES_PER_SEGMENT)[:, None]
     q0, q1, v0, v1 = q[:-1, None], q[1:, None], h * qd[:-1, None], h * qd[1:, None]
     b, c = 3.0 * (q1 - q0) - 2.0 * v0 - v1, v0 + v1 - 2.0 * (q1 - q0)
     parts = (
@@ -177,18 +177,20 @@ def probed(times: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats
     return angles, rates, gains
 
 
-def within(start: Start, times: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
+def stretch_to_limits(
+    start: Start, times: Floats, q: Floats, qd: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Slow a path down as far as the limits need, and return its times, qd and shares used.
 
     Raises:
         PlanError: a joint would leave its limits between two knots, or no speed is slow enough
             because friction or the momentum alone need more than the drives give.
     """
-    if wrong := start.limits.outside(q):
-        raise PlanError(wrong)
+    if problem := start.limits.outside(q):
+        raise PlanError(problem)
     angles, rates, gains = probed(times, q, qd)
-    if wrong := start.limits.outside(angles):
-        raise PlanError(wrong)
+    if problem := start.limits.outside(angles):
+        raise PlanError(problem)
     p, slower = start.arm.vector(), 1.0
     for _ in range(60):
         used = start.limits.used(p, angles, rates / slower, gains / slower**2, start.L).max(axis=0)
@@ -198,7 +200,7 @@ def within(start: Start, times: Floats, q: Floats, qd: Floats) -> tuple[Floats, 
     kind, joint = np.unravel_index(np.argmax(used), used.shape)
     raise PlanError(
         f"{KINDS[kind][0]} of joint {joint + 1} is {100 * used[kind, joint]:.0f} % of its limit "
-        f"however slow, with an angular momentum of {start.L:g} N m s"
+        f"at any speed, with an angular momentum of {start.L:g} N m s"
     )
 
 
@@ -206,7 +208,7 @@ def predicted(start: Start, times: Floats, q: Floats, qd: Floats) -> Prediction:
     """Predict the base's motion under a path."""
     n = start.arm.n
     law, edges = sampled([times] * n, list(q.T), list(qd.T))
-    marks = np.linspace(0.0, times[-1], 1 + min(400, max(2, round(times[-1] / SPACING))))
+    marks = np.linspace(0.0, times[-1], 1 + min(400, max(2, round(times[-1] / PREDICTION_STEP))))
     state = np.concatenate([start.pose, start.momentum, np.zeros(2)])
     poses, J = base_pose_sensitivities(start.bodies, path(law, edges, marks), state)
     size, total = len(start.arm.vector()), np.zeros((len(marks), 3, 3))
@@ -241,7 +243,7 @@ def finished(
     """
     qd = qd.copy()
     qd[[0, -1]] = 0.0  # except for rounding errors
-    times, qd, used = within(start, times, q, qd)
+    times, qd, used = stretch_to_limits(start, times, q, qd)
     angles = probed(times, q, qd)[0]
     gaps = start.gap(angles)
     if gaps.min() < min(start.limits.margin, gaps[0]):

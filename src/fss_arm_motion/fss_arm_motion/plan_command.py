@@ -24,7 +24,7 @@ from fss_arm_ros.command_line import Parser, in_one_line
 from fss_arm_ros.libraries import require
 
 EPILOG = (
-    "Angles are given in degrees, all else in SI units. Exit codes: 0 planned, 1 there is no plan."
+    "Angles are in degrees, all other values in SI units. Exit codes: 0 planned, 1 no plan found."
 )
 
 
@@ -33,10 +33,12 @@ def parser() -> argparse.ArgumentParser:
     p = Parser("plan", description=__doc__, epilog=EPILOG)
     kinds = p.add_subparsers(dest="kind", metavar="KIND", required=True, parser_class=Parser)
     for kind in KINDS.values():
-        own = kinds.add_parser(kind.name, help=kind.about, description=kind.about, epilog=EPILOG)
+        command = kinds.add_parser(
+            kind.name, help=kind.about, description=kind.about, epilog=EPILOG
+        )
         for f in fields(kind.settings):
-            add_option(own, f, get_type_hints(kind.settings)[f.name])
-        add_common(own)
+            add_option(command, f, get_type_hints(kind.settings)[f.name])
+        add_common(command)
     return p
 
 
@@ -46,24 +48,25 @@ def add_common(p: argparse.ArgumentParser) -> None:
         "--arm", default="paper", help="paper, cad, truth or a file (default: %(default)s)"
     )
     p.add_argument(
-        "--q", type=float, nargs="+", metavar="DEG", help="where the joints are (default: all 0)"
+        "--q", type=float, nargs="+", metavar="DEG", help="initial joint readings (default: all 0)"
     )
     p.add_argument(
         "--pose", type=float, nargs=3, metavar=("X", "Y", "DEG"), default=(0.0, 0.0, 0.0),
-        help="of the base in the world (default: 0 0 0)",
+        help="initial pose of the base in the world (default: 0 0 0)",
     )  # fmt: skip
     p.add_argument(
         "--momentum", type=float, nargs=3, metavar=("PX", "PY", "L"), default=(0.0, 0.0, 0.0),
-        help="of base and arm, L about their centre of mass [N s, N s, N m s] (default: 0 0 0)",
+        help="momentum of base and arm, L about their center of mass [N s, N s, N m s] "
+        "(default: 0 0 0)",
     )  # fmt: skip
     p.add_argument(
         "--deviation", type=float, default=0.01, metavar="SHARE", help="1 sigma of each mass, "
-        "inertia and centre of mass, as a share, for the base's band (default: %(default)s)",
+        "inertia and center of mass, as a share, for the base's band (default: %(default)s)",
     )  # fmt: skip
     for f in fields(LimitSettings):
         add_option(p, f, float)
-    p.add_argument("--output", metavar="YAML", help="write the path")
-    p.add_argument("--figure", metavar="PNG", help="draw it")
+    p.add_argument("--output", metavar="YAML", help="file for the path")
+    p.add_argument("--figure", metavar="PNG", help="file for a figure")
 
 
 def add_option(p: argparse.ArgumentParser, f: "Field[Any]", hint: Any) -> None:
@@ -73,16 +76,16 @@ def add_option(p: argparse.ArgumentParser, f: "Field[Any]", hint: Any) -> None:
     if hint is bool:
         p.add_argument(flag, action="store_true", help=about)
         return
-    many = bool(get_args(hint))
+    several = bool(get_args(hint))
     default: Any = f.default
-    if in_degrees(f) and not many:
+    if in_degrees(f) and not several:
         default = float(np.degrees(default))
-    shown = (
-        "" if many else f" (default: {default:g})" if hint is float else f" (default: {default})"
+    default_text = (
+        "" if several else f" (default: {default:g})" if hint is float else f" (default: {default})"
     )
     p.add_argument(
-        flag, type=float if many else hint, nargs="+" if many else None, default=f.default,
-        metavar=f.name.split("_")[-1].upper(), help=f"{about}{shown}",
+        flag, type=float if several else hint, nargs="+" if several else None, default=f.default,
+        metavar=f.name.split("_")[-1].upper(), help=f"{about}{default_text}",
         action=_Degrees if in_degrees(f) else "store",
     )  # fmt: skip
 
@@ -99,7 +102,7 @@ class _Degrees(argparse.Action):
         setattr(options, self.dest, np.radians(given).tolist())
 
 
-def uncertain(arm: Arm, share: float) -> Floats:
+def relative_covariance(arm: Arm, share: float) -> Floats:
     """Return a covariance of Arm.vector() from a relative uncertainty of the mass properties."""
     p = arm.vector()
     sigma = np.zeros_like(p)
@@ -110,7 +113,7 @@ def uncertain(arm: Arm, share: float) -> Floats:
     return np.diag(sigma**2)
 
 
-def planned(options: argparse.Namespace) -> tuple[Start, Plan]:
+def plan_motion(options: argparse.Namespace) -> tuple[Start, Plan]:
     """Plan the motion of a command line.
 
     Raises:
@@ -124,7 +127,7 @@ def planned(options: argparse.Namespace) -> tuple[Start, Plan]:
     pose = np.array([*options.pose[:2], np.radians(options.pose[2])])
     start = Start(
         arm, np.radians(options.q if options.q else np.zeros(arm.n)), pose,
-        np.array(options.momentum), limits, uncertain(arm, options.deviation),
+        np.array(options.momentum), limits, relative_covariance(arm, options.deviation),
     )  # fmt: skip
     kind, settings = request_of(options)
     return start, kind.plan(start, settings)
@@ -167,7 +170,7 @@ def main(args: Sequence[str] | None = None) -> int:
     options = parser().parse_args(args)
     if options.figure:
         require("matplotlib")
-    start, plan = planned(options)
+    start, plan = plan_motion(options)
     lines = [report(plan)]
     if options.output:
         write_text(options.output, written(start, plan))

@@ -15,16 +15,16 @@ from fss_arm_model.joint_path import sampled
 from fss_arm_model.kernels import Floats
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, setting
 from fss_arm_motion.interior_point import optimized
-from fss_arm_motion.plan import Plan, PlanError, Start, finished, probed, within
+from fss_arm_motion.plan import Plan, PlanError, Start, finished, probed, stretch_to_limits
 
 SEGMENTS = 6  # of a short move; two for each limit between which the best motion switches
-LEAST = 0.125  # least time between knots [s]; links keep 32 knots, for 4 s
-PER_SECOND = 3.0  # knots per second of a long move
-STILL = 1e-6  # longest way that counts as none [rad]
-HELD = 0.9  # share of the limits that an initial motion uses
+MIN_KNOT_TIME = 0.125  # least time between knots [s]; links keep 32 knots, for 4 s
+KNOTS_PER_SECOND = 3.0  # knots per second of a long move
+MIN_DISTANCE = 1e-6  # shortest distance that is a motion [rad]
+INITIAL_SHARE = 0.9  # share of the limits that an initial motion uses
 TURN_WEIGHT = 1e4  # weight of the base's mean square rate relative to the accelerations' [s^2]
-INSIDE = (1e-3, 1e-2, 5e-2)  # distances of knots from limits, tried in this order [rad]
-APART = 1.0  # distance of bodies that are not neighbours per such distance [m/rad]
+LIMIT_DISTANCES = (1e-3, 1e-2, 5e-2)  # distances of knots from limits, tried in this order [rad]
+GAP_PER_DISTANCE = 1.0  # distance of bodies that are not neighbours per such distance [m/rad]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class PointToPoint(Settings):
 
 
 def straight(
-    start: Start, ways: npt.ArrayLike, segments: int, share: float = HELD
+    start: Start, ways: npt.ArrayLike, segments: int, share: float = INITIAL_SHARE
 ) -> tuple[Floats, Floats, Floats]:
     """Return h, q and qd at knots of straight moves between postures, from rest to rest.
 
@@ -58,10 +58,10 @@ def straight(
         lasts = max(
             float((1.5 * np.abs(d) / start.limits.rate).max()),
             sqrt(float((6.0 * np.abs(d) / start.limits.acceleration).max())),
-            segments * LEAST,
+            segments * MIN_KNOT_TIME,
         )
         knots, rates = begin + way[:, None] * d, rate[:, None] * d / lasts
-        times = within(start, lasts * x, knots, rates)[0]
+        times = stretch_to_limits(start, lasts * x, knots, rates)[0]
         slower = times[-1] / lasts / share
         h.append(np.diff(times) / share)
         q.append(knots[1:])
@@ -87,13 +87,14 @@ def improved(
     low, high = start.limits.bounds.T
     near = np.minimum(q - low, high - q)[[0, -1]].min(axis=0)
     margin = min(start.limits.margin, float(start.gap(q[[0, -1]]).min()))
-    for keep in INSIDE:
+    for keep in LIMIT_DISTANCES:
         off = np.where(near < 2.0 * keep, 0.0, np.minimum(keep, 0.1 * (high - low)))
         knots = q.copy()
         knots[1:-1] = q[1:-1].clip(low + 2.0 * keep, high - 2.0 * keep)
         found = optimized(
             start.arm.vector(), np.column_stack([low + off, high - off]), start.limits.table,
-            start.limits.rotor, [*start.limits.radii, margin + APART * keep], h, knots, qd,
+            start.limits.rotor, [*start.limits.radii, margin + GAP_PER_DISTANCE * keep],
+            h, knots, qd,
             momentum=start.L, **options,
         )  # fmt: skip
         times = np.append(0.0, np.cumsum(found[0]))
@@ -104,35 +105,37 @@ def improved(
     return h, q, qd, found[3]
 
 
-def point_to_point(start: Start, asked: PointToPoint) -> Plan:
+def point_to_point(start: Start, request: PointToPoint) -> Plan:
     """Plan the motion to a posture.
 
     Raises:
         PlanError: the goal is beyond limits, or the duration shorter than they allow.
     """
-    goal = start.posture("goal", asked.goal)
+    goal = start.posture("goal", request.goal)
     arguments = {
         "goal": goal.tolist(),
-        "duration": asked.duration,
-        "least_rotation": asked.least_rotation,
+        "duration": request.duration,
+        "least_rotation": request.least_rotation,
     }
-    if np.abs(goal - start.q).max() < STILL:
+    if np.abs(goal - start.q).max() < MIN_DISTANCE:
         raise PlanError(f"goal is {goal.tolist()} rad, where the arm is")
     least = floor(start, goal)
-    segments = max(2, min(max(SEGMENTS, round(PER_SECOND * least)), int(least / LEAST)))
+    segments = max(
+        2, min(max(SEGMENTS, round(KNOTS_PER_SECOND * least)), int(least / MIN_KNOT_TIME))
+    )
     h, q, qd = straight(start, [start.q, goal], segments)
-    h, q, qd, _ = improved(start, h, q, qd, least=LEAST, floor=least)
-    times, qd, _ = within(start, np.append(0.0, np.cumsum(h)), q, qd)
+    h, q, qd, _ = improved(start, h, q, qd, least=MIN_KNOT_TIME, floor=least)
+    times, qd, _ = stretch_to_limits(start, np.append(0.0, np.cumsum(h)), q, qd)
     fastest = float(times[-1])
-    lasts = asked.duration or fastest * (2.0 if asked.least_rotation else 1.0)
+    lasts = request.duration or fastest * (2.0 if request.least_rotation else 1.0)
     if lasts < fastest:
         raise PlanError(
             f"duration is {lasts:g} s, expected {fastest:.3f} s or more: "
             f"{_bound(start, times, q, qd)}"
         )
     qd, times = qd * (fastest / lasts), times * (lasts / fastest)
-    if asked.least_rotation:
-        segments = max(SEGMENTS, min(round(PER_SECOND * lasts), 24))
+    if request.least_rotation:
+        segments = max(SEGMENTS, min(round(KNOTS_PER_SECOND * lasts), 24))
         q, qd = _resampled(times, q, qd, segments)
         h = np.full(segments, lasts / segments)
         h, q, qd, _ = improved(

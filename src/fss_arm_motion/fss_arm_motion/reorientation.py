@@ -18,8 +18,8 @@ from fss_arm_model.joint_path import path, sampled
 from fss_arm_model.kernels import Floats
 from fss_arm_model.momentum import generalized_jacobian
 from fss_arm_model.settings import Check, Settings, at_least, setting
-from fss_arm_motion.plan import Plan, PlanError, Start, finished, within
-from fss_arm_motion.point_to_point import LEAST, improved, straight
+from fss_arm_motion.plan import Plan, PlanError, Start, finished, stretch_to_limits
+from fss_arm_motion.point_to_point import MIN_KNOT_TIME, improved, straight
 
 FAMILIES = (
     (3, 1),
@@ -29,18 +29,18 @@ FAMILIES = (
     (4, 4),
 )  # corners of a polygon, and number of rounds
 PARENTS, CHILDREN, GENERATIONS = 16, 16, 25
-FIRST = 1500  # random polygons of each family
-CHANGE, CALMING = 0.5, 0.93  # of a corner's angles [rad], and its factor per generation
-PAUSE = 0.6  # approximate time that a corner costs [s]
+POLYGON_COUNT = 1500  # random polygons of each family
+CHANGE, CHANGE_DECAY = 0.5, 0.93  # of a corner's angles [rad], and its factor per generation
+CORNER_TIME = 0.6  # approximate time that a corner costs [s]
 SEGMENTS = 3  # segments of each side
 NODES = 8  # nodes of the quadrature along a side
 ITERATIONS = 100
-TRIED = 3  # largest number of polygons of a family that are optimized
-GAIN = 0.9  # largest share of its initial time for a successful optimization
-IMPOSSIBLE = 100.0  # cost of a polygon that is not feasible [s]
-INSIDE = 0.02  # distance of corners from joint limits [rad]
-ROOM = 0.03  # distance between bodies beyond the margin for polygons [m]
-CLOSE = math.radians(0.02)  # tolerance of the turn
+MAX_OPTIMIZED = 3  # largest number of polygons of a family that are optimized
+MAX_TIME_SHARE = 0.9  # largest share of its initial time for a successful optimization
+INFEASIBLE_COST = 100.0  # cost of a polygon that is not feasible [s]
+CORNER_DISTANCE = 0.02  # distance of corners from joint limits [rad]
+GAP_RESERVE = 0.03  # distance between bodies beyond the margin for polygons [m]
+TURN_TOLERANCE = math.radians(0.02)  # tolerance of the turn
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,10 @@ def costs(start: Start, corners: Floats, turn: float) -> Floats:
     turns = turns_of(start, corners) / turn
     # The turn grows about as the square of a polygon's size.
     size = np.minimum(1.0, np.sqrt(1.0 / np.maximum(turns, 1e-9)))
-    spent = (size[:, None] * travel + PAUSE).sum(axis=1)
-    spent += np.where(turns < 1.0, IMPOSSIBLE * (2.0 - turns), 0.0)
-    lack = start.limits.margin + ROOM - start.gap(along(corners)[0]).min(axis=(1, 2))
-    return np.asarray(spent + np.where(lack > 0.0, 3.0 * IMPOSSIBLE * (1.0 + lack), 0.0))
+    spent = (size[:, None] * travel + CORNER_TIME).sum(axis=1)
+    spent += np.where(turns < 1.0, INFEASIBLE_COST * (2.0 - turns), 0.0)
+    lack = start.limits.margin + GAP_RESERVE - start.gap(along(corners)[0]).min(axis=(1, 2))
+    return np.asarray(spent + np.where(lack > 0.0, 3.0 * INFEASIBLE_COST * (1.0 + lack), 0.0))
 
 
 def polygons(
@@ -96,14 +96,14 @@ def polygons(
 ) -> tuple[Floats, Floats]:
     """Return closed polygons (k, c, n) from the posture and their costs (k,), the best first."""
     low, high = start.limits.bounds.T
-    low, high = low + INSIDE, high - INSIDE
-    found = rng.uniform(low, high, (FIRST, corners, start.arm.n))
+    low, high = low + CORNER_DISTANCE, high - CORNER_DISTANCE
+    found = rng.uniform(low, high, (POLYGON_COUNT, corners, start.arm.n))
     found[:, 0] = start.q
     cost = costs(start, found, turn)
     order = np.argsort(cost)[:PARENTS]
     found, cost = found[order], cost[order]
     for generation in range(GENERATIONS):
-        change = CHANGE * CALMING**generation
+        change = CHANGE * CHANGE_DECAY**generation
         new = np.repeat(found, CHILDREN, axis=0)
         some = rng.random(new.shape[:2]) < 0.6
         new += change * rng.standard_normal(new.shape) * some[..., None]
@@ -133,39 +133,40 @@ def _sized(start: Start, corners: Floats, turn: float) -> Floats:
     return np.asarray(corners[0] + high * (corners - corners[0]))
 
 
-def reorientation(start: Start, asked: Reorientation) -> Plan:
+def reorientation(start: Start, request: Reorientation) -> Plan:
     """Plan the motion.
 
     Raises:
         PlanError: no motion found turns the base that far.
     """
-    rng = np.random.default_rng(asked.seed)
-    arguments = {"angle": asked.angle, "seed": asked.seed}
+    rng = np.random.default_rng(request.seed)
+    arguments = {"angle": request.angle, "seed": request.seed}
     best: Plan | None = None
-    most = 0.0
+    largest_turn = 0.0
     for corners, rounds in FAMILIES:
         if best is not None and rounds > best.notes["rounds"]:
             break
-        turn = asked.angle / rounds
+        turn = request.angle / rounds
         found, cost = polygons(start, turn, corners, rng)
-        most = max(most, float((turns_of(start, found) / turn).max()))
+        largest_turn = max(largest_turn, float((turns_of(start, found) / turn).max()))
         # Optimize the best one; if that fails the next ones, and at last use the best unchanged.
-        for k, improve in (*((k, True) for k in range(TRIED)), (0, False)):
-            if not cost[k] < IMPOSSIBLE:
+        for k, improve in (*((k, True) for k in range(MAX_OPTIMIZED)), (0, False)):
+            if not cost[k] < INFEASIBLE_COST:
                 break
             one = _sized(start, found[k], turn)
             ways = np.concatenate([np.tile(one, (rounds, 1)), one[:1]])
             try:
-                plan = _timed(start, ways, asked.angle, arguments, rounds, improve)
+                plan = _timed(start, ways, request.angle, arguments, rounds, improve)
             except PlanError:
                 continue
-            if plan.duration < GAIN * _spent(start, ways) or not improve:
+            if plan.duration < MAX_TIME_SHARE * _spent(start, ways) or not improve:
                 best = plan if best is None or plan.duration < best.duration else best
                 break
     if best is None:
+        turn = np.degrees(largest_turn * abs(request.angle))
         raise PlanError(
-            f"angle is {np.degrees(asked.angle):.1f} deg: no closed motion from this posture was "
-            f"found that turns the base by more than {np.degrees(most * abs(asked.angle)):.1f} deg"
+            f"angle is {np.degrees(request.angle):.1f} deg: no closed motion from this posture was "
+            f"found that turns the base by more than {turn:.1f} deg"
         )
     return best
 
@@ -189,13 +190,20 @@ def _timed(
     for _ in range(3):  # slowing down between knots changes the momentum's part
         if improve:
             h, q, qd, _ = improved(
-                start, h, q, qd, least=LEAST, turn=turn, iterations=ITERATIONS, tolerance=5e-3
+                start,
+                h,
+                q,
+                qd,
+                least=MIN_KNOT_TIME,
+                turn=turn,
+                iterations=ITERATIONS,
+                tolerance=5e-3,
             )
-        times, qd, _ = within(start, np.append(0.0, np.cumsum(h)), q, qd)
+        times, qd, _ = stretch_to_limits(start, np.append(0.0, np.cumsum(h)), q, qd)
         h = np.diff(times)
         missing = angle - _turn(start, times, q, qd)
         turn += missing
-        if abs(missing) < CLOSE:
+        if abs(missing) < TURN_TOLERANCE:
             return finished(start, "reorientation", arguments, times, q, qd, {"rounds": rounds})
     raise PlanError(f"the base turns by {np.degrees(angle - missing):.2f} deg")
 

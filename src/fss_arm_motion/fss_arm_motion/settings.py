@@ -10,9 +10,9 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, se
 class MotionSettings(Settings):
     """The parameters of a MotionNode."""
 
-    arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
+    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
     lead: float = setting(
-        1.0, "time from a plan to the beginning of its motion, for the links to hear of it",
+        1.0, "time from a plan to the start of its motion, in which the links receive it",
         unit="s", check=between(0.0, 60.0),
     )  # fmt: skip
     motion_threshold: float = setting(
@@ -20,17 +20,17 @@ class MotionSettings(Settings):
         check=POSITIVE,
     )  # fmt: skip
     max_age: float = setting(
-        1.0, "age above which what was heard of arm and base is not planned from", unit="s",
+        1.0, "maximum age of the state of arm and base that a plan starts from", unit="s",
         check=POSITIVE,
     )  # fmt: skip
     rest_window: float = setting(
         4.0, "time before a plan over which the base's drift is averaged", unit="s", check=POSITIVE
     )
     tolerance: float = setting(
-        0.02, "farthest that a path from a file may begin from where a joint is", unit="rad",
+        0.02, "maximum distance of a joint from the start of a path from a file", unit="rad",
         check=POSITIVE,
     )  # fmt: skip
     tracking: float = setting(
-        radians(0.04), "how far joints are from their path, 1 sigma, in what is predicted",
+        radians(0.04), "tracking error of the joints that predictions assume, 1 sigma",
         unit="rad", check=NOT_NEGATIVE,
     )  # fmt: skip

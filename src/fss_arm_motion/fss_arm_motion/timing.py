@@ -17,8 +17,8 @@ from fss_arm_motion.plan import PlanError, Start
 
 Path = Callable[[Floats], tuple[Floats, Floats, Floats]]
 
-DENSEST = 8.0  # most knots per second: links buffer 32 segments, 4 s ahead [1/s]
-SPARSEST = 2.0  # fewest knots per second [1/s]
+MAX_KNOT_RATE = 8.0  # most knots per second: links buffer 32 segments, 4 s ahead [1/s]
+MIN_KNOT_RATE = 2.0  # fewest knots per second [1/s]
 TOLERANCE = 1e-4  # of angles between knots [rad]
 COUNT = 201  # number of times at which a path is evaluated
 
@@ -53,7 +53,9 @@ def shortest(start: Start, path: Path, least: float = 0.5) -> float:
         if used.max() <= 1.0:
             return T
         T *= max(used[0], np.sqrt(used[1:].max())) * 1.001
-    raise PlanError(f"an angular momentum of {start.L:g} N m s asks for more torque than there is")
+    raise PlanError(
+        f"an angular momentum of {start.L:g} N m s requires more torque than the joints have"
+    )
 
 
 def knots(
@@ -68,8 +70,8 @@ def knots(
     """
     probes = np.linspace(0.0, lasts, COUNT)
     ideal = law(probes)[0]
-    segments = max(2, round(SPARSEST * lasts))
-    most = max(2, int(DENSEST * lasts))
+    segments = max(2, round(MIN_KNOT_RATE * lasts))
+    most = max(2, int(MAX_KNOT_RATE * lasts))
     while True:
         times = np.linspace(0.0, lasts, segments + 1)
         q, qd = law(times)

@@ -39,13 +39,15 @@ from fss_arm_motion.timing import knots, run_through
 
 WORLD, BASE = "world", "base"
 STEPS = 400  # of the Runge-Kutta method of 4th order
-RAMP = 0.15  # share of the time in which the bump falls, and rises again
-SETTLING = 0.1  # tau, share of the time
+RAMP_SHARE = 0.15  # share of the time in which the bump falls, and rises again
+SETTLING_SHARE = 0.1  # tau, share of the time
 SINGULAR = 0.01  # det(J* J*^T) over (trace / r)^r, below which damping starts
 DAMPING = 0.01  # mu at a singularity, over trace / r
-PULL = 3.0  # rate that pulls a joint at a limit away from it, per length of the path [rad/m]
-NEAR = 0.3  # distance from a limit below which a joint that approaches it is slowed [rad]
-AT_LIMIT = 0.05  # distance from a limit that explains why a path ends [rad]
+LIMIT_PULL = 3.0  # rate that pulls a joint at a limit away from it, per length of the path [rad/m]
+SLOWING_DISTANCE = (
+    0.3  # distance from a limit below which a joint that approaches it is slowed [rad]
+)
+LIMIT_DISTANCE = 0.05  # distance from a limit that explains why a path ends [rad]
 FULL, JOINT, LOST = range(3)  # reasons for the end of a path
 
 
@@ -57,14 +59,14 @@ class TipPath(Settings):
         SettingError: neither a line nor places are given, or both, or headings do not fit.
     """
 
-    by: tuple[float, ...] = setting((), "line to go along: x, y", unit="m", check=FINITE)
+    by: tuple[float, ...] = setting((), "straight line to follow: x, y", unit="m", check=FINITE)
     through: tuple[float, ...] = setting(
         (), "places to go through: x, y, x, y, ..", unit="m", check=FINITE
     )
     headings: tuple[float, ...] = setting(
         (), "headings of the end effector at the places; none: any", unit="rad", check=FINITE
     )
-    frame: str = setting(WORLD, "frame of the line or the places", check=one_of(WORLD, BASE))
+    frame: str = setting(WORLD, "frame of the line or the points", check=one_of(WORLD, BASE))
     duration: float = setting(
         0.0, "time to take; 0: as short as limits allow", unit="s", check=NOT_NEGATIVE
     )
@@ -72,7 +74,7 @@ class TipPath(Settings):
         0.005, "distance from the way at which the end effector counts as lost", unit="m",
         check=POSITIVE,
     )  # fmt: skip
-    partial: bool = setting(False, "be content with the part of the way that limits allow")
+    partial: bool = setting(False, "accept the part of the path that limits allow")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -89,7 +91,7 @@ class TipPath(Settings):
 
 
 @helper
-def _solved(C, y, rows):  # type: ignore[no-untyped-def]
+def _solve(C, y, rows):  # type: ignore[no-untyped-def]
     """Solve C y' = y in place by Gaussian elimination, C (rows, rows) symmetric and positive."""
     for i in range(rows):
         for r in range(i + 1, rows):
@@ -169,7 +171,7 @@ def _law(  # type: ignore[no-untyped-def]
         if size < options[4]:
             for i in range(rows):
                 C[i, i] += options[5] * part * (1.0 - max(size, 0.0) / options[4]) ** 2
-        _solved(C, b, rows)
+        _solve(C, b, rows)
         for k in range(n):
             rate[3 + k] = z[k]
             for i in range(rows):
@@ -188,7 +190,7 @@ def _law(  # type: ignore[no-untyped-def]
 
 
 @kernel("(p),(n,b),(x),(t),(o),(w,v),(m)->(m,x),(m,x),(t)")
-def _followed(p_, bounds_, start, momentum_, options_, way_, _m, states, rates, report):  # type: ignore[no-untyped-def]
+def _follow_path(p_, bounds_, start, momentum_, options_, way_, _m, states, rates, report):  # type: ignore[no-untyped-def]
     p, bounds, momentum, options = p_.copy(), bounds_.copy(), momentum_.copy(), options_.copy()
     way, n = way_.copy(), bounds_.shape[0]
     d, e = np.empty((2, n + 1), np.complex128)
@@ -247,11 +249,11 @@ class Way:
 
 def bump(r: Floats) -> Floats:
     """Return 1 at the start and the end of the time, 0 in between, smooth."""
-    x = np.clip(np.minimum(r, 1.0 - r) / RAMP, 0.0, 1.0)
+    x = np.clip(np.minimum(r, 1.0 - r) / RAMP_SHARE, 0.0, 1.0)
     return 1.0 - run_through(x)[0]
 
 
-def way_of(start: Start, asked: TipPath) -> Way:
+def way_of(start: Start, request: TipPath) -> Way:
     """Return the way from the current position of the tip.
 
     Raises:
@@ -260,9 +262,9 @@ def way_of(start: Start, asked: TipPath) -> Way:
     from scipy.interpolate import CubicSpline
 
     p, state = start.arm.vector(), np.concatenate([start.pose, start.q])
-    here = tip_pose(p, state) if asked.frame == WORLD else tip_in_base(p, start.q)
-    places = np.reshape(asked.through or here[:2] + np.array(asked.by), (-1, 2))
-    headings = np.array(asked.headings) if asked.headings else np.full(len(places), here[2])
+    here = tip_pose(p, state) if request.frame == WORLD else tip_in_base(p, start.q)
+    places = np.reshape(request.through or here[:2] + np.array(request.by), (-1, 2))
+    headings = np.array(request.headings) if request.headings else np.full(len(places), here[2])
     rows = np.vstack([here, np.column_stack([places, headings])])
     rows[:, 2] = np.unwrap(rows[:, 2])
     lengths = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1)
@@ -271,7 +273,7 @@ def way_of(start: Start, asked: TipPath) -> Way:
         raise PlanError(f"place {k + 1} is {places[k].tolist()} m, where the one before it is")
     s = np.append(0.0, np.cumsum(lengths)) / lengths.sum()
     curve = CubicSpline(s, rows, bc_type="natural") if len(s) > 2 else CubicSpline(s, rows)
-    return Way(curve, float(lengths.sum()), 3 if asked.headings else 2, asked.frame)
+    return Way(curve, float(lengths.sum()), 3 if request.headings else 2, request.frame)
 
 
 def _follow(
@@ -280,43 +282,43 @@ def _follow(
     """Return times, states and rates on the way, (m, 3 + n), and how it ended, (3,)."""
     floating = way.frame == WORLD
     options = np.array(
-        [way.rows, floating, SETTLING * lasts, PULL, SINGULAR, DAMPING,
-         lasts / STEPS, tolerance, NEAR]
+        [way.rows, floating, SETTLING_SHARE * lasts, LIMIT_PULL, SINGULAR, DAMPING,
+         lasts / STEPS, tolerance, SLOWING_DISTANCE]
     )  # fmt: skip
     begin = np.concatenate([start.pose if floating else np.zeros(3), start.q])
     room, table = np.empty(STEPS + 1), way.table(end, lasts)
-    states, rates, report = _followed(
+    states, rates, report = _follow_path(
         start.bodies, start.limits.bounds, begin, start.momentum, options, table, room
     )
     return np.linspace(0.0, lasts, STEPS + 1), states, rates, report
 
 
-def tip_path(start: Start, asked: TipPath) -> Plan:
+def tip_path(start: Start, request: TipPath) -> Plan:
     """Plan the motion, as fast as limits allow or in the requested time.
 
     Raises:
         PlanError: a joint's limit or a singularity ends the way early, and a part of it is not
             accepted; or limits cannot be kept.
     """
-    way = way_of(start, asked)
-    end, lasts, ended = 1.0, asked.duration or max(1.0, 2.0 * way.length), ""
+    way = way_of(start, request)
+    end, lasts, ended = 1.0, request.duration or max(1.0, 2.0 * way.length), ""
     p = start.arm.vector()
     for _ in range(30):
-        times, states, rates, report = _follow(start, way, end, lasts, asked.tolerance)
+        times, states, rates, report = _follow(start, way, end, lasts, request.tolerance)
         if report[0] != FULL:
             share = float(run_through(times[[int(report[1])]] / lasts)[0][0]) * end
             last = states[int(report[1]), 3:]
             ended = _reason(start, report, last, share * way.length, way.length)
-            if not asked.partial:
+            if not request.partial:
                 raise PlanError(ended)
             if share < 0.02:
-                raise PlanError(f"hardly any way: {ended}")
+                raise PlanError(f"the path is too short: {ended}")
             end = min(0.99 * share, 0.995 * end)
             continue
         q, qd = states[:, 3:], rates[:, 3:]
         qdd = np.gradient(qd, times, axis=0)
         used = start.limits.used(p, q, qd, qdd, start.L).max(axis=(0, 2))
-        if asked.duration or used.max() <= 1.0:
+        if request.duration or used.max() <= 1.0:
             break
         lasts *= 1.002 * max(used[0], math.sqrt(used[1:].max()))
     if used.max() > 1.0:
@@ -329,9 +331,10 @@ def tip_path(start: Start, asked: TipPath) -> Plan:
     spline = CubicHermiteSpline(times, q, qd)
     at = knots(lambda t: (spline(t), spline(t, 1)), lasts)
     arguments = {
-        "by": list(asked.by), "through": list(asked.through), "headings": list(asked.headings),
-        "frame": asked.frame, "duration": asked.duration, "tolerance": asked.tolerance,
-        "partial": asked.partial,
+        "by": list(request.by), "through": list(request.through),
+        "headings": list(request.headings),
+        "frame": request.frame, "duration": request.duration, "tolerance": request.tolerance,
+        "partial": request.partial,
     }  # fmt: skip
     plan = finished(start, "tip_path", arguments, *at[:3], {}, ended)
     notes = {"length": end * way.length, "error": _error(start, way, end, plan), "deviation": at[3]}
@@ -345,7 +348,7 @@ def _reason(start: Start, report: Floats, q: Floats, gone: float, length: float)
     low, high = start.limits.bounds.T
     i = int(report[2]) if report[0] == JOINT else int(np.argmin(np.minimum(q - low, high - q)))
     words = f"ends after {gone:.3f} m of {length:.3f} m"
-    if report[0] == JOINT or min(q[i] - low[i], high[i] - q[i]) < AT_LIMIT:
+    if report[0] == JOINT or min(q[i] - low[i], high[i] - q[i]) < LIMIT_DISTANCE:
         limits = f"{low[i]:.4f} to {high[i]:.4f} rad"
         return f"joint {i + 1} at {q[i]:.4f} rad ({np.degrees(q[i]):.1f} deg) of {limits}: {words}"
     return f"singularity: {words}, the end effector {1e3 * report[2]:.1f} mm off its way"

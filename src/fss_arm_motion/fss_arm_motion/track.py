@@ -10,7 +10,7 @@ import numpy as np
 from fss_arm_model.kernels import Floats
 
 SECOND = 1_000_000_000
-KEPT = 900 * SECOND  # [ns]
+MAX_HISTORY = 900 * SECOND  # [ns]
 BLOCKS = 8  # number of blocks of rows; errors of block means are independent, those of rows are not
 
 
@@ -40,7 +40,7 @@ class Track:
             turn = values[self.angle] - before
             values[self.angle] = before + (turn + np.pi) % (2.0 * np.pi) - np.pi
         self._rows.append((t, values))
-        while t - self._rows[0][0] > KEPT:
+        while t - self._rows[0][0] > MAX_HISTORY:
             self._rows.popleft()
 
     def between(self, begin: int, end: int) -> tuple[Floats, Floats]:

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.clearance import _apart, _to_segment
+from fss_arm_model.clearance import _point_distance, _segment_distance
 from fss_arm_model.free_floating import _free_torques, _geometry
 from fss_arm_model.kernels import Complexes, Floats, helper, kernel
 from fss_arm_model.kinematics import _chain
@@ -32,7 +32,7 @@ POINTS = 5  # Lobatto points of a segment
 _PLACES = 0.5 + 0.5 * np.array([-1.0, -math.sqrt(3.0 / 7.0), 0.0, math.sqrt(3.0 / 7.0), 1.0])
 WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
 _DIFFERENCE = 1e-6  # of angles and rates, for forward differences
-_FAR = 1e3  # larger than any gap [m]
+_NO_GAP = 1e3  # larger than any gap [m]
 
 
 def _basis() -> Floats:
@@ -91,13 +91,13 @@ def _gap(arm, s):  # type: ignore[no-untyped-def]
     """Return the least gap between bodies that are not neighbours, at the scratch's state."""
     d, radii = s.work[0], arm.radii
     _chain(arm.p, s.state, d, s.work[1])
-    least, a = _FAR, d[0]
+    least, a = _NO_GAP, d[0]
     for i in range(2, d.size):
         a += d[i - 1]  # start of link i
-        least = min(least, _to_segment(a, d[i], 0j) - radii[0] - radii[1])
+        least = min(least, _point_distance(a, d[i], 0j) - radii[0] - radii[1])
         b = d[0]
         for j in range(1, i - 1):
-            least = min(least, _apart(a, d[i], b, d[j]) - 2.0 * radii[1])
+            least = min(least, _segment_distance(a, d[i], b, d[j]) - 2.0 * radii[1])
             b += d[j]
     return least
 
@@ -133,7 +133,7 @@ def _at(point, h, q, qd, s):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _asked(r, n, k, point, segments):  # type: ignore[no-untyped-def]
+def _is_constrained(r, n, k, point, segments):  # type: ignore[no-untyped-def]
     """Return True if quantity r is limited at a point.
 
     Accelerations are largest at a segment's ends; the first and last posture are given.
@@ -146,7 +146,7 @@ def _asked(r, n, k, point, segments):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _room(room, value, low, high):  # type: ignore[no-untyped-def]
+def _margin(room, value, low, high):  # type: ignore[no-untyped-def]
     room[0], room[1] = value - low, high - value
 
 
@@ -163,15 +163,15 @@ def _values(arm, s, h, q, qd, room, omegas):  # type: ignore[no-untyped-def]
             geometry = _geometry(arm.p, s.state, s.work, s.second)
             omegas[k, j] = _torques(arm, s, geometry, s.tau)
             own = room[k, j]
-            _room(own[n], _gap(arm, s), arm.radii[2], 2.0 * _FAR)
+            _margin(own[n], _gap(arm, s), arm.radii[2], 2.0 * _NO_GAP)
             for i in range(n):
                 load = s.tau[3 + i] + limits[i, 3] * s.rate[3 + i]
-                _room(own[i], load, -limits[i, 2], limits[i, 2])
-                _room(own[n + 1 + i], s.rate[3 + i], -limits[i, 0], limits[i, 0])
-                _room(own[2 * n + 1 + i], s.state[3 + i], arm.bounds[i, 0], arm.bounds[i, 1])
-                _room(own[3 * n + 1 + i], s.gain[3 + i], -limits[i, 1], limits[i, 1])
+                _margin(own[i], load, -limits[i, 2], limits[i, 2])
+                _margin(own[n + 1 + i], s.rate[3 + i], -limits[i, 0], limits[i, 0])
+                _margin(own[2 * n + 1 + i], s.state[3 + i], arm.bounds[i, 0], arm.bounds[i, 1])
+                _margin(own[3 * n + 1 + i], s.gain[3 + i], -limits[i, 1], limits[i, 1])
             for r in range(4 * n + 1):
-                if _asked(r, n, k, j, h.size):
+                if _is_constrained(r, n, k, j, h.size):
                     least = min(least, own[r, 0], own[r, 1])
     return least
 

@@ -30,10 +30,10 @@ from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 from fss_arm_motion.timing import knots, run_through, shortest
 
 STEP = 5e-3  # of the Runge-Kutta method of 4th order [rad]
-FAINT = 1e-3  # smallest share of a direction that is not neglected
+MIN_SHARE = 1e-3  # smallest share of a direction that is not neglected
 
-STRAIGHTER = 1e-3  # longest path that counts as none [rad]
-PATIENCE = (2.5, 8.0)  # times beyond the fastest motion, tried one after the other [s]
+MIN_PATH = 1e-3  # longest path that counts as none [rad]
+EXTRA_TIMES = (2.5, 8.0)  # times beyond the fastest motion, tried one after the other [s]
 
 LIMIT, NOTHING_LEFT, LENGTH = range(3)
 
@@ -104,10 +104,10 @@ def _null_path(p, bounds, q0, u0, length, _m, q, slope, report):  # type: ignore
     while True:
         state[3:] = here
         left = _slope(p, u, state, d, e, J, x[0])
-        if count < q.shape[0] and left > FAINT:
+        if count < q.shape[0] and left > MIN_SHARE:
             q[count], slope[count] = here, x[0]
             count += 1
-        if not left > FAINT:
+        if not left > MIN_SHARE:
             report[1] = 1.0
             break
         h = min(STEP, length[0] - done)
@@ -165,29 +165,29 @@ def null_path(
     return lengths, q[:count], slope[:count], why
 
 
-def zero_reaction(start: Start, asked: ZeroReaction) -> Plan:
+def zero_reaction(start: Start, request: ZeroReaction) -> Plan:
     """Plan the motion, with the time that limits need.
 
     Raises:
         PlanError: no motion is possible, limits cannot be kept, or a goal is not reached without
             turning the base.
     """
-    return _to_goal(start, asked) if asked.goal else _along(start, asked)
+    return _to_goal(start, request) if request.goal else _along(start, request)
 
 
-def _along(start: Start, asked: ZeroReaction) -> Plan:
+def _along(start: Start, request: ZeroReaction) -> Plan:
     from scipy.interpolate import CubicHermiteSpline
 
-    length = asked.length or 2.0 * float(np.ptp(start.limits.bounds, axis=1).sum())
-    lengths, q, slope, why = null_path(start, asked.direction, length)
-    if not len(lengths) or lengths[-1] < STRAIGHTER:
-        raise PlanError(f"no motion along {list(asked.direction)}: {why}")
+    length = request.length or 2.0 * float(np.ptp(start.limits.bounds, axis=1).sum())
+    lengths, q, slope, why = null_path(start, request.direction, length)
+    if not len(lengths) or lengths[-1] < MIN_PATH:
+        raise PlanError(f"no motion along {list(request.direction)}: {why}")
     whole = lengths[-1]
     spline = CubicHermiteSpline(lengths / whole, q, whole * slope)
     least = shortest(start, lambda s: (spline(s), spline(s, 1), spline(s, 2)))
-    if asked.duration and asked.duration < least:
-        raise PlanError(f"duration is {asked.duration:g} s, expected {least:.3f} s or more")
-    lasts = asked.duration or least
+    if request.duration and request.duration < least:
+        raise PlanError(f"duration is {request.duration:g} s, expected {least:.3f} s or more")
+    lasts = request.duration or least
 
     def law(t: Floats) -> tuple[Floats, Floats]:
         s, speed, _ = run_through(np.clip(t / lasts, 0.0, 1.0))
@@ -195,24 +195,31 @@ def _along(start: Start, asked: ZeroReaction) -> Plan:
 
     times, at, rate, deviation = knots(law, lasts)
     arguments = {
-        "direction": list(asked.direction), "length": asked.length, "duration": asked.duration,
+        "direction": list(request.direction), "length": request.length,
+        "duration": request.duration,
     }  # fmt: skip
     notes = {"travel": float(whole), "deviation": deviation}
     return finished(start, "zero_reaction", arguments, times, at, rate, notes, why)
 
 
-def _to_goal(start: Start, asked: ZeroReaction) -> Plan:
-    goal = start.posture("goal", asked.goal)
+def _to_goal(start: Start, request: ZeroReaction) -> Plan:
+    goal = start.posture("goal", request.goal)
     fastest = point_to_point(start, PointToPoint(tuple(goal)))
     durations = (
-        [asked.duration] if asked.duration else [fastest.duration + more for more in PATIENCE]
+        [request.duration]
+        if request.duration
+        else [fastest.duration + more for more in EXTRA_TIMES]
     )
-    arguments = {"goal": goal.tolist(), "duration": asked.duration, "tolerance": asked.tolerance}
+    arguments = {
+        "goal": goal.tolist(),
+        "duration": request.duration,
+        "tolerance": request.tolerance,
+    }
     turns = []
     for duration in durations:
         plan = point_to_point(start, PointToPoint(tuple(goal), duration, least_rotation=True))
         turns.append(plan.prediction.excursion)
-        if turns[-1] <= asked.tolerance:
+        if turns[-1] <= request.tolerance:
             notes = {"fastest_turn": fastest.prediction.excursion}
             return Plan(
                 "zero_reaction", arguments, plan.times, plan.q, plan.qd, plan.prediction,
@@ -220,6 +227,6 @@ def _to_goal(start: Start, asked: ZeroReaction) -> Plan:
             )  # fmt: skip
     raise PlanError(
         f"goal {goal.tolist()} rad: no motion found that turns the base by less than "
-        f"{np.degrees(min(turns)):.2f} deg, expected {np.degrees(asked.tolerance):.2f} deg; "
-        f"longer than {max(durations):.1f} s may do"
+        f"{np.degrees(min(turns)):.2f} deg, expected {np.degrees(request.tolerance):.2f} deg; "
+        f"a duration above {max(durations):.1f} s may help"
     )

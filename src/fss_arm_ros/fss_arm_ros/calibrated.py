@@ -83,7 +83,7 @@ def with_kinematics_of(known: Arm, arm: Arm) -> Arm:
     """
     kinematics = known.vector()[kinematic_index(arm.n)]
     names = [k for k in (*kinematic_names(arm.n), "theta_E") if k in known.known.names]
-    merged = arm.known.told(names, known.known.over(names, np.zeros(len(names))))
+    merged = arm.known.updated(names, known.known.covariance_of(names, np.zeros(len(names))))
     return replace(arm.with_kinematics(kinematics), theta_E=known.theta_E, known=merged)
 
 

@@ -54,16 +54,18 @@ class BaseReactionNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("base_reaction", **options)
         s = self.settings = declare(self, BaseReactionSettings)
-        self.known = Calibrated(described(s.arm))
+        self.calibrated = Calibrated(described(s.arm))
         self.offsets: dict[str, int] = {}  # clock offsets to motion capture [ns], by calibration
-        self.begin()
+        self.reset()
         self.occluded = 0
-        self.published = monotonic()  # time of the last published reaction [s]
-        self.state = self.transform = None
+        self.last_published = monotonic()  # time of the last published reaction [s]
+        self.state_publisher = self.transform_publisher = None
         if s.publish_state:
-            self.state = self.create_publisher(Odometry, "base/state", SENSOR)
-            self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
-        self.reacted = self.create_publisher(BaseReactionMessage, "base_reaction", SENSOR)
+            self.state_publisher = self.create_publisher(Odometry, "base/state", SENSOR)
+            self.transform_publisher = self.create_publisher(TFMessage, "/tf", SENSOR)
+        self.reaction_publisher = self.create_publisher(
+            BaseReactionMessage, "base_reaction", SENSOR
+        )
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
         subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
         subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
@@ -76,29 +78,31 @@ class BaseReactionNode(Node):
             subscribe(self, kind, topic, partial(self.on_calibration, topic), LATCHED)
         self.diagnostics = Diagnostics(self, self.health)
 
-    def begin(self) -> None:
-        """Reset all that was measured; keep what is known of the arm."""
+    def reset(self) -> None:
+        """Reset filter and prediction; keep the calibrated arm."""
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
         self.filter = BodyFilter(self.settings)
-        self.reaction = BaseReaction(self.known.arm, self.known.covariance, self.settings)
+        self.reaction = BaseReaction(self.calibrated.arm, self.calibrated.covariance, self.settings)
         self.pose: tuple[float, float, float] | None = None  # last pose received
-        self.fired = -inf  # end of the last thruster pulse [ns]
+        self.thrust_end = -inf  # end of the last thruster pulse [ns]
 
-    def stamp(self, topic: str, message: Any) -> int:
+    def check_stamp(self, topic: str, message: Any) -> int:
         """Return a message's stamp [ns]; if a topic's stamps jump back, reset the node."""
         t = stamp_ns(message.header.stamp)
         if self.stamps[topic].set_back(t):
-            self.get_logger().warning(f"{topic} went back to {t / SECOND:.1f} s: begins anew")
-            self.begin()
+            self.get_logger().warning(
+                f"stamps of {topic} jumped back to {t / SECOND:.1f} s: filter and prediction reset"
+            )
+            self.reset()
         return t
 
     def on_joints(self, message: JointState) -> None:
         """Add readings of one or more links; publish the reaction at all times known now."""
-        t = self.stamp(self.settings.joints_topic, message)
+        t = self.check_stamp(self.settings.joints_topic, message)
         t -= self.offsets.get(KINEMATIC, self.offsets.get(DYNAMIC, 0))
         for i, q, qd, effort in joint_readings(message):
-            if 1 <= i <= self.known.arm.n and isfinite(q) and isfinite(qd):
-                self.reaction.joint(i - 1, t, q, qd, effort)
+            if 1 <= i <= self.calibrated.arm.n and isfinite(q) and isfinite(qd):
+                self.reaction.add_reading(i - 1, t, q, qd, effort)
         self.advance()
 
     def on_pose(self, message: PoseStamped) -> None:
@@ -106,17 +110,17 @@ class BaseReactionNode(Node):
         if (pose := seen_pose(message)) is None:
             self.occluded += 1
             return
-        t = self.stamp(self.settings.base_topic, message)
-        if pose == self.pose and self.reaction.moving():
+        t = self.check_stamp(self.settings.base_topic, message)
+        if pose == self.pose and self.reaction.is_moving():
             self.filter.rejected["frozen"] += 1  # the motion capture receiver repeats its last pose
             return
         self.pose = pose
         if self.filter.update_pose(t, *pose):
-            self.take()
+            self.update_base()
 
     def on_gyro(self, message: Imu) -> None:
         """Add a sample of the base's rate."""
-        t = self.stamp(self.settings.gyro_topic, message) - self.offsets.get(DYNAMIC, 0)
+        t = self.check_stamp(self.settings.gyro_topic, message) - self.offsets.get(DYNAMIC, 0)
         self.filter.update_rate(t, message.angular_velocity.z)
 
     def on_thrust(self, message: ThrusterCommand) -> None:
@@ -124,49 +128,49 @@ class BaseReactionNode(Node):
         longest = max(message.on_time)
         if all(map(isfinite, message.on_time)) and longest > 0.0:  # else the board rejects it
             until = stamp_ns(message.header.stamp) + round(longest * SECOND)
-            self.fired = max(self.fired, until)
+            self.thrust_end = max(self.thrust_end, until)
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Use a calibration that passed for predictions, from the next rest on."""
         try:
-            known = self.known.of_same_links(topic, message)
+            calibrated = self.calibrated.of_same_links(topic, message)
         except ValueError as error:
             self.get_logger().warning(f"{topic} is left out: {error}")
             return
-        if known is not self.known:
-            self.known = known
-            self.reaction.describe(known.arm, known.covariance)
+        if calibrated is not self.calibrated:
+            self.calibrated = calibrated
+            self.reaction.set_arm(calibrated.arm, calibrated.covariance)
             if isfinite(offset := message.calibration.time_offset):
                 self.offsets[topic] = round(offset * SECOND)
-            self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
+            self.get_logger().info(f"predicting with {topic} of {calibrated.arm.name}")
 
-    def take(self) -> None:
+    def update_base(self) -> None:
         """Store the filter's state of the base, and publish it."""
         state = self.filter.state()
-        self.reaction.base(state)
-        if self.state and self.transform:
+        self.reaction.add_base_state(state)
+        if self.state_publisher and self.transform_publisher:
             frames = self.settings.world_frame, self.settings.base_frame
-            self.state.publish(odometry(state, *frames))
-            self.transform.publish(transform(state, *frames))
+            self.state_publisher.publish(odometry(state, *frames))
+            self.transform_publisher.publish(transform(state, *frames))
 
     def advance(self) -> None:
         """Publish the reaction at `rate`, up to the last time that is known."""
-        until, period = self.reaction.known_until(), int(SECOND / self.settings.rate)
+        until, period = self.reaction.last_known_time(), int(SECOND / self.settings.rate)
         if until - self.reaction.t > SECOND:
-            self.step(until)
+            self.publish_reaction(until)
         while self.reaction.t + period <= until:
-            self.step(self.reaction.t + period)
+            self.publish_reaction(self.reaction.t + period)
 
-    def step(self, t: int) -> None:
+    def publish_reaction(self, t: int) -> None:
         """Publish the reaction at t."""
-        found = self.reaction.advance(t)
-        if found:
-            self.published = monotonic()
-            message = to_message(found, self.known.arm.name, self.settings.world_frame)
-            drifts = found.anchor - round(self.settings.max_drift_duration * SECOND)
-            if self.fired > drifts:  # the difference is not due to the arm alone
+        reaction = self.reaction.advance(t)
+        if reaction:
+            self.last_published = monotonic()
+            message = to_message(reaction, self.calibrated.arm.name, self.settings.world_frame)
+            drift_start = reaction.anchor - round(self.settings.max_drift_duration * SECOND)
+            if self.thrust_end > drift_start:  # the difference is not due to the arm alone
                 message.difference = np.full(3, nan)
-            self.reacted.publish(message)
+            self.reaction_publisher.publish(message)
 
     def health(self) -> Health:
         """Return the node's health for diagnostics."""
@@ -175,14 +179,14 @@ class BaseReactionNode(Node):
             **{f"{what} rejected": count for what, count in self.filter.rejected.items()},
         }
         count = self.filter.rejected["late"]
-        late = f"; {count} samples of the base came late" if count else ""
+        late = f"; {count} late samples of the base rejected" if count else ""
         if self.reaction.prediction is None:
             return Health(WARN, f"waiting for joints and base at rest{late}", values)
-        silence = monotonic() - self.published
+        silence = monotonic() - self.last_published
         values["silent for"] = silence
         if silence > 2.0:
-            return Health(WARN, f"nothing to compute from for {silence:.1f} s{late}", values)
-        return Health(OK, f"predicts with {self.known.arm.name}", values)
+            return Health(WARN, f"no joint or base data for {silence:.1f} s{late}", values)
+        return Health(OK, f"predicting with {self.calibrated.arm.name}", values)
 
 
 def to_message(reaction: Reaction, arm: str, world_frame: str) -> BaseReactionMessage:

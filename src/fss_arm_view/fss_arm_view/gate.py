@@ -29,10 +29,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from fss_arm_view.page import NOW, with_strip
+from fss_arm_view.page import STATUS_PATH, with_strip
 
 HTTP2 = b"PRI * HTTP/2.0\r\n"
-PATIENCE = 10.0  # timeout for the head of a request [s]
+HEAD_TIMEOUT = 10.0  # for the head of a request [s]
 POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; worker-src 'self' blob:; "
@@ -40,8 +40,8 @@ POLICY = (
 )
 
 
-def is_own(host: str, names: Iterable[str]) -> bool:
-    """Return True if a Host header, with or without port, is an IP address or one of `names`."""
+def is_own_host(host: str, host_names: Iterable[str]) -> bool:
+    """Return True if a Host header, with or without port, is an IP address or in `host_names`."""
     try:
         name = urlsplit(f"//{host.strip()}").hostname or ""
     except ValueError:
@@ -49,11 +49,11 @@ def is_own(host: str, names: Iterable[str]) -> bool:
     try:
         ip_address(name)
     except ValueError:
-        return name in names
+        return name in host_names
     return True
 
 
-def header(head: bytes, name: bytes) -> str:
+def header_value(head: bytes, name: bytes) -> str:
     """Return a header's value from the head of a message; empty if it is absent or repeated."""
     found = [
         line.partition(b":")[2].decode("latin-1").strip()
@@ -63,18 +63,18 @@ def header(head: bytes, name: bytes) -> str:
     return found[0] if len(found) == 1 else ""
 
 
-def without(head: bytes, name: bytes) -> bytes:
+def remove_header(head: bytes, name: bytes) -> bytes:
     """Return the head of a message without a header, and without its final empty line."""
     lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     return b"\r\n".join(line for line in lines if line.partition(b":")[0].lower() != name)
 
 
-def shut_in(page: bytes) -> bytes:
+def remove_foreign_links(page: bytes) -> bytes:
     """Return the page without links to other hosts."""
     return re.sub(rb"<link\b[^>]*\bhref=.https?://[^>]*>", b"", page)
 
 
-async def _pump(reader: StreamReader, writer: StreamWriter) -> None:
+async def _relay(reader: StreamReader, writer: StreamWriter) -> None:
     with suppress(OSError):
         while chunk := await reader.read(1 << 16):
             writer.write(chunk)
@@ -82,105 +82,120 @@ async def _pump(reader: StreamReader, writer: StreamWriter) -> None:
         writer.write_eof()
 
 
-def now(file: Path) -> bytes:
+def status_response(file: Path) -> bytes:
     """Return the HTTP response for the strip: the node's last content, and its age [s]."""
     try:
-        age, said = time.time() - file.stat().st_mtime, file.read_bytes()
+        age, status = time.time() - file.stat().st_mtime, file.read_bytes()
     except OSError:
         return b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-    text = b'{"age": %.1f, "said": %s}' % (age, said)
+    text = b'{"age": %.1f, "status": %s}' % (age, status)
     head = f"HTTP/1.1 200 OK\r\nContent-Length: {len(text)}\r\nContent-Type: application/json"
     return f"{head}\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n".encode() + text
 
 
-async def _page(head: bytes, here: Any, there: Any, data_port: int, said: Path) -> None:
+async def _serve_page(
+    head: bytes, client: Any, server: Any, data_port: int, status_file: Path
+) -> None:
     """Serve one request for the page, with the policy among the response's headers."""
-    if head.split(b" ", 2)[1] == NOW.encode():
-        here[1].write(now(said))
-        await here[1].drain()
+    if head.split(b" ", 2)[1] == STATUS_PATH.encode():
+        client[1].write(status_response(status_file))
+        await client[1].drain()
         return
-    name = urlsplit(f"//{header(head, b'host')}").hostname or ""
+    name = urlsplit(f"//{header_value(head, b'host')}").hostname or ""
     data = f"http://{f'[{name}]' if ':' in name else name}:{data_port}"
-    there[1].write(without(head, b"connection") + b"\r\nConnection: close\r\n\r\n")
-    answer = await there[0].readuntil(b"\r\n\r\n")
+    server[1].write(remove_header(head, b"connection") + b"\r\nConnection: close\r\n\r\n")
+    answer = await server[0].readuntil(b"\r\n\r\n")
     policy = POLICY.format(data=data).encode()
     added = b"\r\nConnection: close\r\nX-Content-Type-Options: nosniff\r\n"
     added += b"Content-Security-Policy: " + policy
-    answer = without(without(answer, b"connection"), b"content-security-policy")
-    if header(answer, b"content-type").startswith("text/html"):
-        page = with_strip(shut_in(await there[0].read(-1)))
-        answer = without(answer, b"content-length") + f"\r\nContent-Length: {len(page)}".encode()
-        here[1].write(answer + added + b"\r\n\r\n" + page)
-        await here[1].drain()
+    answer = remove_header(remove_header(answer, b"connection"), b"content-security-policy")
+    if header_value(answer, b"content-type").startswith("text/html"):
+        page = with_strip(remove_foreign_links(await server[0].read(-1)))
+        answer = (
+            remove_header(answer, b"content-length") + f"\r\nContent-Length: {len(page)}".encode()
+        )
+        client[1].write(answer + added + b"\r\n\r\n" + page)
+        await client[1].drain()
         return
-    here[1].write(answer + added + b"\r\n\r\n")
-    await _pump(there[0], here[1])
+    client[1].write(answer + added + b"\r\n\r\n")
+    await _relay(server[0], client[1])
 
 
-async def _data(head: bytes, here: Any, there: Any) -> None:
+async def _relay_data(head: bytes, client: Any, server: Any) -> None:
     """Relay all data in both directions."""
-    there[1].write(head)
-    await asyncio.gather(_pump(here[0], there[1]), _pump(there[0], here[1]))
+    server[1].write(head)
+    await asyncio.gather(_relay(client[0], server[1]), _relay(server[0], client[1]))
 
 
-async def _guard(
+async def _handle_client(
     port: int,
-    names: frozenset[str],
-    serve: Callable[[bytes, Any, Any], Coroutine[Any, Any, None]],
+    host_names: frozenset[str],
+    handler: Callable[[bytes, Any, Any], Coroutine[Any, Any, None]],
     reader: StreamReader,
     writer: StreamWriter,
 ) -> None:
     """Connect one client to a port of this computer, or reject it with status 403."""
     writers = [writer]
     try:
-        head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
-        if not (head.startswith(HTTP2) or is_own(header(head, b"host"), names)):
-            text = "this computer is not reached under that name: -p names:=[NAME] allows it\n"
+        head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
+        if not (head.startswith(HTTP2) or is_own_host(header_value(head, b"host"), host_names)):
+            text = "unknown host name: start the view with -p names:=[NAME] to allow it\n"
             writer.write(
                 f"HTTP/1.1 403 Forbidden\r\nContent-Length: {len(text)}\r\n"
                 f"Content-Type: text/plain\r\nConnection: close\r\n\r\n{text}".encode()
             )
             await writer.drain()
             return
-        there = await asyncio.open_connection("127.0.0.1", port)
-        writers.append(there[1])
-        await serve(head, (reader, writer), there)
+        server = await asyncio.open_connection("127.0.0.1", port)
+        writers.append(server[1])
+        await handler(head, (reader, writer), server)
     except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
         pass  # the client left, timed out, or sent too much; or rerun has not started yet
     finally:
-        for each in writers:
-            each.close()
+        for opened in writers:
+            opened.close()
 
 
-async def guard(
-    bind: str, ports: tuple[int, int], inner: tuple[int, int], said: Path, names: str
+async def serve_gate(
+    bind: str,
+    ports: tuple[int, int],
+    inner_ports: tuple[int, int],
+    status_file: Path,
+    host_names: str,
 ) -> None:
     """Serve the ports of the data and of the page until cancelled.
 
     Raises:
         OSError: a port is in use.
     """
-    known = frozenset(f"{name}".lower() for name in (*names.split(), *own_names()))
-    serve: tuple[Any, Any] = _data, partial(_page, data_port=ports[0], said=said)
+    allowed = frozenset(f"{name}".lower() for name in (*host_names.split(), *computer_names()))
+    handlers: tuple[Any, Any] = (
+        _relay_data,
+        partial(_serve_page, data_port=ports[0], status_file=status_file),
+    )
     servers = [
-        await asyncio.start_server(partial(_guard, within, known, how), bind, port)
-        for port, within, how in zip(ports, inner, serve, strict=True)
+        await asyncio.start_server(
+            partial(_handle_client, inner_port, allowed, handler), bind, port
+        )
+        for port, inner_port, handler in zip(ports, inner_ports, handlers, strict=True)
     ]
     await asyncio.gather(*(server.serve_forever() for server in servers))
 
 
-def own_names() -> set[str]:
+def computer_names() -> set[str]:
     """Return the host names of this computer."""
     name = socket.gethostname().lower()
     return {"localhost", name, f"{name}.local", socket.getfqdn().lower()}
 
 
 def main() -> int:
-    """Run the gate: BIND DATA_PORT PAGE_PORT INNER_DATA_PORT INNER_PAGE_PORT SAID NAMES."""
-    bind, *ports, said, names = sys.argv[1:]
+    """Run the gate: BIND DATA_PORT PAGE_PORT INNER_DATA_PORT INNER_PAGE_PORT STATUS_FILE NAMES."""
+    bind, *ports, status_file, host_names = sys.argv[1:]
     data, page, inner_data, inner_page = map(int, ports)
     try:
-        asyncio.run(guard(bind, (data, page), (inner_data, inner_page), Path(said), names))
+        asyncio.run(
+            serve_gate(bind, (data, page), (inner_data, inner_page), Path(status_file), host_names)
+        )
     except OSError as error:
         print(f"view: {error.strerror}", file=sys.stderr)
         return 1

@@ -1,11 +1,11 @@
 """Additions of the gate to rerun's page: the strip above it, and the age of the drawings.
 
-The page requests NOW from the gate; the node keeps the answer in a file. It asks rerun for the time
-at which it draws; the difference is the age of the drawings. A page that lags far behind, as on a
-busy computer, is reloaded, and receives the newest drawings first.
+The page requests STATUS_PATH from the gate; the node keeps the answer in a file. It asks rerun for
+the time at which it draws; the difference is the age of the drawings. A page that lags far behind,
+as on a busy computer, is reloaded, and receives the newest drawings first.
 """
 
-NOW = "/fss/now"
+STATUS_PATH = "/fss/now"
 
 SCRIPT = """
 <style>
@@ -23,18 +23,19 @@ SCRIPT = """
   #fss_wait { position: fixed; top: 46px; left: 0; right: 0; bottom: 0; z-index: 8; color: #777;
     background: #fff; font: 19px sans-serif; display: grid; place-items: center; }
 </style>
-<div id="fss"></div><div id="fss_wait">the drawings are on their way</div>
-<div id="fss_age" title="load the page anew, the newest first"></div>
+<div id="fss"></div><div id="fss_wait">loading the drawings</div>
+<div id="fss_age" title="reload the page, newest data first"></div>
 <script>
 (() => {
-  const OLD = 3, FAR = 20, AGAIN = 90;  // [s]: said; loaded anew; but not as often, at first
+  // [s] age that is reported; lag at which the page is reloaded; first time between reloads
+  const MAX_AGE = 3, MAX_LAG = 20, RELOAD_PERIOD = 90;
   const age = document.getElementById("fss_age"), strip = document.getElementById("fss");
-  const began = Date.now(), wait = document.getElementById("fss_wait");
-  let far = 0, first = 0;  // how often it was far behind in a row; when rerun drew first
-  const tries = Number(sessionStorage.fss_tries || 0);  // which did not help: a slow computer
+  const started = Date.now(), wait = document.getElementById("fss_wait");
+  let lagging = 0, first = 0;  // successive checks that found a large lag; first drawing at
+  const reloads = Number(sessionStorage.fss_reloads || 0);  // without success: a slow computer
   age.onclick = () => location.reload();
 
-  function fields(bytes) {  // of a protocol buffer: by number, integers and parts of it
+  function fields(bytes) {  // of a protocol buffer, by number: integers and byte arrays
     const found = {};
     let at = 0;
     const integer = () => {
@@ -53,7 +54,7 @@ SCRIPT = """
     return found;
   }
 
-  function times() {  // at which rerun draws, and of the newest that has come to it [ns]
+  function times() {  // time that rerun displays, and time of its newest data [ns]
     const state = fields(window._handle.viewer_state()), text = new TextDecoder();
     const active = text.decode(state[2][0]);
     for (const recording of state[3].map(fields)) {
@@ -68,47 +69,48 @@ SCRIPT = """
 
   function show(items, name) {
     const group = name ? [["vehicle", name, ""]] : [];
-    for (const [what, value, tone] of [...group, ...items]) {
+    for (const [what, value, style] of [...group, ...items]) {
       const item = document.createElement("div");
-      item.className = tone;
-      const label = document.createElement("small"), words = document.createElement("b");
-      label.textContent = what; words.textContent = value;
-      item.append(label, document.createElement("br"), words);
+      item.className = style;
+      const label = document.createElement("small"), text = document.createElement("b");
+      label.textContent = what; text.textContent = value;
+      item.append(label, document.createElement("br"), text);
       strip.append(item);
     }
   }
 
-  async function look() {
-    let words = "", shown;
+  async function update() {
+    let warning = "", shown;
     try { shown = times(); } catch { /* rerun has drawn nothing yet, or is of another version */ }
     first ||= shown ? Date.now() : 0;
-    if (first || Date.now() - began > 6e4) wait.style.display = "none";
+    if (first || Date.now() - started > 6e4) wait.style.display = "none";
     try {
-      const {age: since, said: now} = await (await fetch("NOW", {cache: "no-store"})).json();
+      const answer = await fetch("STATUS_PATH", {cache: "no-store"});
+      const {age: since, status: now} = await answer.json();
       const newest = BigInt(now.newest), silent = now.silent + since;
       strip.replaceChildren();
       for (const vehicle of now.vehicles) show(vehicle.items, vehicle.name);
       show([["time here", new Date().toLocaleTimeString("en-GB"), "last"]]);
-      if (newest && silent > OLD) words = `NO DATA FOR ${Math.round(silent)} s`;
+      if (newest && silent > MAX_AGE) warning = `NO DATA FOR ${Math.round(silent)} s`;
       else if (newest && shown) {
         const old = Number(newest - shown[0]) / 1e9, lag = Number(newest - shown[1]) / 1e9;
-        if (old > OLD) words = `DATA ${Math.round(old)} s OLD`;
-        far = lag > FAR ? far + 1 : 0;
-        if (lag < OLD) sessionStorage.fss_tries = 0;
-        if (far > 5 && Date.now() - first > 1e3 * AGAIN * 2 ** tries) {
-          sessionStorage.fss_tries = tries + 1;
+        if (old > MAX_AGE) warning = `DATA ${Math.round(old)} s OLD`;
+        lagging = lag > MAX_LAG ? lagging + 1 : 0;
+        if (lag < MAX_AGE) sessionStorage.fss_reloads = 0;
+        if (lagging > 5 && Date.now() - first > 1e3 * RELOAD_PERIOD * 2 ** reloads) {
+          sessionStorage.fss_reloads = reloads + 1;
           location.reload();
         }
-      } else if (newest && Date.now() - began > 1e4) words = "NOTHING IS SHOWN YET";
-    } catch { words = "THE VIEW DOES NOT ANSWER"; }
-    age.textContent = words;
-    age.style.display = words ? "block" : "none";
-    setTimeout(look, 500);
+      } else if (newest && Date.now() - started > 1e4) warning = "NOTHING IS SHOWN YET";
+    } catch { warning = "THE VIEW DOES NOT ANSWER"; }
+    age.textContent = warning;
+    age.style.display = warning ? "block" : "none";
+    setTimeout(update, 500);
   }
-  look();
+  update();
 })();
 </script>
-""".replace("NOW", NOW)
+""".replace("STATUS_PATH", STATUS_PATH)
 
 
 def with_strip(page: bytes) -> bytes:

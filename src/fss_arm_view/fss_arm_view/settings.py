@@ -31,7 +31,7 @@ def _is_address(text: str) -> bool:
 ADDRESS = Check("an IP address (0.0.0.0: all)", _is_address)
 PORT = between(1, 65535)
 MEMORY = Check(
-    "a size or a share of all, as 100MB or 25%",
+    "a size or a percentage, such as 100MB or 25%",
     lambda text: bool(re.fullmatch(r"\d+([kMGT]i?)?B|\d+%", text)),
 )
 
@@ -44,13 +44,19 @@ class ReactionSettings(SensorErrors):
         0.005, "joint rate above which a joint moves", unit="rad/s", check=POSITIVE
     )
     max_drift_duration: float = setting(
-        2.0, "longest drift before a motion that a prediction begins from", unit="s", check=POSITIVE
+        2.0,
+        "longest drift before a motion that is fitted for a prediction",
+        unit="s",
+        check=POSITIVE,
     )
     min_drift_duration: float = setting(
-        0.5, "shortest drift that a prediction begins from", unit="s", check=POSITIVE
+        0.5, "shortest drift that is fitted for a prediction", unit="s", check=POSITIVE
     )
     half_difference: float = setting(
-        0.1, "half the time that joint accelerations are differences over", unit="s", check=POSITIVE
+        0.1,
+        "half the interval of the differences that give joint accelerations",
+        unit="s",
+        check=POSITIVE,
     )
     drift_window: float = setting(
         30.0, "time over which the slope of the momentum is fitted", unit="s", check=POSITIVE
@@ -67,14 +73,14 @@ class ReactionSettings(SensorErrors):
 class BaseReactionSettings(ReactionSettings):
     """Parameters of a BaseReactionNode."""
 
-    arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
+    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
     base_topic: str = like(Vehicle, "base_topic")
     gyro_topic: str = setting("fog/imu", "topic of the base's rate")
-    world_frame: str = setting("world", "frame id of what is published")
+    world_frame: str = setting("world", "frame id of the published poses")
     base_frame: str = like(Vehicle, "base_frame")
     publish_state: bool = setting(
-        True, "whether base/state and /tf are published; false beside the node navigation"
+        True, "publish base/state and /tf; set it to false if navigation runs"
     )
     rate: float = setting(10.0, "rate of base_reaction", unit="Hz", check=POSITIVE)
 
@@ -85,39 +91,39 @@ class ViewSettings(Settings):
 
     mode: str = setting(
         "web",
-        "shown in a window, on a page, in a recording, or by a viewer that runs",
+        "show in a window, on a web page, in a recording, or in a running viewer",
         check=one_of("native", "web", "file", "connect"),
     )
     bind: str = setting(
         "127.0.0.1", "address that the page and its data are served on", check=ADDRESS
     )
-    port: int = setting(9876, "port of the data that the viewer listens to", check=PORT)
+    port: int = setting(9876, "port at which the viewer receives data", check=PORT)
     web_port: int = setting(9090, "port of the page", check=PORT)
-    names: tuple[str, ...] = setting(
-        (), "names that the page is opened under, beside this computer's own and all addresses"
-    )
-    file: str = setting("view.rrd", "file that mode file writes; if there, NAME_1, NAME_2, ...")
-    url: str = setting("rerun+http://127.0.0.1:9876/proxy", "viewer that mode connect draws in")
+    names: tuple[str, ...] = setting((), "further host names under which the page may be opened")
+    file: str = setting("view.rrd", "file of mode file; if it exists, NAME_1, NAME_2, ... is used")
+    url: str = setting("rerun+http://127.0.0.1:9876/proxy", "address of the viewer in mode connect")
     memory: str = setting(
-        "1GB", "memory that the viewer keeps drawings in; the oldest go first", check=MEMORY
+        "1GB", "memory limit of the viewer; the oldest drawings are deleted first", check=MEMORY
     )
     rate: float = setting(
-        10.0, "highest rate at which one thing is drawn", unit="Hz", check=POSITIVE
+        10.0, "maximum rate at which each item is drawn", unit="Hz", check=POSITIVE
     )
     queue: int = setting(
-        500, "drawings that may wait for the viewer; more are dropped", check=at_least(1)
+        500,
+        "maximum number of drawings that wait for the viewer; more are dropped",
+        check=at_least(1),
     )
-    arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
+    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
     base_topic: str = like(Vehicle, "base_topic")
     tip_topic: str = like(Vehicle, "tip_topic")
     target_topic: str = like(Vehicle, "target_topic")
     outline_topics: tuple[str, ...] = setting(
-        ("workspace/markers", "workspace/straight_markers"), "topics of markers: lines are drawn"
+        ("workspace/markers", "workspace/straight_markers"), "marker topics whose lines are drawn"
     )
     base_frame: str = like(Vehicle, "base_frame")
     vehicles: tuple[str, ...] = setting(
-        (), "namespaces of vehicles to show together; empty: that of the node alone"
+        (), "namespaces of the vehicles to show; empty: only that of the node"
     )
 
     def __post_init__(self) -> None:

@@ -42,22 +42,22 @@ class Sink:
     def __init__(self, stream: rr.RecordingStream, rate: float, size: int) -> None:
         self.stream, self.rate = stream, rate
         self.queue: Queue[Work | None] = Queue(size)
-        self.left: dict[str, tuple[float, float]] = {}  # by entity: tokens left, at a time [s]
+        self.tokens: dict[str, tuple[float, float]] = {}  # by entity: tokens left, at a time [s]
         self.counts: Counter[str] = Counter()
         self.thread = Thread(target=self._run, daemon=True)
         self.thread.start()
 
     def due(self, entity: str) -> bool:
         """Return True if the entity may be drawn now; this uses one of its tokens."""
-        now, most = time.monotonic(), max(self.rate, 1.0)
-        turns, then = self.left.get(entity, (most, now))
-        turns = min(turns + (now - then) * self.rate, most)
-        is_due = turns >= 1.0
-        self.left[entity] = turns - is_due, now
-        self.counts["thinned out"] += not is_due
+        now, burst = time.monotonic(), max(self.rate, 1.0)
+        available, since = self.tokens.get(entity, (burst, now))
+        available = min(available + (now - since) * self.rate, burst)
+        is_due = available >= 1.0
+        self.tokens[entity] = available - is_due, now
+        self.counts["rate-limited"] += not is_due
         return is_due
 
-    def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
+    def enqueue(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
         """Queue drawings at time t [ns], None: always; return False if the queue is full."""
         try:
             self.queue.put_nowait((self.stream, t, list(drawings)))
@@ -77,9 +77,9 @@ class Sink:
     def _run(self) -> None:
         stream = self.stream
         while (work := self.queue.get()) is not None:
-            before, (stream, t, drawings) = stream, work
-            if before is not stream:
-                before.disconnect()
+            previous, (stream, t, drawings) = stream, work
+            if previous is not stream:
+                previous.disconnect()
             if t is not None:
                 stream.set_time(TIMELINE, timestamp=np.datetime64(t, "ns"))
             for entity, drawn in drawings:
@@ -90,10 +90,10 @@ class Sink:
             stream.flush()
 
 
-class Scoped:
+class VehicleSink:
     """Sink for one of several vehicles: its entities are placed below its name."""
 
-    def __init__(self, sink: "Sink | Scoped", name: str) -> None:
+    def __init__(self, sink: "Sink | VehicleSink", name: str) -> None:
         self.sink, self.name = sink, name
         self.counts: Counter[str] = sink.counts
 
@@ -110,14 +110,16 @@ class Scoped:
         """Return True if the vehicle's entity may be drawn now, as Sink.due."""
         return self.sink.due(f"{self.name} {entity}")
 
-    def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
+    def enqueue(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
         """Queue drawings of the vehicle, as Sink.put."""
-        return self.sink.put(t, [(self._own(entity), drawn) for entity, drawn in drawings])
+        return self.sink.enqueue(
+            t, [(self._vehicle_entity(entity), drawn) for entity, drawn in drawings]
+        )
 
     def close(self) -> None:
         """Do nothing: the owner of the shared sink closes it."""
 
-    def _own(self, entity: str) -> str:
+    def _vehicle_entity(self, entity: str) -> str:
         kind, _, rest = entity.partition("/")
         if kind == "table" and not rest.startswith(("legend/", "edge")):
             return f"table/{self.name}/{rest}"
@@ -126,7 +128,7 @@ class Scoped:
 
 
 class Viewer:
-    """Process of rerun, as a window or as a web server; it ends when its owner ends.
+    """Process of rerun, as a window or as a web server; it stops when its owner stops.
 
     In mode WEB all requests for the page and its data pass through the gate.
 
@@ -136,13 +138,13 @@ class Viewer:
         port: port of the data.
         web_port: port of the page.
         memory: memory limit for drawings, in rerun's notation.
-        names: further host names of this computer.
-        said: file with the content of the strip above the page.
+        host_names: further host names of this computer.
+        status_file: file with the content of the strip above the page.
     """
 
     def __init__(
         self, mode: str, bind: str, port: int, web_port: int, memory: str,
-        names: Iterable[str] = (), said: Path = Path("none"),
+        host_names: Iterable[str] = (), status_file: Path = Path("none"),
     ) -> None:  # fmt: skip
         program = rerun_program()
         common = "--memory-limit", memory, "--hide-welcome-screen"
@@ -158,7 +160,7 @@ class Viewer:
             "--web-viewer-port", page, "--server-memory-limit", memory, "--newest-first",
             "--cors-allow-origin", f"http://{host(bind, '*')}:{web_port}",
         ]  # fmt: skip
-        gate = [bind, port, web_port, data, page, said, " ".join(names)]
+        gate = [bind, port, web_port, data, page, status_file, " ".join(host_names)]
         gate = [sys.executable, "-m", "fss_arm_view.gate", *gate]
         self.processes = [self._start(command), self._start(gate)]
 
@@ -171,10 +173,10 @@ class Viewer:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
-            preexec_fn=_end_with_owner,
+            preexec_fn=_terminate_with_parent,
         )
 
-    def alive(self) -> bool:
+    def is_running(self) -> bool:
         """Return True if all processes of the viewer are running."""
         return all(process.poll() is None for process in self.processes)
 
@@ -196,7 +198,7 @@ def rerun_program() -> Path:
     return Path(rerun_cli.__file__).parent / "rerun"
 
 
-def keep_quiet() -> TemporaryDirectory[str]:
+def disable_analytics() -> TemporaryDirectory[str]:
     """Disable rerun's analytics in this process and in the processes that it starts.
 
     The user's own configuration is not changed: the returned folder replaces it while it exists.
@@ -215,16 +217,16 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _end_with_owner() -> None:
-    """Ask Linux to terminate this process when its parent ends."""
+def _terminate_with_parent() -> None:
+    """Ask Linux to terminate this process when its parent exits."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def host(bind: str, of_all: str) -> str:
-    """Return an IP address in URL notation; `of_all` for the unspecified address (0.0.0.0, ::)."""
+def host(bind: str, if_unspecified: str) -> str:
+    """Return an IP address in URL notation; `if_unspecified` for 0.0.0.0 and ::."""
     address = ip_address(bind)
     if address.is_unspecified:
-        return of_all
+        return if_unspecified
     return f"[{address}]" if address.version == 6 else bind
 
 
@@ -260,5 +262,5 @@ def open_stream(mode: str, target: str, blueprint: Any) -> rr.RecordingStream:
         else:
             stream.connect_grpc(target, default_blueprint=blueprint)
     except (RuntimeError, OSError) as error:
-        raise ValueError(f"{target!r} cannot be shown to: {error}") from None
+        raise ValueError(f"cannot open {target!r}: {error}") from None
     return stream

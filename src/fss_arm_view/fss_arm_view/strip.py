@@ -7,10 +7,10 @@ from math import degrees, isfinite, nan
 from typing import Any, NamedTuple
 
 STOPPED = 2  # State.STOPPED of docs/reference/protocol.md, in the flags of links and board
-SILENT = 3.0  # telemetry timeout after which a link is shown as silent [s]
-SIGMAS = 3.0  # larger heading differences, in standard deviations, are an alarm
-PLAIN, GOOD, WARN, ALARM = "", "good", "warn", "alarm"  # styles of an item
-TONES = {"pass": GOOD, "fail": ALARM}  # style of a verdict
+TELEMETRY_TIMEOUT = 3.0  # [s]
+ALARM_SIGMAS = 3.0  # heading difference that is an alarm, in standard deviations
+NEUTRAL, POSITIVE, WARNING, ALARM = "", "good", "warn", "alarm"  # styles of an item
+VERDICT_STYLES = {"pass": POSITIVE, "fail": ALARM}
 
 
 class Item(NamedTuple):
@@ -18,7 +18,7 @@ class Item(NamedTuple):
 
     name: str
     value: str
-    tone: str = PLAIN
+    style: str = NEUTRAL
 
 
 @dataclass
@@ -30,64 +30,68 @@ class Strip:
     gripper: Any = None  # GripperState
     propellant: float = nan  # [kg]
     verdicts: dict[str, str] = field(default_factory=dict)  # by kind of calibration
-    turn: tuple[float, float] = nan, nan  # heading, measured minus predicted, and its sigma [rad]
-    troubles: dict[str, str] = field(default_factory=dict)  # by node: the error that it reports
+    #: Heading, measured minus predicted, and its sigma [rad].
+    heading_difference: tuple[float, float] = nan, nan
+    node_errors: dict[str, str] = field(default_factory=dict)  # by node
 
     def items(self, now: float) -> list[Item]:
         """Return all items of the strip at time `now` [s]; the node errors come last."""
         found = [*self._arm(now), *self._battery(), *self._base(), *self._heading()]
-        found += [Item(kind, word, TONES.get(word, WARN)) for kind, word in self.verdicts.items()]
-        for node, words in self.troubles.items():
-            found.append(Item(node.lstrip("/"), words, ALARM))
+        found += [
+            Item(kind, verdict, VERDICT_STYLES.get(verdict, WARNING))
+            for kind, verdict in self.verdicts.items()
+        ]
+        for node, text in self.node_errors.items():
+            found.append(Item(node.lstrip("/"), text, ALARM))
         return found
 
     def _arm(self, now: float) -> Iterable[Item]:
         if not self.links:
             return
-        heard = {i: m for i, (m, then) in self.links.items() if now - then < SILENT}
-        if silent := sorted(self.links.keys() - heard.keys()):
-            yield Item("silent", f"link {_listed(silent)}", ALARM)
-        if stopped := sorted(i for i, m in heard.items() if m.flags & STOPPED):
-            yield Item("STOPPED", f"link {_listed(stopped)}", ALARM)
-        if faulty := sorted(i for i, m in heard.items() if m.faults):
-            yield Item("fault", f"link {_listed(faulty)}", ALARM)
-        armed = sum(m.armed for m in heard.values())
-        words = f"{armed} of {len(self.links)} armed" if armed else "disarmed"
-        yield Item("arm", words, WARN if armed else PLAIN)
+        recent = {i: m for i, (m, then) in self.links.items() if now - then < TELEMETRY_TIMEOUT}
+        if lost := sorted(self.links.keys() - recent.keys()):
+            yield Item("no telemetry", f"link {_join(lost)}", ALARM)
+        if stopped := sorted(i for i, m in recent.items() if m.flags & STOPPED):
+            yield Item("STOPPED", f"link {_join(stopped)}", ALARM)
+        if faulty := sorted(i for i, m in recent.items() if m.faults):
+            yield Item("fault", f"link {_join(faulty)}", ALARM)
+        armed = sum(m.armed for m in recent.values())
+        text = f"{armed} of {len(self.links)} armed" if armed else "disarmed"
+        yield Item("arm", text, WARNING if armed else NEUTRAL)
 
     def _battery(self) -> Iterable[Item]:
         known = {i: 0.1 * m.battery for i, (m, _) in self.links.items() if m.battery}
         if known:
-            least = min(known, key=lambda i: known[i])
-            yield Item("lowest battery", f"{known[least]:.1f} V, link {least}")
+            lowest = min(known, key=lambda i: known[i])
+            yield Item("lowest battery", f"{known[lowest]:.1f} V, link {lowest}")
 
     def _base(self) -> Iterable[Item]:
         if self.base:
             stopped = bool(self.base.flags & STOPPED)
-            words = "STOPPED" if stopped else "armed" if self.base.armed else "disarmed"
-            tone = ALARM if stopped else WARN if self.base.armed else PLAIN
+            text = "STOPPED" if stopped else "armed" if self.base.armed else "disarmed"
+            style = ALARM if stopped else WARNING if self.base.armed else NEUTRAL
             volts = f", {0.1 * self.base.battery:.1f} V" if self.base.battery else ""
-            yield Item("base", words + volts, tone)
+            yield Item("base", text + volts, style)
         if isfinite(self.propellant):
             yield Item("propellant", f"{1e3 * self.propellant:.0f} g")
         if self.gripper:
-            held = "holds" if self.gripper.holds else "closed" if self.gripper.closed else "open"
-            yield Item("gripper", held)
+            state = "holds" if self.gripper.holds else "closed" if self.gripper.closed else "open"
+            yield Item("gripper", state)
 
     def _heading(self) -> Iterable[Item]:
-        difference, sigma = self.turn
+        difference, sigma = self.heading_difference
         if isfinite(difference):
-            far = isfinite(sigma) and abs(difference) > SIGMAS * sigma
+            is_alarm = isfinite(sigma) and abs(difference) > ALARM_SIGMAS * sigma
             band = f" ± {degrees(sigma):.2f}" if isfinite(sigma) else ""
-            words = f"{degrees(difference):+.2f}{band} deg"
-            yield Item("heading, measured less predicted", words, ALARM if far else PLAIN)
+            text = f"{degrees(difference):+.2f}{band} deg"
+            yield Item("heading, measured minus predicted", text, ALARM if is_alarm else NEUTRAL)
 
 
-def _listed(numbers: Iterable[int]) -> str:
+def _join(numbers: Iterable[int]) -> str:
     return ", ".join(map(str, numbers))
 
 
-def told(newest: int, silent: float, vehicles: dict[str, list[Item]]) -> str:
+def to_json(newest: int, silent: float, vehicles: dict[str, list[Item]]) -> str:
     """Return the strips of all vehicles as JSON for the page.
 
     Args:

@@ -38,12 +38,12 @@ class Analysis:
     arm: Arm
     limits: Floats  # (n, 2) lowest and highest joint readings [rad]
     region: Region  # fixed vehicle workspace, in the base's frame
-    known: list[tuple[Complexes, Floats]]  # points of its loops, deviations along the normal
+    boundary: list[tuple[Complexes, Floats]]  # points of its loops, deviations along the normal
     radius: float  # R of Eq. 13 [m]
     radius_deviation: float  # [m]
-    reach: tuple[float, float]  # least and greatest distance from the centre of mass [m]
+    reach: tuple[float, float]  # least and greatest distance from the center of mass [m]
     maps: Mapping[str, Map]  # by "fixed" and "floating"; empty for a single link, whose w is 0
-    largest: Mapping[str, tuple[float, float]]  # w of each map, and its deviation [m^2]
+    largest_w: Mapping[str, tuple[float, float]]  # w of each map, and its deviation [m^2]
 
 
 @dataclass(frozen=True)
@@ -51,33 +51,33 @@ class AnalysisSettings(PathSettings):
     """Settings of an analysis: what is computed, and with which resolution."""
 
     cell: float = setting(0.01, "size of the maps' cells", unit="m", check=at_least(0.001))
-    directions: int = setting(360, "number of straight paths to begin with", check=at_least(8))
+    directions: int = setting(360, "initial number of straight paths", check=at_least(8))
     of_true_angle: bool = setting(
         False, "joint limits hold for the true angle q + theta_0, not for the encoder's q"
     )
-    workers: int = setting(1, "threads that compute the maps", check=at_least(1))
+    workers: int = setting(1, "number of threads that compute the maps", check=at_least(1))
 
     def rules(self, base: str) -> Rules:
         """Return the rules of straight paths on one of BASES."""
         return Rules(**{f.name: getattr(self, f.name) for f in fields(PathSettings)}, base=base)
 
 
-def analyse(
-    known: Calibrated,
+def analyze(
+    calibrated: Calibrated,
     settings: AnalysisSettings | None = None,
     progress: Progress = lambda what, share: None,
 ) -> Analysis:
     """Compute all results that depend on the arm alone.
 
     Args:
-        known: the arm and its covariance.
+        calibrated: the arm and its covariance.
         settings: settings of the analysis.
         progress: called with the current task and the share done; its exceptions stop the work.
 
     Raises:
-        ValueError: no cell is small enough for its centre to be reached.
+        ValueError: no cell center can be reached.
     """
-    s, arm = settings or AnalysisSettings(), known.arm
+    s, arm = settings or AnalysisSettings(), calibrated.arm
     limits = joint_limits(arm, of_true_angle=s.of_true_angle)
     progress("boundary", 0.0)
     region, virtual = fixed_workspace(arm, limits), VirtualManipulator(arm)
@@ -94,31 +94,33 @@ def analyse(
         arm=arm,
         limits=limits,
         region=region,
-        known=boundary_deviation(arm, region, known.covariance, of_true_angle=s.of_true_angle),
+        boundary=boundary_deviation(
+            arm, region, calibrated.covariance, of_true_angle=s.of_true_angle
+        ),
         radius=virtual.radius,
-        radius_deviation=radius_deviation(arm, known.covariance),
+        radius_deviation=radius_deviation(arm, calibrated.covariance),
         reach=virtual.reach(limits),
         maps=maps,
-        largest={name: _largest(known, s, limits, found) for name, found in maps.items()},
+        largest_w={name: _largest_w(calibrated, s, limits, found) for name, found in maps.items()},
     )
 
 
-def _largest(
-    known: Calibrated, settings: AnalysisSettings, limits: Floats, found: Map
+def _largest_w(
+    calibrated: Calibrated, settings: AnalysisSettings, limits: Floats, found: Map
 ) -> tuple[float, float]:
     """Return the largest w of a map, and its standard deviation [m^2]."""
-    at = np.unravel_index([np.nanargmax(found.w)], found.w.shape)
-    center, best = found.grid.centers[at], Best(found.w[at], found.q[at])
-    spread = measure_deviation(
-        known.arm,
+    index = np.unravel_index([np.nanargmax(found.w)], found.w.shape)
+    center, best = found.grid.centers[index], Best(found.w[index], found.q[index])
+    deviation = measure_deviation(
+        calibrated.arm,
         best,
         np.stack([center.real, center.imag], axis=-1),
         limits,
         found.kind,
-        known.covariance,
+        calibrated.covariance,
         of_true_angle=settings.of_true_angle,
     )
-    return float(best.w[0]), float(spread[0])
+    return float(best.w[0]), float(deviation[0])
 
 
 def straight_workspaces(

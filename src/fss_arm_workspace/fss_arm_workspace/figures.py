@@ -18,7 +18,7 @@ from fss_arm_workspace.straight_path.trace import REASONS
 
 _REASON_COLORS = ("tab:gray", "tab:orange", "tab:red", "tab:blue")
 _BASE_SIDE = 0.3  # side of the simulator as drawn [m]
-_SCALE = 0.25  # scale of ellipsoids as drawn [m per m/rad]
+_ELLIPSE_SCALE = 0.25  # scale of ellipsoids as drawn [m per m/rad]
 
 
 def draw(
@@ -33,14 +33,14 @@ def draw(
     from matplotlib.figure import Figure
 
     written = []
-    paints = [
+    figures = [
         ("figure_6", (11.0, 5.2), _maps),
         ("figure_7", (8.0, 7.4), _straight),
         ("figure_8", (11.0, 4.0), _ellipsoids),
     ]
-    for name, size, paint in paints if analysis.maps else paints[1:]:
+    for name, size, draw_figure in figures if analysis.maps else figures[1:]:
         figure = Figure(figsize=size, layout="constrained")
-        paint(figure, analysis, straight)
+        draw_figure(figure, analysis, straight)
         for kind in ("png", "svg"):
             path = Path(folder) / f"{name}.{kind}"
             figure.savefig(path, dpi=150)
@@ -63,11 +63,11 @@ def save(analysis: Analysis, straight: Mapping[str, Paths], path: str | PathLike
         "reach": a.reach,
         "area": a.region.area,
     }
-    for k, (points, deviation) in enumerate(a.known):
+    for k, (points, deviation) in enumerate(a.boundary):
         data[f"boundary_{k}"] = _pairs(points)
         data[f"boundary_{k}_deviation"] = deviation
     for name, found in a.maps.items():
-        data[f"largest_w_{name}"], data[f"largest_w_{name}_deviation"] = a.largest[name]
+        data[f"largest_w_{name}"], data[f"largest_w_{name}_deviation"] = a.largest_w[name]
         data[f"map_{name}"], data[f"map_{name}_q"] = found.w, found.q
         data["map_corner"], data["map_cell"] = (found.grid.x, found.grid.y), found.grid.cell
     for name, paths in straight.items():
@@ -89,15 +89,15 @@ def _maps(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
     from matplotlib.colors import PowerNorm
 
     panels = figure.subplots(1, 2)
-    most = max(float(np.nanmax(found.w)) for found in a.maps.values())  # one scale for both
-    norm = PowerNorm(0.5, 0.0, most)
+    largest = max(float(np.nanmax(found.w)) for found in a.maps.values())  # one scale for both
+    norm = PowerNorm(0.5, 0.0, largest)
     for axes, (name, found) in zip(panels, a.maps.items(), strict=True):
         grid = found.grid
         extent = (
             grid.x, grid.x + grid.width * grid.cell, grid.y, grid.y + grid.height * grid.cell
         )  # fmt: skip
         image = axes.imshow(found.w, origin="lower", extent=extent, norm=norm)
-        for points, _ in a.known:
+        for points, _ in a.boundary:
             closed = np.append(points, points[:1])
             axes.plot(closed.real, closed.imag, "k-", linewidth=1.2)
         _arm(axes, a, np.concatenate([np.zeros(3), straight["fixed"].start[3:]]))
@@ -106,7 +106,7 @@ def _maps(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
         axes.autoscale()
         _frame(axes, "base's frame")
     figure.colorbar(image, ax=panels, label="w = sqrt(det(J Jᵀ)) [m²]", shrink=0.85)
-    worst = max(float(deviation.max(initial=0.0)) for _, deviation in a.known)
+    worst = max(float(deviation.max(initial=0.0)) for _, deviation in a.boundary)
     known = f", boundary known to {1e3 * worst:.1f} mm (1 sigma)" if worst > 0.0 else ""
     figure.suptitle(f"Fixed vehicle workspace, {a.region.area:.3f} m²{known}", fontsize=11)
 
@@ -151,7 +151,9 @@ def _ellipsoids(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None
         tip = joint_positions(a.arm.vector(), state)[-1]
         for kind, color, name in ((FIXED, "tab:red", "fixed"), (FLOATING, "tab:blue", "floating")):
             radii, directions = ellipsoid(jacobian(a.arm, q, kind))
-            line = tip[:, None] + _SCALE * directions.T @ (radii[:, None] * circle[: len(radii)])
+            line = tip[:, None] + _ELLIPSE_SCALE * directions.T @ (
+                radii[:, None] * circle[: len(radii)]
+            )
             label = f"{name}: w = {float(measure(a.arm, q, kind)):.3f} m²"
             axes.plot(*line, color=color, label=label)
         detail = axes.inset_axes((0.66, 0.02, 0.32, 0.3), xticks=[], yticks=[])
@@ -165,7 +167,9 @@ def _ellipsoids(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None
         axes.legend(fontsize=8, loc="upper left")
         axes.set_title("q = " + ", ".join(f"{x:.0f}°" for x in np.degrees(q)), fontsize=9)
         _frame(axes, "base's frame")
-    figure.suptitle(f"Manipulability ellipsoids, drawn at {_SCALE:g} m per m/rad", fontsize=11)
+    figure.suptitle(
+        f"Manipulability ellipsoids, drawn at {_ELLIPSE_SCALE:g} m per m/rad", fontsize=11
+    )
 
 
 def _arm(axes: Any, a: Analysis, state: Floats) -> None:

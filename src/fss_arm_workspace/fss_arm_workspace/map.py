@@ -15,7 +15,7 @@ from fss_arm_model.description_file import load
 from fss_arm_ros.calibrated import TOPICS, Calibrated
 from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.libraries import require
-from fss_arm_workspace.analysis import Analysis, AnalysisSettings, analyse, straight_workspaces
+from fss_arm_workspace.analysis import Analysis, AnalysisSettings, analyze, straight_workspaces
 from fss_arm_workspace.figures import draw, save
 from fss_arm_workspace.map_options import parser
 from fss_arm_workspace.regions.virtual import base_mass_for
@@ -24,7 +24,7 @@ from fss_arm_workspace.straight_path.paths import Paths, arch
 PAPER_RADIUS = 1.3  # [m]
 
 
-def calibrated(sources: Sequence[str]) -> Calibrated:
+def load_arm(sources: Sequence[str]) -> Calibrated:
     """Return the arm given by a description, or by the calibrations in bags.
 
     Raises:
@@ -36,15 +36,15 @@ def calibrated(sources: Sequence[str]) -> Calibrated:
         return Calibrated(paper_arm())
     if len(sources) == 1 and Path(sources[0]).suffix in (".yaml", ".yml"):
         return Calibrated(load(sources[0]))
-    known = None
+    calibrated = None
     with open_bags(sources) as bags:
         topics = {t for t, kind in bags.topics.items() if kind.msgtype in TOPICS.values()}
         for topic, _, _, message in bags.messages(topics):
             if message.calibration.verdict == "pass":
-                known = (known or Calibrated(paper_arm())).with_message(topic, message)
-    if known is None:
+                calibrated = (calibrated or Calibrated(paper_arm())).with_message(topic, message)
+    if calibrated is None:
         raise BagError(f"{', '.join(sources)}: no calibration that passed")
-    return known
+    return calibrated
 
 
 def report(analysis: Analysis, straight: Mapping[str, Paths], console: Console) -> None:
@@ -55,15 +55,15 @@ def report(analysis: Analysis, straight: Mapping[str, Paths], console: Console) 
         f"fixed vehicle workspace: {a.region.area:.4f} m^2 within {len(a.region.arcs)} arcs, "
         f"holes of {hole:.4f} m^2"
     )
-    radius = _known(a.radius, a.radius_deviation)
+    radius = _with_deviation(a.radius, a.radius_deviation)
     console.print(
         f"maximum reachable workspace: R = {radius} m (Eq. 13); within the joint "
-        f"limits {a.reach[0]:.4f} to {a.reach[1]:.4f} m from the centre of mass"
+        f"limits {a.reach[0]:.4f} to {a.reach[1]:.4f} m from the center of mass"
     )
     try:
         mass = base_mass_for(a.arm, PAPER_RADIUS)
         console.print(
-            f"the paper's R = {PAPER_RADIUS} m would take a base of {mass:.2f} kg "
+            f"the paper's R = {PAPER_RADIUS} m requires a base of {mass:.2f} kg "
             f"instead of {a.arm.base.mass:g} kg"
         )
     except ValueError as error:
@@ -72,13 +72,13 @@ def report(analysis: Analysis, straight: Mapping[str, Paths], console: Console) 
         grazing = int(paths.grazes.sum())
         console.print(
             f"straight-path workspace, {base}: {paths.area:.4f} m^2, {len(paths.distance)} "
-            f"directions ({grazing} graze a singularity), rule: {paths.redundancy}"
+            f"directions ({grazing} pass close to a singularity), rule: {paths.redundancy}"
         )
-    for name, (w, deviation) in a.largest.items():
-        console.print(f"largest w, {name} base: up to {_known(w, deviation)} m^2")
+    for name, (w, deviation) in a.largest_w.items():
+        console.print(f"largest w, {name} base: up to {_with_deviation(w, deviation)} m^2")
 
 
-def _known(value: float, deviation: float) -> str:
+def _with_deviation(value: float, deviation: float) -> str:
     """Format a value with its standard deviation, if that is positive."""
     return f"{value:.4f} ± {deviation:.4f}" if deviation > 0.0 else f"{value:.4f}"
 
@@ -91,7 +91,7 @@ def run(options: argparse.Namespace, console: Console) -> None:
         OSError: a file cannot be read or written.
     """
     require("matplotlib")  # checked before minutes of computation
-    known = calibrated(options.source)
+    calibrated = load_arm(options.source)
     settings = AnalysisSettings(
         redundancy=options.rule,
         table=tuple(options.table),
@@ -99,10 +99,12 @@ def run(options: argparse.Namespace, console: Console) -> None:
         of_true_angle=options.true_angle,
         workers=options.workers,
     )
-    start = arch(known.arm)
+    start = arch(calibrated.arm)
     if options.start:
-        if len(options.start) != known.arm.n:
-            raise ValueError(f"--start has {len(options.start)} angles, expected {known.arm.n}")
+        if len(options.start) != calibrated.arm.n:
+            raise ValueError(
+                f"--start has {len(options.start)} angles, expected {calibrated.arm.n}"
+            )
         start = np.concatenate([np.zeros(3), np.radians(options.start)])
     folder = Path(options.output)
     folder.mkdir(parents=True, exist_ok=True)
@@ -113,8 +115,8 @@ def run(options: argparse.Namespace, console: Console) -> None:
         def progress(what: str, share: float) -> None:
             bar.update(task, description=what, completed=share)
 
-        straight = straight_workspaces(known.arm, start, settings, progress)
-        analysis = analyse(known, settings, progress)
+        straight = straight_workspaces(calibrated.arm, start, settings, progress)
+        analysis = analyze(calibrated, settings, progress)
         progress("figures", 0.0)
         written = draw(analysis, straight, folder)
         save(analysis, straight, folder / "workspace.npz")

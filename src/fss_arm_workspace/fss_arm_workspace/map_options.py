@@ -6,7 +6,7 @@ from fss_arm_ros.command_line import Parser
 from fss_arm_workspace.analysis import AnalysisSettings
 from fss_arm_workspace.straight_path.redundancy import RULES
 
-EPILOG = "Exit codes: 0 done, 1 the command cannot be carried out."
+EPILOG = "Exit codes: 0 done, 1 failed."
 
 
 def parser() -> argparse.ArgumentParser:
@@ -23,20 +23,26 @@ def parser() -> argparse.ArgumentParser:
         "(default: %(default)s)",
     )  # fmt: skip
     p.add_argument(
-        "--rule", choices=RULES[:3], default=default.redundancy, help="how straight paths use the "
-        "redundancy (default: %(default)s)",
+        "--rule", choices=RULES[:3], default=default.redundancy, help="rule for the redundancy of "
+        "straight paths (default: %(default)s)",
     )  # fmt: skip
     p.add_argument(
-        "--start", type=float, nargs="+", metavar="DEG", help="joint readings from which straight "
-        "paths begin [deg] (default: an arch)",
+        "--start", type=float, nargs="+", metavar="DEG", help="joint readings at the start of "
+        "straight paths [deg] (default: an arch)",
     )  # fmt: skip
     p.add_argument(
-        "--table", type=float, nargs=4, default=default.table, metavar="M", help="on which "
-        "straight paths run: low x, low y, high x, high y (default: %(default)s)",
+        "--table", type=float, nargs=4, default=default.table, metavar="M", help="table "
+        "for straight paths: low x, low y, high x, high y (default: %(default)s)",
     )  # fmt: skip
     p.add_argument(
         "--true-angle", action="store_true", help="joint limits hold for q + theta_0, not for the "
         "encoder's reading q",
     )  # fmt: skip
-    p.add_argument("--workers", type=int, default=1, metavar="N", help="threads to use")
+    p.add_argument(
+        "--workers",
+        type=int,
+        default=1,
+        metavar="N",
+        help="number of threads (default: %(default)s)",
+    )
     return p

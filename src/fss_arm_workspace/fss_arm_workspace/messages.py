@@ -30,20 +30,20 @@ _COLORS = {
     "zero reaction": (0.5, 0.2, 0.7),
     "maximum": (0.15, 0.6, 0.2),
 }
-_LINE = 0.01  # width of lines [m]
+_LINE_WIDTH = 0.01  # width of lines [m]
 
 
 def workspace_message(a: Analysis, settings: AnalysisSettings, header: Header) -> Workspace:
     """Return the workspace message, with description, limits and settings used."""
-    points = np.concatenate([points for points, _ in a.known])
+    points = np.concatenate([points for points, _ in a.boundary])
     description = to_yaml(a.arm)
     return Workspace(
         header=header,
         area=a.region.area,
-        loops=array("I", [len(points) for points, _ in a.known]),
+        loops=array("I", [len(points) for points, _ in a.boundary]),
         x=_doubles(points.real),
         y=_doubles(points.imag),
-        deviation=_doubles(np.concatenate([deviation for _, deviation in a.known])),
+        deviation=_doubles(np.concatenate([deviation for _, deviation in a.boundary])),
         radius=a.radius,
         radius_deviation=a.radius_deviation,
         nearest=a.reach[0],
@@ -113,7 +113,7 @@ def polygon(points: Complexes, header: Header) -> PolygonStamped:
 
 def workspace_markers(a: Analysis, header: Header) -> MarkerArray:
     """Return markers of the boundary of the fixed vehicle workspace, including holes."""
-    lines = [points for points, _ in a.known]
+    lines = [points for points, _ in a.boundary]
     return MarkerArray(
         markers=[
             _line(z, header, "fixed vehicle workspace", "fixed", k) for k, z in enumerate(lines)
@@ -126,7 +126,7 @@ def straight_markers(
 ) -> MarkerArray:
     """Return markers of straight-path workspaces, and of the circle of radius R [m].
 
-    The circle is about the system's centre of mass.
+    The circle is about the system's center of mass.
     """
     markers = [
         _line(paths.ends, header, f"straight paths, {base}", base, 0)
@@ -173,7 +173,7 @@ def _line(points: Complexes, header: Header, name: str, color: str, number: int)
     marker = _marker(header, name, color, number, Marker.LINE_STRIP)
     closed = [*points, *points[:1]]
     marker.points = [Point(x=float(z.real), y=float(z.imag)) for z in closed]
-    marker.scale.x = _LINE
+    marker.scale.x = _LINE_WIDTH
     return marker
 
 

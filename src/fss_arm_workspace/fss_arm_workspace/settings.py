@@ -11,14 +11,18 @@ from fss_arm_workspace.analysis import AnalysisSettings
 class WorkspaceSettings(AnalysisSettings):
     """Parameters of a WorkspaceNode: computation, topics and frames."""
 
-    arm: str = setting("", "description YAML until a calibration comes; empty: the paper's arm")
+    arm: str = setting(
+        "", "description YAML until a calibration is received; empty: the paper's arm"
+    )
     motion_threshold: float = setting(
-        0.02, "change of a joint or of the base's pose that begins straight paths anew",
+        0.02, "change of a joint or of the base's pose after which straight paths are recomputed",
         unit="rad or m", check=POSITIVE,
     )  # fmt: skip
     rate: float = setting(10.0, "rate of the ellipsoids", unit="1/s", check=POSITIVE)
     scale: float = setting(0.25, "size of drawn ellipsoids", unit="m per m/rad", check=POSITIVE)
     base_frame: str = like(Vehicle, "base_frame")
-    world_frame: str = setting("world", "frame id of straight paths, once a pose of the base came")
+    world_frame: str = setting(
+        "world", "frame id of straight paths, once a pose of the base is received"
+    )
     joints_topic: str = setting("joint_states", "topic of the readings of joint_1 .. joint_n")
     base_topic: str = like(Vehicle, "base_topic")

@@ -22,7 +22,7 @@ from fss_arm_workspace.manipulability.search import Best
 from fss_arm_workspace.regions.arcs import Complexes, Floats, Region
 from fss_arm_workspace.regions.virtual import virtual_links
 
-_STEP = 1e-6  # step of a parameter for central differences
+_PARAMETER_STEP = 1e-6  # step of a parameter for central differences
 
 
 def deviation(
@@ -41,8 +41,8 @@ def deviation(
     total = np.zeros_like(np.asarray(function(p)))
     for variance, v in zip(variances, directions.T, strict=True):
         if variance > 1e-12 * variances[-1]:
-            ahead, behind = (np.asarray(function(p + s * _STEP * v)) for s in (1.0, -1.0))
-            total = total + variance * ((ahead - behind) / (2.0 * _STEP)) ** 2
+            above, below = (np.asarray(function(p + s * _PARAMETER_STEP * v)) for s in (1.0, -1.0))
+            total = total + variance * ((above - below) / (2.0 * _PARAMETER_STEP)) ** 2
     return np.asarray(np.sqrt(total))
 
 
@@ -72,15 +72,15 @@ def boundary_deviation(
         normal = points - np.repeat(loop.center, counts)
         normal /= np.abs(normal)
 
-        def along(p: Floats, q: Floats = q, normal: Complexes = normal) -> Floats:
-            tip = tip_in_base(p, q + of_true_angle * _given_way(arm, p))
+        def normal_position(p: Floats, q: Floats = q, normal: Complexes = normal) -> Floats:
+            tip = tip_in_base(p, q + of_true_angle * _reading_changes(arm, p))
             return tip[:, 0] * normal.real + tip[:, 1] * normal.imag
 
-        lines.append((points, deviation(along, arm, covariance)))
+        lines.append((points, deviation(normal_position, arm, covariance)))
     return lines
 
 
-def _given_way(arm: Arm, p: Floats) -> Floats:
+def _reading_changes(arm: Arm, p: Floats) -> Floats:
     """Return the changes of readings (n,) that keep q + theta_0 with p equal to the arm's [rad]."""
     return each(arm.vector() - p, OFFSET)
 
@@ -117,7 +117,7 @@ def measure_deviation(
     """
 
     def largest(p: Floats) -> Floats:
-        by = of_true_angle * _given_way(arm, p)
-        return climb(p, best.q + by, points, limits + by[:, None], kind)[1]
+        changes = of_true_angle * _reading_changes(arm, p)
+        return climb(p, best.q + changes, points, limits + changes[:, None], kind)[1]
 
     return deviation(largest, arm, covariance)

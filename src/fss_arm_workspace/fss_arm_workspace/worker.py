@@ -23,7 +23,7 @@ class Worker:
         self._waiting: Any = None
         self._closed = False
         self.busy = False
-        self.doing = "nothing yet"
+        self.status = "nothing yet"
         self.failure = ""
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -52,14 +52,14 @@ class Worker:
                 request, self._waiting = self._waiting, None
             try:
                 self._work(request, self._progress)
-                self.doing, self.failure = "done", ""
+                self.status, self.failure = "done", ""
             except Superseded:
                 pass
             except Exception as error:
-                words = str(error) if isinstance(error, ValueError) else repr(error)
-                self.doing, self.failure = "failed", words
+                text = str(error) if isinstance(error, ValueError) else repr(error)
+                self.status, self.failure = "failed", text
 
     def _progress(self, what: str, share: float) -> None:
-        self.doing = f"{what}: {100.0 * share:.0f} %"
+        self.status = f"{what}: {100.0 * share:.0f} %"
         if self._closed or self._waiting is not None:
             raise Superseded

@@ -32,7 +32,7 @@ from fss_arm_ros.subscriptions import PolledSubscription
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 from fss_arm_workspace import messages
-from fss_arm_workspace.analysis import analyse, load_kernels, straight_workspaces
+from fss_arm_workspace.analysis import analyze, load_kernels, straight_workspaces
 from fss_arm_workspace.programs import workspace as main
 from fss_arm_workspace.regions.arcs import Floats
 from fss_arm_workspace.regions.fixed import joint_limits
@@ -48,26 +48,26 @@ class WorkspaceNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("workspace", **options)
         s = self.settings = declare(self, WorkspaceSettings)
-        self.described = self.known = Calibrated(described(s.arm))
-        self.arrived: deque[tuple[str, Any]] = deque()  # calibrations that passed, by topic
+        self.described = self.calibrated = Calibrated(described(s.arm))
+        self.received: deque[tuple[str, Any]] = deque()  # calibrations that passed, by topic
         self.calibrations: dict[str, Any] = {}  # last accepted of each kind, the newest last
-        load_kernels(self.known.arm)
+        load_kernels(self.calibrated.arm)
         self.readings: dict[int, float] = {}  # joint readings, by joint number
         self.pose: tuple[float, float, float] | None = None
-        self.shown: tuple[Calibrated, Floats] | None = None  # start of the last straight paths
+        self.path_start: tuple[Calibrated, Floats] | None = None  # start of the last straight paths
         kinds: dict[str, type] = {"result": Workspace, "boundary": PolygonStamped}
         kinds |= {"markers": MarkerArray, "straight_markers": MarkerArray}
         for base in ("fixed", "floating"):
             kinds |= {f"map/{base}": OccupancyGrid, f"manipulability/{base}": ManipulabilityMap}
-        for base in map(_topic, BASES):
+        for base in map(_topic_name, BASES):
             kinds |= {f"straight/{base}": PolygonStamped, f"straight_paths/{base}": StraightPaths}
         kinds["ellipsoids"] = MarkerArray
-        self.outputs = {
+        self.workspace_publishers = {
             name: self.create_publisher(kind, f"workspace/{name}", LATCHED)
             for name, kind in kinds.items()
         }
-        self.maps = Worker(self.find_maps)
-        self.paths = Worker(self.find_paths)
+        self.maps = Worker(self.compute_maps)
+        self.paths = Worker(self.compute_paths)
         self.maps.submit("description")
         for topic, kind in (
             ("calibration/kinematic", KinematicCalibration),
@@ -82,7 +82,7 @@ class WorkspaceNode(Node):
     def on_calibration(self, topic: str, message: Any) -> None:
         """Recompute the maps with a calibration, if it passed."""
         if message.calibration.verdict == message.calibration.PASS:
-            self.arrived.append((topic, message))
+            self.received.append((topic, message))
             self.maps.submit(topic)
 
     def on_joints(self, message: JointState) -> None:
@@ -98,92 +98,93 @@ class WorkspaceNode(Node):
 
     def on_timer(self) -> None:
         """Publish the ellipsoids; recompute the straight paths when arm or base have moved."""
-        known, q = self.known, self.posture()
+        calibrated, q = self.calibrated, self.posture()
         if q is None:
             return
         self.base.poll()
         header = self.header(self.settings.base_frame)
         self.publish(
-            "ellipsoids", messages.ellipsoid_markers(known.arm, q, self.settings.scale, header)
+            "ellipsoids", messages.ellipsoid_markers(calibrated.arm, q, self.settings.scale, header)
         )
         state = np.concatenate([self.pose or np.zeros(3), q])
-        if not self.paths.busy and not self.is_shown(known, state):
-            self.shown = known, state
-            self.paths.submit((known, state, self.pose is not None))
+        if not self.paths.busy and not self.is_current(calibrated, state):
+            self.path_start = calibrated, state
+            self.paths.submit((calibrated, state, self.pose is not None))
 
     def posture(self) -> Floats | None:
         """Return the joint readings (n,) [rad]; None until all have been received."""
-        joints = range(1, self.known.arm.n + 1)
+        joints = range(1, self.calibrated.arm.n + 1)
         if not all(i in self.readings for i in joints):
             return None
         return np.array([self.readings[i] for i in joints])
 
-    def is_shown(self, known: Calibrated, state: Floats) -> bool:
+    def is_current(self, calibrated: Calibrated, state: Floats) -> bool:
         """Return True if the last straight paths start near the state, with the same arm."""
-        if self.shown is None or self.shown[0] is not known:
+        if self.path_start is None or self.path_start[0] is not calibrated:
             return False
-        change = state - self.shown[1]
+        change = state - self.path_start[1]
         change[2] = remainder(change[2], 2.0 * pi)
         return bool((np.abs(change) <= self.settings.motion_threshold).all())
 
-    def take(self, topic: str, message: Any) -> None:
+    def add_calibration(self, topic: str, message: Any) -> None:
         """Add a calibration to the known arm, unless it is of another arm (worker's thread)."""
         calibrations = {k: v for k, v in self.calibrations.items() if k != topic}
         calibrations[topic] = message
         try:
-            self.known = self.after(calibrations)
+            self.calibrated = self.with_calibrations(calibrations)
             self.calibrations = calibrations
         except ValueError as error:
             self.get_logger().warning(f"{topic} is left out: {error}")
 
-    def after(self, calibrations: dict[str, Any]) -> Calibrated:
+    def with_calibrations(self, calibrations: dict[str, Any]) -> Calibrated:
         """Return the described arm updated by calibrations.
 
         Raises:
             ValueError: a calibration is not of this arm.
         """
-        known = self.described
+        calibrated = self.described
         for topic, message in calibrations.items():
-            known = known.with_message(topic, message)
-        if known.arm.n != self.described.arm.n:
-            raise ValueError(f"it is for {known.arm.n} links, expected {self.described.arm.n}")
-        return known
+            calibrated = calibrated.with_message(topic, message)
+        if calibrated.arm.n != self.described.arm.n:
+            raise ValueError(f"it is for {calibrated.arm.n} links, expected {self.described.arm.n}")
+        return calibrated
 
-    def find_maps(self, _: str, progress: Progress) -> None:
+    def compute_maps(self, _: str, progress: Progress) -> None:
         """Compute and publish the results that depend on the arm alone (worker's thread)."""
-        while self.arrived:
-            self.take(*self.arrived.popleft())
-        known, settings = self.known, self.settings
-        found = analyse(known, settings, progress)
+        while self.received:
+            self.add_calibration(*self.received.popleft())
+        calibrated, settings = self.calibrated, self.settings
+        found = analyze(calibrated, settings, progress)
         header = self.header(self.settings.base_frame)
         for base, one in found.maps.items():
             self.publish(f"map/{base}", messages.occupancy_grid(one, header))
             self.publish(f"manipulability/{base}", messages.map_message(one, base, header))
-        self.publish("boundary", messages.polygon(found.known[0][0], header))
+        self.publish("boundary", messages.polygon(found.boundary[0][0], header))
         self.publish("markers", messages.workspace_markers(found, header))
         self.publish("result", messages.workspace_message(found, settings, header))
 
-    def find_paths(self, request: tuple[Calibrated, Floats, bool], progress: Progress) -> None:
+    def compute_paths(self, request: tuple[Calibrated, Floats, bool], progress: Progress) -> None:
         """Compute and publish the straight paths from a state (worker's thread)."""
-        (known, state, in_world), s = request, self.settings
-        limits = joint_limits(known.arm, of_true_angle=s.of_true_angle)
+        (calibrated, state, in_world), s = request, self.settings
+        limits = joint_limits(calibrated.arm, of_true_angle=s.of_true_angle)
         start = np.append(state[:3], state[3:].clip(*limits.T))  # readings may exceed a limit
-        found = straight_workspaces(known.arm, start, s, progress)
+        found = straight_workspaces(calibrated.arm, start, s, progress)
         header = self.header(s.world_frame if in_world else s.base_frame)
         for base, paths in found.items():
-            self.publish(f"straight/{_topic(base)}", messages.polygon(paths.ends, header))
+            self.publish(f"straight/{_topic_name(base)}", messages.polygon(paths.ends, header))
             self.publish(
-                f"straight_paths/{_topic(base)}", messages.straight_message(paths, base, header)
+                f"straight_paths/{_topic_name(base)}",
+                messages.straight_message(paths, base, header),
             )
-        radius = VirtualManipulator(known.arm).radius
+        radius = VirtualManipulator(calibrated.arm).radius
         self.publish(
-            "straight_markers", messages.straight_markers(known.arm, found, radius, header)
+            "straight_markers", messages.straight_markers(calibrated.arm, found, radius, header)
         )
 
     def publish(self, name: str, message: Any) -> None:
         """Publish from any thread; errors during shutdown are ignored."""
         try:
-            self.outputs[name].publish(message)
+            self.workspace_publishers[name].publish(message)
         except RCLError:
             if self.context.ok():
                 raise
@@ -194,13 +195,13 @@ class WorkspaceNode(Node):
 
     def health(self) -> Health:
         """Return the node's health for diagnostics."""
-        values = {"arm": self.known.arm.name, "maps": self.maps.doing}
-        values["straight paths"] = self.paths.doing
+        values = {"arm": self.calibrated.arm.name, "maps": self.maps.status}
+        values["straight paths"] = self.paths.status
         failure = self.maps.failure or self.paths.failure
         if failure:
             return Health(ERROR, failure, values)
-        what = "computing" if self.maps.busy or self.paths.busy else "up to date"
-        return Health(OK, what, values)
+        state = "computing" if self.maps.busy or self.paths.busy else "up to date"
+        return Health(OK, state, values)
 
     def close(self) -> None:
         """Stop the workers."""
@@ -208,7 +209,7 @@ class WorkspaceNode(Node):
         self.paths.close()
 
 
-def _topic(base: str) -> str:
+def _topic_name(base: str) -> str:
     return base.replace(" ", "_")
 
 

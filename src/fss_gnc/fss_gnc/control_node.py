@@ -17,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from fss_arm_model import layout
 from fss_arm_model.description_file import described
-from fss_arm_model.held import Target, hold, with_held
+from fss_arm_model.held import Target, payload_pose, with_payload
 from fss_arm_msgs.msg import GripperState, MassProperties
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
@@ -175,10 +175,10 @@ class ControlNode(Node):
         """
         p = self.arm.vector()
         if self.holds_target and self.place is None and (target := self.target.valid_value(now)):
-            self.place = hold(p, q, target.extrapolate(self.target.age(now)).pose)
+            self.place = payload_pose(p, q, target.extrapolate(self.target.age(now)).pose)
         p[layout.MASS] -= self.propellant_used
         held, place = self.measured or (self.assumed_target, self.place)
-        return p if place is None else with_held(p, held, place)
+        return p if place is None else with_payload(p, held, place)
 
     def publish(self, wrench: Floats) -> None:
         """Publish force along the base's axes [N] and torque about its origin [N m]."""

@@ -23,7 +23,7 @@ from fss_arm_bags.reader import open_bags
 from fss_arm_calib.report import Figure
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import load
-from fss_arm_model.held import Target, hold
+from fss_arm_model.held import Target, payload_pose
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import MassProperties, MissionState
@@ -192,7 +192,7 @@ def mass_error(flight: Flight, p: np.ndarray, k: int) -> tuple[float, str]:
     m = flight.estimate
     values = np.array([m.mass, *m.com, m.inertia])
     deviations = np.sqrt(m.covariance.reshape(4, 4).diagonal())
-    pose = hold(p, flight.q[k], flight.target[k])
+    pose = payload_pose(p, flight.q[k], flight.target[k])
     truth = np.array([TARGET.mass, *pose[:2], TARGET.inertia])
     names = ("mass {:.2f} ± {:.2f} kg", "x {:.3f} ± {:.3f} m", "y {:.3f} ± {:.3f} m",
              "inertia {:.3f} ± {:.3f} kg m^2")  # fmt: skip

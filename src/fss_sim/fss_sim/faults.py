@@ -14,7 +14,7 @@ from dataclasses import MISSING, dataclass, fields, replace
 from math import inf, pi
 from typing import Any
 
-from fss_arm_model.files import ContentError, read_yaml, shown
+from fss_arm_model.files import ContentError, format_value, read_yaml
 from fss_arm_model.settings import (
     FINITE,
     NOT_NEGATIVE,
@@ -223,11 +223,13 @@ class Faults:
     @staticmethod
     def _with_fault(groups: FaultsByPart, part: str, name: str, value: float) -> FaultsByPart:
         if part not in groups:
-            raise FaultError(f"there is no part {shown(part)}, expected one of {', '.join(groups)}")
+            raise FaultError(
+                f"there is no part {format_value(part)}, expected one of {', '.join(groups)}"
+            )
         names = [f.name for f in fields(groups[part])]
         if name not in names:
             raise FaultError(
-                f"{part} has no fault {shown(name)}, expected one of {', '.join(names)}"
+                f"{part} has no fault {format_value(name)}, expected one of {', '.join(names)}"
             )
         try:
             return {**groups, part: replace(groups[part], **{name: float(value)})}
@@ -255,5 +257,5 @@ def _event(entry: Any) -> Event:
     try:
         return Event(**{key: types[key](value) for key, value in dict(entry).items()})
     except (TypeError, ValueError, KeyError, OverflowError) as error:
-        reason = shown(str(error))
-        raise FaultError(f"{shown(entry)}, expected {', '.join(types)}: {reason}") from None
+        reason = format_value(str(error))
+        raise FaultError(f"{format_value(entry)}, expected {', '.join(types)}: {reason}") from None

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.clearance import _apart, _to_segment
+from fss_arm_model.clearance import _point_distance, _segment_distance
 from fss_arm_model.extents import Extents
 from fss_arm_model.kernels import Floats, kernel
 from fss_arm_model.kinematics import _cross, joint_positions
@@ -242,9 +242,9 @@ def _observe_markers(  # type: ignore[no-untyped-def]
                 a = complex(bodies[b, 0], bodies[b, 1])
                 along = complex(bodies[b, 2], bodies[b, 3]) - a
                 if abs(along) > 1e-9:
-                    apart = _apart(at[k], share * sight, a, along)
+                    apart = _segment_distance(at[k], share * sight, a, along)
                 else:
-                    apart = _to_segment(at[k], share * sight, a)
+                    apart = _point_distance(at[k], share * sight, a)
                 free = free and apart > bodies[b, 4]
             camera_count += free
         ok[k] = camera_count >= MIN_CAMERAS

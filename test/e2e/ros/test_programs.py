@@ -16,7 +16,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import ByteMultiArray
 
 from fss_arm_bags.inspection import is_sound
-from fss_arm_bags.reader import find, open_bags
+from fss_arm_bags.reader import find_bags, open_bags
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
@@ -137,7 +137,7 @@ def test_a_recorder_that_is_told_to_stop_leaves_a_whole_bag(spin, start, tmp_pat
         out.publish(joint_state(k))
     assert out.wait_for_all_acked()
     assert record.stop(how) == 0, record.output
-    assert all(map(is_sound, find(tmp_path / "bags")))
+    assert all(map(is_sound, find_bags(tmp_path / "bags")))
 
 
 def test_a_recorder_that_the_disk_refuses_says_so_and_keeps_what_it_has(spin, start, tmp_path):

@@ -16,7 +16,7 @@ import pytest
 from running import DOMAIN, OWN, wait_until
 
 from fss_arm_bags.inspection import is_sound
-from fss_arm_bags.reader import find, open_bags
+from fss_arm_bags.reader import find_bags, open_bags
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
 
@@ -128,7 +128,7 @@ def test_nodes_outlive_the_line_are_started_again_and_stop_in_order(laboratory, 
     ]
     assert not any(map(lab.pid, names))
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids.values())
-    assert all(map(is_sound, find(tmp_path / "bags")))
+    assert all(map(is_sound, find_bags(tmp_path / "bags")))
     with open_bags(tmp_path / "bags") as bags:
         assert bags.topics["/joint_states"].messages > 0
 

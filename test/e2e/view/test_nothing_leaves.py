@@ -37,7 +37,7 @@ def count():
                 sent[socket.inet_ntoa(packet[30:34]), name] += 1
 
 threading.Thread(target=count, daemon=True).start()
-quiet = sink.keep_quiet()
+quiet = sink.disable_analytics()
 data, page = sink.free_port(), sink.free_port()
 viewer = sink.Viewer(sink.WEB, "127.0.0.1", data, page, "200MB")
 if sys.argv[3] == "bare":

@@ -106,7 +106,7 @@ def test_the_page_says_how_old_its_data_are_and_that_none_come(start, spin, doma
         says("fss", "16.5 V, link 1")
         sends[0] = False
         says("fss_age", "NO DATA FOR")
-        says("fss", "silentlink 1")
+        says("fss", "no telemetrylink 1")
         sends[0] = True
         spin([source], lambda: "NO DATA" not in page.text("fss_age"), 60.0)
         view.process.send_signal(signal.SIGSTOP)

@@ -15,7 +15,7 @@ from std_msgs.msg import Int64, String
 
 from fss_arm_bags.definitions import definition
 from fss_arm_bags.reader import open_bags
-from fss_arm_bags.record_node import RecordNode, match
+from fss_arm_bags.record_node import RecordNode, matching_qos
 from fss_arm_ros.diagnostics import ERROR, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR
 
@@ -27,13 +27,13 @@ def recorder(output, **values):
     return RecordNode(parameter_overrides=[Parameter(k, value=v) for k, v in given.items()])
 
 
-def test_all_that_is_published_is_in_the_bag(spin, tmp_path):
+def test_every_published_message_is_in_the_bag(spin, tmp_path):
     node = Node("source")
     states_out = node.create_publisher(JointState, "joint_states", SENSOR)
     loose_out = node.create_publisher(Int64, "loose", BEST_EFFORT)
     text_out = node.create_publisher(String, "robot_description", LATCHED)
     hidden = node.create_publisher(Int64, "move/_action/hidden", 10)
-    text_out.publish(String(data="arm"))  # long before the recorder is there
+    text_out.publish(String(data="arm"))  # long before the recorder starts
     record = recorder(tmp_path)
     outs = (states_out, loose_out, text_out)
     spin([node, record], lambda: all(out.get_subscription_count() for out in outs))
@@ -60,7 +60,7 @@ def test_all_that_is_published_is_in_the_bag(spin, tmp_path):
         assert bags.topics["/joint_states"].hash == definition("sensor_msgs/msg/JointState").hash
 
 
-def test_only_the_topics_asked_for(spin, tmp_path):
+def test_only_selected_topics_are_recorded(spin, tmp_path):
     node = Node("source")
     wanted = node.create_publisher(Int64, "wanted", SENSOR)
     other = node.create_publisher(Int64, "other", SENSOR)
@@ -70,7 +70,7 @@ def test_only_the_topics_asked_for(spin, tmp_path):
     assert other.get_subscription_count() == 0
 
 
-def test_a_recorder_of_one_vehicle_leaves_the_others_out(spin, tmp_path):
+def test_a_recorder_of_one_vehicle_skips_other_vehicles(spin, tmp_path):
     node = Node("source")
     topics = ["/fss1/joint_states", "/fss2/joint_states", "/fss22/joint_states", "/joint_states"]
     shared = ["/vicon/fss1/fss1", "/clock", "/sim/faults"]
@@ -90,7 +90,7 @@ def test_a_recorder_of_one_vehicle_leaves_the_others_out(spin, tmp_path):
     assert "/fss2/joint_states" not in named.recording.topics
 
 
-def test_a_looser_publisher_that_comes_later_is_heard(spin, tmp_path):
+def test_a_later_best_effort_publisher_is_recorded(spin, tmp_path):
     node = Node("source")
     first = node.create_publisher(Int64, "topic", SENSOR)
     record = recorder(tmp_path, topics=["topic"])
@@ -102,9 +102,7 @@ def test_a_looser_publisher_that_comes_later_is_heard(spin, tmp_path):
     spin([node, record], lambda: record.counts["/topic"] > 2)
 
 
-def test_simulated_time_is_the_time_of_receipt_and_only_latched_messages_come_before_it(
-    spin, tmp_path
-):
+def test_simulated_time_is_the_time_of_receipt(spin, tmp_path):
     node = Node("source")
     data, latched, clock = (
         node.create_publisher(Int64, "data", 10),
@@ -118,81 +116,81 @@ def test_simulated_time_is_the_time_of_receipt_and_only_latched_messages_come_be
     spin([node, record], lambda: data.get_subscription_count() == 2)
     assert record.health().message == "waiting for /clock"
     data.publish(Int64(data=1))
-    spin([node, record], lambda: got and record.early)
+    spin([node, record], lambda: got and record.early_messages)
     assert not record.counts
     now = Clock()
     now.clock.sec = 100
 
-    def told():
+    def clock_is_set():
         clock.publish(now)
         return record.get_clock().now().nanoseconds
 
-    spin([node, record], told)
+    spin([node, record], clock_is_set)
     data.publish(Int64(data=2))
     spin([node, record], lambda: record.counts["/data"])
     record.close()
     with open_bags(tmp_path) as bags:
-        kept = [(topic, t, m.data) for topic, _, t, m in bags.messages()]
-    assert sorted(kept) == [("/data", 100 * 10**9, 2), ("/latched", 100 * 10**9, 3)]
+        recorded = [(topic, t, m.data) for topic, _, t, m in bags.messages()]
+    assert sorted(recorded) == [("/data", 100 * 10**9, 2), ("/latched", 100 * 10**9, 3)]
 
 
-def test_a_latched_message_of_before_the_clock_waits_for_no_other(spin, tmp_path):
+def test_an_early_latched_message_is_recorded_with_the_first_clock(spin, tmp_path):
     node = Node("source")
     latched = node.create_publisher(Int64, "latched", LATCHED)
     clock = node.create_publisher(Clock, "/clock", 1)
     latched.publish(Int64(data=3))
     record = recorder(tmp_path, use_sim_time=True, topics=["latched"])
-    spin([node, record], lambda: record.early)
+    spin([node, record], lambda: record.early_messages)
     now = Clock()
     now.clock.sec = 100
 
-    def kept():
+    def latched_is_recorded():
         clock.publish(now)
         return record.counts["/latched"]
 
-    spin([node, record], kept)
+    spin([node, record], latched_is_recorded)
     record.close()
     with open_bags(tmp_path) as bags:
         assert [(t, m.data) for _, _, t, m in bags.messages()] == [(100 * 10**9, 3)]
 
 
-def test_a_type_that_is_not_installed_is_said_once(spin, tmp_path, monkeypatch):
+def test_a_missing_type_is_reported_once(spin, tmp_path, monkeypatch):
     from fss_arm_bags import record_node
     from fss_arm_bags.definitions import NotInstalledError
 
-    asked = []
+    requested = []
 
     def missing(msgtype):
-        asked.append(msgtype)
+        requested.append(msgtype)
         raise NotInstalledError(f"{msgtype} is not installed")
 
     monkeypatch.setattr(record_node, "message_class", missing)
     node = Node("source")
     node.create_publisher(Int64, "data", 10)
     record = recorder(tmp_path, topics=["data"])
-    spin([node, record], lambda: record.unknown == {"/data"})
+    spin([node, record], lambda: record.unknown_types == {"/data"})
     record.discover()
-    assert asked == ["std_msgs/msg/Int64"]
+    assert requested == ["std_msgs/msg/Int64"]
     assert record.recording.topics == {}
 
 
-def test_a_subscription_asks_for_what_all_publishers_grant():
-    assert match([LATCHED]).durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert match([LATCHED, SENSOR]).durability == DurabilityPolicy.VOLATILE
-    assert match([SENSOR]).reliability == ReliabilityPolicy.RELIABLE
-    assert match([SENSOR, BEST_EFFORT]).reliability == ReliabilityPolicy.BEST_EFFORT
+def test_a_subscription_matches_all_publishers():
+    assert matching_qos([LATCHED]).durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert matching_qos([LATCHED, SENSOR]).durability == DurabilityPolicy.VOLATILE
+    assert matching_qos([SENSOR]).reliability == ReliabilityPolicy.RELIABLE
+    assert matching_qos([SENSOR, BEST_EFFORT]).reliability == ReliabilityPolicy.BEST_EFFORT
 
 
 @pytest.mark.parametrize("output", ["", "file/inside"])
-def test_an_output_that_cannot_be_is_refused(ros, tmp_path, output):
+def test_an_invalid_output_is_rejected(ros, tmp_path, output):
     (tmp_path / "file").touch()
     with pytest.raises((ValueError, OSError)):
         recorder(output and tmp_path / output)
 
 
 @contextmanager
-def files_of(size):
-    """As on a full disk: a file can have that many bytes."""
+def file_size_limit(size):
+    """Limit the size of files [bytes], which simulates a full disk."""
     soft, hard = getrlimit(RLIMIT_FSIZE)
     setrlimit(RLIMIT_FSIZE, (size, hard))
     try:
@@ -201,37 +199,37 @@ def files_of(size):
         setrlimit(RLIMIT_FSIZE, (soft, hard))
 
 
-def test_on_a_full_disk_it_tries_on_and_counts_what_is_lost(spin, tmp_path, monkeypatch):
+def test_a_full_disk_is_retried_and_losses_are_counted(spin, tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
     node = Node("source")
     out = node.create_publisher(JointState, "joint_states", SENSOR)
     record = recorder(tmp_path / "bags", topics=["joint_states"])
-    said = []
+    logged = []
     for level in ("error", "warning"):
-        monkeypatch.setattr(record.get_logger(), level, said.append)
+        monkeypatch.setattr(record.get_logger(), level, logged.append)
     spin([node, record], out.get_subscription_count)
-    heard = record.counts
+    counts = record.counts
 
     def publish(first, count):
         for k in range(first, first + count):
             out.publish(joint_state(k))
 
     publish(0, 100)
-    spin(record, lambda: heard["/joint_states"] == 100)
+    spin(record, lambda: counts["/joint_states"] == 100)
     record.flush()
-    with files_of(record.recording._storage.bio.tell() + 1000):
-        publish(100, 50)  # which wait
-        spin(record, lambda: heard["/joint_states"] == 150)
+    with file_size_limit(record.recording._storage.bio.tell() + 1000):
+        publish(100, 50)  # these wait
+        spin(record, lambda: counts["/joint_states"] == 150)
         spin(record, lambda: record.recording.failure)
         assert record.health().level == ERROR
         publish(150, 30)
         spin(record, lambda: record.recording.lost == 30)
         record.flush()
-        assert said == [f"cannot write {tmp_path / 'bags/bag_0'}: File too large; tries on"]
+        assert logged == [f"cannot write {tmp_path / 'bags/bag_0'}: File too large; retrying"]
     spin(record, lambda: not record.recording.failure)
-    assert said[1:] == [f"writes {tmp_path / 'bags/bag_0'} again; 30 messages are lost"]
+    assert logged[1:] == [f"writing {tmp_path / 'bags/bag_0'} again; 30 messages were lost"]
     publish(180, 20)
-    spin(record, lambda: heard["/joint_states"] == 170)
+    spin(record, lambda: counts["/joint_states"] == 170)
     assert record.health().level == WARN
     assert record.health().values["lost"] == 30
     record.close()
@@ -240,7 +238,7 @@ def test_on_a_full_disk_it_tries_on_and_counts_what_is_lost(spin, tmp_path, monk
         assert bags.recovered == bags.unchecked == []
 
 
-def test_a_disk_that_is_full_at_the_end_is_told(spin, tmp_path):
+def test_a_full_disk_at_the_end_is_reported(spin, tmp_path):
     node = Node("source")
     out = node.create_publisher(JointState, "joint_states", SENSOR)
     record = recorder(tmp_path, topics=["joint_states"])
@@ -248,13 +246,13 @@ def test_a_disk_that_is_full_at_the_end_is_told(spin, tmp_path):
     out.publish(joint_state(0))
     spin(record, lambda: record.counts["/joint_states"])
     with (
-        files_of(1),
-        pytest.raises(SystemExit, match=r"bag_0: File too large; what it has is kept"),
+        file_size_limit(1),
+        pytest.raises(SystemExit, match=r"bag_0: File too large; earlier messages are saved"),
     ):
         record.close()
 
 
-def test_a_split_that_another_recorder_forestalls_is_told(ros, tmp_path, monkeypatch):
+def test_a_split_into_an_existing_bag_is_reported(ros, tmp_path, monkeypatch):
     record = recorder(tmp_path)
     monkeypatch.setattr("fss_arm_bags.recorder.next_bag", lambda folder: folder / "bag_0")
     record.recording._split()

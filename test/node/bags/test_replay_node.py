@@ -34,8 +34,8 @@ def replay(*bags, **values):
     return ReplayNode(*map(str, bags), parameter_overrides=overrides)
 
 
-def ended(spin, nodes, timeout=20.0):
-    """Spin until the replay ends by itself; return its exit code or reason."""
+def exit_code(spin, nodes, timeout=20.0):
+    """Spin until the replay exits; return its exit code or reason."""
     with pytest.raises(SystemExit) as end:
         spin(nodes, lambda: False, timeout)
     return end.value.code
@@ -48,22 +48,22 @@ def test_nothing_is_lost_at_full_speed(spin, tmp_path, make):
         node, JointState, "joint_states", lambda m: got.append(number(m)), keep_all=True
     )
     player = replay(make(tmp_path, 1000), rate=0.0, wait_for=["joint_states"])
-    assert ended(spin, [player, node]) == 0
+    assert exit_code(spin, [player, node]) == 0
     spin(node, lambda: len(got) == 1000)
     assert got == list(range(1000))
 
 
-def test_messages_are_byte_for_byte_those_recorded_and_at_their_pace(spin, tmp_path):
+def test_messages_are_played_unchanged_at_their_pace(spin, tmp_path):
     bag = make_bag(tmp_path, 50)
     node, got, times = Node("reader"), [], []
 
-    def take(data):
+    def receive(data):
         got.append(data)
         times.append(time.monotonic())
 
-    node.create_subscription(JointState, "joint_states", take, SENSOR, raw=True)
+    node.create_subscription(JointState, "joint_states", receive, SENSOR, raw=True)
     player = replay(bag, rate=2.0, wait_for=["joint_states"])
-    assert ended(spin, [player, node]) == 0
+    assert exit_code(spin, [player, node]) == 0
     spin(node, lambda: len(got) == 50)
     with open_bags(bag) as bags:
         assert got == [data for _, _, _, data in bags.raw(["/joint_states"])]
@@ -76,19 +76,19 @@ def test_the_pause_between_two_sessions_is_skipped(spin, tmp_path):
     make_bag(tmp_path, 30, first=hour)
     node, got, times = Node("reader"), [], []
 
-    def take(message):
+    def receive(message):
         got.append(number(message))
         times.append(time.monotonic())
 
-    subscribe_sensor(node, JointState, "joint_states", take, keep_all=True)
+    subscribe_sensor(node, JointState, "joint_states", receive, keep_all=True)
     player = replay(tmp_path, wait_for=["joint_states"])
-    assert ended(spin, [player, node]) == 0
+    assert exit_code(spin, [player, node]) == 0
     spin(node, lambda: len(got) == 40)
     assert got == [*range(10), *range(hour, hour + 30)]
     assert times[-1] - times[10] > 0.1  # at its pace again: 0.29 s
 
 
-def test_latched_topics_are_latched_for_those_who_come_late(spin, tmp_path):
+def test_late_subscribers_get_latched_topics(spin, tmp_path):
     recording = Recording(tmp_path)
     recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
     for k in range(3):
@@ -116,7 +116,7 @@ def test_clock_follows_the_times_of_receipt(spin, tmp_path):
     )
     player = replay(make_bag(tmp_path, 50), rate=2.0, clock=True)
     spin([player, node], player.clock.get_subscription_count)
-    ended(spin, [player, node])
+    exit_code(spin, [player, node])
     spin(
         node, lambda: got and got[-1] >= START + 48 * 10**7
     )  # the last step is at most 10 ms short
@@ -124,7 +124,7 @@ def test_clock_follows_the_times_of_receipt(spin, tmp_path):
     assert got[0] >= START
 
 
-def test_commands_are_left_out(spin, tmp_path):
+def test_commands_are_not_played(spin, tmp_path):
     recording = Recording(tmp_path)
     recording.add("/arm/stop", "std_msgs/msg/Empty", [SENSOR])
     recording.add("/calibration/text", "std_msgs/msg/String", [LATCHED])
@@ -139,41 +139,40 @@ def test_commands_are_left_out(spin, tmp_path):
     assert player.count_publishers("/recorded/calibration/text") == 1
 
 
-def test_waiting_in_vain_is_told(spin, tmp_path):
+def test_missing_subscribers_are_reported(spin, tmp_path):
     player = replay(make_bag(tmp_path, 1), wait_for=["joint_states"], deadline=0.2)
-    assert "too few subscribers of /joint_states" in ended(spin, [player])
+    assert "too few subscribers of /joint_states" in exit_code(spin, [player])
 
 
-def test_a_topic_named_twice_waits_for_two_who_hear_all(spin, tmp_path):
+def test_a_topic_named_twice_waits_for_two_subscribers(spin, tmp_path):
     bag, wait_for = make_bag(tmp_path, 100), ["joint_states", "/joint_states"]
     player = replay(bag, rate=0.0, wait_for=wait_for, deadline=60.0)
-    heard = {"early": [], "late": []}
+    received = {"early": [], "late": []}
 
-    def listen(name):
+    def subscribe(name):
         node = Node(name)
-        take = heard[name].append
-        subscribe_sensor(node, JointState, "joint_states", take, keep_all=True)
+        subscribe_sensor(node, JointState, "joint_states", received[name].append, keep_all=True)
         return node
 
-    early, publisher, ticks = listen("early"), player.players["/joint_states"], []
+    early, publisher, ticks = subscribe("early"), player.players["/joint_states"], []
     spin([player, early], publisher.get_subscription_count)
     player.steps = map(ticks.append, player.steps)
     spin([player, early], lambda: len(ticks) > 20)
     assert player.played == 0
-    late = listen("late")
-    assert ended(spin, [player, early, late]) == 0
-    spin([early, late], lambda: all(len(got) == 100 for got in heard.values()))
-    for got in heard.values():
+    late = subscribe("late")
+    assert exit_code(spin, [player, early, late]) == 0
+    spin([early, late], lambda: all(len(got) == 100 for got in received.values()))
+    for got in received.values():
         assert [number(message) for message in got] == list(range(100))
 
 
-def test_waiting_for_what_is_not_played_is_told(spin, tmp_path):
+def test_waiting_for_an_unplayed_topic_is_reported(spin, tmp_path):
     player = replay(make_bag(tmp_path, 1), wait_for=["joint_sates"])
-    assert "/joint_sates is not played" in ended(spin, [player])
+    assert "/joint_sates is not played" in exit_code(spin, [player])
 
 
 def latched_and_volatile(folder):
-    """A bag with a text a second, latched, and joint states all the time, for 3 s."""
+    """Make a bag of 3 s with a latched text every second and joint states."""
     recording = Recording(folder)
     recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
     recording.add("/joint_states", "sensor_msgs/msg/JointState", [SENSOR])
@@ -187,7 +186,7 @@ def latched_and_volatile(folder):
     return folder
 
 
-def test_a_start_within_says_first_what_was_latched_last(spin, tmp_path):
+def test_a_later_start_publishes_latched_messages_first(spin, tmp_path):
     node, got = Node("reader"), []
     keep = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node.create_subscription(String, "robot_description", lambda m: got.append(m.data), keep)
@@ -196,13 +195,13 @@ def test_a_start_within_says_first_what_was_latched_last(spin, tmp_path):
     )
     wait_for = ["joint_states", "robot_description"]
     player = replay(latched_and_volatile(tmp_path), rate=0.0, start=1.5, wait_for=wait_for)
-    assert ended(spin, [player, node]) == 0
+    assert exit_code(spin, [player, node]) == 0
     spin(node, lambda: len(got) == 152)
     assert [m for m in got if isinstance(m, str)] == ["arm 1", "arm 2"]
     assert [m for m in got if isinstance(m, int)] == list(range(150, 300))
 
 
-def test_a_loop_begins_again_at_the_start(spin, tmp_path):
+def test_a_loop_repeats_from_the_start(spin, tmp_path):
     node, got = Node("reader"), []
     subscribe_sensor(
         node, JointState, "joint_states", lambda m: got.append(number(m)), keep_all=True
@@ -216,21 +215,21 @@ def test_a_loop_begins_again_at_the_start(spin, tmp_path):
     assert list(player.players) == ["/joint_states"]
 
 
-def test_a_start_behind_the_end_is_refused(ros, tmp_path):
-    with pytest.raises(ValueError, match=r"start is 9\.0 s, but the bags last 2\.990 s"):
+def test_a_start_after_the_end_is_rejected(ros, tmp_path):
+    with pytest.raises(ValueError, match=r"start is 9\.0 s, but the bags last only 2\.990 s"):
         replay(latched_and_volatile(tmp_path), start=9.0)
 
 
-def test_a_topic_with_another_publisher_ends_the_replay(spin, tmp_path):
+def test_another_publisher_stops_the_replay(spin, tmp_path):
     node = Node("link_1")
     node.create_publisher(JointState, "joint_states", SENSOR)
     player = replay(make_bag(tmp_path, 10), discovery=10.0)
-    said = ended(spin, [player, node])
-    assert said == "/joint_states is published by link_1: stop that, or choose topics"
+    reason = exit_code(spin, [player, node])
+    assert reason == "/joint_states is also published by link_1: stop it, or choose other topics"
     assert player.played == 0
 
 
-def test_messages_of_the_first_version_are_played_as_present_ones(spin, tmp_path):
+def test_messages_of_the_first_version_are_upgraded(spin, tmp_path):
     """The bag is older than fields of its results, which replay gives their defaults."""
     topic = "calibration/kinematic"
     with open_bags(FIRST) as bags:

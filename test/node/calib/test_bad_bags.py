@@ -189,7 +189,7 @@ def test_what_is_no_pose_is_named(samples, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("calib_rig.serialize_message", lambda _: b"\0\1\0\0" + bytes(24))
     bag = record(tmp_path, [s for s in samples[:50] if isinstance(s.stream, str)])
     assert from_bag([str(bag)]) == 1
-    assert "28 bytes are no geometry_msgs/PoseStamped" in capsys.readouterr().err
+    assert "28 bytes is not a geometry_msgs/PoseStamped" in capsys.readouterr().err
 
 
 def test_the_result_is_the_same_whatever_is_read_at_once(samples, tmp_path):

@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.held import Target, hold, with_held
+from fss_arm_model.held import Target, payload_pose, with_payload
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_msgs.msg import MassProperties
 from fss_arm_ros.convert import SECOND, to_time
@@ -188,7 +188,7 @@ def test_model_includes_the_target_and_excludes_used_propellant(bench):
     bench.propellant, bench.holds = 0.04, True
     bench.until(lambda: bench.control.place is not None)
     bench.acts()
-    whole = with_held(p, Target(), hold(p, q, bench.target[0]))
+    whole = with_payload(p, Target(), payload_pose(p, q, bench.target[0]))
     mass = inertia_matrix(bench.control.control.p, q)[0, 0]
     assert mass == pytest.approx(inertia_matrix(whole, q)[0, 0] - 0.06)
     publisher = bench.create_publisher(MassProperties, "target/mass_properties", 1)
@@ -196,7 +196,7 @@ def test_model_includes_the_target_and_excludes_used_propellant(bench):
     publisher.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
     bench.until(lambda: bench.control.measured is not None)
     bench.acts()
-    found = with_held(p, Target(20.0, 0.6), np.array([0.4, 0.05, 0.0]))
+    found = with_payload(p, Target(20.0, 0.6), np.array([0.4, 0.05, 0.0]))
     found[layout.MASS] -= 0.06
     np.testing.assert_allclose(bench.control.control.p, found)
     publisher.publish(MassProperties(mass=-1.0, inertia=0.6))

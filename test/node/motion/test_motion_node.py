@@ -20,7 +20,7 @@ from fss_arm_motion.motion_node import MotionNode
 from fss_arm_msgs.action import ExecuteMotion
 from fss_arm_ros.qos import SENSOR
 
-NO_ARM = "no node offers arm_controller/follow_joint_trajectory: is the node arm there?"
+NO_ARM = "no node offers arm_controller/follow_joint_trajectory: start the node arm"
 
 
 class Bench:

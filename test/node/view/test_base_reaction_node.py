@@ -1,4 +1,4 @@
-"""The node base_reaction, fed with the messages of a flight."""
+"""The node base_reaction, which receives the messages of a flight."""
 
 import signal
 from dataclasses import replace
@@ -38,11 +38,11 @@ def run(spin, flight):
 
 
 def play_all(spin, node, bench):
-    """Play in pieces that no queue overflows from."""
+    """Play the flight in parts, so that no queue overflows."""
     while bench.k < len(bench.flight.t):
         bench.play(500)
         frames = min(bench.k, len(bench.flight.t)) // 10
-        spin([node, bench], lambda n=frames: len(bench.states) >= n - 6, 30.0)  # some wait
+        spin([node, bench], lambda n=frames: len(bench.states) >= n - 6, 30.0)  # some are queued
 
 
 def test_prediction_and_measurement_agree_on_topics(run, spin, flight):
@@ -69,7 +69,7 @@ def test_prediction_and_measurement_agree_on_topics(run, spin, flight):
 @pytest.mark.parametrize(
     ("fired", "lasts", "known"), [(-10.0, 0.2, True), (2.6, 0.2, False), (2.6, np.inf, True)]
 )
-def test_where_thrusters_fired_nothing_is_compared(run, spin, fired, lasts, known):
+def test_no_difference_is_published_after_thrusters_fired(run, spin, fired, lasts, known):
     node, bench = run()
     thrust = ThrusterCommand(on_time=[0.0, lasts, *[0.0] * 6])
     thrust.header.stamp = to_time(BEGIN + int(fired * SECOND))
@@ -80,7 +80,7 @@ def test_where_thrusters_fired_nothing_is_compared(run, spin, fired, lasts, know
     assert np.isfinite(bench.reactions[-1].predicted).all()
 
 
-def test_the_base_s_state_is_in_its_own_axes_and_on_tf(run, spin, flight):
+def test_the_base_s_state_is_in_base_axes_and_on_tf(run, spin, flight):
     node, bench = run(world_frame="table", base_frame="hub")
     play_all(spin, node, bench)
     state, transform = bench.states[-1], bench.transforms[-1].transforms[0]
@@ -91,8 +91,8 @@ def test_the_base_s_state_is_in_its_own_axes_and_on_tf(run, spin, flight):
         assert (m.header.frame_id, m.child_frame_id) == ("table", "hub")
     assert state.pose.pose.position.x == pytest.approx(x, abs=1e-3)
     assert transform.transform.translation.y == pytest.approx(y, abs=1e-3)
-    turned = 2.0 * np.arctan2(transform.transform.rotation.z, transform.transform.rotation.w)
-    assert turned == pytest.approx(heading, abs=2e-3)
+    measured = 2.0 * np.arctan2(transform.transform.rotation.z, transform.transform.rotation.w)
+    assert measured == pytest.approx(heading, abs=2e-3)
     assert abs(heading) > 0.2  # or the axes would not matter
     own = complex(vx, vy) * np.exp(-1j * heading)
     twist = state.twist.twist
@@ -111,81 +111,81 @@ def test_a_calibration_that_passed_is_used_and_one_that_failed_is_not(run, spin)
     bench.calibration.publish(message)
     message.calibration.verdict = "pass"
     bench.calibration.publish(message)
-    spin([node, bench], lambda: node.known.arm == truth)
+    spin([node, bench], lambda: node.calibrated.arm == truth)
     assert node.reaction.covariance.any()
 
 
-def seen(t):
-    """The base at rest."""
+def base_pose(t):
+    """Return a pose of the resting base at t [s]."""
     return pose_stamped(BEGIN + int(t * SECOND), "world", (0.1, 0.2, 0.3))
 
 
-def read(t, names=("joint_1", "joint_2", "joint_3", "joint_4"), **values):
-    """The arm at rest."""
+def readings(t, names=("joint_1", "joint_2", "joint_3", "joint_4"), **values):
+    """Return readings of the resting arm at t [s]."""
     message = JointState(name=list(names), position=[0.1] * len(names), **values)
     message.header.stamp = to_time(BEGIN + int(t * SECOND))
     return message
 
 
-def turned(t, rate):
-    """The base's rate."""
+def gyro_sample(t, rate):
+    """Return a gyro sample at t [s]."""
     message = Imu()
     message.header.stamp, message.angular_velocity.z = to_time(BEGIN + int(t * SECOND)), rate
     return message
 
 
 @pytest.fixture
-def in_time():
-    """The test fails if it hangs."""
+def time_limit():
+    """Fail the test if it hangs."""
     signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it hangs"))
     signal.alarm(60)
     yield
     signal.alarm(0)
 
 
-@pytest.mark.parametrize("unseen", [(0.0, 2.0), (3.0, 9.0)])
-def test_a_base_that_was_not_seen_holds_nothing_up(ros, in_time, unseen):
-    """Joints lag behind the poses, which begin late or pause for longer than any is kept."""
+@pytest.mark.parametrize("occlusion", [(0.0, 2.0), (3.0, 9.0)])
+def test_missing_base_poses_do_not_block_the_node(ros, time_limit, occlusion):
+    """Joints lag behind the poses, which start late or pause for longer than the history."""
     node = BaseReactionNode()
     for k in range(1200):
         t = 0.01 * k
-        if not unseen[0] <= t < unseen[1]:
-            node.on_pose(seen(t))
+        if not occlusion[0] <= t < occlusion[1]:
+            node.on_pose(base_pose(t))
         if k % 20 == 7:
-            node.on_joints(read(t, velocity=[0.0] * 4))
+            node.on_joints(readings(t, velocity=[0.0] * 4))
     assert node.reaction.t > BEGIN + 11 * SECOND
     assert node.health().level == OK
     node.destroy_node()
 
 
 @pytest.mark.parametrize("straggler", [False, True])
-def test_stamps_that_go_back_begin_anew(ros, capfd, straggler):
-    """As in a replay that loops; one reading far ahead, or still on its way, does no harm."""
+def test_a_backward_jump_of_stamps_resets_the_node(ros, capfd, straggler):
+    """A looping replay does so; one reading far ahead, or one that arrives late, does no harm."""
     node = BaseReactionNode()
-    node.known = replace(node.known, arm=load("config/truth.yaml"))
+    node.calibrated = replace(node.calibrated, arm=load("config/truth.yaml"))
     for begin in (100, 0):
         for k in range(600):
             t = begin + 0.01 * k
-            node.on_pose(seen(t))
-            node.on_gyro(turned(t, 0.0))
+            node.on_pose(base_pose(t))
+            node.on_gyro(gyro_sample(t, 0.0))
             if k % 5 == 2:
-                node.on_joints(read(t, velocity=[0.0] * 4))
+                node.on_joints(readings(t, velocity=[0.0] * 4))
             if k == 20 and straggler:
-                node.on_joints(read(106.0, velocity=[0.0] * 4))
+                node.on_joints(readings(106.0, velocity=[0.0] * 4))
         assert BEGIN + (begin + 5) * SECOND < node.reaction.t < BEGIN + (begin + 6) * SECOND
         assert node.health().level == OK
     np.testing.assert_array_equal(node.reaction.p, load("config/truth.yaml").vector())
-    assert capfd.readouterr().err.count("begins anew") == 1 + 2 * straggler
+    assert capfd.readouterr().err.count("filter and prediction reset") == 1 + 2 * straggler
     node.destroy_node()
 
 
 def test_a_pose_that_is_repeated_while_the_arm_moves_is_rejected(ros):
-    """And believed at rest, as of a simulator without noise."""
+    """At rest it is accepted, as poses of a simulator without noise."""
     node = BaseReactionNode()
     for k in range(300):
         if k % 20 == 0:
-            node.on_joints(read(0.01 * k, velocity=[0.0, 0.0, 0.1 * (k == 100), 0.0]))
-        node.on_pose(seen(0.01 * k))
+            node.on_joints(readings(0.01 * k, velocity=[0.0, 0.0, 0.1 * (k == 100), 0.0]))
+        node.on_pose(base_pose(0.01 * k))
     assert node.filter.rejected == {"frozen": 20}
     assert node.health().values["frozen rejected"] == 20
     assert node.reaction.t > BEGIN + 2 * SECOND
@@ -193,17 +193,17 @@ def test_a_pose_that_is_repeated_while_the_arm_moves_is_rejected(ros):
 
 
 @pytest.mark.parametrize(("late", "gyro_too"), [(0.05, False), (0.05, True), (-0.05, True)])
-def test_the_clocks_offset_that_a_calibration_found_is_allowed_for(ros, flight, late, gyro_too):
+def test_the_clock_offset_of_a_calibration_is_applied(ros, flight, late, gyro_too):
     kind, topic = (DynamicCalibration, DYNAMIC) if gyro_too else (KinematicCalibration, KINEMATIC)
     worst = {}
-    for told in (0.0, late):
+    for offset in (0.0, late):
         node, found = BaseReactionNode(), []
-        node.reacted.publish = found.append
+        node.reaction_publisher.publish = found.append
         description = to_yaml(paper_arm())
         node.on_calibration(
             topic,
             kind(
-                calibration=Calibration(verdict="pass", description=description, time_offset=told)
+                calibration=Calibration(verdict="pass", description=description, time_offset=offset)
             ),
         )
         for k in range(0, len(flight.t), 10):
@@ -212,53 +212,53 @@ def test_the_clocks_offset_that_a_calibration_found_is_allowed_for(ros, flight, 
             joints = JointState(name=names, position=flight.q[k], velocity=flight.qd[k])
             joints.header.stamp = to_time(BEGIN + int((t + late) * SECOND))
             node.on_joints(joints)
-            node.on_gyro(turned(t + late * gyro_too, float(flight.twist[k, 2])))
+            node.on_gyro(gyro_sample(t + late * gyro_too, float(flight.twist[k, 2])))
             node.on_pose(pose_stamped(BEGIN + k * 1_000_000, "world", tuple(flight.pose[k])))
-        worst[told] = max(abs(r.difference[2]) for r in found)
+        worst[offset] = max(abs(r.difference[2]) for r in found)
         node.destroy_node()
     assert worst[late] < 1e-3
     assert worst[0.0] > 5e-3
 
 
-def test_a_gyro_ahead_of_the_poses_is_told_of(ros):
+def test_a_gyro_ahead_of_the_poses_is_reported(ros):
     node = BaseReactionNode()
     for k in range(100):
-        node.on_gyro(turned(2.0 + 0.01 * k, 0.0))
-        node.on_pose(seen(0.01 * k))
+        node.on_gyro(gyro_sample(2.0 + 0.01 * k, 0.0))
+        node.on_pose(base_pose(0.01 * k))
     late = node.filter.rejected["late"]
     assert late > 50
-    assert node.health().message.endswith(f"; {late} samples of the base came late")
+    assert node.health().message.endswith(f"; {late} late samples of the base rejected")
     node.destroy_node()
 
 
-def test_readings_do_not_pile_up_without_a_base(ros):
+def test_readings_do_not_accumulate_without_a_base(ros):
     node = BaseReactionNode()
     for k in range(2000):
-        node.on_joints(read(0.2 * k, velocity=[0.0] * 4))
+        node.on_joints(readings(0.2 * k, velocity=[0.0] * 4))
     assert len(node.reaction.joints[0].t) < 200
     assert node.health().message == "waiting for joints and base at rest"
     node.destroy_node()
 
 
-def test_joints_of_others_and_readings_without_rate_are_left_out(ros):
+def test_unknown_joints_and_readings_without_rate_are_ignored(ros):
     node = BaseReactionNode()
-    node.on_joints(read(0.0))
-    node.on_joints(read(0.1, names=("gripper", "joint_5", "joint_x"), velocity=[0.0] * 3))
+    node.on_joints(readings(0.0))
+    node.on_joints(readings(0.1, names=("gripper", "joint_5", "joint_x"), velocity=[0.0] * 3))
     assert not any(joint.t for joint in node.reaction.joints)
     node.destroy_node()
 
 
-def test_a_calibration_of_another_arm_is_left_out(run, spin, capfd):
+def test_a_calibration_of_another_arm_is_ignored(run, spin, capfd):
     node, bench = run()
     three = replace(paper_arm(), links=paper_arm().links[:3])
     bench.calibration.publish(
         KinematicCalibration(calibration=Calibration(verdict="pass", description=to_yaml(three)))
     )
     spin([node, bench], lambda: "it is for 3 links, expected 4" in capfd.readouterr().err)
-    assert node.known.arm == paper_arm()
+    assert node.calibrated.arm == paper_arm()
 
 
-def test_a_parameter_that_nobody_knows_ends_nothing(run, spin, capfd):
+def test_an_unknown_parameter_does_not_stop_the_node(run, spin, capfd):
     node, bench = run()
     odd = Calibration(
         verdict="pass", description=to_yaml(paper_arm()), names=["zeta"], covariance=[1.0]
@@ -270,20 +270,20 @@ def test_a_parameter_that_nobody_knows_ends_nothing(run, spin, capfd):
 
 def test_an_occluded_base_is_counted(run, spin):
     node, bench = run()
-    nothing = PoseStamped()
-    nothing.pose.orientation.w = 0.0  # as receivers publish a subject they do not see
-    bench.pose.publish(nothing)
+    occluded = PoseStamped()
+    occluded.pose.orientation.w = 0.0  # receivers publish occluded subjects so
+    bench.pose.publish(occluded)
     spin([node, bench], lambda: node.health().values["poses occluded"] == 1)
     assert not bench.states
 
 
-def test_the_base_s_state_is_left_to_navigation(ros):
+def test_the_base_s_state_can_be_published_by_navigation(ros):
     node = BaseReactionNode(parameter_overrides=[Parameter("publish_state", value=False)])
     topics = node.get_publisher_names_and_types_by_node("base_reaction", "/")
     published = {name for name, _ in topics}
     assert "/base_reaction" in published
     assert not {"/base/state", "/tf"} & published
     for k in range(100):
-        node.on_pose(seen(0.01 * k))
+        node.on_pose(base_pose(0.01 * k))
     assert node.filter.t == BEGIN + 99 * SECOND // 100
     node.destroy_node()

@@ -1,4 +1,4 @@
-"""The node view: what it shows of a flight, and that it notices its viewer's end."""
+"""The node view: drawings of a flight, and reaction to a stopped viewer."""
 
 import socket
 import subprocess
@@ -48,8 +48,8 @@ def view(**settings):
     return ViewNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
 
 
-def written(node, file):
-    """What a view has drawn into a file."""
+def recorded_text(node, file):
+    """Close a view; return the text of its recording."""
     node.close()
     node.sink.stream.disconnect()
     rerun = Path(rerun_cli.__file__).parent / "rerun"
@@ -65,15 +65,17 @@ def written(node, file):
 def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
     file = tmp_path / "view.rrd"
     node = view(mode="file", file=str(file))
-    ones = [ViewNode(node, namespace=name) for name in ("fss1", "fss2")]
-    ears, topics = Node("source"), []
+    vehicles = [ViewNode(node, namespace=name) for name in ("fss1", "fss2")]
+    source, topics = Node("source"), []
     for name in ("fss1", "fss2"):
-        topics.append(ears.create_publisher(PoseStamped, f"/vicon/{name}/{name}", SENSOR))
-        topics.append(ears.create_publisher(JointState, f"/{name}/joint_states", SENSOR))
-    stop = ears.create_publisher(Empty, "/fss2/arm/stop", 10)
-    said, say = [], ones[1].say
-    ones[1].say = lambda *words: (said.append(words), say(*words))
-    spin([node, *ones, ears], lambda: all(t.get_subscription_count() for t in [*topics, stop]))
+        topics.append(source.create_publisher(PoseStamped, f"/vicon/{name}/{name}", SENSOR))
+        topics.append(source.create_publisher(JointState, f"/{name}/joint_states", SENSOR))
+    stop = source.create_publisher(Empty, "/fss2/arm/stop", 10)
+    logged, log_event = [], vehicles[1].log_event
+    vehicles[1].log_event = lambda *event: (logged.append(event), log_event(*event))
+    spin(
+        [node, *vehicles, source], lambda: all(t.get_subscription_count() for t in [*topics, stop])
+    )
     for k, topic in enumerate(topics):
         message = pose_stamped(BEGIN, "world", (float(k), 0.0, 0.0))
         if k % 2:
@@ -81,10 +83,12 @@ def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
             message.header.stamp = to_time(BEGIN)
         topic.publish(message)
     stop.publish(Empty())
-    spin([node, *ones], lambda: all(one.q[1] == 0.1 and one.stamps for one in ones))
-    spin([node, *ones], lambda: all({"base", "joints"} <= one.stamps.keys() for one in ones))
-    spin([node, *ones], lambda: said)
-    shown = written(node, file)
+    spin([node, *vehicles], lambda: all(one.q[1] == 0.1 and one.stamps for one in vehicles))
+    spin(
+        [node, *vehicles], lambda: all({"base", "joints"} <= one.stamps.keys() for one in vehicles)
+    )
+    spin([node, *vehicles], lambda: logged)
+    shown = recorded_text(node, file)
     for name in ("fss1", "fss2"):
         assert f"/table/{name}/arm" in shown
         assert f"/table/{name}/name" in shown
@@ -98,23 +102,23 @@ def flight():
     return Flight(paper_arm(), end=1.0)
 
 
-def test_what_is_published_is_shown(spin, flight, tmp_path):
+def test_published_messages_are_shown(spin, flight, tmp_path):
     file = tmp_path / "view.rrd"
     node, bench = view(mode="file", file=str(file)), Bench(flight)
-    reacts = bench.create_publisher(BaseReaction, "base_reaction", SENSOR)
-    tells = bench.create_publisher(LinkTelemetry, "link_2/telemetry", SENSOR)
+    reactions = bench.create_publisher(BaseReaction, "base_reaction", SENSOR)
+    telemetry = bench.create_publisher(LinkTelemetry, "link_2/telemetry", SENSOR)
     stops = bench.create_publisher(Empty, "arm/stop", 10)
     dynamic = bench.create_publisher(DynamicCalibration, "calibration/dynamic", LATCHED)
     thrust = bench.create_publisher(ThrusterCommand, "thrusters/pulses", SENSOR)
     mission = bench.create_publisher(MissionState, "mission/state", SENSOR)
-    way = bench.create_publisher(MultiDOFJointTrajectory, "base/trajectory", SENSOR)
+    base_path = bench.create_publisher(MultiDOFJointTrajectory, "base/trajectory", SENSOR)
     target = bench.create_publisher(PoseStamped, "vicon/target/target", SENSOR)
-    used = (bench.joints, bench.pose, bench.calibration, reacts, tells, stops, dynamic)
-    used += (thrust, target, mission, way)
+    used = (bench.joints, bench.pose, bench.calibration, reactions, telemetry, stops, dynamic)
+    used += (thrust, target, mission, base_path)
     spin([node, bench], lambda: all(p.get_subscription_count() for p in used))
-    reacts.publish(BaseReaction())
+    reactions.publish(BaseReaction())
     for sequence in (1, 2, 5):  # two are missing
-        tells.publish(LinkTelemetry(link=2, sequence=sequence, current=120))
+        telemetry.publish(LinkTelemetry(link=2, sequence=sequence, current=120))
     stops.publish(Empty())
     thrust.publish(ThrusterCommand(on_time=[0.0, 9.0, *[0.0] * 6]))
     mission.publish(MissionState(mission="capture", phase="reach"))
@@ -131,24 +135,24 @@ def test_what_is_published_is_shown(spin, flight, tmp_path):
     spin([node, bench], lambda: node.t >= BEGIN + 390_000_000 and node.sink.counts["shown"] >= 12)
     assert node.losses[2] == pytest.approx(0.05 * 2 / 3)
     assert node.health().level == OK
-    shown = written(node, file)
+    shown = recorded_text(node, file)
     for entity in ("/table/arm", "/plot/angle/link_1", "/plot/loss/link_2"):
         assert entity in shown
     assert "capture: reach" in shown
-    for entity in ("/table/centre_of_mass", "/table/target", "arm/stop", "too few", "no maneuvers"):
+    for entity in ("/table/center_of_mass", "/table/target", "arm/stop", "too few", "no maneuvers"):
         assert entity in shown
 
 
-def drawn_by(node):
-    """What a view draws, by entity; the newest."""
+def capture_drawings(node):
+    """Return a dictionary that receives the newest drawing of each entity."""
     drawn = {}
-    node.sink.put = lambda t, drawings: drawn.update(dict(drawings))
+    node.sink.enqueue = lambda t, drawings: drawn.update(dict(drawings))
     return drawn
 
 
-def test_a_mission_s_phase_path_and_zone_are_shown_as_long_as_it_tells_them(ros, tmp_path):
+def test_a_mission_s_phase_path_and_zone_are_shown_while_published(ros, tmp_path):
     node = view(mode="file", file=str(tmp_path / "view.rrd"), rate=1e9)
-    drawn = drawn_by(node)
+    drawn = capture_drawings(node)
 
     def strips(seconds):
         t = BEGIN + int(seconds * SECOND)
@@ -169,19 +173,19 @@ def test_a_mission_s_phase_path_and_zone_are_shown_as_long_as_it_tells_them(ros,
     assert strips(3.0) == plain
     assert node.mission == ""
     assert drawn["table/base_path"]
-    where = MultiDOFJointTrajectory()
-    where.points = [MultiDOFJointTrajectoryPoint(transforms=[Transform()]) for _ in range(3)]
-    node.on_trajectory(where)
+    trajectory = MultiDOFJointTrajectory()
+    trajectory.points = [MultiDOFJointTrajectoryPoint(transforms=[Transform()]) for _ in range(3)]
+    node.on_trajectory(trajectory)
     assert strips(3.1)[0] == plain[0] + 3
     node.close()
     node.destroy_node()
 
 
 @pytest.mark.parametrize("measured", ["joints", "base"])
-def test_what_is_no_measurement_is_drawn_at_the_time_of_one(ros, tmp_path, measured):
-    """Its stamp may be of today beside a bag of yesterday, whose plots would be long over."""
+def test_events_are_drawn_at_the_time_of_the_last_measurement(ros, tmp_path, measured):
+    """Its stamp may be of today during the replay of an older bag."""
     node, drawn = view(mode="file", file=str(tmp_path / "view.rrd")), []
-    node.sink.put = lambda t, drawings: drawn.append((t, drawings[0][0]))
+    node.sink.enqueue = lambda t, drawings: drawn.append((t, drawings[0][0]))
     if measured == "joints":
         stamp = to_time(5 * SECOND)
         node.on_joints(JointState(header=Header(stamp=stamp), name=["joint_1"], position=[0.1]))
@@ -201,8 +205,8 @@ def test_what_is_no_measurement_is_drawn_at_the_time_of_one(ros, tmp_path, measu
     node.destroy_node()
 
 
-def test_stamps_that_go_back_begin_another_recording(ros, tmp_path):
-    """Or the viewer would stay with the newest drawing; what is told once is drawn again."""
+def test_a_backward_jump_of_stamps_starts_a_new_recording(ros, tmp_path):
+    """Otherwise the viewer would stay at the newest drawing; latched outlines are drawn again."""
     node = view(mode="file", file=str(tmp_path / "view.rrd"), rate=1e9)
     line = Marker(ns="reach", type=Marker.LINE_STRIP, points=[Point(), Point(x=1.0)])
     node.on_outlines("workspace/markers", MarkerArray(markers=[line]))
@@ -220,7 +224,7 @@ def test_stamps_that_go_back_begin_another_recording(ros, tmp_path):
     assert not node.trails["com_path"]
     assert node.difference is None
     assert not any(node.valves_until)
-    first, second = (written(node, tmp_path / name) for name in ("view.rrd", "view_1.rrd"))
+    first, second = (recorded_text(node, tmp_path / name) for name in ("view.rrd", "view_1.rrd"))
     assert "arm/stop" in first
     assert "arm/stop" not in second
     for entity in ("/table/edge", "/table/outlines/reach", "/table/legend/5", "/table/arm"):
@@ -229,32 +233,34 @@ def test_stamps_that_go_back_begin_another_recording(ros, tmp_path):
     node.destroy_node()
 
 
-def test_the_workspace_is_drawn_where_its_node_publishes_it(spin, flight, tmp_path):
+def test_the_workspace_is_drawn_in_its_frame(spin, flight, tmp_path):
     file = tmp_path / "view.rrd"
     node, bench = view(mode="file", file=str(file)), Bench(flight)
-    few = {"cell": 0.2, "directions": 12}
-    workspace = WorkspaceNode(parameter_overrides=[Parameter(k, value=v) for k, v in few.items()])
+    parameters = {"cell": 0.2, "directions": 12}
+    workspace = WorkspaceNode(
+        parameter_overrides=[Parameter(k, value=v) for k, v in parameters.items()]
+    )
     nodes = [node, bench, workspace]
     spin(nodes, lambda: bench.joints.get_subscription_count() == 2)
     bench.play(400)
     boundaries = {"fixed vehicle workspace", "maximum reachable workspace"}
     boundaries |= {f"straight paths, {base}" for base in ("fixed", "floating", "zero reaction")}
     spin(nodes, lambda: boundaries <= set(node.legend), 60.0)
-    shown = written(node, file)
+    shown = recorded_text(node, file)
     assert "/table/fss/fixed_vehicle_workspace" in shown
-    assert "straight paths, zero reaction" in shown  # a word of the legend
+    assert "straight paths, zero reaction" in shown  # in the legend
     in_base, in_world = (f"/table/{of}/straight_paths_floating" for of in ("fss", "outlines"))
     assert in_base in shown
     assert in_world in shown
 
 
 @pytest.mark.parametrize("part", [0, 1], ids=["rerun", "gate"])
-def test_a_viewer_that_ended_is_an_error_and_not_the_end(spin, part):
+def test_a_stopped_viewer_is_an_error(spin, part):
     node = view(mode="web", port=free_port(), web_port=free_port())
-    spin(node, lambda: node.viewer.alive())
+    spin(node, lambda: node.viewer.is_running())
     node.viewer.processes[part].kill()
     spin(node, lambda: node.health().level == ERROR)
-    assert node.health().message == "the viewer has ended"
+    assert node.health().message == "the viewer has stopped; restart this node"
 
 
 OWNER = """
@@ -266,7 +272,7 @@ viewer.processes[0].wait()
 """
 
 
-def test_a_viewer_goes_with_its_owner_however_that_ends():
+def test_a_viewer_stops_with_its_owner():
     command = [sys.executable, "-c", OWNER, str(free_port()), str(free_port())]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as owner:
         rerun, gate = (Path(f"/proc/{pid}/cmdline") for pid in owner.stdout.readline().split())
@@ -276,50 +282,53 @@ def test_a_viewer_goes_with_its_owner_however_that_ends():
     wait_until(lambda: not rerun.exists() and not gate.exists(), 10.0, lambda: time.sleep(0.05))
 
 
-def test_an_open_address_is_warned_of_and_told_as_others_reach_it(spin, capfd):
-    port, web_port, said = free_port(), free_port(), []
+def test_an_open_address_is_logged_with_a_warning(spin, capfd):
+    port, web_port, logged = free_port(), free_port(), []
     node = view(mode="web", bind="0.0.0.0", port=port, web_port=web_port)
     name = socket.gethostname()
 
-    def told():
-        said.append(capfd.readouterr().err)
-        return f"whoever reaches {name}:{port}" in "".join(said)
+    def is_warned():
+        logged.append(capfd.readouterr().err)
+        return f"{name}:{port} has no authentication" in "".join(logged)
 
-    spin(node, told)
-    assert f"open http://{name}:{web_port}/?url=rerun%2Bhttp://{name}:{port}/" in "".join(said)
+    spin(node, is_warned)
+    assert f"open http://{name}:{web_port}/?url=rerun%2Bhttp://{name}:{port}/" in "".join(logged)
 
 
-def test_the_gate_alone_is_at_the_address_that_is_bound_to(spin):
+def test_only_the_gate_listens_at_the_bound_address(spin):
     ports = free_port(), free_port()
     node = view(mode="web", bind="127.0.0.2", port=ports[0], web_port=ports[1])
-    table = Path("/proc/net/tcp")  # of addresses and states, as the kernel lists them
+    table = Path("/proc/net/tcp")  # addresses and states of sockets
     listening = [f"0200007F:{port:04X} 00000000:0000 0A" for port in ports]
-    spin(node, lambda: all(each in table.read_text() for each in listening))
+    spin(node, lambda: all(line in table.read_text() for line in listening))
     inner = int(node.viewer.url.split(":")[2].split("/")[0])
     spin(node, lambda: f"0100007F:{inner:04X} 00000000:0000 0A" in table.read_text())
-    spin(node, lambda: f"0100007F:{inner:04X} 01" in table.read_text())  # our drawings get there
+    spin(node, lambda: f"0100007F:{inner:04X} 01" in table.read_text())  # the node is connected
 
 
 @pytest.mark.parametrize(
     ("bind", "name"), [("0.0.0.0", "lab"), ("127.0.0.2", "127.0.0.2"), ("127.0.0.1", "localhost")]
 )
-def test_the_page_may_read_the_data_by_whatever_name_it_was_opened(bind, name):
-    """A browser asks so before a page reads from another port than its own."""
+def test_the_page_may_read_the_data_under_any_allowed_name(bind, name):
+    """A browser sends this request before a page reads from another port."""
     port, web_port = free_port(), free_port()
     viewer = Viewer("web", bind, port, web_port, "100MB")
     origin = f"http://{name}:{web_port}"
-    headers = {"Origin": origin, "Access-Control-Request-Method": "POST"}
+    request_headers = {"Origin": origin, "Access-Control-Request-Method": "POST"}
     url = f"http://{host(bind, '127.0.0.1')}:{port}/"
 
     def answer():
-        with suppress(OSError), urlopen(Request(url, method="OPTIONS", headers=headers)) as found:
+        with (
+            suppress(OSError),
+            urlopen(Request(url, method="OPTIONS", headers=request_headers)) as found,
+        ):
             return found.headers
 
     try:
-        told = wait_until(answer, 10.0, lambda: time.sleep(0.05))
+        headers = wait_until(answer, 10.0, lambda: time.sleep(0.05))
     finally:
         viewer.close()
-    assert told["Access-Control-Allow-Origin"] == origin
+    assert headers["Access-Control-Allow-Origin"] == origin
 
 
 @pytest.mark.parametrize(
@@ -330,7 +339,7 @@ def test_an_address_in_a_url(bind, name):
     assert host(bind, "x") == name
 
 
-def test_a_viewer_that_takes_nothing_is_warned_of(ros, tmp_path):
+def test_a_viewer_that_accepts_nothing_is_reported(ros, tmp_path):
     node = view(mode="file", file=str(tmp_path / "view.rrd"))
     node.sink.counts = Counter(shown=3)
     assert node.health().level == OK
@@ -343,7 +352,7 @@ def test_a_viewer_that_takes_nothing_is_warned_of(ros, tmp_path):
 
 
 def test_a_recorded_mission_is_replayed_with_its_phases(spin, tmp_path):
-    """By the commands of docs/how-to/view.md."""
+    """Follow the commands of docs/how-to/view.md."""
     recording = Recording(tmp_path)
     recording.add("/vicon/fss/fss", "geometry_msgs/msg/PoseStamped", [SENSOR])
     recording.add("/mission/state", "fss_arm_msgs/msg/MissionState", [LATCHED])
@@ -364,6 +373,6 @@ def test_a_recorded_mission_is_replayed_with_its_phases(spin, tmp_path):
     replay = ReplayNode(str(recording.path), parameter_overrides=wait)
     spin([node, replay], lambda: node.mission == "capture: reach")
     replay.close()
-    drawn = written(node, file)
+    drawn = recorded_text(node, file)
     assert "capture: approach" in drawn
     assert "capture: reach" in drawn

@@ -46,7 +46,7 @@ TOPICS = {
 
 
 class Viewer(Node):
-    """Hears what the node publishes, and speaks for arm and motion capture."""
+    """Node that receives the results, and publishes joint readings and poses."""
 
     def __init__(self):
         super().__init__("viewer")
@@ -75,7 +75,7 @@ def make_node(**settings):
 
 
 @pytest.mark.slow
-def test_a_calibration_and_a_posture_become_maps_and_paths(spin):
+def test_maps_and_paths_are_published(spin):
     viewer, node = Viewer(), make_node()
     nodes, arm, q = [viewer, node], paper_arm(), arch(paper_arm())[3:]
     spin(nodes, partial(viewer.last, "result"), 60.0)
@@ -120,7 +120,7 @@ def test_a_calibration_and_a_posture_become_maps_and_paths(spin):
     spin(nodes, lambda: any("up to date" in s.message for m in viewer.told for s in m.status), 60.0)
 
 
-def test_a_single_link_is_drawn_and_what_is_no_reading_is_left_out(ros, tmp_path):
+def test_a_single_link_is_drawn_without_invalid_readings(ros, tmp_path):
     single = replace(paper_arm(), links=paper_arm().links[:1])
     save(single, tmp_path / "arm.yaml")
     node = make_node(arm=str(tmp_path / "arm.yaml"))
@@ -136,15 +136,15 @@ def test_a_single_link_is_drawn_and_what_is_no_reading_is_left_out(ros, tmp_path
 
 def test_a_heading_of_half_a_turn_is_the_same_from_either_side(ros):
     node = make_node()
-    node.shown = node.known, np.array([0.0, 0.0, 3.14, 0.1, 0.2, 0.3, 0.4])
-    assert node.is_shown(node.known, np.array([0.0, 0.0, -3.14, 0.1, 0.2, 0.3, 0.4]))
-    assert not node.is_shown(node.known, np.array([0.0, 0.0, -3.1, 0.1, 0.2, 0.3, 0.4]))
+    node.path_start = node.calibrated, np.array([0.0, 0.0, 3.14, 0.1, 0.2, 0.3, 0.4])
+    assert node.is_current(node.calibrated, np.array([0.0, 0.0, -3.14, 0.1, 0.2, 0.3, 0.4]))
+    assert not node.is_current(node.calibrated, np.array([0.0, 0.0, -3.1, 0.1, 0.2, 0.3, 0.4]))
     node.close()
     node.destroy_node()
 
 
-def test_a_calibration_of_another_arm_is_left_out(ros):
-    """It neither ends up in what is known nor stands in the way of a later one."""
+def test_a_calibration_of_another_arm_is_ignored(ros):
+    """The calibration neither changes the arm nor prevents the use of a later one."""
     node, arm = make_node(), paper_arm()
     shorter = replace(arm, links=arm.links[:3])
     heavier = replace(arm, links=(*arm.links[:3], replace(arm.links[3], mass=3.0)))
@@ -158,12 +158,12 @@ def test_a_calibration_of_another_arm_is_left_out(ros):
     )
     wait_until(lambda: node.calibrations, 10.0, lambda: None)
     assert list(node.calibrations) == ["calibration/dynamic"]
-    assert node.known.arm == heavier
+    assert node.calibrated.arm == heavier
     node.close()
     node.destroy_node()
 
 
-def test_a_result_waits_for_who_comes_late(spin):
+def test_late_subscribers_get_results(spin):
     node = make_node()
     spin(node, lambda: not node.maps.busy, 60.0)
     viewer = Viewer()
@@ -174,19 +174,19 @@ def test_a_result_waits_for_who_comes_late(spin):
 
 
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("settings", "error"),
     [
         ({"cell": 0.0}, "cell is 0.0 m"),
         ({"redundancy": "luck"}, "redundancy is 'luck', expected one of minimum norm"),
         ({"table": [1.0, 2.0]}, "table has 2 numbers, expected 4"),
     ],
 )
-def test_impossible_settings_are_refused(ros, settings, complaint):
-    with pytest.raises(ValueError, match=complaint):
+def test_invalid_settings_are_rejected(ros, settings, error):
+    with pytest.raises(ValueError, match=error):
         make_node(**settings)
 
 
-def test_newer_work_supersedes_and_closing_ends():
+def test_newer_work_supersedes_and_closing_aborts():
     started, done, given_up = Event(), [], []
 
     def work(request, progress):
@@ -210,7 +210,7 @@ def test_newer_work_supersedes_and_closing_ends():
     assert given_up[0] == "endless"
 
 
-def test_what_fails_is_told():
+def test_failures_are_reported():
     def work(request, progress):
         raise ValueError("no such arm")
 
@@ -222,8 +222,8 @@ def test_what_fails_is_told():
 
 
 @pytest.mark.slow
-def test_ellipsoids_come_steadily_while_a_map_is_computed(spin, start):
-    """Stamps at 10 Hz, within 20 ms of an even beat, while the default map is in the works."""
+def test_ellipsoids_are_published_steadily_during_a_map(spin, start):
+    """Stamps are 0.1 s apart, within 20 ms, while the default map is computed."""
     viewer = Viewer()
     start("fss_arm_workspace.workspace_node")
     q = arch(paper_arm())[3:]

@@ -1,4 +1,4 @@
-"""Many poses at once against one by one."""
+"""Decoding many poses at once gives the same as one by one."""
 
 import struct
 
@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu
 
-from fss_arm_bags.bulk import SerializedError, pieces, poses, turn_rates
+from fss_arm_bags.bulk import SerializedError, batches, poses, turn_rates
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns, to_time
 
 FRAMES = "", "w", "map", "world", "vicon/world"
@@ -32,15 +32,15 @@ def serialized(seed: int, count: int = 400) -> list[bytes]:
 
 
 def one_by_one(messages: list[bytes]) -> tuple[list[int], list[tuple[float, ...]]]:
-    stamps, seen = [], []
+    stamps, decoded = [], []
     for data in messages:
         message = deserialize_message(data, PoseStamped)
         stamps.append(stamp_ns(message.header.stamp))
         try:
-            seen.append(planar_pose(message.pose))
+            decoded.append(planar_pose(message.pose))
         except PoseError:
-            seen.append((np.nan,) * 3)
-    return stamps, seen
+            decoded.append((np.nan,) * 3)
+    return stamps, decoded
 
 
 def swap_bytes(data: bytes) -> bytes:
@@ -51,15 +51,15 @@ def swap_bytes(data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_all_at_once_are_those_one_by_one_to_the_last_bit(seed):
+def test_batch_decoding_equals_single_decoding_bit_for_bit(seed):
     messages = serialized(seed)
     found = poses(messages)
-    stamps, seen = one_by_one(messages)
+    stamps, decoded = one_by_one(messages)
     assert found.stamp.tolist() == stamps
-    np.testing.assert_array_equal(found.pose, seen)
+    np.testing.assert_array_equal(found.pose, decoded)
 
 
-def test_either_byte_order_is_read():
+def test_both_byte_orders_are_read():
     messages = [m for m in serialized(3) if b"world\0" in m[:24] and b"vicon" not in m]
     assert len(messages) == 50
     mixed = [swap_bytes(m) if k % 3 == 0 else m for k, m in enumerate(messages)]
@@ -67,29 +67,31 @@ def test_either_byte_order_is_read():
     assert np.array_equal(poses(mixed).stamp, poses(messages).stamp)
 
 
-def test_none_are_none():
+def test_no_messages_give_empty_arrays():
     assert poses([]).stamp.shape == (0,)
     assert poses([]).pose.shape == (0, 3)
 
 
 @pytest.mark.parametrize("size", [0, 1, 4, 12, 15, 16, 28, 70])
-def test_what_is_no_pose_is_refused(size):
+def test_other_messages_are_rejected(size):
     (message,) = serialized(4, 1)
-    with pytest.raises(SerializedError, match=f"{size} bytes are no geometry_msgs/PoseStamped"):
+    with pytest.raises(
+        SerializedError, match=f"a message of {size} bytes is not a geometry_msgs/PoseStamped"
+    ):
         poses([message[:size]])
 
 
-def test_pieces_keep_the_order_within_a_topic():
+def test_batches_keep_the_order_within_a_topic():
     raw = [("ab"[k % 3 == 0], "type", 10 * k, bytes([k])) for k in range(20)]
-    found = list(pieces(raw, 55))
+    found = list(batches(raw, 55))
     assert len(found) == 4
     for topic in "ab":
         got = b"".join(data for piece in found for data in piece.get(topic, ()))
         assert got == b"".join(data for name, _, _, data in raw if name == topic)
-    assert list(pieces([], 55)) == []
+    assert list(batches([], 55)) == []
 
 
-def test_turn_rates_are_those_one_by_one():
+def test_turn_rates_equal_single_decoding():
     rng, messages = np.random.default_rng(7), []
     for k in range(50):
         message = Imu()
@@ -104,5 +106,5 @@ def test_turn_rates_are_those_one_by_one():
     assert stamps.tolist() == [stamp_ns(m.header.stamp) for m in each]
     assert rates.tolist() == [m.angular_velocity.z for m in each]
     assert len(turn_rates([])[0]) == 0
-    with pytest.raises(SerializedError, match="no sensor_msgs/Imu"):
+    with pytest.raises(SerializedError, match="not a sensor_msgs/Imu"):
         turn_rates(serialized(0, 1))

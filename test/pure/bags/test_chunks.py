@@ -1,4 +1,4 @@
-"""Chunks read quickly against rosbags: any overlap, several files, compressed, damaged."""
+"""The fast chunk reader gives the same as rosbags: overlapping, compressed, damaged chunks."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from mcap.writer import CompressionType, Writer
 from ros_bags import START, joint_state
 from rosbags.highlevel import AnyReader
 
-from fss_arm_bags.chunks import indexed
+from fss_arm_bags.chunks import indexed_chunks
 from fss_arm_bags.definitions import definition
 from fss_arm_bags.reader import open_bags
 
@@ -43,10 +43,10 @@ def as_rosbags(paths, topics=None, start=None, stop=None):
     "compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD]
 )
 @pytest.mark.parametrize("files", [1, 3])
-def test_all_messages_come_in_order(tmp_path, compression, files):
+def test_all_messages_are_read_in_order(tmp_path, compression, files):
     paths = [make(tmp_path, seed, compression=compression) for seed in range(files)]
     with open_bags(paths) as bags:
-        assert len(indexed(bags._readers)) > 5 * files
+        assert len(indexed_chunks(bags._readers)) > 5 * files
         got = list(bags.raw())
     assert got == as_rosbags(paths)
     receipts = [receipt for _, _, receipt, _ in got]
@@ -54,7 +54,7 @@ def test_all_messages_come_in_order(tmp_path, compression, files):
 
 
 @pytest.mark.parametrize("topics", [["/topic_1"], ["/topic_0", "/topic_2"], None])
-def test_some_topics_of_some_time(tmp_path, topics):
+def test_topics_and_times_are_selected(tmp_path, topics):
     path = make(tmp_path, 7)
     begin, end = START + 10**9, START + 2 * 10**9
     with open_bags(path) as bags:
@@ -65,7 +65,7 @@ def test_some_topics_of_some_time(tmp_path, topics):
 
 @pytest.mark.parametrize("place", [0.2, 0.5])
 @pytest.mark.parametrize("damage", [bytes(600), b"\xff" * 600, b"\x05" * 600])
-def test_damage_is_told(tmp_path, place, damage):
+def test_damage_is_reported(tmp_path, place, damage):
     path = make(tmp_path, 3)
     data = bytearray(path.read_bytes())
     at = int(place * len(data))

@@ -21,11 +21,11 @@ JAZZY = get_typestore(Stores.ROS2_JAZZY)
         "std_msgs/msg/Empty",
     ],
 )
-def test_hash_is_that_of_the_distribution(msgtype):
+def test_hash_equals_the_one_of_the_distribution(msgtype):
     assert definition(msgtype).hash == JAZZY.hash_rihs01(msgtype)
 
 
-def test_the_text_is_the_installed_one_with_its_comments_and_defines_all():
+def test_the_text_has_comments_and_all_nested_types():
     text = definition("fss_arm_msgs/msg/KinematicObservations").text
     assert "# Every rest seen so far" in text
     assert "MSG: fss_arm_msgs/KinematicObservation\n" in text
@@ -35,7 +35,7 @@ def test_the_text_is_the_installed_one_with_its_comments_and_defines_all():
 
 
 @pytest.mark.parametrize("msgtype", ["no_such_msgs/msg/A", "std_msgs/msg/NoSuch"])
-def test_what_is_not_installed_is_named(msgtype):
+def test_missing_types_are_named(msgtype):
     with pytest.raises(NotInstalledError, match=msgtype):
         definition(msgtype)
     with pytest.raises(NotInstalledError, match=msgtype):

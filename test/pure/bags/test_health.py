@@ -1,4 +1,4 @@
-"""What the doctor finds."""
+"""Findings of the doctor."""
 
 import numpy as np
 import pytest
@@ -23,9 +23,9 @@ def topic(msgtype=JOINTS, qos: Qos | None = None, **change):
 
 def found(receipts, delay=0.003, about=None):
     """The findings on messages received at these times [s], stamped `delay` [s] earlier."""
-    came = START + np.round(np.asarray(receipts) * SECOND).astype(np.int64)
-    stamps = came - np.round(np.broadcast_to(delay, came.shape) * SECOND).astype(np.int64)
-    return list(findings(about or topic(), Stream(came, stamps), START))
+    received = START + np.round(np.asarray(receipts) * SECOND).astype(np.int64)
+    stamps = received - np.round(np.broadcast_to(delay, received.shape) * SECOND).astype(np.int64)
+    return list(findings(about or topic(), Stream(received, stamps), START))
 
 
 STEADY = np.arange(1000) * 0.01
@@ -38,40 +38,40 @@ def test_a_steady_stream_has_no_findings():
 
 
 @pytest.mark.parametrize(
-    ("receipts", "delay", "said"),
+    ("receipts", "delay", "expected"),
     [
-        (STEADY + 1.5 * (STEADY > 4.0), 0.003, "1 gap, the longest of 1.510 s at 4.000 s"),
+        (STEADY + 1.5 * (STEADY > 4.0), 0.003, "1 gap; the longest lasts 1.510 s at 4.000 s"),
         (
             STEADY + 0.3 * (STEADY > 4.0) + 0.5 * (STEADY > 6.0),
             0.003,
-            "2 gaps, the longest of 0.510 s at 6.300 s",
+            "2 gaps; the longest lasts 0.510 s at 6.300 s",
         ),
         (
             STEADY,
             0.003 + 3.2 * (STEADY > 5.0),
-            "1 jump of its clock, the first by -3.200 s at 5.01",
+            "1 clock jump, the first by -3.200 s at 5.01",
         ),
-        (STEADY, 0.003 - 0.7 * (STEADY > 5.0), "1 jump of its clock, the first by +0.700 s"),
-        (STEADY, 3600.0, "its stamps are 3600.000 s before the receipt"),
-        (STEADY, -30.0, "its stamps are 30.000 s after the receipt"),
+        (STEADY, 0.003 - 0.7 * (STEADY > 5.0), "1 clock jump, the first by +0.700 s"),
+        (STEADY, 3600.0, "its stamps are 3600.000 s before the times of receipt"),
+        (STEADY, -30.0, "its stamps are 30.000 s after the times of receipt"),
         ([], 0.0, "has no messages"),
     ],
 )
-def test_what_is_wrong_with_the_times_is_said_in_numbers(receipts, delay, said):
+def test_problems_of_the_times_are_reported_in_numbers(receipts, delay, expected):
     (only,) = found(receipts, delay)
-    assert only.startswith(said)
+    assert only.startswith(expected)
 
 
-def test_a_recorder_that_was_held_up_lost_nothing():
-    held_up = np.where((STEADY > 4.0) & (STEADY < 4.4), 4.4, STEADY)
-    assert found(held_up, delay=0.003 + held_up - STEADY) == []
+def test_a_stalled_recorder_has_no_gap():
+    delayed = np.where((STEADY > 4.0) & (STEADY < 4.4), 4.4, STEADY)
+    assert found(delayed, delay=0.003 + delayed - STEADY) == []
 
 
-def test_messages_that_were_held_up_are_no_jump_of_the_clock():
-    held_up = STEADY + 0.003
-    for stall in (0.0, 2.5, 6.3):  # received all at once at its end, one of them at the begin
-        held_up = np.where(abs(STEADY - stall - 0.45) <= 0.45, stall + 0.9, held_up)
-    assert found(held_up, delay=held_up - STEADY) == []
+def test_delayed_messages_are_no_clock_jump():
+    delayed = STEADY + 0.003
+    for stall in (0.0, 2.5, 6.3):  # all received at the end of the stall, once at the start
+        delayed = np.where(abs(STEADY - stall - 0.45) <= 0.45, stall + 0.9, delayed)
+    assert found(delayed, delay=delayed - STEADY) == []
 
 
 def test_the_pause_between_two_sessions_is_no_gap(tmp_path, capsys):
@@ -85,40 +85,40 @@ def test_the_pause_between_two_sessions_is_no_gap(tmp_path, capsys):
     assert "healthy" in capsys.readouterr().out
 
 
-def test_a_slow_topic_may_be_silent_for_longer():
+def test_a_slow_topic_may_have_longer_silences():
     assert found(np.arange(20) * 1.0) == []
     assert len(found(np.append(np.arange(20), 30.0))) == 1
 
 
-def test_topics_that_come_now_and_then_have_no_gaps():
+def test_irregular_topics_have_no_gaps():
     assert found([0.0, 0.1, 0.2, 60.0], about=topic("std_msgs/msg/String")) == []
 
 
-def test_best_effort_is_said():
+def test_best_effort_is_reported():
     (only,) = found(STEADY, about=topic(qos=bag_qos(sensor(best_effort=True))))
     assert "best effort" in only
     assert found(STEADY, about=topic(qos=bag_qos(LATCHED))) == []
 
 
-def test_types_that_are_missing_or_have_changed_are_said():
+def test_missing_and_changed_types_are_reported():
     missing = Topic("no_such_msgs/msg/Thing", 1, [], "RIHS01_x", "float64 x\n")
     (only,) = found(STEADY, about=missing)
-    assert only == "no_such_msgs/msg/Thing is not installed; replay leaves it out"
+    assert only == "no_such_msgs/msg/Thing is not installed; replay skips it"
     split = Topic("rosbag2_interfaces/msg/WriteSplitEvent", 1, [], "", "")
     assert found(STEADY, about=split) == []  # /events/write_split, which rosbag2 writes itself
     lost = definition(JOINTS).text.replace("string[] name", "string[] name\nfloat64 more")
     (only,) = found(STEADY, about=topic(hash="RIHS01_other", definition=lost))
-    assert only == f"{JOINTS} is installed in another version; replay leaves it out"
+    assert only == f"{JOINTS} is installed in another version; replay skips it"
 
 
-def test_the_bag_of_the_first_version_is_healthy_and_its_version_is_remarked(capsys):
+def test_the_bag_of_the_first_version_is_healthy_with_a_remark(capsys):
     with open_bags(FIRST) as bags:
         remarks = {name: remark(about) for name, about in bags.topics.items()}
-        heard = streams(bags)
+        by_topic = streams(bags)
     assert "earlier version" in remarks["/calibration/kinematic"]
     assert not remarks["/joint_states"]
-    assert heard["/vicon/fss/fss"].rate == pytest.approx(10.0, rel=0.02)
+    assert by_topic["/vicon/fss/fss"].rate == pytest.approx(10.0, rel=0.02)
     assert doctor([str(FIRST)]) == 0
-    said = capsys.readouterr().out
-    assert "/calibration/kinematic is of an earlier version" in said
-    assert max(map(len, said.splitlines())) <= 120
+    output = capsys.readouterr().out
+    assert "/calibration/kinematic has an earlier version" in output
+    assert max(map(len, output.splitlines())) <= 120

@@ -25,7 +25,7 @@ from fss_arm_bags.doctor.command import main as doctor
 from fss_arm_bags.doctor.repair import repair
 from fss_arm_bags.inspection import is_sound
 from fss_arm_bags.integrity import examine
-from fss_arm_bags.reader import BagError, digest, find, open_bags
+from fss_arm_bags.reader import BagError, digest, find_bags, open_bags
 from fss_arm_bags.recorder import Limits, Recording, bag_qos, next_bag
 from fss_arm_ros.qos import SENSOR
 
@@ -60,19 +60,19 @@ def test_the_mcap_library_reads_what_was_written(tmp_path):
         assert sum(1 for _ in reader.iter_messages()) == 101
 
 
-def test_bags_are_numbered_on(tmp_path):
+def test_bags_are_numbered_consecutively(tmp_path):
     assert [make_bag(tmp_path, 1).name for _ in range(3)] == ["bag_0", "bag_1", "bag_2"]
     (tmp_path / "bag_11").mkdir()
     (tmp_path / "bag_old").mkdir()
     assert next_bag(tmp_path).name == "bag_12"
 
 
-def test_a_bag_is_no_folder_for_bags(tmp_path):
+def test_a_bag_is_rejected_as_a_folder_for_bags(tmp_path):
     with pytest.raises(FileExistsError, match="is a bag itself"):
         Recording(make_bag(tmp_path))
 
 
-def test_numbered_bags_are_one_whatever_became_of_them(tmp_path):
+def test_numbered_bags_are_read_as_one_even_if_killed(tmp_path):
     for number in range(12):
         make = make_killed_bag if number % 3 == 1 else make_bag
         make(tmp_path, 10, first=10 * number)
@@ -85,13 +85,13 @@ def test_numbered_bags_are_one_whatever_became_of_them(tmp_path):
     assert receipts == sorted(receipts)
 
 
-def test_several_paths_are_one(tmp_path):
+def test_several_paths_are_read_as_one(tmp_path):
     late, early = make_bag(tmp_path / "a", 10, first=10), make_bag(tmp_path / "b", 10)
     with open_bags([late, early / "bag_0.mcap"]) as bags:
         assert states(bags.messages()) == list(range(20))
 
 
-def test_a_topic_that_is_not_there_gives_nothing(tmp_path):
+def test_a_missing_topic_has_no_messages(tmp_path):
     with open_bags(make_bag(tmp_path)) as bags:
         assert list(bags.raw(["/no_such"])) == []
 
@@ -105,7 +105,7 @@ def test_a_bag_without_messages(tmp_path):
 
 
 def chunk_ends(path):
-    """Places in the file behind each whole chunk with its index, and all between records."""
+    """Offsets of all ends of records, and those of the ends of chunks."""
     data, at, ends, chunks = path.read_bytes(), 8, [8], []
     while at < len(data) - 8:
         length = int.from_bytes(data[at + 1 : at + 9], "little")
@@ -116,14 +116,14 @@ def chunk_ends(path):
     return ends, chunks
 
 
-def spoil(file, begin, end):
-    """Zeros in the place of a part of a file, as of blocks that a disk has lost."""
+def overwrite_with_zeros(file, begin, end):
+    """Overwrite a part of a file with zeros, like blocks that a disk has lost."""
     data = bytearray(file.read_bytes())
     data[begin:end] = bytes(end - begin)
     file.write_bytes(data)
 
 
-def test_a_file_cut_anywhere_gives_all_its_whole_chunks(tmp_path):
+def test_a_file_cut_anywhere_keeps_its_complete_chunks(tmp_path):
     whole = make_bag(tmp_path / "whole", 20)
     data = (whole / "bag_0.mcap").read_bytes()
     ends, chunks = chunk_ends(whole / "bag_0.mcap")
@@ -147,7 +147,7 @@ def test_zeros_at_the_end_as_after_a_loss_of_power(tmp_path):
         assert states(bags.messages()) == list(range(100))
 
 
-def test_repair_makes_a_bag_that_ordinary_readers_take_and_keeps_the_damaged_file(tmp_path):
+def test_repair_makes_a_standard_bag_and_keeps_the_damaged_file(tmp_path):
     bag = make_killed_bag(tmp_path)
     before = (bag / "bag_0.mcap").read_bytes()
     assert not is_sound(bag)
@@ -183,7 +183,7 @@ def no_link(*_):
 
 @pytest.mark.parametrize("place", ["here", "exFAT"])
 def test_repair_of_a_bag_whose_files_have_other_names(tmp_path, monkeypatch, place):
-    """As `ros2 bag record` names and splits them; also where a file has but one name."""
+    """Names and splits of `ros2 bag record`; also on a file system without hard links."""
     bag = tmp_path / "monday"
     bag.mkdir()
     for part in range(2):
@@ -205,16 +205,18 @@ def test_repair_of_a_bag_whose_files_have_other_names(tmp_path, monkeypatch, pla
         assert states(bags.messages()) == list(range(100))
 
 
-def make_spoiled_bag(folder):
-    """A whole bag but for its last chunk."""
+def make_bag_with_damaged_chunk(folder):
+    """Make a bag whose last chunk is damaged."""
     bag = make_bag(folder)
     _, ends = chunk_ends(bag / "bag_0.mcap")
-    spoil(bag / "bag_0.mcap", ends[-1] - 300, ends[-1] - 100)
+    overwrite_with_zeros(bag / "bag_0.mcap", ends[-1] - 300, ends[-1] - 100)
     return bag
 
 
 @pytest.mark.parametrize("step", ["metadata.yaml", "bag_0.mcap"])
-@pytest.mark.parametrize(("make", "count"), [(make_killed_bag, 101), (make_spoiled_bag, 91)])
+@pytest.mark.parametrize(
+    ("make", "count"), [(make_killed_bag, 101), (make_bag_with_damaged_chunk, 91)]
+)
 def test_an_interrupted_repair_can_be_repeated(tmp_path, monkeypatch, step, make, count):
     bag = make(tmp_path)
     before = {file.name: file.read_bytes() for file in bag.iterdir()}
@@ -236,7 +238,7 @@ def test_an_interrupted_repair_can_be_repeated(tmp_path, monkeypatch, step, make
     assert kept == before
 
 
-def test_repair_puts_nothing_in_the_place_of_what_an_earlier_one_kept(tmp_path):
+def test_repair_does_not_overwrite_an_earlier_damaged_file(tmp_path):
     bag = make_killed_bag(tmp_path)
     kept = bag / "bag_0.mcap.damaged"
     kept.write_text("of an earlier repair")
@@ -252,13 +254,13 @@ def test_a_bag_still_being_recorded_is_not_repaired(tmp_path, capsys):
     assert doctor([str(tmp_path), "--repair"]) == 1
     said = capsys.readouterr().err
     assert said == f"doctor: {recording.path}: is being recorded; stop the recorder first\n"
-    assert doctor([str(tmp_path)]) == 2  # it may be looked at
+    assert doctor([str(tmp_path)]) == 2  # reading is possible
     recording.close()
     assert is_sound(recording.path)
     assert not list(recording.path.glob("*.damaged"))
 
 
-def test_what_is_no_bag_is_named(tmp_path):
+def test_invalid_paths_are_named(tmp_path):
     text = tmp_path / "text.mcap"
     text.write_text("this is not a bag, whatever its name says")
     empty = tmp_path / "empty"
@@ -267,7 +269,7 @@ def test_what_is_no_bag_is_named(tmp_path):
     other.write_text("neither is this")
     for path, wrong in [
         (tmp_path / "none", "no such file"),
-        (empty, "holds no bag"),
+        (empty, "contains no bag"),
         (text, "not an MCAP file"),
         (other, "text.txt"),
     ]:
@@ -283,7 +285,7 @@ def test_damaged_chunks_are_left_out_and_named(tmp_path):
     bag = make_bag(tmp_path)
     file = bag / "bag_0.mcap"
     _, chunks = chunk_ends(file)
-    spoil(file, chunks[0] + 200, chunks[2])
+    overwrite_with_zeros(file, chunks[0] + 200, chunks[2])
     with open_bags(bag) as bags:
         assert states(bags.messages()) == [*range(10), *range(30, 100)]
         (recovered,) = bags.recovered
@@ -292,23 +294,25 @@ def test_damaged_chunks_are_left_out_and_named(tmp_path):
     assert "byte" in recovered.damage
 
 
-def test_of_a_file_that_is_nothing_but_a_begin_no_repair_is_promised(tmp_path, capsys):
+def test_no_repair_is_advised_if_nothing_can_be_recovered(tmp_path, capsys):
     file = make_bag(tmp_path) / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:100])
     assert doctor([str(tmp_path)]) == 2
-    assert "; nothing of it can be saved" in capsys.readouterr().out
+    assert "; nothing can be recovered" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("chunks", [(0, 0), (3, 3), (4, 6), (9, 9)])
-def test_the_advice_to_repair_a_damaged_bag_can_be_followed(tmp_path, capsys, chunks):
+def test_the_advised_repair_of_a_damaged_bag_works(tmp_path, capsys, chunks):
     bag = make_bag(tmp_path)
     make_bag(tmp_path, 10, first=100)
     first, last = chunks
     _, ends = chunk_ends(bag / "bag_0.mcap")
-    spoil(bag / "bag_0.mcap", ends[first] - 300, ends[last] - 100)  # with what lies between them
+    overwrite_with_zeros(
+        bag / "bag_0.mcap", ends[first] - 300, ends[last] - 100
+    )  # and everything between them
     before = {file.name: file.read_bytes() for file in bag.iterdir()}
     assert doctor([str(tmp_path)]) == 2
-    assert "doctor --repair makes it whole" in capsys.readouterr().out
+    assert "repair it with doctor --repair" in capsys.readouterr().out
     doctor([str(tmp_path), "--repair"])
     said = capsys.readouterr()
     assert said.err == ""
@@ -324,10 +328,12 @@ def test_the_advice_to_repair_a_damaged_bag_can_be_followed(tmp_path, capsys, ch
     assert repair(bag) is None
 
 
-def test_of_a_killed_bag_messages_of_a_type_that_was_lost_count_as_lost(tmp_path, capsys):
+def test_messages_of_a_lost_type_count_as_lost(tmp_path, capsys):
     bag = make_killed_bag(tmp_path, 30)
     _, ends = chunk_ends(bag / "bag_0.mcap")
-    spoil(bag / "bag_0.mcap", ends[0] - 300, ends[0])  # the only chunk with schemas and channels
+    overwrite_with_zeros(
+        bag / "bag_0.mcap", ends[0] - 300, ends[0]
+    )  # the only chunk with schemas and channels
     with open_bags(bag) as bags:
         assert list(bags.raw()) == []
         (recovered,) = bags.recovered
@@ -337,13 +343,13 @@ def test_of_a_killed_bag_messages_of_a_type_that_was_lost_count_as_lost(tmp_path
     assert "0 messages recovered" in capsys.readouterr().out
 
 
-def test_find_takes_numbers_as_numbers(tmp_path):
+def test_bags_are_sorted_by_number(tmp_path):
     for name in ("bag_10", "bag_9"):
         shutil.copytree(make_bag(tmp_path / "made", 1), tmp_path / "all" / name)
-    assert [p.name for p in find(tmp_path / "all")] == ["bag_9", "bag_10"]
+    assert [p.name for p in find_bags(tmp_path / "all")] == ["bag_9", "bag_10"]
 
 
-def test_doctor_tells_and_its_exit_code_is_true(tmp_path, capsys):
+def test_doctor_reports_and_sets_its_exit_code(tmp_path, capsys):
     good, bad = make_bag(tmp_path / "good"), make_killed_bag(tmp_path / "bad")
     assert doctor([str(good)]) == 0
     said = capsys.readouterr().out
@@ -359,7 +365,7 @@ def test_doctor_tells_and_its_exit_code_is_true(tmp_path, capsys):
     assert "no such file" in capsys.readouterr().err
 
 
-def test_a_bag_still_being_recorded_reads_as_far_as_it_is(tmp_path):
+def test_a_bag_still_being_recorded_can_be_read(tmp_path):
     recording = Recording(tmp_path)
     fill(recording, 45)
     with open_bags(recording.path) as bags:
@@ -368,11 +374,11 @@ def test_a_bag_still_being_recorded_reads_as_far_as_it_is(tmp_path):
 
 
 @pytest.mark.parametrize("limits", [Limits(size=20_000), Limits(span=SECOND)])
-def test_a_recording_goes_on_in_the_next_bag_and_reads_as_one(tmp_path, limits):
+def test_a_split_recording_is_read_as_one(tmp_path, limits):
     recording = Recording(tmp_path, limits)
     fill(recording, 350)
     recording.close()
-    bags = find(tmp_path)
+    bags = find_bags(tmp_path)
     assert len(bags) > 2
     for bag in bags:
         assert bag.stat().st_size
@@ -387,7 +393,7 @@ def test_a_recording_goes_on_in_the_next_bag_and_reads_as_one(tmp_path, limits):
         assert whole.topics["/robot_description"].messages == 1
 
 
-def test_what_is_written_is_under_checksums(tmp_path):
+def test_recorded_bags_have_checksums(tmp_path):
     file = make_bag(tmp_path) / "bag_0.mcap"
     contents = examine(file)
     assert contents.checked
@@ -405,16 +411,16 @@ def test_what_is_written_is_under_checksums(tmp_path):
     assert footer.summary_crc == crc32(data[footer.summary_start : -12])
 
 
-def test_a_bag_without_checksums_is_said_to_have_none_and_is_healthy(tmp_path, capsys):
+def test_a_bag_without_checksums_is_healthy_with_a_remark(tmp_path, capsys):
     bag = make_plain(tmp_path)
     assert doctor([str(bag)]) == 0
     said = capsys.readouterr().out
-    assert f"{bag} has not all of it under checksums" in said
+    assert f"{bag}: not all data have checksums" in said
     assert doctor([str(make_bag(tmp_path))]) == 0
-    assert "under checksums" not in capsys.readouterr().out
+    assert "data have checksums" not in capsys.readouterr().out
 
 
-def test_our_bags_are_laid_out_as_the_standard_ones(tmp_path):
+def test_our_bags_have_the_standard_layout(tmp_path):
     bag = make_bag(tmp_path)
     information = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert information["version"] == 9
@@ -433,8 +439,8 @@ def test_our_bags_are_laid_out_as_the_standard_ones(tmp_path):
         assert [m.name for m in reader.iter_metadata()] == ["rosbag2"]
 
 
-def test_a_topic_of_another_hash_alone_is_left_out(tmp_path, capsys):
-    """As bags of other tools have it; rosbags refuses the whole bag."""
+def test_only_the_topic_with_another_hash_is_left_out(tmp_path, capsys):
+    """Other tools write such bags; rosbags rejects the whole bag."""
     bag, good, odd = tmp_path / "bag", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
     with Writer(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         text, hash_ = definition(good)
@@ -449,6 +455,6 @@ def test_a_topic_of_another_hash_alone_is_left_out(tmp_path, capsys):
         assert set(bags.topics) == {"/joint_states"}
         (left_out,) = bags.left_out
     assert "/odd is left out" in left_out
-    assert "std_msgs/msg/String has not the hash RIHS01_000" in left_out
+    assert "std_msgs/msg/String does not have the hash RIHS01_000" in left_out
     assert doctor([str(bag)]) == 2
     assert "/odd is left out" in capsys.readouterr().out

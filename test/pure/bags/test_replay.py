@@ -1,11 +1,11 @@
-"""What is played back, and how."""
+"""Selection, names and QoS of the topics that are played."""
 
 import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from fss_arm_bags.reader import Topic
 from fss_arm_bags.recorder import bag_qos
-from fss_arm_bags.replay import choose, played_as, profile
+from fss_arm_bags.replay import choose_topics, playback_name, playback_qos
 from fss_arm_ros.qos import LATCHED, SENSOR
 
 
@@ -36,27 +36,27 @@ from fss_arm_ros.qos import LATCHED, SENSOR
         ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "recorded/diagnostics"),
     ],
 )
-def test_nothing_that_moves_the_arm_is_played_and_results_go_aside(recorded, msgtype, played):
-    assert played_as(recorded, msgtype) == played
+def test_commands_are_not_played_and_results_are_renamed(recorded, msgtype, played):
+    assert playback_name(recorded, msgtype) == played
     topics = {recorded: Topic(msgtype, 7, [], "", "")}
-    assert choose(topics) == ({recorded: played} if played else {})
+    assert choose_topics(topics) == ({recorded: played} if played else {})
 
 
-def test_what_is_asked_for_is_played_in_place_but_commands_never():
+def test_selected_topics_are_played_in_place_but_no_commands():
     topics = dict.fromkeys(["/calibration/kinematic", "/arm/stop", "/a"], Topic("", 7, [], "", ""))
-    assert choose(topics, ["calibration/kinematic"]) == {
+    assert choose_topics(topics, ["calibration/kinematic"]) == {
         "/calibration/kinematic": "/calibration/kinematic"
     }
-    with pytest.raises(ValueError, match="/arm/stop moves something"):
-        choose(topics, ["/a", "arm/stop"])
-    with pytest.raises(ValueError, match="/b is not in the bags, which have"):
-        choose(topics, ["/b"])
+    with pytest.raises(ValueError, match="/arm/stop is a command"):
+        choose_topics(topics, ["/a", "arm/stop"])
+    with pytest.raises(ValueError, match="/b is not in the bags, which contain"):
+        choose_topics(topics, ["/b"])
 
 
-def test_volatile_topics_keep_all_and_latched_ones_hold_what_was_recorded():
-    volatile = profile(Topic("", 7, [bag_qos(SENSOR)], "", ""))
+def test_volatile_topics_keep_all_and_latched_ones_keep_the_recorded():
+    volatile = playback_qos(Topic("", 7, [bag_qos(SENSOR)], "", ""))
     assert volatile.history == HistoryPolicy.KEEP_ALL
     assert volatile.reliability == ReliabilityPolicy.RELIABLE
-    latched = profile(Topic("", 7, [bag_qos(LATCHED)], "", ""))
+    latched = playback_qos(Topic("", 7, [bag_qos(LATCHED)], "", ""))
     assert latched.depth == 7
     assert latched.durability == DurabilityPolicy.TRANSIENT_LOCAL

@@ -1,4 +1,4 @@
-"""Bags of the standard recorder, in all its ways, and as it leaves them when it is killed."""
+"""Bags of the standard recorder, with all its options, complete and after a kill."""
 
 import sqlite3
 from contextlib import closing
@@ -11,7 +11,7 @@ from standard_bags import EVENTS, FEEDBACK, JOINTS, SILENT, UNDEFINED, Standard
 from fss_arm_bags.doctor.command import main as doctor
 from fss_arm_bags.reader import digest, open_bags
 
-WAYS = {
+OPTIONS = {
     "mcap": Standard(),
     "fastwrite": Standard(preset="fastwrite"),
     "zstd_fast": Standard(preset="zstd_fast"),
@@ -22,18 +22,18 @@ WAYS = {
     "sqlite3, each message packed": Standard("sqlite3", mode="message"),
     "sqlite3, resilient": Standard("sqlite3", preset="resilient"),
 }
-OF_ANOTHER_VERSION = replace(UNDEFINED, name="/older", msgtype="std_msgs/msg/Empty")
-LEFT_OUT = (FEEDBACK, *EVENTS, OF_ANOTHER_VERSION)
+OLDER_TYPE = replace(UNDEFINED, name="/older", msgtype="std_msgs/msg/Empty")
+LEFT_OUT = (FEEDBACK, *EVENTS, OLDER_TYPE)
 
 
-@pytest.fixture(params=WAYS.values(), ids=WAYS)
-def way(request):
+@pytest.fixture(params=OPTIONS.values(), ids=OPTIONS)
+def options(request):
     return request.param
 
 
 @pytest.mark.parametrize("files", [1, 3])
-def test_all_is_read_and_healthy(way, tmp_path, capsys, files):
-    bag = replace(way, files=files, others=(SILENT,)).record(tmp_path / "bag")
+def test_standard_bags_are_read_and_healthy(options, tmp_path, capsys, files):
+    bag = replace(options, files=files, others=(SILENT,)).record(tmp_path / "bag")
     with open_bags(bag) as bags:
         assert not bags.recovered
         assert not bags.left_out
@@ -45,17 +45,17 @@ def test_all_is_read_and_healthy(way, tmp_path, capsys, files):
     assert wrong[-1] == f"{SILENT.name}: has no messages"
 
 
-def test_one_killed_before_its_first_chunk_holds_nothing(tmp_path, capsys):
+def test_a_bag_killed_before_its_first_chunk_is_empty(tmp_path, capsys):
     bag = tmp_path / "bag"
     bag.mkdir()
     (bag / "bag_0.mcap").touch()
     assert doctor(["--repair", str(bag)]) == 2
     assert doctor([str(bag)]) == 2
-    assert f"{bag}: holds no messages" in capsys.readouterr().out.splitlines()
+    assert f"{bag}: contains no messages" in capsys.readouterr().out.splitlines()
 
 
-def test_topics_that_cannot_be_told_are_left_out_by_themselves(way, tmp_path, capsys):
-    bag = replace(way, others=(UNDEFINED, *LEFT_OUT)).record(tmp_path / "bag")
+def test_only_topics_that_cannot_be_decoded_are_left_out(options, tmp_path, capsys):
+    bag = replace(options, others=(UNDEFINED, *LEFT_OUT)).record(tmp_path / "bag")
     with open_bags(bag) as bags:
         assert not bags.recovered
         assert set(bags.topics) == {JOINTS.name, UNDEFINED.name}
@@ -70,8 +70,8 @@ def test_topics_that_cannot_be_told_are_left_out_by_themselves(way, tmp_path, ca
 
 
 @pytest.mark.parametrize("others", [(), (UNDEFINED, *LEFT_OUT)], ids=["", "others"])
-def test_after_a_kill_what_is_there_is_read(way, tmp_path, capsys, others):
-    bag = replace(way, files=3, killed=True, others=others).record(tmp_path / "bag")
+def test_a_bag_is_read_after_a_kill(options, tmp_path, capsys, others):
+    bag = replace(options, files=3, killed=True, others=others).record(tmp_path / "bag")
     with open_bags(bag) as bags:
         (recovered,) = bags.recovered
         read = states(bags.messages())
@@ -80,23 +80,23 @@ def test_after_a_kill_what_is_there_is_read(way, tmp_path, capsys, others):
     assert recovered.path == bag
     assert "it has no metadata.yaml" in str(recovered) or "without an index" in str(recovered)
     assert read == list(range(len(read)))
-    assert len(read) == 90 if way.storage == "sqlite3" else 60 < len(read) <= 90
+    assert len(read) == 90 if options.storage == "sqlite3" else 60 < len(read) <= 90
     assert doctor([str(bag)]) == 2
-    mends = way.storage == "mcap" and not way.mode
-    advice = "doctor --repair" if mends else "ros2 bag reindex"
-    assert f"{advice} makes it whole" in capsys.readouterr().out
+    can_repair = options.storage == "mcap" and not options.mode
+    advice = "doctor --repair" if can_repair else "ros2 bag reindex"
+    assert f"repair it with {advice}" in capsys.readouterr().out
     doctor(["--repair", str(bag)])
-    assert ("repaired" in capsys.readouterr().out) == mends
+    assert ("repaired" in capsys.readouterr().out) == can_repair
 
 
-def test_packed_files_tell_bags_apart(tmp_path):
-    ways = [replace(WAYS["mcap, each file packed"], each=each) for each in (10, 11)]
-    bags = [one.record(tmp_path / str(one.each)) for one in ways]
+def test_compressed_bags_have_different_digests(tmp_path):
+    variants = [replace(OPTIONS["mcap, each file packed"], each=each) for each in (10, 11)]
+    bags = [one.record(tmp_path / str(one.each)) for one in variants]
     assert len({digest(bag) for bag in bags}) == 2
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_a_file_that_was_being_packed_counts_once(tmp_path, storage):
+def test_a_partly_compressed_file_counts_once(tmp_path, storage):
     bag = Standard(storage, mode="file", files=2).record(tmp_path / "bag")
     last = sorted(bag.glob("*.zstd"))[-1]
     whole = Standard(storage, files=2).record(tmp_path / "whole")
@@ -107,8 +107,8 @@ def test_a_file_that_was_being_packed_counts_once(tmp_path, storage):
         assert states(bags.messages()) == list(range(60))
 
 
-def test_of_a_packed_file_without_its_end_the_begin_is_read(tmp_path):
-    bag = replace(WAYS["mcap, each file packed"], each=3000).record(tmp_path / "bag")
+def test_the_start_of_a_truncated_compressed_file_is_read(tmp_path):
+    bag = replace(OPTIONS["mcap, each file packed"], each=3000).record(tmp_path / "bag")
     (file,) = bag.glob("*.zstd")
     file.write_bytes(file.read_bytes()[:-10_000])
     with open_bags(bag) as bags:
@@ -119,18 +119,18 @@ def test_of_a_packed_file_without_its_end_the_begin_is_read(tmp_path):
     assert 100 < len(read) < 3000
 
 
-def test_a_bag_of_sqlite_is_read_by_its_files_whatever_metadata_says_of_qos(tmp_path):
-    """rosbags leaves a topic out, without a word, whose QoS metadata.yaml gives otherwise."""
-    bag = WAYS["sqlite3"].record(tmp_path / "bag")
+def test_sqlite_bags_do_not_need_the_qos_of_metadata(tmp_path):
+    """rosbags silently drops a topic if its QoS differs in metadata.yaml."""
+    bag = OPTIONS["sqlite3"].record(tmp_path / "bag")
     metadata = bag / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("depth: 10", "depth: 11"))
     with open_bags(bag) as bags:
         assert states(bags.messages()) == list(range(30))
 
 
-def test_a_bag_of_before_definitions_is_read_by_those_installed(tmp_path):
-    """As Humble writes it: version 3 of the tables."""
-    bag = WAYS["sqlite3"].record(tmp_path / "bag")
+def test_a_bag_without_definitions_is_read_with_installed_ones(tmp_path):
+    """Humble writes such bags: version 3 of the tables."""
+    bag = OPTIONS["sqlite3"].record(tmp_path / "bag")
     with closing(sqlite3.connect(next(bag.glob("*.db3")))) as db, db:
         db.execute("DROP TABLE message_definitions")
         db.execute("ALTER TABLE topics DROP COLUMN type_description_hash")

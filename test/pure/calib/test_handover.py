@@ -93,7 +93,7 @@ def test_a_description_tells_the_covariance_of_what_was_found(told):
     assert from_yaml(to_yaml(arm)) == arm
     after = from_yaml(dynamic.description)
     assert set(after.known.names) == set(parameter_names(4))
-    C = after.known.over(dynamic.names[:-2], np.zeros(len(dynamic.names) - 2))
+    C = after.known.covariance_of(dynamic.names[:-2], np.zeros(len(dynamic.names) - 2))
     assert_allclose(C, dynamic.covariance[:-2, :-2], rtol=1e-9, atol=1e-18)
 
 

@@ -9,7 +9,7 @@ import pytest
 from fss_arm_calib.links import main
 from fss_arm_calib.result import SCHEMA
 from fss_arm_model.description import DescriptionError, Known, paper_arm
-from fss_arm_model.description_file import ANY_ANGLE, load, save, to_yaml
+from fss_arm_model.description_file import UNKNOWN_ANGLE_SIGMA, load, save, to_yaml
 from fss_arm_model.parameters import parameter_names
 from fss_arm_ros.command_line import USER_ERROR
 
@@ -76,7 +76,8 @@ def test_what_is_known_of_a_link_goes_with_it_to_another_place(arm_file, tmp_pat
     arm_file.write_text(text.replace("[7, 8, 9, 10]", "[7, 9, 8, 10]"))
     known = load(arm_file).known
     then, now = ["a_2", "I_0", "b_3", "theta_0_2"], ["a_3", "I_0", "b_2", "theta_0_3"]
-    assert np.array_equal(known.over(now, np.zeros(4)), found.known.over(then, np.zeros(4)))
+    before = found.known.covariance_of(then, np.zeros(4))
+    assert np.array_equal(known.covariance_of(now, np.zeros(4)), before)
     arm_file.write_text(text.replace("[7, 8, 9, 10]", "[7, 8, 10]"))
     assert set(load(arm_file).known.names) == set(parameter_names(3)) - {"m_0"}
 
@@ -86,16 +87,17 @@ def test_if_another_link_is_first_its_angle_and_the_mounts_are_not_known(arm_fil
     main([str(arm_file), "--result", result(tmp_path / "r.json", found)])
     arm_file.write_text(arm_file.read_text().replace("[7, 8, 9, 10]", "[8, 7, 10, 9]"))
     known = load(arm_file).known
-    sigma = np.sqrt(np.diag(known.over(["theta_BJ1", "theta_0_2", "theta_0_3"], np.zeros(3))))
-    assert sigma[:2] == pytest.approx(ANY_ANGLE)
-    assert sigma[2] == found.known.over(["theta_0_4"], np.zeros(1))[0, 0] ** 0.5
+    names = ["theta_BJ1", "theta_0_2", "theta_0_3"]
+    sigma = np.sqrt(np.diag(known.covariance_of(names, np.zeros(3))))
+    assert sigma[:2] == pytest.approx(UNKNOWN_ANGLE_SIGMA)
+    assert sigma[2] == found.known.covariance_of(["theta_0_4"], np.zeros(1))[0, 0] ** 0.5
     assert "theta_0_1" not in known.names
 
 
 def test_names_by_place_do_not_go_with_links_by_serial_number(arm_file, tmp_path):
     main([str(arm_file), "--result", result(tmp_path / "r.json", knowing(calibrated()))])
     arm_file.write_text(arm_file.read_text().replace("a_#8", "a_2"))
-    with pytest.raises(DescriptionError, match="known: names is 'a_2', expected names by serial"):
+    with pytest.raises(DescriptionError, match="known: names is 'a_2', expected a name by serial"):
         load(arm_file)
 
 

@@ -52,7 +52,7 @@ def dynamics(run, arm, settings=DYNAMIC):
 def of_links(arm):
     """What is known of each link by serial number: value and deviation by name."""
     names = parameter_names(arm.n)
-    sigma = np.sqrt(np.diag(arm.known.over(names, np.full(len(names), np.nan))))
+    sigma = np.sqrt(np.diag(arm.known.covariance_of(names, np.full(len(names), np.nan))))
     found = {}
     for name, value, deviation in zip(names, values(arm), sigma, strict=True):
         stem, _, place = name.rpartition("_")

@@ -8,7 +8,7 @@ from capturing import POSTURE, SETTINGS, Case, Flight
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.held import Target, held, held_at, hold
+from fss_arm_model.held import Target, payload_pose, payload_positions, payload_state
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.settings import SettingError
 from fss_gnc.guidance.abort import Abort
@@ -59,7 +59,7 @@ def fly_with_unknown_mass(assumed, mass, learns=True, inertia=None, **case):
 def normalized_errors(flight):
     """Final errors of the target's mass properties in standard deviations (4,), and the NEES."""
     truth, estimate = flight.plant.world.target, flight.navigation.mass_properties
-    place = hold(P, flight.plant.q, flight.plant.target[0])
+    place = payload_pose(P, flight.plant.q, flight.plant.target[0])
     error = estimate.values - [truth.mass, *place[:2], truth.inertia]
     return error / estimate.deviations, error @ np.linalg.solve(estimate.covariance, error) / 4
 
@@ -261,10 +261,10 @@ def test_abort_does_not_mistake_the_joint_reaction_for_drift():
 def test_edge_clearance_includes_the_held_target():
     q = at(-0.9, 0.0, 1.0)
     x, y, _ = tip_pose(P, q)
-    place = hold(P, q, (x - 0.15, y + 0.1, 0.3))
+    place = payload_pose(P, q, (x - 0.15, y + 0.1, 0.3))
     states = np.stack([q, at(-0.2, 0.5, 0.7)])
-    there = [held(P, each, AT_REST, place)[0, :2] for each in states]
-    np.testing.assert_allclose(held_at(P, states, place), there, atol=1e-12)
+    there = [payload_state(P, each, AT_REST, place)[0, :2] for each in states]
+    np.testing.assert_allclose(payload_positions(P, states, place), there, atol=1e-12)
     alone, both = (DriftPredictor(P, SETTINGS, p).clearances(q, None)[0] for p in (None, place))
     assert both == pytest.approx(2.0 - np.abs(there[0]).max() - SETTINGS.target_radius)
     assert both < alone

@@ -44,7 +44,7 @@ def several(n):
 
 
 def cyclic(n):
-    """All joints return twice to where they began."""
+    """Return a law by which all joints return twice to their start."""
     turn, phase = 4.0 * math.pi / DURATION, 0.7 * np.arange(n)
 
     def law(t):
@@ -140,7 +140,7 @@ def test_paths_and_parameter_sets_broadcast():
 
 
 def test_a_batch_of_paths_is_made_as_each_alone():
-    """Of unlike length, and with marks of its own each."""
+    """Paths have different lengths and different marks."""
     begins, lasts = np.array([[0.0], [1.0], [2.5]]), np.array([[6.0], [0.5], [3.0]])
     law, marks = several(4)[0], begins + lasts * [0.0, 0.25, 1.0]
 

@@ -34,7 +34,7 @@ class Copy:
     def energy(self) -> float:
         return float(self.run("-c", ENERGY).stdout)
 
-    def kept(self) -> dict[Path, int]:
+    def cached_files(self) -> dict[Path, int]:
         return {f: f.stat().st_mtime_ns for f in self.cache.rglob("*") if f.is_file()}
 
 
@@ -44,20 +44,20 @@ def copy(tmp_path):
 
 
 @pytest.mark.slow
-def test_kernels_are_kept_until_any_source_changes(copy):
-    first, kept = copy.energy(), copy.kept()
-    assert kept
+def test_kernels_stay_cached_until_a_source_changes(copy):
+    first, cached_files = copy.energy(), copy.cached_files()
+    assert cached_files
     assert copy.energy() == first
-    assert copy.kept() == kept
+    assert copy.cached_files() == cached_files
     helpers = copy.package / "layout.py"  # dynamics.py, where the kernel is, stays as it was
     text = helpers.read_text()
     assert "return p[MASS] if k == 0 else" in text
     helpers.write_text(text.replace("return p[MASS] if k == 0 else", "return 9.0 if k == 0 else"))
     assert copy.energy() == pytest.approx(first - 1.0)  # the base 1 kg lighter, at v^2 = 2
-    assert kept.items() <= copy.kept().items()
+    assert cached_files.items() <= copy.cached_files().items()
 
 
-OTHER = {
+OTHER_PACKAGE = {
     "__init__.py": "",
     "helpers.py": """
 from fss_arm_model.kernels import helper
@@ -80,7 +80,7 @@ def total(x, out):
 
 def test_kernels_of_other_packages_follow_their_own_sources_and_the_models(copy):
     other = copy.package.parent / "fss_other"
-    for name, text in OTHER.items():
+    for name, text in OTHER_PACKAGE.items():
         (other / name).parent.mkdir(parents=True, exist_ok=True)
         (other / name).write_text(text)
 
@@ -94,12 +94,12 @@ def test_kernels_of_other_packages_follow_their_own_sources_and_the_models(copy)
         file.write_text(file.read_text().replace(old, new))
 
     def kernels() -> set[Path]:
-        return {f.parent for f in copy.kept() if "total" in f.name}
+        return {f.parent for f in copy.cached_files() if "total" in f.name}
 
     assert total() == 2.0
-    kept = copy.kept()
+    cached_files = copy.cached_files()
     assert total() == 2.0
-    assert copy.kept() == kept
+    assert copy.cached_files() == cached_files
     edit(other / "helpers.py", "x + 1.0", "x + 2.0")  # not where the kernel stands
     assert total() == 3.0
     assert len(kernels()) == 2

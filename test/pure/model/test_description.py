@@ -319,5 +319,7 @@ def test_serial_numbers_that_cannot_be_right_are_refused(tmp_path, serials, mess
 def test_a_link_file_of_another_serial_number_is_refused(tmp_path):
     path = filed(tmp_path, [7, 11])
     shutil.copy(tmp_path / "link_8.yaml", tmp_path / "link_11.yaml")
-    with pytest.raises(DescriptionError, match=r"link_11\.yaml: serial is 8, expected that of"):
+    with pytest.raises(
+        DescriptionError, match=r"link_11\.yaml: serial is 8, expected the number in"
+    ):
         load(path)

@@ -24,7 +24,7 @@ def free_start():
 
 
 def test_the_ratio_is_the_velocity_that_rates_of_norm_one_give():
-    """By Pinocchio's Jacobian and inertia matrix, and by trying rates."""
+    """Compute the ratio by Pinocchio's Jacobian and inertia matrix, and by trying rates."""
     arm, rng = paper_arm(), np.random.default_rng(0)
     model = pinocchio_model(arm)
     data, q = model.createData(), rng.uniform(-1.0, 1.0, 4)

@@ -21,7 +21,7 @@ from fss_arm_model.guard.guard import (
     turning,
 )
 from fss_arm_model.guard.settings import GuardSettings
-from fss_arm_model.guard.sweep import RELIEF
+from fss_arm_model.guard.sweep import ALLOWED_DECREASE
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import momentum
 from fss_sim.plant.drives import MODE_VELOCITY
@@ -33,7 +33,7 @@ FOLDED = np.radians([0.0, 85.0, 85.0, 85.0])
 
 @dataclass
 class Count:
-    """What came of random paths."""
+    """Results of checks of random paths."""
 
     clear: int = 0
     refused: int = 0
@@ -158,7 +158,7 @@ def test_who_begins_too_near_may_get_clear_and_not_nearer():
 
 
 def test_random_paths_that_begin_too_near_pass_if_they_only_get_clearer():
-    """What passes may dip by what bodies move in the 5 ms between two looks, too."""
+    """A gap may also decrease by the motion of the bodies in the 5 ms between two checks."""
     guard, rng, dips, refusals = Guard(paper_arm()), np.random.default_rng(11), [], []
     while len(dips) + len(refusals) < 120:
         flight = replace(random_flight(guard.arm, rng), target=None)
@@ -172,8 +172,8 @@ def test_random_paths_that_begin_too_near_pass_if_they_only_get_clearer():
             refusals.append(shrinks(flight, guard.arm, BED))
     print(f"{len(dips)} pass, dip {max(dips):.4f}; {len(refusals)} do not, {min(refusals):.4f}")
     assert min(len(dips), len(refusals)) > 5
-    assert max(dips) < RELIEF + 0.003
-    assert min(refusals) > 0.9 * RELIEF
+    assert max(dips) < ALLOWED_DECREASE + 0.003
+    assert min(refusals) > 0.9 * ALLOWED_DECREASE
 
 
 def test_a_base_that_is_not_at_rest_takes_the_arm_along():
@@ -326,7 +326,7 @@ def stopped(seed: int) -> tuple[bool, float, float]:
 
 @pytest.mark.parametrize("runs", [4, pytest.param(100, marks=pytest.mark.slow)])
 def test_the_drifting_base_stops_before_the_edge(runs):
-    """And where its drift goes on, which no arm can stop, the arm is at rest before the margin."""
+    """If the base keeps drifting, which no arm can stop, the arm rests before the margin."""
     found = islice((run for seed in count() if (run := stopped(seed))[0]), runs)
     _, nearest, rates = zip(*found, strict=True)
     print(f"{runs} runs, nearest {sorted(nearest)[:3]} m")

@@ -1,10 +1,10 @@
 """Plans run on the simulated test bed's plant: drives with friction, links as in the protocol.
 
 Each link follows its path by itself, 50 times a second, in velocity mode: v = v_path + 4/s (p_path
-- p), with v_path as it is in the middle of the period. (As it is at its begin, links lag where they
+- p), with v_path of the middle of the period. (With v_path of its start, links lag where they
 accelerate, all to one side, and the reorientation ends 0.37 deg off instead of 0.12.) The true arm
-is not the one planned for: masses, inertias and centres of mass are off as the covariance says. The
-links do not begin at quite the same instant.
+is not the one planned for: masses, inertias and centers of mass differ as the covariance says. The
+links do not start at exactly the same time.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ import pytest
 
 from fss_arm_model.description import paper_arm
 from fss_arm_motion.plan import Start
-from fss_arm_motion.plan_command import uncertain
+from fss_arm_motion.plan_command import relative_covariance
 from fss_arm_motion.reorientation import Reorientation, reorientation
 from fss_arm_motion.tip_path import TipPath, tip_path
 from fss_arm_motion.zero_reaction import ZeroReaction, zero_reaction
@@ -23,7 +23,7 @@ from fss_sim.plant.plant import Demand, Plant
 
 SHARE = 0.01  # 1 sigma of masses, inertias and centres of mass
 PERIOD, GAIN = 0.02, 4.0  # of a link [s], [1/s]
-SPREAD = 0.005  # of the links' begin [s]
+SPREAD = 0.005  # of the links' start times [s]
 TRACKING = np.radians(0.1)  # by which links differ from their paths, rms
 BENT = np.radians([-50.0, 55.0, 45.0, 40.0])
 
@@ -59,14 +59,14 @@ def run(plan, arm, rng):
     return np.array(times), np.array(states)
 
 
-def begin(q):
+def start_motion(q):
     arm = paper_arm()
-    return Start(arm, q, covariance=uncertain(arm, SHARE), tracking=TRACKING)
+    return Start(arm, q, covariance=relative_covariance(arm, SHARE), tracking=TRACKING)
 
 
 @pytest.mark.parametrize("runs", [6, pytest.param(20, marks=pytest.mark.slow)])
 def test_reorientation_ends_within_its_band_each_time(runs):
-    start = begin(np.zeros(4))
+    start = start_motion(np.zeros(4))
     plan = reorientation(start, Reorientation(np.radians(30.0)))
     sigma = np.degrees(plan.prediction.deviation[-1, 2])
     ends = []
@@ -82,7 +82,7 @@ def test_reorientation_ends_within_its_band_each_time(runs):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_zero_reaction_turns_the_base_far_less_than_the_straight_move(seed):
-    start, rng = begin(BENT), np.random.default_rng(seed)
+    start, rng = start_motion(BENT), np.random.default_rng(seed)
     plan = zero_reaction(start, ZeroReaction(direction=(1.0, 0.0, 0.0, 0.0)))
     states = run(plan, drawn(start.arm, rng), rng)[1]
     excursion = np.degrees(np.abs(states[:, 2]).max())
@@ -91,7 +91,7 @@ def test_zero_reaction_turns_the_base_far_less_than_the_straight_move(seed):
 
 
 def test_on_the_arm_as_described_zero_reaction_holds_the_heading_to_a_tenth_of_a_degree():
-    start, rng = begin(BENT), np.random.default_rng(0)
+    start, rng = start_motion(BENT), np.random.default_rng(0)
     plan = zero_reaction(start, ZeroReaction(direction=(1.0, 0.0, 0.0, 0.0)))
     states = run(plan, start.arm, rng)[1]
     print(f"excursion {np.degrees(np.abs(states[:, 2]).max()):.4f} deg")
@@ -102,7 +102,7 @@ def test_on_the_arm_as_described_zero_reaction_holds_the_heading_to_a_tenth_of_a
 def test_half_a_metre_in_the_world(drawn_too):
     from fss_arm_model.kinematics import tip_pose
 
-    start, rng = begin(BENT), np.random.default_rng(1)
+    start, rng = start_motion(BENT), np.random.default_rng(1)
     by = 0.5 * np.array([np.cos(3.7), np.sin(3.7)])
     plan = tip_path(start, TipPath(by=tuple(by)))
     arm = drawn(start.arm, rng) if drawn_too else start.arm

@@ -1,4 +1,4 @@
-"""What every plan keeps, whatever its kind: limits, rest at both ends, what it says of the base."""
+"""Properties of plans of every kind: limits, rest at both ends, prediction of the base."""
 
 from dataclasses import replace
 

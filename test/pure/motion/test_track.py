@@ -1,4 +1,4 @@
-"""What was measured: drift before a motion, motion in it."""
+"""Measured drift before a motion, and motion during it."""
 
 import numpy as np
 import pytest

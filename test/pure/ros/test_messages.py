@@ -9,7 +9,7 @@ from rosbags.rosbag2 import Reader
 
 from fss_arm_bags.definitions import definition, extends, message_class, upgrade
 from fss_arm_bags.doctor.command import main as doctor
-from fss_arm_bags.reader import BagError, find, open_bags
+from fss_arm_bags.reader import BagError, find_bags, open_bags
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic.kind import KINEMATIC
 
@@ -27,7 +27,7 @@ def test_all_of_the_first_bag_is_read_and_is_of_types_that_only_grew():
 
 
 def test_bags_from_before_and_after_a_type_grew_are_not_misread(tmp_path, capsys):
-    said = "hold two versions of fss_arm_msgs/msg/KinematicCalibration: give them one by one"
+    said = "contain two versions of fss_arm_msgs/msg/KinematicCalibration: open them one by one"
     before_and_after = make_before_and_after(tmp_path)
     with open_bags(before_and_after) as bags:
         assert bags.topics["/joint_states"].messages > 0
@@ -36,7 +36,7 @@ def test_bags_from_before_and_after_a_type_grew_are_not_misread(tmp_path, capsys
             list(bags.messages({"/calibration/kinematic"}))
     assert doctor([str(before_and_after)]) == 2
     assert f"/calibration/kinematic: the bags {said}" in capsys.readouterr().out
-    for bag in find(before_and_after):  # as it is advised
+    for bag in find_bags(before_and_after):  # as it is advised
         assert doctor([str(bag)]) == 0
 
 

@@ -1,4 +1,4 @@
-"""The base's reaction, against the free-floating equations of motion integrated step by step."""
+"""Base reaction against the free-floating equations of motion integrated step by step."""
 
 from copy import copy
 
@@ -17,10 +17,10 @@ from fss_arm_view.settings import ReactionSettings
 from fss_gnc.navigation import BodyState
 
 
-def follow(reaction, flight, every, step=100):
-    """Feed readings every so many milliseconds, one joint after the other, and poses at 100 Hz.
+def simulate(reaction, flight, every, step=100):
+    """Feed one joint's reading per millisecond, each joint `every` ms, and poses at 100 Hz.
 
-    Reactions are asked for once a step [ms].
+    A reaction is computed once a step [ms].
     """
     found = []
     n = len(reaction.joints)
@@ -28,11 +28,11 @@ def follow(reaction, flight, every, step=100):
         t = k * 1_000_000
         for i in range(n):
             if (k - i) % every == 0:
-                reaction.joint(i, t, flight.q[k, i], flight.qd[k, i], 0.1)
+                reaction.add_reading(i, t, flight.q[k, i], flight.qd[k, i], 0.1)
         if k % 10 == 0:
             still = 1e-6 * np.eye(6)
-            reaction.base(BodyState(t, flight.pose[k], flight.twist[k], still))
-        if k % step == 0 and (until := reaction.known_until()) > reaction.t:
+            reaction.add_base_state(BodyState(t, flight.pose[k], flight.twist[k], still))
+        if k % step == 0 and (until := reaction.last_known_time()) > reaction.t:
             got = reaction.advance(until)
             if got:
                 found.append(got)
@@ -45,37 +45,39 @@ def flight():
 
 
 @pytest.mark.parametrize(("every", "bound"), [(200, 2e-3), (2, 5e-6)])
-def test_the_prediction_goes_where_the_base_goes(flight, every, bound):
-    found = follow(BaseReaction(paper_arm()), flight, every)
+def test_the_prediction_follows_the_base(flight, every, bound):
+    found = simulate(BaseReaction(paper_arm()), flight, every)
     assert len(found) > 50
     for r in found:
         k = flight.index(r.t)
         np.testing.assert_allclose(r.predicted, flight.pose[k], rtol=0, atol=bound)
         np.testing.assert_allclose(r.measured, flight.pose[k], rtol=0, atol=1e-4)
     moved = flight.pose[flight.index(found[-1].t), 2]
-    assert abs(moved) > 0.3  # or it would be no test
-    assert {r.anchor for r in found} != {found[0].anchor}  # anew before the motion
+    assert abs(moved) > 0.3  # the test needs a large motion
+    assert {r.anchor for r in found} != {
+        found[0].anchor
+    }  # the prediction restarts before the motion
 
 
-def test_momentum_is_that_of_the_flight(flight):
-    found = follow(BaseReaction(paper_arm()), flight, 2)
+def test_momentum_equals_that_of_the_flight(flight):
+    found = simulate(BaseReaction(paper_arm()), flight, 2)
     for r in found:
         # Twists 10 ms apart are interpolated, over jumps of the acceleration.
         np.testing.assert_allclose(r.momentum, flight.momentum, rtol=0, atol=5e-3)
     np.testing.assert_allclose(found[-1].momentum_drift, 0.0, atol=1e-4)
 
 
-def test_the_first_joint_carries_what_accelerates_the_base(flight):
+def test_the_force_at_the_first_joint_accelerates_the_base(flight):
     arm = paper_arm()
-    found = follow(BaseReaction(arm), flight, 2)
+    found = simulate(BaseReaction(arm), flight, 2)
     p = arm.vector()
     ramps = 0
     for r in found:
         k = flight.index(r.t)
-        near = flight.qdd[k - 110 : k + 111]
-        if k < 120 or k + 120 > len(flight.t) or (near != near[0]).any():
+        qdd = flight.qdd[k - 110 : k + 111]
+        if k < 120 or k + 120 > len(flight.t) or (qdd != qdd[0]).any():
             continue  # accelerations jump within the difference
-        ramps += bool(near.any())
+        ramps += bool(qdd.any())
         x = np.concatenate([flight.pose[k], flight.q[k]])
         xd = np.concatenate([flight.twist[k], flight.qd[k]])
         base = (flight.twist[k + 5] - flight.twist[k - 5]) / (10 * STEP)
@@ -88,46 +90,48 @@ def test_the_first_joint_carries_what_accelerates_the_base(flight):
 
 
 @pytest.mark.parametrize("half", [0.2, 1.5])
-def test_the_torque_is_the_same_however_often_it_is_asked_for(flight, half):
+def test_the_torque_does_not_depend_on_the_rate_of_computation(flight, half):
     settings = ReactionSettings(half_difference=half)
-    often, seldom = (
-        {r.t: r for r in follow(BaseReaction(paper_arm(), settings=settings), flight, 10, step)}
+    frequent, rare = (
+        {r.t: r for r in simulate(BaseReaction(paper_arm(), settings=settings), flight, 10, step)}
         for step in (50, 400)
     )
-    both = sorted(often.keys() & seldom.keys())
-    assert max(abs(seldom[t].torque) for t in both) > 0.02
+    both = sorted(frequent.keys() & rare.keys())
+    assert max(abs(rare[t].torque) for t in both) > 0.02
     for t in both:
-        assert often[t].torque == pytest.approx(seldom[t].torque, abs=1e-9)
-        np.testing.assert_allclose(often[t].force, seldom[t].force, rtol=0, atol=1e-9)
+        assert frequent[t].torque == pytest.approx(rare[t].torque, abs=1e-9)
+        np.testing.assert_allclose(frequent[t].force, rare[t].force, rtol=0, atol=1e-9)
 
 
-def test_the_band_holds_what_a_wrong_parameter_does(flight):
+def test_the_band_covers_a_wrong_parameter(flight):
     arm = paper_arm()
     covariance = vector_covariance(arm, ["a"], [0.005**2])
     exact = ReactionSettings(position_error=1e-9, heading_error=1e-9)
     kinematics = arm.vector()[kinematic_index(arm.n)]
     kinematics[:3] += 0.005  # lengths of all links but the last
     wrong = arm.with_kinematics(kinematics)
-    right, off = (follow(BaseReaction(a, covariance, exact), flight, 20)[-1] for a in (arm, wrong))
-    away = np.abs(off.predicted - right.predicted)
+    right, off = (
+        simulate(BaseReaction(a, covariance, exact), flight, 20)[-1] for a in (arm, wrong)
+    )
+    difference = np.abs(off.predicted - right.predicted)
     # One parameter, wrong by its deviation: as far off as the band is wide, to first order.
-    np.testing.assert_allclose(right.predicted_deviation, away, rtol=0.05)
-    assert (away > 5e-5).all()
+    np.testing.assert_allclose(right.predicted_deviation, difference, rtol=0.05)
+    assert (difference > 5e-5).all()
 
 
 def test_the_band_grows_with_the_time_since_the_drift_was_fitted(flight):
     settings = ReactionSettings(position_error=0.01, heading_error=0.02)
-    found = follow(BaseReaction(paper_arm(), settings=settings), flight, 20)
-    begun = [r for r in found if r.anchor == found[-1].anchor]
-    band = np.array([r.predicted_deviation for r in begun])
+    found = simulate(BaseReaction(paper_arm(), settings=settings), flight, 20)
+    same_anchor = [r for r in found if r.anchor == found[-1].anchor]
+    band = np.array([r.predicted_deviation for r in same_anchor])
     assert (np.diff(band[:, :2], axis=0) > 0.0).all()
     # A line through 200 poses of 2 s: its slope's deviation times 6 s, and its height's.
     slope = 0.01 * np.sqrt(12 / 200) / 2.0
-    since = (begun[-1].t - begun[-1].anchor) * 1e-9
+    since = (same_anchor[-1].t - same_anchor[-1].anchor) * 1e-9
     assert band[-1, 0] == pytest.approx(np.hypot(slope * (since + 1.0), 0.01 / 200**0.5), rel=0.1)
 
 
-def test_a_tilted_table_pulls_and_what_is_unknown_of_it_widens_the_band(flight):
+def test_a_tilt_accelerates_and_its_uncertainty_widens_the_band(flight):
     """A uniform acceleration is added to any motion."""
     tilt, tilted = (2e-4, -1e-4), copy(flight)
     g, t = GRAVITY * np.array(tilt), flight.t[:, None]
@@ -135,42 +139,44 @@ def test_a_tilted_table_pulls_and_what_is_unknown_of_it_widens_the_band(flight):
     tilted.pose = flight.pose + fall
     tilted.twist = flight.twist + np.hstack([t * g, np.zeros_like(t)])
     known = BaseReaction(paper_arm(), settings=ReactionSettings(tilt=tilt))
-    last = follow(known, tilted, 2)[-1]
+    last = simulate(known, tilted, 2)[-1]
     k = tilted.index(last.t)
     np.testing.assert_allclose(last.predicted, tilted.pose[k], rtol=0, atol=5e-5)
     unknown = BaseReaction(paper_arm(), settings=ReactionSettings(tilt_deviation=2e-4))
-    missed = follow(unknown, tilted, 2)[-1]
+    missed = simulate(unknown, tilted, 2)[-1]
     since = (missed.t - missed.anchor) * 1e-9
     added = np.sqrt(missed.predicted_deviation**2 - last.predicted_deviation**2)
     np.testing.assert_allclose(added[:2], 0.5 * since**2 * GRAVITY * 2e-4, rtol=0.02)
 
 
-def test_a_base_that_nobody_sees_has_no_reaction():
+def test_a_base_without_poses_has_no_reaction():
     reaction = BaseReaction(paper_arm())
-    assert reaction.known_until() == -1
+    assert reaction.last_known_time() == -1
     for i in range(4):
-        assert reaction.joint(i, 0, 0.0, 0.0, 0.0)
-    assert not reaction.joint(0, 0, 0.0, 0.0, 0.0)  # not newer
-    assert reaction.known_until() == -1
+        assert reaction.add_reading(i, 0, 0.0, 0.0, 0.0)
+    assert not reaction.add_reading(0, 0, 0.0, 0.0, 0.0)  # not newer
+    assert reaction.last_known_time() == -1
     assert reaction.advance(0) is None
 
 
-def test_unlike_links_and_base_centre_of_mass():
+def test_different_links_and_an_offset_center_of_mass():
     arm = load("config/truth.yaml")
     flight = Flight(arm, end=5.0)
-    found = follow(BaseReaction(arm), flight, 4)
+    found = simulate(BaseReaction(arm), flight, 4)
     np.testing.assert_allclose(
         found[-1].predicted, flight.pose[flight.index(found[-1].t)], rtol=0, atol=5e-6
     )
 
 
-def test_a_base_seen_at_one_time_alone_does_not_drift():
-    """As its filter says it when stamps have gone back."""
+def test_poses_at_a_single_time_give_no_drift():
+    """The filter gives such states after stamps have jumped back."""
     reaction = BaseReaction(paper_arm())
     for t in range(0, 6_000_000_000, 200_000_000):
         for i in range(4):
-            reaction.joint(i, t, 0.1, 0.0, 0.0)
+            reaction.add_reading(i, t, 0.1, 0.0, 0.0)
     for _ in range(5):
-        reaction.base(BodyState(5_000_000_000, np.zeros(3), np.zeros(3), 1e-6 * np.eye(6)))
+        reaction.add_base_state(
+            BodyState(5_000_000_000, np.zeros(3), np.zeros(3), 1e-6 * np.eye(6))
+        )
     reaction.resting_since = 0
     assert reaction.advance(5_000_000_000) is None

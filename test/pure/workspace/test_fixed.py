@@ -1,4 +1,4 @@
-"""The boundary in arcs against inverse kinematics by descent, and against itself."""
+"""Boundary of arcs against inverse kinematics by descent; consistency of the boundary."""
 
 import math
 from dataclasses import replace
@@ -12,11 +12,11 @@ from fss_arm_model.description import paper_arm
 from fss_arm_workspace.regions.arcs import Arcs, enclose
 from fss_arm_workspace.regions.fixed import fixed_workspace, joint_limits
 
-FAR = 1e-6  # from the boundary, where membership must be right [m]
+MARGIN = 1e-6  # from the boundary, where membership must be right [m]
 
 
 def around(region, count, rng):
-    """Random points of the box around a region, and the box's area."""
+    """Return random points of the box around a region, and the box's area."""
     edge = np.concatenate([points for points, _ in region.outlines(0.02)])
     low, high = (f(edge.real) + 1j * f(edge.imag) for f in (np.min, np.max))
     size = high - low
@@ -25,13 +25,13 @@ def around(region, count, rng):
 
 
 def polygon_area(region, spacing):
-    """Holes included, by the shoelace formula."""
+    """Return the area of polygons, with holes, by the shoelace formula."""
     lines = [points for points, _ in region.outlines(spacing)]
     return sum(0.5 * (np.roll(z, -1) * z.conj()).imag.sum() for z in lines)
 
 
 def is_sound(region, arm, limits, rng, count=1000):
-    """It holds what is reached, and points tell the same."""
+    """Check `contains` for arrays, single points and reached tips."""
     holds_what_is_reached(region, arm, limits, rng)
     disagreements(region, arm, limits, count, rng)
 
@@ -51,7 +51,7 @@ def holds_what_is_reached(region, arm, limits, rng):
 
 def disagreements(region, arm, limits, count, rng):
     points, _ = around(region, count, rng)
-    points = points[region.distance(points) > FAR]
+    points = points[region.distance(points) > MARGIN]
     inside = region.contains(points)
     assert np.array_equal(reachable(arm.vector(), limits, points, rng, hopes=inside), inside)
 
@@ -69,7 +69,7 @@ def test_the_papers_workspace_by_hand():
     assert longest.sweep == pytest.approx(math.pi)
 
 
-def test_the_area_is_that_of_ever_finer_polygons():
+def test_polygons_converge_to_the_area():
     """The error of a polygon falls with the square of its spacing."""
     region = fixed_workspace(paper_arm())
     errors = [abs(polygon_area(region, spacing) - region.area) for spacing in (1e-2, 1e-3, 1e-4)]
@@ -78,14 +78,14 @@ def test_the_area_is_that_of_ever_finer_polygons():
 
 
 @pytest.mark.parametrize("count", [2_000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_membership_is_what_descent_finds(count):
+def test_contains_agrees_with_inverse_kinematics(count):
     arm = paper_arm()
     limits = joint_limits(arm)
     disagreements(fixed_workspace(arm), arm, limits, count, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("count", [10_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
-def test_the_area_is_that_of_a_monte_carlo(count):
+def test_the_area_agrees_with_a_monte_carlo(count):
     arm, rng = paper_arm(), np.random.default_rng(2)
     region, share = fixed_workspace(arm), 0
     points, box = around(region, count, rng)
@@ -108,7 +108,7 @@ def test_any_arm_and_any_limits(n, seed):
 
 @pytest.mark.parametrize("n", [2, 4])
 @pytest.mark.parametrize("degrees", [60.0, 90.0, 180.0])
-def test_like_links_whose_arcs_touch_and_coincide(n, degrees):
+def test_equal_links_whose_arcs_touch_and_coincide(n, degrees):
     link = replace(paper_arm().links[0], a=0.4)
     arm = replace(paper_arm(), links=(link,) * n)
     limits = np.radians([[-degrees, degrees]] * n)
@@ -134,7 +134,7 @@ def test_arcs_that_barely_touch():
     holds_what_is_reached(region, arm, np.array(limits), np.random.default_rng(0))
 
 
-def test_a_boundary_that_does_not_close_is_refused():
+def test_an_open_boundary_is_rejected():
     half = Arcs(*(np.array([x]) for x in (0j, 1.0, 0.0, math.pi, 0)), np.zeros((1, 1)))
     with pytest.raises(ValueError, match="boundary has a gap of 2 m, expected none"):
         enclose(half, lambda points: np.abs(points) < 1.0)
@@ -148,7 +148,7 @@ def test_two_links_without_limits_leave_a_hole():
     assert region.extent(complex(*arm.base.mount[:2])) == pytest.approx((0.2, 0.8))
 
 
-def test_limits_hold_for_the_encoder_unless_told_otherwise():
+def test_limits_hold_for_the_encoder_by_default():
     arm = paper_arm()
     by_encoder, by_angle = joint_limits(arm), joint_limits(arm, of_true_angle=True)
     assert by_encoder == pytest.approx(np.array([[-math.pi / 2, math.pi / 2]] * 4))
@@ -158,6 +158,6 @@ def test_limits_hold_for_the_encoder_unless_told_otherwise():
 
 
 @pytest.mark.parametrize("limits", [[[0.0, 1.0]], [[1.0, 0.0]] * 4, [[0.0, 0.0]] * 4])
-def test_limits_that_cannot_be_are_refused(limits):
+def test_invalid_limits_are_rejected(limits):
     with pytest.raises(ValueError, match=r"limits are .*, expected 4 pairs"):
         fixed_workspace(paper_arm(), np.array(limits))

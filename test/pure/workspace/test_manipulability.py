@@ -42,7 +42,7 @@ def pinocchio_jacobian(arm, q_m, kind):
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 @pytest.mark.parametrize("n", [2, 4, 7])
-def test_ellipsoids_are_those_of_pinocchios_jacobians(n, kind):
+def test_ellipsoids_agree_with_pinocchios_jacobians(n, kind):
     rng = np.random.default_rng(n)
     arm = random_arm(n, rng)
     for q in rng.uniform(-3.0, 3.0, (50, n)):
@@ -56,7 +56,7 @@ def test_ellipsoids_are_those_of_pinocchios_jacobians(n, kind):
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 @pytest.mark.parametrize("count", [5, pytest.param(1000, marks=pytest.mark.slow)])
-def test_the_best_posture_is_that_of_an_exhaustive_search(kind, count):
+def test_the_best_posture_agrees_with_an_exhaustive_search(kind, count):
     arm, rng = paper_arm(), np.random.default_rng(3)
     search, limits = Search(arm, kind), joint_limits(arm)
     x, y = rng.uniform(-1.7, 1.7, (2, 4 * count))
@@ -89,7 +89,7 @@ def test_other_numbers_of_links(n):
     assert (best.w > measure(arm, q, FLOATING) - 1e-6).all()
 
 
-def test_a_map_of_less_than_a_coarse_cell():
+def test_a_map_smaller_than_a_coarse_cell():
     link = replace(paper_arm().links[0], a=0.05, b=0.025, q_min=-0.3, q_max=0.3)
     arm = replace(paper_arm(), links=(link, link))
     assert Search(arm).tree.n < 9
@@ -101,7 +101,7 @@ def test_a_map_of_less_than_a_coarse_cell():
         manipulability_map(arm, cell=3.0)
 
 
-def test_threads_change_nothing():
+def test_threads_do_not_change_the_result():
     one, two = (Search(paper_arm(), spacing=0.2, workers=workers).coarse for workers in (1, 2))
     assert_allclose(one.q, two.q, rtol=0, atol=0)
 
@@ -113,7 +113,7 @@ def test_a_straight_arm_is_singular_on_a_fixed_base_but_not_on_a_floating_one():
     assert measure(arm, straight, FLOATING) > 0.005
 
 
-def test_a_straight_arm_in_line_with_the_bases_centre_of_mass_is_singular_on_both():
+def test_a_straight_arm_in_line_with_the_bases_center_of_mass_is_singular_on_both():
     arm = paper_arm()
     in_line = replace(arm, base=replace(arm.base, mount=(0.2, 0.0, 0.0)))
     straight = -np.array([link.theta_0 for link in arm.links])
@@ -122,7 +122,7 @@ def test_a_straight_arm_in_line_with_the_bases_centre_of_mass_is_singular_on_bot
 
 
 def test_a_dynamic_singularity_that_geometry_does_not_show():
-    """Between two postures where det(J*) of a two-link arm has unlike signs lies a zero of it."""
+    """det(J*) of a two-link arm is zero between two postures where its signs differ."""
     arm = replace(paper_arm(), links=paper_arm().links[:2])
 
     def det(q_2):

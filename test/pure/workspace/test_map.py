@@ -1,4 +1,4 @@
-"""The command `map`: figures, numbers and complaints."""
+"""The command `map`: figures, numbers and errors."""
 
 import struct
 from dataclasses import replace
@@ -15,14 +15,14 @@ from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibrati
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED
 from fss_arm_workspace.analysis import load_kernels
-from fss_arm_workspace.map import calibrated, main
+from fss_arm_workspace.map import load_arm, main
 from fss_arm_workspace.regions.fixed import fixed_workspace
 
 TOPIC = "/calibration/kinematic"
 
 
 @pytest.mark.slow
-def test_it_draws_three_figures_and_keeps_their_numbers(tmp_path, capsys):
+def test_figures_and_their_numbers_are_written(tmp_path, capsys):
     save(paper_arm(), tmp_path / "arm.yaml")
     folder = tmp_path / "out"
     assert main([str(tmp_path / "arm.yaml"), "--output", str(folder), "--cell", "0.1"]) == 0
@@ -41,7 +41,7 @@ def test_it_draws_three_figures_and_keeps_their_numbers(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_single_link_has_all_but_maps(tmp_path, capsys):
+def test_a_single_link_has_no_maps(tmp_path, capsys):
     save(replace(paper_arm(), links=paper_arm().links[:1]), tmp_path / "arm.yaml")
     assert main([str(tmp_path / "arm.yaml"), "--output", str(tmp_path)]) == 0
     assert sorted(path.stem for path in tmp_path.glob("*.png")) == ["figure_7", "figure_8"]
@@ -52,7 +52,7 @@ def test_a_single_link_has_all_but_maps(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("args", "complaint"),
+    ("args", "error"),
     [
         (["/no/such.yaml"], "No such file"),
         (["/no/such/bag"], "no such file or folder"),
@@ -63,10 +63,10 @@ def test_a_single_link_has_all_but_maps(tmp_path, capsys):
         (["--start", "100", "0", "0", "0"], "joint 1 starts at 1.74533 rad"),
     ],
 )
-def test_what_a_user_gets_wrong_ends_in_one_line(tmp_path, capsys, args, complaint):
+def test_user_errors_are_reported_in_one_line(tmp_path, capsys, args, error):
     assert main([*args, "--output", str(tmp_path)]) == 1
     said = capsys.readouterr().err
-    assert complaint in said
+    assert error in said
     assert said.count("\n") == 1
 
 
@@ -77,7 +77,7 @@ LINK = paper_arm().links[0]
     "links", [(LINK,), (LINK,) * 10, (replace(LINK, q_min=-1.0, q_max=-0.5),) * 3]
 )
 def test_kernels_are_loaded_for_any_arm(links):
-    """One of a single link, one that reaches beyond the table, one that cannot form an arch."""
+    """Arms with one link, with a tip beyond the table, and without room for an arch."""
     load_kernels(replace(paper_arm(), links=links))
 
 
@@ -91,7 +91,7 @@ def passed(kind, arm, names, deviation):
     )
 
 
-def test_a_calibration_that_passed_is_taken_with_its_covariance():
+def test_a_passed_calibration_is_used_with_its_covariance():
     arm = paper_arm()
     longer = arm.with_kinematics(arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]] * 1.01)
     known = Calibrated(arm)
@@ -107,7 +107,7 @@ def test_a_calibration_that_passed_is_taken_with_its_covariance():
     assert np.sqrt(known.covariance[8, 8]) == pytest.approx(1e-3)
 
 
-def test_a_later_kinematic_calibration_keeps_what_is_known_of_masses():
+def test_a_later_kinematic_calibration_keeps_the_masses():
     arm = paper_arm()
     kinematics = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
     heavy = from_yaml(to_yaml(arm).replace("inertia: 0.034", "inertia: 0.05"))
@@ -121,7 +121,7 @@ def test_a_later_kinematic_calibration_keeps_what_is_known_of_masses():
     assert np.sqrt(np.diag(known.covariance)[[8, 11]]) == pytest.approx([1e-3, 2e-3])
 
 
-def test_neither_order_of_two_latched_results_loses_anything():
+def test_the_order_of_two_latched_results_does_not_matter():
     """A dynamic calibration assumes the kinematics, unless it estimates them."""
     arm = paper_arm()
     kinematics = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
@@ -140,13 +140,13 @@ def test_neither_order_of_two_latched_results_loses_anything():
 
 
 def serialized(message):
-    """As a publisher does it: serialize_message leaves some bytes more at the end."""
+    """Return the bytes that a publisher sends; serialize_message appends some more."""
     message.homings = [0x51525354]
     data, last = serialize_message(message), struct.pack("<I", 0x51525354)
     return data[: data.rindex(last) + len(last)]
 
 
-def test_a_bag_tells_its_last_calibration_that_passed(tmp_path):
+def test_the_last_passed_calibration_of_a_bag_is_used(tmp_path):
     arm = paper_arm()
     kinematics = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
     arms = [arm.with_kinematics(kinematics * share) for share in (1.01, 1.02)]
@@ -158,15 +158,15 @@ def test_a_bag_tells_its_last_calibration_that_passed(tmp_path):
     ):
         bag.write(TOPIC, t, serialized(message))
     bag.close()
-    known = calibrated([str(bag.path)])
+    known = load_arm([str(bag.path)])
     assert known.arm == arms[1]
     assert np.sqrt(known.covariance[8, 8]) == pytest.approx(1e-3)
 
 
-def test_a_bag_without_a_calibration_is_refused(tmp_path):
+def test_a_bag_without_a_calibration_is_rejected(tmp_path):
     bag = Recording(tmp_path / "bag")
     bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
     bag.write(TOPIC, 1, serialized(KinematicCalibration(calibration=Calibration(verdict="fail"))))
     bag.close()
     with pytest.raises(BagError, match="no calibration that passed"):
-        calibrated([str(bag.path)])
+        load_arm([str(bag.path)])

@@ -1,4 +1,4 @@
-"""Straight paths keep their laws, end for a reason, and do not hang on the step."""
+"""Straight paths obey their constraints, end for a reason, and do not depend on the step."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ AROUND = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
 
 
 def random_starts(arm, count, rng):
-    """Postures within 0.6 of the limits, (count, 3 + n), the base at the origin."""
+    """Return postures within 0.6 of the limits, (count, 3 + n), with the base at the origin."""
     limits = 0.6 * joint_limits(arm)
     q = rng.uniform(limits[:, 0], limits[:, 1], (count, arm.n))
     return np.concatenate([np.zeros((count, 3)), q], axis=1)
@@ -45,7 +45,7 @@ def complex_tip(arm, q):
 
 
 def on_the_way(start, direction, lengths, rules):
-    """States on a path: where a table that ends after such lengths ends it."""
+    """Return states on a path, from paths on tables that end after these lengths."""
     ahead, tip = np.array([np.cos(direction), np.sin(direction)]), complex_tip(ARM, start)
     found = []
     for s in lengths:
@@ -65,7 +65,7 @@ def good_paths(rules):
 
 @pytest.mark.parametrize("base", BASES)
 @pytest.mark.parametrize("rule", RULES[:3])
-def test_the_tip_stays_on_its_line_and_the_base_where_its_law_puts_it(base, rule):
+def test_the_tip_stays_on_its_line_and_the_base_obeys_its_constraint(base, rule):
     start, rules = arch(ARM), Rules(base=base, redundancy=rule)
     limits, p = joint_limits(ARM), ARM.vector()
     paths = good_paths(rules)
@@ -85,8 +85,8 @@ def test_the_tip_stays_on_its_line_and_the_base_where_its_law_puts_it(base, rule
 
 @pytest.mark.parametrize("base", [FLOATING, ZERO_REACTION])
 @pytest.mark.parametrize("rule", RULES[:3])
-def test_the_motion_that_the_states_make_is_without_momentum(base, rule):
-    """By differences of 4th order, away from limits and singularities, where rates change fast."""
+def test_the_motion_has_no_momentum(base, rule):
+    """Rates are 4th-order differences, away from limits and singularities."""
     start, rules = arch(ARM), Rules(base=base, redundancy=rule)
     limits, h, seen = joint_limits(ARM), 1e-3, 0
     paths = good_paths(rules)
@@ -116,7 +116,7 @@ def test_half_the_step_gives_the_same_distances(base, rule):
     assert len(change) > 0.7 * len(AROUND)
 
 
-def test_every_direction_has_a_reason_that_its_last_state_shows():
+def test_the_reason_agrees_with_the_last_state():
     paths = straight_paths(ARM, arch(ARM), AROUND, Rules(base=FLOATING))
     limits = joint_limits(ARM)
     near = np.minimum(paths.last[:, 3:] - limits[:, 0], limits[:, 1] - paths.last[:, 3:]) < 1e-9
@@ -138,7 +138,7 @@ def test_the_table_ends_paths():
 
 
 @pytest.mark.parametrize("base", [FIXED, FLOATING])
-def test_no_path_leaves_what_can_be_reached_at_all(base):
+def test_no_path_leaves_the_reachable_workspace(base):
     paths = straight_paths(ARM, arch(ARM), AROUND, Rules(base=base))
     inner = paths.tip + 0.999 * (paths.ends - paths.tip)
     if base == FIXED:
@@ -177,7 +177,7 @@ def test_no_path_of_an_arm_without_redundancy_runs_past_a_singularity(n, base):
         ((0.0, 0.0, 0.0, 0.0), 1.93732, FIXED, WEIGHTED),
     ],
 )
-def test_a_sudden_singularity_is_met_where_small_steps_meet_it(q, direction, base, rule):
+def test_a_sudden_singularity_is_found_as_with_small_steps(q, direction, base, rule):
     start, rules = np.array([0.0, 0.0, 0.0, *q]), Rules(base=base, redundancy=rule)
     path = straight_paths(ARM, start, direction, rules)
     fine = straight_paths(ARM, start, direction, replace(rules, step=1e-4))
@@ -186,7 +186,7 @@ def test_a_sudden_singularity_is_met_where_small_steps_meet_it(q, direction, bas
     assert_allclose(complex_tip(ARM, path.last), path.ends, atol=1e-6)
 
 
-def test_the_weighted_rule_is_as_good_at_a_lower_limit_as_at_an_upper_one():
+def test_the_weighted_rule_treats_both_limits_alike():
     base = replace(ARM.base, mount=(0.2, 0.0, 0.0))
     arm = replace(ARM, base=base, links=tuple(replace(link, theta_0=0.0) for link in ARM.links))
     start = np.array([0.0, 0.0, 0.0, 0.5 * np.pi, -0.5, -0.5, -0.5])
@@ -222,7 +222,7 @@ def test_the_arch_of_a_long_arm_is_on_the_table(n):
     straight_paths(arm, arch(arm), 0.0)
 
 
-def test_the_boundary_is_true_between_its_directions():
+def test_the_boundary_is_accurate_between_its_directions():
     rules = Rules(base=FLOATING)
     paths = straight_workspace(ARM, arch(ARM), rules, count=90, tolerance=0.01)
     assert (np.diff(paths.direction) > 0.0).all()
@@ -236,7 +236,7 @@ def test_the_boundary_is_true_between_its_directions():
     assert paths.area == pytest.approx(finer.area, rel=0.01)
 
 
-def test_a_search_over_the_redundancy_goes_at_least_as_far():
+def test_optimal_paths_are_at_least_as_long():
     directions = AROUND[::18]
     rules = Rules(base=FLOATING, step=5e-3)
     found, preferred = optimal_paths(
@@ -253,13 +253,13 @@ def test_a_search_over_the_redundancy_goes_at_least_as_far():
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("base", BASES)
-def test_nothing_is_divided_by_zero_on_the_way(base):
+def test_nothing_is_divided_by_zero(base):
     for rule in (MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED):
         for arm in (ARM, replace(ARM, links=ARM.links[:1])):
             straight_paths(arm, arch(arm), AROUND, Rules(base=base, redundancy=rule))
 
 
-def test_a_free_base_shortens_paths_as_the_paper_says():
+def test_a_free_base_shortens_paths_as_in_the_paper():
     areas = [straight_workspace(ARM, arch(ARM), Rules(base=b), count=90).area for b in BASES]
     assert areas[0] > 4.0 * areas[1] > 8.0 * areas[2] > 0.0
 
@@ -276,7 +276,7 @@ def test_other_numbers_of_links(n):
 
 
 @pytest.mark.parametrize(
-    ("start", "rules", "complaint"),
+    ("start", "rules", "error"),
     [
         (np.zeros(6), {}, "expected 7 finite numbers"),
         (np.array([0, 0, 0, 2.0, 0, 0, 0]), {}, "joint 1 starts at 2 rad, expected -1.5708 to"),
@@ -285,6 +285,6 @@ def test_other_numbers_of_links(n):
         (arch(ARM), {"step": 0.0}, "step is 0.0 m, expected a positive number"),
     ],
 )
-def test_what_cannot_be_is_refused(start, rules, complaint):
-    with pytest.raises(ValueError, match=complaint):
+def test_invalid_arguments_are_rejected(start, rules, error):
+    with pytest.raises(ValueError, match=error):
         straight_paths(ARM, start, AROUND, Rules(**rules))

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from fss_arm_model.description import paper_arm
 from fss_arm_ros.calibrated import Calibrated, vector_covariance
-from fss_arm_workspace.analysis import AnalysisSettings, analyse
+from fss_arm_workspace.analysis import AnalysisSettings, analyze
 from fss_arm_workspace.manipulability.climb import climb
 from fss_arm_workspace.manipulability.measure import FIXED, FLOATING
 from fss_arm_workspace.manipulability.search import Search
@@ -31,15 +31,15 @@ def covariance(rng):
 
 
 def drawn(arm, C, rng, count):
-    """Arms whose kinematics are as uncertain as the covariance says."""
+    """Return arms with random kinematics, drawn from the covariance."""
     for x in rng.multivariate_normal(np.zeros(len(NAMES)), C, count):
         values = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
         yield arm.with_kinematics(values + x[[0, 0, 0, 1, 2, 3, 4, 5, 6, 7]])
 
 
 @pytest.mark.slow
-def test_deviations_of_boundary_and_measure_are_those_of_a_monte_carlo():
-    """200 draws: a standard deviation is found to 5 %, which the bounds hold 4 times over."""
+def test_deviations_agree_with_a_monte_carlo():
+    """200 draws give a standard deviation to 5 %; the bounds are 4 times as wide."""
     arm, rng = paper_arm(), np.random.default_rng(0)
     C = covariance(rng)
     wide = vector_covariance(arm, NAMES, C)
@@ -58,20 +58,20 @@ def test_deviations_of_boundary_and_measure_are_those_of_a_monte_carlo():
     assert_allclose(np.std(w, axis=0), expected, rtol=0.25)
 
 
-def test_limits_of_the_true_angle_leave_the_boundary_where_it_is():
-    """It does not depend on theta_0 then, and on all else as before."""
+def test_limits_of_the_true_angle_fix_the_boundary():
+    """The deviation then does not depend on theta_0, and on the other parameters as before."""
     arm = paper_arm()
     region = fixed_workspace(arm, joint_limits(arm, of_true_angle=True))
     offsets = vector_covariance(arm, ["theta_0_2", "theta_0_4"], np.diag([0.02**2] * 2))
     length = vector_covariance(arm, ["a_2"], [[1e-6]])
 
-    def known(C, of_true_angle):
+    def covariance_of(C, of_true_angle):
         lines = boundary_deviation(arm, region, C, of_true_angle=of_true_angle)
         return np.concatenate([deviation for _, deviation in lines])
 
-    assert known(offsets, False).max() > 5e-3
-    assert known(offsets, True).max() < 1e-9
-    assert_allclose(known(offsets + length, True), known(length, False), atol=1e-9)
+    assert covariance_of(offsets, False).max() > 5e-3
+    assert covariance_of(offsets, True).max() < 1e-9
+    assert_allclose(covariance_of(offsets + length, True), covariance_of(length, False), atol=1e-9)
 
 
 def test_deviation_of_the_radius_by_hand():
@@ -86,17 +86,17 @@ def test_deviation_of_the_radius_by_hand():
     assert radius_deviation(arm, heavier) == pytest.approx((high - low) / 2.0, rel=1e-3)
 
 
-def test_an_analysis_tells_how_well_the_largest_w_is_known():
-    """That of two links at right angles, w = a_1 a_2, which a_2 alone makes uncertain."""
+def test_an_analysis_gives_the_deviation_of_the_largest_w():
+    """Two links at right angles: w = a_1 a_2, where only a_2 is uncertain."""
     arm = replace(paper_arm(), links=paper_arm().links[:2])
     C = vector_covariance(arm, ["a_2", "theta_0_2"], np.diag([1e-6, 0.02**2]))
     settings = AnalysisSettings(cell=0.02, of_true_angle=True)
-    found = analyse(Calibrated(arm, C), settings)
-    w, spread = found.largest["fixed"]
+    found = analyze(Calibrated(arm, C), settings)
+    w, spread = found.largest_w["fixed"]
     assert w == pytest.approx(0.3825**2, rel=0.01) == np.nanmax(found.maps["fixed"].w)
     assert spread == pytest.approx(1e-3 * 0.3825, rel=0.05)
-    assert found.largest["floating"][1] > 0.0
-    assert max(deviation.max() for _, deviation in found.known) < 1.001e-3
+    assert found.largest_w["floating"][1] > 0.0
+    assert max(deviation.max() for _, deviation in found.boundary) < 1.001e-3
 
 
 def test_names_that_links_share():

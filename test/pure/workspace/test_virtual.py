@@ -15,7 +15,7 @@ from fss_arm_workspace.regions.virtual import VirtualManipulator, base_mass_for
 
 
 def from_com(arm, q):
-    """The tip seen from the system's centre of mass, the base not turned."""
+    """Return the tip relative to the system's center of mass, with the base not turned."""
     p, q = arm.vector(), np.concatenate([np.zeros((len(q), 3)), q], axis=1)
     tip = tip_pose(p, q)[:, :2] - system_com(p, q)
     return tip[:, 0] + 1j * tip[:, 1]
@@ -31,14 +31,14 @@ def test_the_papers_radius():
     assert (virtual.b[2], virtual.g[2]) == pytest.approx((b_2, g_2))
 
 
-def test_the_base_that_the_papers_1_3_m_would_take():
+def test_the_base_mass_for_the_papers_radius():
     assert base_mass_for(paper_arm(), 1.3) == pytest.approx(17.07, abs=0.01)
     with pytest.raises(ValueError, match=r"radius is 2\.0 m, expected between .* and 1\.689 m"):
         base_mass_for(paper_arm(), 2.0)
 
 
 @pytest.mark.parametrize("n", [1, 2, 4])
-def test_reach_is_that_of_brute_force(n):
+def test_reach_agrees_with_brute_force(n):
     rng = np.random.default_rng(n)
     arm = random_arm(n, rng)
     virtual = VirtualManipulator(arm)

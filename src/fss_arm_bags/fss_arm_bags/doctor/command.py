@@ -12,13 +12,13 @@ from rich.table import Table
 
 from fss_arm_bags.doctor.health import Stream, findings, remark, streams
 from fss_arm_bags.doctor.options import parser
-from fss_arm_bags.doctor.repair import mends, repair
-from fss_arm_bags.reader import Bags, find, open_bags
+from fss_arm_bags.doctor.repair import can_repair, repair
+from fss_arm_bags.reader import Bags, find_bags, open_bags
 from fss_arm_bags.recovery import Recovered
 from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import seconds
 
-HEALTHY, ILL = 0, 2
+HEALTHY, UNHEALTHY = 0, 2  # exit codes
 
 
 @in_one_line("doctor")
@@ -26,52 +26,53 @@ def main(args: Sequence[str] | None = None) -> int:
     """Entry point.
 
     Returns:
-        something is wrong with them.
-        something is wrong.
+        The exit code: 0 if all bags are healthy, 2 if a bag is damaged or has findings.
     """
     options = parser().parse_args(args)
     console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 120)
     healthy = [examine(path, options.repair, console) for path in options.bags]
-    return HEALTHY if all(healthy) else ILL
+    return HEALTHY if all(healthy) else UNHEALTHY
 
 
-def examine(path: Path, mend: bool, console: Console) -> bool:
+def examine(path: Path, with_repair: bool, console: Console) -> bool:
     """Print the contents and the problems of the bags of a path; repair them first on request."""
-    for bag in find(path) if mend else ():
+    for bag in find_bags(path) if with_repair else ():
         if recovered := repair(bag):
             console.print(f"repaired: {escape(str(recovered))}")
     with open_bags(path, thorough=True) as bags:
-        heard = streams(bags)
-        console.print(table(path, bags, heard))
-        wrong = [f"damaged: {one}; {remedy(one)}" for one in bags.recovered]
-        wrong += bags.left_out
-        if not bags.begins:
-            wrong.append(f"{path}: holds no messages")
+        by_topic = streams(bags)
+        console.print(table(path, bags, by_topic))
+        problems = [f"damaged: {one}; {remedy(one)}" for one in bags.recovered]
+        problems += bags.left_out
+        if not bags.starts:
+            problems.append(f"{path}: contains no messages")
         for bag in bags.unchecked:
-            said = f"{bag} has not all of it under checksums: not all damage to it can be seen"
-            console.print(escape(said))
+            note = f"{bag}: not all data have checksums, so some damage cannot be detected"
+            console.print(escape(note))
         for name, topic in bags.topics.items():
-            wrong += [f"{name}: {what}" for what in findings(topic, heard[name], bags.span[0])]
-            if said := remark(topic):
-                console.print(f"{name} {said}")
-    for line in wrong:
+            problems += [
+                f"{name}: {problem}" for problem in findings(topic, by_topic[name], bags.span[0])
+            ]
+            if note := remark(topic):
+                console.print(f"{name} {note}")
+    for line in problems:
         console.print(escape(line), style="red")
-    console.print("[red]not healthy[/]" if wrong else "[green]healthy[/]")
-    return not wrong
+    console.print("[red]not healthy[/]" if problems else "[green]healthy[/]")
+    return not problems
 
 
 def remedy(bag: Recovered) -> str:
-    """Return what the user can do about a damaged bag, in words."""
+    """Return the next step for a damaged bag, as text."""
     if not bag.messages:
-        return "nothing of it can be saved"
-    return f"{'doctor --repair' if mends(bag.path) else 'ros2 bag reindex'} makes it whole"
+        return "nothing can be recovered"
+    return f"repair it with {'doctor --repair' if can_repair(bag.path) else 'ros2 bag reindex'}"
 
 
-def table(path: Path, bags: Bags, heard: dict[str, Stream]) -> Table:
+def table(path: Path, bags: Bags, by_topic: dict[str, Stream]) -> Table:
     """Return a table of the topics: types, counts, rates and longest gaps."""
-    begin, end = bags.span
+    start, end = bags.span
     count = sum(topic.messages for topic in bags.topics.values())
-    span = f"{seconds(end - begin):.3f} s" if count else "empty"
+    span = f"{seconds(end - start):.3f} s" if count else "empty"
     several = f" in {len(bags.paths)} bags" if len(bags.paths) > 1 else ""
     rows = Table(
         title=escape(f"{path}: {count} messages, {span}{several}"),
@@ -83,7 +84,7 @@ def table(path: Path, bags: Bags, heard: dict[str, Stream]) -> Table:
     for heading in ("messages", "rate [Hz]", "longest gap [s]"):
         rows.add_column(escape(heading), justify="right")
     for name, topic in bags.topics.items():
-        rate, gap = heard[name].rate, heard[name].longest_gap
+        rate, gap = by_topic[name].rate, by_topic[name].longest_gap
         numbers = ("-" if isnan(rate) else f"{rate:.2f}", "-" if isnan(gap) else f"{gap:.3f}")
         rows.add_row(name, topic.msgtype.replace("/msg/", "/"), str(topic.messages), *numbers)
     return rows

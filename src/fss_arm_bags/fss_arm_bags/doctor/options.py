@@ -10,16 +10,20 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = Parser(
         prog="doctor",
-        description=f"{__doc__} Exit code 0: healthy, or repaired to be so; 1: not readable; "
+        description=f"{__doc__} Exit code 0: healthy, perhaps after the repair; 1: not readable; "
         "2: damaged, or with findings.",
     )
     p.add_argument(
-        "bags", metavar="BAG", nargs="+", type=Path, help="a bag, or a folder of bags, taken as one"
+        "bags",
+        metavar="BAG",
+        nargs="+",
+        type=Path,
+        help="a bag, or a folder of bags that is read as one",
     )
     p.add_argument(
         "--repair",
         action="store_true",
         help="replace damaged bags by what can be recovered (not while they are recorded); "
-        "the damaged files are kept as *.damaged",
+        "the damaged files are renamed to *.damaged",
     )
     return p

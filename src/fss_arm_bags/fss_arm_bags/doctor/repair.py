@@ -10,7 +10,7 @@ from fss_arm_bags.layout import storage_files
 from fss_arm_bags.recovery import BagError, Recovered, recover
 
 
-def mends(path: Path) -> bool:
+def can_repair(path: Path) -> bool:
     """Return True if a damaged bag is of a kind that can be repaired."""
     return all(file.suffix == ".mcap" for file in storage_files(path))
 
@@ -24,7 +24,7 @@ def repair(path: Path) -> Recovered | None:
         BagError: nothing can be recovered, or the bag is being recorded.
         OSError: the result cannot be written.
     """
-    if not mends(path):
+    if not can_repair(path):
         return None
     found = inspect(path, thorough=True)
     damage = found.damage or found.metadata
@@ -32,16 +32,17 @@ def repair(path: Path) -> Recovered | None:
         return None
     files = found.files
     first, *others = files
-    if any(map(_locked, files)):
+    if any(map(_is_locked, files)):
         raise BagError(f"{path}: is being recorded; stop the recorder first")
     with TemporaryDirectory(dir=first.parent, prefix=".repair_") as folder:
         copy = Path(folder, first.stem)  # its file has the name of the first one and replaces it
         recovered = recover(path, copy, damage)
         metadata = path / "metadata.yaml"
-        if metadata.exists() and not _kept(first).exists():  # exists after an interrupted repair
-            _keep(metadata)
+        repeated = _damaged_path(first).exists()  # an earlier repair was interrupted
+        if metadata.exists() and not repeated:
+            _keep_damaged(metadata)
         for file in files:
-            _keep(file)
+            _keep_damaged(file)
         if path.is_dir():  # metadata.yaml first: until the file follows, the bag shows its damage
             (copy / "metadata.yaml").replace(metadata)
         (copy / first.name).replace(first)
@@ -50,7 +51,7 @@ def repair(path: Path) -> Recovered | None:
     return recovered
 
 
-def _locked(file: Path) -> bool:
+def _is_locked(file: Path) -> bool:
     """Return True if a recorder has the file open."""
     with file.open("rb") as stream:
         try:
@@ -62,9 +63,9 @@ def _locked(file: Path) -> bool:
     return False
 
 
-def _keep(file: Path) -> None:
+def _keep_damaged(file: Path) -> None:
     """Keep a damaged file under another name, next to the file that replaces it."""
-    kept = _kept(file)
+    kept = _damaged_path(file)
     try:
         link(file, kept)
     except FileExistsError:
@@ -74,6 +75,6 @@ def _keep(file: Path) -> None:
         file.rename(kept)
 
 
-def _kept(file: Path) -> Path:
+def _damaged_path(file: Path) -> Path:
     """Return the path under which a damaged file is kept."""
     return file.with_name(f"{file.name}.damaged")

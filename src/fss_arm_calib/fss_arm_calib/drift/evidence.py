@@ -12,7 +12,7 @@ from fss_arm_calib.estimation.least_squares import Floats, Linear, eliminate
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model import layout
 from fss_arm_model.description import Arm
-from fss_arm_model.drifting import drift, whole, whole_sensitivities
+from fss_arm_model.drifting import drift, single_body, single_body_sensitivities
 
 OWN = 6  # unknowns of each drift: pose and twist at its start
 
@@ -47,7 +47,7 @@ class DriftEvidence:
         """
         size = layout.size(self.n)
         p, acting, q = z[:size], z[size:], np.array([one.q for one in self.drifts])
-        bodies, by_arm = whole(p, q), whole_sensitivities(p, q)
+        bodies, by_arm = single_body(p, q), single_body_sensitivities(p, q)
         count = len(_STEPS)
         few = np.empty((len(q), count + 1, count + 1))
         steps = _STEPS * np.vstack([np.zeros((1, count)), np.eye(count), -np.eye(count)])

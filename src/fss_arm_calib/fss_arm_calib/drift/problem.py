@@ -48,7 +48,7 @@ class Body(NamedTuple):
 
 def rigid_body(arm: Arm, q: Sequence[float]) -> Body:
     """Return the rigid body of base and arm at joint readings q."""
-    mass, inertia, *com = drifting.whole(arm.vector(), q)
+    mass, inertia, *com = drifting.single_body(arm.vector(), q)
     return Body(mass, inertia, complex(*com))
 
 

@@ -22,7 +22,7 @@ from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.poses import independent
 from fss_arm_model.description import Arm
-from fss_arm_model.drifting import whole, whole_sensitivities
+from fss_arm_model.drifting import single_body, single_body_sensitivities
 from fss_arm_model.parameters import parameter_names, to_vector
 
 
@@ -52,11 +52,11 @@ def uncertainty(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[fl
     names, told = parameter_names(arm.n), set(arm.known.names)
     if not drifts or not told.issuperset(names):
         return s.com_deviation, s.mass_deviation
-    C = arm.known.over(names, np.zeros(len(names)))
+    C = arm.known.covariance_of(names, np.zeros(len(names)))
     p, q = arm.vector(), np.array([one.q for one in drifts])
-    J = whole_sensitivities(p, q) @ to_vector(arm.n)
+    J = single_body_sensitivities(p, q) @ to_vector(arm.n)
     sigma = np.sqrt(np.einsum("kij,jl,kil->ki", J, C, J))
-    relative = sigma[:, :2] / whole(p, q)[:, :2]
+    relative = sigma[:, :2] / single_body(p, q)[:, :2]
     return float(sigma[:, 2:].max()), float(relative.max())
 
 

@@ -100,7 +100,7 @@ class Knowledge(Settings):
         sigma, which = self.deviations(arm.n), slice(4, 2 * arm.n + 6)
         which = slice(None) if self.told else which
         C = np.diag(sigma**2)
-        C[which, which] = arm.known.over(parameter_names(arm.n)[which], sigma[which])
+        C[which, which] = arm.known.covariance_of(parameter_names(arm.n)[which], sigma[which])
         return C
 
     def believed(self, arm: Arm, words: str) -> npt.NDArray[np.intp]:

@@ -91,7 +91,7 @@ class DynamicResult:
         J = np.concatenate([basis, np.eye(len(every))[:, self.assumed]], axis=1)
         uncertain = np.flatnonzero(J.any(axis=1))
         C = (J @ C @ J.T)[np.ix_(uncertain, uncertain)]
-        return self.problem.arm.known.told([every[k] for k in uncertain], C)
+        return self.problem.arm.known.updated([every[k] for k in uncertain], C)
 
     @cached_property
     def undetermined(self) -> Mask:

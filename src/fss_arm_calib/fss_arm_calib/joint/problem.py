@@ -314,7 +314,8 @@ class JointResult:
         problem, size = self.problem, 5 * self.problem.arm.n + 6
         arm = with_values(problem.arm, self.values[:size])
         theta_E = float(self.values[-1]) if problem.theta_e else arm.theta_E
-        return replace(arm, theta_E=theta_E, known=arm.known.told(problem.names, self.covariance))
+        known = arm.known.updated(problem.names, self.covariance)
+        return replace(arm, theta_E=theta_E, known=known)
 
 
 def solve(

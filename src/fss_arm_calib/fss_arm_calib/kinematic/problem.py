@@ -224,7 +224,7 @@ class KinematicProblem:
     @cached_property
     def assumed(self) -> Floats:
         """Covariance (2n+3, 2n+3) of parameters not estimated, from the description; else 0."""
-        C = self.arm.known.over(self.all_names, np.zeros(len(self.all_names)))
+        C = self.arm.known.covariance_of(self.all_names, np.zeros(len(self.all_names)))
         estimated = self.basis.any(axis=1)
         C[estimated] = C[:, estimated] = 0.0
         return C

@@ -120,7 +120,7 @@ class KinematicResult:
         cross = problem.basis @ problem.influence(self.values, self.weighted) @ problem.assumed
         C = problem.basis @ self.covariance @ problem.basis.T + problem.assumed - cross - cross.T
         uncertain = np.flatnonzero(np.diag(C) > 0.0)
-        known = arm.known.told(
+        known = arm.known.updated(
             [problem.all_names[k] for k in uncertain], C[np.ix_(uncertain, uncertain)]
         )
         return replace(arm.with_kinematics(values), theta_E=theta_E, known=known)

@@ -4,7 +4,7 @@ A path is checked continuously, not at samples (sweep.py). A stream of commands 
 path that results if no other command follows: the command's motion, then the drives' braking.
 
 A gap that starts below its margin must not shrink: until it reaches its margin, it may fall below
-its largest value on the path by at most sweep.RELIEF.
+its largest value on the path by at most sweep.ALLOWED_DECREASE.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from fss_arm_model.guard.sweep import contacts, sweep
 from fss_arm_model.kernels import Floats
 
 SELF, EDGE, TARGET = "self", "edge", "target"
-BRIEF = 1e-6  # knots nearer to each other are one [s]
+MIN_KNOT_SPACING = 1e-6  # closer knots are merged [s]
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ class Guard:
     ) -> Clear:
         """Check that a posture (n) [rad] keeps all margins."""
         guards = self.guards(base, target)
-        pairs, q = self._pairs[guards], self._numbers("q", q)
-        pose = self._numbers("base", (0.0, 0.0, 0.0) if base is None else base, 3)
+        pairs, q = self._pairs[guards], self._checked_array("q", q)
+        pose = self._checked_array("base", (0.0, 0.0, 0.0) if base is None else base, 3)
         at = self._target(guards, target)[:2]
         found = gaps(self._p, np.concatenate([pose, q]), pairs[:, :2], self._sizes, at)
         if not len(pairs):
@@ -130,7 +130,7 @@ class Guard:
         least = int(np.argmin(found - pairs[:, 2]))
         if found[least] < pairs[least, 2]:
             raise self._error(guards, pairs[least], float(found[least]), 0.0, q)
-        return Clear(guards, self._names(pairs[least]), float(found[least]), 0.0)
+        return Clear(guards, self._body_names(pairs[least]), float(found[least]), 0.0)
 
     def check_path(
         self,
@@ -156,12 +156,12 @@ class Guard:
         if times.ndim != 1 or times.size < 2 or not (np.diff(times) > 0.0).all():
             raise ValueError(f"times are {times} s, expected two or more, ascending")
         shape = (times.size, self.arm.n)
-        q, qd = self._numbers("q", q, *shape), self._numbers("qd", qd, *shape)
+        q, qd = self._checked_array("q", q, *shape), self._checked_array("qd", qd, *shape)
         guards = self.guards(base, target)
         state = np.full(6, np.nan)
         if base is not None:
-            state[:3] = self._numbers("base", base, 3)
-            state[3:] = np.nan if twist is None else self._numbers("twist", twist, 3)
+            state[:3] = self._checked_array("base", base, 3)
+            state[3:] = np.nan if twist is None else self._checked_array("twist", twist, 3)
         pairs, goal = self._pairs[guards], self._target(guards, target)
         contact, time, distance, which, where = sweep(
             self._p, state, times, q, qd, pairs, self._sizes, goal
@@ -170,7 +170,7 @@ class Guard:
             raise self._error(guards, pairs[which], distance, time, where)
         if which < 0:
             return Clear(guards, (), inf, time)
-        return Clear(guards, self._names(pairs[which]), distance, time)
+        return Clear(guards, self._body_names(pairs[which]), distance, time)
 
     def clear(
         self, times: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike, base: npt.ArrayLike
@@ -187,8 +187,8 @@ class Guard:
         if times.shape[-1] < 2 or not (np.diff(times) > 0.0).all():
             raise ValueError(f"times are {times} s, expected two or more, ascending")
         shape, pairs = (*times.shape, self.arm.n), self._pairs[self.guards(base)]
-        q, qd = self._numbers("q", q, *shape), self._numbers("qd", qd, *shape)
-        state = [*self._numbers("base", base, 3), np.nan, np.nan, np.nan]
+        q, qd = self._checked_array("q", q, *shape), self._checked_array("qd", qd, *shape)
+        state = [*self._checked_array("base", base, 3), np.nan, np.nan, np.nan]
         return ~contacts(self._p, state, times, q, qd, pairs, self._sizes, np.zeros(4))
 
     def check_command(
@@ -226,16 +226,16 @@ class Guard:
             twist: see the class.
             target: see the class.
         """
-        q, qd = self._numbers("q", q), self._numbers("qd", qd)
-        a = self._numbers("max_acceleration", self._or(max_acceleration, self._gains))
+        q, qd = self._checked_array("q", q), self._checked_array("qd", qd)
+        a = self._checked_array("max_acceleration", self._or_default(max_acceleration, self._gains))
         if not (a > 0.0).all():
             raise ValueError(f"max_acceleration is {a.tolist()} rad/s^2, expected more than 0")
         none = np.full(self.arm.n, np.nan)
-        wanted = np.asarray(self._or(velocity, none), dtype=float)
-        wanted = self._numbers("velocity", np.where(np.isnan(wanted), qd, wanted))
-        goal = np.asarray(self._or(position, none), dtype=float)
-        way = self._numbers("position", np.where(np.isnan(goal), q, goal)) - q
-        top = self._numbers("max_velocity", self._or(max_velocity, self._speeds))
+        wanted = np.asarray(self._or_default(velocity, none), dtype=float)
+        wanted = self._checked_array("velocity", np.where(np.isnan(wanted), qd, wanted))
+        goal = np.asarray(self._or_default(position, none), dtype=float)
+        way = self._checked_array("position", np.where(np.isnan(goal), q, goal)) - q
+        top = self._checked_array("max_velocity", self._or_default(max_velocity, self._speeds))
         turned = turning(qd, wanted, a, self.settings.braking * a, horizon)
         gone = trapezoids(way, qd, top, a)
         lasts, gains = (np.where(np.isnan(goal), *both) for both in zip(turned, gone, strict=True))
@@ -255,19 +255,19 @@ class Guard:
         The arm brakes from qd (n), at rest by default, and then holds its posture. The result is
         infinite above `longest` [s], and 0 if a body is within the margin and comes nearer.
         """
-        q = self._numbers("q", q)
-        qd = self._numbers("qd", self._or(qd, np.zeros(self.arm.n)))
+        q = self._checked_array("q", q)
+        qd = self._checked_array("qd", self._or_default(qd, np.zeros(self.arm.n)))
         times, q, qd = moved(q, qd, turning(qd, qd, self._brakes, self._brakes, 0.0), longest)
-        state = [*self._numbers("base", base, 3), *self._numbers("twist", twist, 3)]
+        state = [*self._checked_array("base", base, 3), *self._checked_array("twist", twist, 3)]
         pairs = self._pairs[SELF, EDGE][len(self._pairs[SELF,]) :]
         contact, time, *_ = sweep(self._p, state, times, q, qd, pairs, self._sizes, np.zeros(4))
         return time if contact else inf
 
     def braking(self, qd: npt.ArrayLike) -> float:
         """Return the longest time that the drives need to stop from rates (n) [s]."""
-        return float((np.abs(self._numbers("qd", qd)) / self._brakes).max())
+        return float((np.abs(self._checked_array("qd", qd)) / self._brakes).max())
 
-    def _numbers(self, name: str, given: npt.ArrayLike, *shape: int) -> Floats:
+    def _checked_array(self, name: str, given: npt.ArrayLike, *shape: int) -> Floats:
         """Return a finite array, (n) by default; raise ValueError if it has another shape."""
         array = np.asarray(given, dtype=float)
         shape = shape or (self.arm.n,)
@@ -278,7 +278,7 @@ class Guard:
         return array
 
     @staticmethod
-    def _or(given: npt.ArrayLike | None, default: Floats) -> npt.ArrayLike:
+    def _or_default(given: npt.ArrayLike | None, default: Floats) -> npt.ArrayLike:
         return default if given is None else given
 
     def _target(self, guards: tuple[str, ...], target: npt.ArrayLike | None) -> Floats:
@@ -287,16 +287,16 @@ class Guard:
             return np.zeros(4)
         rows = np.asarray(target, dtype=float).reshape(-1, 3)
         rows = np.concatenate([rows, np.zeros((2, 3))])[:2] if len(rows) == 1 else rows
-        return self._numbers("target", rows, 2, 3)[:, :2].ravel()
+        return self._checked_array("target", rows, 2, 3)[:, :2].ravel()
 
-    def _names(self, pair: Floats) -> tuple[str, ...]:
+    def _body_names(self, pair: Floats) -> tuple[str, ...]:
         return tuple(body_name(int(body), self.arm.n) for body in pair[1::-1])
 
     def _error(
         self, guards: tuple[str, ...], pair: Floats, distance: float, time: float, q: Floats
     ) -> GuardError:
         return GuardError(
-            self._names(pair), distance, float(pair[2]), time, tuple(q.tolist()), guards
+            self._body_names(pair), distance, float(pair[2]), time, tuple(q.tolist()), guards
         )
 
 
@@ -340,10 +340,10 @@ def moved(
     """
     lasts, a = phases
     ends = np.cumsum(lasts, axis=0)
-    times = np.minimum(np.sort(np.append(ends, max(least, BRIEF))), most)
-    times = np.concatenate([[0.0], times[np.diff(times, prepend=0.0) > BRIEF]])
+    times = np.minimum(np.sort(np.append(ends, max(least, MIN_KNOT_SPACING))), most)
+    times = np.concatenate([[0.0], times[np.diff(times, prepend=0.0) > MIN_KNOT_SPACING]])
     if times.size == 1:
-        times = np.array([0.0, 2.0 * BRIEF])
+        times = np.array([0.0, 2.0 * MIN_KNOT_SPACING])
     spent = np.clip(times[:, None, None] - (ends - lasts), 0.0, lasts)  # (k, phases, n)
     gained = a * spent
     begin = qd + np.cumsum(a * lasts, axis=0) - a * lasts  # rates at the starts of phases

@@ -32,13 +32,15 @@ from fss_arm_model.kernels import Floats, helper, kernel
 from fss_arm_model.kinematics import _moment
 from fss_arm_model.layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
 
-RELIEF = 0.001  # allowed decrease of a gap below its margin, from its largest value on the path [m]
-SAME = 1e-6  # allowed decrease of such a gap from the start to the end [m]
-SHORTEST = 2e-5  # shortest step; if it cannot exclude a contact, this counts as one [s]
-TURN = 0.2  # largest turn of a body against the base in a window [rad]
+ALLOWED_DECREASE = (
+    0.001  # allowed decrease of a gap below its margin, from its largest value on the path [m]
+)
+END_TOLERANCE = 1e-6  # allowed decrease of such a gap from the start to the end [m]
+MIN_STEP = 2e-5  # shortest step; if it cannot exclude a contact, this counts as one [s]
+MAX_TURN = 0.2  # largest turn of a body against the base in a window [rad]
 TINY = 1e-300  # replaces 0 in a quotient
-LOOK = 0.005  # step for gaps below their margin [s]
-EPOCH = 0.4  # longest time until distant pairs are checked again [s]
+CHECK_STEP = 0.005  # step for gaps below their margin [s]
+MAX_EPOCH = 0.4  # longest time until distant pairs are checked again [s]
 
 
 @helper
@@ -67,7 +69,7 @@ def _accelerations(times, q, qd, k, alpha):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _arrange(bodies, angle, rate, turned, w, N):  # type: ignore[no-untyped-def]
+def _turn_bodies(bodies, angle, rate, turned, w, N):  # type: ignore[no-untyped-def]
     """Turn the bodies in the base frame; write their rates and n_k. Return I and sum n_k w_k."""
     p, m = bodies.p, w.size
     heading, w[0] = 0.0, 0.0
@@ -93,7 +95,7 @@ def _arrange(bodies, angle, rate, turned, w, N):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _locate(bodies, turned, com, heading, r):  # type: ignore[no-untyped-def]
+def _positions(bodies, turned, com, heading, r):  # type: ignore[no-untyped-def]
     """Write base, joints and tip in the world; return the base's position relative to `com`."""
     turn = complex(math.cos(heading), math.sin(heading))
     at = 0j
@@ -150,7 +152,7 @@ def _world_speeds(motion, h, inertia, moment, L, Psi, U):  # type: ignore[no-unt
 
 
 @helper
-def _closing(i, j, h, motion, U):  # type: ignore[no-untyped-def]
+def _closing_speed(i, j, h, motion, U):  # type: ignore[no-untyped-def]
     """Return a bound on the approach speed of two bodies in a window of length h."""
     w, alpha = motion.w, motion.alpha
     n = w.size - 1
@@ -167,19 +169,19 @@ def _closing(i, j, h, motion, U):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _widest(motion, h):  # type: ignore[no-untyped-def]
-    """Return the window, at most h long, in which no body turns by more than about TURN."""
+def _turn_window(motion, h):  # type: ignore[no-untyped-def]
+    """Return the window, at most h long, in which no body turns by more than about MAX_TURN."""
     fastest = most = TINY
     for k in range(1, motion.w.size):
         fastest, most = max(fastest, abs(motion.w[k])), max(most, motion.alpha[k])
-    return min(h, TURN / fastest, math.sqrt(TURN / most))
+    return min(h, MAX_TURN / fastest, math.sqrt(MAX_TURN / most))
 
 
 @helper
 def _safe_step(h, near, pairs, best, limit, motion, floats, inertia, moment, L, Psi, U):  # type: ignore[no-untyped-def]
     """Return a safe step in a window of length h, and the pair that limits it, or -1.
 
-    A shorter window has lower bounds on speeds. A gap below its margin is checked every LOOK.
+    A shorter window has lower bounds on speeds. A gap below its margin is checked every CHECK_STEP.
     """
     step, first = h, -1
     for _ in range(4):
@@ -187,16 +189,16 @@ def _safe_step(h, near, pairs, best, limit, motion, floats, inertia, moment, L, 
             _world_speeds(motion, h, inertia, moment, L, Psi, U)
         step, first = h, -1
         for k in near:
-            V = _closing(int(pairs[k, 0]), int(pairs[k, 1]), h, motion, U)
+            V = _closing_speed(int(pairs[k, 0]), int(pairs[k, 1]), h, motion, U)
             if limit[k] < V * step:
                 holds = limit[k] / max(V, TINY)
                 if best[k] < pairs[k, 2]:
-                    step = min(step, max(holds, LOOK))
+                    step = min(step, max(holds, CHECK_STEP))
                 else:
                     step, first = holds, k
         if step >= 0.5 * h:
             break
-        h = min(h, max(2.0 * step, SHORTEST))
+        h = min(h, max(2.0 * step, MIN_STEP))
     return step, first
 
 
@@ -221,11 +223,11 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
 
     _cubic(times, q, qd, 0, times[0], angle, rate)
     _accelerations(times, q, qd, 0, alpha)
-    inertia, moment = _arrange(bodies, angle, rate, turned, w, N)
+    inertia, moment = _turn_bodies(bodies, angle, rate, turned, w, N)
     heading, com, velocity, L = 0.0, 0j, 0j, 0.0
     if floats:
         heading = base[2]
-        com = complex(base[0], base[1]) - _locate(bodies, turned, 0j, heading, r)
+        com = complex(base[0], base[1]) - _positions(bodies, turned, 0j, heading, r)
         if not math.isnan(base[3]):
             turn = complex(math.cos(heading), math.sin(heading))
             L, velocity = inertia * base[5] + moment, complex(base[3], base[4])
@@ -238,11 +240,11 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
     best[:] = -np.inf
     found[0], found[1], found[2], found[3] = 0.0, t, np.inf, -1.0
     while True:
-        _locate(bodies, turned, com + velocity * (t - times[0]), heading, r)
+        _positions(bodies, turned, com + velocity * (t - times[0]), heading, r)
         now = at + chase * (t - times[0])
         ended = segment + 1 >= knots
         rest = 0.0 if ended else times[segment + 1] - t
-        step = min(rest, max(LOOK, (times[knots - 1] - found[1]) / 500.0))
+        step = min(rest, max(CHECK_STEP, (times[knots - 1] - found[1]) / 500.0))
         if contact:  # continue, to find the least distance
             k = int(found[3])
             gap = _gap(int(pairs[k, 0]), int(pairs[k, 1]), r, now, sizes)
@@ -252,10 +254,10 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
         else:
             all_due = ended or t >= epoch
             if all_due:
-                epoch = t + min(rest, EPOCH)
+                epoch = t + min(rest, MAX_EPOCH)
                 if floats:
                     _world_speeds(motion, epoch - t, inertia, moment, L, Psi, U)
-            h = _widest(motion, min(epoch - t, window))
+            h = _turn_window(motion, min(epoch - t, window))
             active, first = 0, -1
             for k in range(pairs.shape[0]):
                 if not all_due and due[k] > t + h:
@@ -272,23 +274,23 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
                 if best[k] >= margin:
                     limit[k] = max(gap - margin, 0.0)
                 else:
-                    limit[k] = gap - best[k] + RELIEF
-                    if limit[k] < 0.0 or (ended and gap < start[k] - SAME):
+                    limit[k] = gap - best[k] + ALLOWED_DECREASE
+                    if limit[k] < 0.0 or (ended and gap < start[k] - END_TOLERANCE):
                         first = k
                 if all_due:
-                    top[k] = _closing(a, b, epoch - t, motion, U)
+                    top[k] = _closing_speed(a, b, epoch - t, motion, U)
                 due[k] = t + limit[k] / max(top[k], TINY)
                 if due[k] <= t + h:
                     near[active] = k
                     active += 1
-            refused, step = first >= 0, h
-            if not refused and not ended:
+            is_rejected, step = first >= 0, h
+            if not is_rejected and not ended:
                 step, first = _safe_step(
                     h, near[:active], pairs, best, limit, motion, floats, inertia, moment, L, Psi, U
                 )  # fmt: skip
-                refused = first >= 0 and step < min(SHORTEST, rest)
-                window = 4.0 * (max(step, SHORTEST) if step < h else window)
-            if refused:
+                is_rejected = first >= 0 and step < min(MIN_STEP, rest)
+                window = 4.0 * (max(step, MIN_STEP) if step < h else window)
+            if is_rejected:
                 contact = True
                 found[0], found[1], found[2], found[3] = 1.0, t, np.inf, first
                 continue
@@ -298,10 +300,10 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
         spin = (L - moment) / inertia
         if floats:
             _cubic(times, q, qd, segment, 0.5 * (t + until), angle, rate)
-            inertia, moment = _arrange(bodies, angle, rate, turned, w, N)
+            inertia, moment = _turn_bodies(bodies, angle, rate, turned, w, N)
             spin += 4.0 * (L - moment) / inertia
         _cubic(times, q, qd, segment, until, angle, rate)
-        inertia, moment = _arrange(bodies, angle, rate, turned, w, N)
+        inertia, moment = _turn_bodies(bodies, angle, rate, turned, w, N)
         if floats:
             spin += (L - moment) / inertia
             heading += (until - t) / 6.0 * spin

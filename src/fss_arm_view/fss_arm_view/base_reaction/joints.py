@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from fss_arm_model.joint_path import Law, Path, path, sampled
 
-SPARE = 64  # readings kept beyond those requested, so that lists are rarely shortened
+MAX_OLD_READINGS = 64  # kept beyond those requested, so that lists are rarely shortened
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,17 +33,17 @@ class Joint:
         self.effort.append(effort)
         return True
 
-    def last(self, t: int) -> int:
+    def last_index(self, t: int) -> int:
         """Return the index of the last reading at or before t [ns]; 0 if there is none."""
         return max(bisect_right(self.t, t) - 1, 0)
 
-    def forget(self, until: int) -> None:
-        """Drop readings older than the last one at or before `until` [ns], if they are many."""
-        if (k := self.last(until)) > SPARE:
+    def drop_before(self, t: int) -> None:
+        """Drop readings older than the last one at or before `t` [ns], if they are many."""
+        if (k := self.last_index(t)) > MAX_OLD_READINGS:
             for series in (self.t, self.q, self.qd, self.effort):
                 del series[:k]
 
-    def moves(self, t: int, threshold: float) -> bool:
+    def is_moving(self, t: int, threshold: float) -> bool:
         """Return True if a reading next to t [ns] is faster than `threshold` [rad/s]."""
         k = bisect_right(self.t, t)
         return any(abs(qd) > threshold for qd in self.qd[max(k - 1, 0) : k + 1])
@@ -60,18 +60,18 @@ class JointMotion(NamedTuple):
         """Return angles and rates at times [ns], (m, n) each."""
         return self.law((np.array(times) - self.origin) * 1e-9)
 
-    def path(self, begin: int, end: int) -> Path:
+    def path(self, start: int, end: int) -> Path:
         """Return the path between two times [ns], for quadrature."""
-        marks = [(begin - self.origin) * 1e-9, (end - self.origin) * 1e-9]
+        marks = [(start - self.origin) * 1e-9, (end - self.origin) * 1e-9]
         return path(self.law, self.edges, marks)
 
 
-def joint_motion(joints: Sequence[Joint], begin: int, before: int) -> JointMotion:
-    """Return the motion from the time `begin` [ns] minus `before` [ns] to the last readings."""
-    parts = [slice(joint.last(begin - before), None) for joint in joints]
+def joint_motion(joints: Sequence[Joint], start: int, margin: int) -> JointMotion:
+    """Return the motion from the time `start` [ns] minus `margin` [ns] to the last readings."""
+    parts = [slice(joint.last_index(start - margin), None) for joint in joints]
     law, edges = sampled(
-        [(np.array(j.t[k]) - begin) * 1e-9 for j, k in zip(joints, parts, strict=True)],
+        [(np.array(j.t[k]) - start) * 1e-9 for j, k in zip(joints, parts, strict=True)],
         [np.array(j.q[k]) for j, k in zip(joints, parts, strict=True)],
         [np.array(j.qd[k]) for j, k in zip(joints, parts, strict=True)],
     )
-    return JointMotion(begin, law, edges)
+    return JointMotion(start, law, edges)

@@ -52,7 +52,9 @@ def fit_drift(
     pose = line - [lever.real, lever.imag, 0.0]
     state = np.concatenate([pose, q])
     # Filtered poses are smoother than the filter's input; the input's errors give the deviations.
-    of_pose = np.diag([errors.position_error, errors.position_error, errors.heading_error]) ** 2
+    pose_covariance = (
+        np.diag([errors.position_error, errors.position_error, errors.heading_error]) ** 2
+    )
     to_com = np.array([[1.0, 0.0, -lever.imag], [0.0, 1.0, lever.real], [0.0, 0.0, 1.0]])
     rates = np.zeros((3, len(state)))
     rates[:, :3] = np.linalg.inv(to_com).T  # base rates for unit rates of the centre of mass
@@ -63,7 +65,7 @@ def fit_drift(
         t,
         pose,
         by_rate @ slope,
-        J @ np.kron(np.linalg.inv(X.T @ X), of_pose) @ J.T,
+        J @ np.kron(np.linalg.inv(X.T @ X), pose_covariance) @ J.T,
         _by_parameter(p, state, rate),
     )
 
@@ -74,8 +76,8 @@ def _by_parameter(p: Floats, q: Floats, qd: Floats) -> Floats:
     The momentum is at most cubic in the parameters.
     """
     step = 1e-4 * np.eye(len(p))
-    up, down = (momentum(p + side * step, q, qd) for side in (1.0, -1.0))
-    return ((up - down) / 2e-4).T
+    above, below = (momentum(p + side * step, q, qd) for side in (1.0, -1.0))
+    return ((above - below) / 2e-4).T
 
 
 class Prediction:
@@ -108,12 +110,14 @@ class Prediction:
             return
         poses, J = base_pose_sensitivities(self.p, motion.path(self.t, t), self.state)
         step, size = J[1], len(self.p)
-        onward = step[:, size : size + 3]
-        gained = self.weight * (self.t - self.anchor.t) * 1e-9 * step[:, size + 3 : size + 5]
-        self.by_tilt = onward @ self.by_tilt + gained + GRAVITY * step[:, size + 6 :]
-        self.by_parameter = onward @ self.by_parameter + step[:, :size]
-        self.by_momentum = onward @ self.by_momentum + step[:, size + 3 : size + 6]
-        self.by_pose = onward @ self.by_pose
+        transition = step[:, size : size + 3]
+        momentum_change = (
+            self.weight * (self.t - self.anchor.t) * 1e-9 * step[:, size + 3 : size + 5]
+        )
+        self.by_tilt = transition @ self.by_tilt + momentum_change + GRAVITY * step[:, size + 6 :]
+        self.by_parameter = transition @ self.by_parameter + step[:, :size]
+        self.by_momentum = transition @ self.by_momentum + step[:, size + 3 : size + 6]
+        self.by_pose = transition @ self.by_pose
         self.state[:3] = poses[1]
         self.state[3:5] += self.weight * self.tilt * (t - self.t) * 1e-9
         self.t = t

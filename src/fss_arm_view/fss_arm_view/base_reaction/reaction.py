@@ -19,7 +19,7 @@ from .prediction import Anchor, Prediction, fit_drift
 Floats = npt.NDArray[np.float64]
 
 _SECOND = 1_000_000_000  # [ns]
-_KEPT = 5 * _SECOND  # time for which measured base states are kept
+_MAX_HISTORY = 5 * _SECOND  # of measured base states
 _MAX_GAP = 60 * _SECOND  # longer gaps without complete data end a prediction
 
 
@@ -61,16 +61,16 @@ class BaseReaction:
     ) -> None:
         self.settings = settings or ReactionSettings()
         self.tilt = np.array(self.settings.tilt)
-        self.half = int(self.settings.half_difference * _SECOND)
+        self.half_step = int(self.settings.half_difference * _SECOND)
         self.joints = [Joint() for _ in range(arm.n)]
-        self.past: deque[BodyState] = deque()
+        self.base_states: deque[BodyState] = deque()
         self.momenta: deque[tuple[float, Floats]] = deque()
         self.t = -1
         self.resting_since = -1
         self.candidate: Anchor | None = None
-        self.describe(arm, covariance)
+        self.set_arm(arm, covariance)
 
-    def describe(self, arm: Arm, covariance: Floats | None = None) -> None:
+    def set_arm(self, arm: Arm, covariance: Floats | None = None) -> None:
         """Use another description for predictions, from the next rest on."""
         self.p = arm.vector()
         size = len(self.p)
@@ -78,28 +78,30 @@ class BaseReaction:
         self.prediction: Prediction | None = None
         self.momenta.clear()
 
-    def joint(self, i: int, t: int, q: float, qd: float, effort: float) -> bool:
+    def add_reading(self, i: int, t: int, q: float, qd: float, effort: float) -> bool:
         """Add a reading of joint i (0 to n - 1) at t [ns]; return False if it is not newer."""
         if t - self.t > _MAX_GAP:
             self.prediction, self.candidate, self.resting_since = None, None, -1
-            self.joints[i].forget(t - _KEPT)
+            self.joints[i].drop_before(t - _MAX_HISTORY)
         return self.joints[i].add(t, q, qd, effort)
 
-    def base(self, state: BodyState) -> None:
+    def add_base_state(self, state: BodyState) -> None:
         """Add a measured state of the base."""
-        self.past.append(state)
-        while self.past[0].t < state.t - _KEPT:
-            self.past.popleft()
+        self.base_states.append(state)
+        while self.base_states[0].t < state.t - _MAX_HISTORY:
+            self.base_states.popleft()
 
-    def moving(self) -> bool:
+    def is_moving(self) -> bool:
         """Return True if a joint moves, according to the newest readings."""
         return any(j.qd and abs(j.qd[-1]) > self.settings.motion_threshold for j in self.joints)
 
-    def known_until(self) -> int:
+    def last_known_time(self) -> int:
         """Return the last time at which joints and base are known [ns]; -1: none."""
-        if not self.past or not all(joint.t for joint in self.joints):
+        if not self.base_states or not all(joint.t for joint in self.joints):
             return -1
-        return min(min(joint.t[-1] for joint in self.joints) - self.half, self.past[-1].t)
+        return min(
+            min(joint.t[-1] for joint in self.joints) - self.half_step, self.base_states[-1].t
+        )
 
     def advance(self, t: int) -> Reaction | None:
         """Return the reaction at t [ns], which must increase and not exceed known_until().
@@ -109,51 +111,53 @@ class BaseReaction:
         if t <= self.t:
             return None
         self.t = t
-        measured = self._measured(t)
+        measured = self._interpolate_base(t)
         if measured is None:  # no pose of the base at that time
             return None
-        rests = not any(joint.moves(t, self.settings.motion_threshold) for joint in self.joints)
-        if rests:
+        at_rest = not any(
+            joint.is_moving(t, self.settings.motion_threshold) for joint in self.joints
+        )
+        if at_rest:
             self.resting_since = t if self.resting_since < 0 else self.resting_since
-            self.candidate = self._drift(t) or self.candidate
-        if self.candidate and (self.prediction is None or not rests):
+            self.candidate = self._fit_drift(t) or self.candidate
+        if self.candidate and (self.prediction is None or not at_rest):
             self.prediction = Prediction(self.p, self.candidate, self.tilt)
-        if not rests:
+        if not at_rest:
             self.candidate, self.resting_since = None, -1
         if self.prediction is None:
             return None
-        motion = joint_motion(self.joints, min(t, self.prediction.t), self.half)
+        motion = joint_motion(self.joints, min(t, self.prediction.t), self.half_step)
         self.prediction.advance(t, motion)
         for joint in self.joints:
-            joint.forget(t - max(_SECOND, self.half))
-        return self._reaction(measured, motion, self.prediction)
+            joint.drop_before(t - max(_SECOND, self.half_step))
+        return self._compute(measured, motion, self.prediction)
 
-    def _measured(self, t: int) -> BodyState | None:
+    def _interpolate_base(self, t: int) -> BodyState | None:
         """Return the base state at t, interpolated between neighbours; None: none before t."""
-        k = bisect_right(self.past, t, key=lambda e: e.t) - 1
+        k = bisect_right(self.base_states, t, key=lambda e: e.t) - 1
         if k < 0:
             return None
-        before, after = self.past[k], self.past[min(k + 1, len(self.past) - 1)]
+        before, after = self.base_states[k], self.base_states[min(k + 1, len(self.base_states) - 1)]
         w = (t - before.t) / max(after.t - before.t, 1)
         pose = (1.0 - w) * before.extrapolate_to(t).pose + w * after.extrapolate_to(t).pose
         return before._replace(t=t, pose=pose, twist=(1.0 - w) * before.twist + w * after.twist)
 
-    def _drift(self, t: int) -> Anchor | None:
+    def _fit_drift(self, t: int) -> Anchor | None:
         """Return the fit of the base's drift since the arm rests; None: the drift is too short."""
         s = self.settings
-        begin = max(self.resting_since, t - int(s.max_drift_duration * _SECOND))
-        drift = [state for state in self.past if begin <= state.t <= t]
-        if len({state.t for state in drift}) < 3 or t - begin < s.min_drift_duration * _SECOND:
+        start = max(self.resting_since, t - int(s.max_drift_duration * _SECOND))
+        drift = [state for state in self.base_states if start <= state.t <= t]
+        if len({state.t for state in drift}) < 3 or t - start < s.min_drift_duration * _SECOND:
             return None
         times = np.array([(state.t - t) * 1e-9 for state in drift])
-        q = np.array([joint.q[joint.last(t)] for joint in self.joints])
+        q = np.array([joint.q[joint.last_index(t)] for joint in self.joints])
         return fit_drift(self.p, t, times, np.array([e.pose for e in drift]), q, s, self.tilt)
 
-    def _reaction(
+    def _compute(
         self, measured: BodyState, motion: JointMotion, prediction: Prediction
     ) -> Reaction:
         s, p, t, n = self.settings, self.p, measured.t, len(self.joints)
-        q, qd = motion.at(t - self.half, t, t + self.half)
+        q, qd = motion.at(t - self.half_step, t, t + self.half_step)
         state = np.concatenate([measured.pose, q[1]])
         rate = np.concatenate([measured.twist, qd[1]])
         P = momentum(p, state, rate)
@@ -174,16 +178,16 @@ class BaseReaction:
             measured.twist,
             P,
             np.sqrt(by_rate**2 @ measured.twist_variance),
-            self._slope(t * 1e-9, P),
+            self._momentum_slope(t * 1e-9, P),
             float(kinetic_energy(p, state, rate)),
             _force(p, state, rate, base),
             float(tau[3]),
-            first.effort[first.last(t)],
+            first.effort[first.last_index(t)],
             q[1],
             system_com(p, state),
         )
 
-    def _slope(self, now: float, P: Floats) -> Floats:
+    def _momentum_slope(self, now: float, P: Floats) -> Floats:
         """Add the momentum P; return its slope within the window. NaN: fewer than 3 values."""
         self.momenta.append((now, P))
         while self.momenta[0][0] < now - self.settings.drift_window:

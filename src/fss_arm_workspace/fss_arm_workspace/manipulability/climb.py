@@ -12,18 +12,18 @@ import numpy.typing as npt
 
 from fss_arm_model.kernels import Floats, helper, kernel
 from fss_arm_model.kinematics import _dot, checked
-from fss_arm_workspace.manipulability.measure import FIXED, _held, _square
+from fss_arm_workspace.manipulability.measure import FIXED, _fixed_jacobian, _square_measure
 from fss_arm_workspace.manipulability.self_motion import (
     _MAX_STEP,
-    _close,
-    _fit,
+    _move_tip,
     _self_motions,
-    _turned,
+    _solve_joints,
+    _turn_vectors,
 )
 
 _AT_LIMIT = 1e-7  # distance below which a joint is at its limit [rad]
-_SHORT = 1e-3  # length of a step after which Newton's method has converged [rad]
-_FLAT = 1e-8  # slope of w^2 below which it counts as zero [m^4/rad]
+_CONVERGED = 1e-3  # length of a step after which Newton's method has converged [rad]
+_MIN_SLOPE = 1e-8  # slope of w^2 below which it counts as zero [m^4/rad]
 
 
 @helper
@@ -33,15 +33,15 @@ def _gradient(p, d, e, kind, d2, e2, J, x, g):  # type: ignore[no-untyped-def]
     x[:] = 0.0
     for k in range(g.size):
         x[k] = step
-        _turned(d, e, x, 1.0, d2, e2)
-        ahead = _square(p, d2, e2, kind, J)
-        _turned(d, e, x, -1.0, d2, e2)
-        g[k] = (ahead - _square(p, d2, e2, kind, J)) / (2.0 * step)
+        _turn_vectors(d, e, x, 1.0, d2, e2)
+        above = _square_measure(p, d2, e2, kind, J)
+        _turn_vectors(d, e, x, -1.0, d2, e2)
+        g[k] = (above - _square_measure(p, d2, e2, kind, J)) / (2.0 * step)
         x[k] = 0.0
 
 
 @helper
-def _let_go(limits: Floats, q: Floats, J: Floats, g: Floats, free: Floats) -> None:
+def _release_joints(limits: Floats, q: Floats, J: Floats, g: Floats, free: Floats) -> None:
     """Write which joints are free (n,): those within their limits, and those that gain by leaving.
 
     With the multipliers y of the free joints, J^T y = g, joint k gains g_k - J_k . y per radian.
@@ -54,17 +54,17 @@ def _let_go(limits: Floats, q: Floats, J: Floats, g: Floats, free: Floats) -> No
         for k in range(free.size):
             a += free[k] * J[0, k] * g[k]
             b += free[k] * J[1, k] * g[k]
-        y = _fit(J, free, a, b)
-        chosen, most = -1, _FLAT
+        y = _solve_joints(J, free, a, b)
+        best, largest = -1, _MIN_SLOPE
         for k in range(free.size):
             gain = g[k] - _dot(complex(J[0, k], J[1, k]), y)
             if limits[k, 1] - q[3 + k] <= _AT_LIMIT:
                 gain = -gain
-            if free[k] == 0.0 and gain > most:
-                chosen, most = k, gain
-        if chosen < 0:
+            if free[k] == 0.0 and gain > largest:
+                best, largest = k, gain
+        if best < 0:
             break
-        free[chosen] = 1.0
+        free[best] = 1.0
 
 
 @helper
@@ -86,15 +86,15 @@ def _curvature(  # type: ignore[no-untyped-def]
                 for k in range(x.size):
                     x[k] = sign * (Z[i, k] if i == j else Z[i, k] + Z[j, k])
                 for _ in range(2):
-                    _turned(d, e, x, 1.0, d2, e2)
+                    _turn_vectors(d, e, x, 1.0, d2, e2)
                     error = tip
                     for k in range(d.size):
                         error -= d2[k]
-                    y = _fit(J, free, error.real, error.imag)
+                    y = _solve_joints(J, free, error.real, error.imag)
                     for k in range(x.size):
                         x[k] += free[k] * _dot(complex(J[0, k], J[1, k]), y)
-                _turned(d, e, x, 1.0, d2, e2)
-                total += _square(p, d2, e2, kind, J2)
+                _turn_vectors(d, e, x, 1.0, d2, e2)
+                total += _square_measure(p, d2, e2, kind, J2)
             H[i, j] = total / (step * step)
     for i in range(count):
         for j in range(i):
@@ -102,57 +102,57 @@ def _curvature(  # type: ignore[no-untyped-def]
 
 
 @helper
-def _uphill(H: Floats, b: Floats, count: int, L: Floats, u: Floats) -> None:
+def _ascent_step(H: Floats, b: Floats, count: int, L: Floats, u: Floats) -> None:
     """Write u = (mu I - H)^-1 b with the least tried mu >= 0 for which u leads uphill."""
-    mu, good = 0.0, False
-    while not good:
-        good = True
+    mu, is_definite = 0.0, False
+    while not is_definite:
+        is_definite = True
         for i in range(count):
             for j in range(i + 1):
-                left = -H[i, j]
+                remainder = -H[i, j]
                 for k in range(j):
-                    left -= L[i, k] * L[j, k]
+                    remainder -= L[i, k] * L[j, k]
                 if i != j:
-                    L[i, j] = left / L[j, j]
-                elif left + mu > 1e-9:
-                    L[i, i] = math.sqrt(left + mu)
+                    L[i, j] = remainder / L[j, j]
+                elif remainder + mu > 1e-9:
+                    L[i, i] = math.sqrt(remainder + mu)
                 else:
-                    good = False
-            if not good:
+                    is_definite = False
+            if not is_definite:
                 mu = max(4.0 * mu, 1e-3)
                 break
     for i in range(count):
-        left = b[i]
+        remainder = b[i]
         for k in range(i):
-            left -= L[i, k] * u[k]
-        u[i] = left / L[i, i]
+            remainder -= L[i, k] * u[k]
+        u[i] = remainder / L[i, i]
     for i in range(count - 1, -1, -1):
-        left = u[i]
+        remainder = u[i]
         for k in range(i + 1, count):
-            left -= L[k, i] * u[k]
-        u[i] = left / L[i, i]
+            remainder -= L[k, i] * u[k]
+        u[i] = remainder / L[i, i]
 
 
 @kernel("(p),(n,k),(k),(k),(n),()->(n),()")
-def _climbed(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-untyped-def]
+def _climb(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-untyped-def]
     n = start.size
     d, e, d2, e2 = np.empty((4, n + 1), np.complex128)
     q, trial = np.zeros((2, 3 + n))
     J, J2 = np.empty((2, 3, n))
-    free, free2, may, g, x, b, u = np.ones((7, n))
+    free, free2, movable, g, x, b, u = np.ones((7, n))
     Z, H, L = np.empty((3, n + 2, n))
     q[3:] = start
     target = complex(point[0], point[1])
-    if not _close(p, limits, target, q, d, e, J, free, may):
+    if not _move_tip(p, limits, target, q, d, e, J, free, movable):
         q_m[:], w[0] = math.nan, math.nan
         return
-    square = _square(p, d, e, kind, J)
+    square = _square_measure(p, d, e, kind, J)
     for _ in range(int(steps[0])):
         _gradient(p, d, e, kind, d2, e2, J2, x, g)
-        _held(d, J)
-        _let_go(limits, q, J, g, free)
-        steepest, longest, outward = 0.0, 0.0, 0
-        while outward >= 0:  # a joint that the step would move beyond its limit is held
+        _fixed_jacobian(d, J)
+        _release_joints(limits, q, J, g, free)
+        steepest, longest, blocked = 0.0, 0.0, 0
+        while blocked >= 0:  # a joint that the step would move beyond its limit is held
             count = _self_motions(J, free, Z)
             steepest = 0.0
             for i in range(count):
@@ -160,11 +160,11 @@ def _climbed(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-u
                 for k in range(n):
                     b[i] += Z[i, k] * g[k]
                 steepest = max(steepest, abs(b[i]))
-            outward = -1
-            if steepest <= _FLAT:
+            blocked = -1
+            if steepest <= _MIN_SLOPE:
                 break
             _curvature(p, d, e, kind, square, free, J, Z, count, d2, e2, J2, x, H)
-            _uphill(H, b, count, L, u)
+            _ascent_step(H, b, count, L, u)
             longest = 0.0
             for k in range(n):
                 x[k] = 0.0
@@ -173,10 +173,10 @@ def _climbed(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-u
                 longest = max(longest, abs(x[k]))
                 room = limits[k, 1] - q[3 + k] if x[k] > 0.0 else q[3 + k] - limits[k, 0]
                 if abs(x[k]) > 1e-14 and room <= _AT_LIMIT:
-                    outward = k
-            if outward >= 0:
-                free[outward] = 0.0
-        if steepest <= _FLAT:
+                    blocked = k
+            if blocked >= 0:
+                free[blocked] = 0.0
+        if steepest <= _MIN_SLOPE:
             break
         share = min(1.0, _MAX_STEP / longest)
         done = True  # unless a step gains, and is too long for convergence
@@ -189,12 +189,12 @@ def _climbed(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-u
             for k in range(n):
                 trial[3 + k] = min(max(q[3 + k] + share * x[k], limits[k, 0]), limits[k, 1])
                 room = min(trial[3 + k] - limits[k, 0], limits[k, 1] - trial[3 + k])
-                may[k] = 1.0 if room > _AT_LIMIT else 0.0
-            if _close(p, limits, target, trial, d2, e2, J2, free2, may):
-                higher = _square(p, d2, e2, kind, J2)
-                if higher > square:
-                    done = attempt == 0 and longest < _SHORT
-                    square = higher
+                movable[k] = 1.0 if room > _AT_LIMIT else 0.0
+            if _move_tip(p, limits, target, trial, d2, e2, J2, free2, movable):
+                trial_square = _square_measure(p, d2, e2, kind, J2)
+                if trial_square > square:
+                    done = attempt == 0 and longest < _CONVERGED
+                    square = trial_square
                     q[:] = trial
                     d[:], e[:] = d2, e2
                     break
@@ -236,4 +236,4 @@ def climb(
     """
     q_m = np.asarray(q_m, dtype=float)
     p, _, _ = checked(p, np.concatenate([np.zeros((*q_m.shape[:-1], 3)), q_m], axis=-1))
-    return _climbed(p, limits, kind, point, q_m, steps)
+    return _climb(p, limits, kind, point, q_m, steps)

@@ -23,7 +23,7 @@ FIXED_POSE, FLOATING_POSE = np.array([0.0, 3.0]), np.array([1.0, 3.0])
 
 
 @helper
-def _held(d: Complexes, J: Floats) -> complex:
+def _fixed_jacobian(d: Complexes, J: Floats) -> complex:
     """Write J_m (3, n); return the tip's position relative to the base."""
     arm = 0j
     for k in range(d.size - 1, 0, -1):
@@ -33,12 +33,12 @@ def _held(d: Complexes, J: Floats) -> complex:
 
 
 @helper
-def _square(p: Floats, d: Complexes, e: Complexes, kind: Floats, J: Floats) -> float:
+def _square_measure(p: Floats, d: Complexes, e: Complexes, kind: Floats, J: Floats) -> float:
     """Return w^2 = det(J J^T); J (3, n) is scratch."""
     if kind[0] > 0.0:
         _floating(p, d, e, J)
     else:
-        _held(d, J)
+        _fixed_jacobian(d, J)
     xx = xy = yy = xz = yz = zz = 0.0
     for k in range(J.shape[1]):
         x, y, z = J[0, k], J[1, k], J[2, k]

@@ -65,9 +65,9 @@ class Search:
         inner = Grid.around(self.region, spacing).inside(self.region)
         edge = [np.concatenate(part) for part in zip(*self.region.outlines(spacing), strict=True)]
         points = np.concatenate([pairs(inner), pairs(edge[0])])
-        first = self._first(points, edge[1], np.random.default_rng(seed))
+        first = self._first_guesses(points, edge[1], np.random.default_rng(seed))
         self.tree = cKDTree(points)
-        self.coarse = self._exchange(points, first)
+        self.coarse = self._try_neighbors(points, first)
 
     def at(self, points: npt.ArrayLike) -> Best:
         """Return the best postures at points (m, 2) of the base's frame [m]."""
@@ -76,18 +76,18 @@ class Search:
         if self.arm.n <= 3 or self.kind[1] == 3.0:
             # A branch can be too small for the grid: also try random postures that reach nearby.
             seeds += [*self.random[_nearest(self.random_tree, points, 8)].swapaxes(0, 1)]
-        best = _nothing(len(points), self.p)
+        best = _no_postures(len(points), self.p)
         guesses = [self._climb(seed, points, steps=0) for seed in seeds]
         order = np.argsort([-np.nan_to_num(guess.w, nan=-1.0) for guess in guesses], axis=0)
         rows = np.arange(len(points))
         for rank in order:
             guess = Best(*(np.stack(part)[rank, rows] for part in zip(*guesses, strict=True)))
             # A guess may have half the w of the maximum to which it leads.
-            hopeful = ~(guess.w < 0.5 * best.w) & _differ(guess.q, best.q)
-            best = self._improved(best, guess.q, points, hopeful)
+            promising = ~(guess.w < 0.5 * best.w) & _differs(guess.q, best.q)
+            best = self._improve(best, guess.q, points, promising)
         return best
 
-    def _first(self, points: Floats, edge: Floats, rng: np.random.Generator) -> Best:
+    def _first_guesses(self, points: Floats, edge: Floats, rng: np.random.Generator) -> Best:
         """Climb at each point from its nearest random postures; at the edge also from its own."""
         from scipy.spatial import cKDTree
 
@@ -95,32 +95,32 @@ class Search:
         q = rng.uniform(self.limits[:, 0], self.limits[:, 1], (count, len(self.limits)))
         w, tip = measure(self.arm, q, self.kind), tip_in_base(self.p, q)[:, :2]
         self.random, self.random_tree = q, cKDTree(tip)
-        near = _nearest(self.random_tree, points, 16)
-        best = _nothing(len(points), self.p)
-        order = np.argsort(-w[near], axis=1)[:, :3]
+        nearest = _nearest(self.random_tree, points, 16)
+        best = _no_postures(len(points), self.p)
+        order = np.argsort(-w[nearest], axis=1)[:, :3]
         for k in range(order.shape[1]):
-            chosen = near[np.arange(len(points)), order[:, k]]
-            best = self._improved(best, q[chosen], points, _differ(q[chosen], best.q))
+            chosen = nearest[np.arange(len(points)), order[:, k]]
+            best = self._improve(best, q[chosen], points, _differs(q[chosen], best.q))
         at_edge = np.arange(len(points)) >= len(points) - len(edge)
-        own = np.zeros_like(best.q)
-        own[at_edge] = edge
-        return self._improved(best, own, points, at_edge)
+        edge_postures = np.zeros_like(best.q)
+        edge_postures[at_edge] = edge
+        return self._improve(best, edge_postures, points, at_edge)
 
-    def _exchange(self, points: Floats, best: Best) -> Best:
+    def _try_neighbors(self, points: Floats, best: Best) -> Best:
         """Let each point try its neighbours' postures until no point gains."""
-        near = _nearest(self.tree, points, 9)[:, 1:]
+        nearest = _nearest(self.tree, points, 9)[:, 1:]
         changed = np.ones(len(points), dtype=bool)
         while changed.any():
             before = best.w
-            for neighbour in near.T:
-                guess = best.q[neighbour]
-                best = self._improved(
-                    best, guess, points, changed[neighbour] & _differ(guess, best.q)
+            for neighbor in nearest.T:
+                guess = best.q[neighbor]
+                best = self._improve(
+                    best, guess, points, changed[neighbor] & _differs(guess, best.q)
                 )
             changed = ~(best.w <= before * (1.0 + 1e-9)) & np.isfinite(best.w)
         return best
 
-    def _improved(
+    def _improve(
         self, best: Best, guess: Floats, points: Floats, where: npt.NDArray[np.bool_]
     ) -> Best:
         """Return the better of `best` and the climb from a guess, for points with `where` True."""
@@ -135,7 +135,7 @@ class Search:
         def part(index: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
             return climb(self.p, guess[index], points[index], self.limits, self.kind, steps)
 
-        q, w = _in_parts(part, len(points), self.workers)
+        q, w = _in_threads(part, len(points), self.workers)
         return Best(w, q)
 
 
@@ -147,7 +147,7 @@ def _nearest(tree: Any, points: Floats, count: int) -> npt.NDArray[np.intp]:
     return np.asarray(tree.query(points, k=np.arange(1, min(count, tree.n) + 1))[1])
 
 
-def _in_parts(
+def _in_threads(
     work: Callable[[npt.NDArray[np.intp]], tuple[Floats, Floats]], count: int, workers: int
 ) -> tuple[Floats, Floats]:
     """Apply `work` to the indices 0 .. count - 1 in several threads, and join its results."""
@@ -160,12 +160,12 @@ def _in_parts(
     return np.concatenate(first), np.concatenate(second)
 
 
-def _nothing(count: int, p: Floats) -> Best:
+def _no_postures(count: int, p: Floats) -> Best:
     n = (p.size - 8) // 6
     return Best(np.full(count, np.nan), np.full((count, n), np.nan))
 
 
-def _differ(q: Floats, other: Floats) -> npt.NDArray[np.bool_]:
+def _differs(q: Floats, other: Floats) -> npt.NDArray[np.bool_]:
     """Return True for postures (m, n) that are not close to the others, on the same branch."""
     return ~(np.abs(q - other).max(axis=1) < 0.1)
 

@@ -9,14 +9,14 @@ import math
 
 from fss_arm_model.kernels import Complexes, Floats, helper
 from fss_arm_model.kinematics import _chain, _dot
-from fss_arm_workspace.manipulability.measure import _held
+from fss_arm_workspace.manipulability.measure import _fixed_jacobian
 
-_CLOSED = 1e-12  # distance below which the tip is at the target [m]
+_TIP_TOLERANCE = 1e-12  # distance below which the tip is at the target [m]
 _MAX_STEP = 0.3  # maximum step of a joint [rad]
 
 
 @helper
-def _fit(J: Floats, free: Floats, x: float, y: float) -> complex:
+def _solve_joints(J: Floats, free: Floats, x: float, y: float) -> complex:
     """Return (J J^T)^-1 (x, y) for J's first two rows and the free joints; 0 if it is singular."""
     xx = xy = yy = 0.0
     for k in range(free.size):
@@ -30,30 +30,30 @@ def _fit(J: Floats, free: Floats, x: float, y: float) -> complex:
 
 
 @helper
-def _close(p, limits, target, q, d, e, J, free, may):  # type: ignore[no-untyped-def]
+def _move_tip(p, limits, target, q, d, e, J, free, movable):  # type: ignore[no-untyped-def]
     """Move the tip to the target by least motion within the limits; return False on failure.
 
-    q, d and e are updated. Only joints with 1 in `may` (n,) move; J (3, n) and free (n,) are
+    q, d and e are updated. Only joints with 1 in `movable` (n,) move; J (3, n) and free (n,) are
     scratch.
     """
     for _ in range(30):
         _chain(p, q, d, e)
-        error = target - _held(d, J)
-        if _dot(error, error) < _CLOSED * _CLOSED:
+        error = target - _fixed_jacobian(d, J)
+        if _dot(error, error) < _TIP_TOLERANCE * _TIP_TOLERANCE:
             return True
-        free[:] = may
-        longest, stopped = 0.0, True
-        while stopped:  # joints that would leave their limits are held
-            y = _fit(J, free, error.real, error.imag)
+        free[:] = movable
+        longest, blocked = 0.0, True
+        while blocked:  # joints that would leave their limits are held
+            y = _solve_joints(J, free, error.real, error.imag)
             if y == 0j:
                 return False
-            longest, stopped = 0.0, False
+            longest, blocked = 0.0, False
             for k in range(free.size):
                 move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
                 longest = max(longest, abs(move))
                 room = limits[k, 1] - q[3 + k] if move > 0.0 else q[3 + k] - limits[k, 0]
                 if move != 0.0 and room <= 0.0:
-                    free[k], stopped = 0.0, True
+                    free[k], blocked = 0.0, True
         y *= min(1.0, _MAX_STEP / longest)
         for k in range(free.size):
             move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
@@ -62,7 +62,7 @@ def _close(p, limits, target, q, d, e, J, free, may):  # type: ignore[no-untyped
 
 
 @helper
-def _turned(
+def _turn_vectors(
     d: Complexes, e: Complexes, x: Floats, sign: float, d2: Complexes, e2: Complexes
 ) -> None:
     """Write d2 and e2: d and e after the joints have moved by the small angles sign x (n,)."""
@@ -76,7 +76,7 @@ def _turned(
 
 
 @helper
-def _rid(Z: Floats, count: int) -> float:
+def _orthonormalize(Z: Floats, count: int) -> float:
     """Orthonormalize row `count` of Z to those before; return its length before normalization."""
     for _ in range(2):
         for i in range(count):
@@ -108,23 +108,23 @@ def _self_motions(J: Floats, free: Floats, Z: Floats) -> int:
     for r in range(2):
         for k in range(free.size):
             Z[count, k] = free[k] * J[r, k]
-        if _rid(Z, count) > 1e-6:
+        if _orthonormalize(Z, count) > 1e-6:
             count += 1
-    moving = count
+    rank = count
     while count < total:
-        best, most = -1, 1e-12
+        best, largest = -1, 1e-12
         for k in range(free.size):
-            left = free[k]
+            remainder = free[k]
             for i in range(count):
-                left -= Z[i, k] * Z[i, k]
-            if left > most:
-                best, most = k, left
+                remainder -= Z[i, k] * Z[i, k]
+            if remainder > largest:
+                best, largest = k, remainder
         if best < 0:
             break
         Z[count, :] = 0.0
         Z[count, best] = 1.0
-        _rid(Z, count)
+        _orthonormalize(Z, count)
         count += 1
-    for i in range(moving, count):
-        Z[i - moving] = Z[i]
-    return count - moving
+    for i in range(rank, count):
+        Z[i - rank] = Z[i]
+    return count - rank

@@ -16,13 +16,13 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Inside = Callable[[Complexes], npt.NDArray[np.bool_]]
 
-CLOSE = 1e-9  # two points, circles or arcs closer than this are the same [m]
-_ANGLE = 1e-11  # an angle this far outside an arc still counts as on it [rad]
-_TOUCH = 1e-13  # (half chord)^2 / (1 m^2 + r_1^2 + r_2^2) below which two circles touch
+TOLERANCE = 1e-9  # two points, circles or arcs closer than this are the same [m]
+_ANGLE_TOLERANCE = 1e-11  # an angle this far outside an arc still counts as on it [rad]
+_TOUCH_TOLERANCE = 1e-13  # (half chord)^2 / (1 m^2 + r_1^2 + r_2^2) below which two circles touch
 # Maximum gap between consecutive arcs of a loop [m]. Where two arcs run side by side closer than
-# CLOSE, pieces of about sqrt(2 r CLOSE) may be missing; a wider gap is not a rounding error.
-_GAP = 1e-3
-_CHUNK = 2**20  # maximum size of a temporary array
+# TOLERANCE, pieces of about sqrt(2 r TOLERANCE) may be missing; wider gaps are no rounding errors.
+_MAX_GAP = 1e-3
+_CHUNK_SIZE = 2**20  # maximum size of a temporary array
 
 
 @dataclass(frozen=True)
@@ -59,18 +59,20 @@ class Arcs:
         start, sweep = self.start + begin * self.sweep, (end - begin) * self.sweep
         return Arcs(self.center, self.radius, start, sweep, self.joint, self.posture(begin))
 
-    def moved(self, turn: float = 0.0, by: complex = 0.0) -> "Arcs":
+    def transformed(self, turn: float = 0.0, by: complex = 0.0) -> "Arcs":
         """Return the arcs turned about the origin by `turn` [rad], then shifted by `by` [m]."""
         center = self.center * np.exp(1j * turn) + by
         return Arcs(center, self.radius, self.start + turn, self.sweep, self.joint, self.q)
 
     def covers(self, angle: Floats) -> npt.NDArray[np.bool_]:
-        """Return True for angles (..., k), seen from the centres, on the arcs including ends."""
+        """Return True for angles (..., k), seen from the centers, on the arcs including ends."""
         along = (np.sign(self.sweep) * (angle - self.start)) % (2.0 * pi)
-        return (along <= np.abs(self.sweep) + _ANGLE) | (along >= 2.0 * pi - _ANGLE)
+        return (along <= np.abs(self.sweep) + _ANGLE_TOLERANCE) | (
+            along >= 2.0 * pi - _ANGLE_TOLERANCE
+        )
 
 
-def joined(parts: list[Arcs]) -> Arcs:
+def concatenate(parts: list[Arcs]) -> Arcs:
     """Concatenate the arcs of all parts."""
     return Arcs(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Arcs)))
 
@@ -88,9 +90,9 @@ def crossings(
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (d + (r - radius) * (r + radius) / d) / 2.0
         across = (r - along) * (r + along)
-        touch = _TOUCH * (1.0 + r**2 + radius**2)  # proportional to rounding errors
+        touch = _TOUCH_TOLERANCE * (1.0 + r**2 + radius**2)  # proportional to rounding errors
         across = np.sqrt(np.where(np.abs(across) < touch, 0.0, across))
-        unit = np.where(d > CLOSE, between / d, np.nan)
+        unit = np.where(d > TOLERANCE, between / d, np.nan)
         return c + unit * (along + 1j * across), c + unit * (along - 1j * across)
 
 
@@ -127,10 +129,10 @@ class Region:
         """Return True for complex points (...) inside: those that the boundary winds around."""
         z = np.asarray(points, dtype=complex)
         inside = np.zeros(z.size, dtype=bool)
-        size = max(1, _CHUNK // max(1, len(self.arcs)))
+        size = max(1, _CHUNK_SIZE // max(1, len(self.arcs)))
         for first in range(0, z.size, size):
-            some = slice(first, first + size)
-            inside[some] = self._winding(z.ravel()[some]) > pi
+            chunk = slice(first, first + size)
+            inside[chunk] = self._winding(z.ravel()[chunk]) > pi
         return inside.reshape(z.shape)
 
     def _winding(self, z: Complexes) -> Floats:
@@ -139,9 +141,9 @@ class Region:
         first, last = arcs.at(0.0) - z[:, None], arcs.at(1.0) - z[:, None]
         turn = np.angle(last * first.conj())
         # The arc winds by the angle of its chord, unless the point lies between the two.
-        within = np.abs(z[:, None] - arcs.center) < arcs.radius
-        other_way = within & (np.sign(turn) != np.sign(arcs.sweep))
-        turn += np.where(other_way, 2.0 * pi * np.sign(arcs.sweep), 0.0)
+        is_inside = np.abs(z[:, None] - arcs.center) < arcs.radius
+        long_way = is_inside & (np.sign(turn) != np.sign(arcs.sweep))
+        turn += np.where(long_way, 2.0 * pi * np.sign(arcs.sweep), 0.0)
         return np.asarray(turn.sum(axis=1))
 
     def distance(self, points: npt.ArrayLike) -> Floats:
@@ -149,14 +151,14 @@ class Region:
         z = np.asarray(points, dtype=complex)
         arcs, flat = self.arcs, z.ravel()
         found = np.full(z.size, np.inf)
-        size = max(1, _CHUNK // max(1, len(arcs)))
+        size = max(1, _CHUNK_SIZE // max(1, len(arcs)))
         for first in range(0, z.size, size):
-            some = slice(first, first + size)
-            p = flat[some, None]
+            chunk = slice(first, first + size)
+            p = flat[chunk, None]
             out = p - arcs.center
-            near = np.where(arcs.covers(np.angle(out)), np.abs(np.abs(out) - arcs.radius), np.inf)
+            margin = np.where(arcs.covers(np.angle(out)), np.abs(np.abs(out) - arcs.radius), np.inf)
             ends = np.minimum(np.abs(p - arcs.at(0.0)), np.abs(p - arcs.at(1.0)))
-            found[some] = np.minimum(near, ends).min(axis=1, initial=np.inf)
+            found[chunk] = np.minimum(margin, ends).min(axis=1, initial=np.inf)
         return found.reshape(z.shape)
 
     def extent(self, point: complex) -> tuple[float, float]:
@@ -164,8 +166,10 @@ class Region:
         arcs = self.arcs
         toward = np.angle(point - arcs.center)
         corners = np.abs(np.concatenate([arcs.at(0.0), arcs.at(1.0)]) - point)
-        far = np.abs(arcs.center - point) + arcs.radius
-        farthest = np.where(arcs.covers(toward + pi), far, 0.0).max(initial=corners.max())
+        farthest_point = np.abs(arcs.center - point) + arcs.radius
+        farthest = np.where(arcs.covers(toward + pi), farthest_point, 0.0).max(
+            initial=corners.max()
+        )
         nearest = 0.0 if self.contains(point) else self.distance(point)
         return float(nearest), float(farthest)
 
@@ -201,48 +205,48 @@ def enclose(candidates: Arcs, inside: Inside) -> Region:
     Raises:
         ValueError: the boundary found does not close.
     """
-    whole = candidates[np.abs(candidates.sweep) * candidates.radius > CLOSE]
-    pieces = _cut(_apart(_forward(whole)))
-    pieces = pieces[pieces.sweep * pieces.radius > 2.0 * CLOSE]
-    outward = np.exp(1j * (pieces.start + 0.5 * pieces.sweep)) * CLOSE
+    long_arcs = candidates[np.abs(candidates.sweep) * candidates.radius > TOLERANCE]
+    pieces = _cut(_without_overlaps(_counter_clockwise(long_arcs)))
+    pieces = pieces[pieces.sweep * pieces.radius > 2.0 * TOLERANCE]
+    outward = np.exp(1j * (pieces.start + 0.5 * pieces.sweep)) * TOLERANCE
     middle = pieces.at(0.5)
     inner, outer = inside(middle - outward), inside(middle + outward)
     left_in, right_in = pieces[inner & ~outer], pieces[outer & ~inner]
-    return _linked(joined([left_in, right_in.part(1.0, 0.0)]))
+    return _link_loops(concatenate([left_in, right_in.part(1.0, 0.0)]))
 
 
-def _forward(arcs: Arcs) -> Arcs:
+def _counter_clockwise(arcs: Arcs) -> Arcs:
     """Return the same arcs, each counter-clockwise."""
     back = arcs.sweep < 0.0
-    return joined([arcs[~back], arcs[back].part(1.0, 0.0)])
+    return concatenate([arcs[~back], arcs[back].part(1.0, 0.0)])
 
 
-def _apart(arcs: Arcs) -> Arcs:
+def _without_overlaps(arcs: Arcs) -> Arcs:
     """Return arcs that cover the same points without overlaps."""
-    same = (np.abs(arcs.center[:, None] - arcs.center) < CLOSE) & (
-        np.abs(arcs.radius[:, None] - arcs.radius) < CLOSE
+    same = (np.abs(arcs.center[:, None] - arcs.center) < TOLERANCE) & (
+        np.abs(arcs.radius[:, None] - arcs.radius) < TOLERANCE
     )
-    kept, seen = [], np.zeros(len(arcs), dtype=bool)
+    result, done = [], np.zeros(len(arcs), dtype=bool)
     for k in range(len(arcs)):
-        if seen[k]:
+        if done[k]:
             continue
-        circle = arcs[same[k] & ~seen]
-        seen |= same[k]
+        circle = arcs[same[k] & ~done]
+        done |= same[k]
         if len(circle) == 1:
-            kept.append(circle)
+            result.append(circle)
             continue
         ends = np.concatenate([circle.start, circle.start + circle.sweep]) % (2.0 * pi)
         cuts = np.sort(ends)
-        cuts = cuts[np.append(True, np.diff(cuts) > _ANGLE)]
+        cuts = cuts[np.append(True, np.diff(cuts) > _ANGLE_TOLERANCE)]
         lengths = np.diff(np.append(cuts, cuts[0] + 2.0 * pi))
         middle = cuts + 0.5 * lengths
         for begin, length, angle in zip(cuts, lengths, middle, strict=True):
             covering = np.flatnonzero((angle - circle.start) % (2.0 * pi) < circle.sweep)
-            if covering.size and length > _ANGLE:
+            if covering.size and length > _ANGLE_TOLERANCE:
                 arc = circle[covering[:1]]
-                offset = (begin - arc.start + _ANGLE) % (2.0 * pi) - _ANGLE
-                kept.append(arc.part(offset / arc.sweep, (offset + length) / arc.sweep))
-    return joined(kept)
+                offset = (begin - arc.start + _ANGLE_TOLERANCE) % (2.0 * pi) - _ANGLE_TOLERANCE
+                result.append(arc.part(offset / arc.sweep, (offset + length) / arc.sweep))
+    return concatenate(result)
 
 
 def _cut(arcs: Arcs) -> Arcs:
@@ -250,24 +254,24 @@ def _cut(arcs: Arcs) -> Arcs:
     points = crossings(arcs.center[:, None], arcs.radius[:, None], arcs.center, arcs.radius)
     angles = np.stack([np.angle(p - arcs.center[:, None]) for p in points])
     others = np.stack([np.angle(p - arcs.center) for p in points])
-    met = np.isfinite(angles) & arcs.covers(others)
+    meets = np.isfinite(angles) & arcs.covers(others)
     pieces = []
     for k in range(len(arcs)):
-        along = (angles[:, k][met[:, k]] - arcs.start[k]) % (2.0 * pi)
+        along = (angles[:, k][meets[:, k]] - arcs.start[k]) % (2.0 * pi)
         t = np.sort(along / arcs.sweep[k])
         t = t[(t > 0.0) & (t < 1.0)]
-        near = CLOSE / (arcs.radius[k] * arcs.sweep[k])
-        t = t[np.diff(t, prepend=0.0) > near]
+        margin = TOLERANCE / (arcs.radius[k] * arcs.sweep[k])
+        t = t[np.diff(t, prepend=0.0) > margin]
         t = np.unique(np.concatenate([[0.0], t, [1.0]]))
         halves = np.ceil(np.diff(t) * arcs.sweep[k] / pi).astype(int).clip(1)
         parts = np.repeat(np.arange(len(halves)), halves)
         share = (np.arange(len(parts)) - np.searchsorted(parts, parts)) / halves[parts]
         t = np.append(t[parts] + share * np.diff(t)[parts], 1.0)
         pieces.append(arcs[np.full(len(parts), k)].part(t[:-1], t[1:]))
-    return joined(pieces)
+    return concatenate(pieces)
 
 
-def _linked(arcs: Arcs) -> Region:
+def _link_loops(arcs: Arcs) -> Region:
     """Link the directed arcs to loops, and merge consecutive pieces of one arc.
 
     Raises:
@@ -283,29 +287,29 @@ def _linked(arcs: Arcs) -> Region:
             order.append(k)
             loop.append(number)
             gap = np.where(left, np.abs(first - last[k]), np.inf)
-            gap[begin] = np.abs(first[begin] - last[k]) - CLOSE  # prefer to close the loop
+            gap[begin] = np.abs(first[begin] - last[k]) - TOLERANCE  # prefer to close the loop
             k = int(np.argmin(gap))
-            if gap[k] > _GAP:
+            if gap[k] > _MAX_GAP:
                 raise ValueError(f"the boundary has a gap of {gap[k]:.3g} m, expected none")
         number += 1
-    return _merged(Region(arcs[order], np.array(loop, dtype=np.intp)))
+    return _merge(Region(arcs[order], np.array(loop, dtype=np.intp)))
 
 
-def _merged(region: Region) -> Region:
+def _merge(region: Region) -> Region:
     """Merge consecutive arcs that continue one another, up to half a circle."""
     arcs, loop = region.arcs, region.loop
     same = (
         (loop[1:] == loop[:-1])
         & (arcs.joint[1:] == arcs.joint[:-1])
         & (np.sign(arcs.sweep[1:]) == np.sign(arcs.sweep[:-1]))
-        & (np.abs(np.diff(arcs.center)) < CLOSE)
-        & (np.abs(arcs.posture(1.0)[:-1] - arcs.q[1:]).max(axis=1, initial=0.0) < CLOSE)
+        & (np.abs(np.diff(arcs.center)) < TOLERANCE)
+        & (np.abs(arcs.posture(1.0)[:-1] - arcs.q[1:]).max(axis=1, initial=0.0) < TOLERANCE)
     )
-    kept: list[int] = []
+    result: list[int] = []
     sweep = arcs.sweep.copy()
     for k in range(len(arcs)):
-        if k and same[k - 1] and abs(sweep[kept[-1]] + sweep[k]) <= pi:
-            sweep[kept[-1]] += sweep[k]
+        if k and same[k - 1] and abs(sweep[result[-1]] + sweep[k]) <= pi:
+            sweep[result[-1]] += sweep[k]
         else:
-            kept.append(k)
-    return Region(replace(arcs, sweep=sweep)[kept], loop[kept])
+            result.append(k)
+    return Region(replace(arcs, sweep=sweep)[result], loop[result])

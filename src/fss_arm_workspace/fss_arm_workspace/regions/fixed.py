@@ -20,17 +20,17 @@ import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_arm_workspace.regions.arcs import (
-    CLOSE,
+    TOLERANCE,
     Arcs,
     Complexes,
     Floats,
     Region,
+    concatenate,
     crossings,
     enclose,
-    joined,
 )
 
-TURN = 2.0 * pi
+FULL_TURN = 2.0 * pi
 
 
 def joint_limits(arm: Arm, *, of_true_angle: bool = False) -> Floats:
@@ -76,10 +76,10 @@ def checked_limits(arm: Arm, limits: npt.ArrayLike | None) -> Floats:
     """
     if limits is None:
         return joint_limits(arm)
-    given = np.asarray(limits, dtype=float)
-    if given.shape != (arm.n, 2) or not (given[:, 0] < given[:, 1]).all():
-        raise ValueError(f"limits are {given.tolist()}, expected {arm.n} pairs (lowest, highest)")
-    return given
+    checked = np.asarray(limits, dtype=float)
+    if checked.shape != (arm.n, 2) or not (checked[:, 0] < checked[:, 1]).all():
+        raise ValueError(f"limits are {checked.tolist()}, expected {arm.n} pairs (lowest, highest)")
+    return checked
 
 
 def chain_workspace(
@@ -94,7 +94,7 @@ def chain_workspace(
         limits: lowest and highest readings, (n, 2) [rad].
     """
     a, theta_0 = np.asarray(lengths, dtype=float), np.asarray(offsets, dtype=float)
-    span = np.minimum(limits[:, 1] - limits[:, 0], TURN)
+    span = np.minimum(limits[:, 1] - limits[:, 0], FULL_TURN)
     low = limits[:, 0] + theta_0
     n = len(a)
     q = np.zeros((1, n))
@@ -102,23 +102,25 @@ def chain_workspace(
     arc = Arcs(np.zeros(1, complex), a[-1:], low[-1:], span[-1:], np.array([n - 1]), q)
     region = _curve(arc)
     for k in range(n - 2, -1, -1):
-        region = _turned(region, k, a[k], low[k], span[k], limits[k, 0])
-    return Region(region.arcs.moved(by=root), region.loop)
+        region = _sweep_joint(region, k, a[k], low[k], span[k], limits[k, 0])
+    return Region(region.arcs.transformed(by=root), region.loop)
 
 
 def _curve(arc: Arcs) -> Region:
     """Return an arc as a region without width: along it and back."""
     t = np.array([0.0, 0.5, 1.0, 0.5, 0.0])
-    there = joined([arc.part(t[i : i + 1], t[i + 1 : i + 2]) for i in range(4)])
-    return Region(there, np.zeros(4, dtype=np.intp))
+    curve = concatenate([arc.part(t[i : i + 1], t[i + 1 : i + 2]) for i in range(4)])
+    return Region(curve, np.zeros(4, dtype=np.intp))
 
 
-def _turned(outer: Region, k: int, length: float, low: float, span: float, q_low: float) -> Region:
+def _sweep_joint(
+    outer: Region, k: int, length: float, low: float, span: float, q_low: float
+) -> Region:
     """Return W_k: W_{k+1} at the end of link k, turned about joint k.
 
     The joint's true angle runs from low to low + span [rad]; q_low is its reading at `low` [rad].
     """
-    arcs = outer.arcs.moved(by=length)
+    arcs = outer.arcs.transformed(by=length)
     at_end = Region(arcs, outer.loop)
 
     def inside(points: Complexes) -> npt.NDArray[np.bool_]:
@@ -137,19 +139,19 @@ def _turned(outer: Region, k: int, length: float, low: float, span: float, q_low
         )
         found = at_end.contains(first)
         rest = np.flatnonzero(~found)
-        found[rest] = _meets(back[rest], arcs)
+        found[rest] = _any_crossing(back[rest], arcs)
         return found
 
     candidates = [_circles(arcs, k, low, span, q_low)]
-    if span < TURN:
+    if span < FULL_TURN:
         candidates += [
-            _with(arcs.moved(low), k, q_low),
-            _with(arcs.moved(low + span), k, q_low + span),
+            _with_reading(arcs.transformed(low), k, q_low),
+            _with_reading(arcs.transformed(low + span), k, q_low + span),
         ]
-    return enclose(joined(candidates), inside)
+    return enclose(concatenate(candidates), inside)
 
 
-def _with(arcs: Arcs, k: int, reading: float) -> Arcs:
+def _with_reading(arcs: Arcs, k: int, reading: float) -> Arcs:
     """Return the arcs with joint k at a reading [rad]."""
     q = arcs.q.copy()
     q[:, k] = reading
@@ -159,8 +161,8 @@ def _with(arcs: Arcs, k: int, reading: float) -> Arcs:
 def _circles(arcs: Arcs, k: int, low: float, span: float, q_low: float) -> Arcs:
     """Return arcs about the origin, joint k, through the ends and extreme points of the arcs."""
     angle = np.angle(arcs.center)[None] + np.array([[0.0], [pi]])
-    along = (np.sign(arcs.sweep) * (angle - arcs.start)) % TURN / np.abs(arcs.sweep)
-    extreme = (along < 1.0) & (np.abs(arcs.center) > CLOSE)
+    along = (np.sign(arcs.sweep) * (angle - arcs.start)) % FULL_TURN / np.abs(arcs.sweep)
+    extreme = (along < 1.0) & (np.abs(arcs.center) > TOLERANCE)
     ends = np.stack([np.zeros(len(arcs)), np.ones(len(arcs))])
     t = np.concatenate([ends[:, :], along])
     chosen = np.concatenate([np.ones_like(extreme), extreme])
@@ -179,13 +181,13 @@ def _circles(arcs: Arcs, k: int, low: float, span: float, q_low: float) -> Arcs:
     )
 
 
-def _meets(some: Arcs, others: Arcs) -> npt.NDArray[np.bool_]:
+def _any_crossing(some: Arcs, others: Arcs) -> npt.NDArray[np.bool_]:
     """Return True for each of the arcs (m,) that meets any of the others (k,)."""
-    met = np.zeros(len(some), dtype=bool)
+    crosses = np.zeros(len(some), dtype=bool)
     for point in crossings(
         some.center[:, None], some.radius[:, None], others.center, others.radius
     ):
         from_others = others.covers(np.angle(point - others.center))
         from_some = some.covers(np.angle(point - some.center[:, None]).T).T
-        met |= (np.isfinite(point) & from_others & from_some).any(axis=1)
-    return met
+        crosses |= (np.isfinite(point) & from_others & from_some).any(axis=1)
+    return crosses

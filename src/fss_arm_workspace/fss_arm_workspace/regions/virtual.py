@@ -50,14 +50,14 @@ def virtual_links(p: npt.ArrayLike) -> tuple[Floats, Floats, Complexes]:
     p = np.asarray(p, dtype=float)
     masses = np.concatenate([p[..., MASS, None], each(p, LINK_MASS)], axis=-1)
     inner = np.cumsum(masses, axis=-1) / masses.sum(axis=-1, keepdims=True)
-    none = np.zeros_like(inner[..., :1])
-    before = np.concatenate([none, inner[..., :-1]], axis=-1)
+    zero = np.zeros_like(inner[..., :1])
+    inner_before = np.concatenate([zero, inner[..., :-1]], axis=-1)
     mount = p[..., MOUNT_X] - p[..., COM_X] + 1j * (p[..., MOUNT_Y] - p[..., COM_Y])
     b = np.concatenate([np.abs(mount)[..., None], each(p, LENGTH) - each(p, G)], axis=-1) * inner
-    g = np.concatenate([none, each(p, G)], axis=-1) * before
+    g = np.concatenate([zero, each(p, G)], axis=-1) * inner_before
     vectors = (b + g).astype(complex)
     vectors[..., 0] = mount * inner[..., 0]
-    vectors[..., 1:] -= 1j * each(p, LATERAL) * (inner - before)[..., 1:]
+    vectors[..., 1:] -= 1j * each(p, LATERAL) * (inner - inner_before)[..., 1:]
     return b, g, vectors
 
 
@@ -128,6 +128,6 @@ def base_mass_for(arm: Arm, radius: float) -> float:
     total = sum(link.mass for link in arm.links)
     light, heavy = np.log(total) - 20.0, np.log(total) + 20.0
     if not excess(light) < 0.0 < excess(heavy) < inf:
-        least, most = excess(light) + radius, excess(heavy) + radius
-        raise ValueError(f"radius is {radius} m, expected between {least:.4g} and {most:.4g} m")
+        lowest, highest = excess(light) + radius, excess(heavy) + radius
+        raise ValueError(f"radius is {radius} m, expected between {lowest:.4g} and {highest:.4g} m")
     return float(np.exp(brentq(excess, light, heavy, xtol=1e-12)))

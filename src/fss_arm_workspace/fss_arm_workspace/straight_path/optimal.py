@@ -15,7 +15,7 @@ from fss_arm_workspace.straight_path.paths import (
     WEIGHTED,
     Paths,
     Rules,
-    joined,
+    concatenate,
     straight_paths,
 )
 
@@ -62,25 +62,27 @@ def optimal_paths(
     segments = int(np.ceil(1.5 / rules.segment))
     mean, spread = np.zeros((k, segments, arm.n)), np.full((k, segments, arm.n), 5.0)
     best, chosen = np.full(k, -inf), mean.copy()
-    every = np.repeat(direction, population)
+    directions = np.repeat(direction, population)
     for _ in range(generations):
         z = mean[:, None] + spread[:, None] * rng.standard_normal((k, population, *mean.shape[1:]))
         z[:, 0] = chosen
-        wishes = z.reshape(-1, segments, arm.n)
-        tried = straight_paths(arm, start, every, rules, limits, wishes)
-        length = tried.distance.reshape(k, population)
+        preferences = z.reshape(-1, segments, arm.n)
+        trial = straight_paths(arm, start, directions, rules, limits, preferences)
+        length = trial.distance.reshape(k, population)
         order = np.argsort(-length, axis=1)[:, : population // 5]
         elite = np.take_along_axis(z, order[..., None, None], axis=1)
         mean, spread = elite.mean(axis=1), elite.std(axis=1) + 0.1
-        top = length.max(axis=1)
-        chosen = np.where((top > best)[:, None, None], elite[:, 0], chosen)
-        best = np.maximum(best, top)
+        longest = length.max(axis=1)
+        chosen = np.where((longest > best)[:, None, None], elite[:, 0], chosen)
+        best = np.maximum(best, longest)
     paths = straight_paths(arm, start, direction, rules, limits, chosen)
     paths = replace(paths, redundancy=OPTIMAL)
     for other in (MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED):
-        rival = straight_paths(arm, start, direction, replace(rules, redundancy=other), limits)
-        farther = rival.distance > paths.distance
-        chosen[farther] = np.nan
-        order = np.where(farther, np.arange(k) + k, np.arange(k))
-        paths = joined(paths, rival)[order]
+        alternative = straight_paths(
+            arm, start, direction, replace(rules, redundancy=other), limits
+        )
+        is_longer = alternative.distance > paths.distance
+        chosen[is_longer] = np.nan
+        order = np.where(is_longer, np.arange(k) + k, np.arange(k))
+        paths = concatenate(paths, alternative)[order]
     return paths, chosen

@@ -31,11 +31,11 @@ from fss_arm_workspace.straight_path.trace import trace
 FIXED, FLOATING, ZERO_REACTION = BASES
 MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED, PREFERRED = RULES
 
-GRAZED = 0.5  # peak rate above which a path grazes a singularity, as share of the stopping rate
-NEAR = 5e-3  # distance from a stop to the singularity above which a path grazes it [m]
+GRAZING_RATE_SHARE = 0.5  # peak rate of a grazing path, as share of the stopping rate
+GRAZING_DISTANCE = 5e-3  # from the stop to the singularity of a grazing path, at least [m]
 
 
-_EACH = ("direction", "distance", "reason", "last", "grazes")  # one row a path in Paths
+_PATH_FIELDS = ("direction", "distance", "reason", "last", "grazes")  # one row a path in Paths
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class PathSettings(Settings):
         AWAY_FROM_LIMITS, "rule by which straight paths use the redundancy", check=one_of(*RULES)
     )
     gain: float = setting(
-        5.0, "pull away from limits, at a limit", unit="rad/m", check=NOT_NEGATIVE
+        5.0, "rate away from a joint limit, at the limit", unit="rad/m", check=NOT_NEGATIVE
     )
     stopping_rate: float = setting(
-        100.0, "joint rate on a straight path that counts as a singularity", unit="rad/m",
+        100.0, "joint rate on a straight path above which it ends at a singularity", unit="rad/m",
         check=POSITIVE,
     )  # fmt: skip
     table: tuple[float, ...] = setting(
@@ -71,10 +71,10 @@ class PathSettings(Settings):
 class Rules(PathSettings):
     """Settings of straight paths on one kind of base."""
 
-    base: str = setting(FLOATING, "kind of base that straight paths are of", check=one_of(*BASES))
-    step: float = setting(2e-3, "longest step along a straight path", unit="m", check=POSITIVE)
+    base: str = setting(FLOATING, "kind of base for straight paths", check=one_of(*BASES))
+    step: float = setting(2e-3, "maximum step along a straight path", unit="m", check=POSITIVE)
     segment: float = setting(
-        0.1, "length of path for which preferred rates stay", unit="m", check=POSITIVE
+        0.1, "length of a path segment with constant preferred rates", unit="m", check=POSITIVE
     )
 
 
@@ -103,7 +103,7 @@ class Paths:
         return float(0.5 * (ends.conj() * np.roll(ends, -1)).imag.sum())
 
     def __getitem__(self, index: npt.NDArray[Any]) -> "Paths":
-        return replace(self, **{name: getattr(self, name)[index] for name in _EACH})
+        return replace(self, **{name: getattr(self, name)[index] for name in _PATH_FIELDS})
 
 
 def arch(arm: Arm) -> Floats:
@@ -144,11 +144,11 @@ def straight_paths(
     """
     rules = rules or Rules()
     direction = np.atleast_1d(np.asarray(direction, dtype=float))
-    start, bounds, tip, options = _prepared(arm, start, direction, rules, limits)
+    start, bounds, tip, options = _prepare(arm, start, direction, rules, limits)
     wish = np.zeros((1, arm.n)) if preferred is None else preferred
     last, result = trace(arm.vector(), start, bounds, options, wish)
-    length, reason, peak, left = np.moveaxis(result, -1, 0)
-    grazes = (peak > GRAZED * rules.stopping_rate) | (left > NEAR)
+    length, reason, peak, remaining = np.moveaxis(result, -1, 0)
+    grazes = (peak > GRAZING_RATE_SHARE * rules.stopping_rate) | (remaining > GRAZING_DISTANCE)
     return Paths(start, rules.redundancy, tip, direction, length, reason.astype(int), last, grazes)
 
 
@@ -160,12 +160,12 @@ def straight_workspace(
     *,
     count: int = 360,
     tolerance: float = 0.01,
-    finest: float = 1e-4,
+    min_gap: float = 1e-4,
 ) -> Paths:
     """Compute straight paths in all directions, with more of them where the boundary is not smooth.
 
     A gap between two directions is halved as long as the length of the path between differs by more
-    than the tolerance from the mean of the two, down to the finest gap: there the boundary jumps.
+    than the tolerance from the mean of the two, down to min_gap: there the boundary jumps.
 
     Args:
         arm: the arm.
@@ -174,7 +174,7 @@ def straight_workspace(
         limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
         count: initial number of directions.
         tolerance: tolerance of the boundary between directions [m].
-        finest: gap between directions that is not halved further [rad].
+        min_gap: gap between directions that is not halved further [rad].
 
     Returns:
         The paths in the order of their directions, from 0 to 2 pi.
@@ -186,23 +186,23 @@ def straight_workspace(
     gaps = np.ones(count, dtype=bool)
     while gaps.any():
         after = np.append(paths.direction[1:], paths.direction[0] + 2.0 * pi)
-        index = np.flatnonzero(gaps & (after - paths.direction > finest))
+        index = np.flatnonzero(gaps & (after - paths.direction > min_gap))
         if not index.size:
             break
         middle = 0.5 * (paths.direction[index] + after[index])
         new = straight_paths(arm, start, middle, rules, limits)
         mean = 0.5 * (paths.distance[index] + np.roll(paths.distance, -1)[index])
         rough = np.abs(new.distance - mean) > tolerance
-        kept = new[rough]
+        refined = new[rough]
         open_gaps = np.zeros(len(paths.direction), dtype=bool)
         open_gaps[index[rough]] = True
-        order = np.argsort(np.concatenate([paths.direction, kept.direction]), kind="stable")
-        paths = joined(paths, kept)[order]
-        gaps = np.concatenate([open_gaps, np.ones(len(kept.direction), dtype=bool)])[order]
+        order = np.argsort(np.concatenate([paths.direction, refined.direction]), kind="stable")
+        paths = concatenate(paths, refined)[order]
+        gaps = np.concatenate([open_gaps, np.ones(len(refined.direction), dtype=bool)])[order]
     return paths
 
 
-def _prepared(
+def _prepare(
     arm: Arm, start: npt.ArrayLike, direction: Floats, rules: Rules, limits: npt.ArrayLike | None
 ) -> tuple[Floats, Floats, complex, Floats]:
     """Return start, limits, the tip's start position, and the kernel's options (k, 9).
@@ -221,11 +221,14 @@ def _prepared(
     low_x, low_y, high_x, high_y = rules.table
     if not (low_x <= x <= high_x and low_y <= y <= high_y):
         raise ValueError(f"the tip starts at ({x:.4g}, {y:.4g}) m, expected on the table")
-    ahead = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
+    direction_vector = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        room = np.where(ahead > 0.0, [high_x - x, high_y - y], [low_x - x, low_y - y]) / ahead
-    room = np.where(np.abs(ahead) > 1e-12, room, inf).min(axis=-1)
-    same = [
+        room = (
+            np.where(direction_vector > 0.0, [high_x - x, high_y - y], [low_x - x, low_y - y])
+            / direction_vector
+        )
+    room = np.where(np.abs(direction_vector) > 1e-12, room, inf).min(axis=-1)
+    common = [
         BASES.index(rules.base),
         RULES.index(rules.redundancy),
         rules.gain,
@@ -233,14 +236,14 @@ def _prepared(
         rules.step,
     ]
     options = np.empty((len(direction), 9))
-    options[:, :2], options[:, 2:7] = ahead, same
+    options[:, :2], options[:, 2:7] = direction_vector, common
     options[:, 7], options[:, 8] = room, rules.segment
     return start, bounds, complex(x, y), options
 
 
-def joined(one: Paths, other: Paths) -> Paths:
+def concatenate(one: Paths, other: Paths) -> Paths:
     """Concatenate two sets of paths."""
     parts: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in _EACH
+        name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in _PATH_FIELDS
     }
     return replace(one, **parts)

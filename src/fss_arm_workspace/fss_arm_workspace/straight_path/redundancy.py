@@ -22,13 +22,15 @@ import math
 from fss_arm_model.kernels import Complexes, Floats, helper
 from fss_arm_model.kinematics import _chain
 from fss_arm_model.momentum import _floating
-from fss_arm_workspace.manipulability.measure import _held
+from fss_arm_workspace.manipulability.measure import _fixed_jacobian
 
 BASES = ("fixed", "floating", "zero reaction")
 RULES = ("minimum norm", "away from limits", "weighted least norm", "preferred")
 
-_HEAVY = 1e-3  # distance below which weights almost stop a joint, so that it is at its limit [rad]
-_MET = 1e-11  # distance below which a joint is at its limit [rad]
+_WEIGHTED_TOLERANCE = (
+    1e-3  # distance below which weights almost stop a joint, so that it is at its limit [rad]
+)
+_LIMIT_TOLERANCE = 1e-11  # distance below which a joint is at its limit [rad]
 
 
 @helper
@@ -56,7 +58,7 @@ def _solve(C: Floats, rows: int, y: Floats) -> bool:
 
 
 @helper
-def _least(
+def _least_rates(
     A: Floats, rows: int, free: Floats, z: Floats, W: Floats, C: Floats, y: Floats, x: Floats
 ) -> bool:
     """Write the free joints' x with A x = y nearest to z, and multipliers y; False if singular."""
@@ -78,7 +80,9 @@ def _least(
 
 
 @helper
-def _rows(p: Floats, q: Floats, base: float, d: Complexes, e: Complexes, A: Floats) -> None:
+def _constraint_rows(
+    p: Floats, q: Floats, base: float, d: Complexes, e: Complexes, A: Floats
+) -> None:
     """Write A (3, n): the tip's two rows, and the base's angular rate per joint rate."""
     _chain(p, q, d, e)
     if base > 0.0:
@@ -86,16 +90,16 @@ def _rows(p: Floats, q: Floats, base: float, d: Complexes, e: Complexes, A: Floa
         for k in range(A.shape[1]):
             A[2, k] -= 1.0
     else:
-        _held(d, A)
+        _fixed_jacobian(d, A)
         A[2] = 0.0
 
 
 @helper
-def _weight(low: float, high: float, here: float) -> float:
+def _weight(low: float, high: float, angle: float) -> float:
     """Return 1 + |dH/dq| of one joint."""
-    room = max(high - here, _MET) * max(here - low, _MET)
+    room = max(high - angle, _LIMIT_TOLERANCE) * max(angle - low, _LIMIT_TOLERANCE)
     side = (high - low) / (2.0 * room)
-    return 1.0 + side * side * abs(2.0 * here - high - low)
+    return 1.0 + side * side * abs(2.0 * angle - high - low)
 
 
 @helper
@@ -106,23 +110,23 @@ def _rates(  # type: ignore[no-untyped-def]
     z[:] = 0.0
     W[:] = 1.0
     for k in range(x.size):
-        low, high, here = limits[k, 0], limits[k, 1], q[3 + k]
+        low, high, angle = limits[k, 0], limits[k, 1], q[3 + k]
         if rule == 1.0:
-            z[k] = -gain * (2.0 * here - high - low) / (high - low)
+            z[k] = -gain * (2.0 * angle - high - low) / (high - low)
         elif rule == 2.0:
-            W[k] = _weight(low, high, here)
+            W[k] = _weight(low, high, angle)
         elif rule == 3.0:
             z[k] = preferred[k]
     # W depends on the rates and they on W; the cost is convex, so few iterations find its minimum.
     for _ in range(2 * x.size):
         y[0], y[1], y[2] = direction.real, direction.imag, 0.0
-        if not _least(A, rows, free, z, W, C, y, x):
+        if not _least_rates(A, rows, free, z, W, C, y, x):
             return False
         settled = True
         for k in range(x.size if rule == 2.0 else 0):
-            low, high, here = limits[k, 0], limits[k, 1], q[3 + k]
-            outward = x[k] * (2.0 * here - high - low) > 0.0
-            weight = _weight(low, high, here) if outward else 1.0
+            low, high, angle = limits[k, 0], limits[k, 1], q[3 + k]
+            outward = x[k] * (2.0 * angle - high - low) > 0.0
+            weight = _weight(low, high, angle) if outward else 1.0
             settled &= weight == W[k]
             W[k] = weight
         if settled:
@@ -133,17 +137,17 @@ def _rates(  # type: ignore[no-untyped-def]
 @helper
 def _at_limit(limits: Floats, q: Floats, k: int, rule: float) -> float:
     """Return -1 or 1 if joint k is at its lowest or highest reading, else 0."""
-    near = _HEAVY if rule == 2.0 else _MET
-    if q[3 + k] - limits[k, 0] <= near:
+    tolerance = _WEIGHTED_TOLERANCE if rule == 2.0 else _LIMIT_TOLERANCE
+    if q[3 + k] - limits[k, 0] <= tolerance:
         return -1.0
-    if limits[k, 1] - q[3 + k] <= near:
+    if limits[k, 1] - q[3 + k] <= tolerance:
         return 1.0
     return 0.0
 
 
 @helper
-def _choose(  # type: ignore[no-untyped-def]
-    limits, q, A, rows, options, wish, direction, free, rates, C, x,
+def _choose_free_joints(  # type: ignore[no-untyped-def]
+    limits, q, A, rows, options, preferred, direction, free, rates, C, x,
 ):  # fmt: skip
     """Write which joints are free (n,), and their rates x; return whether rates exist, and a count.
 
@@ -154,33 +158,33 @@ def _choose(  # type: ignore[no-untyped-def]
     n = x.size
     z, W, y = rates[0, :n], rates[1, :n], rates[2]
     free[:] = 1.0
-    left = n
+    count = n
     for _ in range(4 * n):
-        if left < rows:
-            return False, left
+        if count < rows:
+            return False, count
         if not _rates(
-            limits, q, A, rows, options[3], options[4], wish, direction, free, z, W, C, y, x
+            limits, q, A, rows, options[3], options[4], preferred, direction, free, z, W, C, y, x
         ):
-            return False, left
-        chosen, most = -1, 0.0
+            return False, count
+        chosen, largest = -1, 0.0
         for k in range(n):
             out = free[k] * x[k] * _at_limit(limits, q, k, options[3])
-            if out > most:
-                chosen, most = k, out
+            if out > largest:
+                chosen, largest = k, out
         if chosen >= 0:
             free[chosen] = 0.0
-            left -= 1
+            count -= 1
             continue
-        most = 1e-9
+        largest = 1e-9
         for k in range(n):
             pull = W[k] * z[k]
             for i in range(rows):
                 pull += A[i, k] * y[i]
             inward = -(1.0 - free[k]) * pull * _at_limit(limits, q, k, options[3])
-            if inward > most:
-                chosen, most = k, inward
+            if inward > largest:
+                chosen, largest = k, inward
         if chosen < 0:
             break
         free[chosen] = 1.0
-        left += 1
-    return True, left
+        count += 1
+    return True, count

@@ -13,12 +13,12 @@ import numpy.typing as npt
 from fss_arm_model.kernels import Complexes, Floats, helper, kernel
 from fss_arm_model.kinematics import _chain, _mass, checked
 from fss_arm_workspace.straight_path.redundancy import (
-    _MET,
+    _LIMIT_TOLERANCE,
     _at_limit,
-    _choose,
-    _least,
+    _choose_free_joints,
+    _constraint_rows,
+    _least_rates,
     _rates,
-    _rows,
 )
 
 REASONS = (
@@ -27,13 +27,13 @@ REASONS = (
     "all joints but one at their limits",
     "a singularity",
 )
-_TABLE, _LIMIT, _LIMITS, _SINGULAR = 0.0, 1.0, 2.0, 3.0
+_TABLE_END, _ONE_LIMIT, _ALL_LIMITS, _SINGULARITY = 0.0, 1.0, 2.0, 3.0
 
-_TURN = 0.02  # maximum rotation of a joint in a step [rad]
-_GROWTH = 0.2  # maximum relative growth of the rates in a step
-_NEARING = 0.1  # maximum share of the room to a limit used in a step, if weights are unbounded
-_SHORTEST = 1e-5  # minimum step, unless a joint meets its limit within it [m]
-_ON_LINE = 1e-6  # distance below which the tip is on its line [m]
+_MAX_TURN = 0.02  # maximum rotation of a joint in a step [rad]
+_MAX_GROWTH = 0.2  # maximum relative growth of the rates in a step
+_MAX_APPROACH = 0.1  # maximum share of the room to a limit used in a step, if weights are unbounded
+_MIN_STEP = 1e-5  # minimum step, unless a joint meets its limit within it [m]
+_LINE_TOLERANCE = 1e-6  # distance below which the tip is on its line [m]
 
 
 @helper
@@ -49,21 +49,21 @@ def _com(p: Floats, d: Complexes, e: Complexes) -> complex:
 
 
 @helper
-def _advance(  # type: ignore[no-untyped-def]
+def _integrate_step(  # type: ignore[no-untyped-def]
     p, limits, options, preferred, direction, free, q, h, d, e, A, C, rates, stage, new,
 ):  # fmt: skip
     """Write the state `new` after a distance h: heading and joints by one Runge-Kutta step.
 
     rates (4, n + 3) is scratch. Return False if a stage has no rates, or rates that are too high.
     """
-    base, rule, gain, fastest = options[2], options[3], options[4], options[5]
+    base, rule, gain, max_rate = options[2], options[3], options[4], options[5]
     rows = 3 if base == 2.0 else 2
     z, W, y, x = rates[0], rates[1], rates[2], rates[3]
     n = x.size - 3
     new[:] = q
     stage[:] = q
     for i in range(4):
-        _rows(p, stage, base, d, e, A)
+        _constraint_rows(p, stage, base, d, e, A)
         if not _rates(
             limits, stage, A, rows, rule, gain, preferred, direction, free,
             z[:n], W[:n], C, y, x[:n],
@@ -71,21 +71,21 @@ def _advance(  # type: ignore[no-untyped-def]
             return False
         turn = 0.0
         for k in range(n):
-            if abs(x[k]) > fastest:
+            if abs(x[k]) > max_rate:
                 return False
             turn += A[2, k] * x[k]
         share = h / 6.0 if i in (0, 3) else h / 3.0
-        ahead = h if i == 2 else 0.5 * h
+        step = h if i == 2 else 0.5 * h
         new[2] += share * turn
-        stage[2] = q[2] + ahead * turn
+        stage[2] = q[2] + step * turn
         for k in range(n):
             new[3 + k] += share * x[k]
-            stage[3 + k] = q[3 + k] + ahead * x[k]
+            stage[3 + k] = q[3 + k] + step * x[k]
     return True
 
 
 @helper
-def _settle(  # type: ignore[no-untyped-def]
+def _correct(  # type: ignore[no-untyped-def]
     p, limits, base, com, origin, tip, free, q, d, e, A, C, rates,
 ):  # fmt: skip
     """Move the base so that the centre of mass (or the base) keeps its place, the tip to its line.
@@ -97,10 +97,10 @@ def _settle(  # type: ignore[no-untyped-def]
     n = x.size - 3
     error = 0j
     for corrections in range(4):
-        _rows(p, q, base, d, e, A)
-        place = origin if base == 0.0 else com - _com(p, d, e)
-        q[0], q[1] = place.real, place.imag
-        error = tip - place
+        _constraint_rows(p, q, base, d, e, A)
+        position = origin if base == 0.0 else com - _com(p, d, e)
+        q[0], q[1] = position.real, position.imag
+        error = tip - position
         for k in range(n + 1):
             error -= d[k]
         z[:] = 0.0
@@ -108,32 +108,32 @@ def _settle(  # type: ignore[no-untyped-def]
         y[0], y[1], y[2] = error.real, error.imag, 0.0
         if abs(error) < 1e-13 or corrections == 3:
             break
-        if not _least(A, rows, free, z[:n], W[:n], C, y, x[:n]):
+        if not _least_rates(A, rows, free, z[:n], W[:n], C, y, x[:n]):
             break
         for k in range(n):
-            if abs(x[k]) > _TURN:
+            if abs(x[k]) > _MAX_TURN:
                 return False
             turn = min(max(q[3 + k] + x[k], limits[k, 0]), limits[k, 1]) - q[3 + k]
             q[3 + k] += turn
             q[2] += A[2, k] * turn
-    return abs(error) < _ON_LINE
+    return abs(error) < _LINE_TOLERANCE
 
 
 @helper
-def _within(limits: Floats, free: Floats, q: Floats, new: Floats) -> float:
+def _share_to_limit(limits: Floats, free: Floats, q: Floats, new: Floats) -> float:
     """Return the share of the step from q to `new` after which a free joint first meets a limit."""
     share = 1.0
     for k in range(free.size):
         bound = limits[k, 1] if new[3 + k] > q[3 + k] else limits[k, 0]
         turn, room = abs(new[3 + k] - q[3 + k]), abs(bound - q[3 + k])
-        if free[k] > 0.0 and turn - room > _MET:
+        if free[k] > 0.0 and turn - room > _LIMIT_TOLERANCE:
             # Vectorized code also computes this for joints at rest; it must not divide by zero.
-            share = min(share, room / max(turn, _MET))
+            share = min(share, room / max(turn, _LIMIT_TOLERANCE))
     return share
 
 
 @kernel("(p),(n,k),(m),(o),(c,n),(r)->(m),(r)")
-def _traced(  # type: ignore[no-untyped-def]
+def _trace(  # type: ignore[no-untyped-def]
     p, limits, start, options, preferred, _r, q, result,
 ):  # fmt: skip
     n = start.size - 3
@@ -141,7 +141,7 @@ def _traced(  # type: ignore[no-untyped-def]
     A, C, rates = np.empty((3, n)), np.empty((3, 3)), np.empty((4, n + 3))
     free, stage, new, x = np.empty(n), np.empty(n + 3), np.empty(n + 3), np.zeros(n)
     direction, base = complex(options[0], options[1]), options[2]
-    fastest, longest_step, far = options[5], options[6], options[7]
+    max_rate, longest_step, table_end = options[5], options[6], options[7]
     segment = options[8]
     rows = 3 if base == 2.0 else 2
     q[:] = start
@@ -151,73 +151,91 @@ def _traced(  # type: ignore[no-untyped-def]
     tip = origin
     for k in range(n + 1):
         tip += d[k]
-    s, peak, highest, reason, still = 0.0, 0.0, 0.0, _TABLE, 0
+    s, peak, highest, reason, stalled_steps = 0.0, 0.0, 0.0, _TABLE_END, 0
     rate, slope, h = 0.0, 0.0, 0.0
     while True:
-        wish = preferred[min(int(s / segment), preferred.shape[0] - 1)]
-        _rows(p, q, base, d, e, A)
-        moving, left = _choose(limits, q, A, rows, options, wish, direction, free, rates, C, x)
-        if s >= far:
+        segment_rates = preferred[min(int(s / segment), preferred.shape[0] - 1)]
+        _constraint_rows(p, q, base, d, e, A)
+        moving, count = _choose_free_joints(
+            limits, q, A, rows, options, segment_rates, direction, free, rates, C, x
+        )
+        if s >= table_end:
             break
-        stuck = 0
+        at_limits = 0
         for k in range(n):
-            stuck += int(_at_limit(limits, q, k, options[3]) != 0.0)
-        if left < rows <= n:
-            reason = _LIMITS if stuck >= n - 1 else _LIMIT
+            at_limits += int(_at_limit(limits, q, k, options[3]) != 0.0)
+        if count < rows <= n:
+            reason = _ALL_LIMITS if at_limits >= n - 1 else _ONE_LIMIT
             break
         before, rate = rate, 0.0
         for k in range(n):
             rate = max(rate, abs(x[k]))
         slope = (rate - before) / h if h > 0.0 else 0.0
-        if not moving or rate > fastest:
-            reason = _SINGULAR
+        if not moving or rate > max_rate:
+            reason = _SINGULARITY
             break
         highest = max(highest, rate)
         if rate < 0.5 * highest:
             peak = max(peak, highest)
             highest = rate
-        h = min(longest_step, far - s, _TURN / max(rate, 1e-9))
+        h = min(longest_step, table_end - s, _MAX_TURN / max(rate, 1e-9))
         if slope > 0.0:  # rates grow towards a singularity
-            h = min(h, max(_GROWTH * rate / slope, _SHORTEST))
+            h = min(h, max(_MAX_GROWTH * rate / slope, _MIN_STEP))
         if options[3] == 2.0:  # weights of this rule grow as fast as the room to a limit shrinks
             for k in range(n):
                 if free[k] == 0.0:
                     continue
                 room = limits[k, 1] - q[3 + k] if x[k] > 0.0 else q[3 + k] - limits[k, 0]
-                h = min(h, max(_NEARING * room / max(abs(x[k]), 1e-9), _SHORTEST))
+                h = min(h, max(_MAX_APPROACH * room / max(abs(x[k]), 1e-9), _MIN_STEP))
         if options[3] == 3.0:
             h = max(min(h, segment * (math.floor(s / segment) + 1.0) - s), 1e-9)
-        good = False
+        accepted = False
         for _ in range(60):  # shorten the step until it ends where the first joint meets its limit
-            fits = _advance(
-                p, limits, options, wish, direction, free, q, h, d, e, A, C, rates, stage, new
+            fits = _integrate_step(
+                p,
+                limits,
+                options,
+                segment_rates,
+                direction,
+                free,
+                q,
+                h,
+                d,
+                e,
+                A,
+                C,
+                rates,
+                stage,
+                new,
             )
-            share = _within(limits, free, q, new) if fits else 0.5
+            share = _share_to_limit(limits, free, q, new) if fits else 0.5
             if share == 1.0:
                 for k in range(n):
                     new[3 + k] = min(max(new[3 + k], limits[k, 0]), limits[k, 1])
-                place = tip + (s + h) * direction
-                good = _settle(p, limits, base, com, origin, place, free, new, d, e, A, C, rates)
-                if good:
+                position = tip + (s + h) * direction
+                accepted = _correct(
+                    p, limits, base, com, origin, position, free, new, d, e, A, C, rates
+                )
+                if accepted:
                     break
                 fits, share = False, 0.5
             h *= share
-            if not fits and h < _SHORTEST:
+            if not fits and h < _MIN_STEP:
                 break
-        if not good:
-            reason = _SINGULAR
+        if not accepted:
+            reason = _SINGULARITY
             break
-        still = still + 1 if h < 1e-12 else 0
-        if still > 2 * n:
-            reason = _LIMIT
+        stalled_steps = stalled_steps + 1 if h < 1e-12 else 0
+        if stalled_steps > 2 * n:
+            reason = _ONE_LIMIT
             break
         s += h
         q[:] = new
     result[0], result[1], result[2] = s, reason, peak
     # Near a singularity the rate grows as (s* - s)^-1/2; so this is the length left of the line.
     # It is computed for all reasons, and must not divide by zero.
-    left_over = 0.5 * rate / max(slope, 1e-300)
-    result[3] = left_over if reason == _SINGULAR and slope > 0.0 else 0.0
+    remaining = 0.5 * rate / max(slope, 1e-300)
+    result[3] = remaining if reason == _SINGULARITY and slope > 0.0 else 0.0
 
 
 def trace(
@@ -247,4 +265,4 @@ def trace(
         ValueError: shapes do not fit.
     """
     p, q, _ = checked(p, q)
-    return _traced(p, limits, q, options, preferred, np.empty(4))
+    return _trace(p, limits, q, options, preferred, np.empty(4))

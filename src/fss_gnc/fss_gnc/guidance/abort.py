@@ -19,7 +19,7 @@ from the valves no longer holding the base.
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.held import hold, with_held
+from fss_arm_model.held import payload_pose, with_payload
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
 from fss_gnc.guidance.base_motion import min_duration
 from fss_gnc.guidance.drift import Drift, DriftPredictor
@@ -97,8 +97,8 @@ class Abort:
         qd_m = np.zeros(q_m.size) if obs.qd is None else obs.qd
         q, qd = np.concatenate([obs.base.pose, q_m]), np.concatenate([obs.base.twist, qd_m])
         if obs.holds and obs.target is not None and self._held_place is None:
-            self._held_place = hold(self.p, q, obs.target.pose)
-            self.p = with_held(self.p, self.settings.target, self._held_place)
+            self._held_place = payload_pose(self.p, q, obs.target.pose)
+            self.p = with_payload(self.p, self.settings.target, self._held_place)
         target = None if obs.holds else obs.target
         drifting = DriftPredictor(self.p, self.settings, self._held_place if obs.holds else None)
         if np.isnan(obs.propellant) and self._valve_leaks and self._push is not None:

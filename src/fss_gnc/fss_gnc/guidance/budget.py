@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
-from fss_arm_model.held import with_held
+from fss_arm_model.held import with_payload
 from fss_arm_model.momentum import momentum
 from fss_gnc.guidance.activity import Craft, Floats, Observation
 
@@ -43,7 +43,7 @@ class Budget:
         p, n, s = self.craft.arm.vector(), self.craft.arm.n, self.craft.settings
         body_sizes = sizes(s, s.target_radius, s.gripper_length)
         held = obs.held_body if obs.holds else None
-        self.momentum = momentum(p if held is None else with_held(p, *held), q, qd)
+        self.momentum = momentum(p if held is None else with_payload(p, *held), q, qd)
         self.edge_gap = float(gaps(p, q, list(with_edge(n)), body_sizes).min())
         if obs.target is not None:
             pairs = list(with_target(n))[:-1]

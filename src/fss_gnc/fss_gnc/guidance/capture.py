@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.guard.guard import Guard, GuardError
-from fss_arm_model.held import Approach, approach, momentum_of_both
+from fss_arm_model.held import Approach, approach, combined_momentum
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
@@ -194,7 +194,7 @@ class Capture:
             self.attempts += 1
             self._path = None
             self.reach.set_momentum(q, qd)
-            self.momentum = momentum_of_both(self.p, q, qd, self.target, state)
+            self.momentum = combined_momentum(self.p, q, qd, self.target, state)
             self._enter_phase("reach", obs.t)
         elif abs(facing) > MAX_FACING_ANGLE:
             missed = facing * spin < 0.0 or abs(facing) > FIXTURE_WAIT_TIMEOUT * abs(spin)

@@ -7,7 +7,7 @@ measured then comes from a leaking valve, and not from a wrong mass of the held 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.held import hold, with_held
+from fss_arm_model.held import payload_pose, with_payload
 from fss_gnc.guidance.abort import Abort, JointStop
 from fss_gnc.guidance.activity import Commands, Craft, HeldBody, Observation, Outcome
 from fss_gnc.guidance.mission_monitor import MissionMonitor
@@ -60,12 +60,15 @@ class Detumble:
         q, qd = obs.floating_state
         self.twist = qd[:3]
         if obs.holds and obs.held_body is not None and obs.held_body is not self._used_estimate:
-            self.p, self._has_target_mass = with_held(self.craft.arm.vector(), *obs.held_body), True
+            self.p, self._has_target_mass = (
+                with_payload(self.craft.arm.vector(), *obs.held_body),
+                True,
+            )
             self._used_estimate = obs.held_body
             self._path = self._path if self._is_at_rest(qd) else None  # planned for another mass
         elif obs.holds and obs.target is not None and not self._has_target_mass:
-            place = hold(self.p, q, obs.target.pose)
-            self.p, self._has_target_mass = with_held(self.p, self.settings.target, place), True
+            place = payload_pose(self.p, q, obs.target.pose)
+            self.p, self._has_target_mass = with_payload(self.p, self.settings.target, place), True
         rates = self.joints.rates(self.p, obs)
         if not rates.any() and np.abs(qd[3:]).max() < JOINT_REST_RATE:
             self._joint_rest_start = min(self._joint_rest_start, obs.t)

@@ -4,7 +4,7 @@ import numpy as np
 
 from fss_arm_model.clearance import body_name, gaps, sizes, with_edge, with_target
 from fss_arm_model.extents import Extents
-from fss_arm_model.held import held_at, hold
+from fss_arm_model.held import payload_pose, payload_positions
 from fss_gnc.guidance.activity import ActivityError, Craft, Floats, Observation
 from fss_gnc.reference import Path
 
@@ -21,7 +21,7 @@ def held_gap(p: Floats, states: Floats, place: Floats, radius: float, extents: E
         radius: of the target [m].
         extents: of the table.
     """
-    distance = 0.5 * np.array(extents.table) - np.abs(held_at(p, states, place))
+    distance = 0.5 * np.array(extents.table) - np.abs(payload_positions(p, states, place))
     return np.asarray(distance.min(axis=-1) - radius)
 
 
@@ -57,7 +57,7 @@ class FreeSpace:
         gap, names = gaps(self.p, states, self.edge, self.sizes), self.names
         target, s = obs.target, self.settings
         if target is not None and obs.holds:
-            place = hold(self.p, present, target.pose)
+            place = payload_pose(self.p, present, target.pose)
             gap = np.column_stack([gap, held_gap(self.p, states, place, s.target_radius, s)])
             names = [*names, "the held target"]
         self._check_gaps(gap, names, times - start, s.edge_margin, "the table's edge")

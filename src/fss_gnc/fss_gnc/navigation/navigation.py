@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
-from fss_arm_model.held import Target, held, hold, with_held
+from fss_arm_model.held import Target, payload_pose, payload_state, with_payload
 from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
 from fss_arm_model.planar import wrap
@@ -135,7 +135,7 @@ class Navigation:
         """Update with a pose [m, m, rad] of the target at t [ns]; return True if accepted."""
         accepted = self.target.update_pose(t, x, y, heading)
         if accepted and self.holds and not self.base.lost_reason(t):
-            place = hold(self.p, self._state(t)[0], (x, y, heading))
+            place = payload_pose(self.p, self._state(t)[0], (x, y, heading))
             if self.place is None:
                 self.place = place
                 self._update_parameters()
@@ -161,7 +161,7 @@ class Navigation:
         self.base.predict(t)
         is_outdated = t - self.target.last_pose_time > MAX_POSE_GAP
         if self.place is not None and is_outdated and not self.base.lost_reason(t):
-            x, y, heading = held(self.p, *self._state(t), self.place)[0].tolist()
+            x, y, heading = payload_state(self.p, *self._state(t), self.place)[0].tolist()
             self.target.update_held_pose(t, (x, y, heading))
         self.target.predict(t)
 
@@ -198,7 +198,7 @@ class Navigation:
         known, place = self.valves.faults, self.place
         p, mass_error = self.p, 0.0
         if self.holds and place is not None:  # as assumed: a leak may look like mass
-            p = with_held(p, self.assumed_body, place)
+            p = with_payload(p, self.assumed_body, place)
             mass_error = self.assumed_body.mass * expm1(self.errors.mass_error)
         if not self._is_known(t) or (self.holds and place is None):
             self.valves.reset()
@@ -267,7 +267,7 @@ class Navigation:
         if place is None:  # the target has no markers
             x, y, heading = self.assumed_body.fixture
             offset = np.exp(-1j * heading) * complex(x, y)  # from it to the tip, seen from the tip
-            place = hold(self.p, sample.q, tip_pose(self.p, sample.q))
+            place = payload_pose(self.p, sample.q, tip_pose(self.p, sample.q))
             place = place + np.array([offset.real, offset.imag, 0.0])
         if state is None:
             tip, J = tip_pose(self.p, sample.q), tip_jacobian(self.p, sample.q)
@@ -285,9 +285,9 @@ class Navigation:
     def _update_parameters(self) -> None:
         p = self.p
         if self.mass_properties is not None:
-            p = with_held(p, *self.mass_properties.as_held_body)
+            p = with_payload(p, *self.mass_properties.as_held_body)
         elif self.place is not None:
-            p = with_held(p, self.assumed_body, self.place)
+            p = with_payload(p, self.assumed_body, self.place)
         self.inputs.set_parameters(p)
 
     def _state(self, t: int) -> tuple[Floats, Floats]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from fss_arm_model.clearance import edge_clearance
 from fss_arm_model.description import Arm, Base
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.held import Approach, Target, held, hold, with_held
+from fss_arm_model.held import Approach, Target, payload_pose, payload_state, with_payload
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.layout import BASE_SIZE, LENGTH, MASS, each
 from fss_arm_model.momentum import momentum
@@ -205,7 +205,7 @@ class Vehicle:
     def held_state(self) -> Floats:
         """Return pose and twist of the target that is part of the last link, (2, 3)."""
         assert self._held_pose is not None
-        return held(self._p, self.q, self.qd, self._held_pose)
+        return payload_state(self._p, self.q, self.qd, self._held_pose)
 
     @property
     def snapshot(self) -> tuple[Floats, ...]:
@@ -285,8 +285,8 @@ class Vehicle:
 
     def attach(self, target: PassiveTarget, velocity: Floats | None = None) -> None:
         """Make the target part of the last link; set the vehicle's velocity (3 + n,) if given."""
-        self._held_pose = hold(self._p, self.q, target.q)
-        self._p = with_held(self._p, target.target, self._held_pose)
+        self._held_pose = payload_pose(self._p, self.q, target.q)
+        self._p = with_payload(self._p, target.target, self._held_pose)
         target.holder, self.held = self, target
         if velocity is not None:
             self.add_velocity(velocity - self.qd)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.held import Approach, Target, held_jacobian, hold
+from fss_arm_model.held import Approach, Target, payload_jacobian, payload_pose
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 from fss_sim.plant.contact import Part
 from fss_sim.plant.simulation import advance
@@ -161,7 +161,7 @@ def velocity_after_capture(
     p: Floats, q: Floats, qd: Floats, H: Floats, body: PassiveTarget
 ) -> Floats:
     """Return the velocity of the arm of inertia H immediately after it has gripped the target."""
-    J = held_jacobian(p, q, hold(p, q, body.q))
+    J = payload_jacobian(p, q, payload_pose(p, q, body.q))
     gained = J.T @ (body.masses * (body.qd - J @ qd))
     return qd + np.linalg.solve(H + J.T @ (body.masses[:, None] * J), gained)
 
