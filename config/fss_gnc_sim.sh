@@ -1,4 +1,4 @@
-# As fss_sim.sh, with the base's board in the test bed, and what flies it: docs/how-to/guidance.md.
+# Like fss_sim.sh, with the base's board in the test bed, navigation, control and guidance: docs/how-to/guidance.md.
 # shellcheck shell=sh
 
 export ROS_DOMAIN_ID=0

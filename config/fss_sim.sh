@@ -1,4 +1,4 @@
-# As fss.sh, with a simulated test bed in the place of the links and the VICON receiver.
+# Like fss.sh, with a simulated test bed in place of the links and the VICON receiver.
 # shellcheck shell=sh
 
 export ROS_DOMAIN_ID=0
@@ -14,7 +14,7 @@ done
 node arm fss_arm_driver arm --ros-args -p arm:=$arm
 node kinematic fss_arm_calib kinematic --ros-args -p arm:=config/cad.yaml \
   -p output:=out/fss_sim/arm.yaml -p state_file:=out/fss_sim/observations.json
-# When that has passed, the dynamic calibration can begin from its result:
+# After that has passed, the dynamic calibration can start from its result:
 # node dynamic fss_arm_calib dynamic --ros-args -p arm:=out/fss_sim/arm.yaml
-# What it predicts with is not the truth: the guess, until the calibrations pass.
+# It predicts with the guess, not the truth, until the calibrations pass.
 node base_reaction fss_arm_view base_reaction --ros-args -p arm:=config/cad.yaml

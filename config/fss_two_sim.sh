@@ -1,4 +1,4 @@
-# Two vehicles in one simulated test bed, a graph each: docs/how-to/vehicles.md.
+# Two vehicles in one simulated test bed, each with its own nodes: docs/how-to/vehicles.md.
 # shellcheck shell=sh
 
 export ROS_DOMAIN_ID=0

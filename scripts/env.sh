@@ -19,7 +19,7 @@ fi
 
 _fss_load() {
   if [ ! -f "$_fss_root/scripts/env.sh" ]; then
-    echo "env.sh: a plain sh cannot tell where this file is; source it from the top folder" >&2
+    echo "env.sh: a plain sh cannot find this file; source it from the top folder" >&2
     return 1
   fi
   if [ ! -x "$_fss_root/.venv/bin/python" ]; then
@@ -28,11 +28,11 @@ _fss_load() {
   fi
   # A Python that was started from another venv leaves this behind; its libraries would be loaded.
   unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
-  # Containers set this for their images; here each start would compile anew all that it imports.
+  # Containers set this for their images; here each start would compile all its imports again.
   unset PYTHONDONTWRITEBYTECODE
   export VIRTUAL_ENV="$_fss_root/.venv"
   if [ -f "$_fss_root/install/setup.$_fss_shell" ]; then
-    export COLCON_CURRENT_PREFIX="$_fss_root/install"   # which a plain sh cannot find out
+    export COLCON_CURRENT_PREFIX="$_fss_root/install"   # a plain sh cannot determine it
     . "$_fss_root/install/setup.$_fss_shell"
     unset COLCON_CURRENT_PREFIX
   else
@@ -64,7 +64,7 @@ _fss_load() {
   elif [ -n "${ROS_STATIC_PEERS:-}" ]; then
     _fss_write_peers || return 1
   fi
-  # One of ours gives way to what is asked for now, another stays.
+  # A profile of this workspace is replaced by the present one, any other profile is kept.
   case "${FASTRTPS_DEFAULT_PROFILES_FILE:-$_fss_root/}" in
     "$_fss_root/"*) export FASTRTPS_DEFAULT_PROFILES_FILE="$_fss_profile" ;;
   esac

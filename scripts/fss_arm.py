@@ -1,14 +1,13 @@
-"""Give the arm an order, and print its answer.
+"""Send a command to the arm, and print its answer.
 
-move ANGLE...: all joints to these angles [deg], arriving together, within the time that --seconds
-says or as fast as their limits allow (arm/move); interrupted, they come to rest.
-arm, disarm: all links (arm/enable). stop: all links of all vehicles at once, or of the one named;
-those that are on hold, under power, until disarmed or armed anew (arm/stop); it fails unless each
-link, and each base's board, says that it has stopped. home: each armed link without a reference
-finds it, one after the other. clear: all links disarm and clear their drives' latched faults.
-valves: those of the base may open (base/arm), until stop.
-solve: each calibration that runs closes its present datum and solves. forget: they drop
-all that they have observed.
+move ANGLE...: move all joints to these angles [deg], arriving together, in --seconds or as fast as
+their limits allow (arm/move); if interrupted, they come to rest.
+arm, disarm: arm or disarm all links (arm/enable). stop: stop all links of all vehicles at once, or
+of the one named; joints that are on hold, under power, until disarmed or armed again (arm/stop).
+It fails unless each link, and each base's board, confirms that it has stopped. home: each armed
+link without a reference finds it, one after the other. clear: disarm all links and clear their
+drives' latched faults. valves: enable the base's valves (base/arm), until stop.
+solve: each running calibration closes its present datum and solves. forget: each drops its data.
 """
 
 import argparse
@@ -43,13 +42,13 @@ from fss_arm_ros.rclpy_compat import RCLError
 from fss_base_driver.protocol import BaseState
 
 ANSWER_TIMEOUT = 10.0  # [s]
-SETTLED = 1.0  # without a new one, all are known [s]
+DISCOVERY_TIME = 1.0  # without a change, discovery is complete [s]
 LINKS = range(1, 13)  # numbers that a link may have
-WORDS = ("move", "arm", "disarm", "stop", "home", "clear", "valves", "solve", "forget")
+COMMANDS = ("move", "arm", "disarm", "stop", "home", "clear", "valves", "solve", "forget")
 CALIBRATIONS = ("kinematic", "dynamic", "drift", "drives", "joint")  # joint: from three of these
-REPEAT = 0.05  # from one stop to the next [s]
-GRAPH = 0.5  # by then a program that has begun knows who is there [s]
-CONFIRM = 1.0  # by then a link that is known has said that it stopped [s]
+STOP_PERIOD = 0.05  # from one stop to the next [s]
+GRAPH_DISCOVERY_TIME = 0.5  # after its start, a program knows the other nodes [s]
+CONFIRM_TIMEOUT = 1.0  # for a known link to report that it has stopped [s]
 MAX_TIME, MAX_ANGLE = 3600.0, 36_000.0  # [s], [deg]
 NAMESPACE = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 TOPIC = re.compile(
@@ -57,25 +56,25 @@ TOPIC = re.compile(
 )
 STOPPED = {LinkTelemetry: State.STOPPED, BaseTelemetry: BaseState.STOPPED}
 EMERGENCY = "use the emergency stop"
-ALIVE = 1.0  # silence of this program that ends a move [s]
-LIVES = 2.0  # a HOME, so that the link holds soon after this has ended [s]
+KEEP_ALIVE = 1.0  # silence of this program that ends a move [s]
+HOME_TIME_TO_LIVE = 2.0  # short, so that the link holds soon after this program has ended [s]
 
 Answer = tuple[bool, str]
 
 
 class NoAnswerError(RuntimeError):
-    """Nobody is there, or nobody answers."""
+    """A node does not exist, or does not answer."""
 
 
 def call(node: Node, kind: Any, name: str, request: Any, wait: float) -> Answer:
-    """Call a service; whether it succeeded, and its words.
+    """Call a service; return whether it succeeded, and its message.
 
     Raises:
         NoAnswerError: it is not there or silent.
     """
     client = node.create_client(kind, name)
     if not client.wait_for_service(wait):
-        raise NoAnswerError(f"nobody offers {name}")
+        raise NoAnswerError(f"no node offers {name}")
     future = client.call_async(request)
     rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_TIMEOUT)
     if not future.done():
@@ -83,53 +82,51 @@ def call(node: Node, kind: Any, name: str, request: Any, wait: float) -> Answer:
     return future.result().success, future.result().message
 
 
-def settled(node: Node, known: Callable[[], Any], nobody: str, wait: float) -> Any:
-    """Spin until what is known, once there is something, has not changed for a while; return it.
+def discover(node: Node, find: Callable[[], Any], missing: str, wait: float) -> Any:
+    """Spin until `find` returns something that does not change for DISCOVERY_TIME; return it.
 
     Raises:
-        NoAnswerError: there is nothing.
+        NoAnswerError: nothing was found within `wait` [s]; the message is `missing`.
     """
-    begin = since = monotonic()
-    seen = None
-    while not seen or monotonic() - since < SETTLED:
+    start = since = monotonic()
+    found = None
+    while not found or monotonic() - since < DISCOVERY_TIME:
         rclpy.spin_once(node, timeout_sec=0.05)
-        if (now := known()) != seen:
-            seen, since = now, monotonic()
-        if not seen and monotonic() - begin > wait:
-            raise NoAnswerError(nobody)
-    return seen
+        if (latest := find()) != found:
+            found, since = latest, monotonic()
+        if not found and monotonic() - start > wait:
+            raise NoAnswerError(missing)
+    return found
 
 
 class Stop:
-    """Stops all vehicles in the graph, or one, until each link, and each base, says it has.
+    """Command that stops all vehicles in the graph, or one, until each link and base confirms.
 
-    A link is there if somebody drives or commands it, as the node `arm` does all of its arm's.
+    A link exists if a node drives or commands it; the node `arm` commands all links of its arm.
     """
 
     def __init__(self, node: Node, namespace: str | None) -> None:
         self.node = node
         self.namespace = namespace and f"/{namespace.strip('/')}".rstrip("/")
         self.publishers: dict[str, Publisher] = {}
-        self.begun = self.known = monotonic()  # of the last part that became known
+        self.start = self.last_discovery = monotonic()
         self.since = int(node.get_clock().now().nanoseconds)  # by the clock of telemetry's stamps
-        self.after: dict[
-            str, float
-        ] = {}  # when each link reported that it has stopped [s]; inf: not
+        self.after: dict[str, float] = {}  # until each link's report [s]; inf: none
         self.publish(node.resolve_topic_name("arm/stop"))
         node.create_subscription(Clock, "/clock", self.on_clock, sensor())
 
     def publish(self, topic: str) -> None:
-        """Publish once more."""
+        """Publish a stop."""
         if topic not in self.publishers:
             self.publishers[topic] = self.node.create_publisher(Empty, topic, 10)
         self.publishers[topic].publish(Empty())
 
     def on_clock(self, message: Clock) -> None:
-        """Time is simulated, and so are the stamps."""
+        """Use simulated time for the stamps, too."""
         self.since = min(self.since, stamp_ns(message.clock))
 
     def discover(self) -> None:
-        """Publish to all arms, and listen to links that are new."""
+        """Publish to all arms, and subscribe to new links."""
         for topic, _ in self.node.get_topic_names_and_types():
             found = TOPIC.fullmatch(topic)
             if not found or self.namespace not in (None, found["namespace"]):
@@ -139,58 +136,59 @@ class Stop:
             if not part:
                 self.publish(topic)
             elif part not in self.after and self.node.count_publishers(topic):
-                self.listen(part, LinkTelemetry if found["link"] else BaseTelemetry)
+                self.watch(part, LinkTelemetry if found["link"] else BaseTelemetry)
 
-    def listen(self, part: str, kind: type) -> None:
-        """Await that a link, or a base's board, reports itself stopped after this began."""
-        self.known, self.after[part] = monotonic(), inf
+    def watch(self, part: str, kind: type) -> None:
+        """Record when a link, or a base's board, reports that it has stopped since the start."""
+        self.last_discovery, self.after[part] = monotonic(), inf
         stopped = STOPPED[kind]
 
-        def take(message: Any) -> None:
+        def on_telemetry(message: Any) -> None:
             if message.flags & stopped and stamp_ns(message.header.stamp) > self.since:
-                self.after[part] = min(self.after[part], monotonic() - self.begun)
+                self.after[part] = min(self.after[part], monotonic() - self.start)
 
-        subscribe_sensor(self.node, kind, f"{part}/telemetry", take)
+        subscribe_sensor(self.node, kind, f"{part}/telemetry", on_telemetry)
 
     def __call__(self, wait: float) -> Answer:
-        """Stop; whether all links confirm, in words."""
+        """Stop; return whether all links confirm, and a message."""
         executor = SingleThreadedExecutor()
         executor.add_node(self.node)
         while True:
             self.discover()
-            until = (now := monotonic()) + REPEAT
+            until = (now := monotonic()) + STOP_PERIOD
             while now < until:
                 executor.spin_once(timeout_sec=until - now)
                 now = monotonic()
             silent = [link for link, after in self.after.items() if after == inf]
-            if self.after and not silent and now - self.begun > GRAPH:
-                return True, f"{_named(self.after)}: stopped after {max(self.after.values()):.2f} s"
-            if silent and now - self.known > CONFIRM:
-                stopped = _named(self.after.keys() - silent)
+            if self.after and not silent and now - self.start > GRAPH_DISCOVERY_TIME:
+                seconds = max(self.after.values())
+                return True, f"{_name_list(self.after)}: stopped after {seconds:.2f} s"
+            if silent and now - self.last_discovery > CONFIRM_TIMEOUT:
+                stopped = _name_list(self.after.keys() - silent)
                 also = f" ({stopped}: stopped)" if stopped else ""
-                return False, f"{_named(silent)}: no word that it stopped{also}; {EMERGENCY}"
-            if not self.after and now - self.begun > wait:
+                return False, f"{_name_list(silent)}: stop not confirmed{also}; {EMERGENCY}"
+            if not self.after and now - self.start > wait:
                 return False, f"there is no link to confirm the stop; {EMERGENCY}"
 
 
 def vehicles(node: Node) -> list[str]:
-    """The namespaces in which somebody drives an arm."""
+    """Return the namespaces that contain a driven arm."""
     found = (TOPIC.fullmatch(topic) for topic, _ in node.get_topic_names_and_types())
     return sorted({one["namespace"] or "/" for one in found if one and one["link"]})
 
 
-def _where(node: Node) -> str:
-    """Where somebody was looked for, in words."""
+def _searched_place(node: Node) -> str:
+    """Return the ROS domain, and the namespace, that were searched."""
     domain = f" in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}"
     return domain if node.get_namespace() == "/" else f" in {node.get_namespace()},{domain}"
 
 
-def _named(links: Iterable[str]) -> str:
+def _name_list(links: Iterable[str]) -> str:
     return ", ".join(sorted(link.lstrip("/") for link in links))
 
 
 def links(node: Node, wait: float) -> list[int]:
-    """The numbers of the links that somebody drives.
+    """Return the numbers of the links that have a driver.
 
     Raises:
         NoAnswerError: there is none.
@@ -199,7 +197,7 @@ def links(node: Node, wait: float) -> list[int]:
     def driven() -> list[int]:
         return [i for i in LINKS if node.count_publishers(f"link_{i}/telemetry")]
 
-    return list(settled(node, driven, "nobody drives a link", wait))
+    return list(discover(node, driven, "no driver of a link runs", wait))
 
 
 def home(node: Node, wait: float, within: float) -> Answer:
@@ -208,91 +206,91 @@ def home(node: Node, wait: float, within: float) -> Answer:
     Raises:
         NoAnswerError: there is no link.
     """
-    heard: dict[int, LinkTelemetry] = {}
+    telemetry: dict[int, LinkTelemetry] = {}
     for i in LINKS:
         subscribe_sensor(
-            node, LinkTelemetry, f"link_{i}/telemetry", lambda m: heard.update({m.link: m})
+            node, LinkTelemetry, f"link_{i}/telemetry", lambda m: telemetry.update({m.link: m})
         )
     present = links(node, wait)
-    troubles = [trouble for i in present if (trouble := home_link(node, i, heard, within))]
-    return not troubles, "; ".join(troubles) or f"all {len(present)} links are referenced"
+    failures = [failure for i in present if (failure := home_link(node, i, telemetry, within))]
+    return not failures, "; ".join(failures) or f"all {len(present)} links are referenced"
 
 
-def home_link(node: Node, i: int, heard: dict[int, LinkTelemetry], within: float) -> str:
-    """Repeat HOME to one link until it is referenced; else what is wrong."""
-    if i not in heard:
+def home_link(node: Node, i: int, telemetry: dict[int, LinkTelemetry], within: float) -> str:
+    """Repeat HOME to one link until it is referenced; return what failed, or an empty text."""
+    if i not in telemetry:
         return f"link {i} is silent"
-    publisher = node.create_publisher(LinkCommand, f"link_{i}/command", command(LIVES))
+    publisher = node.create_publisher(LinkCommand, f"link_{i}/command", command(HOME_TIME_TO_LIVE))
     end, due = monotonic() + within, 0.0
-    while not heard[i].flags & State.REFERENCED:
-        if not heard[i].armed:
+    while not telemetry[i].flags & State.REFERENCED:
+        if not telemetry[i].armed:
             return f"link {i} is not referenced: it is not armed"
         if (now := monotonic()) > end:
             return f"link {i} is not referenced after {within:.0f} s"
         if not due:
-            print(f"link {i} looks for its reference", flush=True)
+            print(f"link {i} searches for its reference", flush=True)
         if now > due:
-            publisher.publish(LinkCommand(mode=LinkCommand.HOME, time_to_live=LIVES))
-            due = now + 0.1 * LIVES
+            publisher.publish(LinkCommand(mode=LinkCommand.HOME, time_to_live=HOME_TIME_TO_LIVE))
+            due = now + 0.1 * HOME_TIME_TO_LIVE
         rclpy.spin_once(node, timeout_sec=0.05)
     return ""
 
 
 def move(node: Node, angles: list[float], seconds: float, wait: float) -> Answer:
-    """Have all joints turn to angles [deg] in a time [s]; where they are then, in words.
+    """Move all joints to angles [deg] in a time [s]; return whether they did, and a message.
 
     Raises:
-        NoAnswerError: nobody moves the arm.
+        NoAnswerError: no node offers the action, or it does not answer.
     """
     client = ActionClient(node, MoveArm, "arm/move")
     if not client.wait_for_server(wait):
-        raise NoAnswerError("nobody offers arm/move")
-    if refusal := refused(angles, limits(node, wait)):
-        return False, refusal
-    goal = MoveArm.Goal(q=list(map(radians, angles)), duration=seconds, keep_alive=ALIVE)
-    told: list[float] = []
+        raise NoAnswerError("no node offers arm/move")
+    if problem := invalid_angles(angles, limits(node, wait)):
+        return False, problem
+    goal = MoveArm.Goal(q=list(map(radians, angles)), duration=seconds, keep_alive=KEEP_ALIVE)
+    durations: list[float] = []
 
     def on_feedback(message: Any) -> None:
-        if not told:
-            told.append(message.feedback.remaining)
-            least = " (as fast as its limits allow)" if told[0] > 1.01 * seconds else ""
-            print(f"moving for {told[0]:.1f} s{least}", flush=True)
+        if not durations:
+            durations.append(message.feedback.remaining)
+            least = " (as fast as its limits allow)" if durations[0] > 1.01 * seconds else ""
+            print(f"moving for {durations[0]:.1f} s{least}", flush=True)
 
-    asked = client.send_goal_async(goal, on_feedback)
-    rclpy.spin_until_future_complete(node, asked, timeout_sec=ANSWER_TIMEOUT)
-    if not asked.done():
+    sent = client.send_goal_async(goal, on_feedback)
+    rclpy.spin_until_future_complete(node, sent, timeout_sec=ANSWER_TIMEOUT)
+    if not sent.done():
         raise NoAnswerError(f"arm/move did not answer within {ANSWER_TIMEOUT:.0f} s")
-    if not (handle := asked.result()).accepted:
-        return False, "the node arm rejects this move; its log says why"
+    if not (handle := sent.result()).accepted:
+        return False, "the node arm rejected this move; its log gives the reason"
     alive, ended = node.create_publisher(UUID, "arm/move/alive", 10), handle.get_result_async()
     while not ended.done():
         alive.publish(handle.goal_id)
-        rclpy.spin_until_future_complete(node, ended, timeout_sec=0.2 * ALIVE)
+        rclpy.spin_until_future_complete(node, ended, timeout_sec=0.2 * KEEP_ALIVE)
     result = ended.result().result
-    there = ", ".join(f"{round(degrees(q), 1) + 0.0:.1f}" for q in result.q)
-    where = f"the joints are at {there} deg" if there else ""
-    return result.reached, "; ".join(filter(None, (result.message, where)))
+    reached = ", ".join(f"{round(degrees(q), 1) + 0.0:.1f}" for q in result.q)
+    position = f"the joints are at {reached} deg" if reached else ""
+    return result.reached, "; ".join(filter(None, (result.message, position)))
 
 
 def limits(node: Node, wait: float) -> list[tuple[float, float]]:
-    """The least and largest angle of each joint [deg], by the arm's description.
+    """Return the lowest and highest angle of each joint [deg], by the arm's description.
 
     Raises:
-        NoAnswerError: nobody describes it.
+        NoAnswerError: no node publishes the description.
     """
-    heard: list[String] = []
-    node.create_subscription(String, "robot_description", heard.append, LATCHED)
+    descriptions: list[String] = []
+    node.create_subscription(String, "robot_description", descriptions.append, LATCHED)
     end = monotonic() + wait
-    while not heard:
+    while not descriptions:
         if monotonic() > end:
-            raise NoAnswerError("nobody publishes robot_description")
+            raise NoAnswerError("no node publishes robot_description")
         rclpy.spin_once(node, timeout_sec=0.05)
-    found = ElementTree.fromstring(heard[-1].data).iterfind("joint[@type='revolute']/limit")
+    found = ElementTree.fromstring(descriptions[-1].data).iterfind("joint[@type='revolute']/limit")
     return [(degrees(float(k.attrib["lower"])), degrees(float(k.attrib["upper"]))) for k in found]
 
 
-def refused(angles: list[float], limits: list[tuple[float, float]]) -> str:
-    """Why angles [deg] make no move, in words; empty: they do."""
+def invalid_angles(angles: list[float], limits: list[tuple[float, float]]) -> str:
+    """Return why the arm cannot move to these angles [deg]; empty: it can."""
     if len(angles) != len(limits):
         return f"{len(angles)} angles are given, but the arm has {len(limits)} joints"
     beyond = [
@@ -310,11 +308,13 @@ def clear(node: Node, wait: float) -> Answer:
         NoAnswerError: there is no link, or one's driver is silent.
     """
     names = [f"link_{i}/clear_faults" for i in links(node, wait)]
-    return together({name: call(node, Trigger, name, Trigger.Request(), wait) for name in names})
+    return join_answers(
+        {name: call(node, Trigger, name, Trigger.Request(), wait) for name in names}
+    )
 
 
 def calibrations(node: Node, what: str, wait: float) -> Answer:
-    """Have all calibrations that run solve, which succeeds if they pass, or forget.
+    """Have all running calibrations solve, which succeeds if they pass, or forget.
 
     Raises:
         NoAnswerError: none runs, or one is silent.
@@ -325,21 +325,23 @@ def calibrations(node: Node, what: str, wait: float) -> Answer:
         names = [f"{kind}/{what}" for kind in CALIBRATIONS]
         return [name for name in names if node.resolve_service_name(name) in here]
 
-    names = settled(node, offered, "no calibration runs", wait)
-    return together({name: call(node, Trigger, name, Trigger.Request(), wait) for name in names})
+    names = discover(node, offered, "no calibration runs", wait)
+    return join_answers(
+        {name: call(node, Trigger, name, Trigger.Request(), wait) for name in names}
+    )
 
 
-def together(answers: dict[str, Answer]) -> Answer:
-    """All answers as one, a line each."""
+def join_answers(answers: dict[str, Answer]) -> Answer:
+    """Join several answers, one line each."""
     lines = [f"{name}: {words}" for name, (_, words) in answers.items()]
     return all(done for done, _ in answers.values()), "\n".join(lines)
 
 
-def order(node: Node, options: argparse.Namespace) -> Answer:
-    """Carry out an order.
+def execute(node: Node, options: argparse.Namespace) -> Answer:
+    """Execute a command.
 
     Raises:
-        NoAnswerError: nobody is there, or nobody answers.
+        NoAnswerError: a node does not exist, or does not answer.
     """
     what, wait = options.what, 10.0 if options.wait is None else options.wait
     if what == "move":
@@ -415,13 +417,15 @@ def parsed() -> tuple[argparse.Namespace, str | None]:
     A wrong one ends the program.
     """
     parser = Parser("fss_arm.sh", allow_abbrev=False, description=__doc__.replace("\n\n", "\n"))
-    parser.add_argument("what", nargs="?", choices=WORDS, metavar="COMMAND", help=", ".join(WORDS))
+    parser.add_argument(
+        "what", nargs="?", choices=COMMANDS, metavar="COMMAND", help=", ".join(COMMANDS)
+    )
     parser.add_argument(
         "angles", nargs="*", type=angle, metavar="ANGLE", help="of each joint [deg], to move"
     )
     parser.add_argument(
-        "--vehicle", "--namespace", type=namespace, help="its namespace; without, stop is for all "
-        "vehicles, and all else for the one in FSS_NAMESPACE",
+        "--vehicle", "--namespace", type=namespace, help="namespace of the vehicle; by "
+        "default stop is for all vehicles, and other commands for the one in FSS_NAMESPACE",
     )  # fmt: skip
     parser.add_argument(
         "--wait", type=duration, help="timeout waiting for the node [s] (default 10; stop 2)"
@@ -433,7 +437,7 @@ def parsed() -> tuple[argparse.Namespace, str | None]:
     options = parser.parse_intermixed_args()
     if options.what is None:
         also = f" (--vehicle is {options.vehicle!r})" if options.vehicle else ""
-        parser.error(f"COMMAND is missing{also}, expected one of {', '.join(WORDS)}")
+        parser.error(f"COMMAND is missing{also}, expected one of {', '.join(COMMANDS)}")
     if bool(options.angles) != (options.what == "move"):
         expected = "one for each joint [deg]" if options.what == "move" else "none"
         parser.error(f"{options.what} has {len(options.angles)} angles, expected {expected}")
@@ -461,13 +465,13 @@ def main() -> int:
         if options.what == "stop":
             done, words = Stop(node, options.vehicle)(2.0 if options.wait is None else options.wait)
         else:
-            done, words = order(node, options)
+            done, words = execute(node, options)
             words = f"{vehicle}: {words}" if vehicle and len(node.get_namespace()) > 1 else words
         code = 0 if done else 1
     except NoAnswerError as error:
         others = [v for v in vehicles(node) if v != node.get_namespace()]
         also = f"; --vehicle is one of {', '.join(others)}" if others else ""
-        words = f"{error}{_where(node)}{also}"
+        words = f"{error}{_searched_place(node)}{also}"
     except (KeyboardInterrupt, ExternalShutdownException):
         code, words = 130, "interrupted"
     except RCLError:

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Disarms the links, then stops all nodes of a configuration, the last one first. The exit code is 0
-# if all links are known to be disarmed, and every node has stopped when it was told to.
+# if all links are known to be disarmed, and every node has stopped when requested.
 # usage: fss_down.sh [--vehicle NAME] [CONFIG]     config/fss.sh by default
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
@@ -13,8 +13,8 @@ refuse_systemd stop
 
 send() { ! held "$2" || kill -"$1" "$(cat "$FSS_LOGS/$2")" 2>/dev/null || true; }
 
-# drivers NAME PACKAGE EXECUTABLE...: adds its namespace to `driving` if that drives links; one that stands still
-# (SIGSTOP) is to go on, as it could not disarm its link.
+# drivers NAME PACKAGE EXECUTABLE...: adds the namespace of a node that drives links to `driving`; a suspended one
+# (SIGSTOP) is resumed, as it could not disarm its link otherwise.
 driving=
 drivers() {
   case "$2 $3" in 'fss_arm_driver link' | 'fss_arm_driver arm') ;; *) return 0 ;; esac
@@ -23,7 +23,7 @@ drivers() {
   case " $driving " in *" /$FSS_NAMESPACE "*) ;; *) driving="$driving /$FSS_NAMESPACE" ;; esac
 }
 
-# members SESSION: the numbers of its processes. Those of a node have its keeper's number for one.
+# members SESSION: prints the process ids of a session. The session of a node has its keeper's process id.
 members() {
   for stat in /proc/[0-9]*/stat; do
     { read -r line <"$stat"; } 2>/dev/null || continue   # it has just ended
@@ -45,7 +45,7 @@ gone() {
 stop() {
   held "$1.keep" || held "$1.node" || return 0
   session=$(cat "$FSS_LOGS/$1.keep") || session=0
-  # Its keeper stops the node; one that has lost its keeper is told itself.
+  # Its keeper stops the node; a node without a keeper gets the signal itself.
   if held "$1.keep"; then send TERM "$1.keep"; else send TERM "$1.node"; fi
   if ! gone "$1" "$session"; then
     status=1
@@ -55,14 +55,14 @@ stop() {
       echo "$1 cannot be stopped, still there: $(members "$session" | tr '\n' ' ')" >&2
       return 0
     fi
-    tell "$1 did not stop and was killed"
+    log_event "$1 did not stop and was killed"
   fi
   echo "$1 has stopped"
 }
 
 reversed=
 for name in $fss_nodes; do reversed="$name $reversed"; done
-# What has been taken out of the configuration meanwhile goes first.
+# Nodes that were removed from the configuration meanwhile are stopped first.
 for file in $(cd "$FSS_LOGS${fss_vehicle:+/$fss_vehicle}" && find . -name '*.node'); do
   name=${file#./} name=${fss_vehicle:+$fss_vehicle/}${name%.node}
   case " $fss_nodes " in *" $name "*) ;; *) reversed="$name $reversed" ;; esac

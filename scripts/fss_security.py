@@ -1,7 +1,7 @@
-"""Make a keystore of SROS 2 for the nodes of a configuration.
+"""Make an SROS 2 keystore for the nodes of a configuration.
 
-Each has an enclave that may do what its node does, and nothing else. /person is who gives commands,
-/watch only listens. Keys that are there stay: call it again when nodes change.
+Each node gets an enclave with only the permissions that it needs. /person is for operators, /watch
+may only subscribe. Existing keys are kept: run it again when nodes change.
 """
 
 import argparse
@@ -14,15 +14,15 @@ from tempfile import TemporaryDirectory
 
 from fss_arm_ros.security import ACCESS, OPERATOR, Access, governance, permissions
 
-DAYS = 3650  # for which certificates hold
+VALIDITY = 3650  # of certificates [days]
 CURVE = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
 
 
 def openssl(*arguments: str | Path) -> None:
-    """Run it.
+    """Run openssl.
 
     Raises:
-        OSError: it is not there, or fails.
+        OSError: openssl is missing, or fails.
     """
     done = subprocess.run(["openssl", *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -31,7 +31,7 @@ def openssl(*arguments: str | Path) -> None:
 
 
 class Keystore:
-    """A folder with the authority's key in private/, which only its maker needs, and enclaves."""
+    """Folder with enclaves, and the authority's key in private/, needed to make enclaves only."""
 
     def __init__(self, folder: Path, domain: int) -> None:
         self.folder, self.domain = folder, domain
@@ -42,15 +42,15 @@ class Keystore:
         (folder / "private").chmod(0o700)
         if not self.key.exists():
             openssl("req", "-x509", *CURVE, "-keyout", self.key, "-out", self.certificate,
-                    "-days", str(DAYS), "-subj", "/CN=fss_arm")  # fmt: skip
+                    "-days", str(VALIDITY), "-subj", "/CN=fss_arm")  # fmt: skip
         now = datetime.now(UTC)
-        times = now - timedelta(days=1), now + timedelta(days=DAYS)
+        times = now - timedelta(days=1), now + timedelta(days=VALIDITY)
         self.valid = times[0].strftime("%Y-%m-%dT%H:%M:%S"), times[1].strftime("%Y-%m-%dT%H:%M:%S")
         self.governance = folder / "enclaves/governance.p7s"
         self.sign(governance(domain), self.governance)
 
     def sign(self, text: str, signed: Path) -> None:
-        """Write a document, and signed beside it."""
+        """Write a document, and a signed copy beside it."""
         plain = signed.with_suffix(".xml")
         plain.write_text(text, encoding="utf-8")
         openssl("smime", "-sign", "-text", "-in", plain, "-out", signed,
@@ -67,7 +67,7 @@ class Keystore:
                         "-subj", f"/CN={subject}")  # fmt: skip
                 openssl("x509", "-req", "-in", request, "-CA", self.certificate, "-CAkey",
                         self.key, "-set_serial", str(int.from_bytes(os.urandom(8), "big")),
-                        "-days", str(DAYS), "-out", folder / "cert.pem")  # fmt: skip
+                        "-days", str(VALIDITY), "-out", folder / "cert.pem")  # fmt: skip
         for link in ("identity_ca.cert.pem", "permissions_ca.cert.pem"):
             self.link(folder / link, self.certificate)
         self.link(folder / "governance.p7s", self.governance)
@@ -76,16 +76,16 @@ class Keystore:
 
     @staticmethod
     def link(path: Path, to: Path) -> None:
-        """So that the keystore may be copied elsewhere as a whole."""
+        """Make a relative link, so that the keystore can be copied as a whole."""
         path.unlink(missing_ok=True)
         path.symlink_to(os.path.relpath(to, path.parent))
 
 
 def main() -> int:
-    """Run; 1 if it cannot be made."""
+    """Run; return 1 if the keystore cannot be made."""
     parser = argparse.ArgumentParser("fss_security.sh", description=__doc__)
-    parser.add_argument("keystore", type=Path, help="its folder")
-    parser.add_argument("name", help="of the configuration")
+    parser.add_argument("keystore", type=Path, help="folder of the keystore")
+    parser.add_argument("name", help="name of the configuration")
     parser.add_argument("nodes", nargs="*", help="[NAMESPACE/]NAME=PACKAGE EXECUTABLE")
     given = parser.parse_args()
     os.umask(0o077)
@@ -96,7 +96,7 @@ def main() -> int:
         for node in given.nodes:
             name, _, what = node.partition("=")
             if what not in ACCESS:
-                print(f"{name}: may only listen, as nothing is known of {what}")
+                print(f"{name}: may only subscribe, as no permissions are defined for {what}")
             space = name.rpartition("/")[0]
             keystore.enclave(f"/{given.name}/{name}", ACCESS.get(what, Access()), space)
     except (OSError, ValueError) as error:

@@ -11,7 +11,7 @@ mkdir -p -- "$1" || exit 1
 folder=$(readlink -f -- "$1")
 read_config "${2:-}"
 
-# The nodes read the configuration again; what disarms the links does not.
+# The nodes read the configuration again; the command that disarms the links does not.
 reach='DOMAIN_ID|AUTOMATIC_DISCOVERY_RANGE|STATIC_PEERS|DISCOVERY_SERVER|SUPER_CLIENT|SECURITY_[A-Z_]*'
 environment=$(env | sed -nE "s/^ROS_($reach)=.*/Environment=\"&\"/p")
 [ -z "$fss_vehicle" ] || environment="$environment
@@ -40,12 +40,12 @@ $environment
 WorkingDirectory=$fss_root
 ExecStart=$fss_scripts/fss/node.sh $fss_config $1
 END
-    # systemd runs this for a process that has ended by itself, too: nobody is left to be asked then.
+    # systemd also runs this for a process that exited by itself: there is no node to call then.
     disarm="[ -z \"\$\$MAINPID\" ] || exec $fss_scripts/fss_arm.sh${FSS_NAMESPACE:+ --vehicle $FSS_NAMESPACE} disarm"
     [ "${1##*/}" != arm ] || echo "ExecStop=-/bin/sh -c '$disarm'"
     # systemd puts the result in.
     cat <<END
-ExecStopPost=-$fss_scripts/fss/tell.sh $fss_config $1 \${SERVICE_RESULT}
+ExecStopPost=-$fss_scripts/fss/log_failure.sh $fss_config $1 \${SERVICE_RESULT}
 Restart=on-failure
 RestartSec=1
 TimeoutStopSec=$FSS_STOP_TIMEOUT

@@ -1,6 +1,6 @@
 #!/bin/sh
-# Starts the nodes of a configuration that do not run yet, and shows how they are.
-# They outlive this shell and its line; a node that fails is started again a few times.
+# Starts the nodes of a configuration that do not run yet, and shows their status.
+# They outlive this shell and its connection; a node that fails is restarted a few times.
 # usage: fss_up.sh [--vehicle NAME] [CONFIG]     config/fss.sh by default
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
@@ -21,18 +21,18 @@ check() {
 }
 start() {
   ! held "$1.keep" || return 0
-  ! held "$1.node" || fail "$1 runs, but nobody keeps it: fss_down.sh first"
+  ! held "$1.node" || fail "$1 runs without its supervisor: fss_down.sh first"
   (
     hold "$1.keep"
     exec setsid -f "$fss_scripts/fss/keep.sh" "$fss_config" "$1"
   ) </dev/null >>"$FSS_LOGS/$1.log" 2>&1
 }
 each_node check
-begins=
+started=
 for name in $fss_nodes; do
-  if held "$name.keep"; then begins=; break; fi
-  begins="$begins $name"
+  if held "$name.keep"; then started=; break; fi
+  started="$started $name"
 done
-[ -z "$begins" ] || FSS_TTY='' tell "nodes are started:$begins"   # the events before are another session's
+[ -z "$started" ] || FSS_TTY='' log_event "nodes are started:$started"   # older events belong to another session
 each_node start
 exec "$fss_scripts/fss_status.sh" --wait 20 "$fss_config"

@@ -1,4 +1,4 @@
-"""Make docs/reference/: messages in interfaces.md, settings in parameters.md, description.md."""
+"""Generate docs/reference: messages (interfaces.md), settings (parameters.md), description.md."""
 
 import argparse
 import sys
@@ -20,9 +20,9 @@ NOTE = "Made by `scripts/make_docs.py`; do not edit it by hand."
 
 
 def interfaces() -> str:
-    """All messages, services and actions, a table each."""
+    """Return a table for each message, service and action."""
     parts = ["# Messages, services, actions", NOTE]
-    parts += ["How they may change is said in [`messages.md`](messages.md)."]
+    parts += ["See [`messages.md`](messages.md) for the rules of changes."]
     for kind in ("msg", "srv", "action"):
         for path in sorted((MESSAGES / kind).glob(f"*.{kind}")):
             parts += interface(path)
@@ -30,7 +30,7 @@ def interfaces() -> str:
 
 
 def interface(path: Path) -> Iterator[str]:
-    """The heading, the words and the tables of one file."""
+    """Yield the heading, the leading comment and the tables of one file."""
     yield f"## `fss_arm_msgs/{path.suffix[1:]}/{path.stem}`"
     names = {
         ".msg": [""],
@@ -54,15 +54,15 @@ def interface(path: Path) -> Iterator[str]:
 
 
 def _leading_comment(lines: list[str]) -> list[str]:
-    """The comment at the top in one line, then the lines after it."""
+    """Return the comment at the top in one line, then the lines after it."""
     count = next(k for k, line in enumerate(lines) if not line.startswith("#"))
     return [" ".join(line.lstrip("# ") for line in lines[:count]), *lines[count:]]
 
 
 def _rows(lines: list[str]) -> Iterator[str]:
-    """A row for each field or constant, with its comment and those on lines of their own below.
+    """Yield a row for each field or constant, with its comment and the comment lines below it.
 
-    After an empty line, such a comment is about what follows: a row of its own.
+    After an empty line, a comment line describes the fields that follow: it gets its own row.
     """
     rows: list[list[str]] = []
     apart = False
@@ -81,12 +81,12 @@ def _rows(lines: list[str]) -> Iterator[str]:
 
 
 def parameters() -> str:
-    """All nodes' parameters, a table each."""
+    """Return a table of parameters for each node."""
     parts = ["# Parameters", NOTE]
-    parts += ["Each is given as `--ros-args -p NAME:=VALUE`; the node's `--help` shows them, too."]
+    parts += ["Set them with `--ros-args -p NAME:=VALUE`; the node's `--help` lists them, too."]
     parts += [
-        "A file (`--params-file`) may give some to all nodes (`/**:`): each takes those it has. "
-        "Whatever else a node does not have, it refuses."
+        "A file (`--params-file`) may set parameters of all nodes (`/**:`): each node uses those "
+        "that it has. Any other unknown parameter is refused."
     ]
     parts += [f"All nodes have `{ALLOW}` (false): {ABOUT}."]
     commands = []
@@ -102,12 +102,12 @@ def parameters() -> str:
                 words = (getattr(command, "about", command.__doc__) or "").split("\n\n")[0]
                 words = " ".join(words.split())
                 commands.append(f"- `ros2 run {package} {entry.name} --help`: {words}")
-    parts += ["## Commands", "These take arguments, and say which:", "\n".join(commands)]
+    parts += ["## Commands", "`--help` lists their arguments:", "\n".join(commands)]
     return "\n\n".join(parts) + "\n"
 
 
 def _parameters(settings: type) -> str:
-    """The table of one settings dataclass."""
+    """Return the table of one settings dataclass."""
     hints = get_type_hints(settings)
     rows = ["| parameter | type | default | |", "|---|---|---|---|"]
     for f in fields(settings):  # type: ignore[arg-type]
@@ -120,12 +120,12 @@ def _parameters(settings: type) -> str:
 
 
 def description() -> str:
-    """The fields of a description, a table for each of its parts."""
+    """Return a table of fields for each part of a description."""
     parts = ["# The description of an arm and its base", NOTE]
     parts += [
-        "A YAML file, as `config/cad.yaml`; `arm:=FILE` gives it to nodes, `--arm FILE` to "
-        "commands. What is required has no default. An entry that is missing, unknown or wrong is "
-        "named with its place and what was expected."
+        "A YAML file such as `config/cad.yaml`; nodes read it with `arm:=FILE`, commands with "
+        "`--arm FILE`. Required entries have no default. Errors name the missing, unknown or wrong "
+        "entry, and the expected value."
     ]
     for title, kind in (
         ("The file", Arm), ("`base`", Base), ("each of `links`, from the base on", Link),
@@ -143,7 +143,7 @@ def description() -> str:
 
 
 def _shown(default: Any) -> str:
-    """As a parameters file has it; empty for an empty string."""
+    """Return the value as in a parameters file; an empty string for an empty one."""
     if isinstance(default, tuple):
         return f"[{', '.join(map(_shown, default))}]"
     if isinstance(default, float):
@@ -157,9 +157,9 @@ def _row(*cells: str) -> str:
 
 
 def main() -> int:
-    """Run; with --check, exit with 1 if a file is not as it would be made."""
+    """Run; with --check, exit with 1 if a file is out of date."""
     parser = argparse.ArgumentParser("make_docs.py", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing, list what is old")
+    parser.add_argument("--check", action="store_true", help="list outdated files, write nothing")
     check = parser.parse_args().check
     old = []
     made = {

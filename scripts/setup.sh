@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Makes all that the workspace needs: .venv, the colcon build, the compiled kernels.
-# What stands already, and was made from the same inputs, is left alone.
-# usage: setup.sh [--dev]     --dev adds what the tests need
+# Sets up the workspace: .venv, the colcon build, the compiled kernels.
+# Steps whose inputs have not changed are skipped.
+# usage: setup.sh [--dev]     --dev adds the packages for the tests
 set -euo pipefail
 
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
@@ -12,10 +12,10 @@ die() { say "$*"; exit 1; }
 digest() { sha256sum -- "$@" | sha256sum | cut -c -16; }
 current() { [[ -f $1 && $(<"$1") == "$2" ]]; }   # current STAMP KEY
 
-# Runs a command beside what comes next. `join` waits for all of them, and ends as one that failed,
-# with its words.
+# Runs a command in the background. `join` waits for all of them; if one failed, it prints its
+# output and exits.
 beside() {
-  set -m   # a process group of its own, which can be ended as one
+  set -m   # a separate process group, which can be killed as a whole
   log=$log.${#jobs[@]} "$@" >"$log.said.${#jobs[@]}" 2>&1 &
   jobs+=($!)
   set +m
@@ -45,7 +45,7 @@ esac
   die "colcon does not support spaces in paths; move the workspace out of '$root'"
 [[ -w $root ]] || die "cannot write to $root"
 
-# What another Python left in the environment must not reach this one.
+# Variables of another Python must not affect this one.
 unset PYTHONHOME PYTHONDONTWRITEBYTECODE _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 exec 9<"$root/scripts"
@@ -64,14 +64,14 @@ if not all(importlib.util.find_spec(name) for name in ("venv", "ensurepip")):
 print(getattr(sys, "_base_executable", sys.executable), *lacks)
 '
 
-# Fails where there is no rclpy but in a venv, as that of the wheels.
+# Fails if rclpy exists only in a venv, such as that of the wheels.
 DISTRIBUTION='
 import rclpy, sys
 sys.exit(sys.prefix != sys.base_prefix and rclpy.__file__.startswith(sys.prefix))
 '
 
-# Prints each Python 3.11 or 3.12 and what it lacks. A name proves nothing, as a version manager's
-# stand-in may have no such version behind it: each is run.
+# Prints each Python 3.11 or 3.12 and its missing parts. Each is run, because a version manager's
+# stand-in may have a name without having that version.
 pythons() {
   local name names=(python3 /usr/bin/python3)
   [[ $ros == jazzy ]] || names+=(python3.1{2,1} /usr/bin/python3.1{2,1})
@@ -94,7 +94,7 @@ choose_ros() {
   esac
 }
 
-# --- what the system must have -------------------------------------------------------------------
+# --- system requirements -------------------------------------------------------------------------
 
 # Sets `python`, and fills the arrays `missing` (in words) and `packages` (as apt names them).
 look_for_needs() {
@@ -157,7 +157,7 @@ supply_needs() {
 
 # --- .venv ---------------------------------------------------------------------------------------
 
-# pip's own words are kept to one line, and without addresses. Python compiles what it imports.
+# Errors of pip are printed in one line, without addresses. Python compiles modules on import.
 pip() {
   "$venv/bin/python" -m pip --quiet --no-input --disable-pip-version-check install --no-deps \
     --no-compile --only-binary :all: --no-binary empy --no-build-isolation "$@" >"$log" 2>&1 &&
@@ -199,7 +199,7 @@ END
   done
 }
 
-# The wheels lack some interface packages; what is needed of them goes into .venv beside them.
+# The wheels lack some interface packages; the required parts are built into .venv.
 add_interfaces() (
   # shellcheck disable=SC2030,SC2031  # meant for the subshell alone
   export PATH=$venv/bin:$PATH VIRTUAL_ENV=$venv AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
@@ -226,7 +226,7 @@ make_venv() {
   supply_needs
   [[ $ros == wheels ]] || options=(--system-site-packages)
   say "making .venv with $("$python" --version)"
-  # What was built against another .venv is worth nothing.
+  # A build against another .venv cannot be used.
   rm -rf "$venv" "$root/build" "$root/install"
   "$python" -m venv "${options[@]}" "$venv" >"$log" 2>&1 ||
     die "$python -m venv failed: $(tail -n 1 "$log")"
@@ -259,7 +259,7 @@ colcon_build() (
     export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
   fi
   mkdir -p log
-  # Else colcon has make start nothing more while the load is high, as it is by the kernels.
+  # Otherwise make starts no jobs while the load is high, as during the compilation of the kernels.
   MAKEFLAGS=-j$(nproc)
   export MAKEFLAGS
   colcon build --symlink-install --base-paths src \
@@ -320,8 +320,8 @@ then
   add_packages
 fi
 
-# Python files are linked to, so only what shapes the packages asks for a build. A build by hand may
-# have copied them: then the build's log is not the one that the stamp names.
+# Python files are linked, so only changes of other files require a build. A build by hand may have
+# copied them: then the latest build log is not the one named in the stamp.
 shape=$(cd "$root" && find src colcon.meta -type f ! -path '*/.*' ! -name '*.pyc' \
   ! -path '*/firmware/*' ! \( -path 'src/*/*/*' -name '*.py' \) -exec sha256sum {} + | sort | sha256sum | cut -c -16)
 build_key="$shape $pins $kind"
@@ -331,7 +331,7 @@ then
   build
 fi
 
-[[ ${#jobs[@]} == 0 ]] || { say "waiting for what runs beside"; join; }
+[[ ${#jobs[@]} == 0 ]] || { say "waiting for background jobs (kernels, packages)"; join; }
 [[ -e $warm ]] || compile_kernels
 echo "$pins" >"$venv/.stamp-packages"
 [[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"

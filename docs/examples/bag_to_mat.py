@@ -1,4 +1,4 @@
-"""All numbers of bags as a file for MATLAB: `bag_to_mat.py BAG [BAG...] FILE.mat`."""
+"""Write all numbers of bags to a file for MATLAB: `bag_to_mat.py BAG [BAG...] FILE.mat`."""
 
 import re
 import sys
@@ -12,7 +12,7 @@ from fss_arm_bags.reader import open_bags
 
 
 def numbers(message, name=""):
-    """The numbers and words in a message with the names of their fields: pose_position_x."""
+    """Yield the field names, such as pose_position_x, and values of a message."""
     for field in fields(message):
         if field.name.isupper() or field.name == "__msgtype__":  # constants of the type
             continue
@@ -24,7 +24,7 @@ def numbers(message, name=""):
 
 
 def column(values):
-    """Of all messages: (messages) or (messages, elements); a cell for each if they differ."""
+    """Return an array (messages) or (messages, elements); one of cells if the shapes differ."""
     if len({np.shape(value) for value in values}) == 1:
         return np.array(values)
     cells = np.empty(len(values), dtype=object)
@@ -33,7 +33,7 @@ def column(values):
 
 
 def main(*paths):
-    """One structure a topic, vicon_fss_fss; its field t is the stamp, or the receipt [s]."""
+    """Write a structure for each topic; its field t is the stamp, or the time of receipt [s]."""
     *bags, file = paths
     found = defaultdict(lambda: defaultdict(list))
     with open_bags(bags) as opened:

@@ -1,34 +1,34 @@
-# Reads a configuration; sourced by the fss scripts, which stand in $fss_scripts.
+# Reads a configuration; sourced by the fss scripts, in $fss_scripts.
 # shellcheck shell=sh disable=SC1090,SC1091,SC2034,SC2154
 
 fail() { echo "${0##*/}: $*" >&2; exit 1; }
 
-# help OPTION...: prints what the script says of itself, and ends, if that is asked for.
+# help OPTION...: prints the script's leading comment and exits, if --help or -h is given.
 help() {
   case " $* " in *' --help '* | *' -h '*) ;; *) return 0 ;; esac
   sed -n '2,/^[^#]/s/^# \{0,1\}//p' "$0"
   exit 0
 }
 
-# vehicle NAME: what --vehicle says: the namespace of all that follows.
+# vehicle NAME: sets the namespace given by --vehicle.
 vehicle() {
-  [ "$1" ] || fail "--vehicle wants the name of a vehicle, its namespace"
+  [ "$1" ] || fail "--vehicle: the name (namespace) of a vehicle is missing"
   export FSS_NAMESPACE="$1"
 }
 
-# read_config CONFIG: its settings, the environment, and $fss_nodes, its nodes' names in order, each
-# with its namespace before it: those in $FSS_NAMESPACE if that is set. A configuration whose nodes
-# are all in one namespace sets it.
+# read_config CONFIG: reads its settings, sets the environment, and lists in $fss_nodes the names of
+# its nodes in order, each with its namespace; only those in $FSS_NAMESPACE if that is set. A
+# configuration whose nodes are all in one namespace sets $FSS_NAMESPACE.
 read_config() {
   fss_root=$(CDPATH='' cd -- "$fss_scripts/.." && pwd -P)
-  fss_config=$(readlink -f -- "${1:-$fss_root/config/fss.sh}") || fss_config=   # nor its folder
+  fss_config=$(readlink -f -- "${1:-$fss_root/config/fss.sh}") || fss_config=   # the folder does not exist either
   [ -f "$fss_config" ] || fail "${1:-config/fss.sh}: no such configuration"
   cd "$fss_root" || exit 1
   fss_name=${fss_config##*/} fss_name=${fss_name%.sh}
   FSS_LOGS=log/$fss_name   # of all nodes
-  FSS_RESTARTS=3           # of a node that fails, until it has run for as long as the window
+  FSS_RESTARTS=3           # of a failing node within the window
   FSS_WINDOW=600           # [s]
-  FSS_STOP_TIMEOUT=10          # with a node that is to stop [s]
+  FSS_STOP_TIMEOUT=10          # for a node to stop [s]
   FSS_NAMESPACE=${FSS_NAMESPACE:-} FSS_NAMESPACE=${FSS_NAMESPACE#/}
   fss_vehicle=$FSS_NAMESPACE fss_nodes='' fss_spaces=''
   . "$fss_config"
@@ -56,7 +56,7 @@ each_node() {
   FSS_NAMESPACE=$fss_vehicle
 }
 
-# elsewhere: whether the node of this line is in another namespace than all is to be for.
+# elsewhere: true if the node of this line is not in the selected namespace.
 elsewhere() { [ "$fss_vehicle" ] && [ "$FSS_NAMESPACE" != "$fss_vehicle" ]; }
 
 # In a configuration: node NAME PACKAGE EXECUTABLE [ARGUMENT...], in the namespace FSS_NAMESPACE.
@@ -75,31 +75,31 @@ node() {
   [ $# -ge 3 ] || fail "$fss_config: node $1: expected NAME PACKAGE EXECUTABLE [ARGUMENT...]"
   ! elsewhere || return 0
   set -- "${FSS_NAMESPACE:+$FSS_NAMESPACE/}$1"
-  case " $fss_nodes " in *" $1 "*) fail "$fss_config: node $1 is there twice" ;; esac
+  case " $fss_nodes " in *" $1 "*) fail "$fss_config: node $1 is defined twice" ;; esac
   fss_nodes="${fss_nodes:+$fss_nodes }$1"
   case " $fss_spaces " in *" /$FSS_NAMESPACE "*) ;; *) fss_spaces="${fss_spaces:+$fss_spaces }/$FSS_NAMESPACE" ;; esac
 }
 
-# Each node and its keeper hold the lock of a file with their process's number in it. A lock ends
-# with its process, and nobody else can have the number before that. A keeper's last word stays in
+# Each node and its keeper hold the lock of a file with their process id in it. The lock is released
+# when the process exits, and its id cannot be reused before that. A keeper leaves its final state in
 # its file: ended, failed or stopped.
 held() { [ -e "$FSS_LOGS/$1" ] && ! flock -s -n "$FSS_LOGS/$1" true; }
 
-# hold FILE: takes its lock on descriptor 9, for this process and what it starts or becomes.
+# hold FILE: acquires its lock on descriptor 9, for this process, its children and what it execs.
 hold() {
   exec 9>>"$FSS_LOGS/$1"
-  flock -w 5 9 || fail "$1 is held: another process is at it"
+  flock -w 5 9 || fail "$1 is locked by another process"
 }
 
-# tell WORDS: to the log of events, and to the terminal of who started the nodes.
-tell() {
+# log_event WORDS: writes to the log of events, and to the terminal from which the nodes were started.
+log_event() {
   fss_line="$(date '+%F %T') $*"
   echo "$fss_line" >>"$FSS_EVENTS"
-  # In a process of its own: neither a terminal that hangs nor one that is gone is to matter.
+  # In a separate process, so that a terminal that hangs or is closed does no harm.
   [ -z "${FSS_TTY:-}" ] || { printf '\r%s\r\n' "$fss_line" >"$FSS_TTY"; } 2>/dev/null 9>&- &
 }
 
-# refuse_systemd VERB: the nodes are systemd's to start and stop if it runs them.
+# refuse_systemd VERB: exits if systemd runs the nodes, as it must then start and stop them.
 refuse_systemd() {
   ! systemctl --quiet is-active "$fss_name.target" 2>/dev/null ||
     fail "systemd runs these nodes: systemctl $1 $fss_name.target"

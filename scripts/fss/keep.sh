@@ -1,7 +1,7 @@
 #!/bin/sh
-# Keeps one node of a configuration running: starts it again when it fails, a bounded number of
-# times, and tells so. fss_up.sh starts it with the lock on descriptor 9, in a session of its own
-# that no dropped line can end. usage: keep.sh CONFIG NAME
+# Keeps one node of a configuration running: restarts it when it fails, a bounded number of times,
+# and logs each failure. fss_up.sh starts it with the lock on descriptor 9, in a separate session
+# that survives a lost connection. usage: keep.sh CONFIG NAME
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd -P)
 # shellcheck source=scripts/fss/config.sh
@@ -17,28 +17,28 @@ while [ -z "$ending" ]; do
   began=$(date +%s)
   "$fss_scripts/fss/node.sh" "$fss_config" "$name" 9>&- &
   node=$!
-  [ -z "$ending" ] || kill "$node" 2>/dev/null || true   # told so before there was a node to tell
+  [ -z "$ending" ] || kill "$node" 2>/dev/null || true   # the signal came before the node was started
   code=0
   wait "$node" || code=$?
-  while kill -0 "$node" 2>/dev/null; do   # a signal ends `wait` before the node has ended
+  while kill -0 "$node" 2>/dev/null; do   # a signal interrupts `wait` before the node has exited
     code=0
     wait "$node" || code=$?
   done
   node=''
   [ -z "$ending" ] || break
   if [ "$code" = 0 ]; then
-    tell "$name has ended"
+    log_event "$name has ended"
     echo ended >"$FSS_LOGS/$name.keep"
     exit 0
   fi
   [ $(($(date +%s) - began)) -lt "$FSS_WINDOW" ] || failures=0
   failures=$((failures + 1))
   if [ "$failures" -gt "$FSS_RESTARTS" ]; then
-    tell "$name failed ($code) $failures times and is not started again; see $FSS_LOGS/$name.log"
+    log_event "$name failed ($code) $failures times and is not started again; see $FSS_LOGS/$name.log"
     echo failed >"$FSS_LOGS/$name.keep"
     exit 1
   fi
-  tell "$name failed ($code), starting it again ($failures of $FSS_RESTARTS)"
+  log_event "$name failed ($code), starting it again ($failures of $FSS_RESTARTS)"
   sleep 1
 done
 echo stopped >"$FSS_LOGS/$name.keep"

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Becomes one node of a configuration. usage: node.sh CONFIG NAME
+# Runs one node of a configuration in this process. usage: node.sh CONFIG NAME
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd -P)
 # shellcheck source=scripts/fss/config.sh
@@ -12,7 +12,7 @@ become() {
   shift
   hold "$wanted.node"
   echo $$ >"$FSS_LOGS/$wanted.node"
-  # Not the real ros2: it would stay as the node's parent, with the lock and the number.
+  # Not the real ros2: it would stay as the node's parent, with the lock and the process id.
   [ -z "$FSS_NAMESPACE" ] || set -- "$@" --ros-args -r "__ns:=/$FSS_NAMESPACE"
   [ "${ROS_SECURITY_ENABLE:-}" != true ] || set -- "$@" --ros-args --enclave "/$fss_name/$wanted"
   exec "$fss_scripts/bin/ros2" run "$@"

@@ -73,8 +73,8 @@ def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
 
 def test_nobody_there_is_said_in_one_line(domain):
     for what, said in (
-        ("arm", "nobody offers arm/enable"),
-        ("home", "nobody drives a link"),
+        ("arm", "no node offers arm/enable"),
+        ("home", "no driver of a link runs"),
         ("solve", "no calibration runs"),
     ):
         said += f" in ROS domain {DOMAIN}\n"
@@ -193,7 +193,7 @@ def test_links_that_are_armed_are_homed(spin, bench, telling):
     unarmed = "link {} is not referenced: it is not armed"
     assert telling(nodes, home) == (1, "", f"{unarmed.format(1)}; {unarmed.format(2)}\n")
 
-    looks = "link {} looks for its reference\n"
+    looks = "link {} searches for its reference\n"
     arm(spin, nodes, nodes[0])
     assert telling(nodes, home) == (1, looks.format(1), unarmed.format(2) + "\n")
     assert [transport.link.referenced for transport in transports] == [True, False]
@@ -276,7 +276,7 @@ def test_homing_that_is_interrupted_says_so(spin, bench):
         process.send_signal(signal.SIGINT)
         spin(nodes, lambda: process.poll() is not None)
         assert process.returncode == 130
-        assert process.communicate() == ("link 1 looks for its reference\n", "interrupted\n")
+        assert process.communicate() == ("link 1 searches for its reference\n", "interrupted\n")
 
 
 STOP = sys.executable, SCRIPT, "stop"
@@ -294,7 +294,7 @@ def test_a_stop_is_confirmed_by_all_links_or_names_those_that_are_silent(spin, b
         assert not node.session.armed
 
     transports[0].talks = False
-    silent = "link_1: no word that it stopped (link_2: stopped); use the emergency stop\n"
+    silent = "link_1: stop not confirmed (link_2: stopped); use the emergency stop\n"
     assert telling(nodes, STOP) == (1, "", silent)
     transports[0].talks, transports[0].hears = True, False
     transports[0].link.flags = 0
@@ -315,7 +315,7 @@ def test_a_stop_names_links_of_the_arm_whose_drivers_are_gone(spin, bench, telli
     save(replace(description, links=description.links[:3]), tmp_path / "arm.yaml")
     whole = [Parameter("arm", value=str(tmp_path / "arm.yaml"))]
     code, out, err = telling([*nodes, ArmNode(parameter_overrides=whole)], STOP)
-    silent = "link_3: no word that it stopped (link_1, link_2: stopped); use the emergency stop\n"
+    silent = "link_3: stop not confirmed (link_1, link_2: stopped); use the emergency stop\n"
     assert (code, out, err) == (1, "", silent)
 
 
@@ -336,7 +336,7 @@ def test_a_stop_is_for_all_namespaces_unless_one_is_given(spin, bench, telling):
     assert re.fullmatch(f"fss2/link_1, link_1, link_2: {STOPPED}", out)
     arm_it = sys.executable, SCRIPT, "arm", "--wait", "0.5"
     code, _, err = telling(nodes, arm_it, FSS_NAMESPACE="fss2")
-    nobody = f"nobody offers arm/enable in /fss2, in ROS domain {DOMAIN}"
+    nobody = f"no node offers arm/enable in /fss2, in ROS domain {DOMAIN}"
     assert (code, err) == (1, f"{nobody}; --vehicle is one of /\n")
 
 
@@ -352,7 +352,7 @@ def test_a_stop_is_confirmed_by_the_bases_boards_too(spin, telling):
         telemetry.publish(message)
 
     board.create_timer(0.05, tell)
-    silent = "fss3/base: no word that it stopped; use the emergency stop\n"
+    silent = "fss3/base: stop not confirmed; use the emergency stop\n"
     assert telling([board], STOP) == (1, "", silent)
     board.create_subscription(
         Empty, "arm/stop", lambda _: flags.__setitem__(0, int(BaseState.STOPPED)), 10
@@ -431,7 +431,7 @@ def test_a_hundred_stops_tell_the_truth_each_time(spin, start, telling, capsys):
         spin(nodes, turn, 60.0)
         code, out, err = telling(nodes, STOP)
         if code:  # a busy machine may silence links
-            assert re.match(r"link_\d.*: no word that it stopped", err)
+            assert re.match(r"link_\d.*: stop not confirmed", err)
             refused.append(err)
         else:
             assert re.fullmatch(f"link_1, link_2, link_3, link_4: {STOPPED}", out)

@@ -180,7 +180,7 @@ def test_a_node_that_lost_its_keeper_is_stopped_all_the_same(laboratory, tmp_pat
     again = lab.run("up")
     assert (again.returncode, again.stderr) == (
         1,
-        "fss_up.sh: record runs, but nobody keeps it: fss_down.sh first\n",
+        "fss_up.sh: record runs without its supervisor: fss_down.sh first\n",
     )
     assert lab.run("down").returncode == 0
     assert lab.pid("record") is None

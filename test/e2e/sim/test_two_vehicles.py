@@ -118,7 +118,7 @@ def test_two_graphs_are_told_apart_and_stopped_together(start, spin, tmp_path, c
     spin(person, lambda: len(person.last) == 4, 60.0)
     _, nobody = tell("arm", "--wait", "1")
     here = f"in ROS domain {OWN.number}"
-    assert nobody == f"nobody offers arm/enable {here}; --vehicle is one of /fss1, /fss2\n"
+    assert nobody == f"no node offers arm/enable {here}; --vehicle is one of /fss1, /fss2\n"
     tell("arm", "--vehicle", "fss1")
     assert (person.armed("fss1"), person.armed("fss2")) == ([True, True], [False, False])
     arm_all()

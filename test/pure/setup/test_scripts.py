@@ -218,7 +218,7 @@ def test_a_configuration_that_is_nowhere_is_named(command):
         ("node", "node '': expected letters"),
         ("node a-b p x", "node 'a-b': expected letters"),
         ("node a p", "node a: expected NAME PACKAGE EXECUTABLE"),
-        ("node a p x; node a p y", "node a is there twice"),
+        ("node a p x; node a p y", "node a is defined twice"),
         ("node a p x", "node a: there is no executable 'x' in a package 'p'"),
         (None, "no such configuration"),
     ],
@@ -317,13 +317,13 @@ def shown(status: dict[str, Any], processes: Any, listener: Any) -> list[str]:
 def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path: Path) -> None:
     status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
     kinds = {"/fss2/link_1/telemetry": LinkTelemetry, "/fss2/joint_states": JointState}
-    heard = {topic: status["Heard"](kind) for topic, kind in kinds.items()}
+    heard = {topic: status["Received"](kind) for topic, kind in kinds.items()}
     link = LinkTelemetry(link=1, armed=True, position=1, flags=8, current=-120, battery=165)
     for q, name in ((radians(-12.34), "joint_1"), (radians(5.0), "joint_2")):
-        heard["/fss2/joint_states"].take(
+        heard["/fss2/joint_states"].add(
             serialize_message(JointState(name=[name], position=[q]))
         )  # a message each
-    heard["/fss2/link_1/telemetry"].take(serialize_message(link))
+    heard["/fss2/link_1/telemetry"].add(serialize_message(link))
     listener = SimpleNamespace(measured=heard, results={}, reports={})
     listener.angles = partial(status["Listener"].angles, listener)
     lines = shown(status, status["Processes"](tmp_path, [], []), listener)
@@ -344,7 +344,7 @@ def test_a_failed_node_says_why_and_events_are_those_of_this_session(
     lines = shown(status, status["Processes"](tmp_path, ["link"], []), listener)
     assert any(re.fullmatch(r"link +failed +link: the port is taken", line) for line in lines)
     assert lines[-2:] == events[1:]
-    assert "no node is heard in ROS domain 64" in lines
+    assert "no node reports in ROS domain 64" in lines
 
 
 @pytest.mark.parametrize("name", ["up", "down", "status", "systemd"])
