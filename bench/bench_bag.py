@@ -16,7 +16,7 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 
 from fss_arm_bags.recorder import Recording
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
 from fss_arm_model.base_motion import base_poses
@@ -36,7 +36,7 @@ def joint_motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return joint angles and rates (k, 4) at times (k,) [s]: smooth moves between postures."""
     k, within = np.divmod(t, REST + MOVE)
     progress = np.clip((within - REST) / MOVE, 0.0, 1.0)[:, None]
-    here, there = (DEFAULT[(k.astype(int) + d) % len(DEFAULT)] for d in (0, 1))
+    here, there = (DEFAULT_POSTURES[(k.astype(int) + d) % len(DEFAULT_POSTURES)] for d in (0, 1))
     rate = 6.0 * progress * (1.0 - progress) / MOVE
     return here + (3.0 * progress**2 - 2.0 * progress**3) * (there - here), rate * (there - here)
 

@@ -21,7 +21,7 @@ from running import OWN  # enters a ROS domain of its own: before rclpy
 import rclpy  # isort: skip
 from flight import Flyer, start  # isort: skip
 
-from fss_arm_calib.experiment.postures import default
+from fss_arm_calib.experiment.postures import default_postures
 from fss_arm_model.description import paper_arm
 from fss_rehearsal.processes import Nodes
 
@@ -37,7 +37,7 @@ def fly(flyer: Flyer, duration: float, rest: float, count: int) -> bool:
     flyer.pass_time(5.0, timeout=600.0)
     pose, worst = np.array(flyer.truths[-1].q[:3]), np.zeros(2)
     initial = flyer.truths[-1].propellant
-    for k, q in enumerate(default(paper_arm())[:count], 1):
+    for k, q in enumerate(default_postures(paper_arm())[:count], 1):
         start = flyer.t
         move = flyer.does("arm/move", q=q.tolist(), duration=duration, timeout=3600.0)
         flyer.pass_time(rest, timeout=3600.0)

@@ -54,10 +54,16 @@ from calib_joint import (
     rests,
 )
 
-from fss_arm_calib.joint.calibrate import Session, begin, calibrate, problem_of, stages
+from fss_arm_calib.joint.calibrate import (
+    Session,
+    calibrate,
+    initial_unknowns,
+    problem_of,
+    run_stages,
+)
 from fss_arm_calib.joint.problem import solve
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import JOINED
+from fss_arm_calib.kinds import JOINT_SOURCES
 from fss_arm_model import dynamics as model
 from fss_arm_model.drifting import single_body
 from fss_arm_model.joint_path import sampled
@@ -73,7 +79,7 @@ PEER_SHARE = 10  # the peer gets 1 / PEER_SHARE of the data
 def solve_joint(data, pose_settings):
     """Return the joint estimate."""
     settings = {**SETTINGS, "kinematic": pose_settings}
-    return solve(problem_of([data], ARM, JOINT, JOINED, settings), bounded=False)
+    return solve(problem_of([data], ARM, JOINT, JOINT_SOURCES, settings), bounded=False)
 
 
 def run_methods(seed, pose_settings):
@@ -155,12 +161,12 @@ def arm_of(n):
 def time_ours(data, guess=ARM):
     """Return the times of the solution and of everything after reading [s], and both results."""
     parts = [Session(str(k), one) for k, one in enumerate(data)]
-    whole_time, outcome = best_time(lambda: calibrate(parts, guess, JOINT, JOINED, SETTINGS))
-    found = [stages(one, guess, JOINED, SETTINGS) for one in parts]
+    whole_time, outcome = best_time(lambda: calibrate(parts, guess, JOINT, JOINT_SOURCES, SETTINGS))
+    found = [run_stages(one, guess, JOINT_SOURCES, SETTINGS) for one in parts]
 
     def solved():
-        problem = problem_of([one.used for one in found], guess, JOINT, JOINED, SETTINGS)
-        return solve(problem, begin(problem, [one.arm for one in found]))
+        problem = problem_of([one.used for one in found], guess, JOINT, JOINT_SOURCES, SETTINGS)
+        return solve(problem, initial_unknowns(problem, [one.arm for one in found]))
 
     span, result = best_time(solved)
     return span, whole_time, result, outcome
@@ -171,7 +177,7 @@ class Peer:
 
     def __init__(self, data):
         self.data = data
-        self.known = problem_of([data], ARM, JOINT, JOINED, SETTINGS)
+        self.known = problem_of([data], ARM, JOINT, JOINT_SOURCES, SETTINGS)
         self.laws = [sampled(one.times, one.q, one.qd)[0] for one in data["dynamic"]]
         evidence = self.known.sessions[0]
         self.rests, self.sigma = evidence["kinematic"].problem, evidence["dynamic"].problem.sigma

@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 from fss_arm_bags.definitions import definition
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED
 from fss_arm_calib.calibration_node import CalibrationNode
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinds import KINDS
 from fss_arm_ros.qos import LATCHED, sensor
 
@@ -78,14 +78,15 @@ def turning() -> list[Any]:
 CASES = {
     case.kind: case
     for case in (
-        Case("kinematic", lambda: calib_rig.Rig(DEFAULT[:8], rest=3.2, rate=50.0).samples(),
+        Case("kinematic",
+             lambda: calib_rig.Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=50.0).samples(),
              calib_rig, {}, 8, {"position_deviation": 1e-7, "heading_deviation": 1e-7},
              "max_observations"),
         Case("dynamic",
              lambda: calib_float.Float(
                  calib_float.postures(10, seed=3), TRUTH.vector(), STATE).samples(rate=20),
              calib_float, PRECISE, 10, {"max_place": 1e-6}, "max_maneuvers"),
-        Case("toy", lambda: calib_rig.Rig(DEFAULT[:4], rest=3.2, rate=50.0).samples(),
+        Case("toy", lambda: calib_rig.Rig(DEFAULT_POSTURES[:4], rest=3.2, rate=50.0).samples(),
              calib_rig, {}, 4, {"heading_deviation": 1e-9}, "max_observations"),
         Case("drives", turning, calib_drives, {"max_relative": 0.3}, 53, {"max_relative": 1e-6},
              "max_excitations", NOT_EVALUATED, "link", "links"),

@@ -4,13 +4,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fss_arm_calib.acceptance import PASS, by_chance, clocks_kept, count, enough, joints_known
+from fss_arm_calib.acceptance import (
+    PASS,
+    check_chi_square,
+    check_clocks,
+    check_data_amount,
+    check_joint_names,
+    format_count,
+)
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.messages import common_message
-from fss_arm_calib.outcome import Estimate, concluded
+from fss_arm_calib.outcome import Estimate, make_outcome
 from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_calib.settings import most as most_of
+from fss_arm_calib.settings import max_data as most_of
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import wrap
 from fss_arm_model.settings import POSITIVE, setting
@@ -29,8 +36,10 @@ class ToySettings(CalibrationSettings):
 def calibrate(observations, arm, s, streams, source):
     used = [o for o in observations if o.used]
     q, seen = np.array([o.q for o in used]), np.array([o.tip for o in used])
-    number = enough("observations", len(used), 2, count(len(used), "observation"), streams)
-    checks = [joints_known(streams, arm), clocks_kept(streams, s.joint_gap), number]
+    number = check_data_amount(
+        "observations", len(used), 2, format_count(len(used), "observation"), streams
+    )
+    checks = [check_joint_names(streams, arm), check_clocks(streams, s.joint_gap), number]
     estimate, found = Estimate(("turn",), ("rad",), np.zeros(1)), None
     if number.verdict == PASS:
         away = wrap(seen[:, 2] - tip_in_base(arm.vector(), q)[:, 2])
@@ -41,13 +50,15 @@ def calibrate(observations, arm, s, streams, source):
             deviations=np.array([sigma / len(q) ** 0.5]), weights=np.ones(len(q)),
             chi_square=chi_square, degrees_of_freedom=freedom,
         )  # fmt: skip
-        checks.append(by_chance("fit", chi_square, freedom, s.min_probability, "no mere turn"))
+        checks.append(
+            check_chi_square("fit", chi_square, freedom, s.min_probability, "no mere turn")
+        )
 
     def calibrated():
         base = replace(arm.base, mount=(*arm.base.mount[:2], arm.base.mount[2] + np.mean(away)))
         return replace(arm, base=base)
 
-    return concluded(observations, used, (q, seen), arm, s, ToySettings, streams, source, checks,
+    return make_outcome(observations, used, (q, seen), arm, s, ToySettings, streams, source, checks,
                      estimate, found, calibrated)  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from sim_rehearsal import DYNAMIC, Rehearsal
 
 from fss_arm_calib.dynamic.calibrate import calibrate
-from fss_arm_calib.experiment.design import design, expected, to_goal
+from fss_arm_calib.experiment.design import design, design_for_goal, expected_result
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_model.description import paper_arm
 from fss_arm_model.parameters import parameter_names, values
@@ -36,11 +36,11 @@ def minutes(plan):
 def rehearsed(seed, settings=DYNAMIC):
     arm = paper_arm()
     fixed = design(arm, FIXED, settings, CONDITIONS, seed=seed)
-    result = expected(arm, fixed, settings, PAUSE)
+    result = expected_result(arm, fixed, settings, PAUSE)
     asked = dict(zip(result.problem.names, result.deviations, strict=True))
     goal = dict.fromkeys(GOAL, max(asked[name] for name in GOAL))
-    plan = to_goal(arm, MOST, settings, CONDITIONS, goal, seed=seed)
-    result = expected(arm, plan, settings, PAUSE)
+    plan = design_for_goal(arm, MOST, settings, CONDITIONS, goal, seed=seed)
+    result = expected_result(arm, plan, settings, PAUSE)
     truth, rng = draw_truth(arm, settings, seed), np.random.default_rng(seed)
     maneuvers, lasts = [], 0
     for first in range(0, len(plan), MANEUVERS_PER_SESSION):  # then somebody puts the base back

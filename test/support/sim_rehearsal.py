@@ -12,8 +12,8 @@ import numpy as np
 
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.experiment.experiment_node import through
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.experiment_node import maneuver_waypoints
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
@@ -50,7 +50,7 @@ class Rehearsal:
     """
 
     def __init__(
-        self, config=None, script="", noise=None, seed=1, postures=DEFAULT, preset="paper",
+        self, config=None, script="", noise=None, seed=1, postures=DEFAULT_POSTURES, preset="paper",
         room=None, arms=None, q=(0.0,) * 4, twist=(0.0,) * 3, tilt=(0.0,) * 2,
         dynamic=DYNAMIC, **options,
     ):  # fmt: skip
@@ -136,7 +136,7 @@ class Rehearsal:
 
     def make(self, maneuvers, pause, timeout=20.0):
         """Maneuvers, as the node `experiment` makes them; what comes of them."""
-        for stop in through(maneuvers, pause):
+        for stop in maneuver_waypoints(maneuvers, pause):
             order, since, end = None, 0, self.bed.now + timeout * SECOND
             while not since or self.bed.now < since + stop.pause * SECOND:
                 assert since or self.bed.now < end, "it does not arrive"

@@ -15,9 +15,9 @@ from fss_arm_model.description import Arm
 PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"
 
 CAUSE = "cause"  # name of the check that gives the probable cause of a bad verdict
-MOST_REASONS = 4  # limit if the verdict is not pass; the checks hold all reasons
+MAX_REASONS = 4  # limit if the verdict is not pass; the checks hold all reasons
 
-TOLERANCE = 1e-9  # largest last update of a converged solution [deviations]
+UPDATE_TOLERANCE = 1e-9  # largest last update of a converged solution [deviations]
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class Check:
     needed: bool = True  # must be evaluated for a verdict; a failed check always counts
 
 
-def at_most(name: str, value: float, threshold: float, reason: str, failing: str = "") -> Check:
+def check_limit(name: str, value: float, threshold: float, reason: str, failing: str = "") -> Check:
     """Return a check that passes if value <= threshold; `failing` explains a failure."""
     passed = value <= threshold  # False for NaN
     words = reason if passed or not failing else f"{failing}: {reason}"
     return Check(name, PASS if passed else FAIL, value, threshold, words)
 
 
-def by_chance(
+def check_chi_square(
     name: str, chi_square: float, freedom: float, least: float, failing: str, known_by: float = inf
 ) -> Check:
     """Return a check that fails if residuals this large are less probable than `least`.
@@ -62,23 +62,23 @@ def by_chance(
     return Check(name, PASS if passed else FAIL, chance, least, reason)
 
 
-def fitting(chi_square: float, freedom: float, least: float, failing: str, noise: Noise) -> Check:
+def check_fit(chi_square: float, freedom: float, least: float, failing: str, noise: Noise) -> Check:
     """Check that the residuals agree with the given or estimated deviations."""
-    check = by_chance("fit", chi_square, freedom, least, failing)
+    check = check_chi_square("fit", chi_square, freedom, least, failing)
     if noise.given.all():
         return check
     return replace(check, reason=f"{check.reason}; errors are {noise} by the residuals")
 
 
-def joints_known(streams: Streams, arm: Arm) -> Check:
+def check_joint_names(streams: Streams, arm: Arm) -> Check:
     """Check that no readings were received of a joint that the arm does not have."""
     unknown = streams.unknown
-    reason = f"{', '.join(unknown)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
+    reason = f"{', '.join(unknown)} heard, but {arm.name!r} has {format_count(arm.n, 'joint')}"
     verdict = NOT_EVALUATED if unknown else PASS
     return Check("joints", verdict, arm.n + len(unknown), arm.n, reason if unknown else "")
 
 
-def clocks_kept(streams: Streams, most: float) -> Check:
+def check_clocks(streams: Streams, most: float) -> Check:
     """Check that no clock ran back by more than `most` [s], which may have hidden data.
 
     Clocks that are too far apart to be aligned are only reported: swapped subjects look the same.
@@ -94,18 +94,18 @@ def clocks_kept(streams: Streams, most: float) -> Check:
     return Check("clocks", verdict, back, most, reason, needed=bad)
 
 
-def suspected(streams: Streams) -> list[Check]:
+def stream_causes(streams: Streams) -> list[Check]:
     """Return possible causes of a verdict in the streams themselves, the most likely one first."""
     words = [*streams.doubts]
     if streams.silent and streams.others:
         names, heard = ", ".join(streams.silent), ", ".join(streams.others)
         words.append(f"nothing heard of {names}, but of {heard}: other names?")
-    if differ := frames_differ(streams):
+    if differ := frame_mismatch(streams):
         words.append(differ)
-    return [cause(one) for one in words]
+    return [cause_check(one) for one in words]
 
 
-def frames_differ(streams: Streams) -> str:
+def frame_mismatch(streams: Streams) -> str:
     """Describe the frames of the subjects' poses if they differ; empty if they do not."""
     if len(set(streams.frames.values())) < 2:
         return ""
@@ -113,7 +113,9 @@ def frames_differ(streams: Streams) -> str:
     return f"poses in frames that differ: {frames}"
 
 
-def enough(name: str, found: float, needed: float, reason: str, streams: Streams) -> Check:
+def check_data_amount(
+    name: str, found: float, needed: float, reason: str, streams: Streams
+) -> Check:
     """Check that the data suffice for a verdict; if not, list silent streams and rejections."""
     if found >= needed:
         return Check(name, PASS, found, needed, reason)
@@ -124,7 +126,7 @@ def enough(name: str, found: float, needed: float, reason: str, streams: Streams
     return Check(name, NOT_EVALUATED, found, needed, reason)
 
 
-def determined(
+def check_identifiability(
     undetermined: Sequence[str], missing: int, condition: float, most: float, hint: str = ""
 ) -> Check:
     """Check that the data determine all parameters.
@@ -138,20 +140,24 @@ def determined(
     """
     facts = f"condition number {condition:.3g} (at most {most:g})"
     if not undetermined:
-        return at_most("determined", condition, most, facts)
+        return check_limit("determined", condition, most, facts)
     reason = f"{', '.join(undetermined)} cannot be told apart: "
-    reason += f"{count(missing, 'combination')} undetermined, {facts}{hint}"
+    reason += f"{format_count(missing, 'combination')} undetermined, {facts}{hint}"
     return Check("determined", NOT_EVALUATED, condition, most, reason)
 
 
-def converged(well: bool, iterations: int, last_update: float, most: float = TOLERANCE) -> Check:
+def check_convergence(
+    well: bool, iterations: int, last_update: float, most: float = UPDATE_TOLERANCE
+) -> Check:
     """Check that the last update was negligible."""
-    words = f"{count(iterations, 'iteration')}, last update {last_update:.2g} deviations"
+    words = f"{format_count(iterations, 'iteration')}, last update {last_update:.2g} deviations"
     words = words if well else f"not converged: {words} (at most {most:g})"
     return Check("convergence", PASS if well else FAIL, last_update, most, words)
 
 
-def outliers(errors: Floats, kept: Mask, limit: float, most: int, noun: str, what: str) -> Check:
+def check_outliers(
+    errors: Floats, kept: Mask, limit: float, most: int, noun: str, what: str
+) -> Check:
     """Check that each datum that was not rejected agrees with the others.
 
     Args:
@@ -165,12 +171,14 @@ def outliers(errors: Floats, kept: Mask, limit: float, most: int, noun: str, wha
     worst = float(np.max(errors[kept]))
     words = f"largest {what} {worst:.3g} (at most {limit:g})"
     if rejected := np.flatnonzero(~kept).tolist():
-        words += f", {numbers(rejected, noun)} rejected (at most {most})"
+        words += f", {format_indices(rejected, noun)} rejected (at most {most})"
     far = [k for k in np.argsort(-errors).tolist() if kept[k] and errors[k] > limit]
-    return at_most("outliers", worst, limit, words, f"{numbers(far, noun)} off" if far else "")
+    return check_limit(
+        "outliers", worst, limit, words, f"{format_indices(far, noun)} off" if far else ""
+    )
 
 
-def checked(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
+def check_redundancy(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
     """Check that each datum is controlled by the others, so that an error in it would show.
 
     Args:
@@ -180,7 +188,10 @@ def checked(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
         noun: name of a datum.
     """
     worst = int(np.argmin(redundancy))
-    which, value = numbers([int(np.flatnonzero(kept)[worst])], noun), float(redundancy[worst])
+    which, value = (
+        format_indices([int(np.flatnonzero(kept)[worst])], noun),
+        float(redundancy[worst]),
+    )
     facts = f"redundancy {value:.2g} (at least {least:g})"
     if value >= least:
         return Check("redundancy", PASS, value, least, "")
@@ -188,12 +199,12 @@ def checked(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
     return Check("redundancy", NOT_EVALUATED, value, least, reason)
 
 
-def cause(words: str, verdict: str = FAIL) -> Check:
+def cause_check(words: str, verdict: str = FAIL) -> Check:
     """Return a check that gives a probable cause; it never decides the verdict."""
     return Check(CAUSE, verdict, nan, nan, words, needed=False)
 
 
-def conclude(checks: Sequence[Check]) -> tuple[str, tuple[str, ...]]:
+def decide_verdict(checks: Sequence[Check]) -> tuple[str, tuple[str, ...]]:
     """Return the verdict of all checks and its reasons: causes, missing data, failures, notes.
 
     If a needed check could not be evaluated, the verdict is "not evaluated" even if others failed,
@@ -207,19 +218,19 @@ def conclude(checks: Sequence[Check]) -> tuple[str, tuple[str, ...]]:
         return verdict, tuple(s.reason for s in checks if s.reason and s not in causes)
     notes = [s for s in checks if s.verdict == NOT_EVALUATED and s not in [*missing, *causes]]
     reasons = [s.reason for s in [*causes, *missing, *failed, *notes] if s.reason]
-    return verdict, tuple(dict.fromkeys(reasons))[:MOST_REASONS]
+    return verdict, tuple(dict.fromkeys(reasons))[:MAX_REASONS]
 
 
-def quiet(check: Check) -> Check:
+def hide_pass_reason(check: Check) -> Check:
     """Return the check, without its reason if it passes, to keep the report short."""
     return check if check.verdict != PASS else replace(check, reason="")
 
 
-def count(number: int, what: str) -> str:
+def format_count(number: int, what: str) -> str:
     """Format a number with its noun, in the plural unless the number is 1."""
     return f"{number} {what}{'s' * (number != 1)}"
 
 
-def numbers(which: Sequence[int], noun: str = "observation") -> str:
+def format_indices(which: Sequence[int], noun: str = "observation") -> str:
     """Format indices of data as text, counted from 1."""
     return f"{noun}{'s' * (len(which) > 1)} {', '.join(str(k + 1) for k in which)}"

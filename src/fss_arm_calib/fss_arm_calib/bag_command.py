@@ -8,19 +8,19 @@ from rich.console import Console
 
 from fss_arm_calib import report, result
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
-from fss_arm_calib.calibration import write_described
+from fss_arm_calib.calibration import write_description
 from fss_arm_calib.outcome import Outcome
 
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}
 
 
-def told(
+def report_outcome(
     outcome: Outcome[Any, Any],
     found: report.Report,
     kind: str,
     options: argparse.Namespace,
     console: Console,
-    write: Callable[[str, Outcome[Any, Any]], None] = write_described,
+    write: Callable[[str, Outcome[Any, Any]], None] = write_description,
     written: str = "calibrated description",
 ) -> None:
     """Print a result and write the requested files.
@@ -28,7 +28,7 @@ def told(
     Raises:
         OSError: a file cannot be written.
     """
-    console.print(report.printed(found))
+    console.print(report.printable(found))
     if options.result:
         result.write(options.result, kind, outcome)
     if options.report:

@@ -18,10 +18,10 @@ from fss_arm_ros.convert import SECOND, stamp_ns
 
 D = TypeVar("D", bound=Datum)
 
-PIECE = 0.2  # part of a bag that is read at once, as a fraction of the horizon (largest stream lag)
+CHUNK = 0.2  # part of a bag that is read at once, as a fraction of the horizon (largest stream lag)
 
 
-def source(bags: Bags) -> str:
+def describe_source(bags: Bags) -> str:
     """Return the names of the bags, the SHA-256 of their data and the losses of damaged bags."""
     lost = {
         r.path: f" ({r.messages} messages recovered, {r.lost} bytes lost)" for r in bags.recovered
@@ -29,7 +29,7 @@ def source(bags: Bags) -> str:
     return ", ".join(f"{path.name} {digest(path)}{lost.get(path, '')}" for path in bags.paths)
 
 
-def fed(
+def find_data(
     bags: Bags, finder: Finder[D], inputs: Sequence[Input], horizon: float, namespace: str = ""
 ) -> list[D]:
     """Feed the messages of the bags to a finder and return the data that it finds.
@@ -37,9 +37,9 @@ def fed(
     Raises:
         BagError: a topic is missing or of another type.
     """
-    topics = {name(bags, one, namespace): one for one in inputs}
+    topics = {topic_name(bags, one, namespace): one for one in inputs}
     found: list[D] = []
-    for piece in batches(bags.raw(set(topics)), round(PIECE * horizon * SECOND)):
+    for piece in batches(bags.raw(set(topics)), round(CHUNK * horizon * SECOND)):
         for topic, one in topics.items():
             data = piece.get(topic, [])
             if one.bulk:
@@ -56,7 +56,7 @@ def recorded_streams(bags: Bags, inputs: Sequence[Input], namespace: str = "") -
     Raises:
         BagError: a topic is missing or of another type.
     """
-    topics = {name(bags, one, namespace): one for one in inputs}
+    topics = {topic_name(bags, one, namespace): one for one in inputs}
     wanted = {
         topic for topic, one in topics.items() if one.message in (JointState, PoseStamped, Imu)
     }
@@ -92,7 +92,7 @@ def _track(rows: Sequence[tuple[int, int, float, float]]) -> Track:
     return Track(t, heard, np.column_stack([q, qd]))
 
 
-def name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> str:
+def topic_name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> str:
     """Return the topic name of an input in the bags: in the namespace unless it starts with `/`.
 
     Raises:
@@ -108,11 +108,13 @@ def name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> st
         there = ", ".join(bags.topics) or "no topics"
         where = ", ".join(map(str, bags.paths))
         damaged = "".join(f"; damaged: {bag}" for bag in bags.recovered)
-        raise BagError(f"no {topic} in {where}, which has {there}{hint(bags, one.topic)}{damaged}")
+        raise BagError(
+            f"no {topic} in {where}, which has {there}{namespace_hint(bags, one.topic)}{damaged}"
+        )
     return topic
 
 
-def hint(bags: Bags, topic: str) -> str:
+def namespace_hint(bags: Bags, topic: str) -> str:
     """Suggest the namespaces in which the bags have a missing topic; empty if there are none."""
     last = f"/{topic.lstrip('/')}"
     spaces = [found.removesuffix(last)[1:] for found in bags.topics if found.endswith(last)]

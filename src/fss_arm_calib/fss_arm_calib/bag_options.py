@@ -11,12 +11,12 @@ from fss_arm_model.settings import default_in, meaning
 EPILOG = "Exit codes: 0 pass, 1 the command cannot be carried out, 2 fail, 3 not evaluated."
 
 
-def defaults(kind: type[Any], namespace: str) -> dict[str, Any]:
+def default_settings(kind: type[Any], namespace: str) -> dict[str, Any]:
     """Return the default settings of a vehicle in a namespace."""
     return {f.name: default_in(f, namespace) for f in fields(kind)}
 
 
-def outputs(p: argparse.ArgumentParser, written: str) -> None:
+def add_output_options(p: argparse.ArgumentParser, written: str) -> None:
     """Add the options that every estimate from bags has: the output files and the namespace."""
     p.add_argument("--output", metavar="FILE", help=f"write the {written}, if it passes")
     p.add_argument(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
-from fss_arm_calib.acceptance import Check, clocks_kept
+from fss_arm_calib.acceptance import Check, check_clocks
 from fss_arm_calib.estimation.evidence import Evidence
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.report import Report, Table
@@ -83,7 +83,7 @@ class Calibration(Generic[D, C]):
     output: Callable[[Outcome[D, Any]], str] = lambda outcome: outcome.description
     written: str = "calibrated description"  # name of the `output`
     has_urdf: bool = True  # `output` is a description; its URDF is written next to it
-    clocks: Callable[[Streams, Any], Check] = lambda heard, s: clocks_kept(heard, s.joint_gap)
+    clocks: Callable[[Streams, Any], Check] = lambda heard, s: check_clocks(heard, s.joint_gap)
     stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result is outdated
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
     lacks: Mapping[str, str] = field(default_factory=dict)  # features not available, with reasons
@@ -110,7 +110,9 @@ class Calibration(Generic[D, C]):
         Raises:
             OSError: the file cannot be written.
         """
-        write_described(path, outcome) if self.has_urdf else write_text(path, self.output(outcome))
+        write_description(path, outcome) if self.has_urdf else write_text(
+            path, self.output(outcome)
+        )
 
     @property
     def topic(self) -> str:
@@ -118,7 +120,7 @@ class Calibration(Generic[D, C]):
         return f"calibration/{self.name}"
 
 
-def write_described(path: str, outcome: Outcome[Any, Any]) -> None:
+def write_description(path: str, outcome: Outcome[Any, Any]) -> None:
     """Write the description of a calibration that has passed, and its URDF next to it.
 
     Raises:

@@ -9,15 +9,15 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from fss_arm_calib.acceptance import FAIL, PASS, count
+from fss_arm_calib.acceptance import FAIL, PASS, format_count
 from fss_arm_calib.calibration import CAUSES, Calibration
-from fss_arm_calib.messages import common
+from fss_arm_calib.messages import calibration_part
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
 from fss_arm_calib.programs import drift, drives, dynamic, joint, kinematic
 from fss_arm_calib.report import write
 from fss_arm_calib.segments.streams import Streams, newest
-from fss_arm_calib.state import Flags, StateError, Writes, restore, save
+from fss_arm_calib.state import FileWriter, Flags, StateError, restore, save
 from fss_arm_model.description_file import described
 from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
@@ -49,7 +49,7 @@ class CalibrationNode(Node):
         arm = described(s.arm)
         # A kinematic calibration does not replace the masses of this description.
         self.begun = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
-        self.writes = Writes(self.get_logger())
+        self.writes = FileWriter(self.get_logger())
         kept, self.flags = self.restored()
         self.data: list[Any] = newest(kept, kind.most(s))
         self.finder = kind.finder(self.begun.arm, s, kept)
@@ -76,7 +76,7 @@ class CalibrationNode(Node):
         self.create_service(Trigger, "~/solve", self.on_solve)
         self.create_service(Trigger, "~/forget", self.on_forget)
         if kept:
-            what = count(len(kept), kind.data.noun)
+            what = format_count(len(kept), kind.data.noun)
             self.get_logger().info(f"goes on with {what} of {s.state_file}")
             self.publish()
         self.diagnostics = Diagnostics(self, self.health)
@@ -101,7 +101,7 @@ class CalibrationNode(Node):
             return
         if begun.arm != self.begun.arm:
             self.begun = begun
-            self.get_logger().info(f"begins from {topic}, {common(message).reason}")
+            self.get_logger().info(f"begins from {topic}, {calibration_part(message).reason}")
             self.outcome = self.solved()
             self.publish()
 
@@ -123,7 +123,7 @@ class CalibrationNode(Node):
         """Drop all data received, also in the state file, and reset the state of the streams."""
         receive_pending(self)
         response.success = True
-        response.message = f"{count(len(self.data), self.kind.data.noun)} forgotten"
+        response.message = f"{format_count(len(self.data), self.kind.data.noun)} forgotten"
         self.get_logger().info(response.message)
         self.data, self.flags = [], Flags()
         self.finder = self.kind.finder(self.begun.arm, self.settings, [])
@@ -196,7 +196,7 @@ class CalibrationNode(Node):
             return Health(WARN, f"{clocks}: {kind.name}/forget begins anew", values)
         if stale := kind.stale(self.outcome, streams):
             return Health(WARN, stale, values)
-        return Health(OK, count(len(self.data), kind.data.noun), values)
+        return Health(OK, format_count(len(self.data), kind.data.noun), values)
 
 
 if __name__ == "__main__":

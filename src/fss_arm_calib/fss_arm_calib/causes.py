@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.acceptance import CAUSE, PASS, cause
+from fss_arm_calib.acceptance import CAUSE, PASS, cause_check
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
@@ -25,19 +25,22 @@ from fss_arm_calib.segments.recorded import Recorded, Track, seen_from_above
 from fss_arm_calib.segments.samples import LARGEST, SECOND, span
 from fss_arm_model.description import Arm
 
-LONGEST = 900.0  # length of the last part of the recording that is used [s]
-JOINTS, POSES = 0.05, 0.02  # sample periods to which the data are thinned [s]
+MAX_LENGTH = 900.0  # length of the last part of the recording that is used [s]
+JOINT_PERIOD, POSE_PERIOD = 0.05, 0.02  # sample periods to which the data are thinned [s]
 #: Checks that can fail although the data agree with the model.
-UNCERTAIN = {"precision", "measurable", "redundancy"}
+PRECISION_CHECKS = {"precision", "measurable", "redundancy"}
 
-MOST = 60.0  # limit of the processor time of the search [s]
+MAX_SEARCH_TIME = 60.0  # limit of the processor time of the search [s]
 
-TABLE = 20.0  # positions above this are not in metres: no test bed is so large [m]
-TURN = 3.3  # readings above this are probably not in radians [rad]
-LENGTH, ANGLE = 0.05, radians(20.0)  # largest expected errors of a description [m, rad]
-APART = 0.25  # clock differences below this are ignored [s]
-STEP = 0.1  # resolution of the lag between clocks [s]
-TILTED = 0.01  # mean x^2 + y^2 of a quaternion above which the subject is not flat
+MAX_POSITION = 20.0  # positions above this are not in metres: no test bed is so large [m]
+MAX_READING = 3.3  # readings above this are probably not in radians [rad]
+MAX_LENGTH_ERROR, MAX_ANGLE_ERROR = (
+    0.05,
+    radians(20.0),
+)  # largest expected errors of a description [m, rad]
+MIN_CLOCK_OFFSET = 0.25  # clock differences below this are ignored [s]
+LAG_STEP = 0.1  # resolution of the lag between clocks [s]
+MAX_TILT = 0.01  # mean x^2 + y^2 of a quaternion above which the subject is not flat
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Hypothesis:
 Maker = Callable[[Recorded, Arm, Any], Iterator[tuple[str, str, Recorded | dict[str, Any]]]]
 
 
-def explained(
+def explain_failure(
     kind: Calibration[Any, Any], outcome: Outcome[Any, Any], recorded: Recorded
 ) -> Outcome[Any, Any]:
     """Return the outcome with the likely cause of its verdict, if one is found.
@@ -62,30 +65,33 @@ def explained(
     without recorded streams.
     """
     failing = {check.name for check in outcome.checks if check.needed and check.verdict != PASS}
-    if outcome.verdict == PASS or failing - {CAUSE} <= UNCERTAIN or not recorded.tracks:
+    if outcome.verdict == PASS or failing - {CAUSE} <= PRECISION_CHECKS or not recorded.tracks:
         return outcome
-    words = likely(kind, outcome.arm, outcome.settings, recorded)
+    words = find_cause(kind, outcome.arm, outcome.settings, recorded)
     if not words:
         return outcome
     others = [check for check in outcome.checks if check.name != CAUSE]
-    return replace(outcome, checks=(cause(words, outcome.verdict), *others))
+    return replace(outcome, checks=(cause_check(words, outcome.verdict), *others))
 
 
-def likely(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: Recorded) -> str:
+def find_cause(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: Recorded) -> str:
     """Describe the hypothesis that makes the calibration pass; empty if none does."""
-    recorded, until = recorded.brief(LONGEST, JOINTS, POSES), process_time() + MOST
+    recorded, until = (
+        recorded.brief(MAX_LENGTH, JOINT_PERIOD, POSE_PERIOD),
+        process_time() + MAX_SEARCH_TIME,
+    )
     best, nearest = "", inf
-    as_it_is = tried(kind, arm, Hypothesis("", "", recorded, settings))
+    as_it_is = calibrate_under(kind, arm, Hypothesis("", "", recorded, settings))
     if as_it_is and as_it_is.verdict == PASS:
         return ""  # the cause is not in the recorded streams
     lacking = as_it_is is None or as_it_is.solution is None
     for one in hypotheses(recorded, arm, settings, lacking):
         if process_time() > until:
             break
-        outcome = tried(kind, arm, one)
+        outcome = calibrate_under(kind, arm, one)
         if outcome is None or outcome.verdict != PASS:
             continue
-        away = distance(outcome)
+        away = description_error(outcome)
         if away < nearest:
             residual = 1e3 * outcome.estimate.position_residual
             best, nearest = f"{one.words} {one.remedy} the residuals are {residual:.2g} mm", away
@@ -94,7 +100,9 @@ def likely(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: Recor
     return best
 
 
-def tried(kind: Calibration[Any, Any], arm: Arm, one: Hypothesis) -> Outcome[Any, Any] | None:
+def calibrate_under(
+    kind: Calibration[Any, Any], arm: Arm, one: Hypothesis
+) -> Outcome[Any, Any] | None:
     """Calibrate under a hypothesis; None if that is impossible."""
     try:
         finder: Any = kind.finder(arm, one.settings, [])
@@ -104,10 +112,10 @@ def tried(kind: Calibration[Any, Any], arm: Arm, one: Hypothesis) -> Outcome[Any
         return None
 
 
-def distance(outcome: Outcome[Any, Any]) -> float:
+def description_error(outcome: Outcome[Any, Any]) -> float:
     """Return the largest distance of the estimates from the description, over LENGTH or ANGLE."""
     e = outcome.estimate
-    by_unit = {"m": LENGTH, "rad": ANGLE}
+    by_unit = {"m": MAX_LENGTH_ERROR, "rad": MAX_ANGLE_ERROR}
     away = [
         abs(difference(value, initial, unit)) / by_unit[unit]
         for value, initial, unit in zip(e.values, e.initial, e.units, strict=True)
@@ -118,7 +126,7 @@ def distance(outcome: Outcome[Any, Any]) -> float:
 
 def hypotheses(recorded: Recorded, arm: Arm, settings: Any, lacking: bool) -> Iterator[Hypothesis]:
     """Yield all hypotheses, the most easily recognized errors first."""
-    for maker in [*MAKERS, *LACKING * lacking]:
+    for maker in [*MAKERS, *FEW_DATA_MAKERS * lacking]:
         for words, remedy, change in maker(recorded, arm, settings):
             if isinstance(change, Recorded):
                 yield Hypothesis(words, remedy, change, settings)
@@ -126,23 +134,23 @@ def hypotheses(recorded: Recorded, arm: Arm, settings: Any, lacking: bool) -> It
                 yield Hypothesis(words, remedy, recorded, replace(settings, **change))
 
 
-def _names(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+def _name_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
     wanted = [f"joint_{i}" for i in range(1, arm.n + 1)]
-    heard = sorted(recorded.joints, key=_by_number)
+    heard = sorted(recorded.joints, key=_last_number)
     if len(heard) == arm.n and heard != wanted:
         named = ", ".join(heard)
         tracks = {name: recorded.joints[own] for name, own in zip(wanted, heard, strict=True)}
         yield f"joints named {named}?", "taken in this order", replace(recorded, joints=tracks)
 
 
-def _by_number(name: str) -> tuple[int, str]:
+def _last_number(name: str) -> tuple[int, str]:
     digits = "".join(c if c.isdigit() else " " for c in name).split()
     return int(digits[-1][:9]) if digits else 0, name
 
 
-def _units(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
-    largest = {n: _largest(track.values[:, :3]) for n, track in recorded.poses.items()}
-    far = [name for name, size in largest.items() if size > TABLE]
+def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+    largest = {n: _typical_size(track.values[:, :3]) for n, track in recorded.poses.items()}
+    far = [name for name, size in largest.items() if size > MAX_POSITION]
     if far:
         whose = "" if len(far) == len(largest) else f" of {', '.join(far)}"
         scale = np.array([1e-3] * 3 + [1.0] * 4)
@@ -150,13 +158,17 @@ def _units(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Rec
             lambda n, t: t._replace(values=t.values * scale) if n in far else t
         )
         yield f"position{whose} in millimetres?", "with 0.001", changed
-    wide = {n: _largest(track.values[:, :1]) for n, track in recorded.joints.items()}
-    turned = [name for name, size in wide.items() if size > TURN]
+    wide = {n: _typical_size(track.values[:, :1]) for n, track in recorded.joints.items()}
+    turned = [name for name, size in wide.items() if size > MAX_READING]
     if turned:
         whose = "joints" if len(turned) == len(wide) else ", ".join(turned)
-        counts = [_counted(recorded.joints[name].values[:, 0]) for name in turned]
+        counts = [_all_integers(recorded.joints[name].values[:, 0]) for name in turned]
         if not all(counts):
-            yield f"{whose} in degrees?", "in radians", _scaled(recorded, turned, radians(1.0))
+            yield (
+                f"{whose} in degrees?",
+                "in radians",
+                _scale_joints(recorded, turned, radians(1.0)),
+            )
         per_count = {
             f"joint_{i}": 2.0 * np.pi * link.drive.direction / link.drive.counts_per_turn
             for i, link in enumerate(arm.links, 1)
@@ -164,24 +176,24 @@ def _units(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Rec
         if all(counts) or max(wide.values()) > LARGEST:
             changed = recorded
             for name in turned:
-                changed = _scaled(changed, [name], per_count.get(name, 1.0))
+                changed = _scale_joints(changed, [name], per_count.get(name, 1.0))
             yield f"{whose} in counts?", "in radians", changed
 
 
-def _largest(values: Floats) -> float:
+def _typical_size(values: Floats) -> float:
     seen = np.abs(values[np.isfinite(values)])
     return float(np.percentile(seen, 95)) if seen.size else 0.0
 
 
-def _counted(q: Floats) -> bool:
+def _all_integers(q: Floats) -> bool:
     return bool(np.all(q == np.round(q)))
 
 
-def _scaled(recorded: Recorded, names: Sequence[str], by: float) -> Recorded:
+def _scale_joints(recorded: Recorded, names: Sequence[str], by: float) -> Recorded:
     return recorded.with_joints(lambda n, t: t._replace(values=t.values * by) if n in names else t)
 
 
-def _clocks(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
     """Yield clock errors, found from the times of receipt and of the motions."""
     late = {
         name: float(np.median(track.receipt - track.t)) / SECOND
@@ -191,13 +203,13 @@ def _clocks(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Re
     if not late:
         return
     right = min(late.values(), key=abs)
-    off = {name: by - right for name, by in late.items() if abs(by - right) > APART}
+    off = {name: by - right for name, by in late.items() if abs(by - right) > MIN_CLOCK_OFFSET}
     if off:
         changed = replace(
             recorded,
-            joints={n: _on_receipt(t) for n, t in recorded.joints.items()},
-            poses={n: _on_receipt(t) for n, t in recorded.poses.items()},
-            rates=_on_receipt(recorded.rates) if recorded.rates else None,
+            joints={n: _stamp_by_receipt(t) for n, t in recorded.joints.items()},
+            poses={n: _stamp_by_receipt(t) for n, t in recorded.poses.items()},
+            rates=_stamp_by_receipt(recorded.rates) if recorded.rates else None,
         )
         every = off.keys() >= recorded.joints.keys()
         whose = [name for name in off if not every or name not in recorded.joints]
@@ -205,17 +217,17 @@ def _clocks(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Re
         by = -float(np.median(list(off.values())))
         words = f"clock of {who} {span(by)} the others?"
         yield words, "with the times of receipt", changed
-    by = _lag(recorded)
-    if abs(by) > APART:
+    by = _estimate_lag(recorded)
+    if abs(by) > MIN_CLOCK_OFFSET:
         changed = replace(
-            recorded.with_joints(lambda _, t: _shifted(t, -by)),
-            rates=_shifted(recorded.rates, -by) if recorded.rates else None,
+            recorded.with_joints(lambda _, t: _shift_stamps(t, -by)),
+            rates=_shift_stamps(recorded.rates, -by) if recorded.rates else None,
         )
         words = f"clock of the joints {span(by)} the subjects'?"
         yield words, "with it shifted", changed
 
 
-def _on_receipt(track: Track) -> Track:
+def _stamp_by_receipt(track: Track) -> Track:
     """Shift the stamps to the receiver's clock; the smallest delay is taken as zero."""
     if not len(track.t):
         return track
@@ -223,11 +235,11 @@ def _on_receipt(track: Track) -> Track:
     return track._replace(t=track.t + by)
 
 
-def _shifted(track: Track, by: float) -> Track:
+def _shift_stamps(track: Track, by: float) -> Track:
     return track._replace(t=track.t + round(by * SECOND))
 
 
-def _lag(recorded: Recorded) -> float:
+def _estimate_lag(recorded: Recorded) -> float:
     """Estimate how much later joints' stamps are than subjects' in motion [s]; 0: not known."""
     base, tip = (recorded.poses.get(name) for name in (BASE, TIP))
     if base is None or len(base.t) < 10 or any(len(t.t) < 10 for t in recorded.joints.values()):
@@ -237,17 +249,21 @@ def _lag(recorded: Recorded) -> float:
         return 0.0
     begins = np.array([min(int(t.t[0]) for t in joints), int(base.t[0])])
     ends = np.array([max(int(t.t[-1]) for t in joints), int(base.t[-1])])
-    if np.max(ends - begins) > 2 * LONGEST * SECOND:
+    if np.max(ends - begins) > 2 * MAX_LENGTH * SECOND:
         return 0.0
     seen = seen_from_above(base.values)[:, 2]
     t = (base.t - begins[1]) / SECOND
     if tip is not None and len(tip.t) > 10:
         other = seen_from_above(tip.values)[:, 2]
-        seen = np.interp(t, (tip.t - begins[1]) / SECOND, _continued(other)) - _continued(seen)
+        seen = np.interp(
+            t, (tip.t - begins[1]) / SECOND, _unwrap_headings(other)
+        ) - _unwrap_headings(seen)
     seconds = (ends - begins) / SECOND
-    there = np.abs(np.diff(np.interp(np.arange(0.0, seconds[1], STEP), t, _continued(seen))))
+    there = np.abs(
+        np.diff(np.interp(np.arange(0.0, seconds[1], LAG_STEP), t, _unwrap_headings(seen)))
+    )
     here = sum(
-        np.abs(np.diff(np.interp(np.arange(0.0, seconds[0], STEP), at, track.values[:, 0])))
+        np.abs(np.diff(np.interp(np.arange(0.0, seconds[0], LAG_STEP), at, track.values[:, 0])))
         for track in joints
         for at in [(track.t - begins[0]) / SECOND]
     )
@@ -258,11 +274,11 @@ def _lag(recorded: Recorded) -> float:
         size,
     )
     k = int(np.argmax(found))
-    later = STEP * (k if k < len(here) else k - size)
+    later = LAG_STEP * (k if k < len(here) else k - size)
     return later + float(begins[0] - begins[1]) / SECOND
 
 
-def _continued(heading: Floats) -> Floats:
+def _unwrap_headings(heading: Floats) -> Floats:
     """Return the headings unwrapped, and interpolated where the subject was not seen."""
     seen = np.flatnonzero(np.isfinite(heading))
     if not len(seen):
@@ -270,10 +286,10 @@ def _continued(heading: Floats) -> Floats:
     return np.interp(np.arange(len(heading)), seen, np.unwrap(heading[seen]))
 
 
-def _poses(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+def _pose_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
     """Yield errors in the poses of the subjects."""
     values = [track.values for track in recorded.poses.values()]
-    flat = all(np.nanmean(v[:, 3] ** 2 + v[:, 4] ** 2) < TILTED for v in values if len(v))
+    flat = all(np.nanmean(v[:, 3] ** 2 + v[:, 4] ** 2) < MAX_TILT for v in values if len(v))
     if BASE in recorded.poses and TIP in recorded.poses:
         swapped = {BASE: recorded.poses[TIP], TIP: recorded.poses[BASE]}
         yield (
@@ -281,14 +297,18 @@ def _poses(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Rec
             replace(recorded, poses={**recorded.poses, **swapped}),
         )  # fmt: skip
     if not flat:
-        yield "quaternions with w first?", "in the order x, y, z, w", _turned(recorded, _W_FIRST)
-        yield "poses with y up?", "with z up", _turned(recorded, _Y_UP)
-        yield "poses with x up?", "with z up", _turned(recorded, _X_UP)
-    yield "poses mirrored?", "with y and headings reversed", _turned(recorded, _MIRRORED)
-    yield "headings clockwise?", "reversed", _turned(recorded, _CLOCKWISE)
-    yield "positions mirrored?", "with y reversed", _turned(recorded, _REVERSED)
+        yield (
+            "quaternions with w first?",
+            "in the order x, y, z, w",
+            _transform_poses(recorded, _W_FIRST),
+        )
+        yield "poses with y up?", "with z up", _transform_poses(recorded, _Y_UP)
+        yield "poses with x up?", "with z up", _transform_poses(recorded, _X_UP)
+    yield "poses mirrored?", "with y and headings reversed", _transform_poses(recorded, _MIRRORED)
+    yield "headings clockwise?", "reversed", _transform_poses(recorded, _CLOCKWISE)
+    yield "positions mirrored?", "with y reversed", _transform_poses(recorded, _REVERSED)
     if len(values) > 1:
-        yield "end effector seen from the base already?", "so taken", _put_on_base(recorded)
+        yield "end effector seen from the base already?", "so taken", _tip_from_base(recorded)
 
 
 # Source column of each column of a pose (x y z, quaternion x y z w), and its sign.
@@ -300,19 +320,21 @@ _CLOCKWISE = [0, 1, 2, 3, 4, 5, 6], [1, 1, 1, 1, 1, -1, 1]
 _REVERSED = [0, 1, 2, 3, 4, 5, 6], [1, -1, 1, 1, 1, 1, 1]
 
 
-def _turned(recorded: Recorded, change: tuple[list[int], list[int]]) -> Recorded:
+def _transform_poses(recorded: Recorded, change: tuple[list[int], list[int]]) -> Recorded:
     columns, signs = change
     return recorded.with_poses(lambda _, t: t._replace(values=t.values[:, columns] * signs))
 
 
-def _put_on_base(recorded: Recorded) -> Recorded:
+def _tip_from_base(recorded: Recorded) -> Recorded:
     """Take the end effector's poses as relative to the base; transform them to the world frame."""
     base, tip = recorded.poses[BASE], recorded.poses[TIP]
     if not len(base.t) or not len(tip.t):
         return recorded
     at, seen = seen_from_above(base.values), seen_from_above(tip.values)
     t, since = (track.t - base.t[0] for track in (tip, base))
-    x, y, heading = (np.interp(t, since, column) for column in (*at.T[:2], _continued(at[:, 2])))
+    x, y, heading = (
+        np.interp(t, since, column) for column in (*at.T[:2], _unwrap_headings(at[:, 2]))
+    )
     away = (seen[:, 0] + 1j * seen[:, 1]) * np.exp(1j * heading)
     half, none = 0.5 * (heading + seen[:, 2]), np.zeros(len(t))
     pose = [x + away.real, y + away.imag, none, none, none, np.sin(half), np.cos(half)]
@@ -320,17 +342,17 @@ def _put_on_base(recorded: Recorded) -> Recorded:
     return replace(recorded, poses=poses)
 
 
-def _joints(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
     """Yield errors in the joint readings."""
     names = [f"joint_{i}" for i in range(1, arm.n + 1) if f"joint_{i}" in recorded.joints]
     jumps = [n for n in names if (np.abs(np.diff(recorded.joints[n].values[:, 0])) > np.pi).any()]
     if jumps:
-        changed = recorded.with_joints(lambda n, t: _unwrapped(t) if n in jumps else t)
+        changed = recorded.with_joints(lambda n, t: _unwrap_readings(t) if n in jumps else t)
         yield f"{', '.join(jumps)} wrapped?", "counting turns", changed
     if len(names) > 1:
-        yield "all joints with the wrong sign?", "reversed", _scaled(recorded, names, -1.0)
+        yield "all joints with the wrong sign?", "reversed", _scale_joints(recorded, names, -1.0)
     for name in names:
-        yield f"{name} with the wrong sign?", "reversed", _scaled(recorded, [name], -1.0)
+        yield f"{name} with the wrong sign?", "reversed", _scale_joints(recorded, [name], -1.0)
     for a, b in combinations(names, 2):
         tracks = {**recorded.joints, a: recorded.joints[b], b: recorded.joints[a]}
         yield f"{a} and {b} exchanged?", "changed back", replace(recorded, joints=tracks)
@@ -339,13 +361,15 @@ def _joints(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Re
         yield "joints counted from the tip?", "in reverse order", replace(recorded, joints=tracks)
 
 
-def _unwrapped(track: Track) -> Track:
+def _unwrap_readings(track: Track) -> Track:
     values = track.values.copy()
     values[:, 0] = np.unwrap(values[:, 0])
     return track._replace(values=values)
 
 
-def _settings(recorded: Recorded, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _setting_errors(
+    recorded: Recorded, arm: Arm, s: Any
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield settings that these data cannot meet."""
     periods = [
         float(np.median(np.diff(track.t))) / SECOND
@@ -366,11 +390,20 @@ def _settings(recorded: Recorded, arm: Arm, s: Any) -> Iterator[tuple[str, str, 
     yield "rests too short?", "with settle_time and min_duration 0.2", short
 
 
-def _lengths(recorded: Recorded, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _length_errors(
+    recorded: Recorded, arm: Arm, s: Any
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
     if getattr(s, "parametrization", "full") != "full":
         words = f"links of unlike lengths, and parametrization is {s.parametrization}?"
         yield words, "with full", {"parametrization": "full"}
 
 
-MAKERS: tuple[Maker, ...] = (_names, _units, _lengths, _clocks, _poses, _joints)
-LACKING: tuple[Maker, ...] = (_settings,)  # used only if there are too few data
+MAKERS: tuple[Maker, ...] = (
+    _name_errors,
+    _unit_errors,
+    _length_errors,
+    _clock_errors,
+    _pose_errors,
+    _joint_errors,
+)
+FEW_DATA_MAKERS: tuple[Maker, ...] = (_setting_errors,)  # used only if there are too few data

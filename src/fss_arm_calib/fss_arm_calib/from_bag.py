@@ -13,12 +13,12 @@ from rich.console import Console
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib import report, result
 from fss_arm_calib.acceptance import PASS
-from fss_arm_calib.bag_command import EXIT_CODES, told
-from fss_arm_calib.bag_data import fed, recorded_streams, source
-from fss_arm_calib.bag_options import defaults
+from fss_arm_calib.bag_command import EXIT_CODES, report_outcome
+from fss_arm_calib.bag_data import describe_source, find_data, recorded_streams
+from fss_arm_calib.bag_options import default_settings
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.causes import explained
-from fss_arm_calib.from_bag_options import DEFAULT, asked, parser
+from fss_arm_calib.causes import explain_failure
+from fss_arm_calib.from_bag_options import DEFAULT_KIND, parser, selected_kind
 from fss_arm_calib.joint import from_bags
 from fss_arm_calib.joint.kind import JOINT
 from fss_arm_calib.kinds import KINDS
@@ -56,21 +56,21 @@ def solve_bag(
         ValueError: a setting or the description is invalid.
         OSError: a file cannot be read.
     """
-    s = settings or kind.settings(**defaults(kind.settings, namespace))
+    s = settings or kind.settings(**default_settings(kind.settings, namespace))
     arm = arm or described(s.arm)
     finder = kind.finder(arm, s, [])
     with open_bags(paths) as bags:
         for topic in bags.left_out:
             print(f"from_bag: {topic}", file=sys.stderr)
         inputs = kind.inputs(s, arm.n)
-        found = newest(fed(bags, finder, inputs, s.horizon, namespace), kind.most(s))
-        outcome = kind.calibrate(found, arm, s, finder.streams(), source(bags))
+        found = newest(find_data(bags, finder, inputs, s.horizon, namespace), kind.most(s))
+        outcome = kind.calibrate(found, arm, s, finder.streams(), describe_source(bags))
         if outcome.verdict == PASS:
             return outcome
-        return explained(kind, outcome, recorded_streams(bags, inputs, namespace))
+        return explain_failure(kind, outcome, recorded_streams(bags, inputs, namespace))
 
 
-def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace: str = "") -> Arm:
+def initial_arm(kinematic: str, arm: str, options: argparse.Namespace, namespace: str = "") -> Arm:
     """Return the arm after a kinematic calibration, from its result or computed here from a bag.
 
     Args:
@@ -85,9 +85,9 @@ def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace:
     """
     own = described(arm)
     if Path(kinematic).suffix == ".json":
-        return with_kinematics_of(result.arm_of(kinematic, DEFAULT), own)
-    kind = KINDS[DEFAULT]
-    given = defaults(kind.settings, namespace)
+        return with_kinematics_of(result.read_arm(kinematic, DEFAULT_KIND), own)
+    kind = KINDS[DEFAULT_KIND]
+    given = default_settings(kind.settings, namespace)
     alike = (name for name in ("arm", "joints_topic", "base_topic") if name in options)
     given |= {name: getattr(options, name) for name in alike}
     found = solve_bag(kind, kinematic, kind.settings(**given), namespace)
@@ -96,21 +96,21 @@ def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace:
     return with_kinematics_of(from_yaml(found.description), own)
 
 
-def calibrated(
+def run_calibration(
     kind: Calibration[Any, Any], options: argparse.Namespace, console: Console
 ) -> Outcome[Any, Any]:
     """Solve, print the result and write the requested files."""
     if options.report:
         require("matplotlib")  # fail before minutes of computation
     if kind is JOINT:
-        return from_bags.estimated(options, console)
+        return from_bags.estimate_from_bags(options, console)
     truth = load(options.truth) if options.truth else None
     settings = kind.settings(**{f.name: getattr(options, f.name) for f in fields(kind.settings)})
     arm = None
     if kind.after and options.kinematic:
-        arm = begun_from(options.kinematic, settings.arm, options, options.namespace)
+        arm = initial_arm(options.kinematic, settings.arm, options, options.namespace)
     outcome = solve_bag(kind, options.bags, settings, options.namespace, arm)
-    told(
+    report_outcome(
         outcome,
         kind.report_of(outcome, truth),
         kind.name,
@@ -126,10 +126,10 @@ def calibrated(
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib from_bag`."""
     given = sys.argv[1:] if args is None else args
-    kind = asked(given)
+    kind = selected_kind(given)
     namespace = parser(kind).parse_args(given).namespace  # changes the defaults
     options = parser(kind, namespace).parse_args(given)
-    return EXIT_CODES[calibrated(kind, options, report.console()).verdict]
+    return EXIT_CODES[run_calibration(kind, options, report.console()).verdict]
 
 
 if __name__ == "__main__":

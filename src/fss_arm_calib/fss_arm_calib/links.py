@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fss_arm_calib import report
-from fss_arm_calib.result import passed
+from fss_arm_calib.result import read_passed
 from fss_arm_model.description_file import from_yaml, link_file, load, read_link, save_links
 from fss_arm_model.files import ContentError
 from fss_arm_ros.command_line import Parser, in_one_line
@@ -21,8 +21,8 @@ DESCRIPTION = f"""{__doc__} With --result, a calibration's values are written to
 links first, beside the arm's description, which becomes a list of serial numbers."""
 
 #: Parameters of a link that calibrations estimate, by their names in results, with their units.
-FOUND = {"a": "m", "theta_0": "rad", "m": "kg", "b": "m", "I": "kg m^2"}
-FIELDS = {"m": "mass", "I": "inertia"}  # attributes of a Link that have another name
+ESTIMATED = {"a": "m", "theta_0": "rad", "m": "kg", "b": "m", "I": "kg m^2"}
+ATTRIBUTES = {"m": "mass", "I": "inertia"}  # attributes of a Link that have another name
 
 
 def parser() -> argparse.ArgumentParser:
@@ -33,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def entry(found: Mapping[str, Any], place: int) -> dict[str, Any]:
+def history_entry(found: Mapping[str, Any], place: int) -> dict[str, Any]:
     """Return the entry of a result in the history of the link at a place: values and deviations."""
     told = zip(found["names"], found["values"], found["deviations"], strict=True)
     known = {name: [value, deviation] for name, value, deviation in told if deviation is not None}
@@ -42,7 +42,7 @@ def entry(found: Mapping[str, Any], place: int) -> dict[str, Any]:
         "date": datetime.fromtimestamp(1e-9 * made["end"], UTC).isoformat(" ", "minutes")[:16],
         "bag": made["source"],
         "kind": found["kind"],
-        **{name: known[f"{name}_{place}"] for name in FOUND if f"{name}_{place}" in known},
+        **{name: known[f"{name}_{place}"] for name in ESTIMATED if f"{name}_{place}" in known},
     }
 
 
@@ -63,7 +63,7 @@ def write_back(path: Path, found: Mapping[str, Any]) -> None:
         raise ContentError("serials of the links in the result", there, f"{here}, as {path} has")
     histories = {}
     for place, serial in enumerate(here, 1):
-        file, new = link_file(path.parent, serial), entry(found, place)
+        file, new = link_file(path.parent, serial), history_entry(found, place)
         before = read_link(file)[1] if file.exists() else []
         same = [all(h.get(k) == new[k] for k in ("date", "bag", "kind")) for h in before]
         kept = [h for h, is_same in zip(before, same, strict=True) if not is_same]
@@ -71,7 +71,7 @@ def write_back(path: Path, found: Mapping[str, Any]) -> None:
     save_links(calibrated, path, histories)
 
 
-def listed(path: Path) -> "Table":
+def links_table(path: Path) -> "Table":
     """Tabulate the links of an arm, those with a file in the same folder, and their calibrations.
 
     Raises:
@@ -82,7 +82,7 @@ def listed(path: Path) -> "Table":
 
     table = Table("link", "place", "when", "from")
     arm = load(path)
-    for name, unit in FOUND.items():
+    for name, unit in ESTIMATED.items():
         table.add_column(escape(f"{name} [{unit}]"), justify="right")
     places = {link.serial: f"{i}" for i, link in enumerate(arm.links, 1)}
     known = {link.serial: (link, list[dict[str, Any]]()) for link in arm.links if link.serial}
@@ -93,14 +93,14 @@ def listed(path: Path) -> "Table":
             f"{path}: serials of the links", [0] * arm.n, "one at least that is not 0"
         )
     for link, history in sorted(known.values(), key=lambda one: one[0].serial):
-        now = [f"{getattr(link, FIELDS.get(name, name)):.5g}" for name in FOUND]
+        now = [f"{getattr(link, ATTRIBUTES.get(name, name)):.5g}" for name in ESTIMATED]
         table.add_row(f"{link.serial}", places.get(link.serial, "-"), "now", "", *now)
         before: dict[str, Sequence[float]] = {}
         for one in history:
             words = f"{one.get('kind', '')} {one.get('bag', '')}".strip()
-            cells = [_cell(one.get(name), before.get(name)) for name in FOUND]
+            cells = [_cell(one.get(name), before.get(name)) for name in ESTIMATED]
             table.add_row("", "", f"{one.get('date', '')}", words, *cells)
-            before.update({name: one[name] for name in FOUND if name in one})
+            before.update({name: one[name] for name in ESTIMATED if name in one})
     return table
 
 
@@ -121,8 +121,8 @@ def main(args: Sequence[str] | None = None) -> int:
     options = parser().parse_args(args)
     path = Path(options.arm)
     if options.result:
-        write_back(path, passed(options.result))
-    report.console().print(listed(path))
+        write_back(path, read_passed(options.result))
+    report.console().print(links_table(path))
     return 0
 
 

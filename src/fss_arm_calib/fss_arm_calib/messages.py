@@ -23,10 +23,10 @@ from fss_arm_ros.convert import joint_readings, seen_pose, stamp_ns, to_time
 AnyFinder = Finder[Any, Any]
 M = TypeVar("M", bound=Any)
 
-LISTED = 20  # most unknown joint names that are reported of a message
+MAX_LISTED_NAMES = 20  # most unknown joint names that are reported of a message
 
 #: Fields of Calibration.msg that are computed from the data alone.
-NUMBERS = (
+COMPUTED_FIELDS = (
     "values", "deviations", "covariance", "residuals", "weights", "leverage", "errors",
     "position_residual", "heading_residual", "chi_square", "condition_number",
 )  # fmt: skip
@@ -39,7 +39,9 @@ def joints_input(topic: str) -> Input:
         t, readings = stamp_ns(message.header.stamp), list(joint_readings(message))
         if len(readings) < len(message.name):
             own = {f"joint_{i}" for i, *_ in readings}
-            finder.rests.others.update([name for name in message.name if name not in own][:LISTED])
+            finder.rests.others.update(
+                [name for name in message.name if name not in own][:MAX_LISTED_NAMES]
+            )
         return [one for i, q, qd, _ in readings for one in finder.joint(i, t, q, qd)]
 
     return Input(topic, JointState, feed)
@@ -107,15 +109,15 @@ def common_message(kind: str, outcome: Outcome[Any, Any], frame_id: str) -> Cali
         provenance=provenance_message(outcome.provenance),
         names=list(e.names),
         units=list(e.units),
-        values=flat(e.values),
-        initial=flat(e.initial),
-        deviations=flat(e.deviations),
-        covariance=flat(e.covariance),
+        values=flatten(e.values),
+        initial=flatten(e.initial),
+        deviations=flatten(e.deviations),
+        covariance=flatten(e.covariance),
         undetermined=list(e.undetermined),
-        residuals=flat(e.residuals),
-        weights=flat(e.weights),
-        leverage=flat(e.leverage),
-        errors=flat(e.errors),
+        residuals=flatten(e.residuals),
+        weights=flatten(e.weights),
+        leverage=flatten(e.leverage),
+        errors=flatten(e.errors),
         reasons=list(e.reasons),
         position_residual=e.position_residual,
         heading_residual=e.heading_residual,
@@ -145,25 +147,27 @@ def provenance_message(origin: Origin) -> Provenance:
     return Provenance(**{k: to_time(v) if k in ("begin", "end") else v for k, v in known.items()})
 
 
-def common(message: Any) -> Any:
+def calibration_part(message: Any) -> Any:
     """Return the Calibration in a message of any kind; some kinds publish only a Calibration."""
     return getattr(message, "calibration", message)
 
 
-def stamped(message: M, ones: Sequence[Any], frame_id: str) -> M:
+def set_header(message: M, ones: Sequence[Any], frame_id: str) -> M:
     """Return the message of the data `ones` with its header; the stamp is the last one's end."""
     message.header.frame_id = frame_id
     message.header.stamp = ones[-1].end if ones else to_time(0)
     return message
 
 
-def flat(values: Any) -> list[Any]:
+def flatten(values: Any) -> list[Any]:
     """Convert an array, or a tuple that may contain tuples, to a flat list for a message."""
     if isinstance(values, np.ndarray):
         return list(values.ravel().tolist())
-    return [x for value in values for x in (flat(value) if isinstance(value, tuple) else [value])]
+    return [
+        x for value in values for x in (flatten(value) if isinstance(value, tuple) else [value])
+    ]
 
 
-def rows(numbers: Any, width: int) -> tuple[tuple[float, ...], ...]:
+def reshape_rows(numbers: Any, width: int) -> tuple[tuple[float, ...], ...]:
     """Convert the numbers of a message to rows of a width."""
     return tuple(map(tuple, np.reshape(numbers, (-1, width)).astype(float).tolist()))

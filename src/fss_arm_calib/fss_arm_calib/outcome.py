@@ -16,9 +16,9 @@ from fss_arm_calib.acceptance import (
     NOT_EVALUATED,
     PASS,
     Check,
-    conclude,
-    frames_differ,
-    suspected,
+    decide_verdict,
+    frame_mismatch,
+    stream_causes,
 )
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.streams import Streams
@@ -55,7 +55,7 @@ S = TypeVar("S")
 C = TypeVar("C")
 
 
-def _none() -> Floats:
+def _empty() -> Floats:
     return np.empty(0)
 
 
@@ -71,15 +71,15 @@ class Estimate:
     names: tuple[str, ...]
     units: tuple[str, ...]
     initial: Floats  # (p,) initial guess
-    values: Floats = field(default_factory=_none)  # (p,)
-    covariance: Floats = field(default_factory=_none)  # (p, p)
-    deviations: Floats = field(default_factory=_none)  # (p,) 1 sigma
+    values: Floats = field(default_factory=_empty)  # (p,)
+    covariance: Floats = field(default_factory=_empty)  # (p, p)
+    deviations: Floats = field(default_factory=_empty)  # (p,) 1 sigma
     undetermined: tuple[str, ...] = ()  # names of parameters that the data cannot separate
     at_bound: tuple[str, ...] = ()  # names of parameters that would otherwise cross a bound
     residuals: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (rows, 3), as observed
-    weights: Floats = field(default_factory=_none)  # (s,) 1: used; 0: rejected
-    leverage: Floats = field(default_factory=_none)  # (s,)
-    errors: Floats = field(default_factory=_none)  # (s,) of each datum [deviations]
+    weights: Floats = field(default_factory=_empty)  # (s,) 1: used; 0: rejected
+    leverage: Floats = field(default_factory=_empty)  # (s,)
+    errors: Floats = field(default_factory=_empty)  # (s,) of each datum [deviations]
     reasons: tuple[str, ...] = ()  # (s,) why a datum was rejected; empty if it was not
     position_residual: float = nan  # root mean square [m]
     heading_residual: float = nan  # root mean square [rad]
@@ -95,7 +95,7 @@ class Estimate:
         for name, shape in known.items():
             if getattr(self, name).shape != shape:
                 object.__setattr__(self, name, np.full(shape, nan))
-        sigma = np.sqrt(np.diag(self.covariance)) if p else _none()
+        sigma = np.sqrt(np.diag(self.covariance)) if p else _empty()
         sigma = np.where(np.isnan(self.deviations), sigma, self.deviations)
         object.__setattr__(self, "values", np.where(lost, nan, self.values))
         lost |= np.isin(self.names, self.at_bound)
@@ -135,12 +135,12 @@ class Outcome(Generic[D, S]):
     @property
     def verdict(self) -> str:
         """Verdict: PASS, FAIL or NOT_EVALUATED."""
-        return conclude(self.checks)[0]
+        return decide_verdict(self.checks)[0]
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Reasons for the verdict; unless it is a pass, the likely cause comes first."""
-        return conclude(self.checks)[1]
+        return decide_verdict(self.checks)[1]
 
     @property
     def reason(self) -> str:
@@ -179,7 +179,7 @@ class Outcome(Generic[D, S]):
         return len(self.data) - len(self.used)
 
 
-def concluded(
+def make_outcome(
     data: Sequence[D],
     used: Sequence[D],
     arrays: Sequence[npt.NDArray[Any]],
@@ -212,7 +212,7 @@ def concluded(
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(array.tobytes())
-    parameters = {f.name: _plain(getattr(settings, f.name)) for f in fields(kind)}
+    parameters = {f.name: _to_yaml_type(getattr(settings, f.name)) for f in fields(kind)}
     provenance = Provenance(
         software=f"fss_arm_calib {__version__}",
         parameters=yaml.safe_dump(parameters, sort_keys=False),
@@ -221,21 +221,21 @@ def concluded(
         begin=used[0].start if used else 0,
         end=used[-1].end if used else 0,
     )
-    passed = conclude(checks)[0] == PASS
+    passed = decide_verdict(checks)[0] == PASS
     if not passed:
-        checks = [*checks, *suspected(streams)]
-    elif differ := frames_differ(streams):
+        checks = [*checks, *stream_causes(streams)]
+    elif differ := frame_mismatch(streams):
         checks = [*checks, Check("frames", NOT_EVALUATED, nan, nan, differ, needed=False)]
     description = ""
     if calibrated and passed:
-        description = to_yaml(calibrated(), list(_origin(provenance, estimate)))
+        description = to_yaml(calibrated(), list(_origin_lines(provenance, estimate)))
     return Outcome(
         tuple(data), tuple(used), arm, settings, streams, tuple(checks), provenance, estimate,
         solution, description,
     )  # fmt: skip
 
 
-def _origin(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
+def _origin_lines(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
     """Yield lines about the origin of a calibrated description, for its readers."""
     end = datetime.fromtimestamp(provenance.end / SECOND, UTC)
     e = estimate
@@ -247,14 +247,14 @@ def _origin(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
         yield f"{name} = {value:.6g} +- {deviation:.2g} {unit}"
 
 
-def _plain(value: Any) -> Any:
+def _to_yaml_type(value: Any) -> Any:
     """Convert a setting to a type that YAML supports; computed settings may be numpy numbers."""
     if isinstance(value, tuple):
-        return tuple(map(_plain, value))
+        return tuple(map(_to_yaml_type, value))
     return value.item() if isinstance(value, np.generic) else value
 
 
-def settings_of(parameters: str, kind: type[C], section: str = "") -> C:
+def parse_settings(parameters: str, kind: type[C], section: str = "") -> C:
     """Return the settings in a Provenance.
 
     Args:

@@ -14,11 +14,11 @@ import numpy as np
 
 from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.dynamic.solution import known_beforehand
+from fss_arm_calib.dynamic.solution import problem_with_priors
 from fss_arm_calib.dynamic.solve import solve as solve_dynamics
-from fss_arm_calib.experiment.design import design, expected
-from fss_arm_calib.experiment.planned import Planned, timed, together
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.design import design, expected_result
+from fss_arm_calib.experiment.planned import Planned, batch_law, torque_limited_duration
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.kinematic.problem import EQUAL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve as solve_kinematics
@@ -29,7 +29,7 @@ from fss_arm_model.kinematics import tip_in_base
 
 ARM, INERTIA = paper_arm(), 0.034
 TURN_NOISE = float(np.radians(1.54))  # of the base's turn in a maneuver [rad], section 4.2
-REACH = np.radians(60.0)
+SWEEP = np.radians(60.0)
 REST = 5.2  # [s]
 AT_REST = DynamicSettings(
     estimate="I", priors="", momentum_deviation=0.0, spin_deviation=0.0, tilt_deviation=0.0
@@ -40,10 +40,12 @@ BEGIN, END = "<!-- paper_study: begin -->", "<!-- paper_study: end -->"
 
 def tables_2_and_3() -> str:
     """Return the text on 13 simulated observations with the paper's errors."""
-    sigma = KinematicProblem(DEFAULT, tip_in_base(ARM.vector(), DEFAULT), ARM).sigma
-    tip = tip_in_base(ARM.vector(), DEFAULT)
+    sigma = KinematicProblem(
+        DEFAULT_POSTURES, tip_in_base(ARM.vector(), DEFAULT_POSTURES), ARM
+    ).sigma
+    tip = tip_in_base(ARM.vector(), DEFAULT_POSTURES)
     tip = tip + sigma * np.random.default_rng(1).standard_normal(tip.shape)
-    problem = KinematicProblem(DEFAULT, tip, ARM, EQUAL)
+    problem = KinematicProblem(DEFAULT_POSTURES, tip, ARM, EQUAL)
     result = solve_kinematics(problem)
     rows = []
     for name, unit, true, value, deviation in zip(
@@ -68,44 +70,44 @@ def single_joint(others: np.ndarray, way: float) -> list[Planned]:
     """Return one maneuver of each joint through +-60 degrees, the others at a posture."""
     ends = np.tile(others, (ARM.n, 2, 1))
     for joint in range(ARM.n):
-        ends[joint, :, joint] = [-way * REACH, way * REACH]
-    durations = timed(ARM, ends[:, 0], ends[:, 1])
+        ends[joint, :, joint] = [-way * SWEEP, way * SWEEP]
+    durations = torque_limited_duration(ARM, ends[:, 0], ends[:, 1])
     return [Planned("single", *one) for one in zip(ends, durations[:, None], strict=True)]
 
 
-def as_the_paper(plan: Sequence[Planned], position: float = np.inf) -> DynamicResult:
+def estimate_as_in_paper(plan: Sequence[Planned], position: float = np.inf) -> DynamicResult:
     """Estimate the common inertia with momentum and tilt assumed to be zero.
 
     With infinite `position` deviation [m], only the base's turn is used, as in the paper.
     """
-    batch = path(*together(plan), [[0.0, one.length] for one in plan])
+    batch = path(*batch_law(plan), [[0.0, one.length] for one in plan])
     sigma = np.empty((len(plan), 2, 3))
     sigma[...] = position, position, TURN_NOISE / np.sqrt(2.0)
     poses = base_poses(ARM.vector(), batch, np.zeros(8))
-    return solve_dynamics(known_beforehand(ARM, AT_REST, batch, poses, sigma))
+    return solve_dynamics(problem_with_priors(ARM, AT_REST, batch, poses, sigma))
 
 
-def shares(result: DynamicResult) -> tuple[float, float]:
+def relative_deviations(result: DynamicResult) -> tuple[float, float]:
     """Return random and total deviation of the common inertia, divided by 0.034 kg m^2."""
     k = result.problem.names.index("I")
     return float(np.sqrt(result.random[k, k])) / INERTIA, float(result.deviations[k]) / INERTIA
 
 
 @cache
-def sixteen(words: str, **settings: float) -> tuple[DynamicSettings, list[Planned]]:
+def design_sixteen(words: str, **settings: float) -> tuple[DynamicSettings, list[Planned]]:
     """Return settings, and 16 maneuvers designed with them for the common inertia."""
     s = DynamicSettings(estimate=words, **settings)  # type: ignore[arg-type]
     conditions = Conditions(rest=REST, kinds=("single", "sweep"))
     return s, design(ARM, 16, s, conditions, chosen=["I"], tried=100)
 
 
-def designed(count: int, words: str, **settings: float) -> DynamicResult:
+def expected_of_sixteen(count: int, words: str, **settings: float) -> DynamicResult:
     """Return the expected result of the 16 designed maneuvers, repeated to `count` maneuvers.
 
     The data are headings and positions, averaged over windows.
     """
-    s, plan = sixteen(words, **settings)
-    return expected(ARM, plan * (count // len(plan)), s, REST)
+    s, plan = design_sixteen(words, **settings)
+    return expected_result(ARM, plan * (count // len(plan)), s, REST)
 
 
 def table_4() -> str:
@@ -115,7 +117,7 @@ def table_4() -> str:
     for _ in range(100):
         first, second = np.radians(rng.uniform(-75.0, 75.0, (2, ARM.n)))
         plan = single_joint(first, 1.0) + single_joint(second, -1.0)
-        spread.append((shares(as_the_paper(plan))[0], plan))
+        spread.append((relative_deviations(estimate_as_in_paper(plan))[0], plan))
     spread.sort(key=lambda item: item[0])
     best, plan = spread[0]
     middle, worst = spread[len(spread) // 2][0], spread[-1][0]
@@ -123,20 +125,22 @@ def table_4() -> str:
     words = "I b_i I_0 com_0"
     fine = {"position_deviation": 0.001, "heading_deviation": float(np.radians(0.5))}
     rows = [
-        _row("8 single joints, 1.54 degrees noise of turns, median posture", as_the_paper(typical)),
-        _row("the same, best of 100 postures of the other joints", as_the_paper(plan)),
-        _row("the same maneuvers, positions to 1 mm as well", as_the_paper(typical, 0.001)),
+        _row("8 single joints, 1.54 degrees noise of turns, median posture",
+             estimate_as_in_paper(typical)),
+        _row("the same, best of 100 postures of the other joints", estimate_as_in_paper(plan)),
+        _row("the same maneuvers, positions to 1 mm as well",
+             estimate_as_in_paper(typical, 0.001)),
         _row("16 designed, 1 mm and 0.5 degrees averaged over 2 s, momentum and tilt unknown",
-             designed(16, "I", **fine)),
+             expected_of_sixteen(16, "I", **fine)),
         _row("the same, base's inertia and centre of mass estimated, too",
-             designed(16, "I I_0 com_0", **fine)),
-        _row("the same with all b_i, too", designed(16, words, **fine)),
-        _row("256 of those maneuvers", designed(256, words, **fine)),
-        _row("2048 of them", designed(2048, words, **fine)),
-        _row("256 of them, by cameras of 0.2 mm and 0.1 degrees", designed(
+             expected_of_sixteen(16, "I I_0 com_0", **fine)),
+        _row("the same with all b_i, too", expected_of_sixteen(16, words, **fine)),
+        _row("256 of those maneuvers", expected_of_sixteen(256, words, **fine)),
+        _row("2048 of them", expected_of_sixteen(2048, words, **fine)),
+        _row("256 of them, by cameras of 0.2 mm and 0.1 degrees", expected_of_sixteen(
             256, words, position_deviation=2e-4, heading_deviation=float(np.radians(0.1)))),
     ]  # fmt: skip
-    result = as_the_paper(typical)
+    result = estimate_as_in_paper(typical)
     bias = sorted(zip(result.assumed_names, result.bias[0], strict=True), key=lambda b: -abs(b[1]))
     strongest = [[name, f"{shift:+.4f}"] for name, shift in bias[:6]]
     return (
@@ -158,7 +162,7 @@ def table_4() -> str:
 
 
 def _row(what: str, result: DynamicResult) -> list[str]:
-    return [what, *(f"{100 * x:.{0 if x >= 0.1 else 1}f} %" for x in shares(result))]
+    return [what, *(f"{100 * x:.{0 if x >= 0.1 else 1}f} %" for x in relative_deviations(result))]
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

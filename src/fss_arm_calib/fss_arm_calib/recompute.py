@@ -9,21 +9,21 @@ import numpy as np
 
 from fss_arm_bags.definitions import definition, extends, message_class, upgrade
 from fss_arm_bags.reader import BagError, Bags, open_bags
-from fss_arm_calib.acceptance import count
+from fss_arm_calib.acceptance import format_count
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.joint.kind import JOINT
 from fss_arm_calib.kinds import KINDS
-from fss_arm_calib.messages import NUMBERS, common
-from fss_arm_calib.outcome import LIVE, Outcome, settings_of
+from fss_arm_calib.messages import COMPUTED_FIELDS, calibration_part
+from fss_arm_calib.outcome import LIVE, Outcome, parse_settings
 from fss_arm_calib.recompute_options import parser
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description_file import from_yaml
 from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import stamp_ns
 
-LARGEST = 1e-9  # largest difference explained by rounding, in the unit of the number
+MAX_ROUNDING = 1e-9  # largest difference explained by rounding, in the unit of the number
 
-SAME, OTHER = 0, 2
+EXIT_SAME, EXIT_DIFFERENT = 0, 2
 
 
 @dataclass(frozen=True)
@@ -37,21 +37,21 @@ class Comparison:
     @property
     def same(self) -> bool:
         """True if rounding explains the difference."""
-        return self.difference <= LARGEST
+        return self.difference <= MAX_ROUNDING
 
     def __str__(self) -> str:
         same = "the same" if self.same else "NOT the same"
         return f"{self.what}, {self.verdict}: {same}, to {self.difference:.1e}"
 
 
-def again(kind: Calibration[Any, Any], result: Any, data: Any) -> Outcome[Any, Any]:
+def recalibrate(kind: Calibration[Any, Any], result: Any, data: Any) -> Outcome[Any, Any]:
     """Calibrate again from the data, the settings and the initial guess of a published result.
 
     Raises:
         ValueError: the result does not contain its settings or its initial guess.
     """
-    found = common(result)
-    settings = settings_of(found.provenance.parameters, kind.settings, kind.name)
+    found = calibration_part(result)
+    settings = parse_settings(found.provenance.parameters, kind.settings, kind.name)
     data, arm = kind.data.from_message(data), from_yaml(found.guess)
     return kind.calibrate(data, arm, settings, Streams(), LIVE)
 
@@ -62,18 +62,18 @@ def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison
     Raises:
         ValueError: the result does not contain its settings or its initial guess.
     """
-    outcome, found = again(kind, result, data), common(result)
+    outcome, found = recalibrate(kind, result, data), calibration_part(result)
     if outcome.provenance.data_hash != found.provenance.data_hash:
         return None
     message = kind.to_message(outcome, "")
-    sides = [(found, common(message), NUMBERS), (result, message, kind.numbers)]
+    sides = [(found, calibration_part(message), COMPUTED_FIELDS), (result, message, kind.numbers)]
     difference = max(
         _difference(getattr(then, name), getattr(now, name))
         for then, now, names in sides
         for name in names
         if hasattr(then, name)  # earlier versions may have fewer fields
     )
-    return Comparison(count(len(outcome.used), kind.data.noun), found.verdict, difference)
+    return Comparison(format_count(len(outcome.used), kind.data.noun), found.verdict, difference)
 
 
 def _difference(a: Any, b: Any) -> float:
@@ -121,14 +121,14 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
         ends = [{0, *(one.end for one in kind.data.from_message(m))} for m in data]
         for result in (m for topic, m in read if topic == results):
             # Solving is slow: try only messages with the last datum, and stop at the first match.
-            end = stamp_ns(common(result).provenance.end)
+            end = stamp_ns(calibration_part(result).provenance.end)
             alike = (m for those, m in zip(ends, data, strict=True) if end in those)
             try:
                 same = next((c for m in alike if (c := recompute(kind, result, m))), None)
             except ValueError as error:
                 raise ValueError(f"a result on {results}: {error}") from None
             if same is None:
-                begin = common(result).provenance.data_hash[:8]
+                begin = calibration_part(result).provenance.data_hash[:8]
                 raise BagError(f"a result on {results} lacks its {parts} ({begin}..)")
             found.append(same)
     if not found:
@@ -144,7 +144,7 @@ def main(args: Sequence[str] | None = None) -> int:
     with open_bags(options.bags) as bags:
         found = comparisons(bags, options.namespace)
     print(*found, sep="\n")
-    return SAME if all(one.same for one in found) else OTHER
+    return EXIT_SAME if all(one.same for one in found) else EXIT_DIFFERENT
 
 
 if __name__ == "__main__":

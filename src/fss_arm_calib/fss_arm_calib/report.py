@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # not imported by nodes, which print no tables
     from rich.console import Console, Group
     from rich.table import Table as PrintedTable
 
-STYLE = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
+VERDICT_STYLES = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
 
 
 @dataclass(frozen=True)
@@ -73,19 +73,19 @@ def console() -> "Console":
     return terminal if terminal.is_terminal else Console(width=110)
 
 
-def printed(report: Report) -> "Group":
+def printable(report: Report) -> "Group":
     """Return the main tables and the verdict of a report, printable with rich."""
     from rich.console import Group
     from rich.text import Text
 
     several = report.verdict != "pass" and len(report.reasons) > 1
     words = "".join(f"\n  - {one}" for one in report.reasons) if several else f": {report.reason}"
-    verdict = Text.assemble((_words(report.verdict), STYLE[report.verdict]), words)
+    verdict = Text.assemble((_verdict_text(report.verdict), VERDICT_STYLES[report.verdict]), words)
     title = Text(report.title, style="bold")
-    return Group(title, *map(shown, report.tables), verdict, Text(report.origin, style="dim"))
+    return Group(title, *map(rich_table, report.tables), verdict, Text(report.origin, style="dim"))
 
 
-def shown(table: Table) -> "PrintedTable":
+def rich_table(table: Table) -> "PrintedTable":
     """Convert a table to one that rich can print."""
     from rich.table import Table as PrintedTable
 
@@ -125,7 +125,7 @@ def write(folder: str | Path, *reports: Report) -> Path:
 def _section(report: Report, pictures: Mapping[str, bytes]) -> str:
     parts = [
         f"<h1>{escape(report.title)}</h1>",
-        f'<p class="verdict"><span class="{report.verdict}">{_words(report.verdict)}</span> '
+        f'<p class="verdict"><span class="{report.verdict}">{_verdict_text(report.verdict)}</span> '
         f"{escape(report.reason)}</p>",
         *(f'<p class="below">{escape(words)}</p>' for words in report.below),
         *map(_table, report.tables),
@@ -150,7 +150,7 @@ def _table(table: Table) -> str:
     def row(cells: Sequence[str], tag: str, mark: str = "") -> str:
         kinds = ["word" if k < table.words else "number" for k in range(len(cells))]
         kinds = [
-            f"{kind} {MARKED.get(cell, '')}".strip()
+            f"{kind} {CELL_CLASSES.get(cell, '')}".strip()
             for kind, cell in zip(kinds, cells, strict=True)
         ]
         inner = (
@@ -188,10 +188,10 @@ def _symbols(text: str) -> str:
 
 
 #: CSS classes of table cells that show a problem: red, or amber if it is weak.
-MARKED = {"fail": "bad", "NO": "bad", "not evaluated": "weak"}
+CELL_CLASSES = {"fail": "bad", "NO": "bad", "not evaluated": "weak"}
 
 
-def _words(verdict: str) -> str:
+def _verdict_text(verdict: str) -> str:
     return verdict.replace("_", " ")
 
 

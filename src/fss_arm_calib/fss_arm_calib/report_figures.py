@@ -7,20 +7,20 @@ import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report_tables import text
+from fss_arm_calib.report_tables import format_number
 
 
-def correlation(covariance: Floats, labels: Sequence[str]) -> Any:
+def draw_correlation(covariance: Floats, labels: Sequence[str]) -> Any:
     """Draw the correlation matrix of the estimated parameters; cells are blank if not known."""
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
         matrix = covariance / np.outer(deviations, deviations)
-    drawing = figure((0.62 * len(matrix) + 2.5, 0.55 * len(matrix) + 1.5))
+    drawing = empty_figure((0.62 * len(matrix) + 2.5, 0.55 * len(matrix) + 1.5))
     axes = drawing.subplots()
     image = axes.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     for (row, column), value in np.ndenumerate(matrix):
         color = "white" if abs(value) > 0.6 else "0.2"
-        words = text(value, "+.2f")
+        words = format_number(value, "+.2f")
         axes.text(column, row, words, ha="center", va="center", fontsize=8, color=color)
     axes.set_xticks(range(len(labels)), labels, rotation=45, ha="right")
     axes.set_yticks(range(len(labels)), labels)
@@ -28,9 +28,9 @@ def correlation(covariance: Floats, labels: Sequence[str]) -> Any:
     return drawing
 
 
-def influence(outcome: Outcome[Any, Any], label: str) -> Any:
+def draw_influence(outcome: Outcome[Any, Any], label: str) -> Any:
     """Draw the error of each datum over its leverage, i.e. its influence on the estimate."""
-    drawing = figure((10, 4.5))
+    drawing = empty_figure((10, 4.5))
     axes = drawing.subplots()
     e = outcome.estimate
     kept, leverage = e.weights > 0.0, e.leverage
@@ -54,7 +54,7 @@ def influence(outcome: Outcome[Any, Any], label: str) -> Any:
     return drawing
 
 
-def figure(size: tuple[float, float]) -> Any:
+def empty_figure(size: tuple[float, float]) -> Any:
     """Return an empty drawing of a size [inches]."""
     from matplotlib.figure import Figure  # slow to import, and needed only for reports
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, count
+from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, format_count
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Estimate, Outcome, Provenance
 from fss_arm_calib.report import Figure, Report, Table
@@ -15,7 +15,7 @@ from fss_arm_model.description_file import to_yaml
 from fss_arm_model.planar import wrap
 
 
-def reported(
+def make_report(
     title: str,
     outcome: Outcome[Any, Any],
     tables: Sequence[Table],
@@ -29,24 +29,24 @@ def reported(
         verdict=o.verdict,
         reason=o.reason,
         tables=tables,
-        origin=origin(o),
+        origin=format_origin(o),
         figures=() if o.solution is None else figures,
-        details=(checks(o), *(() if o.solution is None else details), streams(o)),
+        details=(check_table(o), *(() if o.solution is None else details), stream_table(o)),
         reasons=o.reasons,
-        below=[f"Data of {dated(o.provenance)}.", NEXT[o.verdict]],
+        below=[f"Data of {format_period(o.provenance)}.", NEXT_STEPS[o.verdict]],
         texts={"Settings": o.provenance.parameters, "Description it began from": to_yaml(o.arm)},
     )
 
 
 #: Recommended next step, by verdict.
-NEXT = {
+NEXT_STEPS = {
     PASS: "Next: give the calibrated description (output) to the nodes, and keep the bag.",
     FAIL: "Next: do not use these numbers. The checks below that failed say what to look at.",
     NOT_EVALUATED: "Next: record what is missing; what there is already counts.",
 }
 
 
-def dated(provenance: Provenance) -> str:
+def format_period(provenance: Provenance) -> str:
     """Format the time of the data in this computer's time zone; simulated time starts in 1970."""
     begin, end = (
         datetime.fromtimestamp(1e-9 * t, UTC).astimezone()
@@ -58,18 +58,24 @@ def dated(provenance: Provenance) -> str:
 def table_report(outcome: Outcome[Any, Any], truth: Arm | None = None) -> Report:
     """Return the default report of a calibration: its parameters and its checks."""
     what = (
-        count(len(outcome.used), "datum") if len(outcome.used) == 1 else f"{len(outcome.used)} data"
+        format_count(len(outcome.used), "datum")
+        if len(outcome.used) == 1
+        else f"{len(outcome.used)} data"
     )
-    return reported(
-        f"Calibration of {outcome.arm.name} from {what}", outcome, [parameters(outcome)]
+    return make_report(
+        f"Calibration of {outcome.arm.name} from {what}", outcome, [parameter_table(outcome)]
     )
 
 
-def parameters(outcome: Outcome[Any, Any]) -> Table:
+def parameter_table(outcome: Outcome[Any, Any]) -> Table:
     """Return the table of the initial guess and the estimate of each parameter."""
     e = outcome.estimate
     rows = [
-        [shown_name(name, e), shown_unit(unit), *(number(value, unit) for value in values)]
+        [
+            display_name(name, e),
+            display_unit(unit),
+            *(format_value(value, unit) for value in values),
+        ]
         for name, unit, *values in zip(
             e.names, e.units, e.initial, e.values, e.deviations, strict=True
         )
@@ -79,23 +85,29 @@ def parameters(outcome: Outcome[Any, Any]) -> Table:
     )
 
 
-def origin(outcome: Outcome[Any, Any]) -> str:
+def format_origin(outcome: Outcome[Any, Any]) -> str:
     """Describe software, source and data hash of a result."""
     p = outcome.provenance
     return f"by {p.software} from {p.source}; SHA-256 of what was solved from {p.data_hash}"
 
 
-def checks(outcome: Outcome[Any, Any]) -> Table:
+def check_table(outcome: Outcome[Any, Any]) -> Table:
     """Return the table of the checks that decide the verdict."""
     rows = [
-        [c.name, c.verdict.replace("_", " "), c.reason, text(c.value, ".4g"), f"{c.threshold:.4g}"]
+        [
+            c.name,
+            c.verdict.replace("_", " "),
+            c.reason,
+            format_number(c.value, ".4g"),
+            f"{c.threshold:.4g}",
+        ]
         for c in outcome.checks
     ]
     head = ["check", "verdict", "reason", "value", "threshold"]
     return Table("What the verdict is made of", head, rows, words=3)
 
 
-def streams(outcome: Outcome[Any, Any]) -> Table:
+def stream_table(outcome: Outcome[Any, Any]) -> Table:
     """Return the table of rejected samples, by stream and reason, and of the clocks' offset."""
     s = outcome.streams
     rows: list[Sequence[str]] = [[kind, str(number)] for kind, number in s.rejected.items()]
@@ -106,21 +118,21 @@ def streams(outcome: Outcome[Any, Any]) -> Table:
     return Table("Samples rejected, and the clocks", ["what", ""], rows)
 
 
-def shown_name(name: str, estimate: Estimate, words: str = "") -> str:
+def display_name(name: str, estimate: Estimate, words: str = "") -> str:
     """Return a parameter's name, or `words` for it, marked if it is at its bound."""
     return f"{words or name}{', at its bound' * (name in estimate.at_bound)}"
 
 
-def shown_unit(unit: str) -> str:
+def display_unit(unit: str) -> str:
     """Return the unit that is shown: deg for rad, others unchanged."""
     return "deg" if unit == "rad" else unit
 
 
-def number(value: float, unit: str) -> str:
+def format_value(value: float, unit: str) -> str:
     """Format a value in the unit that is shown."""
     if unit == "rad":
-        return text(np.degrees(value), ".3f")
-    return text(value, ".6f" if unit == "m/s^2" else ".4f")  # a table's tilt is small
+        return format_number(np.degrees(value), ".3f")
+    return format_number(value, ".6f" if unit == "m/s^2" else ".4f")  # a table's tilt is small
 
 
 def difference(value: float, true: float, unit: str) -> float:
@@ -128,11 +140,11 @@ def difference(value: float, true: float, unit: str) -> float:
     return float(wrap(value - true) if unit == "rad" else value - true)
 
 
-def where_known(estimate: Estimate, numbers: Floats) -> Floats:
+def mask_undetermined(estimate: Estimate, numbers: Floats) -> Floats:
     """Return numbers (p,), with NaN for parameters that are not determined."""
     return np.where(np.isfinite(estimate.deviations), numbers, np.nan)
 
 
-def text(value: float, form: str) -> str:
+def format_number(value: float, form: str) -> str:
     """Format a number; `-` if it is not finite."""
     return f"{value:{form}}" if np.isfinite(value) else "-"

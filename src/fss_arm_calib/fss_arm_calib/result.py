@@ -19,7 +19,7 @@ from fss_arm_model.files import ContentError, write_text
 SCHEMA = "fss_arm_calib/result/1"
 
 #: Fields of an Estimate that are stored under `fit`.
-FIT = (
+FIT_FIELDS = (
     "position_residual", "heading_residual", "chi_square", "degrees_of_freedom",
     "condition_number", "iterations", "last_update",
 )  # fmt: skip
@@ -43,7 +43,7 @@ def contents(kind: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:
         "covariance": e.covariance.tolist(),
         "undetermined": list(e.undetermined),
         "at_bound": list(e.at_bound),
-        "fit": {name: getattr(e, name) for name in FIT},
+        "fit": {name: getattr(e, name) for name in FIT_FIELDS},
         "used": outcome.accepted,
         "left_out": outcome.left_out,
         "time_offset": streams.offset.value,
@@ -75,7 +75,7 @@ def write(path: str | Path, kind: str, outcome: Outcome[Any, Any]) -> None:
     write_text(Path(path).with_suffix(".csv"), table(outcome))
 
 
-def passed(path: str | Path, kind: str = "") -> dict[str, Any]:
+def read_passed(path: str | Path, kind: str = "") -> dict[str, Any]:
     """Read a result that has passed, of the given kind of calibration; empty: of any kind.
 
     Raises:
@@ -93,11 +93,11 @@ def passed(path: str | Path, kind: str = "") -> dict[str, Any]:
     return found
 
 
-def arm_of(path: str | Path, kind: str = "") -> Arm:
+def read_arm(path: str | Path, kind: str = "") -> Arm:
     """Read the calibrated arm, with its covariance, from a result of a kind; empty: of any kind.
 
     Raises:
         ContentError: the file is not such a result, or the result has not passed.
         OSError: the file cannot be read.
     """
-    return from_yaml(str(passed(path, kind).get("description")))
+    return from_yaml(str(read_passed(path, kind).get("description")))

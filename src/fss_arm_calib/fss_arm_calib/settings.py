@@ -7,7 +7,7 @@ from fss_arm_calib.segments.settings import RestSettings, StreamSettings
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 
-SHARE = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low=0.0, high=1.0)
+FRACTION = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low=0.0, high=1.0)
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class CalibrationSettings(RestSettings, KindSettings):
         check=one_of(*LOSSES),
     )
     min_probability: float = setting(
-        1e-3, "least chi-square probability of residuals as large as found", check=SHARE
+        1e-3, "least chi-square probability of residuals as large as found", check=FRACTION
     )
     outlier: float = setting(
         5.0, "error of a datum above which it is an outlier", unit="deviations", check=POSITIVE
@@ -46,11 +46,11 @@ class CalibrationSettings(RestSettings, KindSettings):
         0, "most outliers to reject; with more, the calibration fails", check=NOT_NEGATIVE
     )
     min_redundancy: float = setting(
-        0.0, "least share of a datum's error that the others let show, squared", check=SHARE
+        0.0, "least share of a datum's error that the others let show, squared", check=FRACTION
     )
 
 
-def most(default: int, what: str) -> int:
+def max_data(default: int, what: str) -> int:
     """Return a setting for the largest number of data in a result."""
     about = f"most {what} that a result is from, the newest; older ones go"
     found: int = setting(default, about, check=at_least(1))

@@ -13,8 +13,8 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.files import write_text
 
-LARGEST = 2**26  # largest state file [bytes]: for drives whose links report at 100 Hz
-DEEPEST = 10  # deepest nesting of lists and objects
+MAX_FILE_SIZE = 2**26  # largest state file [bytes]: for drives whose links report at 100 Hz
+MAX_DEPTH = 10  # deepest nesting of lists and objects
 MAX_SHOWN = 200  # most characters of a value in an error message
 
 _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
@@ -36,7 +36,7 @@ def write(path: str | Path, state: Any, indent: int | None = 1) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    write_text(path, json.dumps(_finite(state), indent=indent))
+    write_text(path, json.dumps(_without_nan(state), indent=indent))
 
 
 def read(path: str | Path, default: Any) -> Any:
@@ -49,16 +49,16 @@ def read(path: str | Path, default: Any) -> Any:
     path = Path(path)
     try:
         with path.open("rb") as file:
-            data = file.read(LARGEST + 1)
+            data = file.read(MAX_FILE_SIZE + 1)
     except FileNotFoundError:
         return default
-    if len(data) > LARGEST:
-        raise StateError(f"{path} cannot be read: more than {LARGEST} bytes")
+    if len(data) > MAX_FILE_SIZE:
+        raise StateError(f"{path} cannot be read: more than {MAX_FILE_SIZE} bytes")
     try:
         text = data.decode()
         steps = (_STEPS.get(token[0], 0) for token in _TOKENS.findall(text))
-        if max(accumulate(steps), default=0) > DEEPEST:
-            raise ValueError(f"nested more than {DEEPEST} deep")
+        if max(accumulate(steps), default=0) > MAX_DEPTH:
+            raise ValueError(f"nested more than {MAX_DEPTH} deep")
         return json.loads(text, parse_constant=_no_constant)
     except ValueError as error:
         raise StateError(f"{path} cannot be read: {str(error)[:MAX_SHOWN]}") from None
@@ -118,17 +118,17 @@ def restore(path: str | Path, kind: str, joints: int, datum: type[D]) -> tuple[l
         return [], Flags()
     try:
         if not isinstance(saved, dict) or set(saved) != {"kind", "joints", "data", "flags"}:
-            raise _wrong("it", saved, "an object of kind, joints, data and flags")
+            raise _content_error("it", saved, "an object of kind, joints, data and flags")
         for name, value in (("kind", kind), ("joints", joints)):
             if saved[name] != value:
-                raise _wrong(name, saved[name], repr(value))
-        data = _read(tuple[datum, ...], saved["data"], "data")  # type: ignore[valid-type]
-        return list(data), _read(Flags, saved["flags"], "flags")
+                raise _content_error(name, saved[name], repr(value))
+        data = _convert(tuple[datum, ...], saved["data"], "data")  # type: ignore[valid-type]
+        return list(data), _convert(Flags, saved["flags"], "flags")
     except ValueError as error:
         raise StateError(f"{path}: {error}") from None
 
 
-class Writes:
+class FileWriter:
     """Writer that logs errors; `trouble` is the last error since it was cleared."""
 
     def __init__(self, log: Any) -> None:
@@ -148,52 +148,54 @@ def _no_constant(name: str) -> Any:
     raise ValueError(f"{name} is no number")
 
 
-def _finite(value: Any) -> Any:
+def _without_nan(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
+        return {key: _without_nan(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
+        return [_without_nan(one) for one in value]
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
-def _wrong(where: str, value: Any, expected: str) -> ValueError:
+def _content_error(where: str, value: Any, expected: str) -> ValueError:
     return ValueError(f"{where} is {_shown.repr(value)[:MAX_SHOWN]}, expected {expected}")
 
 
-def _read(hint: Any, value: Any, where: str) -> Any:
+def _convert(hint: Any, value: Any, where: str) -> Any:
     """Convert a JSON value to a type: a dataclass, tuple, mapping, float, int, bool or str.
 
     Raises:
         ValueError: the value is of another type; the message names the place.
     """
     if is_dataclass(hint) and isinstance(hint, type):
-        return _instance(hint, value, where)
+        return _convert_dataclass(hint, value, where)
     kind, args = get_origin(hint), get_args(hint)
     if kind is tuple:
         if not isinstance(value, list):
-            raise _wrong(where, value, "a list")
-        return tuple(_read(args[0], one, f"{where}[{k}]") for k, one in enumerate(value))
+            raise _content_error(where, value, "a list")
+        return tuple(_convert(args[0], one, f"{where}[{k}]") for k, one in enumerate(value))
     if kind is not None:  # a mapping
         if not isinstance(value, dict):
-            raise _wrong(where, value, "an object")
+            raise _content_error(where, value, "an object")
         return {
-            key: _read(args[1], one, f"{where}.{key[:MAX_SHOWN]}") for key, one in value.items()
+            key: _convert(args[1], one, f"{where}.{key[:MAX_SHOWN]}") for key, one in value.items()
         }
     if hint is float:
         if value is None:
             return nan
         if type(value) not in (int, float) or not -1e300 < value < 1e300:
-            raise _wrong(where, value, "a number")
+            raise _content_error(where, value, "a number")
         return float(value)
     if type(value) is not hint or (hint is int and not 0 <= value < 2**63):
         expected = {int: "an integer from 0 on", bool: "true or false", str: "a string"}[hint]
-        raise _wrong(where, value, expected)
+        raise _content_error(where, value, expected)
     return value
 
 
-def _instance(kind: type[Any], value: Any, where: str) -> Any:
+def _convert_dataclass(kind: type[Any], value: Any, where: str) -> Any:
     hints = get_type_hints(kind)
     needed = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
     if not isinstance(value, dict) or not set(needed) <= value.keys() <= hints.keys():
-        raise _wrong(where, value, f"an object of {', '.join(hints)}")
-    return kind(**{name: _read(hints[name], one, f"{where}.{name}") for name, one in value.items()})
+        raise _content_error(where, value, f"an object of {', '.join(hints)}")
+    return kind(
+        **{name: _convert(hints[name], one, f"{where}.{name}") for name, one in value.items()}
+    )

@@ -39,7 +39,7 @@ def main(name: str, arguments: Sequence[str]) -> int:
     out, console = results(options.out, name), report.console()
     rehearsed = module.run(options, out, console)
     summary = rehearsed.report(f"Rehearsal: {name}", REHEARSALS[name])
-    console.print(report.printed(summary))
+    console.print(report.printable(summary))
     page = report.write(out / "report", summary, *rehearsed.reports)
     for file, content in {str(page.relative_to(out)): "report", **rehearsed.files}.items():
         if (out / file).exists():

@@ -17,13 +17,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_calib import report
 from fss_arm_calib.acceptance import PASS
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.recompute import again
+from fss_arm_calib.recompute import recalibrate
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.description_file import load
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
@@ -78,7 +78,7 @@ class Calibrator(Operator):
         """Return the published result with its observations, or None until both have arrived."""
         if self.result is None:
             return None
-        outcome = again(KINEMATIC, self.result, self.observations)
+        outcome = recalibrate(KINEMATIC, self.result, self.observations)
         origin = self.result.calibration.provenance
         return outcome if outcome.provenance.data_hash == origin.data_hash else None
 
@@ -134,7 +134,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     )  # fmt: skip
     nodes.start(
         "experiment", "fss_arm_calib", "experiment", state_file=out / "experiment.json",
-        postures=DEFAULT[: options.postures].ravel().tolist(), **clock,
+        postures=DEFAULT_POSTURES[: options.postures].ravel().tolist(), **clock,
     )  # fmt: skip
 
 
@@ -209,8 +209,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--postures",
         type=int,
-        choices=range(7, len(DEFAULT) + 1),  # fewer observations rarely check each other
-        default=len(DEFAULT),
+        choices=range(7, len(DEFAULT_POSTURES) + 1),  # fewer observations rarely check each other
+        default=len(DEFAULT_POSTURES),
         help="number of postures to observe",
     )
     parser.add_argument(
@@ -233,9 +233,9 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         )
         result = observe(options, out, console, domain)
     found = KINEMATIC.report_of(result, load(CONFIG / "truth.yaml"))
-    console.print(report.printed(found))
-    again = from_bag(out / "bag", result)
-    console.print(again.happened)
+    console.print(report.printable(found))
+    reproduced = from_bag(out / "bag", result)
+    console.print(reproduced.happened)
     verdict_check = Check("the calibration passes", result.reason, result.verdict == PASS)
     files = {
         "bag": "recording",
@@ -244,4 +244,4 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         "report/kinematic_postures.png": "postures",
         "logs": "logs of the nodes",
     }
-    return Rehearsed([verdict_check, again], reports=[found], files=files)
+    return Rehearsed([verdict_check, reproduced], reports=[found], files=files)

@@ -24,8 +24,8 @@ from fss_arm_calib.dynamic.calibrate import calibrate
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
-from fss_arm_calib.experiment.design import design, expected
-from fss_arm_calib.experiment.planned import Planned, read, to_yaml
+from fss_arm_calib.experiment.design import design, expected_result
+from fss_arm_calib.experiment.planned import Planned, plan_to_yaml, read_plan
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.outcome import Outcome
@@ -98,7 +98,7 @@ def start_all(
     """Start all nodes for a session, with the base in the middle of the table."""
     rng = np.random.default_rng((options.seed, session))
     twist = (rng.uniform(-1.0, 1.0, 3) * [0.003, 0.003, 0.004]).tolist()
-    (first, *_) = read(out / f"plan_{session}.yaml", LINKS)
+    (first, *_) = read_plan(out / f"plan_{session}.yaml", LINKS)
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=out / "truth.yaml", seed=100 * options.seed + session,
         ports=nodes.domain.ports(LINKS), preset="laboratory", position_noise=cameras.position,
@@ -155,7 +155,7 @@ def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[A
     )  # fmt: skip
     for session, first in enumerate(range(0, len(plan), MANEUVERS_PER_SESSION)):
         part = plan[first : first + MANEUVERS_PER_SESSION]
-        (out / f"plan_{session}.yaml").write_text(to_yaml(part), encoding="utf-8")
+        (out / f"plan_{session}.yaml").write_text(plan_to_yaml(part), encoding="utf-8")
     return truth, plan
 
 
@@ -227,7 +227,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     console.print(f"designing {options.count} maneuvers")
     truth, plan = prepare(options, out, cameras)
     settings = DynamicSettings(**settings_of(out, cameras))
-    predicted = expected(paper_arm(), plan, settings, PAUSE).deviations
+    predicted = expected_result(paper_arm(), plan, settings, PAUSE).deviations
     with isolated_domain() as domain:
         console.print(
             "running them: simulator, drivers over UDP, recorder and calibration, "
@@ -237,7 +237,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         run_sessions(options, out, cameras, console, domain)
     result = solve_first(out, settings, options.count)
     summary_report = DYNAMIC.report_of(result, truth)
-    console.print(report.printed(summary_report))
+    console.print(report.printable(summary_report))
     console.print(summary(result, truth, plan, predicted))
     checks = [Check("the calibration passes", result.reason, result.verdict == PASS)]
     checks += [center_of_mass_check(result, truth, i) for i in range(LINKS)]

@@ -13,7 +13,7 @@ from calib_float import Float, postures, record
 from running import DOMAIN, OWN
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_model.description_file import load
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -114,7 +114,7 @@ def test_watching_the_base_react():
 @pytest.mark.slow
 def test_by_hand(tmp_path):
     """The README from the real links to the bag; the arm's commands find nobody who obeys."""
-    calib_rig.record(tmp_path / "monday", calib_rig.Rig(DEFAULT[:8], rate=50.0).samples())
+    calib_rig.record(tmp_path / "monday", calib_rig.Rig(DEFAULT_POSTURES[:8], rate=50.0).samples())
     readme = typed("../README.md")
     text = readme[readme.index("ros2 run fss_arm_driver link") :]
     for old, new in (
@@ -134,7 +134,7 @@ def test_by_hand(tmp_path):
 
 @pytest.mark.slow
 def test_dynamics(tmp_path):
-    calib_rig.record(tmp_path / "sunday", calib_rig.Rig(DEFAULT[:8], rate=50.0).samples())
+    calib_rig.record(tmp_path / "sunday", calib_rig.Rig(DEFAULT_POSTURES[:8], rate=50.0).samples())
     record(tmp_path / "monday", Float(postures(8)).samples(rate=20))
     text = typed("explanation/dynamic.md")
     text = text.replace("scripts/rehearse.sh dynamic", ":")  # has a test of its own

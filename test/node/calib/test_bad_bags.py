@@ -10,7 +10,7 @@ from calib_rig import ARM, TOPICS, TYPES, Rig, at, record
 
 from fss_arm_bags.reader import BagError
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic.kind import KINEMATIC
@@ -24,7 +24,7 @@ from fss_arm_ros.convert import SECOND
 @pytest.fixture(scope="module")
 def samples():
     """Eight postures, VICON at 25 Hz."""
-    return Rig(DEFAULT[:8], rest=3.2, rate=25.0).samples()
+    return Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=25.0).samples()
 
 
 def arm_file(folder, arm):

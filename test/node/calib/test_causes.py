@@ -140,7 +140,7 @@ def test_the_verdict_is_printed_as_a_short_list_with_the_cause_first(tmp_path, c
 
 
 def test_what_takes_too_long_is_left(tmp_path, monkeypatch):
-    monkeypatch.setattr(causes, "MOST", -1.0)
+    monkeypatch.setattr(causes, "MAX_SEARCH_TIME", -1.0)
     outcome = solved(tmp_path, 3, False, SIGN)
     assert outcome.verdict != PASS
     assert not accused(outcome)

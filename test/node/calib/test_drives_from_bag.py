@@ -9,10 +9,10 @@ import pytest
 from calib_drives import excitation, fly, record, samples
 
 from fss_arm_calib.experiment.design_command import main as design
-from fss_arm_calib.experiment.planned import read
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.planned import read_plan
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.from_bag import main as from_bag
-from fss_arm_calib.result import arm_of
+from fss_arm_calib.result import read_arm
 from fss_arm_model.description_file import described, load, to_yaml
 
 
@@ -54,12 +54,12 @@ def test_another_bag_may_tell_the_kinematics(
     bag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Which settings of such a calibration it has in common with this one depends on the kind."""
-    rig = calib_rig.Rig(DEFAULT[:8], rest=3.2, rate=50.0)
+    rig = calib_rig.Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=50.0)
     rests = str(calib_rig.record(tmp_path / "rests", rig.samples()))
     result = tmp_path / "drives.json"
     asked = ["--max-relative", "0.2", "--kinematic", rests, "--result", str(result)]
     assert from_bag(["--drives", bag, *asked]) == 0
-    assert "a_1" in arm_of(result, "drives").known.names
+    assert "a_1" in read_arm(result, "drives").known.names
     assert from_bag(["--drives", bag, "--kinematic", bag]) == 1
     assert "no /joint_states in" in capsys.readouterr().err
 
@@ -67,7 +67,7 @@ def test_another_bag_may_tell_the_kinematics(
 def test_design_proposes_moves_of_single_joints(tmp_path: Path) -> None:
     path = tmp_path / "plan.yaml"
     assert design(["--kinds", "joint", "--repeats", "1", "--output", str(path)]) == 0
-    plan = read(path, 4)
+    plan = read_plan(path, 4)
     assert len(plan) == 8
     for one in plan:
         assert np.count_nonzero(np.ptp(one.waypoints, axis=0)) == 1

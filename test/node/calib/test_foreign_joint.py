@@ -5,7 +5,7 @@ import pytest
 from foreign_bags import arm, flight, heard, write
 
 from fss_arm_calib.from_bag import main as from_bag
-from fss_arm_calib.result import passed
+from fss_arm_calib.result import read_passed
 from fss_arm_model.description_file import load
 from fss_arm_model.parameters import parameter_names, values
 from fss_arm_model.planar import wrap
@@ -47,7 +47,7 @@ def test_the_arm_is_found_within_what_is_claimed(made, n, capsys):
     folder, truth = made(n), arm(n, 1)
     files = ["--output", str(folder / "out.yaml"), "--result", str(folder / "out.json")]
     assert main([str(folder / "bag"), "--arm", str(folder / "arm.yaml"), *files]) == 0
-    found = passed(folder / "out.json", "joint")
+    found = read_passed(folder / "out.json", "joint")
     assert tuple(found["names"]) == parameter_names(n)
     off = np.array(found["values"]) - values(truth)
     angles = np.array(found["units"]) == "rad"

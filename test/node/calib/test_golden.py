@@ -10,7 +10,7 @@ import calib_rig
 import numpy as np
 import pytest
 
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, POSITION_DEVIATION
@@ -23,10 +23,12 @@ RIG, FLOAT = calib_rig.Rig, calib_float.Float
 
 #: Of each bag, which is made once: where, and how it is recorded.
 BAGS = {
-    "rig": lambda p: calib_rig.record(p, RIG(DEFAULT, noise=0.005, seed=3).samples()),
-    "lag": lambda p: calib_rig.record(p, RIG(DEFAULT, noise=0.005, seed=4).samples(30_000_000)),
+    "rig": lambda p: calib_rig.record(p, RIG(DEFAULT_POSTURES, noise=0.005, seed=3).samples()),
+    "lag": lambda p: calib_rig.record(
+        p, RIG(DEFAULT_POSTURES, noise=0.005, seed=4).samples(30_000_000)
+    ),
     "long": lambda p: calib_rig.record(
-        p, RIG(DEFAULT[:6], rest=45.0, noise=0.003, seed=7, rate=50.0).samples()
+        p, RIG(DEFAULT_POSTURES[:6], rest=45.0, noise=0.003, seed=7, rate=50.0).samples()
     ),
     "float": lambda p: calib_float.record(
         p,

@@ -12,8 +12,8 @@ from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
-from fss_arm_calib.messages import common
-from fss_arm_calib.recompute import again
+from fss_arm_calib.messages import calibration_part
+from fss_arm_calib.recompute import recalibrate
 from fss_arm_model.description_file import from_yaml, load, to_yaml
 from fss_arm_ros.qos import LATCHED
 
@@ -45,8 +45,10 @@ def test_a_node_begins_from_a_kinematic_result_that_passed(spin, kind):
     publisher.publish(message)
     spin([bed, node], lambda: node.begun.arm.known.names)
     assert node.begun.arm.known == FOUND.known
-    spin([bed, node], lambda: bed.results and "covariance" in common(bed.results[-1]).guess)
-    assert from_yaml(common(bed.results[-1]).guess) == node.begun.arm
+    spin(
+        [bed, node], lambda: bed.results and "covariance" in calibration_part(bed.results[-1]).guess
+    )
+    assert from_yaml(calibration_part(bed.results[-1]).guess) == node.begun.arm
 
 
 def test_a_result_of_another_arm_is_not_taken(spin):
@@ -94,7 +96,7 @@ def test_what_was_begun_from_is_in_the_result_and_gives_it_again(bag):
     outcome = solve_bag(DYNAMIC, bag, settings, arm=FOUND)
     message = DYNAMIC.to_message(outcome, "fss")
     data = DYNAMIC.data.to_message(outcome.data, "fss")
-    computed = again(DYNAMIC, message, data)
+    computed = recalibrate(DYNAMIC, message, data)
     np.testing.assert_allclose(computed.covariance, outcome.covariance, rtol=1e-12)
 
 

@@ -15,12 +15,12 @@ from fss_arm_bags.recorder import Recording
 from fss_arm_calib.calibration_node import CalibrationNode
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.joint.calibrate import Session, calibrate
-from fss_arm_calib.joint.kind import JOINT, session_message, sessions_of
+from fss_arm_calib.joint.kind import JOINT, session_message, sessions_from_message
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import JOINED
-from fss_arm_calib.messages import common
-from fss_arm_calib.recompute import again, recompute
+from fss_arm_calib.kinds import JOINT_SOURCES
+from fss_arm_calib.messages import calibration_part
 from fss_arm_calib.recompute import main as recompute_command
+from fss_arm_calib.recompute import recalibrate, recompute
 from fss_arm_model.description_file import from_yaml
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import OK, WARN, Health
@@ -45,7 +45,7 @@ def node(spin):
     """node(kind, **settings): the node of a kind by its name, destroyed after the test."""
 
     def make(kind, **settings):
-        known = {**JOINED, "joint": JOINT}[kind]
+        known = {**JOINT_SOURCES, "joint": JOINT}[kind]
         made = make_node(known, **{**TOLD.get(kind, {}), **settings})
         spin(made, lambda: True)
         return made
@@ -61,7 +61,7 @@ def end(node):
 @pytest.fixture
 def others(node, data, spin):
     """The nodes of all other kinds, by kind, each with its data, when they publish no more."""
-    found = {kind: node(kind) for kind in JOINED}
+    found = {kind: node(kind) for kind in JOINT_SOURCES}
     for kind, one in found.items():
         one.take(data[kind])
     results = {one.kind.topic: one for one in found.values()}
@@ -80,16 +80,18 @@ def others(node, data, spin):
 def held(joint):
     """Numbers of data of each kind that it has solved from."""
     data = joint.data[-1].data if joint.data else {}
-    return [len(data.get(kind, ())) for kind in JOINED]
+    return [len(data.get(kind, ())) for kind in JOINT_SOURCES]
 
 
 def numbers(data):
-    return [len(data[kind]) for kind in JOINED]
+    return [len(data[kind]) for kind in JOINT_SOURCES]
 
 
 def all_heard(joint, data):
     """Each node publishes its data and then its result, which carries its settings."""
-    return held(joint) == numbers(data) and set(joint.finder.gathered.settings) == set(JOINED)
+    return held(joint) == numbers(data) and set(joint.finder.gathered.settings) == set(
+        JOINT_SOURCES
+    )
 
 
 def test_one_that_comes_late_hears_all_and_solves_as_the_mathematics_do(spin, others, node, data):
@@ -101,7 +103,7 @@ def test_one_that_comes_late_hears_all_and_solves_as_the_mathematics_do(spin, ot
     spin([joint, *others.values()], lambda: all_heard(joint, data))
     assert joint.health().level == OK
     assert joint.health().values["maneuvers"] == len(data["dynamic"])
-    direct = calibrate([Session("live", data)], ARM, JointSettings(), JOINED, SETTINGS)
+    direct = calibrate([Session("live", data)], ARM, JointSettings(), JOINT_SOURCES, SETTINGS)
     assert joint.outcome.verdict == direct.verdict == "pass", joint.outcome.reason
     np.testing.assert_allclose(joint.outcome.values, direct.values, rtol=0, atol=1e-12)
     np.testing.assert_allclose(joint.outcome.covariance, direct.covariance, rtol=1e-9)
@@ -118,7 +120,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
     samples = flight.samples(20, tip=True)
     output, page = tmp_path / "new" / "arm.yaml", tmp_path / "report"
     bed, joint = Bed(JOINT), node("joint", output=str(output), report=str(page), max_relative=2.0)
-    others = [make_node(JOINED[kind], **given) for kind, given in CLOSELY.items()]
+    others = [make_node(JOINT_SOURCES[kind], **given) for kind, given in CLOSELY.items()]
     hear = {}
     for one in others:
         for source in one.kind.inputs(one.settings, 4):
@@ -133,9 +135,9 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
     spin([bed, joint, *others], lambda: held(joint) == counts)
     answer = ask(spin, bed, joint, bed.solver)
     assert answer.success, answer.message
-    spin([bed, joint], lambda: bed.results and common(bed.results[-1]).verdict == "pass")
+    spin([bed, joint], lambda: bed.results and calibration_part(bed.results[-1]).verdict == "pass")
     result, session = bed.results[-1], bed.data[-1]
-    found = common(result)
+    found = calibration_part(result)
     assert (found.kind, found.provenance.source, found.header.frame_id) == ("joint", "live", "fss")
 
     bag = calib_float.record(tmp_path / "bag", samples)
@@ -151,7 +153,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
     )
 
     assert recompute(JOINT, result, session).same
-    assert again(JOINT, result, session).description == found.description
+    assert recalibrate(JOINT, result, session).description == found.description
     assert from_yaml(output.read_text()) == from_yaml(found.description)
     assert output.with_suffix(".urdf").exists()
     assert {"g_x", "torque"} <= {*result.own}
@@ -171,8 +173,8 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
 def test_what_the_nodes_hold_comes_back_from_its_message(spin, others, node, data):
     joint = node("joint")
     spin([joint, *others.values()], lambda: all_heard(joint, data))
-    assert sessions_of(session_message(joint.data, "fss")) == joint.data
-    assert sessions_of(session_message([], "fss")) == []
+    assert sessions_from_message(session_message(joint.data, "fss")) == joint.data
+    assert sessions_from_message(session_message([], "fss")) == []
 
 
 def test_what_a_node_forgets_is_forgotten_and_of_one_that_ended_all_is_kept(
@@ -226,7 +228,10 @@ def test_data_of_another_arm_are_left_out_and_named(spin, others, node, data):
     joint = node("joint")
     spin([joint, *others.values()], lambda: all_heard(joint, data))
     drifts = [replace(one, q=(*one.q, 0.0)) for one in data["drift"]]
-    message, publisher = JOINED["drift"].data.to_message(drifts, "world"), others["drift"].found
+    message, publisher = (
+        JOINT_SOURCES["drift"].data.to_message(drifts, "world"),
+        others["drift"].found,
+    )
     # Again and again: whatever that node has begun from meanwhile, it publishes its own.
     spin([joint, *others.values()], lambda: publisher.publish(message) or joint.streams().unknown)
     assert joint.health().message == "the arm has no joint_5"

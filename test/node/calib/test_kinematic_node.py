@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from fss_arm_bags.reader import BagError
 from fss_arm_bags.recorder import Recording
 from fss_arm_bags.replay_node import ReplayNode
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic.kind import KINEMATIC
@@ -35,7 +35,7 @@ def run(spin, bed, node, samples):
 @pytest.fixture(scope="module")
 def samples():
     """Eight postures of the default list, VICON at 50 Hz."""
-    return Rig(DEFAULT[:8], rest=3.2, rate=50.0).samples(lag=3_000_000)
+    return Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=50.0).samples(lag=3_000_000)
 
 
 def test_an_observation_is_published_during_the_rest_and_the_verdict_says_what_lacks(spin, samples):
@@ -111,7 +111,7 @@ def test_homings_are_read_from_bags(samples, tmp_path):
 
 
 def test_a_gap_makes_the_verdict_not_evaluated_until_the_posture_is_repeated(spin):
-    rig = Rig(np.array([*DEFAULT[:7], DEFAULT[3]]), rest=3.2, rate=50.0)
+    rig = Rig(np.array([*DEFAULT_POSTURES[:7], DEFAULT_POSTURES[3]]), rest=3.2, rate=50.0)
     bed, node = kinematic()
     gap = [
         s for s in rig.samples() if s.stream != TIP or not at(15.0) < s.t < at(19.0)
@@ -197,7 +197,7 @@ VEHICLE_2 = {
 
 
 def test_of_a_bag_with_two_vehicles_each_is_calibrated_from_its_own(samples, tmp_path, capsys):
-    others = Rig(DEFAULT[:8] * 0.9, seed=3, rest=3.2, rate=50.0).samples(lag=3_000_000)
+    others = Rig(DEFAULT_POSTURES[:8] * 0.9, seed=3, rest=3.2, rate=50.0).samples(lag=3_000_000)
     both = Recording(tmp_path / "both")
     for topic, kind in TYPES.items():
         for name in (topic, VEHICLE_2[topic]):

@@ -7,7 +7,7 @@ from calib_float import ARM, Float, postures, record
 
 from fss_arm_calib.experiment.design_command import main as design
 from fss_arm_calib.from_bag import main as from_bag
-from fss_arm_calib.result import passed
+from fss_arm_calib.result import read_passed
 from fss_arm_model.description_file import save
 
 SEEN = ["--position-deviation", "0.0005", "--heading-deviation", "0.001"]
@@ -35,7 +35,7 @@ def promised(folder, *options):
 
 
 def test_what_was_made_before_counts_for_the_promise(monday, capsys):
-    found = passed(monday / "result.json", "dynamic")
+    found = read_passed(monday / "result.json", "dynamic")
     now = dict(zip(found["names"], found["deviations"], strict=True))
     capsys.readouterr()
     for before in (["--bag", str(monday / "bags")], ["--result", str(monday / "result.json")]):

@@ -19,10 +19,10 @@ from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.from_bag_options import parser
 from fss_arm_calib.kinds import KINDS
-from fss_arm_calib.messages import common
+from fss_arm_calib.messages import calibration_part
 from fss_arm_calib.node_settings import node_settings
-from fss_arm_calib.recompute import again, recompute
 from fss_arm_calib.recompute import main as recompute_command
+from fss_arm_calib.recompute import recalibrate, recompute
 from fss_arm_calib.state import StateError
 from fss_arm_model.description_file import load
 from fss_arm_model.urdf import urdf
@@ -96,9 +96,9 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path):
     answer = ask(spin, bed, node, bed.solver)
     assert answer.success, answer.message
     spin([bed, node], lambda: bed.found() == case.count and bed.results)
-    spin([bed, node], lambda: common(bed.results[-1]).used == case.count)
+    spin([bed, node], lambda: calibration_part(bed.results[-1]).used == case.count)
     result, data = bed.results[-1], bed.data[-1]
-    found = common(result)
+    found = calibration_part(result)
     assert (found.kind, found.verdict, found.provenance.source) == (kind.name, "pass", "live")
     assert result.header.frame_id if hasattr(result, "header") else found.header.frame_id
     assert data.header.frame_id == found.header.frame_id == kind.frame
@@ -108,7 +108,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path):
     np.testing.assert_allclose(found.values, made.outcome.values, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.covariance, made.outcome.covariance.ravel(), rtol=1e-9)
     assert recompute(kind, result, data).same
-    assert again(kind, result, data).description == found.description
+    assert recalibrate(kind, result, data).description == found.description
     assert output.read_text().partition("\n")[2] == kind.output(node.outcome).partition("\n")[2]
     assert output.with_suffix(".urdf").exists() == kind.has_urdf
     page = (report / "index.html").read_text()
@@ -140,7 +140,7 @@ def test_too_little_is_not_evaluated(kept, made):
     assert node.outcome.verdict == "not_evaluated"
     assert np.isnan(node.outcome.values).all()
     assert np.isnan(node.outcome.covariance).all()
-    message = common(made.kind.to_message(node.outcome, "fss"))
+    message = calibration_part(made.kind.to_message(node.outcome, "fss"))
     assert message.description == ""
     assert list(message.residuals) == list(message.weights) == []
 

@@ -10,7 +10,7 @@ from calib_rig import ARM
 
 from fss_arm_bags.recorder import Recording
 from fss_arm_calib.dynamic.kind import DYNAMIC as DYNAMIC_KIND
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.kind import observations_message, observations_of, to_message
 from fss_arm_calib.kinematic.settings import KinematicSettings
@@ -30,11 +30,11 @@ SETTINGS = KinematicSettings(max_outliers=2, loss="huber")
 @pytest.fixture
 def published():
     """Observations and result after each rest."""
-    tips = tip_in_base(ARM.vector(), DEFAULT) + 0.01
+    tips = tip_in_base(ARM.vector(), DEFAULT_POSTURES) + 0.01
     tips[4] += 0.5
     rests = [
         Observation(k, k + 1, tuple(q), tuple(tip))
-        for k, (q, tip) in enumerate(zip(DEFAULT.tolist(), tips.tolist(), strict=True))
+        for k, (q, tip) in enumerate(zip(DEFAULT_POSTURES.tolist(), tips.tolist(), strict=True))
     ]
     rests.insert(7, Observation(7, 8, rests[7].q, used=False, reason="a gap"))
     found = []

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from calib_rig import ARM, POSTURES, SECOND, Rig
 
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.segments.alignment import (
     Alignment,
     Offset,
@@ -157,7 +157,7 @@ def observed(rig, late):
 
 @pytest.mark.parametrize("late", [-1.5, 1.2, 3.0])
 def test_clocks_too_far_apart_are_told(late):
-    rig = Rig(DEFAULT[:9], rest=2.6, rate=50.0)
+    rig = Rig(DEFAULT_POSTURES[:9], rest=2.6, rate=50.0)
     streams = observed(rig, late)[0].streams()
     assert streams.offset.deviation == np.inf
     assert streams.offset_beyond == 1.0
@@ -166,7 +166,7 @@ def test_clocks_too_far_apart_are_told(late):
 @pytest.mark.parametrize("late", [-0.9, -0.03, 0.04, 0.9])
 def test_the_finder_allows_for_the_offset(late):
     """All joints' stamps are late: the windows of poses would reach into the next move."""
-    rig = Rig(np.array([*POSTURES, *DEFAULT[:5]]), rest=2.6)
+    rig = Rig(np.array([*POSTURES, *DEFAULT_POSTURES[:5]]), rest=2.6)
     finder, found = observed(rig, late)
     offset = finder.streams().offset
     assert finder.streams().offset_beyond == 0.0

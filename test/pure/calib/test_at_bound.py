@@ -15,7 +15,7 @@ from fss_arm_calib.dynamic.kind import DYNAMIC as DYNAMIC_KIND
 from fss_arm_calib.joint.calibrate import Session, calibrate
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import JOINED
+from fss_arm_calib.kinds import JOINT_SOURCES
 from fss_arm_calib.messages import common_message
 from fss_arm_calib.report_tables import table_report
 
@@ -32,7 +32,7 @@ def outcome(kind):
     if kind == "dynamic":
         return calibrate_dynamics(maneuvers(IMPOSSIBLE, 8, rng, np.zeros(2)), ARM, DYNAMIC)
     one = Session("monday", day(IMPOSSIBLE, rng).data)
-    return calibrate([one], ARM, JointSettings(), JOINED, SETTINGS)
+    return calibrate([one], ARM, JointSettings(), JOINT_SOURCES, SETTINGS)
 
 
 REPORTS = {"drift": DRIFT_KIND.report_of, "dynamic": DYNAMIC_KIND.report_of, "joint": joint_report}
@@ -56,7 +56,7 @@ def test_a_parameter_at_its_bound_is_said_to_be_there_and_not_determined(kind):
         # What is determined has its numbers as ever.
         other = next(r for r in table.rows if r[0] in ("g_x", "tilt along x", "b_1"))
         assert other[k] != "-"
-    assert report.printed(told[0])
+    assert report.printable(told[0])
 
 
 @pytest.mark.parametrize("kind", NAMES)

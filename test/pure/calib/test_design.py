@@ -8,27 +8,27 @@ import numpy as np
 import pytest
 import yaml
 
-from fss_arm_calib.dynamic.information import information, propagated
+from fss_arm_calib.dynamic.information import information, propagate_covariance
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.design import (
     candidates,
     design,
-    expected,
-    goal_of,
-    meets,
-    problem,
-    to_goal,
+    design_for_goal,
+    expected_result,
+    meets_goal,
+    parse_goal,
+    predicted_problem,
 )
 from fss_arm_calib.experiment.design_command import main
 from fss_arm_calib.experiment.planned import (
     PAUSE,
-    RAMP,
-    STRENGTH,
+    RAMP_SHARE,
+    TORQUE_SHARE,
     NoManeuver,
-    profile,
-    read,
-    timed,
-    to_yaml,
+    plan_to_yaml,
+    read_plan,
+    speed_profile,
+    torque_limited_duration,
     torques,
 )
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, SWEEP, Conditions, ExperimentSettings
@@ -51,11 +51,11 @@ def some(kind, count=25, **conditions):
 
 def test_a_profile_is_a_trapezoid_of_the_rate():
     x = np.linspace(0.0, 1.0, 100_001)
-    way, rate, acceleration = profile(x)
+    way, rate, acceleration = speed_profile(x)
     assert (way[0], way[-1]) == (0.0, 1.0)
     assert np.trapezoid(rate, x) == pytest.approx(1.0, abs=1e-9)
     assert np.gradient(way, x)[1:-1] == pytest.approx(rate[1:-1], abs=1e-4)
-    assert rate.max() == 1.0 / (1.0 - RAMP)
+    assert rate.max() == 1.0 / (1.0 - RAMP_SHARE)
     assert np.trapezoid(acceleration, x) == pytest.approx(0.0, abs=1e-3)
 
 
@@ -83,14 +83,14 @@ def test_candidates_keep_to_the_conditions(kind):
         assert one.length <= 7.0
         assert np.abs(q).max() <= np.pi / 2
         assert (np.abs(qd).max(axis=0) <= 1.0 + 1e-9).all()
-        s, rate, acceleration = profile(np.linspace(0.001, 0.999, 97))
+        s, rate, acceleration = speed_profile(np.linspace(0.001, 0.999, 97))
         for a, b, T in zip(one.waypoints[:-1], one.waypoints[1:], one.durations, strict=True):
             way = b - a
             tau = torques(
                 ARM, a + s[:, None] * way, rate[:, None] * way / T,
                 acceleration[:, None] * way / T**2,
             )  # fmt: skip
-            assert np.abs(tau).max() <= 1.02 * STRENGTH * 1.8
+            assert np.abs(tau).max() <= 1.02 * TORQUE_SHARE * 1.8
         poses = base_poses(ARM.vector(), path(law, edges, t), np.zeros(8))
         places = joint_positions(ARM.vector(), np.concatenate([poses, q], axis=1))
         assert np.abs(places).max() < 2.0
@@ -121,21 +121,21 @@ def with_torque(share):
 
 def test_time_grows_with_what_torque_asks():
     a, b = np.zeros(4), np.array([1.2, 0.0, 0.0, 0.0])
-    weak, weaker = (timed(with_torque(share), a, b) for share in (0.1, 0.05))
+    weak, weaker = (torque_limited_duration(with_torque(share), a, b) for share in (0.1, 0.05))
     assert weaker == pytest.approx(weak * np.sqrt(2.0), rel=1e-6)
-    assert weak > timed(ARM, a, b)
+    assert weak > torque_limited_duration(ARM, a, b)
 
 
 @pytest.mark.slow
 def test_a_design_tells_more_than_chance_and_is_the_same_for_a_seed():
     plan = design(ARM, 6, SETTINGS, **SMALL)
     again = design(ARM, 6, SETTINGS, **SMALL)
-    assert to_yaml(plan) == to_yaml(again)
+    assert plan_to_yaml(plan) == plan_to_yaml(again)
     for one, following in pairwise(plan):
         assert np.array_equal(one.waypoints[-1], following.waypoints[0])
 
     def volume(maneuvers):
-        covariance = expected(ARM, maneuvers, SETTINGS, 5.0).random
+        covariance = expected_result(ARM, maneuvers, SETTINGS, 5.0).random
         return np.linalg.slogdet(covariance)[1]
 
     chances = [design(ARM, 6, SETTINGS, tried=3, seed=k) for k in range(5)]
@@ -144,15 +144,15 @@ def test_a_design_tells_more_than_chance_and_is_the_same_for_a_seed():
 
 def test_expected_deviations_are_those_of_the_solver():
     plan = design(ARM, 6, SETTINGS, **SMALL)
-    result = expected(ARM, plan, SETTINGS, 5.0)
+    result = expected_result(ARM, plan, SETTINGS, 5.0)
     assert result.values[0] == pytest.approx(0.191, abs=1e-9)
     assert result.minimum.iterations == 0
-    model = problem(ARM, plan, SETTINGS, 5.0)
+    model = predicted_problem(ARM, plan, SETTINGS, 5.0)
     prior = np.diag(np.where(np.isfinite(model.known), model.known, np.inf) ** -2.0)
     total, p = information(model).sum(axis=0), len(prior)
     covariance = np.linalg.inv(total[:p, :p] + prior)
     assert result.random == pytest.approx(covariance, rel=1e-6)
-    assert propagated(model, total) == pytest.approx(result.covariance, rel=1e-6)
+    assert propagate_covariance(model, total) == pytest.approx(result.covariance, rel=1e-6)
 
 
 def test_chosen_parameters_come_first():
@@ -162,7 +162,7 @@ def test_chosen_parameters_come_first():
     last = design(ARM, 50, known, time, chosen=["b_4", "I_4"], **SMALL)
 
     def of_link_4(plan):
-        result = expected(ARM, plan, known, 5.0)
+        result = expected_result(ARM, plan, known, 5.0)
         which = [result.problem.names.index(name) for name in ("b_4", "I_4")]
         return np.linalg.slogdet(result.covariance[np.ix_(which, which)])[1]
 
@@ -173,14 +173,14 @@ def test_chosen_parameters_come_first():
 
 def test_what_is_known_already_is_not_sought_again():
     first = design(ARM, 4, SETTINGS, **SMALL)
-    before = problem(ARM, first, SETTINGS, 5.0)
+    before = predicted_problem(ARM, first, SETTINGS, 5.0)
     begin = first[-1].waypoints[-1]
     following = design(ARM, 4, SETTINGS, before=before, begin=begin, tried=15, seed=2)
     anew = design(ARM, 4, SETTINGS, begin=begin, tried=15, seed=2)
 
     def both(plan):
-        after = expected(ARM, plan, SETTINGS, 5.0, before).covariance
-        together = expected(ARM, [*first, *plan], SETTINGS, 5.0).covariance
+        after = expected_result(ARM, plan, SETTINGS, 5.0, before).covariance
+        together = expected_result(ARM, [*first, *plan], SETTINGS, 5.0).covariance
         assert after == pytest.approx(together, rel=1e-6)
         return np.linalg.slogdet(after)[1]
 
@@ -198,7 +198,7 @@ def test_loops_tell_least_on_a_table_that_may_be_tilted():
     worst = {}
     for kind in (SINGLE, SWEEP, LOOP):
         plan = design(ARM, 50, SETTINGS, Conditions(kinds=(kind,), total=100.0), **SMALL)
-        worst[kind] = expected(ARM, plan, SETTINGS, 5.0).deviations[:4].max()
+        worst[kind] = expected_result(ARM, plan, SETTINGS, 5.0).deviations[:4].max()
     assert worst[LOOP] > 3.0 * max(worst[SINGLE], worst[SWEEP])
 
 
@@ -217,8 +217,8 @@ def test_another_arm():
 def test_a_plan_is_read_back(tmp_path):
     plan = design(ARM, 3, SETTINGS, **SMALL)
     path = tmp_path / "plan.yaml"
-    path.write_text(to_yaml(plan))
-    for one, again in zip(plan, read(path, 4), strict=True):
+    path.write_text(plan_to_yaml(plan))
+    for one, again in zip(plan, read_plan(path, 4), strict=True):
         assert again.kind == one.kind
         assert again.waypoints == pytest.approx(one.waypoints, abs=1e-6)
         assert again.durations == pytest.approx(one.durations, abs=1e-3)
@@ -238,7 +238,7 @@ def test_what_is_no_plan_is_named(tmp_path, text, message):
     path = tmp_path / "plan.yaml"
     path.write_text(text)
     with pytest.raises(ContentError, match=f"plan.yaml: {message}"):
-        read(path, 4)
+        read_plan(path, 4)
 
 
 @pytest.mark.parametrize(
@@ -273,10 +273,10 @@ def test_a_goal_is_kept_to_with_as_few_maneuvers_as_it_takes(capsys):
 def test_the_last_maneuver_of_a_goal_was_needed():
     goal = {"b_4": 0.02}
     conditions = Conditions(rest=9.0, kinds=(SWEEP,))
-    plan = to_goal(ARM, 12, SETTINGS, conditions, goal)
+    plan = design_for_goal(ARM, 12, SETTINGS, conditions, goal)
     assert 1 < len(plan) < 12
-    assert meets(expected(ARM, plan, SETTINGS, 9.0), goal)
-    assert not meets(expected(ARM, plan[:-1], SETTINGS, 9.0), goal)
+    assert meets_goal(expected_result(ARM, plan, SETTINGS, 9.0), goal)
+    assert not meets_goal(expected_result(ARM, plan[:-1], SETTINGS, 9.0), goal)
 
 
 @pytest.mark.parametrize(
@@ -288,13 +288,13 @@ def test_the_last_maneuver_of_a_goal_was_needed():
     ],
 )
 def test_a_goal_in_words(words, found):
-    assert goal_of(words, ("b_1", "b_10", "I_1", "I_0", "x_com")) == found
+    assert parse_goal(words, ("b_1", "b_10", "I_1", "I_0", "x_com")) == found
 
 
 @pytest.mark.parametrize("words", ["b_i", "b_i x", "c_i 1", "b_1 -1", "b_1 nan", "0.1 b_1"])
 def test_a_goal_that_cannot_be_is_refused(words):
     with pytest.raises(ValueError, match=r"goal has .* expected (a name and a dev|one of b_1 I_0)"):
-        goal_of(words, ("b_1", "I_0"))
+        parse_goal(words, ("b_1", "I_0"))
 
 
 def test_a_goal_without_a_deviation_is_refused_before_anything_moves():
@@ -308,7 +308,7 @@ def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
     text = capsys.readouterr().out
     for words in ("To expect", "± 1 sigma", "b_1", "single", "plan written to"):
         assert words in text
-    assert len(read(output, 4)) == 2
+    assert len(read_plan(output, 4)) == 2
     assert main(["--kinematic", "--count", "8", "--output", str(output)]) == 0
     assert "theta_BJ1" in capsys.readouterr().out
     parsed = rcl_parameters(output)

@@ -5,7 +5,7 @@ import pytest
 from calib_rig import Rig
 
 from fss_arm_calib.acceptance import NOT_EVALUATED, PASS
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.rests import BASE, TIP, RestFinder
@@ -18,7 +18,7 @@ JOINTS = "joint_1, joint_2, joint_3, joint_4"
 
 @pytest.fixture(scope="module")
 def samples():
-    return Rig(DEFAULT[:8], rest=3.2, rate=25.0).samples()
+    return Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=25.0).samples()
 
 
 def found(samples):

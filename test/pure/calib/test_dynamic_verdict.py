@@ -9,9 +9,9 @@ from calib_float import ARM, Float, feed, postures
 
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
 from fss_arm_calib.dynamic.calibrate import calibrate
-from fss_arm_calib.dynamic.kind import maneuvers_message, maneuvers_of, to_message
+from fss_arm_calib.dynamic.kind import maneuvers_from_message, maneuvers_message, to_message
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
-from fss_arm_calib.outcome import settings_of
+from fss_arm_calib.outcome import parse_settings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description_file import from_yaml
@@ -94,11 +94,11 @@ def test_every_number_can_be_recomputed_from_what_is_published(maneuvers, good):
     """By the messages alone, through their fields."""
     published, result = maneuvers_message(maneuvers, "fss"), to_message(good, "fss").calibration
     again = calibrate(
-        maneuvers_of(published),
+        maneuvers_from_message(published),
         from_yaml(result.guess),
-        settings_of(result.provenance.parameters, DynamicSettings),
+        parse_settings(result.provenance.parameters, DynamicSettings),
     )
-    assert maneuvers_of(published) == maneuvers
+    assert maneuvers_from_message(published) == maneuvers
     assert np.array_equal(again.values, result.values)
     assert np.array_equal(again.covariance.ravel(), result.covariance)
     assert again.provenance.data_hash == result.provenance.data_hash

@@ -161,12 +161,12 @@ def test_a_result_as_files(told, tmp_path):
     assert_allclose(read["covariance"], found.covariance, rtol=0, atol=0)
     assert read["fit"]["chi_square"] == found.estimate.chi_square
     assert read["provenance"]["data_hash"] == found.provenance.data_hash
-    assert result.arm_of(path, "kinematic") == from_yaml(found.description)
+    assert result.read_arm(path, "kinematic") == from_yaml(found.description)
     head, first, *_ = path.with_suffix(".csv").read_text().splitlines()
     assert head.split(",")[:6] == ["name", "unit", "initial", "value", "deviation", "a_1"]
     assert float(first.split(",")[3]) == found.values[0]
     with pytest.raises(ContentError, match="kind is 'kinematic', expected dynamic"):
-        result.arm_of(path, "dynamic")
+        result.read_arm(path, "dynamic")
     result.write(path, "dynamic", dynamic)
     assert json.loads(path.read_text())["time_offset"] is None  # not known
 
@@ -184,7 +184,7 @@ def test_a_result_that_cannot_be_begun_from_is_refused(told, tmp_path, change, m
     result.write(path, "kinematic", told[1])
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(ContentError, match=message):
-        result.arm_of(path, "kinematic")
+        result.read_arm(path, "kinematic")
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,13 @@ from calib_maneuvers import ARM, observe, problem, several
 from numpy.testing import assert_allclose
 
 from fss_arm_calib.dynamic.identifiability import (
-    HARDLY,
+    HARDLY_SEEN,
     INVISIBLE,
-    SEEN,
-    _gradients,
+    VISIBLE,
+    _combination_gradients,
     combinations,
     directions,
-    invisible,
+    invisible_directions,
 )
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.solve import solve
@@ -33,7 +33,7 @@ def arm_of(n):
 
 def unseen(arm, words):
     choice = Choice.of(words, arm.n)
-    return invisible(arm, choice, np.ones(len(choice.names)))
+    return invisible_directions(arm, choice, np.ones(len(choice.names)))
 
 
 @pytest.mark.parametrize("n", range(1, 7))
@@ -42,7 +42,7 @@ def test_of_3n_parameters_2n_plus_1_combinations_are_visible(n):
     rest = unseen(arm, "m_i b_i I_i")
     assert len(rest) == 3 * n - (2 * n + 1)
     # and what cannot be seen leaves those combinations as they are
-    G = _gradients(arm)[1][:, 2 * n + 6 :]
+    G = _combination_gradients(arm)[1][:, 2 * n + 6 :]
     assert np.linalg.matrix_rank(G) == 2 * n + 1
     assert np.abs(G @ rest.T).max(initial=0.0) < 1e-8
 
@@ -67,12 +67,12 @@ def test_with_weighed_masses_everything_else_is_visible():
 
 
 def test_gradients_are_finite_differences():
-    combined, G = _gradients(ARM)
+    combined, G = _combination_gradients(ARM)
     for name, column, h in (("mass", 14, 1e-6), ("b", 18, 1e-7), ("inertia", 22, 1e-7)):
         for i, link in enumerate(ARM.links):
             links = list(ARM.links)
             links[i] = replace(link, **{name: getattr(link, name) + h})
-            there = _gradients(replace(ARM, links=tuple(links)))[0]
+            there = _combination_gradients(replace(ARM, links=tuple(links)))[0]
             assert_allclose((there - combined) / h, G[:, column + i], rtol=0, atol=1e-5)
 
 
@@ -90,13 +90,13 @@ def test_what_cannot_be_told_has_no_deviation_and_its_combinations_have(everythi
     assert [c.name for c in found] == [
         "m", "S_1", "S_2", "S_3", "S_4", "K_1", "K_2", "K_3", "K_4",
     ]  # fmt: skip
-    true = _gradients(ARM)[0]
+    true = _combination_gradients(ARM)[0]
     for c, value in zip(found, true, strict=True):
         assert np.isinf(c.before)
         assert abs(c.value - value) < 4.0 * c.deviation < np.inf
     kinds = [d.kind for d in directions(everything, KNOWN)]
     assert kinds.count(INVISIBLE) == 3
-    assert kinds.count(HARDLY) >= 1  # the scale, for one
+    assert kinds.count(HARDLY_SEEN) >= 1  # the scale, for one
 
 
 def test_a_prior_closes_what_is_invisible():
@@ -114,7 +114,7 @@ def test_the_gain_says_how_much_better_than_before():
     result = solve(observe(known, ARM.vector(), np.zeros((8, 8))))
     (only,) = directions(result, KNOWN)
     assert only.gain == pytest.approx(KNOWN.b_deviation / np.sqrt(result.random[0, 0]), rel=1e-9)
-    assert only.kind == SEEN
+    assert only.kind == VISIBLE
     assert only.text(known.names) == "+1.00 b_4"
 
 

@@ -19,7 +19,7 @@ from fss_arm_calib.joint.calibrate import Session, calibrate, problem_of
 from fss_arm_calib.joint.problem import solve
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import JOINED
+from fss_arm_calib.kinds import JOINT_SOURCES
 from fss_arm_model.description_file import from_yaml
 from fss_arm_model.parameters import values
 from fss_arm_model.planar import wrap
@@ -28,7 +28,7 @@ JOINT = JointSettings(zero_deviation=0.02)
 
 
 def problem(days, guess=ARM, settings=JOINT):
-    return problem_of([one.data for one in days], guess, settings, JOINED, SETTINGS)
+    return problem_of([one.data for one in days], guess, settings, JOINT_SOURCES, SETTINGS)
 
 
 def test_deviations_that_nobody_gave_are_those_that_the_stages_found():
@@ -40,7 +40,7 @@ def test_deviations_that_nobody_gave_are_those_that_the_stages_found():
     rng = np.random.default_rng(5)
     sessions = [Session("day", day(draw_arm(rng), rng).data)]
     given, found = (
-        np.sqrt(np.diag(calibrate(sessions, ARM, JOINT, JOINED, known).estimate.covariance))
+        np.sqrt(np.diag(calibrate(sessions, ARM, JOINT, JOINT_SOURCES, known).estimate.covariance))
         for known in (SETTINGS, settings)
     )
     assert_allclose(found, given, rtol=0.6)
@@ -154,7 +154,7 @@ def test_joints_that_keep_their_zeros_tell_more(two):
 def test_from_the_stages_to_a_description(two):
     truth, days, _ = two
     sessions = [Session(f"day_{k}", one.data) for k, one in enumerate(days)]
-    outcome = calibrate(sessions, ARM, JOINT, JOINED, SETTINGS)
+    outcome = calibrate(sessions, ARM, JOINT, JOINT_SOURCES, SETTINGS)
     assert outcome.verdict == PASS, outcome.reason
     assert "20 observations, 16 maneuvers, 4 drifts of 2 sessions" in outcome.reason
     arm = from_yaml(outcome.description)
@@ -178,7 +178,7 @@ def test_a_session_is_split_where_a_joint_was_homed(two):
                for k, some in enumerate((first, second), 1) for one in some.data[kind]]
         for kind in first.data
     }  # fmt: skip
-    outcome = calibrate([Session("week", data)], ARM, JOINT, JOINED, SETTINGS)
+    outcome = calibrate([Session("week", data)], ARM, JOINT, JOINT_SOURCES, SETTINGS)
     assert outcome.solution.sessions == ("week, homed 0 times", "week, homed 1 time")
     assert outcome.verdict == PASS, outcome.reason
     found, sigma = outcome.solution.result.session(0)
@@ -188,7 +188,7 @@ def test_a_session_is_split_where_a_joint_was_homed(two):
 def test_rests_alone_leave_masses_undetermined(two):
     _, days, _ = two
     alone = [Session("rests", {"kinematic": days[1].data["kinematic"]})]
-    outcome = calibrate(alone, ARM, JOINT, JOINED, SETTINGS)
+    outcome = calibrate(alone, ARM, JOINT, JOINT_SOURCES, SETTINGS)
     assert outcome.verdict == "not_evaluated"
     assert set(outcome.estimate.undetermined) == {f"{k}_{i}" for k in "bI" for i in range(1, 5)}
     a = outcome.names.index("a_1")
@@ -200,7 +200,7 @@ def test_rests_alone_leave_masses_undetermined(two):
 
 
 def test_no_data_are_not_evaluated():
-    outcome = calibrate([], ARM, JOINT, JOINED, SETTINGS)
+    outcome = calibrate([], ARM, JOINT, JOINT_SOURCES, SETTINGS)
     assert outcome.verdict == "not_evaluated"
     assert outcome.reason == "no rest, maneuver or drift can be used"
 

@@ -7,7 +7,7 @@ import pytest
 from calib_quantization import quantization_bound
 
 from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, SQUARE
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.problem import EQUAL, FULL, OFFSETS, KinematicProblem
 from fss_arm_calib.kinematic.solve import NotIdentifiable, solve
 from fss_arm_model.description import Arm, Link, paper_arm
@@ -86,7 +86,7 @@ def test_the_iteration_alone_converges_where_the_closed_form_has_too_few_posture
 def test_a_thousand_random_starts_lead_to_the_same_minimum(parametrization, draws):
     """Angles anywhere, lengths of either sign, the paper's noise; 500 of each if slow."""
     rng = np.random.default_rng(7)
-    exact = problem(paper_arm(), DEFAULT, parametrization)
+    exact = problem(paper_arm(), DEFAULT_POSTURES, parametrization)
     for _ in range(draws):
         noise = rng.normal(size=exact.tip.shape) * exact.sigma
         noisy = replace(exact, tip=exact.tip + noise)
@@ -124,7 +124,7 @@ def test_zero_lengths_do_where_the_closed_form_has_too_few_postures():
 @pytest.mark.parametrize("turned", [(0,), (1, 2), (0, 1, 2), (3,)])
 def test_mirrored_arms_are_recognized_and_folded_back(turned, theta_e):
     """A link of negative length, turned by pi, ends where the true one does."""
-    exact = problem(paper_arm(), DEFAULT, FULL, theta_e=theta_e)
+    exact = problem(paper_arm(), DEFAULT_POSTURES, FULL, theta_e=theta_e)
     values = exact.all_parameters(exact.initial)
     headings = np.cumsum([values[-2], *values[4:7]])
     headings[list(turned)] += np.pi
@@ -144,22 +144,22 @@ def test_mirrored_arms_are_recognized_and_folded_back(turned, theta_e):
 
 def test_a_turned_subject_biases_the_last_offset_unless_it_is_estimated():
     turned = replace(paper_arm(), theta_E=np.radians(2.0))
-    biased = solve(problem(turned, DEFAULT, EQUAL, paper_arm()))
+    biased = solve(problem(turned, DEFAULT_POSTURES, EQUAL, paper_arm()))
     assert np.degrees(biased.values[4]) > -1.391 + 2.0
-    known = problem(turned, DEFAULT, EQUAL, paper_arm(), theta_e=True)
+    known = problem(turned, DEFAULT_POSTURES, EQUAL, paper_arm(), theta_e=True)
     found = solve(known)
     assert known.names[-1] == "theta_E"
     assert known.units[-1] == "rad"
     assert np.degrees(found.values[[4, -1]]) == pytest.approx([-1.391, 2.0], abs=1e-7)
     assert found.calibrated().theta_E == found.values[-1]
     # Where it is known and not estimated, it is kept.
-    assert solve(problem(turned, DEFAULT, EQUAL)).calibrated().theta_E == turned.theta_E
+    assert solve(problem(turned, DEFAULT_POSTURES, EQUAL)).calibrated().theta_E == turned.theta_E
 
 
 def test_offsets_alone_are_found_again_from_few_postures():
     """After a drive was switched off and on its offset is another, all lengths are as before."""
     cycled = paper_arm().with_kinematics([*[0.3825] * 3, 0.3351, 0.4, -1.2, 0.3, 0.2058, 0.0155, 2])
-    exact = problem(cycled, DEFAULT[:3], OFFSETS, paper_arm())
+    exact = problem(cycled, DEFAULT_POSTURES[:3], OFFSETS, paper_arm())
     assert exact.names == ("theta_0_2", "theta_0_3", "theta_0_4", "theta_BJ1")
     result = solve(exact)
     assert np.abs(result.values - [0.4, -1.2, 0.3, 2.0]).max() < 1e-9
@@ -170,7 +170,7 @@ def test_offsets_alone_are_found_again_from_few_postures():
 @pytest.mark.parametrize("loss", [HUBER, CAUCHY])
 def test_a_robust_loss_bears_outliers(loss):
     rng = np.random.default_rng(11)
-    exact, ratios = problem(paper_arm(), DEFAULT, EQUAL), []
+    exact, ratios = problem(paper_arm(), DEFAULT_POSTURES, EQUAL), []
     for _ in range(20):
         tip = exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma
         wrong = rng.choice(len(tip), 2, replace=False)
@@ -188,7 +188,7 @@ def test_a_robust_loss_bears_outliers(loss):
 @pytest.mark.parametrize("loss", [HUBER, pytest.param(CAUCHY, marks=pytest.mark.slow)])
 def test_a_robust_loss_costs_little_where_there_are_no_outliers(loss):
     rng = np.random.default_rng(12)
-    exact = problem(paper_arm(), DEFAULT, EQUAL)
+    exact = problem(paper_arm(), DEFAULT_POSTURES, EQUAL)
     squares = []
     for _ in range(100):
         tip = exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma
@@ -201,7 +201,7 @@ def test_a_robust_loss_costs_little_where_there_are_no_outliers(loss):
 def test_leverage_and_normalized_residuals_tell_what_they_say():
     """Leverages add up to p / 3; correct residuals and predictions are chi-square of 3 degrees."""
     rng = np.random.default_rng(13)
-    exact = problem(paper_arm(), DEFAULT, EQUAL)
+    exact = problem(paper_arm(), DEFAULT_POSTURES, EQUAL)
     inside, outside = [], []
     kept = np.arange(13) % 4 != 3
     for _ in range(100):
@@ -263,7 +263,7 @@ def test_errors_are_as_large_as_the_covariance_says(parametrization, trials, bou
     rng = np.random.default_rng(2016)
     truth = paper_arm()
     guess = perturbed(truth, rng, length=0.02, angle=0.15)
-    exact = problem(truth, DEFAULT, parametrization)
+    exact = problem(truth, DEFAULT_POSTURES, parametrization)
     squares, position, heading = [], [], []
     for _ in range(trials):
         noise = rng.normal(size=exact.tip.shape) * exact.sigma
@@ -310,7 +310,7 @@ def test_what_cannot_be_told_apart_is_named(q, named, not_named, jitter):
 @pytest.mark.parametrize("parametrization", [pytest.param(FULL, marks=pytest.mark.slow), EQUAL])
 def test_counted_readings_stay_within_the_bound(parametrization):
     """Readings rounded to encoder counts; poses exact. The worst signs reach the bound."""
-    exact = problem(paper_arm(), DEFAULT, parametrization)
+    exact = problem(paper_arm(), DEFAULT_POSTURES, parametrization)
     bound = quantization_bound(exact, HALF_COUNT)
     rng = np.random.default_rng(8)
     for _ in range(20):
@@ -349,15 +349,17 @@ def test_errors_of_readings_are_in_what_is_claimed():
     rng, truth = np.random.default_rng(2), paper_arm()
     known = {"position_deviation": 5e-4, "heading_deviation": np.radians(0.05)}
     ripple, eccentricity = 5e-4, 3e-4
-    exact = problem(truth, DEFAULT, FULL, **known)
+    exact = problem(truth, DEFAULT_POSTURES, FULL, **known)
     aware = {"ripple_deviation": ripple, "eccentricity_deviation": eccentricity}
     nees, chi_square = np.zeros((2, 300)), np.zeros((2, 300))
     for trial in range(300):
         phase = rng.uniform(-np.pi, np.pi, (2, 4))
-        off = ripple * np.sin(60 * DEFAULT + phase[0]) + eccentricity * np.sin(DEFAULT + phase[1])
+        off = ripple * np.sin(60 * DEFAULT_POSTURES + phase[0]) + eccentricity * np.sin(
+            DEFAULT_POSTURES + phase[1]
+        )
         tip = exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma
         for i, told in enumerate((aware, {})):
-            noisy = replace(exact, q=DEFAULT + 2**0.5 * off, tip=tip, **told)
+            noisy = replace(exact, q=DEFAULT_POSTURES + 2**0.5 * off, tip=tip, **told)
             result = solve(noisy)
             error = result.values - exact.initial
             nees[i, trial] = error @ np.linalg.solve(result.covariance, error) / len(error)
@@ -391,4 +393,4 @@ def test_what_readings_add_is_the_covariance_of_what_they_move():
 @pytest.mark.parametrize("name", ["ripple_deviation", "eccentricity_deviation"])
 def test_readings_errors_cannot_be_negative(name):
     with pytest.raises(ValueError, match=f"{name} is -1.0, must not be negative"):
-        problem(paper_arm(), DEFAULT, FULL, **{name: -1.0})
+        problem(paper_arm(), DEFAULT_POSTURES, FULL, **{name: -1.0})

@@ -8,7 +8,7 @@ from calib_float import COUNT
 
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solve import solve
-from fss_arm_calib.experiment.design import design, problem, windowed
+from fss_arm_calib.experiment.design import design, predicted_problem, windowed_paths
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import paper_arm
@@ -42,7 +42,7 @@ def as_read(one, rng):
 
 def looks(one):
     """Times of the marks [s]."""
-    t = windowed([one], SETTINGS, REST)[0].marks[0, :, -1]
+    t = windowed_paths([one], SETTINGS, REST)[0].marks[0, :, -1]
     return t - 0.5 * (t[0] + t[-1] - one.length - SETTINGS.settle_time)
 
 
@@ -72,7 +72,7 @@ def trial(known, maneuvers, rng):
 
 
 def trials(maneuvers, count, seed):
-    known, rng = problem(ARM, maneuvers, SETTINGS, REST), np.random.default_rng(seed)
+    known, rng = predicted_problem(ARM, maneuvers, SETTINGS, REST), np.random.default_rng(seed)
     return np.mean([trial(known, maneuvers, rng) for _ in range(count)], axis=0)
 
 

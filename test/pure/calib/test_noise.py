@@ -8,7 +8,7 @@ import pytest
 from fss_arm_calib.acceptance import FAIL, PASS
 from fss_arm_calib.estimation.noise import Left, Noise, estimated
 from fss_arm_calib.estimation.statistics import as_if_known, probability
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.rests import Observation
@@ -22,7 +22,7 @@ UNLIKE = ARM.with_kinematics([0.42, 0.30, 0.37, 0.25, 0.1, -0.06, -0.02, 0.2, 0.
 SETTINGS = KinematicSettings(parametrization="full")
 
 
-def observe(sigma, seed, arm=ARM, q=DEFAULT):
+def observe(sigma, seed, arm=ARM, q=DEFAULT_POSTURES):
     tips = tip_in_base(arm.vector(), q)
     tips = tips + sigma * np.random.default_rng(seed).standard_normal(tips.shape)
     return [
@@ -64,11 +64,13 @@ def test_more_than_is_believed_of_a_camera_fails_as_if_assumed():
 
 
 def test_of_too_few_nothing_is_estimated():
-    found = calibrate(observe(CAMERA, 1, q=DEFAULT[:6]), ARM, SETTINGS)
+    found = calibrate(observe(CAMERA, 1, q=DEFAULT_POSTURES[:6]), ARM, SETTINGS)
     assert found.estimate.degrees_of_freedom == 8
     assert not found.solution.noise.given.any()
     few = replace(SETTINGS, parametrization="offsets", min_observations=2)
-    assert calibrate(observe(CAMERA, 1, q=DEFAULT[:2]), ARM, few).solution.noise.given.all()
+    assert calibrate(
+        observe(CAMERA, 1, q=DEFAULT_POSTURES[:2]), ARM, few
+    ).solution.noise.given.all()
 
 
 def test_one_far_off_is_named_though_it_makes_the_noise_larger():

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from fss_arm_calib import paper_study
-from fss_arm_calib.paper_study import BEGIN, END, as_the_paper, designed, shares, single_joint
+from fss_arm_calib.paper_study import (
+    BEGIN,
+    END,
+    estimate_as_in_paper,
+    expected_of_sixteen,
+    relative_deviations,
+    single_joint,
+)
 
 
 def test_the_paper_s_experiment_hardly_knows_the_inertia():
@@ -12,10 +19,10 @@ def test_the_paper_s_experiment_hardly_knows_the_inertia():
     for _ in range(20):
         first, second = np.radians(rng.uniform(-75.0, 75.0, (2, 4)))
         plan = single_joint(first, 1.0) + single_joint(second, -1.0)
-        found.append(shares(as_the_paper(plan))[0])
+        found.append(relative_deviations(estimate_as_in_paper(plan))[0])
     assert 0.5 < min(found) < max(found) < 1.2
     assert 0.75 < np.median(found) < 1.0
-    random, total = shares(as_the_paper(plan, 0.001))
+    random, total = relative_deviations(estimate_as_in_paper(plan, 0.001))
     assert random < 0.16  # with the base's position
     assert total > 1.0
 
@@ -29,9 +36,9 @@ def test_kinematics_are_found_as_finely_as_13_observations_allow():
 @pytest.mark.slow
 def test_what_cuts_the_deviation_to_10_and_to_1_percent():
     fine = {"position_deviation": 0.001, "heading_deviation": float(np.radians(0.5))}
-    random, total = shares(designed(16, "I b_i I_0 com_0", **fine))
+    random, total = relative_deviations(expected_of_sixteen(16, "I b_i I_0 com_0", **fine))
     assert total < 0.135  # 13 %, as docs/explanation/paper.md has it
-    random, total = shares(designed(2048, "I b_i I_0 com_0", **fine))
+    random, total = relative_deviations(expected_of_sixteen(2048, "I b_i I_0 com_0", **fine))
     assert random < 0.0115  # 1.1 %
     assert total < 0.04
 

@@ -6,7 +6,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fss_arm_calib.experiment.postures import APART, DEFAULT, clear, default, design
+from fss_arm_calib.experiment.postures import (
+    DEFAULT_POSTURES,
+    MIN_DIFFERENCE,
+    default_postures,
+    design_postures,
+    is_clear,
+)
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve
 from fss_arm_model.description import Arm, paper_arm
@@ -25,8 +31,8 @@ def solution(arm: Arm, q: np.ndarray):
 
 
 def test_the_table_is_what_the_design_finds():
-    found = solution(paper_arm(), design(paper_arm(), seed=5))
-    table = solution(paper_arm(), DEFAULT)
+    found = solution(paper_arm(), design_postures(paper_arm(), seed=5))
+    table = solution(paper_arm(), DEFAULT_POSTURES)
     assert np.linalg.slogdet(table.covariance)[1] <= np.linalg.slogdet(found.covariance)[1] + 0.5
     assert table.condition_number < 20.0
 
@@ -35,38 +41,38 @@ def test_the_table_is_more_informative_than_chance():
     rng = np.random.default_rng(0)
     chance = [solution(paper_arm(), rng.uniform(-1.5, 1.5, (13, 4))).covariance for _ in range(50)]
     volumes = [np.linalg.slogdet(covariance)[1] for covariance in chance]
-    assert np.linalg.slogdet(solution(paper_arm(), DEFAULT).covariance)[1] < min(volumes)
+    assert np.linalg.slogdet(solution(paper_arm(), DEFAULT_POSTURES).covariance)[1] < min(volumes)
 
 
 def test_the_table_can_be_run():
-    assert len(DEFAULT) == 13
-    assert np.abs(DEFAULT).max() <= np.pi / 2
-    assert np.abs(DEFAULT[0]).max() < 0.2
-    moves = np.abs(np.diff(DEFAULT, axis=0)).max(axis=1)
+    assert len(DEFAULT_POSTURES) == 13
+    assert np.abs(DEFAULT_POSTURES).max() <= np.pi / 2
+    assert np.abs(DEFAULT_POSTURES[0]).max() < 0.2
+    moves = np.abs(np.diff(DEFAULT_POSTURES, axis=0)).max(axis=1)
     assert moves.sum() / 0.8 < 45.0  # seconds of travel at 0.8 rad/s
     guard = Guard(paper_arm())
-    assert guard.slack(DEFAULT).min() >= 0.0
-    assert all(clear(guard, here, there) for here, there in pairwise(DEFAULT))
+    assert guard.slack(DEFAULT_POSTURES).min() >= 0.0
+    assert all(is_clear(guard, here, there) for here, there in pairwise(DEFAULT_POSTURES))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6])
 def test_any_arm_gets_postures_that_identify_it(n):
     arm = arm_of(n)
-    q = default(arm)
+    q = default_postures(arm)
     assert q.shape == (max(13, 2 * n + 2), n)
     assert solution(arm, q).condition_number < 60.0
     apart = [np.abs(a - b).max() for k, a in enumerate(q) for b in q[:k]]
-    assert min(apart) >= (APART if n > 2 else np.radians(4.0))
+    assert min(apart) >= (MIN_DIFFERENCE if n > 2 else np.radians(4.0))
 
 
 def test_more_postures_than_one_joint_has_room_for_are_chosen_in_time():
     """Each that is exchanged makes another crowded, and so on for ever."""
-    q = design(arm_of(1), 30, candidates=200)
+    q = design_postures(arm_of(1), 30, candidates=200)
     assert q.shape == (30, 1)
     assert np.ptp(q) > np.radians(160.0)
 
 
 def test_postures_leave_the_margin_asked_for():
     arm, wide = paper_arm(), GuardSettings(margin=0.2)
-    near, far = (Guard(arm, wide).slack(design(arm, 8, settings=s)) for s in (None, wide))
+    near, far = (Guard(arm, wide).slack(design_postures(arm, 8, settings=s)) for s in (None, wide))
     assert near.min() < 0.0 <= far.min()

@@ -15,7 +15,7 @@ from fss_arm_calib import report
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic.report import dynamic_report
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, OFFSETS, POSITION_DEVIATION
 from fss_arm_calib.kinematic.report import kinematic_report
@@ -32,12 +32,12 @@ STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])
 
 def observations(count=13):
     """With the errors assumed, the fifth far off."""
-    tips = tip_in_base(ARM.vector(), DEFAULT[:count])
+    tips = tip_in_base(ARM.vector(), DEFAULT_POSTURES[:count])
     sigma = [SETTINGS.position_deviation] * 2 + [SETTINGS.heading_deviation]
     tips = tips + np.random.default_rng(1).normal(size=tips.shape) * sigma
     if count > 4:
         tips[4, 0] += 0.4
-    pairs = zip(DEFAULT.tolist(), tips.tolist(), strict=False)
+    pairs = zip(DEFAULT_POSTURES.tolist(), tips.tolist(), strict=False)
     return [Observation(k, k + 1, tuple(q), tuple(tip)) for k, (q, tip) in enumerate(pairs)]
 
 
@@ -48,7 +48,7 @@ def outcome(count=13, settings=SETTINGS):
 def printed(told):
     console = report.console()
     with console.capture() as capture:
-        console.print(report.printed(told))
+        console.print(report.printable(told))
     return " ".join(capture.get().split())
 
 
@@ -121,7 +121,7 @@ def test_what_is_weak_or_wrong_is_marked(tmp_path):
 
 def test_no_column_of_a_printed_table_is_cut_off():
     name = "a_rather_long_name_of_a_parameter_that_does_not_fit"
-    told = report.shown(report.Table("t", ["parameter", "value"], [[name, "1"]]))
+    told = report.rich_table(report.Table("t", ["parameter", "value"], [[name, "1"]]))
     console = Console(width=30, record=True)
     console.print(told)
     assert name in re.sub(r"[\W\d]", "", console.export_text())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calib_rig import ARM, COUNT, POSTURES, START, Rig, at
 
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.segments.rests import (
     BASE,
     TIP,
@@ -216,7 +216,7 @@ def test_rests_of_a_lost_subject_are_told_and_forgotten(lost):
 @pytest.mark.parametrize("begin", [8.0, 12.9, 13.05, 14.0])
 def test_what_a_lost_subject_leaves_is_the_same_however_streams_lag(begin):
     """Lost amid rests or just before they end, for longer than what is waited for."""
-    rig = Rig(DEFAULT[:9], rest=3.0)
+    rig = Rig(DEFAULT_POSTURES[:9], rest=3.0)
     samples = without(rig.samples(), {TIP}, begin, 31.3)
     samples = without(samples, {BASE}, 0.0, 0.4)
 

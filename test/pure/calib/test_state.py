@@ -9,7 +9,7 @@ from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_calib.state import LARGEST, Flags, StateError, read, restore, save
+from fss_arm_calib.state import MAX_FILE_SIZE, Flags, StateError, read, restore, save
 from fss_arm_model.files import write_text
 
 FLAGS = Flags(("joint_7",), {"joint_2": 9.83}, {"fss occluded": 12})
@@ -54,7 +54,7 @@ HOSTILE = {
     "not text": ("\udcff", "cannot be read: 'utf-8' codec"),
     "deep": ("[" * 100_000 + "]" * 100_000, "nested more than 10 deep"),
     "deep objects": ('{"a":' * 100_000 + "1" + "}" * 100_000, "nested more than 10 deep"),
-    "large": (" " * (LARGEST + 1), f"more than {LARGEST} bytes"),
+    "large": (" " * (MAX_FILE_SIZE + 1), f"more than {MAX_FILE_SIZE} bytes"),
     "many keys": (json.dumps({f"k{i}": 0 for i in range(10**6)}), "expected an object of kind"),
     "infinite": (state().replace('"end": 1', '"end": Infinity'), "Infinity is no number"),
     "overflowing": (state().replace('"end": 1', '"end": 1e999'), "data[0].end is inf, expected"),

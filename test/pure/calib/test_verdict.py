@@ -9,7 +9,7 @@ import pytest
 from fss_arm_calib import __version__
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
 from fss_arm_calib.estimation.statistics import root_mean_square
-from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.problem import (
     EQUAL,
@@ -21,7 +21,7 @@ from fss_arm_calib.kinematic.problem import (
 )
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solve import solve
-from fss_arm_calib.outcome import settings_of
+from fss_arm_calib.outcome import parse_settings
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.settings import CalibrationSettings
@@ -34,7 +34,7 @@ GIVEN = {"position_deviation": POSITION_DEVIATION, "heading_deviation": HEADING_
 SETTINGS = KinematicSettings(**GIVEN)
 
 
-def observe(q=DEFAULT, seed=1, noise=1.0, arm=None):
+def observe(q=DEFAULT_POSTURES, seed=1, noise=1.0, arm=None):
     """Observations of an arm with the errors that the settings assume."""
     tips = tip_in_base((arm or paper_arm()).vector(), q)
     sigma = [SETTINGS.position_deviation] * 2 + [SETTINGS.heading_deviation]
@@ -141,7 +141,7 @@ def test_an_observation_that_decides_alone_is_not_believed():
     settings = replace(SETTINGS, parametrization=FULL)
     trusting, verdicts = replace(settings, min_redundancy=0.0), []
     for angle in np.radians(np.arange(0.0, 360.0, 45.0)):
-        observations = observe(DEFAULT[:6], seed=3)
+        observations = observe(DEFAULT_POSTURES[:6], seed=3)
         x, y, heading = observations[0].tip
         x, y = x + 0.42 * np.cos(angle), y + 0.42 * np.sin(angle)
         observations[0] = replace(observations[0], tip=(x, y, heading))
@@ -168,10 +168,12 @@ def test_an_observation_that_decides_alone_is_not_believed():
 )
 def test_observations_that_check_each_other_pass(postures, parametrization, least):
     settings = KinematicSettings(parametrization=parametrization, min_observations=3)
-    found = calibrate(observe(DEFAULT[list(postures)], noise=0.3), paper_arm(), settings)
+    found = calibrate(observe(DEFAULT_POSTURES[list(postures)], noise=0.3), paper_arm(), settings)
     assert found.verdict == PASS, found.reason
     assert stage(found, "redundancy").value == pytest.approx(least, abs=0.02)
-    few = calibrate(observe(DEFAULT[:3]), paper_arm(), replace(settings, parametrization=OFFSETS))
+    few = calibrate(
+        observe(DEFAULT_POSTURES[:3]), paper_arm(), replace(settings, parametrization=OFFSETS)
+    )
     assert few.verdict == NOT_EVALUATED
     assert few.reason.startswith("observation 3 hardly checked by the others: redundancy 0.005")
 
@@ -191,7 +193,7 @@ def test_what_is_from_before_a_homing_is_left_out():
         [*[0.3825] * 3, 0.3351, *np.radians(offsets), 0.2058, 0.0155, np.radians(18.211)]
     )
     old = [replace(o, **before) for o in observe()]
-    new = observe(DEFAULT[:8], seed=2, arm=again)
+    new = observe(DEFAULT_POSTURES[:8], seed=2, arm=again)
     new = [replace(o, start=o.start + 10**11, end=o.end + 10**11) for o in new]
     assert calibrate([*old, *new], paper_arm()).verdict == FAIL
     settings = KinematicSettings(parametrization=OFFSETS)
@@ -271,7 +273,7 @@ def test_held_out_observations_are_predicted_where_there_are_enough():
 
 def test_predictions_worse_than_assumed_fail():
     """A parametrization too rich for the data fits them, and predicts nothing."""
-    q = np.concatenate([DEFAULT, DEFAULT + 0.05])
+    q = np.concatenate([DEFAULT_POSTURES, DEFAULT_POSTURES + 0.05])
     observations = observe(q, noise=0.2)
     for k in (3, 7, 11, 15, 19, 23):
         x, y, heading = observations[k].tip
@@ -308,18 +310,18 @@ def test_a_result_says_where_it_is_from_and_follows_from_that():
     again = calibrate(
         with_outlier(),
         from_yaml(to_yaml(c.arm)),
-        settings_of(c.provenance.parameters, KinematicSettings),
+        parse_settings(c.provenance.parameters, KinematicSettings),
     )
     assert again.values.tolist() == c.values.tolist()
     assert again.checks == c.checks
     with pytest.raises(ValueError, match=r"a parameter is '\w+', expected one of CalibrationSet"):
-        settings_of(c.provenance.parameters, CalibrationSettings)
+        parse_settings(c.provenance.parameters, CalibrationSettings)
 
 
 def test_numbers_of_numpy_are_settings_like_others():
     told = replace(SETTINGS, heading_deviation=np.float64(0.01), min_observations=np.int64(7))
     found = calibrate(observe(), paper_arm(), told)
-    again = settings_of(found.provenance.parameters, KinematicSettings)
+    again = parse_settings(found.provenance.parameters, KinematicSettings)
     assert (again.heading_deviation, again.min_observations) == (0.01, 7)
     assert type(again.min_observations) is int
 
@@ -342,7 +344,7 @@ def test_too_few_observations_are_not_evaluated_and_have_no_numbers(count):
 
 
 def test_parameters_that_cannot_be_told_apart_are_named_with_the_joint():
-    q = DEFAULT.copy()
+    q = DEFAULT_POSTURES.copy()
     q[:, 1] = 0.1
     settings = replace(SETTINGS, parametrization=FULL)
     calibration = calibrate(observe(q), paper_arm(), settings)
@@ -357,7 +359,7 @@ def test_parameters_that_cannot_be_told_apart_are_named_with_the_joint():
 
 def rejected_at(k):
     """A posture of its own, rejected at the time of observation k."""
-    q = tuple(np.add(DEFAULT[5], 0.3))
+    q = tuple(np.add(DEFAULT_POSTURES[5], 0.3))
     return Observation(k * 10**9, k * 10**9 + 1, q, used=False, reason="fss silent for 0.40 s")
 
 

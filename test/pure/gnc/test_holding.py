@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from holding import Motion, hold
 
-from fss_arm_calib.experiment.postures import default
+from fss_arm_calib.experiment.postures import default_postures
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import forward_dynamics, inverse_dynamics
 from fss_gnc.control import PoseControl
@@ -13,7 +13,7 @@ from fss_gnc.reference import Reference
 from fss_sim.plant.drives import MODE_POSITION
 from fss_sim.plant.plant import Demand, Plant
 
-POSTURES = np.vstack([np.zeros(4), default(paper_arm())])
+POSTURES = np.vstack([np.zeros(4), default_postures(paper_arm())])
 
 
 def test_base_stays_within_a_centimeter_and_a_degree():

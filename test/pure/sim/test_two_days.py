@@ -12,7 +12,7 @@ from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.joint.calibrate import Session, calibrate
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import JOINED
+from fss_arm_calib.kinds import JOINT_SOURCES
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_model.description_file import load
 from fss_arm_model.parameters import values, with_values
@@ -56,7 +56,7 @@ def trial(seed):
     guess, moved = draw_guess(rng), JOINT.zero_deviation * rng.standard_normal(4)
     arms = turned(TRUTH, moved), TRUTH
     days = [day(2 * seed + k, arm, guess, rng) for k, arm in enumerate(arms)]
-    found = calibrate(days, guess, JOINT, JOINED, KINDS)
+    found = calibrate(days, guess, JOINT, JOINT_SOURCES, KINDS)
     assert found.verdict == PASS, found.reason
     C = np.reshape(found.covariance, (len(found.names), -1))
     return nees(found.names, np.array(found.values), C, TRUTH)

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 import yaml
 
-from fss_arm_calib.acceptance import PASS, clocks_kept, joints_known
+from fss_arm_calib.acceptance import PASS, check_clocks, check_joint_names
 from fss_arm_calib.drift import checks
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.drift.solution import Solution, estimate_of, solution_of
-from fss_arm_calib.outcome import LIVE, Outcome, concluded
+from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
@@ -35,12 +35,12 @@ def calibrate(
         source: name of the source of the drifts.
     """
     s, streams = settings or DriftSettings(), streams or Streams()
-    used, known = [one for one in drifts if one.used], joints_known(streams, arm)
-    found = [known, clocks_kept(streams, s.joint_gap), checks.long_enough(used, streams, s)]
+    used, known = [one for one in drifts if one.used], check_joint_names(streams, arm)
+    found = [known, check_clocks(streams, s.joint_gap), checks.long_enough(used, streams, s)]
     solution = solution_of(used, arm, s) if used and known.verdict == PASS else None
     found += checks.evaluate(solution, s) if solution else []
     parts = [(one.q, one.times, one.poses, one.frames, one.seconds) for one in used]
-    return concluded(
+    return make_outcome(
         drifts,
         used,
         [np.array(part) for one in parts for part in one],

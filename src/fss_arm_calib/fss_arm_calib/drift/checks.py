@@ -6,14 +6,14 @@ import numpy as np
 
 from fss_arm_calib.acceptance import (
     Check,
-    at_most,
-    by_chance,
-    checked,
-    converged,
-    determined,
-    enough,
-    outliers,
-    quiet,
+    check_chi_square,
+    check_convergence,
+    check_data_amount,
+    check_identifiability,
+    check_limit,
+    check_outliers,
+    check_redundancy,
+    hide_pass_reason,
 )
 from fss_arm_calib.drift.problem import TOLERANCE
 from fss_arm_calib.drift.settings import DriftSettings
@@ -28,7 +28,7 @@ def long_enough(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> 
     """Check that the base drifted for long enough."""
     total = sum(drift.times[-1] for drift in drifts)
     reason = f"{total:.0f} s of drift, at least {s.min_time:g} s needed"
-    return enough("time", total, s.min_time, reason, streams)
+    return check_data_amount("time", total, s.min_time, reason, streams)
 
 
 def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
@@ -37,23 +37,25 @@ def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
     tilt = float(np.sqrt(np.diag(r.covariance)[:2]).max()) / GRAVITY
     torque = r.hose_torque[1]
     return [
-        quiet(determined(r.undetermined, r.missing, r.condition_number, MAX_CONDITION)),
-        converged(m.converged, m.iterations, m.last_update, TOLERANCE),
-        by_chance(
+        hide_pass_reason(
+            check_identifiability(r.undetermined, r.missing, r.condition_number, MAX_CONDITION)
+        ),
+        check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE),
+        check_chi_square(
             "fit", m.cost, r.problem.degrees_of_freedom, s.min_probability,
             "something else moved the base, or it errs by more than assumed",
         ),
-        outliers(
+        check_outliers(
             solution.errors, solution.kept, s.outlier, s.max_outliers, "drift",
             "error of a drift predicted from the others, in its deviations,",
         ),
-        checked(r.checks[2], solution.kept, s.min_redundancy, "drift"),
-        at_most(
+        check_redundancy(r.checks[2], solution.kept, s.min_redundancy, "drift"),
+        check_limit(
             "tilt", tilt, s.max_tilt,
             f"tilt known to {np.degrees(tilt):.2g} degrees (at most {np.degrees(s.max_tilt):.2g})",
             "drift for longer",
         ),
-        at_most(
+        check_limit(
             "torque", torque, s.max_torque,
             f"hose torque known to {torque:.2g} N m (at most {s.max_torque:g})",
             "drift for longer",

@@ -11,11 +11,11 @@ from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.drift.solution import Solution
 from fss_arm_calib.messages import (
     common_message,
-    flat,
+    flatten,
     joints_input,
     poses_input,
-    rows,
-    stamped,
+    reshape_rows,
+    set_header,
 )
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.drifts import Drift, DriftFinder
@@ -36,8 +36,8 @@ def to_message(outcome: Outcome[Drift, Solution], frame_id: str) -> msg.DriftCal
     if found := outcome.solution:
         message.hose_torque, message.hose_torque_deviation = found.result.hose_torque
         values, deviations = found.result.momenta
-        message.momenta = flat(found.of_all(values))
-        message.momentum_deviations = flat(found.of_all(deviations))
+        message.momenta = flatten(found.of_all(values))
+        message.momentum_deviations = flatten(found.of_all(deviations))
     return message
 
 
@@ -49,7 +49,7 @@ def drifts_message(drifts: Sequence[Drift], frame_id: str) -> msg.Drifts:
             end=to_time(one.end),
             q=list(one.q),
             times=list(one.times),
-            poses=flat(one.poses),
+            poses=flatten(one.poses),
             frames=list(one.frames),
             seconds=list(one.seconds),
             used=one.used,
@@ -57,7 +57,7 @@ def drifts_message(drifts: Sequence[Drift], frame_id: str) -> msg.Drifts:
         )
         for one in drifts
     ]
-    return stamped(msg.Drifts(drifts=ones), ones, frame_id)
+    return set_header(msg.Drifts(drifts=ones), ones, frame_id)
 
 
 def drifts_of(message: msg.Drifts) -> list[Drift]:
@@ -68,7 +68,7 @@ def drifts_of(message: msg.Drifts) -> list[Drift]:
             end=stamp_ns(one.end),
             q=tuple(map(float, one.q)),
             times=tuple(map(float, one.times)),
-            poses=rows(one.poses, 3),
+            poses=reshape_rows(one.poses, 3),
             frames=tuple(map(int, one.frames)),
             seconds=tuple(map(float, one.seconds)),
             used=bool(one.used),

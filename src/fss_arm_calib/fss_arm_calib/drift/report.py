@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from fss_arm_calib.acceptance import count
+from fss_arm_calib.acceptance import format_count
 from fss_arm_calib.drift.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure, Report, Table
-from fss_arm_calib.report_figures import correlation, influence
-from fss_arm_calib.report_tables import reported, shown_name, text
+from fss_arm_calib.report_figures import draw_correlation, draw_influence
+from fss_arm_calib.report_tables import display_name, format_number, make_report
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import Arm
 from fss_arm_model.units import GRAVITY
@@ -20,12 +20,12 @@ def drift_report(outcome: Outcome[Drift, Solution], _: Arm | None = None) -> Rep
     o = outcome
     figures = (
         Figure("drift_drifts", "Each drift",
-               lambda: influence(o, "error predicted from others [deviations]")),
+               lambda: draw_influence(o, "error predicted from others [deviations]")),
         Figure("drift_correlation", "Correlation of the parameters",
-               lambda: correlation(o.covariance, o.names)),
+               lambda: draw_correlation(o.covariance, o.names)),
     )  # fmt: skip
-    title = f"Drift of {o.arm.name}, {count(len(o.used), 'drift')}"
-    return reported(title, o, (_parameters(o), _momenta(o)), figures=figures)
+    title = f"Drift of {o.arm.name}, {format_count(len(o.used), 'drift')}"
+    return make_report(title, o, (_parameters(o), _momenta(o)), figures=figures)
 
 
 def _parameters(outcome: Outcome[Drift, Solution]) -> Table:
@@ -37,7 +37,7 @@ def _parameters(outcome: Outcome[Drift, Solution]) -> Table:
     ]
     acting.append(("mean torque of the hose", "N m", *torque))
     acting += [
-        (shown_name(e.names[k], e, WORDS[k]), e.units[k], e.values[k], e.deviations[k])
+        (display_name(e.names[k], e, WORDS[k]), e.units[k], e.values[k], e.deviations[k])
         for k in (2, 3, 4)
     ]
     rows = [[name, unit, *_pair(value, sigma)] for name, unit, value, sigma in acting]
@@ -66,4 +66,4 @@ def _momenta(outcome: Outcome[Drift, Solution]) -> Table:
 
 
 def _pair(value: float, deviation: float) -> list[str]:
-    return [text(value, ".6f"), text(deviation, ".6f")]
+    return [format_number(value, ".6f"), format_number(deviation, ".6f")]

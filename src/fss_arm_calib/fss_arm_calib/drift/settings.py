@@ -5,7 +5,7 @@ from math import radians
 from typing import ClassVar
 
 from fss_arm_calib.segments.settings import DriftFinderSettings
-from fss_arm_calib.settings import CalibrationSettings, most
+from fss_arm_calib.settings import CalibrationSettings, max_data
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
 
 
@@ -23,7 +23,7 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     )
 
     arm: str = setting("", "description YAML of masses and inertias; empty: the paper's arm")
-    max_drifts: int = most(30, "drifts")
+    max_drifts: int = max_data(30, "drifts")
     position_deviation: float = setting(
         0.001, "1 sigma of a position of the base, each axis", unit="m", check=POSITIVE
     )

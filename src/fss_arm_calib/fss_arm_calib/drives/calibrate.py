@@ -5,12 +5,19 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check, clocks_kept, enough
+from fss_arm_calib.acceptance import (
+    FAIL,
+    NOT_EVALUATED,
+    PASS,
+    Check,
+    check_clocks,
+    check_data_amount,
+)
 from fss_arm_calib.drives.motion import Samples
 from fss_arm_calib.drives.problem import COULOMB, GAIN, KT, NAMES, VISCOUS, ZERO, Drive, solve
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.outcome import LIVE, Estimate, Outcome, concluded
+from fss_arm_calib.outcome import LIVE, Estimate, Outcome, make_outcome
 from fss_arm_calib.segments.excitations import Excitation
 from fss_arm_calib.segments.samples import Stamps
 from fss_arm_calib.segments.streams import Streams
@@ -86,8 +93,8 @@ def calibrate(
     fewest = min(one.stamps.size for one in links)
     words = f"{fewest} frames of each link while a joint turned (at least {FEWEST})"
     checks = [
-        clocks_kept(streams, s.joint_gap),
-        enough("telemetry", fewest, FEWEST, words, streams),
+        check_clocks(streams, s.joint_gap),
+        check_data_amount("telemetry", fewest, FEWEST, words, streams),
     ]
     if fewest >= FEWEST:
         origin = min(int(one.stamps[0]) for one in links)
@@ -97,7 +104,7 @@ def calibrate(
         estimate = estimate_of(drives, names, units, guess.ravel())
         checks += evaluate(drives)
     columns = [getattr(one, f.name) for one in links for f in fields(one)]
-    return concluded(
+    return make_outcome(
         excitations, used, columns, arm, s, DrivesSettings, streams, source, checks, estimate,
         drives, (lambda: calibrated(arm, drives)) if drives else None,
     )  # fmt: skip

@@ -8,7 +8,7 @@ from fss_arm_calib.drives.calibrate import calibrate
 from fss_arm_calib.drives.problem import Drive
 from fss_arm_calib.drives.report import drives_report
 from fss_arm_calib.drives.settings import DrivesSettings
-from fss_arm_calib.messages import common_message, stamped
+from fss_arm_calib.messages import common_message, set_header
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.excitations import Excitation, ExcitationFinder, Frame, Frames
 from fss_arm_msgs import msg
@@ -54,7 +54,7 @@ def excitations_message(excitations: Sequence[Excitation], frame_id: str) -> msg
         )
         for one in excitations
     ]
-    return stamped(msg.Excitations(excitations=ones), ones, frame_id)
+    return set_header(msg.Excitations(excitations=ones), ones, frame_id)
 
 
 def _frames_message(frames: Frames) -> msg.LinkFrames:

@@ -7,7 +7,7 @@ import numpy as np
 from fss_arm_calib.drives.problem import NAMES, Drive
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Report, Table
-from fss_arm_calib.report_tables import reported, text
+from fss_arm_calib.report_tables import format_number, make_report
 from fss_arm_model.description import Arm
 
 
@@ -17,8 +17,8 @@ def drives_report(outcome: Outcome[Any, list[Drive]], truth: Arm | None = None) 
     found = outcome.solution
     tables = [_parameters(outcome, truth)]
     if found is None:
-        return reported(title, outcome, tables)
-    return reported(title, outcome, [*tables, _refused(found)], [_data(found)])
+        return make_report(title, outcome, tables)
+    return make_report(title, outcome, [*tables, _refused(found)], [_data(found)])
 
 
 def _parameters(outcome: Outcome[Any, list[Drive]], truth: Arm | None) -> Table:
@@ -35,11 +35,18 @@ def _parameters(outcome: Outcome[Any, list[Drive]], truth: Arm | None) -> Table:
         if np.isnan(numbers[1]):
             continue
         off = (numbers[1] - true.get(name, np.nan)) / numbers[2]
-        rows.append([name, unit, *(text(x, ".4g") for x in numbers[:2]), text(numbers[2], ".2g")])
+        rows.append(
+            [
+                name,
+                unit,
+                *(format_number(x, ".4g") for x in numbers[:2]),
+                format_number(numbers[2], ".2g"),
+            ]
+        )
         if abs(numbers[1]) <= 2.0 * numbers[2]:
             weak.append(len(rows) - 1)
         if truth:
-            rows[-1].append(text(off, "+.1f"))
+            rows[-1].append(format_number(off, "+.1f"))
     head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
     note = (
         "Torques are to the scale of the described masses, taken as they are; "
@@ -66,7 +73,7 @@ def _refused(found: list[Drive]) -> Table:
 
 def _data(found: list[Drive]) -> Table:
     rows = [
-        [str(i), f"{one.moving:.1f}", *(text(1e3 * x, ".2f") for x in one.residuals)]
+        [str(i), f"{one.moving:.1f}", *(format_number(1e3 * x, ".2f") for x in one.residuals)]
         for i, one in enumerate(found, 1)
     ]
     head = ["joint", "turns for [s]", "torque's residual [mN m]", "current's residual [mA]"]

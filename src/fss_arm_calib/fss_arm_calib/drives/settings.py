@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from fss_arm_calib.segments.settings import ExcitationSettings
-from fss_arm_calib.settings import KindSettings, most
+from fss_arm_calib.settings import KindSettings, max_data
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
 
 
@@ -22,7 +22,7 @@ class DrivesSettings(ExcitationSettings, KindSettings):
     )
 
     arm: str = setting("", "description YAML, whose masses set the scale; empty: the paper's arm")
-    max_excitations: int = most(600, "excitations")
+    max_excitations: int = max_data(600, "excitations")
     gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
     window: float = setting(
         1.6, "over which torques are compared with the arm's motion", unit="s", check=POSITIVE

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.acceptance import PASS, clocks_kept, joints_known
+from fss_arm_calib.acceptance import PASS, check_clocks, check_joint_names
 from fss_arm_calib.dynamic import checks
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution, estimate_of, problem_of, solution_of
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.outcome import LIVE, Outcome, concluded
+from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
@@ -37,13 +37,13 @@ def calibrate(
     """
     s, streams = settings or DynamicSettings(), streams or Streams()
     used = [one for one in maneuvers if one.used]
-    number = checks.number(maneuvers, streams, s)
-    found = [joints_known(streams, arm), clocks_kept(streams, s.joint_gap), number]
-    found.append(checks.gyro_agrees(streams))
-    found += checks.tips_described(used, arm, s)
+    number = checks.check_number(maneuvers, streams, s)
+    found = [check_joint_names(streams, arm), check_clocks(streams, s.joint_gap), number]
+    found.append(checks.check_gyro(streams))
+    found += checks.check_tips(used, arm, s)
     solution = solution_of(problem_of(used, arm, s), s) if number.verdict == PASS else None
     found += checks.evaluate(solution, s) if solution else []
-    return concluded(
+    return make_outcome(
         maneuvers, used, [array for one in used for array in _arrays(one)], arm, s,
         DynamicSettings, streams, source, found, estimate_of(arm, s, used, solution), solution,
         solution.result.calibrated if solution else None,

@@ -9,19 +9,19 @@ import numpy as np
 from fss_arm_calib.acceptance import (
     FAIL,
     PASS,
-    TOLERANCE,
+    UPDATE_TOLERANCE,
     Check,
-    at_most,
-    by_chance,
-    cause,
-    checked,
-    converged,
-    count,
-    determined,
-    enough,
-    fitting,
-    outliers,
-    quiet,
+    cause_check,
+    check_chi_square,
+    check_convergence,
+    check_data_amount,
+    check_fit,
+    check_identifiability,
+    check_limit,
+    check_outliers,
+    check_redundancy,
+    format_count,
+    hide_pass_reason,
 )
 from fss_arm_calib.dynamic.identifiability import INVISIBLE
 from fss_arm_calib.dynamic.problem import DynamicProblem
@@ -37,33 +37,33 @@ from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import wrap
 
-MOST_OFF = 0.2  # largest relative difference of the turns by gyro and by motion capture
+MAX_GYRO_DIFFERENCE = 0.2  # largest relative difference of the turns by gyro and by motion capture
 
 
-def number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings) -> Check:
+def check_number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings) -> Check:
     """Check that the number of maneuvers is sufficient."""
     lost = [one for one in every if not one.used]
     found = len(every) - len(lost)
-    reason = f"{count(found, 'maneuver')} (at least {s.min_maneuvers})"
+    reason = f"{format_count(found, 'maneuver')} (at least {s.min_maneuvers})"
     if found < s.min_maneuvers and lost:
-        reason += f"; {count(len(lost), 'maneuver')} rejected ({lost[0].reason})"
-    return enough("maneuvers", found, s.min_maneuvers, reason, streams)
+        reason += f"; {format_count(len(lost), 'maneuver')} rejected ({lost[0].reason})"
+    return check_data_amount("maneuvers", found, s.min_maneuvers, reason, streams)
 
 
-def gyro_agrees(streams: Streams) -> Check:
+def check_gyro(streams: Streams) -> Check:
     """Check that gyro and motion capture agree on how far the base turns."""
     ratio = streams.gyro_ratio
-    if isnan(ratio) or abs(ratio - 1.0) <= MOST_OFF:
-        return Check("gyro", PASS, ratio, MOST_OFF, "")
+    if isnan(ratio) or abs(ratio - 1.0) <= MAX_GYRO_DIFFERENCE:
+        return Check("gyro", PASS, ratio, MAX_GYRO_DIFFERENCE, "")
     words = f"the gyro turns {ratio:.3g} times as far as motion capture sees"
-    if abs(radians(ratio) - 1.0) <= MOST_OFF:
+    if abs(radians(ratio) - 1.0) <= MAX_GYRO_DIFFERENCE:
         words = f"gyro in degrees a second? {words}"
-    elif abs(ratio + 1.0) <= MOST_OFF:
+    elif abs(ratio + 1.0) <= MAX_GYRO_DIFFERENCE:
         words = f"gyro with the wrong sign? {words}"
-    return Check("gyro", FAIL, ratio, MOST_OFF, words)
+    return Check("gyro", FAIL, ratio, MAX_GYRO_DIFFERENCE, words)
 
 
-def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[Check]:
+def check_tips(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[Check]:
     """Check that the observed end effector agrees with the description; [] if it was not seen.
 
     The base's motion cannot show this, because wrong link lengths are absorbed by the estimated
@@ -83,37 +83,37 @@ def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> li
     limit = hypot(s.max_tip_error, errors)
     words = f"end effector {distance:.3f} m from where it is described (at most {limit:.3f} m)"
     failing = "another arm's data, or its kinematics are to be calibrated first"
-    return [quiet(at_most("end_effector", distance, limit, words, failing))]
+    return [hide_pass_reason(check_limit("end_effector", distance, limit, words, failing))]
 
 
 def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
     """Evaluate the checks of a solution."""
     r, m = solution.result, solution.result.minimum
     left = solution.first.left
-    fit = fitting(
+    fit = check_fit(
         float(np.sum(left.squares)), float(np.sum(left.freedom)), s.min_probability,
         "residuals are larger than the deviations allow", solution.noise,
     )  # fmt: skip
     found = []
     if fit.verdict == FAIL and _fits_swapped(solution.first.problem, s):
-        found = [cause("the end effector is taken for the base")]
+        found = [cause_check("the end effector is taken for the base")]
     return [
         *found,
-        _determined(solution),
-        converged(m.converged, m.iterations, m.last_update),
-        _measurable(r),
-        _within_bounds(r),
+        _check_identifiability(solution),
+        check_convergence(m.converged, m.iterations, m.last_update),
+        _check_measurable(r),
+        _check_bounds(r),
         fit,
-        outliers(
+        check_outliers(
             solution.errors, solution.kept, s.outlier, s.max_outliers, "maneuver",
             "error of a maneuver predicted from the others, in its deviations,",
         ),
-        checked(r.redundancy, solution.kept, s.min_redundancy, "maneuver"),
-        _precise(r, s),
+        check_redundancy(r.redundancy, solution.kept, s.min_redundancy, "maneuver"),
+        _check_precision(r, s),
     ]  # fmt: skip
 
 
-def _measurable(r: DynamicResult) -> Check:
+def _check_measurable(r: DynamicResult) -> Check:
     """Check that no parameter is at a bound only because of its own errors."""
     names = [name for name in r.at_bound if name in r.beyond_reach]
     words = f"{', '.join(names)} not measurable from this: give a prior or leave it out"
@@ -121,7 +121,7 @@ def _measurable(r: DynamicResult) -> Check:
     return Check("measurable", verdict, len(names), 0, words if names else "")
 
 
-def _within_bounds(r: DynamicResult) -> Check:
+def _check_bounds(r: DynamicResult) -> Check:
     """Check that no well-measured parameter is at a bound of what is physically possible."""
     held = [name for name in r.at_bound if name not in r.beyond_reach]
     words = f"at the bound of what is possible: {', '.join(held)}"
@@ -129,12 +129,14 @@ def _within_bounds(r: DynamicResult) -> Check:
     return Check("bounds", FAIL if held else PASS, len(held), 0, words if held else "")
 
 
-def _determined(solution: Solution) -> Check:
+def _check_identifiability(solution: Solution) -> Check:
     r = solution.result
     missing = len(r.values) - len(r.minimum.basis.s) - len(r.at_bound)
     invisible = sum(d.kind == INVISIBLE for d in solution.directions)
     hint = f", {invisible} invisible to any maneuver"
-    return quiet(determined(r.inseparable, missing, r.condition_number, MAX_CONDITION, hint))
+    return hide_pass_reason(
+        check_identifiability(r.inseparable, missing, r.condition_number, MAX_CONDITION, hint)
+    )
 
 
 def _fits_swapped(problem: DynamicProblem, s: DynamicSettings) -> bool:
@@ -150,12 +152,12 @@ def _fits_swapped(problem: DynamicProblem, s: DynamicSettings) -> bool:
     )
     sigma = problem.sigma.copy()
     sigma[..., :2] = np.hypot(sigma[..., :2], (np.abs(away) * sigma[..., 2])[..., None])
-    r = solve(replace(problem, poses=poses, sigma=sigma), tolerance=TOLERANCE)
+    r = solve(replace(problem, poses=poses, sigma=sigma), tolerance=UPDATE_TOLERANCE)
     freedom = problem.degrees_of_freedom
-    return by_chance("", r.chi_square, freedom, s.min_probability, "").verdict == PASS
+    return check_chi_square("", r.chi_square, freedom, s.min_probability, "").verdict == PASS
 
 
-def _precise(r: DynamicResult, s: DynamicSettings) -> Check:
+def _check_precision(r: DynamicResult, s: DynamicSettings) -> Check:
     """Check the least certain parameter against the required precision.
 
     The limit for masses and inertias is a share of the described value. A share of the estimate
@@ -177,7 +179,7 @@ def _precise(r: DynamicResult, s: DynamicSettings) -> Check:
     share = f"{100 * s.max_relative:g} % of a described mass or inertia"
     asked = f"(at most {share}, {s.max_place:g} m)"
     words = f"{at} {asked}" if at else ""
-    check = at_most("precision", worst, 1.0, words, "too uncertain")
+    check = check_limit("precision", worst, 1.0, words, "too uncertain")
     if check.verdict == PASS:
         return check
     return replace(check, reason=f"{check.reason}: give a prior, leave it out, or measure more")

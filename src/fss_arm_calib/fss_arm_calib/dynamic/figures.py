@@ -9,12 +9,12 @@ import numpy.typing as npt
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report_figures import figure
+from fss_arm_calib.report_figures import empty_figure
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.base_motion import base_poses
 
-FINE = 100  # number of predicted poses drawn for a maneuver
-BETWEEN = 2.0  # gap drawn between two maneuvers [s]
+DRAWN_POSES = 100  # number of predicted poses drawn for a maneuver
+MANEUVER_GAP = 2.0  # gap drawn between two maneuvers [s]
 SCALES = (1e3, 1e3, float(np.degrees(1.0)))  # to mm, mm, deg
 STYLES: tuple[dict[str, Any], ...] = (
     {"color": "tab:orange", "linewidth": 1.5},
@@ -27,9 +27,9 @@ def _edges(outcome: Outcome[Maneuver, Solution]) -> npt.NDArray[np.int64]:
     return np.cumsum([0, *(len(one.marks) for one in outcome.used)])
 
 
-def motion(outcome: Outcome[Maneuver, Solution]) -> Any:
+def draw_motion(outcome: Outcome[Maneuver, Solution]) -> Any:
     """Plot the base's pose in each maneuver: measured at its marks, predicted throughout."""
-    drawing = figure((14, 9))
+    drawing = empty_figure((14, 9))
     axes = drawing.subplots(3, 1, sharex=True)
     begin, middles = 0.0, []
     for number, one, times, predicted in _predictions(outcome):
@@ -39,15 +39,15 @@ def motion(outcome: Outcome[Maneuver, Solution]) -> Any:
             for k, style in enumerate(("-", ".")):
                 poses = (predicted - predicted[0], measured)[k]
                 axis.plot(places[k], SCALES[column] * poses[:, column], style, **STYLES[k])
-            axis.axvline(places[0][-1] + 0.5 * BETWEEN, color="0.85", linewidth=0.8)
+            axis.axvline(places[0][-1] + 0.5 * MANEUVER_GAP, color="0.85", linewidth=0.8)
         middles.append((begin + 0.5 * np.ptp(times), str(number)))
-        begin = places[0][-1] + BETWEEN
+        begin = places[0][-1] + MANEUVER_GAP
     for axis, label in zip(axes, ("x [mm]", "y [mm]", "heading [deg]"), strict=True):
         axis.set_ylabel(f"change of {label}")
         axis.grid(axis="y", alpha=0.25)
     words = "predicted", "measured"
     drawing.legend(axes[0].lines[:2], words, loc="outside upper right", ncols=2)
-    axes[2].set_xlim(-0.5 * BETWEEN, begin - 0.5 * BETWEEN)
+    axes[2].set_xlim(-0.5 * MANEUVER_GAP, begin - 0.5 * MANEUVER_GAP)
     axes[2].set_xticks(*zip(*middles, strict=True))
     axes[2].set_xlabel(f"maneuver, each over its time; all together {begin:.0f} s")
     return drawing
@@ -65,14 +65,14 @@ def _predictions(
         zip(outcome.used, outcome.solution.kept, strict=True), start=1
     ):
         if kept:
-            times = np.union1d(one.marks, np.linspace(one.marks[0], one.marks[-1], FINE))
+            times = np.union1d(one.marks, np.linspace(one.marks[0], one.marks[-1], DRAWN_POSES))
             yield number, one, times, base_poses(vector, one.path_at(times), next(states))
 
 
-def residuals(outcome: Outcome[Maneuver, Solution]) -> Any:
+def draw_residuals(outcome: Outcome[Maneuver, Solution]) -> Any:
     """Plot the residual of each pose, with the maneuvers side by side."""
     rows, edges = outcome.estimate.residuals, _edges(outcome)
-    drawing = figure((14, 6))
+    drawing = empty_figure((14, 6))
     position, heading = drawing.subplots(2, 1, sharex=True)
     which = np.arange(len(rows)) + 0.5
     for column, (name, color) in enumerate((("x", "tab:blue"), ("y", "tab:orange"))):

@@ -22,13 +22,13 @@ from fss_arm_model.description import Arm
 from fss_arm_model.joint_path import Law, path, stack
 from fss_arm_model.parameters import to_vector, values
 
-INVISIBLE, HARDLY, SEEN = "invisible", "hardly seen", "seen"
+INVISIBLE, HARDLY_SEEN, VISIBLE = "invisible", "hardly seen", "seen"
 
 #: Singular values below this share of the largest are rounding errors.
-RANK = 1e-9
+RANK_TOLERANCE = 1e-9
 
 #: Components of a direction below this are not printed.
-WORTH = 0.1
+MIN_PRINTED_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Direction:
         """Return its largest components as text, such as `+0.7 b_1 -0.7 I_1`."""
         order = np.argsort(-np.abs(self.weights))
         sign = np.sign(self.weights[order[0]])
-        worth = [k for k in order if abs(self.weights[k]) >= WORTH]
+        worth = [k for k in order if abs(self.weights[k]) >= MIN_PRINTED_WEIGHT]
         return " ".join(f"{sign * self.weights[k]:+.2f} {names[k]}" for k in worth)
 
 
@@ -58,7 +58,7 @@ class Combination:
     deviation: float  # standard deviation of the result; inf: not determined
 
 
-def invisible(arm: Arm, choice: Choice, scale: Floats) -> Floats:
+def invisible_directions(arm: Arm, choice: Choice, scale: Floats) -> Floats:
     """Return combinations of the chosen parameters that no maneuver depends on.
 
     They are computed from the sensitivities of random maneuvers that excite every observable
@@ -74,15 +74,16 @@ def invisible(arm: Arm, choice: Choice, scale: Floats) -> Floats:
     """
     rng = np.random.default_rng(0)
     paths = [
-        path(_swing(arm.n, rng), np.arange(5.0), [0.0, 2.0, 4.0]) for _ in range(len(scale) + 4)
+        path(_random_swing(arm.n, rng), np.arange(5.0), [0.0, 2.0, 4.0])
+        for _ in range(len(scale) + 4)
     ]
     J = base_pose_sensitivities(arm.vector(), stack(paths), np.zeros(8))[1]
     J = J[..., :-8] @ (to_vector(arm.n) @ choice.basis * scale)
     _, s, Vt = np.linalg.svd(J.reshape(-1, len(scale)))
-    return np.asarray(Vt[np.count_nonzero(s > RANK * s[0]) :])
+    return np.asarray(Vt[np.count_nonzero(s > RANK_TOLERANCE * s[0]) :])
 
 
-def _swing(n: int, rng: np.random.Generator) -> Law:
+def _random_swing(n: int, rng: np.random.Generator) -> Law:
     """Return a law of motion in which each joint swings at its own frequency."""
     reach, pace, phase = rng.uniform([[0.3], [0.5], [0.0]], [[1.5], [2.0], [6.0]], (3, n))
 
@@ -93,7 +94,7 @@ def _swing(n: int, rng: np.random.Generator) -> Law:
     return law
 
 
-def units(result: DynamicResult, knowledge: Knowledge) -> Floats:
+def prior_scales(result: DynamicResult, knowledge: Knowledge) -> Floats:
     """Return the prior standard deviation of each parameter (p,); a typical one if no prior."""
     choice, known = result.problem.choice, result.problem.known
     typical = choice.basis.T @ knowledge.deviations(result.problem.arm.n)
@@ -104,10 +105,10 @@ def units(result: DynamicResult, knowledge: Knowledge) -> Floats:
 
 def directions(result: DynamicResult, knowledge: Knowledge) -> list[Direction]:
     """Return all p directions, best observed first, from the data without the priors."""
-    problem, scale = result.problem, units(result, knowledge)
+    problem, scale = result.problem, prior_scales(result, knowledge)
     unseen = np.zeros((0, len(scale)))
     if chosen := len(problem.choice.names):
-        unseen = invisible(problem.arm, problem.choice, scale[:chosen])
+        unseen = invisible_directions(problem.arm, problem.choice, scale[:chosen])
         unseen = np.pad(unseen, ((0, 0), (0, len(scale) - chosen)))
     N = information(problem, result.minimum.x).sum(axis=0)[: len(scale), : len(scale)]
     N *= np.outer(scale, scale)
@@ -117,11 +118,11 @@ def directions(result: DynamicResult, knowledge: Knowledge) -> list[Direction]:
     found = []
     for k in order:
         gain = float(np.sqrt(max(gains[k], 0.0)))
-        found.append(Direction(vectors[:, k], gain, SEEN if gain >= 1.0 else HARDLY))
+        found.append(Direction(vectors[:, k], gain, VISIBLE if gain >= 1.0 else HARDLY_SEEN))
     return found + [Direction(weights, 0.0, INVISIBLE) for weights in unseen]
 
 
-def _gradients(arm: Arm) -> tuple[Floats, Floats]:
+def _combination_gradients(arm: Arm) -> tuple[Floats, Floats]:
     """Return the 2 n + 1 combinations and their derivatives by all parameters.
 
     The derivatives have shape (2 n + 1, 5 n + 6).
@@ -148,7 +149,7 @@ def combinations(result: DynamicResult) -> list[Combination]:
     """Return the combinations that the motion depends on, with their uncertainty."""
     problem = result.problem
     n, chosen = problem.arm.n, problem.choice.basis
-    combined, G = _gradients(result.calibrated())
+    combined, G = _combination_gradients(result.calibrated())
     size = chosen.shape[1]
     by_x, by_assumed = G @ chosen, G[:, result.assumed]
     through = by_x @ result.influence[:size] - by_assumed
@@ -157,7 +158,7 @@ def combinations(result: DynamicResult) -> list[Combination]:
     before = known + np.einsum("ij,jk,ik->i", by_assumed, assumed, by_assumed)
     now = np.einsum("ij,jk,ik->i", by_x, result.random[:size, :size], by_x)
     now += np.einsum("ij,jk,ik->i", through, assumed, through)
-    lost = _beyond_reach(result, by_x)
+    lost = _are_undetermined(result, by_x)
     names = ["m", *(f"{kind}_{j}" for kind in "SK" for j in range(1, n + 1))]
     kinds = ["kg", *["kg m"] * n, *["kg m^2"] * n]
     return [
@@ -172,7 +173,7 @@ def combinations(result: DynamicResult) -> list[Combination]:
     ]
 
 
-def _beyond_reach(result: DynamicResult, by_x: Floats) -> list[bool]:
+def _are_undetermined(result: DynamicResult, by_x: Floats) -> list[bool]:
     """Return, for each gradient, True if it has components in undetermined directions."""
     basis, size = result.minimum.basis, by_x.shape[1]
     rows = np.pad(by_x, ((0, 0), (0, len(result.values) - size))) / basis.scale

@@ -23,7 +23,7 @@ def information(problem: DynamicProblem, unknowns: npt.ArrayLike | None = None) 
     return np.asarray(np.swapaxes(Phi, 1, 2) @ Phi)
 
 
-def propagated(problem: DynamicProblem, total: Floats) -> Floats:
+def propagate_covariance(problem: DynamicProblem, total: Floats) -> Floats:
     """Return the covariance (..., p, p) of an estimate, with that of the assumed parameters.
 
     Args:

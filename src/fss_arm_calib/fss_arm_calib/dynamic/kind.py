@@ -14,12 +14,12 @@ from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.messages import (
     common_message,
-    flat,
+    flatten,
     joints_input,
     poses_input,
     rates_input,
-    rows,
-    stamped,
+    reshape_rows,
+    set_header,
     telemetry_inputs,
 )
 from fss_arm_calib.outcome import Outcome
@@ -47,13 +47,13 @@ def to_message(outcome: Outcome[Maneuver, Solution], frame_id: str) -> msg.Dynam
     if not found:
         return message
     r = found.result
-    message.random_covariance = flat(r.random)
-    message.known = flat(r.problem.known)
-    message.prior_share = flat(r.prior_share)
+    message.random_covariance = flatten(r.random)
+    message.known = flatten(r.problem.known)
+    message.prior_share = flatten(r.prior_share)
     message.at_bound = list(r.at_bound)
     message.assumed = list(r.assumed_names)
-    message.assumed_deviations = flat(r.assumed_deviations)
-    message.bias = flat(r.bias)
+    message.assumed_deviations = flatten(r.assumed_deviations)
+    message.bias = flatten(r.bias)
     message.combinations = [c.name for c in found.combinations]
     message.combination_units = [c.unit for c in found.combinations]
     message.combination_values = [c.value for c in found.combinations]
@@ -62,7 +62,7 @@ def to_message(outcome: Outcome[Maneuver, Solution], frame_id: str) -> msg.Dynam
     message.directions = [d.text(outcome.names) for d in found.directions]
     message.direction_kinds = [d.kind for d in found.directions]
     message.direction_gains = [d.gain for d in found.directions]
-    message.momenta = flat(found.momenta)
+    message.momenta = flatten(found.momenta)
     return message
 
 
@@ -73,11 +73,11 @@ def maneuvers_message(maneuvers: Sequence[Maneuver], frame_id: str) -> msg.Maneu
             start=to_time(m.start),
             end=to_time(m.end),
             samples=[len(times) for times in m.times],
-            times=flat(m.times),
-            q=flat(m.q),
-            qd=flat(m.qd),
+            times=flatten(m.times),
+            q=flatten(m.q),
+            qd=flatten(m.qd),
             marks=list(m.marks),
-            poses=flat(m.poses),
+            poses=flatten(m.poses),
             frames=list(m.frames),
             seconds=list(m.seconds),
             time_offset=m.time_offset,
@@ -87,10 +87,10 @@ def maneuvers_message(maneuvers: Sequence[Maneuver], frame_id: str) -> msg.Maneu
         )
         for m in maneuvers
     ]
-    return stamped(msg.Maneuvers(maneuvers=ones), ones, frame_id)
+    return set_header(msg.Maneuvers(maneuvers=ones), ones, frame_id)
 
 
-def maneuvers_of(message: msg.Maneuvers) -> list[Maneuver]:
+def maneuvers_from_message(message: msg.Maneuvers) -> list[Maneuver]:
     """Return the maneuvers in a message."""
 
     def of_joints(one: msg.Maneuver, numbers: Any) -> tuple[tuple[float, ...], ...]:
@@ -105,7 +105,7 @@ def maneuvers_of(message: msg.Maneuvers) -> list[Maneuver]:
             q=of_joints(one, one.q),
             qd=of_joints(one, one.qd),
             marks=tuple(map(float, one.marks)),
-            poses=rows(one.poses, 3),
+            poses=reshape_rows(one.poses, 3),
             frames=tuple(map(int, one.frames)),
             seconds=tuple(map(float, one.seconds)),
             tip=tuple(map(float, one.tip)),
@@ -122,7 +122,7 @@ DYNAMIC = Calibration(
     about=DynamicSettings.ABOUT,
     settings=DynamicSettings,
     data=Data(
-        "maneuver", Maneuver, "calibration/maneuvers", maneuvers_message, maneuvers_of,
+        "maneuver", Maneuver, "calibration/maneuvers", maneuvers_message, maneuvers_from_message,
         lambda one: f"joints {list(one.moved)} moved",
     ),
     most=lambda s: s.max_maneuvers,

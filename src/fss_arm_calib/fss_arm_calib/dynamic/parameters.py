@@ -130,7 +130,7 @@ class Choice:
         names: list[str] = []
         columns: list[Floats] = []
         for word in words.split():
-            for name, members in _members(word, n):
+            for name, members in _named_parameters(word, n):
                 column = np.isin(every, members).astype(float)
                 if not column.any():
                     raise ValueError(f"{setting} has {word!r}, expected words as b_i I_0 or a name")
@@ -148,7 +148,7 @@ class Choice:
         return np.flatnonzero(self.basis.any(axis=1))
 
 
-def _members(word: str, n: int) -> list[tuple[str, list[str]]]:
+def _named_parameters(word: str, n: int) -> list[tuple[str, list[str]]]:
     """Return the values that a word of a choice means: name, and the parameters that share it."""
     every = parameter_names(n)
     if word in GROUPS:

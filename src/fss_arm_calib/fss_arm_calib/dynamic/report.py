@@ -5,21 +5,21 @@ from pathlib import Path
 
 import numpy as np
 
-from fss_arm_calib.dynamic.figures import motion, residuals
+from fss_arm_calib.dynamic.figures import draw_motion, draw_residuals
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure, Report, Table
-from fss_arm_calib.report_figures import correlation, influence
+from fss_arm_calib.report_figures import draw_correlation, draw_influence
 from fss_arm_calib.report_tables import (
     difference,
-    number,
-    reported,
-    shown_name,
-    shown_unit,
-    text,
-    where_known,
+    display_name,
+    display_unit,
+    format_number,
+    format_value,
+    make_report,
+    mask_undetermined,
 )
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
@@ -33,25 +33,29 @@ def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = Non
     """Report the result of a dynamic calibration, beside the true values if known."""
     o, found = outcome, outcome.solution
     figures = (
-        Figure("dynamic_motion", "Base motion, predicted and measured", lambda: motion(o)),
-        Figure("dynamic_residuals", "Residuals of the base's poses", lambda: residuals(o)),
+        Figure("dynamic_motion", "Base motion, predicted and measured", lambda: draw_motion(o)),
+        Figure("dynamic_residuals", "Residuals of the base's poses", lambda: draw_residuals(o)),
         Figure(
             "dynamic_maneuvers",
             "Each maneuver",
-            lambda: influence(o, "error predicted from others [deviations]"),
+            lambda: draw_influence(o, "error predicted from others [deviations]"),
         ),
         Figure(
             "dynamic_correlation",
             "Correlation of the parameters",
-            lambda: correlation(o.covariance, o.names),
+            lambda: draw_correlation(o.covariance, o.names),
         ),
     )
-    tables = (_parameters(o, truth), _combinations(o), _residual_table(o))
-    details = (_maneuvers(o, found), _directions(o, found), _bias(o, found)) if found else ()
-    return reported(f"Dynamic calibration of {o.arm.name}", o, tables, details, figures)
+    tables = (_parameter_table(o, truth), _combination_table(o), _residual_table(o))
+    details = (
+        (_maneuver_table(o, found), _direction_table(o, found), _bias_table(o, found))
+        if found
+        else ()
+    )
+    return make_report(f"Dynamic calibration of {o.arm.name}", o, tables, details, figures)
 
 
-def _values(arm: Arm, names: Sequence[str]) -> Floats:
+def _parameter_values(arm: Arm, names: Sequence[str]) -> Floats:
     """Return an arm's values of the named parameters, averaged where several share one."""
 
     def value(name: str) -> float:
@@ -63,7 +67,7 @@ def _values(arm: Arm, names: Sequence[str]) -> Floats:
     return np.array([value(name) for name in names])
 
 
-def _promised(plan: str) -> Mapping[str, float]:
+def _read_promised(plan: str) -> Mapping[str, float]:
     """Return the standard deviations that a plan of `design` promised, by name.
 
     Raises:
@@ -79,29 +83,29 @@ def _promised(plan: str) -> Mapping[str, float]:
     return given
 
 
-def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Table:
+def _parameter_table(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Table:
     """Tabulate the parameters beside the paper's Table 4 and, if known, the true values."""
     e, p, known = outcome.estimate, len(outcome.names), truth is not None
     paper = np.full(p, np.nan)
     if outcome.arm.n == paper_arm().n:
-        paper = _values(paper_arm(), e.names)
-    true = np.full(p, np.nan) if truth is None else _values(truth, e.names)
+        paper = _parameter_values(paper_arm(), e.names)
+    true = np.full(p, np.nan) if truth is None else _parameter_values(truth, e.names)
     r = outcome.solution.result if outcome.solution else None
-    sigma = where_known(e, e.deviations)
-    random = where_known(e, np.sqrt(np.diag(r.random)) if r else sigma)
-    share = where_known(e, r.prior_share if r else sigma)
+    sigma = mask_undetermined(e, e.deviations)
+    random = mask_undetermined(e, np.sqrt(np.diag(r.random)) if r else sigma)
+    share = mask_undetermined(e, r.prior_share if r else sigma)
     plan = outcome.settings.plan
-    given = _promised(plan) if plan else {}
+    given = _read_promised(plan) if plan else {}
     promised = np.array([given.get(name, np.nan) for name in e.names])
     rows = []
     for k, (name, unit) in enumerate(zip(e.names, e.units, strict=True)):
         columns = [paper, e.initial, *[true] * known, e.values, *[promised] * bool(plan)]
         columns += [e.deviations, random]
-        row = [shown_name(name, e), shown_unit(unit)]
-        row += [number(column[k], unit) for column in columns]
-        row.append(text(100.0 * share[k], ".0f"))
+        row = [display_name(name, e), display_unit(unit)]
+        row += [format_value(column[k], unit) for column in columns]
+        row.append(format_number(100.0 * share[k], ".0f"))
         if known:
-            row.append(text(difference(e.values[k], true[k], unit) / sigma[k], "+.2f"))
+            row.append(format_number(difference(e.values[k], true[k], unit) / sigma[k], "+.2f"))
         rows.append(row)
     head = [
         "parameter", "unit", "Table 4", "guess", *["truth"] * known, "estimate",
@@ -116,9 +120,9 @@ def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Tabl
     return Table("Parameters", head, rows, words=2, note=note, weak=weak)
 
 
-def _combinations(outcome: Outcome[Maneuver, Solution]) -> Table:
+def _combination_table(outcome: Outcome[Maneuver, Solution]) -> Table:
     rows = [
-        [c.name, c.unit, *(number(x, c.unit) for x in (c.value, c.deviation, c.before))]
+        [c.name, c.unit, *(format_value(x, c.unit) for x in (c.value, c.deviation, c.before))]
         for c in (outcome.solution.combinations if outcome.solution else ())
     ]
     head = ["combination", "unit", "estimate", "± 1 sigma", "± before"]
@@ -131,21 +135,21 @@ def _combinations(outcome: Outcome[Maneuver, Solution]) -> Table:
 
 def _residual_table(outcome: Outcome[Maneuver, Solution]) -> Table:
     rows = [
-        ["position", "m", "-", number(outcome.estimate.position_residual, "m")],
+        ["position", "m", "-", format_value(outcome.estimate.position_residual, "m")],
         [
-            "heading", "deg", number(PAPER_HEADING_RESIDUAL, "rad"),
-            number(outcome.estimate.heading_residual, "rad"),
+            "heading", "deg", format_value(PAPER_HEADING_RESIDUAL, "rad"),
+            format_value(outcome.estimate.heading_residual, "rad"),
         ],
     ]  # fmt: skip
     head = ["of the base's", "unit", "paper", "here"]
     return Table("Standard deviation of the residuals", head, rows, words=2)
 
 
-def _maneuvers(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
+def _maneuver_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
     e = outcome.estimate
     rows = [
-        [str(k + 1), *(text(value, "+.3f") for value in momentum), f"{e.leverage[k]:.2f}",
-         text(e.errors[k], ".2f"), f"{e.weights[k]:.2f}", e.reasons[k]]
+        [str(k + 1), *(format_number(value, "+.3f") for value in momentum), f"{e.leverage[k]:.2f}",
+         format_number(e.errors[k], ".2f"), f"{e.weights[k]:.2f}", e.reasons[k]]
         for k, momentum in enumerate(found.momenta)
     ]  # fmt: skip
     head = ["", "p_x [N s]", "p_y [N s]", "L [N m s]", "leverage", "error", "weight", ""]
@@ -155,10 +159,10 @@ def _maneuvers(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
     return Table("Maneuvers", head, rows, note=note)
 
 
-def _directions(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
+def _direction_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
     """Tabulate the combinations of parameters, least observed first."""
     rows = [
-        [one.kind, one.text(outcome.names), text(one.gain, ".3g")]
+        [one.kind, one.text(outcome.names), format_number(one.gain, ".3g")]
         for one in sorted(found.directions, key=lambda one: one.gain)
     ]
     note = "By how much the data alone narrow what was known beforehand."
@@ -166,11 +170,11 @@ def _directions(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
     return Table("What these maneuvers see", head, rows, words=2, note=note)
 
 
-def _bias(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
+def _bias_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
     """Tabulate the bias by wrong assumptions, in standard deviations of the parameters."""
     bias = found.result.bias / outcome.deviations[:, None]
     rows = [
-        [name, *(text(value, "+.2f") for value in row)]
+        [name, *(format_number(value, "+.2f") for value in row)]
         for name, row in zip(outcome.names, bias, strict=True)
     ]
     note = "Shift of each value, in its deviations, if an assumed one is 1 sigma higher in truth."

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.segments.settings import ManeuverSettings
-from fss_arm_calib.settings import SHARE, CalibrationSettings, most
+from fss_arm_calib.settings import FRACTION, CalibrationSettings, max_data
 from fss_arm_model.settings import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -35,7 +35,7 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
 
     tip_topic: str = like(Vehicle, "tip_topic")
     gyro_topic: str = setting("fog/imu", "topic of the base's turn rates")
-    max_maneuvers: int = most(100, "maneuvers")
+    max_maneuvers: int = max_data(100, "maneuvers")
     plan: str = setting(
         "", "file of `design` by which the maneuvers were made: the report has what it promised"
     )
@@ -96,7 +96,7 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         unit="deviations", check=POSITIVE,
     )  # fmt: skip
     min_redundancy: float = setting(
-        1e-3, "least share of a maneuver's error that the others let show, squared", check=SHARE
+        1e-3, "least share of a maneuver's error that the others let show, squared", check=FRACTION
     )
     max_tip_error: float = setting(
         0.03,

@@ -6,7 +6,7 @@ from math import inf, nan
 
 import numpy as np
 
-from fss_arm_calib.acceptance import TOLERANCE
+from fss_arm_calib.acceptance import UPDATE_TOLERANCE
 from fss_arm_calib.dynamic.identifiability import Combination, Direction, combinations, directions
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.problem import DynamicProblem
@@ -48,7 +48,7 @@ def problem_of(
             late = s.path_timing * np.gradient(np.array(one.poses), one.marks, axis=0)
             rows = np.flatnonzero(way)
             spread[rows] = np.hypot(spread[rows], late[rows])
-    return known_beforehand(arm, s, stack([one.path for one in maneuvers]), poses, sigma)
+    return problem_with_priors(arm, s, stack([one.path for one in maneuvers]), poses, sigma)
 
 
 def pose_deviations(s: DynamicSettings) -> Floats:
@@ -59,7 +59,7 @@ def pose_deviations(s: DynamicSettings) -> Floats:
     return deviations
 
 
-def known_beforehand(
+def problem_with_priors(
     arm: Arm, settings: DynamicSettings, path: Path, poses: Floats, sigma: Floats
 ) -> DynamicProblem:
     """Return the problem of maneuvers, with the prior knowledge from the settings."""
@@ -77,11 +77,11 @@ def known_beforehand(
     )  # fmt: skip
 
 
-def nothing_seen(arm: Arm, settings: DynamicSettings) -> DynamicProblem:
+def problem_without_data(arm: Arm, settings: DynamicSettings) -> DynamicProblem:
     """Return the problem without any maneuver."""
     n, none = arm.n, np.empty((0, 1, 3))
     nowhere = Path(np.empty((0, 1, 3 * n + 1)), np.empty((0, 1, 2 * n + 2)))
-    return known_beforehand(arm, settings, nowhere, none, none)
+    return problem_with_priors(arm, settings, nowhere, none, none)
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
         def with_noise(deviations: Floats) -> tuple[DynamicResult, Left]:
             those = problem.only(mask).scaled(deviations / largest)
             result, weights[mask], errors[:] = weighed(
-                lambda weight: _weighed(those, weight), len(errors), s.loss
+                lambda weight: _solve_weighted(those, weight), len(errors), s.loss
             )
             return result, result.left
 
@@ -141,9 +141,9 @@ def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
     )  # fmt: skip
 
 
-def _weighed(problem: DynamicProblem, weights: Floats) -> tuple[DynamicResult, Floats]:
+def _solve_weighted(problem: DynamicProblem, weights: Floats) -> tuple[DynamicResult, Floats]:
     scale = np.sqrt(weights)[:, None, None]
-    result = solve(replace(problem, sigma=problem.sigma / scale), tolerance=TOLERANCE)
+    result = solve(replace(problem, sigma=problem.sigma / scale), tolerance=UPDATE_TOLERANCE)
     return result, result.checks[1]
 
 
@@ -152,7 +152,7 @@ def estimate_of(
 ) -> Estimate:
     """Convert the solution to the estimate that all kinds of calibration share."""
     if solution is None:
-        problem = nothing_seen(arm, s)
+        problem = problem_without_data(arm, s)
         reasons = len(used) * ("",)
         return Estimate(problem.names, problem.units, problem.guess, reasons=reasons)
     r = solution.result
@@ -161,7 +161,7 @@ def estimate_of(
         problem.names, problem.units, problem.guess, r.values, r.covariance, r.deviations,
         undetermined=r.inseparable,
         at_bound=r.at_bound,
-        residuals=_residuals(solution, used),
+        residuals=_pose_residuals(solution, used),
         weights=solution.weights,
         leverage=solution.leverage,
         errors=solution.errors,
@@ -176,7 +176,7 @@ def estimate_of(
     )  # fmt: skip
 
 
-def _residuals(solution: Solution, used: Sequence[Maneuver]) -> Floats:
+def _pose_residuals(solution: Solution, used: Sequence[Maneuver]) -> Floats:
     """Return the residuals (sum of marks, 3) of all maneuvers; NaN for rejected ones."""
     every = np.full((len(used), solution.result.residuals.shape[1], 3), nan)
     every[solution.kept] = solution.result.residuals

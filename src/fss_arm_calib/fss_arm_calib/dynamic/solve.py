@@ -8,12 +8,12 @@ from fss_arm_calib.estimation.least_squares import Floats, Indices, Linear, mini
 
 TOLERANCE = 1e-7  # largest last update [deviations]
 
-DRAWS = 128  # draws solved in one batch, limited by the processor's caches
+BATCH_SIZE = 128  # draws solved in one batch, limited by the processor's caches
 
-FIRST = 2  # first iterations, of only the maneuvers' own unknowns
+STATE_ITERATIONS = 2  # first iterations, of only the maneuvers' own unknowns
 
 
-def underway(problem: DynamicProblem) -> Floats:
+def initial_unknowns(problem: DynamicProblem) -> Floats:
     """Return the initial unknowns: the guess, and the matching initial states of the maneuvers.
 
     The guess of a momentum is zero. If the base turned by radians more than this predicts, the
@@ -21,7 +21,7 @@ def underway(problem: DynamicProblem) -> Floats:
     """
     x = problem.start
     hold = np.zeros((*x.shape[:-1], len(problem.names)))
-    for _ in range(FIRST if (problem.own >= 3).any() else 0):
+    for _ in range(STATE_ITERATIONS if (problem.own >= 3).any() else 0):
         extend = problem.linearize(x).extend
         x = x + extend(hold) if extend else x
     return x
@@ -43,7 +43,10 @@ def solve(
     return DynamicResult(
         problem,
         minimize(
-            problem.linearize, underway(problem), problem.bounds if bounded else None, tolerance
+            problem.linearize,
+            initial_unknowns(problem),
+            problem.bounds if bounded else None,
+            tolerance,
         ),
     )
 
@@ -51,15 +54,15 @@ def solve(
 def solve_all(problem: DynamicProblem, poses: Floats, bounded: bool = True) -> list[DynamicResult]:
     """Solve as `solve` does for N draws of the poses, (N, M, m, 3), as in a Monte Carlo study."""
     found = []
-    for begin in range(0, len(poses), DRAWS):
+    for begin in range(0, len(poses), BATCH_SIZE):
         # Derived from the previous batch, so that cached values of the problem are reused.
-        some = problem = problem.seeing(poses[begin : begin + DRAWS])
+        some = problem = problem.seeing(poses[begin : begin + BATCH_SIZE])
 
         def linearize(x: Floats, which: Indices, some: DynamicProblem = some) -> Linear:
             return some.seeing(some.poses[which]).linearize(x)
 
         bounds = some.bounds if bounded else None
-        minima = minimize_all(linearize, underway(some), bounds, TOLERANCE)
+        minima = minimize_all(linearize, initial_unknowns(some), bounds, TOLERANCE)
         for one, minimum in zip(some.poses, minima, strict=True):
             own = some.seeing(one)
             found.append(DynamicResult(own, minimum) if minimum else solve(own, bounded))

@@ -16,23 +16,30 @@ from math import inf
 
 import numpy as np
 
-from fss_arm_calib.dynamic.information import information, propagated
+from fss_arm_calib.dynamic.information import information, propagate_covariance
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.dynamic.solution import known_beforehand, pose_deviations
+from fss_arm_calib.dynamic.solution import pose_deviations, problem_with_priors
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.least_squares import Floats, Mask
-from fss_arm_calib.experiment.planned import PAUSE, NoManeuver, Planned, least_time, timed, together
-from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions, asked_for
+from fss_arm_calib.experiment.planned import (
+    PAUSE,
+    NoManeuver,
+    Planned,
+    batch_law,
+    speed_limited_duration,
+    torque_limited_duration,
+)
+from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions, parse_goal_words
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Arm
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.joint_path import Path, path, stack
 
-STEP = np.radians(5.0)  # joint angles are multiples of it
-BETWEEN = slice(None, -1), slice(1, None)  # start and end waypoints of the moves
-ATTEMPTS = 3  # number of plans for a goal; the shortest is taken
+ANGLE_STEP = np.radians(5.0)  # joint angles are multiples of it
+MOVE_ENDS = slice(None, -1), slice(1, None)  # start and end waypoints of the moves
+MAX_PLANS = 3  # number of plans for a goal; the shortest is taken
 
 
 def candidates(
@@ -45,14 +52,14 @@ def candidates(
         guard.check_posture(begin, base=np.zeros(3))
     except GuardError:
         return found
-    low = np.ceil(np.array([k.q_min for k in arm.links]) / STEP * 0.95).astype(int)
-    high = np.floor(np.array([k.q_max for k in arm.links]) / STEP * 0.95).astype(int)
+    low = np.ceil(np.array([k.q_min for k in arm.links]) / ANGLE_STEP * 0.95).astype(int)
+    high = np.floor(np.array([k.q_max for k in arm.links]) / ANGLE_STEP * 0.95).astype(int)
 
     n, first = arm.n, begin[None]
 
     def drawn() -> tuple[str, Floats]:
         kind = conditions.kinds[rng.integers(len(conditions.kinds))]
-        ways = STEP * rng.integers(low, high, (int(rng.integers(1, 4)), n), endpoint=True)
+        ways = ANGLE_STEP * rng.integers(low, high, (int(rng.integers(1, 4)), n), endpoint=True)
         if kind == SINGLE:
             joint, way = rng.integers(n), ways[0]
             ways = first.copy()
@@ -65,35 +72,35 @@ def candidates(
     while left and len(found) < count:
         some = [drawn() for _ in range(min(left, count - len(found)))]
         left -= len(some)
-        found += within(guard, some, conditions)
+        found += select_feasible(guard, some, conditions)
     return found
 
 
-def within(
+def select_feasible(
     guard: Guard, some: Sequence[tuple[str, Floats]], conditions: Conditions
 ) -> list[Planned]:
     """Select the maneuvers, each a kind and waypoints, that satisfy the conditions."""
     arm, counts = guard.arm, np.array([len(knots) - 1 for _, knots in some])
     first = np.cumsum(counts) - counts  # index of each maneuver's first move
-    begins, ends = (np.concatenate([knots[part] for _, knots in some]) for part in BETWEEN)
+    begins, ends = (np.concatenate([knots[part] for _, knots in some]) for part in MOVE_ENDS)
     way = ends - begins
 
     def brief(durations: Floats) -> Mask:
         whole = np.add.reduceat(durations, first) + PAUSE * (counts - 1)
         return np.asarray(whole <= conditions.duration)
 
-    far = np.minimum.reduceat(np.abs(way).max(axis=1), first) >= 2.0 * STEP
-    durations = least_time(arm, way)
+    far = np.minimum.reduceat(np.abs(way).max(axis=1), first) >= 2.0 * ANGLE_STEP
+    durations = speed_limited_duration(arm, way)
     worth = np.repeat(far & brief(durations), counts)
-    durations[worth] = timed(arm, begins[worth], ends[worth])
+    durations[worth] = torque_limited_duration(arm, begins[worth], ends[worth])
     each = zip(some, np.split(durations, first[1:]), strict=True)
     plan = [Planned(*one, lasts) for one, lasts in compress(each, far & brief(durations))]
-    return list(compress(plan, _clear(guard, plan))) if plan else []
+    return list(compress(plan, _are_clear(guard, plan))) if plan else []
 
 
-def _clear(guard: Guard, plan: Sequence[Planned]) -> Mask:
+def _are_clear(guard: Guard, plan: Sequence[Planned]) -> Mask:
     """Return a mask of the maneuvers on which the arm stays clear."""
-    (law, edges), clear = together(plan), np.empty(len(plan), dtype=bool)
+    (law, edges), clear = batch_law(plan), np.empty(len(plan), dtype=bool)
     q, qd = law(edges)
     counts = np.array([len(one.durations) for one in plan])
     for count in np.unique(counts):
@@ -103,7 +110,9 @@ def _clear(guard: Guard, plan: Sequence[Planned]) -> Mask:
     return clear
 
 
-def windowed(plan: Sequence[Planned], settings: DynamicSettings, rest: float) -> tuple[Path, float]:
+def windowed_paths(
+    plan: Sequence[Planned], settings: DynamicSettings, rest: float
+) -> tuple[Path, float]:
     """Return the paths with marks in the windows before and after each maneuver.
 
     The second value is the number of independent poses at each mark.
@@ -113,10 +122,10 @@ def windowed(plan: Sequence[Planned], settings: DynamicSettings, rest: float) ->
     middles = window / bins * (np.arange(bins) + 0.5)
     ends = np.array([[one.length + settings.settle_time] for one in plan])
     times = np.concatenate(np.broadcast_arrays(middles - window, ends + middles), axis=1)
-    return path(*together(plan), times), max(1.0, settings.fresh_rate * window / bins)
+    return path(*batch_law(plan), times), max(1.0, settings.fresh_rate * window / bins)
 
 
-def problem(
+def predicted_problem(
     arm: Arm,
     plan: Sequence[Planned],
     settings: DynamicSettings,
@@ -132,7 +141,7 @@ def problem(
         rest: rest before and after a maneuver [s].
         before: maneuvers already executed.
     """
-    batch, fresh = windowed(plan, settings, rest)
+    batch, fresh = windowed_paths(plan, settings, rest)
     sigma = np.tile(pose_deviations(settings) / np.sqrt(fresh), (*batch.marks.shape[:2], 1))
     if before:
         paths = [Path(*rows) for part in (batch, before.path) for rows in zip(*part, strict=True)]
@@ -142,10 +151,10 @@ def problem(
             np.pad(s, ((0, 0), (0, most - s.shape[1]), (0, 0)), constant_values=inf) for s in parts
         ])  # fmt: skip
     poses = base_poses(arm.vector(), batch, np.zeros(8))
-    return known_beforehand(arm, settings, batch, poses, sigma)
+    return problem_with_priors(arm, settings, batch, poses, sigma)
 
 
-def expected(
+def expected_result(
     arm: Arm,
     plan: Sequence[Planned],
     settings: DynamicSettings,
@@ -153,7 +162,7 @@ def expected(
     before: DynamicProblem | None = None,
 ) -> DynamicResult:
     """Return the expected result of a plan (see `problem`); only its deviations are meaningful."""
-    return solve(problem(arm, plan, settings, rest, before), bounded=False)
+    return solve(predicted_problem(arm, plan, settings, rest, before), bounded=False)
 
 
 def design(
@@ -205,16 +214,16 @@ def design(
                 f"none of {3 * tried} maneuvers keeps to {conditions.duration:g} s, the joints' "
                 f"torque, the arm's clearance and a table of {sides} m"
             )
-        model = problem(arm, options, settings, conditions.rest)
+        model = predicted_problem(arm, options, settings, conditions.rest)
         if unknown := set(chosen) - set(model.names):
             raise ValueError(f"{', '.join(sorted(unknown))} is not estimated")
         which = [k for k, name in enumerate(model.names) if not chosen or name in chosen]
         asked = np.array([goal[model.names[k]] for k in which]) if goal else np.empty(0)
         each = information(model)
-        vague = _vague(model, settings)
+        vague = _weak_priors(model, settings)
         spans = np.array([one.length + conditions.rest for one in options])
         now, then = (
-            _size(propagated(model, vague + some)[..., which, :][..., which], asked)
+            _log_size(propagate_covariance(model, vague + some)[..., which, :][..., which], asked)
             for some in (total, total + each)
         )
         best = int(np.argmax((now - then) / spans))
@@ -228,7 +237,7 @@ def design(
     return plan
 
 
-def to_goal(
+def design_for_goal(
     arm: Arm,
     count: int,
     settings: DynamicSettings,
@@ -245,9 +254,9 @@ def to_goal(
     best: list[Planned] = []
 
     def kept(plan: Sequence[Planned]) -> bool:
-        return meets(expected(arm, plan, settings, conditions.rest, before), goal)
+        return meets_goal(expected_result(arm, plan, settings, conditions.rest, before), goal)
 
-    for k in range(ATTEMPTS):
+    for k in range(MAX_PLANS):
         plan = design(
             arm, count, settings, conditions, goal=goal, before=before, seed=(seed, k),
             progress=progress, enough=kept,
@@ -260,14 +269,14 @@ def to_goal(
     return best
 
 
-def goal_of(words: str, names: Sequence[str]) -> dict[str, float]:
+def parse_goal(words: str, names: Sequence[str]) -> dict[str, float]:
     """Parse the requested deviations by name, such as `b_i 0.002 I_4 0.001`, in SI units.
 
     Raises:
         ValueError: a word names no estimated parameter, or no positive number follows it.
     """
     goal = dict[str, float]()
-    for word, asked in asked_for(words):
+    for word, asked in parse_goal_words(words):
         stem = word.removesuffix("_i")
         each = [k for k in names if k.rpartition("_")[0] == stem != word and k != f"{stem}_0"]
         own = [word] if word in names else each
@@ -277,13 +286,13 @@ def goal_of(words: str, names: Sequence[str]) -> dict[str, float]:
     return goal
 
 
-def meets(result: DynamicResult, goal: Mapping[str, float]) -> bool:
+def meets_goal(result: DynamicResult, goal: Mapping[str, float]) -> bool:
     """Return True if the deviations are as small as requested."""
     sigma = dict(zip(result.problem.names, result.deviations, strict=True))
     return all(sigma[name] <= asked for name, asked in goal.items())
 
 
-def _vague(model: DynamicProblem, settings: DynamicSettings) -> Floats:
+def _weak_priors(model: DynamicProblem, settings: DynamicSettings) -> Floats:
     """Return the information (p + c, p + c) of weak priors for parameters without a prior.
 
     The first few maneuvers cannot determine all parameters. Without weak priors they could not be
@@ -296,7 +305,7 @@ def _vague(model: DynamicProblem, settings: DynamicSettings) -> Floats:
     return np.diag(found)
 
 
-def _size(covariance: Floats, asked: Floats) -> Floats:
+def _log_size(covariance: Floats, asked: Floats) -> Floats:
     """Return the logarithm of the size of a covariance.
 
     The size is the determinant or, with a goal, the sum of variances relative to requested ones.

@@ -15,32 +15,38 @@ from rich.progress import Progress
 
 from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_calib import report
-from fss_arm_calib.bag_data import fed
+from fss_arm_calib.bag_data import find_data
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.dynamic.solution import nothing_seen, problem_of
+from fss_arm_calib.dynamic.solution import problem_of, problem_without_data
 from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.experiment import postures
-from fss_arm_calib.experiment.design import design, expected, goal_of, meets, to_goal
+from fss_arm_calib.experiment.design import (
+    design,
+    design_for_goal,
+    expected_result,
+    meets_goal,
+    parse_goal,
+)
 from fss_arm_calib.experiment.design_options import CONDITIONS, parser
-from fss_arm_calib.experiment.excitation import excitation
-from fss_arm_calib.experiment.planned import Planned, to_yaml
+from fss_arm_calib.experiment.excitation import plan_excitation
+from fss_arm_calib.experiment.planned import Planned, plan_to_yaml
 from fss_arm_calib.experiment.settings import JOINT, KINDS, Conditions
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve
 from fss_arm_calib.outcome import LIVE
-from fss_arm_calib.result import arm_of
+from fss_arm_calib.result import read_arm
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described, from_yaml
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.command_line import in_one_line
 
-MANY = 1000  # maneuvers, more than the time allows
+MAX_MANEUVERS = 1000  # maneuvers, more than the time allows
 
 
-class Before(NamedTuple):
+class PriorKnowledge(NamedTuple):
     """Knowledge before an experiment."""
 
     arm: Arm
@@ -48,7 +54,7 @@ class Before(NamedTuple):
     maneuvers: DynamicProblem | None = None  # already executed
 
 
-def made(bag: str, arm: Arm, settings: DynamicSettings) -> Before:
+def prior_from_bag(bag: str, arm: Arm, settings: DynamicSettings) -> PriorKnowledge:
     """Return the knowledge from a bag's maneuvers: the noise and, if accepted, the arm.
 
     Raises:
@@ -56,7 +62,7 @@ def made(bag: str, arm: Arm, settings: DynamicSettings) -> Before:
     """
     with open_bags(bag) as bags:
         finder = DYNAMIC.finder(arm, settings, [])
-        found = fed(bags, finder, DYNAMIC.inputs(settings, arm.n), settings.horizon)
+        found = find_data(bags, finder, DYNAMIC.inputs(settings, arm.n), settings.horizon)
     outcome = DYNAMIC.calibrate(found, arm, settings, finder.streams(), LIVE)
     if not outcome.used:
         why = f": {found[0].reason}" if found else ", it has none"
@@ -66,10 +72,10 @@ def made(bag: str, arm: Arm, settings: DynamicSettings) -> Before:
         settings = outcome.solution.noise.given_to(settings)
         used = tuple(compress(used, outcome.solution.kept))
     arm = from_yaml(outcome.description) if outcome.description else arm
-    return Before(arm, settings, problem_of(used, arm, settings))
+    return PriorKnowledge(arm, settings, problem_of(used, arm, settings))
 
 
-def table(plan: Sequence[Planned]) -> report.Table:
+def plan_table(plan: Sequence[Planned]) -> report.Table:
     """Tabulate the maneuvers of a plan."""
     rows = [
         [str(k), one.kind, f"{one.length:.1f}", "  ".join(
@@ -79,7 +85,7 @@ def table(plan: Sequence[Planned]) -> report.Table:
     return report.Table("Maneuvers", ["", "kind", "time [s]", "to [deg]"], rows, words=2)
 
 
-def outlook(result: DynamicResult) -> report.Table:
+def expected_table(result: DynamicResult) -> report.Table:
     """Tabulate the expected standard deviations."""
     names, units = result.problem.names, result.problem.units
     random = np.sqrt(np.diag(result.random))
@@ -93,7 +99,9 @@ def outlook(result: DynamicResult) -> report.Table:
     return report.Table("To expect", head, rows, words=2)
 
 
-def comparison(arm: Arm, settings: DynamicSettings, given: Conditions, count: int) -> report.Table:
+def comparison_table(
+    arm: Arm, settings: DynamicSettings, given: Conditions, count: int
+) -> report.Table:
     """Compare the kinds of maneuvers at equal floating time.
 
     The time is that of `count` maneuvers of the longest duration.
@@ -103,8 +111,8 @@ def comparison(arm: Arm, settings: DynamicSettings, given: Conditions, count: in
     columns, head = [], ["parameter"]
     for kind in KINDS:
         conditions = replace(given, kinds=(kind,), total=total)
-        plan = design(arm, MANY, settings, conditions, tried=100)
-        result = expected(arm, plan, settings, given.rest)
+        plan = design(arm, MAX_MANEUVERS, settings, conditions, tried=100)
+        result = expected_result(arm, plan, settings, given.rest)
         floating = sum(one.length + given.rest for one in plan)
         head.append(f"{len(plan)} of kind {kind}, {floating:.0f} s")
         columns.append(result.deviations)
@@ -117,7 +125,7 @@ def propose_postures(
     options: argparse.Namespace, arm: Arm, conditions: Conditions, console: Console
 ) -> None:
     """Propose postures for the kinematic calibration."""
-    q = postures.design(arm, options.count, options.seed, settings=conditions)
+    q = postures.design_postures(arm, options.count, options.seed, settings=conditions)
     result = solve(KinematicProblem(q, tip_in_base(arm.vector(), q), arm, FULL))
     rows = [
         [name, unit, f"{value:.5g}", f"{deviation:.2g}"]
@@ -129,7 +137,7 @@ def propose_postures(
     steps = [
         [str(k), str(np.degrees(row).round().astype(int).tolist())] for k, row in enumerate(q, 1)
     ]
-    _show(
+    _print_tables(
         console,
         report.Table("Postures", ["", "q [deg]"], steps),
         report.Table("To expect", ["parameter", "unit", "assumed", "± 1 sigma"], rows, words=2),
@@ -146,20 +154,20 @@ def propose_excitation(
     options: argparse.Namespace, arm: Arm, conditions: Conditions, console: Console
 ) -> None:
     """Propose moves of single joints for the calibration of drives."""
-    plan = excitation(arm, conditions.repeats, conditions, options.seed)
-    _show(console, table(plan))
+    plan = plan_excitation(arm, conditions.repeats, conditions, options.seed)
+    _print_tables(console, plan_table(plan))
     minutes = sum(one.length + conditions.rest for one in plan) / 60.0
     console.print(f"{len(plan)} maneuvers, {minutes:.1f} min; what they promise is not predicted")
     if options.output:
-        _write(options.output, plan, console)
+        _write_plan(options.output, plan, console)
 
 
-def _write(
+def _write_plan(
     path: str, plan: Sequence[Planned], console: Console, result: DynamicResult | None = None
 ) -> None:
     promised = dict(zip(result.problem.names, result.deviations, strict=True)) if result else {}
     known = {name: x for name, x in promised.items() if np.isfinite(x)}
-    Path(path).write_text(to_yaml(plan, known), encoding="utf-8")
+    Path(path).write_text(plan_to_yaml(plan, known), encoding="utf-8")
     console.print(f"plan written to {path}", soft_wrap=True)
 
 
@@ -178,13 +186,13 @@ def propose(options: argparse.Namespace, console: Console) -> None:
     if options.kinematic:
         propose_postures(options, arm, conditions, console)
         return
-    before = Before(arm, settings)
+    before = PriorKnowledge(arm, settings)
     if options.bag:
-        before = made(options.bag, arm, settings)
+        before = prior_from_bag(options.bag, arm, settings)
     elif options.result:
-        before = Before(arm_of(options.result), replace(settings, told=True))
+        before = PriorKnowledge(read_arm(options.result), replace(settings, told=True))
     arm, settings, maneuvers = before
-    goal = goal_of(options.goal, nothing_seen(arm, settings).names)
+    goal = parse_goal(options.goal, problem_without_data(arm, settings).names)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("choosing maneuvers", total=options.count)
 
@@ -192,7 +200,7 @@ def propose(options: argparse.Namespace, console: Console) -> None:
             bar.update(task, completed=k)
 
         if goal:
-            plan = to_goal(
+            plan = design_for_goal(
                 arm, options.count, settings, conditions, goal, maneuvers, options.seed, progress
             )
         else:
@@ -200,13 +208,17 @@ def propose(options: argparse.Namespace, console: Console) -> None:
                 arm, options.count, settings, conditions, options.chosen.split(),
                 before=maneuvers, seed=options.seed, progress=progress,
             )  # fmt: skip
-    result = expected(arm, plan, settings, conditions.rest, maneuvers)
-    tables = [table(plan), outlook(result)]
+    result = expected_result(arm, plan, settings, conditions.rest, maneuvers)
+    tables = [plan_table(plan), expected_table(result)]
     if options.compare:
-        tables.append(comparison(arm, settings, conditions, options.count))
-    _show(console, *tables)
+        tables.append(comparison_table(arm, settings, conditions, options.count))
+    _print_tables(console, *tables)
     if goal:
-        words = "promised" if meets(result, goal) else f"not met by {missing(result, plan, goal)}"
+        words = (
+            "promised"
+            if meets_goal(result, goal)
+            else f"not met by {describe_shortfall(result, plan, goal)}"
+        )
         minutes = sum(one.length + conditions.rest for one in plan) / 60.0
         console.print(f"goal {options.goal}: {words}, in {minutes:.1f} min", soft_wrap=True)
     seen = assumed(settings).deviations[:2]
@@ -215,10 +227,12 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         f"{settings.fresh_rate:g} times a second", soft_wrap=True,
     )  # fmt: skip
     if options.output:
-        _write(options.output, plan, console, result)
+        _write_plan(options.output, plan, console, result)
 
 
-def missing(result: DynamicResult, plan: Sequence[Planned], goal: Mapping[str, float]) -> str:
+def describe_shortfall(
+    result: DynamicResult, plan: Sequence[Planned], goal: Mapping[str, float]
+) -> str:
     """Return a text with the parameter that misses the goal most, and its main cause.
 
     The cause is the assumed parameter with the largest influence on it.
@@ -238,9 +252,9 @@ def missing(result: DynamicResult, plan: Sequence[Planned], goal: Mapping[str, f
     )
 
 
-def _show(console: Console, *tables: report.Table) -> None:
+def _print_tables(console: Console, *tables: report.Table) -> None:
     for one in tables:
-        console.print(report.shown(one))
+        console.print(report.rich_table(one))
 
 
 @in_one_line("design")

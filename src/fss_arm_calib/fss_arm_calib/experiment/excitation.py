@@ -9,19 +9,19 @@ the links at different phases.
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.experiment.planned import NoManeuver, Planned, timed
+from fss_arm_calib.experiment.planned import NoManeuver, Planned, torque_limited_duration
 from fss_arm_calib.experiment.settings import JOINT
 from fss_arm_model.description import Arm
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.guard.settings import GuardSettings
 
-WAYS = (1.2, 0.8, 1.0, 0.3, 0.12, 0.06)  # amplitudes of the moves [rad]
-TIMES = (3.0, 2.4, 4.0, 3.0, 3.0, 3.0)  # least duration of each move [s]
-BENDS = (0.2, 0.7, -1.0, 0.9)  # joint angles of a posture, cyclic; negated for the other [rad]
-UNEVEN = 0.1  # largest relative variation of the durations
+AMPLITUDES = (1.2, 0.8, 1.0, 0.3, 0.12, 0.06)  # amplitudes of the moves [rad]
+MIN_DURATIONS = (3.0, 2.4, 4.0, 3.0, 3.0, 3.0)  # least duration of each move [s]
+POSTURE = (0.2, 0.7, -1.0, 0.9)  # joint angles of a posture, cyclic; negated for the other [rad]
+DURATION_VARIATION = 0.1  # largest relative variation of the durations
 
 
-def excitation(
+def plan_excitation(
     arm: Arm, repeats: int = 1, settings: GuardSettings | None = None, seed: int = 0
 ) -> list[Planned]:
     """Plan one maneuver of back-and-forth moves for each posture and joint.
@@ -37,15 +37,15 @@ def excitation(
     """
     guard, rng = Guard(arm, settings), np.random.default_rng(seed)
     low, high = (0.95 * np.array([getattr(k, q) for k in arm.links]) for q in ("q_min", "q_max"))
-    bends = np.resize(BENDS, arm.n)
+    bends = np.resize(POSTURE, arm.n)
     plan = []
     for posture in [bends, -bends] * repeats:
         begin = np.clip(posture, low, high)
-        plan += [_to_and_fro(guard, begin, j, (low[j], high[j]), rng) for j in range(arm.n)]
+        plan += [_plan_joint(guard, begin, j, (low[j], high[j]), rng) for j in range(arm.n)]
     return plan
 
 
-def _to_and_fro(
+def _plan_joint(
     guard: Guard, begin: Floats, j: int, span: tuple[float, float], rng: np.random.Generator
 ) -> Planned:
     """Plan the largest moves of a joint that keep the arm clear, towards its farther limit first.
@@ -56,14 +56,14 @@ def _to_and_fro(
     sides = sorted((span[0] - begin[j], span[1] - begin[j]), key=abs, reverse=True)
     for share in (1.0, 0.5, 0.25):
         for side in sides:
-            ways = np.sign(side) * np.minimum(share * np.array(WAYS), abs(side))
+            ways = np.sign(side) * np.minimum(share * np.array(AMPLITUDES), abs(side))
             waypoints = np.tile(begin, (2 * len(ways) + 1, 1))
             waypoints[1::2, j] += ways
             durations = np.array(
                 [
-                    time * rng.uniform(1.0, 1.0 + UNEVEN)
-                    for way, least in zip(ways, TIMES, strict=True)
-                    for time in [_time(guard.arm, begin, j, way, least)] * 2
+                    time * rng.uniform(1.0, 1.0 + DURATION_VARIATION)
+                    for way, least in zip(ways, MIN_DURATIONS, strict=True)
+                    for time in [_move_duration(guard.arm, begin, j, way, least)] * 2
                 ]
             )
             planned = Planned(JOINT, waypoints, durations)
@@ -77,7 +77,7 @@ def _to_and_fro(
     raise NoManeuver(f"joint {j + 1} has no room to move alone from {np.round(begin, 2).tolist()}")
 
 
-def _time(arm: Arm, begin: Floats, j: int, way: float, least: float) -> float:
+def _move_duration(arm: Arm, begin: Floats, j: int, way: float, least: float) -> float:
     away = begin.copy()
     away[j] += way
-    return max(least, float(timed(arm, begin, away)))
+    return max(least, float(torque_limited_duration(arm, begin, away)))

@@ -19,11 +19,11 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_calib import state
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.experiment.design import goal_of
-from fss_arm_calib.experiment.planned import Planned, read
-from fss_arm_calib.experiment.postures import default
+from fss_arm_calib.experiment.design import parse_goal
+from fss_arm_calib.experiment.planned import Planned, read_plan
+from fss_arm_calib.experiment.postures import default_postures
 from fss_arm_calib.experiment.settings import ExperimentSettings
-from fss_arm_calib.messages import common
+from fss_arm_calib.messages import calibration_part
 from fss_arm_calib.programs import experiment as main
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
@@ -43,8 +43,8 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.validation import subscribe
 
-ROUNDS = 3  # largest number of repeats of the rejected rests, or of a maneuver
-STALL = 2.0  # longest tolerated stall of this process [s]; then only the operator may resume
+MAX_REPEATS = 3  # largest number of repeats of the rejected rests, or of a maneuver
+MAX_STALL = 2.0  # longest tolerated stall of this process [s]; then only the operator may resume
 
 
 @dataclass
@@ -55,7 +55,7 @@ class Progress:
     done: int = 0  # number of completed postures
 
 
-class Stop(NamedTuple):
+class Waypoint(NamedTuple):
     """Posture that the arm moves to."""
 
     q: Floats  # (n) [rad]
@@ -80,10 +80,10 @@ class ExperimentNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("experiment", **options)
         s = self.settings = declare(self, ExperimentSettings)
-        self.stops = stops(s)
+        self.stops = read_waypoints(s)
         plan: Any = read_yaml(Path(s.maneuvers)) if s.maneuvers else {}
         self.promised = plan.get("promised", {})  # deviations, by name
-        self.writes = state.Writes(self.get_logger())
+        self.writes = state.FileWriter(self.get_logger())
         self.progress = self.restore()
         self.progress.done = min(self.progress.done, len(self.stops))  # without repeated rests
         self.mover = ActionClient(self, MoveArm, "arm/move")
@@ -98,7 +98,7 @@ class ExperimentNode(Node):
         self.reached = ""  # text with the deviations of the goal's parameters
         self.met = False  # True if the goal is met
         self.solved = 0  # stamp of the last calibration result: end of its data [ns]
-        self.way_back: deque[Stop] = deque()  # back to the start of a maneuver to repeat
+        self.way_back: deque[Waypoint] = deque()  # back to the start of a maneuver to repeat
         subscribe(
             self, KinematicObservations, "calibration/observations", self.on_observations, LATCHED
         )
@@ -146,10 +146,10 @@ class ExperimentNode(Node):
 
     def on_result(self, message: Any) -> None:
         """Compare a calibration result with the goal."""
-        result = common(message)
+        result = calibration_part(message)
         self.solved = stamp_ns(result.header.stamp)
         try:
-            goal = goal_of(self.settings.goal, result.names)
+            goal = parse_goal(self.settings.goal, result.names)
         except ValueError as error:
             raise SystemExit(str(error)) from None
         known = dict(zip(result.names, result.deviations, strict=False))
@@ -162,7 +162,7 @@ class ExperimentNode(Node):
         )
 
     @property
-    def stop(self) -> Stop:
+    def stop(self) -> Waypoint:
         """Current stop, which the arm moves to or is at."""
         return self.way_back[0] if self.way_back else self.stops[self.progress.done]
 
@@ -211,7 +211,7 @@ class ExperimentNode(Node):
     def show_life(self) -> None:
         """Publish the keep-alive of the current move, or exit if this process was stalled."""
         before, self.ticked = self.ticked, time.monotonic()
-        if before and (late := self.ticked - before) > STALL:
+        if before and (late := self.ticked - before) > MAX_STALL:
             left = self.unfinished() or "at the end"
             raise SystemExit(f"this program stood still for {late:.1f} s, {left}; not going on")
         if self.goal.done() and not self.outcome.done():
@@ -236,10 +236,10 @@ class ExperimentNode(Node):
                 np.abs(q - seen).max() <= self.settings.tolerance for _, seen in self.observed
             )
         ]
-        if not missing or self.rounds >= ROUNDS or self.settings.maneuvers:
+        if not missing or self.rounds >= MAX_REPEATS or self.settings.maneuvers:
             return False
         self.rounds += 1
-        self.stops += [Stop(q) for q in missing]
+        self.stops += [Waypoint(q) for q in missing]
         self.say(f"repeating rejected rests: {len(missing)}")
         return True
 
@@ -310,9 +310,9 @@ class ExperimentNode(Node):
         reasons = [reason for end, reason in self.seen if end >= self.departed]
         if not planned or not self.observer or (reasons and not any(reasons)):
             self.leave("done")
-        elif reasons and self.rounds < ROUNDS:
+        elif reasons and self.rounds < MAX_REPEATS:
             self.say(f"{self.title}: {max(reasons)}, so going back to repeat it")
-            self.way_back = back(self.stops[first : self.progress.done + 1])
+            self.way_back = return_waypoints(self.stops[first : self.progress.done + 1])
             self.rounds, self.progress.done, self.departed = self.rounds + 1, first + 1, now
             self.save()
             self.enter(self.go, 0)
@@ -367,7 +367,7 @@ class ExperimentNode(Node):
         return Health(WARN if trouble else OK, trouble or self.said or "starting", values)
 
 
-def stops(settings: ExperimentSettings) -> list[Stop]:
+def read_waypoints(settings: ExperimentSettings) -> list[Waypoint]:
     """Return the stops in order.
 
     Raises:
@@ -377,35 +377,39 @@ def stops(settings: ExperimentSettings) -> list[Stop]:
     s = settings
     arm = described(s.arm)
     if s.maneuvers:
-        found = through(read(s.maneuvers, arm.n), s.pause)
+        found = maneuver_waypoints(read_plan(s.maneuvers, arm.n), s.pause)
     elif len(s.postures) % arm.n:
         raise ValueError(f"postures has {len(s.postures)} numbers, expected {arm.n} a row")
     else:
-        rows = np.reshape(s.postures, (-1, arm.n)) if s.postures else default(arm, s.guarded())
-        found = [Stop(q) for q in rows]
-    check(np.array([stop.q for stop in found]).reshape(-1, arm.n), arm, s.guarded())
+        rows = (
+            np.reshape(s.postures, (-1, arm.n))
+            if s.postures
+            else default_postures(arm, s.guarded())
+        )
+        found = [Waypoint(q) for q in rows]
+    check_waypoints(np.array([stop.q for stop in found]).reshape(-1, arm.n), arm, s.guarded())
     return found
 
 
-def through(plan: Sequence[Planned], pause: float) -> list[Stop]:
+def maneuver_waypoints(plan: Sequence[Planned], pause: float) -> list[Waypoint]:
     """Return the stops of maneuvers, with a pause before the first and after each."""
-    found = [Stop(plan[0].waypoints[0], 0.0, pause)] if plan else []
+    found = [Waypoint(plan[0].waypoints[0], 0.0, pause)] if plan else []
     for one in plan:
         moves = zip(one.waypoints[1:], one.durations.tolist(), strict=True)
-        found += [Stop(q, duration, 0.0) for q, duration in moves]
+        found += [Waypoint(q, duration, 0.0) for q, duration in moves]
         found[-1] = found[-1]._replace(pause=pause)
     return found
 
 
-def back(stops: Sequence[Stop]) -> deque[Stop]:
+def return_waypoints(waypoints: Sequence[Waypoint]) -> deque[Waypoint]:
     """Return the stops of the way back, from the last to the first with the same durations."""
-    found = deque(Stop(a.q, b.duration, 0.0) for a, b in pairwise(stops))
+    found = deque(Waypoint(a.q, b.duration, 0.0) for a, b in pairwise(waypoints))
     found.reverse()
-    found[-1] = found[-1]._replace(pause=stops[0].pause)
+    found[-1] = found[-1]._replace(pause=waypoints[0].pause)
     return found
 
 
-def check(q: Floats, arm: Arm, guarded: GuardSettings) -> None:
+def check_waypoints(q: Floats, arm: Arm, guarded: GuardSettings) -> None:
     """Raise ValueError if a posture is beyond a limit, or a move between two is not clear."""
     for i, link in enumerate(arm.links):
         outside = (q[:, i] < link.q_min) | (q[:, i] > link.q_max) | ~np.isfinite(q[:, i])

@@ -19,9 +19,9 @@ from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.free_floating import free_torques
 from fss_arm_model.joint_path import Law
 
-RAMP = 1.0 / 3.0  # share of a move's time for acceleration, and the same for deceleration
+RAMP_SHARE = 1.0 / 3.0  # share of a move's time for acceleration, and the same for deceleration
 PAUSE = 0.5  # time between two moves of a maneuver, to detect that the arm has arrived [s]
-STRENGTH = 0.7  # share of the drives' torque that a plan may use; the rest is for control
+TORQUE_SHARE = 0.7  # share of the drives' torque that a plan may use; the rest is for control
 
 
 class NoManeuver(ValueError):  # noqa: N818
@@ -43,10 +43,10 @@ class Planned:
 
     def law(self) -> tuple[Law, Floats]:
         """Return angles and rates as a function of time, and the edges of its smooth parts."""
-        return moves(self.waypoints, self.durations)
+        return moves_law(self.waypoints, self.durations)
 
 
-def moves(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
+def moves_law(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
     """Return angles and rates of successive moves over time, and the edges of smooth parts.
 
     Args:
@@ -64,18 +64,18 @@ def moves(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
             k = k + (t >= begin[..., None])
         k = np.broadcast_to(k, t.shape)
         duration, step = durations.ravel()[k], way.reshape(-1, n)[k]
-        s, rate, _ = profile((t - begins.ravel()[k]) / duration)
+        s, rate, _ = speed_profile((t - begins.ravel()[k]) / duration)
         rate = rate / duration
         place = waypoints.reshape(-1, n)[k + first]
         return place + step * s[..., None], step * rate[..., None]
 
-    corners = np.array([0.0, RAMP, 1.0 - RAMP, 1.0])
+    corners = np.array([0.0, RAMP_SHARE, 1.0 - RAMP_SHARE, 1.0])
     spans = np.where(real, durations, 0.0)[..., None] * corners
     edges = np.where(real, begins, 0.0)[..., None] + spans
     return law, edges.reshape(*durations.shape[:-1], -1)
 
 
-def together(plan: Sequence[Planned]) -> tuple[Law, Floats]:
+def batch_law(plan: Sequence[Planned]) -> tuple[Law, Floats]:
     """Return the law and edges of several maneuvers as one batch; padded edges are 0."""
     counts = np.array([len(one.durations) for one in plan])
     k = np.arange(counts.max() + 1)
@@ -83,18 +83,18 @@ def together(plan: Sequence[Planned]) -> tuple[Law, Floats]:
     durations[k[:-1] < counts[:, None]] = np.concatenate([one.durations for one in plan])
     rows = np.minimum(k, counts[:, None])
     knots = [one.waypoints[row] for one, row in zip(plan, rows, strict=True)]
-    return moves(np.array(knots), durations)
+    return moves_law(np.array(knots), durations)
 
 
-def profile(x: Floats) -> tuple[Floats, Floats, Floats]:
+def speed_profile(x: Floats) -> tuple[Floats, Floats, Floats]:
     """Return position (0 to 1), rate and acceleration of a move at the share x of its time."""
     x = np.clip(x, 0.0, 1.0)
-    top = 1.0 / (1.0 - RAMP)
+    top = 1.0 / (1.0 - RAMP_SHARE)
     y = np.minimum(x, 1.0 - x)
-    ramp = y < RAMP
-    way = np.where(ramp, 0.5 * top / RAMP * y**2, top * (y - 0.5 * RAMP))
-    rate = np.where(ramp, top / RAMP * y, top)
-    acceleration = np.where(ramp, np.where(x < 0.5, top / RAMP, -top / RAMP), 0.0)
+    ramp = y < RAMP_SHARE
+    way = np.where(ramp, 0.5 * top / RAMP_SHARE * y**2, top * (y - 0.5 * RAMP_SHARE))
+    rate = np.where(ramp, top / RAMP_SHARE * y, top)
+    acceleration = np.where(ramp, np.where(x < 0.5, top / RAMP_SHARE, -top / RAMP_SHARE), 0.0)
     return np.where(x < 0.5, way, 1.0 - way), rate, acceleration
 
 
@@ -103,32 +103,32 @@ def torques(arm: Arm, q: Floats, qd: Floats, qdd: Floats) -> Floats:
     return free_torques(arm.vector(), q, qd, qdd)[0]
 
 
-def least_time(arm: Arm, way: Floats) -> Floats:
+def speed_limited_duration(arm: Arm, way: Floats) -> Floats:
     """Return the least time of moves by `way` (..., n), limited by speed and acceleration [s]."""
-    top = 1.0 / (1.0 - RAMP)
+    top = 1.0 / (1.0 - RAMP_SHARE)
     speeds = np.array([link.drive.max_velocity for link in arm.links])
     gains = np.array([link.drive.max_acceleration for link in arm.links])
     speed = np.max(top * np.abs(way) / speeds, axis=-1)
-    gain = np.max(top / RAMP * np.abs(way) / gains, axis=-1)
+    gain = np.max(top / RAMP_SHARE * np.abs(way) / gains, axis=-1)
     return np.maximum(np.maximum(speed, np.sqrt(gain)), 0.1)
 
 
-def timed(arm: Arm, begin: Floats, end: Floats) -> Floats:
+def torque_limited_duration(arm: Arm, begin: Floats, end: Floats) -> Floats:
     """Return the least time of moves (..., n), also limited by the drives' torque, (...) [s].
 
     Without momentum, the torques of a path scale with the inverse square of its duration.
     """
-    limits = STRENGTH * np.array(
+    limits = TORQUE_SHARE * np.array(
         [link.drive.torque_constant * link.drive.max_current for link in arm.links]
     )
-    s, rate, acceleration = (x[:, None] for x in profile(np.linspace(0.0, 1.0, 31) + 1e-9))
+    s, rate, acceleration = (x[:, None] for x in speed_profile(np.linspace(0.0, 1.0, 31) + 1e-9))
     q, way = begin[..., None, :], (end - begin)[..., None, :]
     needed = np.abs(torques(arm, q + s * way, rate * way, acceleration * way))
-    least = least_time(arm, end - begin)
+    least = speed_limited_duration(arm, end - begin)
     return np.asarray(np.maximum(least, np.sqrt(np.max(needed / limits, axis=(-2, -1)))))
 
 
-def to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None) -> str:
+def plan_to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None) -> str:
     """Write a plan for `experiment`, with the promised deviations for a later report."""
     rows = [
         {
@@ -144,7 +144,7 @@ def to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None
     return head + yaml.safe_dump(given, sort_keys=False, default_flow_style=None)
 
 
-def read(path: str | Path, n: int) -> list[Planned]:
+def read_plan(path: str | Path, n: int) -> list[Planned]:
     """Read a plan from a file written by to_yaml.
 
     Raises:

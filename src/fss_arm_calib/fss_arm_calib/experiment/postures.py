@@ -11,11 +11,13 @@ from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.kinematics import tip_regressor
 
-APART = np.radians(45.0)  # least difference of two postures in at least one joint
-ROUNDS = 20  # most rounds of exchanges: about five suffice, except for many postures of one joint
+MIN_DIFFERENCE = np.radians(45.0)  # least difference of two postures in at least one joint
+MAX_ROUNDS = (
+    20  # most rounds of exchanges: about five suffice, except for many postures of one joint
+)
 
 #: Result of design(paper_arm(), seed=5), for the paper's arm and similar ones, (13, 4) [rad].
-DEFAULT: Floats = np.radians(
+DEFAULT_POSTURES: Floats = np.radians(
     [
         [0, -5, 10, 10],
         [-70, -75, 80, 75],
@@ -34,12 +36,16 @@ DEFAULT: Floats = np.radians(
 )
 
 
-def default(arm: Arm, settings: GuardSettings | None = None) -> Floats:
+def default_postures(arm: Arm, settings: GuardSettings | None = None) -> Floats:
     """Return postures for an arm, (s, n) [rad]: DEFAULT for four links, else a design for it."""
-    return DEFAULT if arm.n == 4 else design(arm, max(13, 2 * arm.n + 2), settings=settings)
+    return (
+        DEFAULT_POSTURES
+        if arm.n == 4
+        else design_postures(arm, max(13, 2 * arm.n + 2), settings=settings)
+    )
 
 
-def design(
+def design_postures(
     arm: Arm,
     count: int = 13,
     seed: int = 0,
@@ -75,30 +81,30 @@ def design(
     Phi = tip_regressor(arm.vector(), q) / sigma[:, None]
     information = np.swapaxes(Phi, 1, 2) @ Phi
     chosen = list(range(count))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         before = list(chosen)
         for k in range(1, count):
             others = information[chosen[:k] + chosen[k + 1 :]].sum(axis=0)
             # det(A + Phi' Phi) = det(A) det(1 + Phi A^-1 Phi'), with A regularized
             inverse = np.linalg.inv(others + 1e-6 * np.eye(len(others)))
             gain = np.linalg.det(np.eye(3) + Phi @ inverse @ np.swapaxes(Phi, 1, 2))
-            gain[~_apart(q, q[chosen[:k] + chosen[k + 1 :]])] = 0.0
+            gain[~_are_different(q, q[chosen[:k] + chosen[k + 1 :]])] = 0.0
             chosen[k] = int(np.argmax(gain))
         if chosen == before:
             break
-    return q[chosen][_short_way(guard, q[chosen])]
+    return q[chosen][_order_by_short_moves(guard, q[chosen])]
 
 
-def _apart(q: Floats, others: Floats) -> np.ndarray:
+def _are_different(q: Floats, others: Floats) -> np.ndarray:
     """Return a mask (c,) of postures that differ from all others by APART in at least one joint.
 
     If there is none, as with few joints and many postures, the limit is smaller.
     """
     nearest = np.min(np.max(np.abs(q[:, None] - others), axis=-1), axis=1)
-    return nearest >= min(APART, np.max(nearest))
+    return nearest >= min(MIN_DIFFERENCE, np.max(nearest))
 
 
-def clear(guard: Guard, begin: Floats, end: Floats) -> bool:
+def is_clear(guard: Guard, begin: Floats, end: Floats) -> bool:
     """Return True if a straight move between two postures (n) keeps the arm clear of itself."""
     try:
         guard.check_path((0.0, 1.0), (begin, end), np.zeros((2, len(begin))))
@@ -107,11 +113,11 @@ def clear(guard: Guard, begin: Floats, end: Floats) -> bool:
     return True
 
 
-def _short_way(guard: Guard, q: Floats) -> list[int]:
+def _order_by_short_moves(guard: Guard, q: Floats) -> list[int]:
     """Return a short order of postures by 2-opt (reversal of parts); the first stays first."""
     cost = np.zeros((len(q), len(q)))
     for i, j in combinations(range(len(q)), 2):
-        blocked = not clear(guard, q[i], q[j])
+        blocked = not is_clear(guard, q[i], q[j])
         cost[i, j] = cost[j, i] = np.max(np.abs(q[j] - q[i])) + 100.0 * blocked
 
     def length(way: list[int]) -> float:

@@ -22,7 +22,7 @@ KINDS = (SINGLE, SWEEP, LOOP)
 JOINT = "joint"  # kind of maneuvers for the calibration of drives
 
 
-def asked_for(goal: str) -> list[tuple[str, float]]:
+def parse_goal_words(goal: str) -> list[tuple[str, float]]:
     """Parse the names and deviations of a goal, such as `b_i 0.002 I_4 0.001`.
 
     Raises:
@@ -80,7 +80,7 @@ class ExperimentSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        asked_for(self.goal)
+        parse_goal_words(self.goal)
 
     def guarded(self) -> GuardSettings:
         """Return the guard settings that keep the arm clear of itself.

@@ -12,21 +12,21 @@ from fss_arm_calib.acceptance import (
     FAIL,
     PASS,
     Check,
-    at_most,
-    by_chance,
-    clocks_kept,
-    converged,
-    count,
-    determined,
-    enough,
-    joints_known,
-    quiet,
+    check_chi_square,
+    check_clocks,
+    check_convergence,
+    check_data_amount,
+    check_identifiability,
+    check_joint_names,
+    check_limit,
+    format_count,
+    hide_pass_reason,
 )
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.estimation.least_squares import MAX_CONDITION, Floats
 from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, concluded
+from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, make_outcome
 from fss_arm_calib.segments.rests import homed
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
@@ -53,21 +53,21 @@ class Session:
         return self.streams.get(kind, Streams())
 
 
-def split(session: Session) -> Iterator[Session]:
+def split_at_homings(session: Session) -> Iterator[Session]:
     """Split a session where a rest shows that a joint was homed."""
     rests = [one for one in session.data.get("kinematic", ()) if one.used]
     cuts = [b.start for a, b in pairwise(rests) if homed(a, b)]
-    for k, (begin, end) in enumerate(zip([0, *cuts], [*cuts, 2**63], strict=True), 1):
+    for k, (start, end) in enumerate(zip([0, *cuts], [*cuts, 2**63], strict=True), 1):
         data = {
-            kind: [one for one in some if begin <= one.start < end]
+            kind: [one for one in some if start <= one.start < end]
             for kind, some in session.data.items()
         }
-        name = f"{session.name}, homed {count(k - 1, 'time')}" if cuts else session.name
+        name = f"{session.name}, homed {format_count(k - 1, 'time')}" if cuts else session.name
         yield replace(session, name=name, data=data)
 
 
 @dataclass(frozen=True)
-class Stage:
+class StagedResults:
     """Results of the single calibrations of a session, one after the other."""
 
     arm: Arm  # with the results of the calibrations that passed
@@ -76,7 +76,9 @@ class Stage:
     settings: dict[str, Any]  # of each kind, with the estimated deviations of observations
 
 
-def stages(session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]) -> Stage:
+def run_stages(
+    session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]
+) -> StagedResults:
     """Run each kind of calibration on a session's data.
 
     Each starts from the arm of the last calibration that passed.
@@ -94,10 +96,10 @@ def stages(session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]
         if noise := getattr(outcome.solution, "noise", None):  # drifts have given deviations
             known[name] = noise.given_to(settings[name])
         arm = from_yaml(outcome.description) if outcome.description else arm
-    return Stage(arm, used, outcomes, known)
+    return StagedResults(arm, used, outcomes, known)
 
 
-class Own(NamedTuple):
+class SessionParameter(NamedTuple):
     """Parameter of a single session."""
 
     session: str
@@ -115,12 +117,12 @@ class Solution:
     sessions: tuple[str, ...]
     number: tuple[dict[str, int], ...]  # number of data by kind, for each session
 
-    def own(self) -> Iterator[Own]:
+    def own(self) -> Iterator[SessionParameter]:
         """Yield the parameters of each session."""
         for k, session in enumerate(self.sessions):
             names, (values, deviations) = self.result.problem.own_names(k), self.result.session(k)
             for name, *numbers in zip(names, values.tolist(), deviations.tolist(), strict=True):
-                yield Own(session, name, UNITS.get(name) or unit(name), *numbers)
+                yield SessionParameter(session, name, UNITS.get(name) or unit(name), *numbers)
 
 
 def problem_of(
@@ -164,7 +166,7 @@ def problem_of(
     )  # fmt: skip
 
 
-def begin(problem: JointProblem, arms: Sequence[Arm]) -> Floats:
+def initial_unknowns(problem: JointProblem, arms: Sequence[Arm]) -> Floats:
     """Return initial values of all unknowns, from the arms that the stages found per session."""
     n, last = problem.arm.n, arms[-1]
     zeros = [*range(4 + n, 3 + 2 * n), 2 * n + 5]
@@ -201,63 +203,65 @@ def calibrate(
     s = settings
     kinematic = replace(of_kinds["kinematic"], theta_e=s.theta_e)
     of_kinds = {**of_kinds, "kinematic": kinematic}
-    parts = [one for session in sessions for one in split(session)]
-    found = [(one, stages(one, arm, kinds, of_kinds)) for one in parts]
+    parts = [one for session in sessions for one in split_at_homings(session)]
+    found = [(one, run_stages(one, arm, kinds, of_kinds)) for one in parts]
     found = [(one, stage) for one, stage in found if stage.used]
     used = [stage.used for _, stage in found]
     kinds_seen = sorted({kind for data in used for kind in data})
     heard = [one for session in sessions for one in session.streams.values()]
     odd = (one for one in heard if one.silent or one.unknown)
     streams = next(odd, heard[0] if heard else Streams())
-    words = _numbers(used, kinds) if found else "no rest, maneuver or drift can be used"
+    words = _format_counts(used, kinds) if found else "no rest, maneuver or drift can be used"
     found_checks = [
-        joints_known(streams, arm),
-        _clocks(sessions, of_kinds),
-        enough("data", len(kinds_seen), 1, words, streams),
+        check_joint_names(streams, arm),
+        _check_session_clocks(sessions, of_kinds),
+        check_data_amount("data", len(kinds_seen), 1, words, streams),
     ]
     solution = None
     own = [stage.settings for _, stage in found]
     problem = problem_of(used, arm, s, kinds, of_kinds, own)
     estimate = Estimate(problem.names, problem.units, problem.guess)
     if found:
-        start = begin(problem, [stage.arm for _, stage in found])
+        start = initial_unknowns(problem, [stage.arm for _, stage in found])
         result = solve(problem, start)
         numbers = tuple({kind: len(some) for kind, some in data.items()} for data in used)
         solution = Solution(result, tuple(one.name for one, _ in found), numbers)
         found_checks += evaluate(result, s)
         estimate = estimate_of(result)
     hashes = [o.provenance.data_hash for _, stage in found for o in stage.outcomes.values()]
-    outcome = concluded(
+    outcome = make_outcome(
         [one for part in parts for some in part.data.values() for one in some],
-        sorted((one for data in used for some in data.values() for one in some), key=_end),
+        sorted((one for data in used for some in data.values() for one in some), key=_end_of),
         [np.frombuffer("".join(hashes).encode(), dtype=np.uint8)],
         arm, s, JointSettings, streams, source, found_checks, estimate, solution,
         solution.result.calibrated if solution else None,
     )  # fmt: skip
-    return replace(outcome, provenance=replace(outcome.provenance, parameters=_told(s, of_kinds)))
+    return replace(
+        outcome, provenance=replace(outcome.provenance, parameters=_settings_yaml(s, of_kinds))
+    )
 
 
-def _end(one: Datum) -> int:
+def _end_of(one: Datum) -> int:
     return one.end
 
 
-def _clocks(sessions: Sequence[Session], of_kinds: Mapping[str, Any]) -> Check:
+def _check_session_clocks(sessions: Sequence[Session], of_kinds: Mapping[str, Any]) -> Check:
     """Check that no clock of any session jumped back by so much that events may be hidden."""
     every = (
-        clocks_kept(streams, of_kinds[kind].joint_gap)
+        check_clocks(streams, of_kinds[kind].joint_gap)
         for session in sessions
         for kind, streams in session.streams.items()
     )
-    return max(every, key=lambda check: check.needed, default=clocks_kept(Streams(), 0.0))
+    return max(every, key=lambda check: check.needed, default=check_clocks(Streams(), 0.0))
 
 
-def _numbers(used: Sequence[Mapping[str, Sequence[Any]]], kinds: Kinds) -> str:
+def _format_counts(used: Sequence[Mapping[str, Sequence[Any]]], kinds: Kinds) -> str:
     total = {kind: sum(len(data.get(kind, ())) for data in used) for kind in kinds}
-    parts = [count(k, kinds[kind].data.noun) for kind, k in total.items() if k]
-    return f"{', '.join(parts)} of {count(len(used), 'session')}"
+    parts = [format_count(k, kinds[kind].data.noun) for kind, k in total.items() if k]
+    return f"{', '.join(parts)} of {format_count(len(used), 'session')}"
 
 
-def _told(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
+def _settings_yaml(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
     """Write all settings as YAML."""
     kinds = ((name, type(one), one) for name, one in of_kinds.items())
     told = {
@@ -274,8 +278,8 @@ def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
     words = f"at the bound of what is possible: {', '.join(held)}" if held else ""
     missing = len(r.values) - len(m.basis.s) - len(held)
     each = [
-        quiet(
-            by_chance(
+        hide_pass_reason(
+            check_chi_square(
                 f"fit_{kind}", cost, free, s.min_probability,
                 f"residuals of {kind} data are larger than the deviations allow",
             )
@@ -283,19 +287,21 @@ def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
         for kind, (cost, free) in r.fits.items()
     ]  # fmt: skip
     return [
-        quiet(determined(r.undetermined, missing, m.basis.condition, MAX_CONDITION)),
-        converged(m.converged, m.iterations, m.last_update, TOLERANCE),
+        hide_pass_reason(
+            check_identifiability(r.undetermined, missing, m.basis.condition, MAX_CONDITION)
+        ),
+        check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE),
         Check("bounds", FAIL if held else PASS, len(held), 0, words),
-        by_chance(
+        check_chi_square(
             "fit", m.cost, problem.degrees_of_freedom, s.min_probability,
             "residuals are larger than the deviations allow",
         ),
         *each,
-        _precise(r, s),
+        _check_precision(r, s),
     ]  # fmt: skip
 
 
-def _precise(r: JointResult, s: JointSettings) -> Check:
+def _check_precision(r: JointResult, s: JointSettings) -> Check:
     """Check the least certain parameter against the required precision."""
     sigma, units = np.sqrt(np.diag(r.covariance)), np.array(r.problem.units)
     limits = np.select(
@@ -305,7 +311,7 @@ def _precise(r: JointResult, s: JointSettings) -> Check:
     k = int(np.argmax(sigma / limits))
     words = f"{r.problem.names[k]} has a deviation of {sigma[k]:.2g} {units[k]} "
     words += f"(at most {limits[k]:.2g})"
-    return at_most("precision", float(sigma[k] / limits[k]), 1.0, words, "too uncertain")
+    return check_limit("precision", float(sigma[k] / limits[k]), 1.0, words, "too uncertain")
 
 
 def estimate_of(r: JointResult) -> Estimate:

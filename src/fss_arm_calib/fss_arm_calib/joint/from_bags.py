@@ -9,21 +9,21 @@ from typing import Any
 from rich.console import Console
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_calib.bag_command import told
-from fss_arm_calib.bag_data import fed, name, source
-from fss_arm_calib.bag_options import defaults
+from fss_arm_calib.bag_command import report_outcome
+from fss_arm_calib.bag_data import describe_source, find_data, topic_name
+from fss_arm_calib.bag_options import default_settings
 from fss_arm_calib.calibration import Input
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import JOINED
+from fss_arm_calib.kinds import JOINT_SOURCES
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described, load
 from fss_arm_model.files import ContentError, read_yaml
 
 
-def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:
+def kind_settings(path: str | None, namespace: str) -> dict[str, Any]:
     """Return the settings of each kind of calibration, overridden by a ROS parameter file.
 
     Raises:
@@ -32,10 +32,10 @@ def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:
     """
     given: Any = read_yaml(Path(path)) if path else {}
     if not isinstance(given, dict) or not all(isinstance(one, dict) for one in given.values()):
-        raise ContentError(f"{path}: it", given, f"settings of {', '.join(JOINED)}")
+        raise ContentError(f"{path}: it", given, f"settings of {', '.join(JOINT_SOURCES)}")
     found = {}
-    for kind in JOINED.values():
-        known = defaults(kind.settings, namespace)
+    for kind in JOINT_SOURCES.values():
+        known = default_settings(kind.settings, namespace)
         section = given.get(kind.name, {})
         for key, value in section.get("ros__parameters", section).items():
             if key not in known:
@@ -45,7 +45,7 @@ def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:
     return found
 
 
-def session_of(
+def read_session(
     path: str, arm: Arm, settings: Mapping[str, Any], namespace: str
 ) -> tuple[Session, str]:
     """Return the data of all kinds in a bag, and a text that names its source.
@@ -58,22 +58,24 @@ def session_of(
     """
     data, streams, missing = {}, {}, list[Input]()
     with open_bags(path) as bags:
-        for kind in JOINED.values():
+        for kind in JOINT_SOURCES.values():
             s = settings[kind.name]
             inputs = kind.inputs(s, arm.n)
-            there = [one for one in inputs if name(bags, one, namespace, False) in bags.topics]
+            there = [
+                one for one in inputs if topic_name(bags, one, namespace, False) in bags.topics
+            ]
             if lacking := [one for one in inputs if one.needed and one not in there]:
                 missing += lacking
                 continue
             finder = kind.finder(arm, s, [])
-            data[kind.name] = fed(bags, finder, there, s.horizon, namespace)
+            data[kind.name] = find_data(bags, finder, there, s.horizon, namespace)
             streams[kind.name] = finder.streams()
         if not data:
-            name(bags, missing[0], namespace)
-        return Session(Path(path).name, data, streams), source(bags)
+            topic_name(bags, missing[0], namespace)
+        return Session(Path(path).name, data, streams), describe_source(bags)
 
 
-def estimated(options: argparse.Namespace, console: Console) -> Outcome[Any, Solution]:
+def estimate_from_bags(options: argparse.Namespace, console: Console) -> Outcome[Any, Solution]:
     """Solve, show the result, and write the requested files.
 
     Raises:
@@ -82,12 +84,12 @@ def estimated(options: argparse.Namespace, console: Console) -> Outcome[Any, Sol
     """
     s = JointSettings(**{f.name: getattr(options, f.name) for f in fields(JointSettings)})
     truth = load(options.truth) if options.truth else None
-    arm, settings = described(s.arm), of_kinds(options.params, options.namespace)
-    read = [session_of(bag, arm, settings, options.namespace) for bag in options.bags]
+    arm, settings = described(s.arm), kind_settings(options.params, options.namespace)
+    read = [read_session(bag, arm, settings, options.namespace) for bag in options.bags]
     read.sort(
         key=lambda one: min((d.start for some in one[0].data.values() for d in some), default=0)
     )
     sources = ", ".join(source for _, source in read)
-    outcome = calibrate([one for one, _ in read], arm, s, JOINED, settings, sources)
-    told(outcome, joint_report(outcome, truth), "joint", options, console)
+    outcome = calibrate([one for one, _ in read], arm, s, JOINT_SOURCES, settings, sources)
+    report_outcome(outcome, joint_report(outcome, truth), "joint", options, console)
     return outcome

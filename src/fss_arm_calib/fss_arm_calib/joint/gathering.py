@@ -12,7 +12,7 @@ from fss_arm_calib.segments.streams import Streams
 
 
 @dataclass(frozen=True)
-class Gathered:
+class SessionData:
     """Session of the other nodes: data by kind, and the settings of each node."""
 
     kinematic: tuple[Observation, ...] = ()
@@ -47,7 +47,7 @@ class Gathered:
         return ""
 
 
-class Gatherer:
+class SessionCollector:
     """Collector of the data of the other nodes; it returns a session whenever they change.
 
     A message of a node replaces its previous one, so data that the node discarded are discarded
@@ -59,15 +59,15 @@ class Gatherer:
         kept: sessions kept by a previous run.
     """
 
-    def __init__(self, n: int, kinds: Sequence[str], kept: Sequence[Gathered] = ()) -> None:
+    def __init__(self, n: int, kinds: Sequence[str], kept: Sequence[SessionData] = ()) -> None:
         self.n, self.kinds = n, kinds
-        self.gathered = kept[-1] if kept else Gathered()
+        self.gathered = kept[-1] if kept else SessionData()
         self.rejected: dict[str, int] = {}
         self._joints: dict[str, int] = {}  # in the last data of each kind
 
-    def data(self, kind: str, found: Sequence[Any]) -> list[Gathered]:
+    def data(self, kind: str, found: Sequence[Any]) -> list[SessionData]:
         """Take all data of a kind; data of another arm are rejected."""
-        others = (joints for joints in map(_joints, found) if joints != self.n)
+        others = (joints for joints in map(_joint_count, found) if joints != self.n)
         self._joints[kind] = next(others, self.n)
         if self._joints[kind] != self.n:
             self.reject(f"{kind} of another arm")
@@ -78,7 +78,7 @@ class Gatherer:
         same = [*map(_identity, before)] == [*map(_identity, found)]
         return [] if same or kind not in self.gathered.settings else [self.gathered]
 
-    def result(self, kind: str, settings: str, back: float) -> list[Gathered]:
+    def result(self, kind: str, settings: str, back: float) -> list[SessionData]:
         """Take a node's settings and its backward clock jump, if excessive [s]."""
         before = self.gathered
         self.gathered = replace(
@@ -95,7 +95,7 @@ class Gatherer:
         """Count a message that cannot be used."""
         self.rejected[what] = self.rejected.get(what, 0) + 1
 
-    def close(self) -> list[Gathered]:
+    def close(self) -> list[SessionData]:
         """Return nothing: the nodes publish their data immediately."""
         return []
 
@@ -111,7 +111,7 @@ class Gatherer:
         )
 
 
-def _joints(one: Any) -> int:
+def _joint_count(one: Any) -> int:
     """Return the number of joints of a datum."""
     return len(one.q)
 

@@ -5,31 +5,33 @@ from dataclasses import replace
 from math import inf
 from typing import Any
 
-from fss_arm_calib.acceptance import clocks_kept, count
+from fss_arm_calib.acceptance import check_clocks, format_count
 from fss_arm_calib.calibration import Calibration, Data, Input
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
-from fss_arm_calib.joint.gathering import Gathered, Gatherer
+from fss_arm_calib.joint.gathering import SessionCollector, SessionData
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import JOINED
-from fss_arm_calib.messages import common, common_message
-from fss_arm_calib.outcome import Outcome, settings_of
+from fss_arm_calib.kinds import JOINT_SOURCES
+from fss_arm_calib.messages import calibration_part, common_message
+from fss_arm_calib.outcome import Outcome, parse_settings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import to_time
 
 AnyKind = Calibration[Any, Any]
-Found = Outcome[Gathered, Solution]
+JointOutcome = Outcome[SessionData, Solution]
 
 
 def inputs(_: JointSettings, n: int) -> list[Input]:
     """Return the inputs: data and results of each other kind; results contain the deviations."""
-    return [one for kind in JOINED.values() for one in (_data_input(kind), _result_input(kind))]
+    return [
+        one for kind in JOINT_SOURCES.values() for one in (_data_input(kind), _result_input(kind))
+    ]
 
 
 def _data_input(kind: AnyKind) -> Input:
-    def feed(gatherer: Gatherer, message: Any) -> list[Gathered]:
+    def feed(gatherer: SessionCollector, message: Any) -> list[SessionData]:
         try:
             found = kind.data.from_message(message)
         except ValueError:
@@ -41,11 +43,11 @@ def _data_input(kind: AnyKind) -> Input:
 
 
 def _result_input(kind: AnyKind) -> Input:
-    def feed(gatherer: Gatherer, message: Any) -> list[Gathered]:
-        found = common(message)
+    def feed(gatherer: SessionCollector, message: Any) -> list[SessionData]:
+        found = calibration_part(message)
         told = found.provenance.parameters
         try:
-            settings_of(told, kind.settings)
+            parse_settings(told, kind.settings)
         except (TypeError, ValueError):  # settings of another version
             gatherer.reject(f"{kind.topic} not understood")
             return []
@@ -56,16 +58,19 @@ def _result_input(kind: AnyKind) -> Input:
     return Input(kind.topic, kind.message, feed, latched=True)
 
 
-def of_session(
-    sessions: Sequence[Gathered], arm: Arm, s: JointSettings, streams: Streams, source: str
-) -> Found:
+def calibrate_session(
+    sessions: Sequence[SessionData], arm: Arm, s: JointSettings, streams: Streams, source: str
+) -> JointOutcome:
     """Solve from the data of the nodes, each kind with the settings of its node."""
-    one = sessions[-1] if sessions else Gathered()
-    of_kinds = {name: kind.settings() for name, kind in JOINED.items()}
+    one = sessions[-1] if sessions else SessionData()
+    of_kinds = {name: kind.settings() for name, kind in JOINT_SOURCES.items()}
     for name, told in one.settings.items():
-        of_kinds[name] = settings_of(told, JOINED[name].settings)
-    each = {name: replace(streams, set_back={name: one.set_back.get(name, 0.0)}) for name in JOINED}
-    outcome = calibrate([Session(source, one.data, each)], arm, s, JOINED, of_kinds, source)
+        of_kinds[name] = parse_settings(told, JOINT_SOURCES[name].settings)
+    each = {
+        name: replace(streams, set_back={name: one.set_back.get(name, 0.0)})
+        for name in JOINT_SOURCES
+    }
+    outcome = calibrate([Session(source, one.data, each)], arm, s, JOINT_SOURCES, of_kinds, source)
     origin = replace(outcome.provenance, begin=one.start, end=one.end)
     used = tuple(sessions[-1:]) if outcome.used else ()
     return Outcome(
@@ -74,7 +79,7 @@ def of_session(
     )  # fmt: skip
 
 
-def to_message(outcome: Found, frame_id: str) -> msg.JointCalibration:
+def to_message(outcome: JointOutcome, frame_id: str) -> msg.JointCalibration:
     """Convert the outcome to the message that is published."""
     message = msg.JointCalibration(calibration=common_message("joint", outcome, frame_id))
     if found := outcome.solution:
@@ -87,50 +92,52 @@ def to_message(outcome: Found, frame_id: str) -> msg.JointCalibration:
     return message
 
 
-def session_message(sessions: Sequence[Gathered], frame_id: str) -> msg.CalibrationSession:
+def session_message(sessions: Sequence[SessionData], frame_id: str) -> msg.CalibrationSession:
     """Convert the data of the nodes to the message that is published."""
-    one = sessions[-1] if sessions else Gathered()
+    one = sessions[-1] if sessions else SessionData()
     message = msg.CalibrationSession(
         kinds=[*one.settings], settings=[*one.settings.values()], set_back=[*one.set_back.values()]
     )
-    for name, kind in JOINED.items():
-        setattr(message, _field(kind), kind.data.to_message(getattr(one, name), frame_id))
+    for name, kind in JOINT_SOURCES.items():
+        setattr(message, _message_field(kind), kind.data.to_message(getattr(one, name), frame_id))
     message.header.frame_id, message.header.stamp = frame_id, to_time(one.end)
     return message
 
 
-def sessions_of(message: msg.CalibrationSession) -> list[Gathered]:
+def sessions_from_message(message: msg.CalibrationSession) -> list[SessionData]:
     """Return the session in a message; an empty list if the message has no data of a node."""
     if not message.kinds:
         return []
     settings = dict(zip(message.kinds, message.settings, strict=True))
     set_back = dict(zip(message.kinds, map(float, message.set_back), strict=True))
     data = {
-        name: tuple(kind.data.from_message(getattr(message, _field(kind))))
-        for name, kind in JOINED.items()
+        name: tuple(kind.data.from_message(getattr(message, _message_field(kind))))
+        for name, kind in JOINT_SOURCES.items()
     }
-    return [Gathered(**data, settings=settings, set_back=set_back)]
+    return [SessionData(**data, settings=settings, set_back=set_back)]
 
 
-def _field(kind: AnyKind) -> str:
+def _message_field(kind: AnyKind) -> str:
     return f"{kind.data.noun}s"
 
 
-def held(gatherer: Gatherer) -> dict[str, object]:
+def data_counts(gatherer: SessionCollector) -> dict[str, object]:
     """Report the number of data of each kind."""
     data = gatherer.gathered.data
-    return {_field(kind): len(data.get(name, ())) for name, kind in JOINED.items()}
+    return {_message_field(kind): len(data.get(name, ())) for name, kind in JOINT_SOURCES.items()}
 
 
-def stale(outcome: Found, _: Streams) -> str:
+def describe_clock_jump(outcome: JointOutcome, _: Streams) -> str:
     """Return a message if a clock jumped back at one of the nodes, else an empty string."""
     back = outcome.data[-1].set_back if outcome.data else {}
     spoilt = [f"{name}/forget" for name, by in back.items() if by > 0.0]
     return f"a clock ran back: {', '.join(spoilt)} begins anew" if spoilt else ""
 
 
-def _summary(one: Gathered) -> str:
-    return ", ".join(count(len(some), JOINED[name].data.noun) for name, some in one.data.items())
+def _summary(one: SessionData) -> str:
+    return ", ".join(
+        format_count(len(some), JOINT_SOURCES[name].data.noun) for name, some in one.data.items()
+    )
 
 
 JOINT = Calibration(
@@ -138,19 +145,20 @@ JOINT = Calibration(
     about=JointSettings.ABOUT,
     settings=JointSettings,
     data=Data(
-        "session", Gathered, "calibration/session", session_message, sessions_of, _summary
+        "session", SessionData, "calibration/session", session_message, sessions_from_message,
+        _summary,
     ),
     most=lambda _: 1,
     inputs=inputs,
-    finder=lambda arm, _, kept: Gatherer(arm.n, [*JOINED], kept),
-    calibrate=of_session,
+    finder=lambda arm, _, kept: SessionCollector(arm.n, [*JOINT_SOURCES], kept),
+    calibrate=calibrate_session,
     message=msg.JointCalibration,
     to_message=to_message,
     numbers=("own_values", "own_deviations"),
     report=joint_report,
-    clocks=lambda streams, _: clocks_kept(streams, inf),  # no clock of its own: see `stale`
-    stale=stale,
-    health=held,
+    clocks=lambda streams, _: check_clocks(streams, inf),  # no clock of its own: see `stale`
+    stale=describe_clock_jump,
+    health=data_counts,
     lacks={
         "time offset": "each datum allows for what its streams told",
         "second session": "the nodes tell no days apart; from_bag --joint takes a bag of each, "

@@ -40,10 +40,10 @@ from fss_arm_model.drifting import SURROUNDINGS
 from fss_arm_model.parameters import bounds, parameter_names, to_vector, unit, values, with_values
 
 TOLERANCE = 1e-5  # largest last update [deviations]; numerical derivatives have smaller errors
-FIRST = 2  # first iterations, of only the data's own unknowns
+DATA_ITERATIONS = 2  # first iterations, of only the data's own unknowns
 
 
-class Part(NamedTuple):
+class LinearizedData(NamedTuple):
     """Linearized data of one kind in a session, and the slice of their own unknowns."""
 
     kind: str
@@ -156,10 +156,10 @@ class JointProblem:
             parts.append(moved[k] if moved else np.zeros(len(self.own_names(k))))
             parts += [evidence.begin() for evidence in session.values()]
         x = np.concatenate(parts)
-        for _ in range(FIRST):
+        for _ in range(DATA_ITERATIONS):
             for k in range(len(self.sessions)):
                 for _, linear, own in self.parts(x, k):
-                    x[own] = x[own] + _step(linear, np.zeros(len(self.by_arm)))
+                    x[own] = x[own] + _data_step(linear, np.zeros(len(self.by_arm)))
         return x
 
     def z(self, x: Floats, session: int) -> Floats:
@@ -168,13 +168,17 @@ class JointProblem:
         z[: self._size] += self.arm.vector()
         return np.asarray(z + self.by_session(session) @ x[self.own(session)])
 
-    def parts(self, x: Floats, session: int) -> list[Part]:
+    def parts(self, x: Floats, session: int) -> list[LinearizedData]:
         """Linearize a session's data, by kind."""
         z, (_, places) = self.z(x, session), self._places[session]
         every = self.sessions[session].items()
-        return [Part(kind, one.near(z, x[places[kind]]), places[kind]) for kind, one in every]
+        return [
+            LinearizedData(kind, one.near(z, x[places[kind]]), places[kind]) for kind, one in every
+        ]
 
-    def rows(self, x: Floats, session: int, parts: Sequence[Part]) -> tuple[Floats, Floats, Floats]:
+    def rows(
+        self, x: Floats, session: int, parts: Sequence[LinearizedData]
+    ) -> tuple[Floats, Floats, Floats]:
         """Return a session's regressors by the arm's and by its own parameters, and residuals."""
         own, sigma = x[self.own(session)], self.own_deviations(session)
         R = np.concatenate(
@@ -204,7 +208,7 @@ class JointProblem:
             parts = [part for part in self.parts(x, k) if part.kind != without]
             A, B, r = self.rows(x, k, parts)
             reduced = eliminate(A[None], B[None], r[None])
-            few.append(_compressed(np.column_stack([reduced.regressor, reduced.residuals])))
+            few.append(_compress(np.column_stack([reduced.regressor, reduced.residuals])))
             found.append((k, parts, reduced))
             cost = (
                 cost + np.sum(r[len(r) - len(B.T) :] ** 2) + sum(one.linear.cost for one in parts)
@@ -215,9 +219,9 @@ class JointProblem:
         def extend(dx: Floats) -> Floats:
             steps = [dx]
             for k, parts, reduced in found:
-                dy = _step(reduced, dx)
+                dy = _data_step(reduced, dx)
                 dz = self.by_arm @ dx + self.by_session(k) @ dy
-                steps += [dy, *(_step(linear, dz) for _, linear, _ in parts)]
+                steps += [dy, *(_data_step(linear, dz) for _, linear, _ in parts)]
             return np.concatenate(steps)
 
         return Linear(rows[:, p], rows[:, :p], cost + off @ off, extend)
@@ -237,13 +241,13 @@ class JointProblem:
         return free + len(self.believed) - len(self.names)
 
 
-def _step(linear: Linear, dz: Floats) -> Floats:
+def _data_step(linear: Linear, dz: Floats) -> Floats:
     """Return the step of the data's own unknowns for a step dz."""
     assert linear.extend is not None
     return linear.extend(dz)[len(dz) :]
 
 
-def _compressed(rows: Floats) -> Floats:
+def _compress(rows: Floats) -> Floats:
     """Reduce the number of rows by a QR decomposition; products of columns are unchanged."""
     return np.linalg.qr(rows)[1] if len(rows) > len(rows.T) else rows
 

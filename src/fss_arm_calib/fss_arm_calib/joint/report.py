@@ -9,13 +9,13 @@ from fss_arm_calib.joint.calibrate import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Report, Table
 from fss_arm_calib.report_tables import (
-    number,
-    parameters,
-    reported,
-    shown_name,
-    shown_unit,
-    text,
-    where_known,
+    display_name,
+    display_unit,
+    format_number,
+    format_value,
+    make_report,
+    mask_undetermined,
+    parameter_table,
 )
 from fss_arm_model.description import Arm
 from fss_arm_model.parameters import values
@@ -26,25 +26,25 @@ def joint_report(outcome: Outcome[Any, Solution], truth: Arm | None = None) -> R
     found = outcome.solution
     title = f"Joint estimate of {outcome.arm.name}"
     if found is None:
-        return reported(title, outcome, [parameters(outcome)])
-    tables = [_parameters(outcome, found, truth), _fits(found)]
-    return reported(title, outcome, tables, [_sessions(found)])
+        return make_report(title, outcome, [parameter_table(outcome)])
+    tables = [_parameter_table(outcome, found, truth), _fit_table(found)]
+    return make_report(title, outcome, tables, [_session_table(found)])
 
 
-def _parameters(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | None) -> Table:
+def _parameter_table(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | None) -> Table:
     """Tabulate guess, estimate, and by how much the deviation grows without a kind of data."""
     r, e = found.result, outcome.estimate
     without = r.without
-    sigma = where_known(e, e.deviations)
+    sigma = mask_undetermined(e, e.deviations)
     grown = [x / sigma for x in without.values()]
     rows = []
     for k, name in enumerate(e.names):
-        row = [shown_name(name, e), shown_unit(e.units[k])]
-        row += [number(x[k], e.units[k]) for x in (e.initial, e.values, e.deviations)]
-        row += [text(x[k], ".2f") for x in grown]
+        row = [display_name(name, e), display_unit(e.units[k])]
+        row += [format_value(x[k], e.units[k]) for x in (e.initial, e.values, e.deviations)]
+        row += [format_number(x[k], ".2f") for x in grown]
         if truth:
             true = np.array([*values(truth), truth.theta_E])[k]
-            row.append(text((e.values[k] - true) / sigma[k], "+.1f"))
+            row.append(format_number((e.values[k] - true) / sigma[k], "+.1f"))
         rows.append(row)
     head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
     head += [f"x without {kind}" for kind in without]
@@ -60,7 +60,7 @@ def _parameters(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | N
     return Table("Parameters", head, rows, words=2, note=note, weak=weak)
 
 
-def _fits(found: Solution) -> Table:
+def _fit_table(found: Solution) -> Table:
     """Tabulate how well the data of each kind fit."""
     rows = [
         [kind, str(sum(one.get(kind, 0) for one in found.number)), f"{cost:.1f}", str(free),
@@ -71,11 +71,11 @@ def _fits(found: Solution) -> Table:
     return Table("Residuals by kind of data", head, rows)
 
 
-def _sessions(found: Solution) -> Table:
+def _session_table(found: Solution) -> Table:
     """Tabulate the parameters of each session."""
     rows = [
-        [one.session, one.name, shown_unit(one.unit), _small(one.value, one.unit),
-         _small(one.deviation, one.unit)]
+        [one.session, one.name, display_unit(one.unit), _format_small(one.value, one.unit),
+         _format_small(one.deviation, one.unit)]
         for one in found.own()
     ]  # fmt: skip
     head = ["session", "parameter", "unit", "estimate", "± 1 sigma"]
@@ -83,5 +83,5 @@ def _sessions(found: Solution) -> Table:
     return Table("What each session had for its own", head, rows, words=3, note=note)
 
 
-def _small(value: float, kind: str) -> str:
+def _format_small(value: float, kind: str) -> str:
     return f"{np.degrees(value) if kind == 'rad' else value:.3g}"

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from fss_arm_calib.acceptance import PASS, clocks_kept, joints_known
+from fss_arm_calib.acceptance import PASS, check_clocks, check_joint_names
 from fss_arm_calib.kinematic import checks
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import (
@@ -13,7 +13,7 @@ from fss_arm_calib.kinematic.solution import (
     problem_of,
     solution_of,
 )
-from fss_arm_calib.outcome import LIVE, Outcome, concluded
+from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
 from fss_arm_calib.segments.rests import Observation, since_homed
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
@@ -47,10 +47,10 @@ def calibrate(
     if number.verdict != PASS and homings.reason:
         number = replace(number, reason=f"{number.reason}; {homings.reason}")
     found = [
-        joints_known(streams, arm),
+        check_joint_names(streams, arm),
         homings,
         checks.rests(comparable, fewest(problem, s), s),
-        clocks_kept(streams, s.joint_gap),
+        check_clocks(streams, s.joint_gap),
         number,
     ]
     solution = solution_of(problem, s) if number.verdict == PASS else None
@@ -59,7 +59,7 @@ def calibrate(
         reasons = (r and r + w for r, w in zip(solution.reasons, why, strict=True))
         solution = replace(solution, reasons=tuple(reasons))
         found += checks.evaluate(solution, s)
-    return concluded(
+    return make_outcome(
         observations, used, (problem.q, problem.tip), arm, s, KinematicSettings, streams, source,
         found, estimate_of(problem, solution), solution,
         solution.result.calibrated if solution else None,

@@ -11,17 +11,17 @@ from fss_arm_calib.acceptance import (
     NOT_EVALUATED,
     PASS,
     Check,
-    at_most,
-    by_chance,
-    cause,
-    checked,
-    converged,
-    count,
-    determined,
-    enough,
-    fitting,
-    numbers,
-    outliers,
+    cause_check,
+    check_chi_square,
+    check_convergence,
+    check_data_amount,
+    check_fit,
+    check_identifiability,
+    check_limit,
+    check_outliers,
+    check_redundancy,
+    format_count,
+    format_indices,
 )
 from fss_arm_calib.estimation.least_squares import CAUCHY, Floats, Mask
 from fss_arm_calib.estimation.statistics import probability, redundancy
@@ -41,7 +41,7 @@ def homings(observations: Sequence[Observation]) -> Check:
     joints = sorted({i for o in observations for i in homed(o, observations[-1])})
     left_out = len(observations) - len(since_homed(observations))
     names = ", ".join(f"joint_{i}" for i in joints)
-    words = f"{count(left_out, 'observation')} left out: {names} homed or restarted since"
+    words = f"{format_count(left_out, 'observation')} left out: {names} homed or restarted since"
     return Check("homings", PASS, left_out, nan, words if left_out else "")
 
 
@@ -54,7 +54,9 @@ def rests(observations: Sequence[Observation], needed: int, s: KinematicSettings
     since = used[-needed].start if len(used) >= needed else 0
     lost = [o for o in unrepeated(observations, s.same_posture) if o.end >= since]
     reason = (
-        f"{count(len(lost), 'rest')} rejected ({lost[0].reason}) and not repeated" if lost else ""
+        f"{format_count(len(lost), 'rest')} rejected ({lost[0].reason}) and not repeated"
+        if lost
+        else ""
     )
     return Check("rests", NOT_EVALUATED if lost else PASS, len(lost), 0.0, reason)
 
@@ -62,11 +64,11 @@ def rests(observations: Sequence[Observation], needed: int, s: KinematicSettings
 def number(problem: KinematicProblem, streams: Streams, s: KinematicSettings) -> Check:
     """Check that the observations suffice for the parameters."""
     found, needed = len(problem.q), fewest(problem, s)
-    reason = f"{count(found, 'observation')} (at least {needed})"
+    reason = f"{format_count(found, 'observation')} (at least {needed})"
     if found < needed:
         names = ", ".join(problem.names)
-        reason = f"{count(found, 'observation')}, at least {needed} needed for {names}"
-    return enough("observations", found, needed, reason, streams)
+        reason = f"{format_count(found, 'observation')}, at least {needed} needed for {names}"
+    return check_data_amount("observations", found, needed, reason, streams)
 
 
 def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
@@ -75,22 +77,22 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
     checks = [_determined(solution.first, s)]
     if r.undetermined:
         return checks
-    checks.append(converged(r.converged, r.iterations, r.last_update))
+    checks.append(check_convergence(r.converged, r.iterations, r.last_update))
     try:
         r.calibrated()
     except DescriptionError as error:
         least = float(np.min(solution.problem.all_parameters(r.values)[: solution.problem.arm.n]))
         checks.append(Check("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
-    residuals = fitting(
+    residuals = check_fit(
         solution.first.chi_square, solution.first.degrees_of_freedom, s.min_probability,
         "residuals are larger than the assumed deviations allow", solution.noise,
     )  # fmt: skip
-    far = outliers(
+    far = check_outliers(
         solution.errors, solution.kept, s.outlier, s.max_outliers, "observation",
         "normalized residual",
     )  # fmt: skip
     if FAIL in (residuals.verdict, far.verdict) and (hint := _swap_hint(solution, s)):
-        checks.append(cause(hint))
+        checks.append(cause_check(hint))
         residuals = replace(residuals, verdict=FAIL)
     return [
         *checks, _lengths_kept(solution, s), residuals, far, _checked(solution, s),
@@ -103,7 +105,9 @@ def _determined(r: KinematicResult, s: KinematicSettings) -> Check:
     span = np.ptp(r.problem.q, axis=0)
     still = [f"joint_{i + 1}" for i in np.flatnonzero(span < s.same_posture)]
     hint = f"; {', '.join(still)} hardly moved" if still else ""
-    return determined(r.undetermined, r.missing, r.condition_number, s.max_condition, hint)
+    return check_identifiability(
+        r.undetermined, r.missing, r.condition_number, s.max_condition, hint
+    )
 
 
 def _lengths_kept(solution: Solution, s: KinematicSettings) -> Check:
@@ -120,7 +124,7 @@ def _lengths_kept(solution: Solution, s: KinematicSettings) -> Check:
     words += f" (at most {s.max_length_change:g} m apart)"
     averaged = _averaged(problem)
     failing = f"another arm's data, or {averaged}" if averaged else "another arm's data"
-    check = at_most("description", change, s.max_length_change, words, failing)
+    check = check_limit("description", change, s.max_length_change, words, failing)
     if averaged and check.verdict == PASS and _told_apart(solution) < s.min_probability:
         return replace(check, verdict=FAIL, reason=averaged)
     return check if check.verdict == FAIL else replace(check, reason=averaged)
@@ -163,7 +167,7 @@ def _checked(solution: Solution, s: KinematicSettings) -> Check:
     """
     r = solution.result
     regressor = r.problem.linear(r.values).regressor
-    check = checked(_redundancy(regressor), solution.kept, s.min_redundancy, "observation")
+    check = check_redundancy(_redundancy(regressor), solution.kept, s.min_redundancy, "observation")
     if check.verdict == PASS:
         return check
     angles = np.array(r.problem.units) == "rad"
@@ -186,8 +190,8 @@ def _predicted(solution: Solution, s: KinematicSettings) -> Check:
     if not held_out:
         words = "no observation was held out" + (", as they are too few" if s.held_out else "")
         return Check("prediction", NOT_EVALUATED, nan, s.min_probability, words, needed=False)
-    what = f"{numbers(held_out)} predicted from the others"
-    check = by_chance(
+    what = f"{format_indices(held_out)} predicted from the others"
+    check = check_chi_square(
         "prediction", solution.prediction.chi_square, 3 * len(held_out), s.min_probability,
         "worse than the deviations allow", solution.noise.freedom,
     )  # fmt: skip
@@ -210,7 +214,7 @@ def _swap_hint(solution: Solution, s: KinematicSettings) -> str:
     """Return a message if swapped subjects explain the bad fit, else an empty string."""
     problem = solution.problem.only(solution.kept).with_deviations(solution.noise.largest)
     all_swapped = fit(replace(problem, tip=inverse(problem.tip)), max_condition=s.max_condition)
-    check = by_chance(
+    check = check_chi_square(
         "", all_swapped.chi_square, all_swapped.degrees_of_freedom, s.min_probability, ""
     )
     if check.verdict == PASS:
@@ -222,6 +226,6 @@ def _swap_hint(solution: Solution, s: KinematicSettings) -> str:
     which = np.flatnonzero(solution.kept)[some].tolist()
     tip = np.where(some[:, None], inverse(problem.tip), problem.tip)
     back = fit(replace(problem, tip=tip), max_condition=s.max_condition)
-    check = by_chance("", back.chi_square, back.degrees_of_freedom, s.min_probability, "")
+    check = check_chi_square("", back.chi_square, back.degrees_of_freedom, s.min_probability, "")
     explains = bool(which) and check.verdict == PASS
-    return f"base and end effector are swapped in {numbers(which)}" if explains else ""
+    return f"base and end effector are swapped in {format_indices(which)}" if explains else ""

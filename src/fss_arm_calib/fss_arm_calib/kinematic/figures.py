@@ -9,7 +9,7 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report_figures import figure
+from fss_arm_calib.report_figures import empty_figure
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.layout import kinematic_index, kinematic_names
@@ -28,7 +28,7 @@ def postures(outcome: Outcome[Observation, Solution]) -> Any:
     errors = (found.noise if found else assumed(outcome.settings)).deviations
     q, tip = np.array([o.q for o in outcome.used]), np.array([o.tip for o in outcome.used])
     residuals = np.where((e.weights > 0.0)[:, None], e.residuals, np.nan)
-    drawing = figure((14, 8))
+    drawing = empty_figure((14, 8))
     axes = drawing.subplot_mosaic([["arm", "x y"], ["arm", "heading"]], width_ratios=(1.25, 1.0))
     position, heading = axes["x y"], axes["heading"]
     drawing.suptitle(

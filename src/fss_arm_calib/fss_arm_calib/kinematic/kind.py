@@ -10,10 +10,10 @@ from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.messages import (
     common_message,
-    flat,
+    flatten,
     joints_input,
     poses_input,
-    stamped,
+    set_header,
     telemetry_inputs,
 )
 from fss_arm_calib.outcome import Outcome
@@ -50,9 +50,9 @@ def to_message(outcome: Outcome[Observation, Solution], frame_id: str) -> Kinema
     for one in last:
         message.boots, message.homings = list(one.boots), list(one.homings)
     if found := outcome.solution:
-        message.held_out = flat(found.held_out)
-        message.held_out_residuals = flat(found.prediction.residuals)
-        message.held_out_normalized = flat(found.prediction.normalized)
+        message.held_out = flatten(found.held_out)
+        message.held_out_residuals = flatten(found.prediction.residuals)
+        message.held_out_normalized = flatten(found.prediction.normalized)
     return message
 
 
@@ -79,7 +79,7 @@ def observations_message(
         for o in observations
     ]
     message.observations = ones
-    return stamped(message, ones, frame_id)
+    return set_header(message, ones, frame_id)
 
 
 def observations_of(message: KinematicObservations) -> list[Observation]:

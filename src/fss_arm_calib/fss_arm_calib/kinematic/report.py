@@ -15,8 +15,14 @@ from fss_arm_calib.kinematic.figures import (
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure, Report, Table
-from fss_arm_calib.report_figures import correlation, influence
-from fss_arm_calib.report_tables import difference, number, reported, shown_unit, text
+from fss_arm_calib.report_figures import draw_correlation, draw_influence
+from fss_arm_calib.report_tables import (
+    difference,
+    display_unit,
+    format_number,
+    format_value,
+    make_report,
+)
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.layout import kinematic_index, kinematic_names
@@ -31,17 +37,17 @@ def kinematic_report(outcome: Outcome[Observation, Solution], truth: Arm | None 
         Figure(
             "kinematic_correlation",
             "Correlation of the parameters",
-            lambda: correlation(o.covariance, labels),
+            lambda: draw_correlation(o.covariance, labels),
         ),
         Figure(
             "kinematic_observations",
             "Each observation",
-            lambda: influence(o, "normalized residual [deviations]"),
+            lambda: draw_influence(o, "normalized residual [deviations]"),
         ),
     )
     title, tables = f"Kinematic calibration of {o.arm.name}", (_parameters(o, truth), _residuals(o))
     details = (_observations(o),) if o.solution else ()
-    return reported(title, o, tables, details, figures)
+    return make_report(title, o, tables, details, figures)
 
 
 def _parameters(outcome: Outcome[Observation, Solution], truth: Arm | None) -> Table:
@@ -53,10 +59,12 @@ def _parameters(outcome: Outcome[Observation, Solution], truth: Arm | None) -> T
     rows = []
     for k, (name, unit) in enumerate(zip(e.names, e.units, strict=True)):
         columns = [paper, e.initial, *[true] * known, e.values, e.deviations]
-        row = [_label(name, n), shown_unit(unit)]
-        row += [number(column[k], unit) for column in columns]
+        row = [_label(name, n), display_unit(unit)]
+        row += [format_value(column[k], unit) for column in columns]
         if known:
-            row.append(text(difference(e.values[k], true[k], unit) / e.deviations[k], "+.2f"))
+            row.append(
+                format_number(difference(e.values[k], true[k], unit) / e.deviations[k], "+.2f")
+            )
         rows.append(row)
     head = ["parameter", "unit", "Tables 2-3", "guess", *["truth"] * known, "estimate", "± 1 sigma"]
     head += ["error / sigma"] * known
@@ -73,7 +81,7 @@ def _residuals(outcome: Outcome[Observation, Solution]) -> Table:
     noise = found.noise if found else assumed(outcome.settings)
     predicted = found.prediction.residuals if found else np.empty((0, 3))
     rows = [
-        [name, shown_unit(unit), *(number(value, unit) for value in values)]
+        [name, display_unit(unit), *(format_value(value, unit) for value in values)]
         for name, unit, *values in (
             ("position", "m", PAPER_POSITION_RESIDUAL, e.position_residual,
              root_mean_square(predicted[:, :2]), noise.deviations[0]),

@@ -13,7 +13,7 @@ from fss_arm_calib.kinematic.problem import (
     PARAMETRIZATIONS,
     POSITION_DEVIATION,
 )
-from fss_arm_calib.settings import SHARE, CalibrationSettings, most
+from fss_arm_calib.settings import FRACTION, CalibrationSettings, max_data
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 
@@ -31,7 +31,7 @@ class KinematicSettings(CalibrationSettings):
     )
 
     tip_topic: str = like(Vehicle, "tip_topic")
-    max_observations: int = most(200, "rests")
+    max_observations: int = max_data(200, "rests")
     parametrization: str = setting(
         DESCRIBED,
         f"{EQUAL}: one length for all links but the last; {FULL}: a length for each; {DESCRIBED}: "
@@ -76,7 +76,9 @@ class KinematicSettings(CalibrationSettings):
         check=Check("more than 1", lambda value: value > 1.0, low=1.0),
     )  # fmt: skip
     min_redundancy: float = setting(
-        0.1, "least share of an observation's error that the others let show, squared", check=SHARE
+        0.1,
+        "least share of an observation's error that the others let show, squared",
+        check=FRACTION,
     )
     held_out: int = setting(
         4,

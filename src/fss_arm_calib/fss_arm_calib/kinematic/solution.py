@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.acceptance import TOLERANCE
+from fss_arm_calib.acceptance import UPDATE_TOLERANCE
 from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.estimation.noise import Left, Noise, Solved, assumed, estimated
 from fss_arm_calib.estimation.outliers import without_outliers
@@ -86,7 +86,7 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
         def with_noise(deviations: Floats) -> tuple[KinematicResult, Left | None]:
             weighed = those.with_deviations(deviations)
             most = s.max_condition if weighed.sigma[1:].tolist() == largest else ANY
-            result = fit(weighed, TOLERANCE, max_condition=most)
+            result = fit(weighed, UPDATE_TOLERANCE, max_condition=most)
             return result, result.left
 
         return estimated(s, with_noise)
@@ -129,7 +129,7 @@ def _held_out(
     rest[held_out] = False
     if len(held_out) and np.sum(rest) >= fewest(problem, s):
         try:
-            without = solve(problem.only(rest), TOLERANCE, max_condition=max_condition)
+            without = solve(problem.only(rest), UPDATE_TOLERANCE, max_condition=max_condition)
             return held_out, without.predicted(problem.only(held_out))
         except NotIdentifiable:
             pass
