@@ -132,7 +132,7 @@ def heard(finder: ExcitationFinder, samples: Sequence[Sample]) -> list[Excitatio
     """What a finder makes of samples in the order given."""
     found = []
     for t, i, frame in samples:
-        found += finder.frame(i, t, frame)
+        found += finder.add_frame(i, t, frame)
     return found + finder.close()
 
 

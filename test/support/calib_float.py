@@ -132,13 +132,13 @@ def feed(finder, samples, close=True):
     found = []
     for t, stream, value in samples:
         if stream in SUBJECTS:
-            found += finder.pose(SUBJECTS[stream], t, value)
+            found += finder.add_pose(SUBJECTS[stream], t, value)
         elif stream == "gyro":
-            found += finder.rate(t, value)
+            found += finder.add_rate(t, value)
         elif isinstance(stream, str):
-            found += finder.telemetry(int(stream.removeprefix("link_")), t, *value)
+            found += finder.add_telemetry(int(stream.removeprefix("link_")), t, *value)
         else:
-            found += finder.joint(stream, t, *value)
+            found += finder.add_reading(stream, t, *value)
     return found + (finder.close() if close else [])
 
 

@@ -34,6 +34,6 @@ def quantization_bound(
     n, s = problem.arm.n, len(problem.q)
     xi = problem.initial if values is None else np.asarray(values, dtype=float)
     Phi_q = np.zeros((s, 3, s, n))
-    Phi_q[np.arange(s), :, np.arange(s), :] = problem.in_deviations(problem.by_readings(xi))
+    Phi_q[np.arange(s), :, np.arange(s), :] = problem.whiten(problem.reading_jacobian(xi))
     influence = np.linalg.pinv(problem.regressor(xi)) @ Phi_q.reshape(3 * s, s * n)
     return half_count * np.sum(np.abs(influence), axis=1)

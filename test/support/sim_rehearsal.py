@@ -17,7 +17,7 @@ from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
-from fss_arm_calib.segments.rests import BASE, TIP, RestFinder, unrepeated
+from fss_arm_calib.segments.rests import BASE, TIP, RestFinder, rejected_without_repeat
 from fss_arm_driver.move import plan
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description_file import load
@@ -88,16 +88,16 @@ class Rehearsal:
                     self.samples[i].append(sample)
                     self.deviations[i].append(self.links[i].deviation(self.now))
                     reading = i + 1, sample.stamp, sample.position
-                    self.observations += self.finder.joint(*reading)
-                    self.maneuvers += self.maneuver_finder.joint(*reading, sample.velocity)
+                    self.observations += self.finder.add_reading(*reading)
+                    self.maneuvers += self.maneuver_finder.add_reading(*reading, sample.velocity)
         for name, seen in ((BASE, report.readings.base), (TIP, report.readings.tip)):
             if seen:
                 pose = None if seen.occluded else seen.pose
-                self.observations += self.finder.pose(name, self.now, pose)
+                self.observations += self.finder.add_pose(name, self.now, pose)
                 if name == BASE:
-                    self.maneuvers += self.maneuver_finder.pose(name, self.now, pose)
+                    self.maneuvers += self.maneuver_finder.add_pose(name, self.now, pose)
         if report.readings.rate is not None:
-            self.maneuvers += self.maneuver_finder.rate(self.now, report.readings.rate)
+            self.maneuvers += self.maneuver_finder.add_rate(self.now, report.readings.rate)
         if self.bed.frame % COMMANDS == 0:
             for i, link in enumerate(self.links):
                 self.bed.receive(i, link.command(self.now), peer="driver")
@@ -164,7 +164,7 @@ class Rehearsal:
         for posture in self.postures:
             self.go(posture)
         for _ in range(ROUNDS):
-            for lost in unrepeated(self.observations, np.radians(1.0)):
+            for lost in rejected_without_repeat(self.observations, np.radians(1.0)):
                 self.go(lost.q)
         self.observations += self.finder.close()
         self.maneuvers += self.maneuver_finder.close()

@@ -65,7 +65,7 @@ def check_chi_square(
 def check_fit(chi_square: float, freedom: float, least: float, failing: str, noise: Noise) -> Check:
     """Check that the residuals agree with the given or estimated deviations."""
     check = check_chi_square("fit", chi_square, freedom, least, failing)
-    if noise.given.all():
+    if noise.is_given.all():
         return check
     return replace(check, reason=f"{check.reason}; errors are {noise} by the residuals")
 
@@ -87,8 +87,8 @@ def check_clocks(streams: Streams, most: float) -> Check:
     reason, bad = "", back > most
     if bad:
         reason = f"clock of {name} ran back by {back:.3g} s (at most {most:g})"
-    elif streams.offset_beyond:
-        reason = f"by most moves the clocks differ by more than {streams.offset_beyond:g} s"
+    elif streams.offset_lower_bound:
+        reason = f"by most moves the clocks differ by more than {streams.offset_lower_bound:g} s"
         reason += ", or the subjects are swapped"
     verdict = NOT_EVALUATED if reason else PASS
     return Check("clocks", verdict, back, most, reason, needed=bad)
@@ -96,9 +96,9 @@ def check_clocks(streams: Streams, most: float) -> Check:
 
 def stream_causes(streams: Streams) -> list[Check]:
     """Return possible causes of a verdict in the streams themselves, the most likely one first."""
-    words = [*streams.doubts]
-    if streams.silent and streams.others:
-        names, heard = ", ".join(streams.silent), ", ".join(streams.others)
+    words = [*streams.problems]
+    if streams.silent and streams.other_names:
+        names, heard = ", ".join(streams.silent), ", ".join(streams.other_names)
         words.append(f"nothing heard of {names}, but of {heard}: other names?")
     if differ := frame_mismatch(streams):
         words.append(differ)

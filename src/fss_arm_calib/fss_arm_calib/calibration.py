@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from fss_arm_calib.acceptance import Check, check_clocks
-from fss_arm_calib.estimation.evidence import Evidence
+from fss_arm_calib.estimation.measurements import Measurements
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.report import Report, Table
 from fss_arm_calib.report_tables import table_report
@@ -87,7 +87,9 @@ class Calibration(Generic[D, C]):
     stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result is outdated
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
     lacks: Mapping[str, str] = field(default_factory=dict)  # features not available, with reasons
-    evidence: Callable[[Sequence[D], Arm, C], Evidence] | None = None  # for a joint estimate
+    measurements: Callable[[Sequence[D], Arm, C], Measurements] | None = (
+        None  # for a joint estimate
+    )
     after: Mapping[str, type[Any]] = field(default_factory=dict)  # topics of results to start from
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:

@@ -16,7 +16,7 @@ from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
 from fss_arm_calib.programs import drift, drives, dynamic, joint, kinematic
 from fss_arm_calib.report import write
-from fss_arm_calib.segments.streams import Streams, newest
+from fss_arm_calib.segments.streams import Streams, keep_newest
 from fss_arm_calib.state import FileWriter, Flags, StateError, restore, save
 from fss_arm_model.description_file import described
 from fss_arm_model.settings import default_in
@@ -51,7 +51,7 @@ class CalibrationNode(Node):
         self.begun = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
         self.writes = FileWriter(self.get_logger())
         kept, self.flags = self.restored()
-        self.data: list[Any] = newest(kept, kind.most(s))
+        self.data: list[Any] = keep_newest(kept, kind.most(s))
         self.finder = kind.finder(self.begun.arm, s, kept)
         try:
             self.outcome, self.saved = self.solved(), self.flags
@@ -135,7 +135,7 @@ class CalibrationNode(Node):
         """Store, save and publish new data and solve again; return False if there are none."""
         if not found:
             return False
-        self.data = newest([*self.data, *found], self.kind.most(self.settings))
+        self.data = keep_newest([*self.data, *found], self.kind.most(self.settings))
         self.outcome = self.solved()
         self.publish()
         data = self.kind.data

@@ -21,8 +21,8 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_tables import difference
 from fss_arm_calib.segments.poses import BASE, TIP
-from fss_arm_calib.segments.recorded import Recorded, Track, seen_from_above
-from fss_arm_calib.segments.samples import LARGEST, SECOND, span
+from fss_arm_calib.segments.recorded import Recorded, Track, planar_poses
+from fss_arm_calib.segments.samples import MAX_VALUE, SECOND, describe_clock_error
 from fss_arm_model.description import Arm
 
 MAX_LENGTH = 900.0  # length of the last part of the recording that is used [s]
@@ -77,7 +77,7 @@ def explain_failure(
 def find_cause(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: Recorded) -> str:
     """Describe the hypothesis that makes the calibration pass; empty if none does."""
     recorded, until = (
-        recorded.brief(MAX_LENGTH, JOINT_PERIOD, POSE_PERIOD),
+        recorded.shorten(MAX_LENGTH, JOINT_PERIOD, POSE_PERIOD),
         process_time() + MAX_SEARCH_TIME,
     )
     best, nearest = "", inf
@@ -106,7 +106,7 @@ def calibrate_under(
     """Calibrate under a hypothesis; None if that is impossible."""
     try:
         finder: Any = kind.finder(arm, one.settings, [])
-        found = one.recorded.play(finder)
+        found = one.recorded.replay(finder)
         return kind.calibrate(found, arm, one.settings, finder.streams(), "")
     except (ArithmeticError, LookupError, ValueError):
         return None
@@ -173,7 +173,7 @@ def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
             f"joint_{i}": 2.0 * np.pi * link.drive.direction / link.drive.counts_per_turn
             for i, link in enumerate(arm.links, 1)
         }
-        if all(counts) or max(wide.values()) > LARGEST:
+        if all(counts) or max(wide.values()) > MAX_VALUE:
             changed = recorded
             for name in turned:
                 changed = _scale_joints(changed, [name], per_count.get(name, 1.0))
@@ -215,7 +215,7 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, s
         whose = [name for name in off if not every or name not in recorded.joints]
         who = ", ".join([*["the joints"] * every, *whose])
         by = -float(np.median(list(off.values())))
-        words = f"clock of {who} {span(by)} the others?"
+        words = f"clock of {who} {describe_clock_error(by)} the others?"
         yield words, "with the times of receipt", changed
     by = _estimate_lag(recorded)
     if abs(by) > MIN_CLOCK_OFFSET:
@@ -223,7 +223,7 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, s
             recorded.with_joints(lambda _, t: _shift_stamps(t, -by)),
             rates=_shift_stamps(recorded.rates, -by) if recorded.rates else None,
         )
-        words = f"clock of the joints {span(by)} the subjects'?"
+        words = f"clock of the joints {describe_clock_error(by)} the subjects'?"
         yield words, "with it shifted", changed
 
 
@@ -251,10 +251,10 @@ def _estimate_lag(recorded: Recorded) -> float:
     ends = np.array([max(int(t.t[-1]) for t in joints), int(base.t[-1])])
     if np.max(ends - begins) > 2 * MAX_LENGTH * SECOND:
         return 0.0
-    seen = seen_from_above(base.values)[:, 2]
+    seen = planar_poses(base.values)[:, 2]
     t = (base.t - begins[1]) / SECOND
     if tip is not None and len(tip.t) > 10:
-        other = seen_from_above(tip.values)[:, 2]
+        other = planar_poses(tip.values)[:, 2]
         seen = np.interp(
             t, (tip.t - begins[1]) / SECOND, _unwrap_headings(other)
         ) - _unwrap_headings(seen)
@@ -330,7 +330,7 @@ def _tip_from_base(recorded: Recorded) -> Recorded:
     base, tip = recorded.poses[BASE], recorded.poses[TIP]
     if not len(base.t) or not len(tip.t):
         return recorded
-    at, seen = seen_from_above(base.values), seen_from_above(tip.values)
+    at, seen = planar_poses(base.values), planar_poses(tip.values)
     t, since = (track.t - base.t[0] for track in (tip, base))
     x, y, heading = (
         np.interp(t, since, column) for column in (*at.T[:2], _unwrap_headings(at[:, 2]))

@@ -23,7 +23,7 @@ from fss_arm_calib.joint import from_bags
 from fss_arm_calib.joint.kind import JOINT
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Datum, Outcome
-from fss_arm_calib.segments.streams import newest
+from fss_arm_calib.segments.streams import keep_newest
 from fss_arm_calib.settings import KindSettings
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described, from_yaml, load
@@ -63,7 +63,7 @@ def solve_bag(
         for topic in bags.left_out:
             print(f"from_bag: {topic}", file=sys.stderr)
         inputs = kind.inputs(s, arm.n)
-        found = newest(find_data(bags, finder, inputs, s.horizon, namespace), kind.most(s))
+        found = keep_newest(find_data(bags, finder, inputs, s.horizon, namespace), kind.most(s))
         outcome = kind.calibrate(found, arm, s, finder.streams(), describe_source(bags))
         if outcome.verdict == PASS:
             return outcome

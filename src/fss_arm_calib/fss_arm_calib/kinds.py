@@ -12,4 +12,4 @@ KINDS: dict[str, Calibration[Any, Any]] = {
     kind.name: kind for kind in (KINEMATIC, DYNAMIC, DRIFT, DRIVES)
 }
 #: Kinds whose data a joint estimate combines.
-JOINT_SOURCES = {name: kind for name, kind in KINDS.items() if kind.evidence}
+JOINT_SOURCES = {name: kind for name, kind in KINDS.items() if kind.measurements}

@@ -39,10 +39,10 @@ def joints_input(topic: str) -> Input:
         t, readings = stamp_ns(message.header.stamp), list(joint_readings(message))
         if len(readings) < len(message.name):
             own = {f"joint_{i}" for i, *_ in readings}
-            finder.rests.others.update(
+            finder.rests.other_names.update(
                 [name for name in message.name if name not in own][:MAX_LISTED_NAMES]
             )
-        return [one for i, q, qd, _ in readings for one in finder.joint(i, t, q, qd)]
+        return [one for i, q, qd, _ in readings for one in finder.add_reading(i, t, q, qd)]
 
     return Input(topic, JointState, feed)
 
@@ -55,12 +55,12 @@ def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
         finder.subjects[subject].frame = str(message.header.frame_id)
-        return finder.pose(subject, stamp_ns(message.header.stamp), seen_pose(message))
+        return finder.add_pose(subject, stamp_ns(message.header.stamp), seen_pose(message))
 
     def feed_many(finder: AnyFinder, data: Sequence[bytes]) -> list[Any]:
         if data:
             finder.subjects[subject].frame = frame_id(data[0])
-        return finder.poses(subject, *poses(data))
+        return finder.add_poses(subject, *poses(data))
 
     return Input(topic, PoseStamped, feed, feed_many, needed, subject)
 
@@ -69,10 +69,10 @@ def rates_input(topic: str) -> Input:
     """Return the input of the base's turn rates: sensor_msgs/Imu, optional."""
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
-        return finder.rate(stamp_ns(message.header.stamp), float(message.angular_velocity.z))
+        return finder.add_rate(stamp_ns(message.header.stamp), float(message.angular_velocity.z))
 
     def feed_many(finder: AnyFinder, data: Sequence[bytes]) -> list[Any]:
-        return finder.rates(*turn_rates(data))
+        return finder.add_rates(*turn_rates(data))
 
     return Input(topic, Imu, feed, feed_many, needed=False)
 
@@ -83,7 +83,7 @@ def telemetry_inputs(n: int) -> list[Input]:
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
         t, armed = stamp_ns(message.header.stamp), bool(message.armed)
         link, boot, homings = int(message.link), int(message.boot), int(message.homings)
-        return finder.telemetry(link, t, armed, boot, homings)
+        return finder.add_telemetry(link, t, armed, boot, homings)
 
     topics = (f"link_{i}/telemetry" for i in range(1, n + 1))
     return [Input(topic, LinkTelemetry, feed, needed=False) for topic in topics]

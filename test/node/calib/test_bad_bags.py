@@ -151,7 +151,7 @@ def test_a_stamp_of_another_year_is_rejected_by_itself(samples, tmp_path, place)
     assert calibration.values.tolist() == expected.values.tolist()
     rejected = calibration.streams.rejected
     assert len(rejected) == 6
-    assert {why.split(" ", 1)[1] for why in rejected} == {"astray in time"}
+    assert {why.split(" ", 1)[1] for why in rejected} == {"isolated in time"}
 
 
 @pytest.mark.parametrize("streams", [{2}, {BASE, TIP}])

@@ -75,7 +75,7 @@ def test_a_good_bag_of_unlike_links_passes_by_default_and_accuses_nobody(dynamic
     outcome = solved(tmp_path, 3, dynamic, noise=1)
     assert outcome.verdict == PASS, outcome.reasons
     assert not accused(outcome)
-    assert not outcome.solution.noise.given.any()
+    assert not outcome.solution.noise.is_given.any()
     found = from_yaml(outcome.description)
     truth = arm(3, 1)
     for one, true in zip(found.links, truth.links, strict=True):

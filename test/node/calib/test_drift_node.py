@@ -145,4 +145,4 @@ def test_too_little_is_not_evaluated_and_a_push_fails(samples, bag, capsys):
     drifts = feed(DriftFinder(ARM.n), samples)
     pushed = calibrate([push(drifts[0]), *drifts[1:]], ARM)
     assert pushed.verdict == "fail"
-    assert "something else moved the base" in pushed.reason
+    assert "another force moved the base" in pushed.reason

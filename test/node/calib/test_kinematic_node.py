@@ -136,7 +136,7 @@ def test_a_stamp_of_another_year_and_an_endless_name_stop_nothing(spin, samples)
     bed.outputs["joint_states"].publish(year_2038)
     run(spin, bed, node, [s for s in samples if s.t >= at(9.0)])
     assert ask(spin, bed, node, bed.solver).success
-    assert node.finder.streams().rejected == {"joint_2 astray in time": 2}
+    assert node.finder.streams().rejected == {"joint_2 isolated in time": 2}
     bed.outputs["joint_states"].publish(year_2038)
     ask(spin, bed, node, bed.forgetter)
     spin([bed, node], lambda: bed.found() == 0)

@@ -8,9 +8,9 @@ from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.segments.alignment import (
     Alignment,
     Offset,
-    last_move,
+    estimate_offset,
+    find_last_move,
     mean_offset,
-    offset_of_move,
 )
 from fss_arm_calib.segments.joints import Rests
 from fss_arm_calib.segments.rests import RestFinder
@@ -41,7 +41,7 @@ def offset_seen(rng, delta, noise=0.0, n=4, search=1.0):
     seen = np.arange(-3.0, end + 3.0, 0.01)
     psi = sum(path(seen - begin, turn) for turn, begin in zip(turns, start, strict=True))
     psi = 1.0 + psi + noise * rng.normal(size=len(seen))
-    return offset_of_move(np.array([delta, end + delta]), q, seen, psi, search)
+    return estimate_offset(np.array([delta, end + delta]), q, seen, psi, search)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 1.2e-2])
@@ -81,7 +81,7 @@ def test_what_tells_nothing_is_no_offset():
     t = np.arange(-2.0, 4.0, 0.2)
     turning, back = (t, path(t, 1.0)), (t, path(t, -1.0))
     seen = np.arange(-2.0, 4.0, 0.01)
-    nothing = offset_of_move(np.array([0.0, 2.5]), [turning, back], seen, 0.0 * seen, 1.0)
+    nothing = estimate_offset(np.array([0.0, 2.5]), [turning, back], seen, 0.0 * seen, 1.0)
     assert nothing.deviation == np.inf
     assert np.isnan(nothing.value)
 
@@ -100,7 +100,7 @@ def one_joint():
 
     def learn(psi, late=0.0):
         q = [(t, path(t, 1.0))]
-        alignment.learn(offset_of_move(np.array([0.0, 2.5]), q, seen - late, psi(seen), 1.0))
+        alignment.add_move(estimate_offset(np.array([0.0, 2.5]), q, seen - late, psi(seen), 1.0))
 
     return alignment, learn
 
@@ -128,11 +128,11 @@ def rested(*times):
 
 
 def test_the_last_move_is_found():
-    assert last_move(rested(), 29 * SECOND, 1e-3) is None
-    begin, end = last_move(rested(1.0, 20.0), 29 * SECOND, 1e-3)
+    assert find_last_move(rested(), 29 * SECOND, 1e-3) is None
+    begin, end = find_last_move(rested(1.0, 20.0), 29 * SECOND, 1e-3)
     assert (begin, end) == (20 * SECOND, pytest.approx(22.4 * SECOND, abs=0.2 * SECOND))
-    assert last_move(rested(1.0, 20.0), 19 * SECOND, 1e-3)[0] == SECOND
-    assert last_move(rested(1.0), 29 * SECOND, 1e-3) is None  # too long ago
+    assert find_last_move(rested(1.0, 20.0), 19 * SECOND, 1e-3)[0] == SECOND
+    assert find_last_move(rested(1.0), 29 * SECOND, 1e-3) is None  # too long ago
 
 
 def test_only_the_newest_moves_count():
@@ -149,9 +149,9 @@ def observed(rig, late):
     finder, found = RestFinder(4), []
     for s in rig.samples():
         if isinstance(s.stream, str):
-            found += finder.pose(s.stream, s.t, s.value)
+            found += finder.add_pose(s.stream, s.t, s.value)
         else:
-            found += finder.joint(s.stream, s.t + round(late * SECOND), s.value)
+            found += finder.add_reading(s.stream, s.t + round(late * SECOND), s.value)
     return finder, found + finder.close()
 
 
@@ -160,7 +160,7 @@ def test_clocks_too_far_apart_are_told(late):
     rig = Rig(DEFAULT_POSTURES[:9], rest=2.6, rate=50.0)
     streams = observed(rig, late)[0].streams()
     assert streams.offset.deviation == np.inf
-    assert streams.offset_beyond == 1.0
+    assert streams.offset_lower_bound == 1.0
 
 
 @pytest.mark.parametrize("late", [-0.9, -0.03, 0.04, 0.9])
@@ -169,7 +169,7 @@ def test_the_finder_allows_for_the_offset(late):
     rig = Rig(np.array([*POSTURES, *DEFAULT_POSTURES[:5]]), rest=2.6)
     finder, found = observed(rig, late)
     offset = finder.streams().offset
-    assert finder.streams().offset_beyond == 0.0
+    assert finder.streams().offset_lower_bound == 0.0
     assert offset.value == pytest.approx(late, abs=0.003)
     assert offset.deviation < 0.003
     # Nothing had moved before the first rest, and its poses may be those of the move after it.

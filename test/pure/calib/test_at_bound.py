@@ -37,7 +37,7 @@ def outcome(kind):
 
 REPORTS = {"drift": DRIFT_KIND.report_of, "dynamic": DYNAMIC_KIND.report_of, "joint": joint_report}
 NAMES = {"drift": "drag", "dynamic": "b_4", "joint": "b_4"}
-WORDS = {"drift": "resistance to moving, at its bound"}
+WORDS = {"drift": "resistance to translation, at its bound"}
 
 
 @pytest.mark.parametrize("kind", NAMES)

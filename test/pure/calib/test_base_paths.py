@@ -22,8 +22,10 @@ def test_poses_on_the_way_are_where_the_base_was():
     rig = Float(postures(1, seed=3))
     samples = rig.samples()
     (alone,), (one,) = (feed(ManeuverFinder(4, s), samples) for s in (DYNAMIC, ALONG))
-    assert 0 <= one.underway.sum() - 2.0 * (rig.ends[0] - rig.begins[0]) < 4  # until it has settled
-    assert not alone.underway.any()
+    assert (
+        0 <= one.in_motion.sum() - 2.0 * (rig.ends[0] - rig.begins[0]) < 4
+    )  # until it has settled
+    assert not alone.in_motion.any()
     assert set(alone.marks) < set(one.marks)
     assert list(one.marks) == sorted(one.marks)
     state = np.zeros(8)

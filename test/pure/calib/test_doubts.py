@@ -9,7 +9,7 @@ from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.rests import BASE, TIP, RestFinder
-from fss_arm_calib.segments.samples import SECOND, span
+from fss_arm_calib.segments.samples import SECOND, describe_clock_error
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import paper_arm
 
@@ -25,9 +25,9 @@ def found(samples):
     finder, observations = RestFinder(4, KinematicSettings()), []
     for t, stream, value in samples:
         if isinstance(stream, str):
-            observations += finder.pose(stream, t, value)
+            observations += finder.add_pose(stream, t, value)
         else:
-            observations += finder.joint(stream, t, value)
+            observations += finder.add_reading(stream, t, value)
     observations += finder.close()
     return calibrate(observations, paper_arm(), streams=finder.streams())
 
@@ -35,7 +35,7 @@ def found(samples):
 def test_nothing_is_doubted_of_good_streams(samples):
     outcome = found(samples)
     assert outcome.verdict == PASS
-    assert outcome.streams.doubts == ()
+    assert outcome.streams.problems == ()
 
 
 @pytest.mark.parametrize(
@@ -43,26 +43,26 @@ def test_nothing_is_doubted_of_good_streams(samples):
     [
         (3600 * SECOND, r"3600 s (an hour) ahead of"),
         (-7200 * SECOND, r"7200 s (2 hours) behind"),
-        (-1_699_990_000 * SECOND, r"53.9 years behind (counting since its start?)"),
+        (-1_699_990_000 * SECOND, r"53.9 years (does it count from its start?) behind"),
     ],
 )
 def test_clocks_far_apart_are_named(samples, by, words):
     late = [s if isinstance(s.stream, str) else s._replace(t=s.t + by) for s in samples]
     outcome = found(late)
     assert outcome.verdict == NOT_EVALUATED
-    assert outcome.reasons[0] == f"clock of {JOINTS} {words} that of fss"
+    assert outcome.reasons[0] == f"clock of {JOINTS} is {words} that of fss"
 
 
 def test_a_subject_on_another_clock_is_not_only_silent(samples):
     late = [s._replace(t=s.t + 500 * SECOND) if s.stream == TIP else s for s in samples]
     outcome = found(late)
     assert outcome.verdict == NOT_EVALUATED
-    assert "clock of end_effector 500 s ahead of that of fss" in outcome.reasons
+    assert "clock of end_effector is 500 s ahead of that of fss" in outcome.reasons
 
 
 def test_a_subject_that_fell_silent_is_not_on_another_clock(samples):
     lost = [s for s in samples if s.stream != BASE or s.t < samples[0].t + 9 * SECOND]
-    assert not any("clock" in doubt for doubt in found(lost).streams.doubts)
+    assert not any("clock" in doubt for doubt in found(lost).streams.problems)
 
 
 def test_joints_read_too_rarely_are_named(samples):
@@ -73,8 +73,8 @@ def test_joints_read_too_rarely_are_named(samples):
             rare.append(s)
     outcome = found(rare)
     assert outcome.verdict == NOT_EVALUATED
-    assert outcome.reasons[0].startswith(f"{JOINTS} read every 2")
-    assert outcome.reasons[0].endswith("s only: joint_gap is 1 s")
+    assert outcome.reasons[0].startswith(f"{JOINTS} sampled only every 2")
+    assert outcome.reasons[0].endswith("s: joint_gap (1 s) is less")
 
 
 def test_a_joint_that_is_never_still_is_named(samples):
@@ -85,18 +85,18 @@ def test_a_joint_that_is_never_still_is_named(samples):
     ]
     outcome = found(noisy)
     assert outcome.verdict == NOT_EVALUATED
-    words = "joint_2 never still for 1 s to within motion_threshold, 0.001 rad"
+    words = "joint_2 never at rest for 1 s with a motion_threshold of 0.001 rad"
     assert outcome.reasons[0] == words
 
 
 def test_names_heard_are_told_beside_those_that_are_not():
-    streams = Streams(silent=("joint_1", "joint_2"), others=("q1", "q2"))
+    streams = Streams(silent=("joint_1", "joint_2"), other_names=("q1", "q2"))
     outcome = calibrate([], paper_arm(), streams=streams)
     words = "nothing heard of joint_1, joint_2, but of q1, q2: other names?"
     assert outcome.reasons[0] == words
 
 
 def test_spans_are_said_as_people_say_them():
-    assert span(0.3) == "0.3 s ahead of"
-    assert span(-3600.2) == "3600 s (an hour) behind"
-    assert span(5400.0) == "5400 s ahead of"
+    assert describe_clock_error(0.3) == "0.3 s ahead of"
+    assert describe_clock_error(-3600.2) == "3600 s (an hour) behind"
+    assert describe_clock_error(5400.0) == "5400 s ahead of"

@@ -88,7 +88,7 @@ def test_an_error_of_the_masses_is_carried():
 def test_one_long_drift_may_decide_alone():
     found, _ = drifts(6, count=1, length=120.0)
     result = solve(problem(found, 6))
-    leverage, errors, redundancy = result.checks
+    leverage, errors, redundancy = result.cross_checks
     assert redundancy == 0.0  # and not a little below, by rounding
     assert 4.0 < leverage[0] <= 5.0  # of five unknowns
     assert 0.0 < errors[0] < 1.0  # nothing but what is left of its own residuals

@@ -9,7 +9,7 @@ from calib_drives import PRESET, excitation, excitations, fly
 
 from fss_arm_calib.acceptance import NOT_EVALUATED, PASS
 from fss_arm_calib.drives.calibrate import Telemetry, calibrate
-from fss_arm_calib.drives.motion import Samples, ripple
+from fss_arm_calib.drives.motion import Samples, estimate_ripple
 from fss_arm_calib.drives.report import drives_report
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.segments.excitations import Excitation
@@ -127,7 +127,7 @@ def test_the_encoders_error_is_found() -> None:
     reading = q + A * np.sin(60.0 * q) + B * np.cos(60.0 * q)
     rate = qd * (1.0 + 60.0 * (A * np.cos(60.0 * q) - B * np.sin(60.0 * q)))
     nothing = np.zeros(len(t))
-    found = ripple(Samples(t, reading, rate, nothing, nothing, nothing), 60.0)
+    found = estimate_ripple(Samples(t, reading, rate, nothing, nothing, nothing), 60.0)
     assert found == pytest.approx((A, B), abs=3e-5)
 
 
@@ -152,7 +152,7 @@ def test_a_joint_that_keeps_still_is_refused() -> None:
         still.append(replace(one, links=(replace(link, position=none, velocity=none),)))
     found = calibrate(still, PAIR, SETTINGS)
     assert found.verdict == NOT_EVALUATED
-    assert "torque_constant_1 refused: joint 1 turns for 0.0 s" in found.reason
+    assert "torque_constant_1 not determined: joint 1 turns for 0.0 s" in found.reason
 
 
 def test_the_description_has_what_was_found() -> None:

@@ -10,9 +10,9 @@ from calib_drives import Sample, excitation, excitations, fly, heard, message
 
 from fss_arm_calib.drives.calibrate import Telemetry, calibrate
 from fss_arm_calib.drives.kind import DRIVES, excitations_message, excitations_of
-from fss_arm_calib.drives.problem import Windows, _turning
+from fss_arm_calib.drives.problem import Windows, _collect_turning
 from fss_arm_calib.drives.settings import DrivesSettings
-from fss_arm_calib.segments.excitations import BLOCK, LATE, ExcitationFinder, Frame
+from fss_arm_calib.segments.excitations import BLOCK, TOO_LATE, ExcitationFinder, Frame
 from fss_arm_calib.segments.samples import SECOND
 from fss_arm_calib.segments.settings import ExcitationSettings
 from fss_arm_model.description_file import described
@@ -81,7 +81,7 @@ def test_any_interleaving_gives_the_same(seed):
 def test_what_is_found_live_is_found_at_once_when_the_arm_rests_or_after_a_minute():
     finder, times = ExcitationFinder(ARM), []
     for t, i, frame in in_order(arm(150.0, lambda t: t < 130.0)):
-        if found := finder.frame(i, t, frame):
+        if found := finder.add_frame(i, t, frame):
             times.append((round((t - START) / SECOND), len(found)))
     assert times == [(60, 15), (120, 15), (136, 4)]
 
@@ -123,7 +123,7 @@ def test_frames_that_are_too_late_are_counted():
     mixed = sorted(chain(*links), key=lambda one: one.t + 100 * SECOND * (one.stream == 2))
     finder = ExcitationFinder(ARM)
     found = heard(finder, mixed)
-    assert finder.links[1].rejected[LATE] > 0
+    assert finder.links[1].rejected[TOO_LATE] > 0
     ends = [one.end for one in found if one.used]
     assert ends == sorted(ends)
     for i in range(4):
@@ -179,7 +179,7 @@ def test_nothing_reaches_across_what_was_left_out(flown):
         half = 0.5 * s.window
         assert not np.any((windows.t > begin - half) & (windows.t < end + half))
         for j, link in enumerate(links):
-            t = _turning(windows, link, j, s).t
+            t = _collect_turning(windows, link, j, s).t
             assert not np.any((t > begin - link.period) & (t < end + link.period))
     seconds = 4.0 * len(some)
     assert len(windows.t) > 0.8 * seconds / (0.5 * half)  # else there is nothing to be wrong

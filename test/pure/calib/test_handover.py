@@ -24,7 +24,7 @@ from calib_joint import (
 from numpy.testing import assert_allclose
 
 from fss_arm_calib import result
-from fss_arm_calib.drift.solution import uncertainty
+from fss_arm_calib.drift.solution import body_deviations
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_model.description import DescriptionError, Known
@@ -131,10 +131,10 @@ def test_offsets_alone_are_as_uncertain_as_the_lengths_that_are_kept():
 def test_drifts_know_the_whole_as_well_as_the_description_tells(told):
     truth, _, dynamic = told
     some = drifts(truth, 2, np.random.default_rng(0), SURROUNDINGS)
-    com, mass = uncertainty(some, from_yaml(dynamic.description), DRIFT)
+    com, mass = body_deviations(some, from_yaml(dynamic.description), DRIFT)
     assert 1e-4 < com < 0.5 * DRIFT.com_deviation
     assert 1e-3 < mass < DRIFT.mass_deviation
-    assert uncertainty(some, ARM, DRIFT) == (DRIFT.com_deviation, DRIFT.mass_deviation)
+    assert body_deviations(some, ARM, DRIFT) == (DRIFT.com_deviation, DRIFT.mass_deviation)
 
 
 def test_views_are_told_by_a_description_too(told):

@@ -131,10 +131,10 @@ def test_mirrored_arms_are_recognized_and_folded_back(turned, theta_e):
     values[list(turned)] *= -1.0
     values[4:7], values[-2] = np.diff(headings), headings[0]
     values[-1] -= np.pi * (3 in turned)
-    mirrored = exact.chosen(values)
+    mirrored = exact.estimated_parameters(values)
     assert exact.is_mirrored(mirrored)
     assert np.abs(exact.residuals(mirrored)[:, :2]).max() < 1e-12
-    assert np.abs(exact.folded(mirrored) - exact.initial).max() < 1e-12
+    assert np.abs(exact.unmirror(mirrored) - exact.initial).max() < 1e-12
     # A last link turned by pi does not fit without a heading offset to turn it back.
     fits = theta_e or 3 not in turned
     assert (np.abs(exact.residuals(mirrored)[:, 2]).max() < 1e-12) == fits
@@ -211,7 +211,7 @@ def test_leverage_and_normalized_residuals_tell_what_they_say():
         assert np.sum(result.leverage) == pytest.approx(8 / 3)
         assert 0.0 < result.leverage.min() < result.leverage.max() < 1.0
         inside.append(result.normalized_residuals**2)
-        outside.append(solve(noisy.only(kept)).predicted(noisy.only(~kept))[1] ** 2)
+        outside.append(solve(noisy.only(kept)).predict(noisy.only(~kept))[1] ** 2)
     for squares in (inside, outside):
         assert np.mean(squares) == pytest.approx(3.0, rel=0.08)
         assert np.mean(squares, axis=0) == pytest.approx(np.full(len(squares[0]), 3.0), rel=0.25)
@@ -375,7 +375,7 @@ def test_what_readings_add_is_the_covariance_of_what_they_move():
     exact = problem(arm_of(3), postures(3, 12), FULL, ripple_deviation=4e-4,
                     eccentricity_deviation=7e-4)  # fmt: skip
     result, xi = solve(exact), exact.initial
-    Phi_q, s = exact.by_readings(xi), len(exact.q)
+    Phi_q, s = exact.reading_jacobian(xi), len(exact.q)
     apart = exact.q[:, None] - exact.q
     k = 4e-4**2 * np.cos(60 * apart) + 7e-4**2 * np.cos(apart)
     S = np.einsum("kin,kln,ljn->kilj", Phi_q, k, Phi_q)

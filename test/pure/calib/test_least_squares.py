@@ -11,7 +11,7 @@ def line(A, b):
 
     def near(x, which):
         r = b[which] - (A[which] @ x[..., None])[..., 0]
-        return Linear(r, A[which], np.sum(r**2, axis=-1), taken=np.zeros(r.shape))
+        return Linear(r, A[which], np.sum(r**2, axis=-1), absorbed=np.zeros(r.shape))
 
     return near
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fss_arm_calib.acceptance import FAIL, PASS
-from fss_arm_calib.estimation.noise import Left, Noise, estimated
-from fss_arm_calib.estimation.statistics import as_if_known, probability
+from fss_arm_calib.estimation.noise import Noise, ResidualSums, solve_with_noise
+from fss_arm_calib.estimation.statistics import equivalent_error, probability
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
@@ -48,7 +48,7 @@ def test_what_is_given_is_assumed():
     s = replace(SETTINGS, position_deviation=0.002)
     noise = calibrate(observe(CAMERA, 1), ARM, s).solution.noise
     assert noise.deviations[0] == 0.002
-    assert noise.given.tolist() == [True, False]
+    assert noise.is_given.tolist() == [True, False]
     assert noise.deviations[1] == pytest.approx(CAMERA[2], rel=0.6)
 
 
@@ -66,11 +66,11 @@ def test_more_than_is_believed_of_a_camera_fails_as_if_assumed():
 def test_of_too_few_nothing_is_estimated():
     found = calibrate(observe(CAMERA, 1, q=DEFAULT_POSTURES[:6]), ARM, SETTINGS)
     assert found.estimate.degrees_of_freedom == 8
-    assert not found.solution.noise.given.any()
+    assert not found.solution.noise.is_given.any()
     few = replace(SETTINGS, parametrization="offsets", min_observations=2)
     assert calibrate(
         observe(CAMERA, 1, q=DEFAULT_POSTURES[:2]), ARM, few
-    ).solution.noise.given.all()
+    ).solution.noise.is_given.all()
 
 
 def test_one_far_off_is_named_though_it_makes_the_noise_larger():
@@ -90,7 +90,7 @@ def test_unlike_links_are_told_apart_unless_asked_not_to():
     equal = calibrate(seen, UNLIKE, KinematicSettings(parametrization="equal"))
     assert equal.verdict == FAIL
     assert "another arm's data, or links described as 0.300 to 0.420 m long" in equal.reason
-    assert "full tells them apart" in equal.reason
+    assert "parametrization full separates them" in equal.reason
 
 
 def test_exact_data_have_the_least_noise():
@@ -103,9 +103,9 @@ def test_two_kinds_of_coordinates_have_their_own_noise():
     s = replace(SETTINGS, max_position_deviation=0.01, max_heading_deviation=0.01)
 
     def solve(deviations):
-        return None, Left((true / deviations) ** 2 * [30.0, 20.0], np.array([32.0, 22.0]))
+        return None, ResidualSums((true / deviations) ** 2 * [30.0, 20.0], np.array([32.0, 22.0]))
 
-    noise = estimated(s, solve).noise
+    noise = solve_with_noise(s, solve).noise
     assert noise.deviations == pytest.approx(true)
     assert noise.uncertainty == pytest.approx(true / np.sqrt([64.0, 44.0]))
 
@@ -113,14 +113,16 @@ def test_two_kinds_of_coordinates_have_their_own_noise():
 def test_probabilities_allow_for_deviations_that_were_estimated():
     assert probability(12.0, 3) < probability(12.0, 3, 20.0) < probability(12.0, 3, 10.0)
     assert probability(12.0, 3, 1e9) == pytest.approx(probability(12.0, 3))
-    assert as_if_known(5.0, 3.0, np.inf) == 5.0
-    assert as_if_known(5.0, 3.0, 1e9) == pytest.approx(5.0)
-    assert 3.0 < as_if_known(5.0, 3.0, 10.0) < 4.0
+    assert equivalent_error(5.0, 3.0, np.inf) == 5.0
+    assert equivalent_error(5.0, 3.0, 1e9) == pytest.approx(5.0)
+    assert 3.0 < equivalent_error(5.0, 3.0, 10.0) < 4.0
 
 
 def test_more_than_expected_is_said_to_be_within_chance():
     """A stranger reads it beside `pass`."""
     noise = Noise(np.array([0.023, 0.01]), np.array([0.004, 0.0]), np.array([0.0177, 0.1]), 20.0)
-    assert str(noise) == "23 ± 4 mm (up to 17.7 expected, more within chance) and 0.57 degrees"
+    assert (
+        str(noise) == "23 ± 4 mm (17.7 mm assumed; the excess is not significant) and 0.57 degrees"
+    )
     less = replace(noise, deviations=np.array([0.012, 0.01]))
-    assert str(less) == "12 ± 4 mm (up to 17.7 expected) and 0.57 degrees"
+    assert str(less) == "12 ± 4 mm (at most 17.7 mm assumed) and 0.57 degrees"

@@ -12,12 +12,12 @@ from fss_arm_calib.segments.rests import (
     TIP,
     Observation,
     RestFinder,
-    homed,
-    since_homed,
-    unrepeated,
+    keep_since_homing,
+    rehomed_joints,
+    rejected_without_repeat,
 )
 from fss_arm_calib.segments.settings import RestSettings
-from fss_arm_calib.segments.streams import newest
+from fss_arm_calib.segments.streams import keep_newest
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND
 
@@ -27,9 +27,9 @@ def find(samples, close=True, finder=None, **known):
     found = []
     for t, stream, value in samples:
         if isinstance(stream, str):
-            found += finder.pose(stream, t, value)
+            found += finder.add_pose(stream, t, value)
         else:
-            found += finder.joint(stream, t, value)
+            found += finder.add_reading(stream, t, value)
     return found + (finder.close() if close else [])
 
 
@@ -78,17 +78,17 @@ def test_headings_across_the_cut_are_averaged_on_the_circle():
 
 def test_an_observation_knows_how_often_its_links_were_homed():
     finder = RestFinder(4)
-    finder.telemetry(2, at(0.5), True, 7, 0)  # not told yet
-    finder.telemetry(2, at(1.0), True, 7, 1)
-    finder.telemetry(2, at(5.0), True, 7, 2)
-    finder.telemetry(2, at(4.0), True, 7, 3)  # late: the newer one stands
-    finder.telemetry(2, at(11.0), True, 8, 1)
-    finder.telemetry(5, at(0.0), True, 7, 1)  # another arm's
+    finder.add_telemetry(2, at(0.5), True, 7, 0)  # not told yet
+    finder.add_telemetry(2, at(1.0), True, 7, 1)
+    finder.add_telemetry(2, at(5.0), True, 7, 2)
+    finder.add_telemetry(2, at(4.0), True, 7, 3)  # late: the newer one stands
+    finder.add_telemetry(2, at(11.0), True, 8, 1)
+    finder.add_telemetry(5, at(0.0), True, 7, 1)  # another arm's
     found = find(Rig().samples(), finder=finder)
     assert [o.boots for o in found] == [(0, 7, 0, 0), (0, 7, 0, 0), (0, 8, 0, 0)]
     assert [o.homings for o in found] == [(0, 1, 0, 0), (0, 2, 0, 0), (0, 1, 0, 0)]
-    assert [homed(o, finder.streams()) for o in found] == [[2], [2], []]
-    assert since_homed(found) == found[2:]
+    assert [rehomed_joints(o, finder.streams()) for o in found] == [[2], [2], []]
+    assert keep_since_homing(found) == found[2:]
     assert [replace(o, boots=(), homings=()) for o in found] == [
         replace(o, boots=(), homings=()) for o in find(Rig().samples())
     ]
@@ -135,7 +135,7 @@ def test_a_rest_that_vicon_missed_is_reported(streams):
     assert any(name in found[1].reason for name in streams)
     assert np.abs(np.array(found[1].q) - POSTURES[1]).max() <= 1e-3
     assert np.isnan(found[1].tip).all()
-    assert unrepeated(found, 0.02) == [found[1]]
+    assert rejected_without_repeat(found, 0.02) == [found[1]]
 
 
 @pytest.mark.parametrize("streams", [{2}, {1, 2, 3, 4}])
@@ -155,8 +155,8 @@ def test_a_spoiled_posture_observed_again_is_no_loss():
     rig = Rig(np.array([*POSTURES, POSTURES[1] + 0.01]))
     found = find(without(rig.samples(), {TIP}, 5.0, 10.5))
     assert [o.used for o in found] == [True, False, True, True]
-    assert unrepeated(found, np.radians(1.0)) == []
-    assert len(unrepeated(found, np.radians(0.1))) == 1
+    assert rejected_without_repeat(found, np.radians(1.0)) == []
+    assert len(rejected_without_repeat(found, np.radians(0.1))) == 1
 
 
 def test_streams_that_begin_late_or_end_early():
@@ -251,7 +251,7 @@ def test_a_posture_is_known_however_long_nothing_was_heard(lost, begin):
     found = find(without(rig.samples(), lost, begin, 83.0), horizon=5.0)
     assert [o.used for o in found] == [True, False, True, True]
     assert np.abs(np.array(found[1].q) - POSTURES[1]).max() <= 1e-3
-    assert unrepeated(found, np.radians(1.0)) == []
+    assert rejected_without_repeat(found, np.radians(1.0)) == []
 
 
 def test_the_newest_are_kept_whatever_was_spoiled_since():
@@ -259,7 +259,7 @@ def test_the_newest_are_kept_whatever_was_spoiled_since():
         return [Observation(k, k, (), used=word == "u") for k, word in enumerate(words)]
 
     def kept(words, most):
-        return "".join("u" if o.used else "-" for o in newest(rests(words), most))
+        return "".join("u" if o.used else "-" for o in keep_newest(rests(words), most))
 
     assert kept("-u-u", 3) == "-u-u"
     assert kept("u-uu-uuu", 3) == "uuu"
@@ -270,8 +270,8 @@ def test_the_newest_are_kept_whatever_was_spoiled_since():
     for _ in range(200):
         every, one_by_one = rests(rng.choice(["u", "-"], 30, p=[0.4, 0.6])), []
         for o in every:
-            one_by_one = newest([*one_by_one, o], 4)
-        assert one_by_one == newest(every, 4)
+            one_by_one = keep_newest([*one_by_one, o], 4)
+        assert one_by_one == keep_newest(every, 4)
 
 
 @pytest.mark.parametrize(
@@ -291,8 +291,8 @@ def test_impossible_settings_are_refused(change, message):
 def test_spoiled_needs_all_joints_close():
     used = Observation(0, 1, (0.0, 0.0))
     unused = Observation(2, 3, (0.0, 0.1), used=False, reason="gap")
-    assert unrepeated([used, unused], 0.05) == [unused]
-    assert unrepeated([unused, used], 0.2) == []
+    assert rejected_without_repeat([used, unused], 0.05) == [unused]
+    assert rejected_without_repeat([unused, used], 0.2) == []
 
 
 def jumped(sample, x=1.0, heading=0.0):

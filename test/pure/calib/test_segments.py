@@ -122,9 +122,9 @@ def test_poses_and_rates_may_come_in_bursts(make, samples, burst):
             t = np.array([s.t for s in stream[k : k + burst]], dtype=np.int64)
             values = [s.value or 3 * (np.nan,) for s in stream[k : k + burst]]
             if name == "gyro":
-                found += together.rates(t, np.array(values, dtype=float))
+                found += together.add_rates(t, np.array(values, dtype=float))
             else:
-                found += together.poses(SUBJECTS[name], t, np.array(values))
+                found += together.add_poses(SUBJECTS[name], t, np.array(values))
     assert found + together.close() == feed(one_by_one, worse)
     assert together.streams() == one_by_one.streams()
 
@@ -140,7 +140,7 @@ def test_a_stamp_far_from_all_others_is_rejected_by_itself(make, samples, stamp,
         finder = make()
         assert feed(finder, [*samples[:k], *astray, *samples[k:]]) == expected, those
         assert finder.streams().rejected == {
-            f"{NAMES.get(name, name)} astray in time": 3 for name in sorted(those, key=str)
+            f"{NAMES.get(name, name)} isolated in time": 3 for name in sorted(those, key=str)
         }
         assert not any(finder.streams().set_back.values())
 
@@ -217,7 +217,7 @@ def test_repeated_samples_change_nothing(make, samples):
 def test_a_silent_joint_lets_no_others_pile_up(make, samples):
     finder = make(horizon=5.0)
     feed(finder, [s for s in samples if s.stream != 2], close=False)
-    assert max(len(joint.waiting) for joint in finder.joints) <= 26
+    assert max(len(joint.queue) for joint in finder.joints) <= 26
 
 
 def test_memory_is_bounded(make, rig, samples):

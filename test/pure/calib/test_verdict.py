@@ -292,7 +292,7 @@ def test_a_clock_that_ran_back_is_not_evaluated():
 
 
 def test_clocks_too_far_apart_are_named_and_judged_by_the_fit():
-    far = Streams(offset_beyond=1.0)
+    far = Streams(offset_lower_bound=1.0)
     words = "by most moves the clocks differ by more than 1 s, or the subjects are swapped"
     calibration = calibrate(observe(noise=3.0), paper_arm(), streams=far)
     assert calibration.verdict == FAIL
@@ -389,7 +389,8 @@ def test_links_described_as_unlike_are_not_taken_as_equal_without_a_word():
     unlike = paper_arm().with_kinematics(
         [0.38, 0.369, 0.38, 0.3351, *paper_arm().vector()[[15, 21, 27, 4, 5, 6]]]
     )
-    words = "links described as 0.369 to 0.380 m long are taken as equal: full tells them apart"
+    words = "links described as 0.369 to 0.380 m long are assumed equal: "
+    words += "parametrization full separates them"
     equal = replace(SETTINGS, parametrization=EQUAL)
     found = calibrate(observe(arm=unlike), unlike, equal)
     assert found.verdict == PASS
@@ -399,7 +400,7 @@ def test_links_described_as_unlike_are_not_taken_as_equal_without_a_word():
     assert words not in told_apart.reason
     alike = calibrate(observe(), paper_arm(), SETTINGS)
     assert "a" in alike.names
-    assert "taken as equal" not in alike.reason
+    assert "assumed equal" not in alike.reason
 
 
 def test_the_hash_is_of_what_was_used():

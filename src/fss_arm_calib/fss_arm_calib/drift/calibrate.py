@@ -36,7 +36,7 @@ def calibrate(
     """
     s, streams = settings or DriftSettings(), streams or Streams()
     used, known = [one for one in drifts if one.used], check_joint_names(streams, arm)
-    found = [known, check_clocks(streams, s.joint_gap), checks.long_enough(used, streams, s)]
+    found = [known, check_clocks(streams, s.joint_gap), checks.check_time(used, streams, s)]
     solution = solution_of(used, arm, s) if used and known.verdict == PASS else None
     found += checks.evaluate(solution, s) if solution else []
     parts = [(one.q, one.times, one.poses, one.frames, one.seconds) for one in used]
@@ -62,7 +62,7 @@ def parameters(outcome: Outcome[Drift, Solution]) -> str:
     subtracts the tilt and treats its deviation as uncertainty.
     """
     if outcome.solution is None:
-        raise ValueError("nothing was found of what acts on the base")
+        raise ValueError("no solution: the external forces on the base are unknown")
     g, deviation = outcome.values[:2], outcome.deviations[:2]
     tilt = float(np.sqrt(np.max(g**2 + deviation**2))) / GRAVITY
     momenta, deviations = outcome.solution.result.momenta

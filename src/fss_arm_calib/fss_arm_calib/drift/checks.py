@@ -24,7 +24,7 @@ from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.units import GRAVITY
 
 
-def long_enough(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> Check:
+def check_time(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> Check:
     """Check that the base drifted for long enough."""
     total = sum(drift.times[-1] for drift in drifts)
     reason = f"{total:.0f} s of drift, at least {s.min_time:g} s needed"
@@ -43,13 +43,13 @@ def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
         check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE),
         check_chi_square(
             "fit", m.cost, r.problem.degrees_of_freedom, s.min_probability,
-            "something else moved the base, or it errs by more than assumed",
+            "another force moved the base, or its poses have larger errors than assumed",
         ),
         check_outliers(
             solution.errors, solution.kept, s.outlier, s.max_outliers, "drift",
             "error of a drift predicted from the others, in its deviations,",
         ),
-        check_redundancy(r.checks[2], solution.kept, s.min_redundancy, "drift"),
+        check_redundancy(r.cross_checks.redundancy, solution.kept, s.min_redundancy, "drift"),
         check_limit(
             "tilt", tilt, s.max_tilt,
             f"tilt known to {np.degrees(tilt):.2g} degrees (at most {np.degrees(s.max_tilt):.2g})",

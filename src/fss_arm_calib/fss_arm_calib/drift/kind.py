@@ -5,7 +5,7 @@ from math import nan
 
 from fss_arm_calib.calibration import Calibration, Data, Input
 from fss_arm_calib.drift.calibrate import calibrate, parameters
-from fss_arm_calib.drift.evidence import evidence
+from fss_arm_calib.drift.measurements import measurements
 from fss_arm_calib.drift.report import drift_report
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.drift.solution import Solution
@@ -36,8 +36,8 @@ def to_message(outcome: Outcome[Drift, Solution], frame_id: str) -> msg.DriftCal
     if found := outcome.solution:
         message.hose_torque, message.hose_torque_deviation = found.result.hose_torque
         values, deviations = found.result.momenta
-        message.momenta = flatten(found.of_all(values))
-        message.momentum_deviations = flatten(found.of_all(deviations))
+        message.momenta = flatten(found.expand(values))
+        message.momentum_deviations = flatten(found.expand(deviations))
     return message
 
 
@@ -78,10 +78,10 @@ def drifts_of(message: msg.Drifts) -> list[Drift]:
     ]
 
 
-def rest(finder: DriftFinder) -> dict[str, object]:
+def rest_status(finder: DriftFinder) -> dict[str, object]:
     """Report the time for which the arm has been at rest."""
-    begin, end = finder.resting
-    return {"arm rests for [s]": (end - begin) / SECOND}
+    begin, end = finder.current_rest
+    return {"arm at rest for [s]": (end - begin) / SECOND}
 
 
 DRIFT = Calibration(
@@ -96,7 +96,7 @@ DRIFT = Calibration(
     inputs=inputs,
     finder=lambda arm, s, _: DriftFinder(arm.n, s),
     calibrate=calibrate,
-    evidence=evidence,
+    measurements=measurements,
     message=msg.DriftCalibration,
     to_message=to_message,
     numbers=("hose_torque", "hose_torque_deviation", "momenta", "momentum_deviations"),
@@ -105,9 +105,9 @@ DRIFT = Calibration(
     output=parameters,
     written="parameters of dynamic and base_reaction",
     has_urdf=False,
-    health=rest,
+    health=rest_status,
     lacks={
-        "time offset": "within a drift the arm rests: an offset of the clocks moves nothing",
+        "time offset": "the arm is at rest during a drift, so a clock offset has no effect",
     },
     after={
         "calibration/kinematic": msg.KinematicCalibration,

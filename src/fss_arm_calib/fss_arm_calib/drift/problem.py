@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import (
-    NOTICEABLE,
+    MAX_UNDETERMINED_SHARE,
     Decomposition,
     Floats,
     Linear,
@@ -30,11 +30,13 @@ from fss_arm_model.drifting import SURROUNDINGS
 
 NAMES = SURROUNDINGS
 UNITS = ("m/s^2", "m/s^2", "N m", "N m s", "N s/m")
-OWN = 8  # unknowns of each drift: pose, twist, centre of mass in the base
+UNKNOWNS_PER_DRIFT = 8  # unknowns of each drift: pose, twist, centre of mass in the base
 
 #: Half differences for numerical derivatives: far above rounding, with negligible curvature.
-STEPS = np.array([1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2])
-ALONE = 1e-9  # redundancy below which one drift alone determines a direction
+DIFFERENCE_STEPS = np.array(
+    [1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2]
+)
+ZERO_REDUNDANCY = 1e-9  # redundancy below which one drift alone determines a direction
 TOLERANCE = 1e-4  # largest last update [deviations]; integration errors are smaller
 
 
@@ -52,7 +54,7 @@ def rigid_body(arm: Arm, q: Sequence[float]) -> Body:
     return Body(mass, inertia, complex(*com))
 
 
-def begun(drift: Drift) -> Floats:
+def mean_motion(drift: Drift) -> Floats:
     """Return the first pose of a drift and its mean twist, (6,)."""
     first, last = np.array(drift.poses[0]), np.array(drift.poses[-1])
     return np.concatenate([first, (last - first) / (drift.times[-1] - drift.times[0])])
@@ -79,7 +81,7 @@ class DriftProblem:
         """Initial values of all unknowns: no external effects, and each drift's mean twist."""
         parts: list[Floats] = [np.zeros(len(NAMES))]
         for drift, body in zip(self.drifts, self.bodies, strict=True):
-            parts += [begun(drift), np.array([body.com.real, body.com.imag])]
+            parts += [mean_motion(drift), np.array([body.com.real, body.com.imag])]
         return np.concatenate(parts)
 
     def motion(self, k: int, shared: Floats, own: Floats) -> tuple[Floats, Floats]:
@@ -98,13 +100,13 @@ class DriftProblem:
     def derivatives(self, unknowns: Floats) -> list[tuple[Floats, Floats, float, Floats]]:
         """Return poses (m, 3), gain of spin and their derivatives by 13 unknowns, per drift."""
         found = []
-        steps = STEPS * np.vstack([np.zeros((1, 13)), np.eye(13), -np.eye(13)])
+        steps = DIFFERENCE_STEPS * np.vstack([np.zeros((1, 13)), np.eye(13), -np.eye(13)])
         for k in range(len(self.drifts)):
-            own = unknowns[5 + OWN * k : 5 + OWN * (k + 1)]
+            own = unknowns[5 + UNKNOWNS_PER_DRIFT * k : 5 + UNKNOWNS_PER_DRIFT * (k + 1)]
             moved = np.concatenate([unknowns[:5], own]) + steps
             poses, gains = self.motion(k, moved[:, :5], moved[:, 5:])
-            by = np.moveaxis(poses[1:14] - poses[14:], 0, -1) / (2.0 * STEPS)
-            gains_by = (gains[1:14] - gains[14:]) / (2.0 * STEPS)
+            by = np.moveaxis(poses[1:14] - poses[14:], 0, -1) / (2.0 * DIFFERENCE_STEPS)
+            gains_by = (gains[1:14] - gains[14:]) / (2.0 * DIFFERENCE_STEPS)
             found.append((poses[0], by, float(gains[0]), gains_by))
         return found
 
@@ -119,10 +121,10 @@ class DriftProblem:
             residuals.append(few[:, -1])
             J = np.zeros((len(few), len(unknowns)))
             J[:, :5] = few[:, :5]
-            J[:, 5 + OWN * k : 5 + OWN * (k + 1)] = few[:, 5:13]
+            J[:, 5 + UNKNOWNS_PER_DRIFT * k : 5 + UNKNOWNS_PER_DRIFT * (k + 1)] = few[:, 5:13]
             rows.append(J)
         J, r = np.concatenate(rows), np.concatenate(residuals)
-        known = self.known
+        known = self.prior_deviations
         J[:, known == 0.0] = 0.0
         believed = np.flatnonzero((known > 0.0) & np.isfinite(known))
         expected = np.concatenate([np.zeros(5), self.start[5:]])
@@ -132,7 +134,7 @@ class DriftProblem:
         return Linear(r, J, r @ r)
 
     @cached_property
-    def known(self) -> Floats:
+    def prior_deviations(self) -> Floats:
         """Prior standard deviations of all unknowns; inf: no prior."""
         none = [np.inf] * 6
         shared = [np.inf, np.inf, self.torque, self.twist_damping, self.drag]
@@ -142,7 +144,15 @@ class DriftProblem:
     def degrees_of_freedom(self) -> int:
         """Number of observed coordinates, less the unknowns without a prior."""
         seen = sum(sigma.size for sigma in self.sigma)
-        return seen - int(np.count_nonzero(np.isinf(self.known)))
+        return seen - int(np.count_nonzero(np.isinf(self.prior_deviations)))
+
+
+class CrossChecks(NamedTuple):
+    """Checks of each drift by the others, (s,) each."""
+
+    leverage: Floats
+    errors: Floats  # [deviations]
+    redundancy: Floats
 
 
 @dataclass(frozen=True)
@@ -171,18 +181,18 @@ class DriftResult:
     @property
     def _free(self) -> Mask:
         """Mask of the unknowns that are estimated and not at a bound."""
-        return ~self.minimum.held & (self.problem.known > 0.0)
+        return ~self.minimum.at_bound & (self.problem.prior_deviations > 0.0)
 
     @property
     def undetermined(self) -> tuple[str, ...]:
         """Names of external effects that the drifts do not separate."""
-        lost = (self.minimum.basis.undetermined() > NOTICEABLE) & self._free
+        lost = (self.minimum.basis.undetermined() > MAX_UNDETERMINED_SHARE) & self._free
         return tuple(compress(NAMES, lost))
 
     @property
     def at_bound(self) -> tuple[str, ...]:
         """Names of external effects that the drifts would make negative."""
-        return tuple(compress(NAMES, self.minimum.held))
+        return tuple(compress(NAMES, self.minimum.at_bound))
 
     @property
     def missing(self) -> int:
@@ -200,8 +210,8 @@ class DriftResult:
         """Hat matrix and residuals of each drift, after elimination of its own unknowns."""
         linear, shared, found = self.minimum.linear, self.scatter[:5, :5], []
         for k in range(len(self.problem.drifts)):
-            own = np.arange(5 + OWN * k, 5 + OWN * (k + 1))
-            own = own[self.problem.known[own] > 0.0]
+            own = np.arange(5 + UNKNOWNS_PER_DRIFT * k, 5 + UNKNOWNS_PER_DRIFT * (k + 1))
+            own = own[self.problem.prior_deviations[own] > 0.0]
             rows = np.flatnonzero(linear.regressor[:, own].any(axis=1))
             A, r = linear.regressor[rows, :5], linear.residuals[rows]
             Q = np.linalg.qr(linear.regressor[np.ix_(rows, own)])[0]
@@ -210,19 +220,23 @@ class DriftResult:
         return found
 
     @property
-    def checks(self) -> tuple[Floats, Floats, Floats]:
-        """Leverage, error and redundancy of each drift relative to the others, (s,) each.
+    def cross_checks(self) -> CrossChecks:
+        """Leverage, error and redundancy of each drift relative to the others.
 
         As in a dynamic calibration, r' (1 - H)^-1 r is the sum of squares of a drift's errors. The
         error here is its root mean square over the coordinates. Directions that only this drift
         determines leave no residual, so they do not contribute.
         """
         free = [sigma.size - 6 for sigma in self.problem.sigma]
-        inverses = [np.linalg.pinv(np.eye(len(r)) - H, ALONE, hermitian=True) for H, r in self._hat]
+        inverses = [
+            np.linalg.pinv(np.eye(len(r)) - H, ZERO_REDUNDANCY, hermitian=True)
+            for H, r in self._hat
+        ]
         squares = [r @ inverse @ r for inverse, (_, r) in zip(inverses, self._hat, strict=True)]
         errors = np.sqrt(np.array(squares) / free)
-        checked = np.array([redundancy(H[None])[0] for H, _ in self._hat])
-        return np.array([np.trace(H) for H, _ in self._hat]), errors, checked
+        controlled = np.array([redundancy(H[None])[0] for H, _ in self._hat])
+        leverage = np.array([np.trace(H) for H, _ in self._hat])
+        return CrossChecks(leverage, errors, controlled)
 
     @cached_property
     def residuals(self) -> list[Floats]:
@@ -241,7 +255,7 @@ class DriftResult:
         for k, (_, _, gain, gain_by) in enumerate(self._predicted):
             mean += gain / total
             by[:5] += gain_by[:5] / total
-            by[5 + OWN * k : 5 + OWN * (k + 1)] += gain_by[5:] / total
+            by[5 + UNKNOWNS_PER_DRIFT * k : 5 + UNKNOWNS_PER_DRIFT * (k + 1)] += gain_by[5:] / total
         variance = float(by @ self.scatter @ by) + (self.problem.mass * mean) ** 2
         return mean, float(np.sqrt(variance))
 
@@ -253,13 +267,13 @@ class DriftResult:
         """
         values, deviations = np.empty((2, len(self.problem.drifts), 3))
         for k, body in enumerate(self.problem.bodies):
-            at = slice(5 + OWN * k, 5 + OWN * (k + 1))
+            at = slice(5 + UNKNOWNS_PER_DRIFT * k, 5 + UNKNOWNS_PER_DRIFT * (k + 1))
             _, _, theta, vx, vy, omega, cx, cy = self.minimum.x[at]
             turn = np.exp(1j * theta)
             lever = turn * complex(cx, cy)
             P = body.mass * (complex(vx, vy) + 1j * omega * lever)
             values[k] = P.real, P.imag, body.inertia * omega
-            J = np.zeros((3, OWN))
+            J = np.zeros((3, UNKNOWNS_PER_DRIFT))
             by = [-omega * lever, 1.0, 1j, 1j * lever, 1j * omega * turn, -omega * turn]
             J[:2, 2:] = body.mass * np.array([np.real(by), np.imag(by)])
             J[2, 5] = body.inertia

@@ -12,7 +12,13 @@ from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import Arm
 from fss_arm_model.units import GRAVITY
 
-WORDS = ("", "", "of it at rest", "resistance to turning", "resistance to moving")
+EXPLANATIONS = (
+    "",
+    "",
+    "of the hose at rest",
+    "resistance to rotation",
+    "resistance to translation",
+)
 
 
 def drift_report(outcome: Outcome[Drift, Solution], _: Arm | None = None) -> Report:
@@ -37,22 +43,24 @@ def _parameters(outcome: Outcome[Drift, Solution]) -> Table:
     ]
     acting.append(("mean torque of the hose", "N m", *torque))
     acting += [
-        (display_name(e.names[k], e, WORDS[k]), e.units[k], e.values[k], e.deviations[k])
+        (display_name(e.names[k], e, EXPLANATIONS[k]), e.units[k], e.values[k], e.deviations[k])
         for k in (2, 3, 4)
     ]
     rows = [[name, unit, *_pair(value, sigma)] for name, unit, value, sigma in acting]
     weak = [k for k, (*_, value, sigma) in enumerate(acting) if abs(value) <= 2.0 * sigma]
     head = ["", "unit", "estimate", "± 1 sigma"]
     note = (
-        "amber: within two deviations of none; at its bound: negative by these data, and so not "
-        "determined."
+        "amber: not significant (within two standard deviations of 0); at its bound: the data give "
+        "a negative value, so it is not determined."
     )
-    return Table("What acts on the base", head, rows, words=2, note=note, weak=weak)
+    return Table(
+        "External forces and torques on the base", head, rows, words=2, note=note, weak=weak
+    )
 
 
 def _momenta(outcome: Outcome[Drift, Solution]) -> Table:
     found, rows = outcome.solution, []
-    values, deviations = map(found.of_all, found.result.momenta) if found else ((), ())
+    values, deviations = map(found.expand, found.result.momenta) if found else ((), ())
     for k, (one, value, deviation) in enumerate(
         zip(outcome.used, values, deviations, strict=bool(found))
     ):

@@ -32,7 +32,7 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     )
     fresh_rate: float = setting(
         10.0,
-        "rate of poses with independent errors, as averaging counts them",
+        "rate of poses with independent errors, for the deviation of averages",
         unit="1/s",
         check=POSITIVE,
     )
@@ -41,22 +41,22 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         check=NOT_NEGATIVE,
     )  # fmt: skip
     twist_deviation: float = setting(
-        0.01, "1 sigma, about 0, of the hose's resistance to turning; 0: there is none",
+        0.01, "1 sigma, about 0, of the hose's resistance to rotation; 0: there is none",
         unit="N m s", check=NOT_NEGATIVE,
     )  # fmt: skip
     drag_deviation: float = setting(
-        0.05, "1 sigma, about 0, of the hose's resistance to moving; 0: there is none",
+        0.05, "1 sigma, about 0, of the hose's resistance to translation; 0: there is none",
         unit="N s/m", check=NOT_NEGATIVE,
     )  # fmt: skip
     com_deviation: float = setting(
         0.01,
-        "1 sigma of the centre of mass of base and arm, each axis, unless the description tells",
+        "1 sigma of the center of mass of base and arm, each axis, if the description has none",
         unit="m",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     mass_deviation: float = setting(
         0.05,
-        "1 sigma of mass and inertia of base and arm, relative, unless the description tells",
+        "relative 1 sigma of mass and inertia of base and arm, if the description has none",
         check=NOT_NEGATIVE,
     )
     outlier: float = setting(
@@ -64,11 +64,11 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         unit="deviations", check=POSITIVE,
     )  # fmt: skip
     min_time: float = setting(
-        60.0, "least time of all drifts together to accept a result from", unit="s", check=POSITIVE
+        60.0, "total time of drifts needed to accept a result", unit="s", check=POSITIVE
     )
     max_tilt: float = setting(
-        radians(0.001), "largest deviation of the table's tilt", unit="rad", check=POSITIVE
+        radians(0.001), "largest accepted deviation of the table's tilt", unit="rad", check=POSITIVE
     )
     max_torque: float = setting(
-        1e-3, "largest deviation of the hose's mean torque", unit="N m", check=POSITIVE
+        1e-3, "largest accepted deviation of the hose's mean torque", unit="N m", check=POSITIVE
     )

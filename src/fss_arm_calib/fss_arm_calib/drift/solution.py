@@ -16,11 +16,11 @@ from fss_arm_calib.drift.problem import (
 )
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.estimation.least_squares import Floats, Mask
-from fss_arm_calib.estimation.outliers import weighed, without_outliers
+from fss_arm_calib.estimation.outliers import reject_outliers, solve_robustly
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.drifts import Drift
-from fss_arm_calib.segments.poses import independent
+from fss_arm_calib.segments.poses import count_independent
 from fss_arm_model.description import Arm
 from fss_arm_model.drifting import single_body, single_body_sensitivities
 from fss_arm_model.parameters import parameter_names, to_vector
@@ -36,21 +36,21 @@ class Solution:
     reasons: tuple[str, ...]  # (s,) reason for the rejection, else empty
     errors: Floats  # (s,) when predicted from the others, or at its rejection [deviations]
 
-    def of_all(self, values: Floats) -> Floats:
+    def expand(self, values: Floats) -> Floats:
         """Expand rows of the kept drifts to rows of all drifts; NaN for rejected ones."""
         every = np.full((len(self.kept), *values.shape[1:]), nan)
         every[self.kept] = values
         return every
 
 
-def uncertainty(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[float, float]:
+def body_deviations(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[float, float]:
     """Return the deviations of the centre of mass of base and arm, and of mass and inertia.
 
     The first is for each axis [m], the second is relative. If the description has a covariance of
     all parameters, they are the largest at any drift; otherwise they are those of the settings.
     """
-    names, told = parameter_names(arm.n), set(arm.known.names)
-    if not drifts or not told.issuperset(names):
+    names = parameter_names(arm.n)
+    if not drifts or not set(arm.known.names).issuperset(names):
         return s.com_deviation, s.mass_deviation
     C = arm.known.covariance_of(names, np.zeros(len(names)))
     p, q = arm.vector(), np.array([one.q for one in drifts])
@@ -60,12 +60,12 @@ def uncertainty(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[fl
     return float(sigma[:, 2:].max()), float(relative.max())
 
 
-def deviations(drifts: Sequence[Drift], s: DriftSettings, weights: Floats) -> list[Floats]:
+def pose_deviations(drifts: Sequence[Drift], s: DriftSettings, weights: Floats) -> list[Floats]:
     """Return the deviations (m, 3) of each drift's poses, scaled by the drift's weight."""
     of_one = np.array([s.position_deviation, s.position_deviation, s.heading_deviation])
     sigma = []
     for drift, weight in zip(drifts, weights, strict=True):
-        fresh = independent(drift.frames, drift.seconds, s.fresh_rate)
+        fresh = count_independent(drift.frames, drift.seconds, s.fresh_rate)
         sigma.append(of_one / np.sqrt(fresh * weight)[:, None])
     return sigma
 
@@ -75,8 +75,8 @@ def problem_of(
 ) -> DriftProblem:
     """Return the drift problem of weighted drifts."""
     return DriftProblem(
-        drifts, [rigid_body(arm, drift.q) for drift in drifts], deviations(drifts, s, weights),
-        s.torque_deviation, s.twist_deviation, s.drag_deviation, *uncertainty(drifts, arm, s),
+        drifts, [rigid_body(arm, drift.q) for drift in drifts], pose_deviations(drifts, s, weights),
+        s.torque_deviation, s.twist_deviation, s.drag_deviation, *body_deviations(drifts, arm, s),
     )  # fmt: skip
 
 
@@ -89,13 +89,13 @@ def solution_of(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> Solution
 
         def weigh(weight: Floats) -> tuple[DriftResult, Floats]:
             result = solve(problem_of(some, arm, s, weight))
-            return result, result.checks[1]
+            return result, result.cross_checks.errors
 
         weights[:] = 0.0
-        result, weights[mask], errors = weighed(weigh, len(some), s.loss)
+        result, weights[mask], errors = solve_robustly(weigh, len(some), s.loss)
         return result, errors
 
-    found = without_outliers(solved, len(drifts), s, 1, "error")
+    found = reject_outliers(solved, len(drifts), s, 1, "error")
     return Solution(found.result, found.mask, weights, found.reasons, found.errors)
 
 
@@ -116,7 +116,7 @@ def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
         at_bound=r.at_bound,
         residuals=residuals,
         weights=solution.weights,
-        leverage=np.nan_to_num(solution.of_all(r.checks[0])),
+        leverage=np.nan_to_num(solution.expand(r.cross_checks.leverage)),
         errors=solution.errors,
         reasons=solution.reasons,
         position_residual=root_mean_square(residuals[:, :2]),

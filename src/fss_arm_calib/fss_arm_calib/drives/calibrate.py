@@ -21,11 +21,11 @@ from fss_arm_calib.outcome import LIVE, Estimate, Outcome, make_outcome
 from fss_arm_calib.segments.excitations import Excitation
 from fss_arm_calib.segments.samples import Stamps
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_calib.segments.telemetry import since_homed
+from fss_arm_calib.segments.telemetry import keep_since_homing
 from fss_arm_model.description import Arm, Link
 
-NEEDED = ("torque_constant", "torque_gain", "viscous", "coulomb")
-FEWEST = 50  # smallest number of samples of a link
+REQUIRED = ("torque_constant", "torque_gain", "viscous", "coulomb")
+MIN_FRAMES = 50  # smallest number of samples of a link
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def calibrate(
         source: name of the source of the excitations.
     """
     s, streams = settings or DrivesSettings(), streams or Streams()
-    used = since_homed([one for one in excitations if one.used])
+    used = keep_since_homing([one for one in excitations if one.used])
     links = [Telemetry.of(used, i) for i in range(arm.n)]
     names = tuple(f"{name}_{i}" for i in range(1, arm.n + 1) for name in NAMES)
     units = tuple(NAMES.values()) * arm.n
@@ -91,12 +91,12 @@ def calibrate(
         row[[KT, GAIN, ZERO]] = link.drive.torque_constant, link.torque_sensor.gain, 0.0
     estimate, drives = Estimate(names, units, guess.ravel()), None
     fewest = min(one.stamps.size for one in links)
-    words = f"{fewest} frames of each link while a joint turned (at least {FEWEST})"
+    words = f"{fewest} frames of each link while a joint turned (at least {MIN_FRAMES})"
     checks = [
         check_clocks(streams, s.joint_gap),
-        check_data_amount("telemetry", fewest, FEWEST, words, streams),
+        check_data_amount("telemetry", fewest, MIN_FRAMES, words, streams),
     ]
-    if fewest >= FEWEST:
+    if fewest >= MIN_FRAMES:
         origin = min(int(one.stamps[0]) for one in links)
         drives = solve(
             arm, [one.samples(k, origin) for one, k in zip(links, arm.links, strict=True)], s
@@ -127,12 +127,12 @@ def evaluate(drives: Sequence[Drive]) -> list[Check]:
     """Evaluate the checks of a result, with one check and reason for each refused parameter."""
     checks = []
     for i, one in enumerate(drives, 1):
-        for name, reason in one.refused.items():
-            needed = name in NEEDED
-            words = f"{name}_{i} refused: {reason}"
+        for name, reason in one.undetermined.items():
+            needed = name in REQUIRED
+            words = f"{name}_{i} not determined: {reason}"
             checks.append(Check(f"{name}_{i}", NOT_EVALUATED, np.nan, np.nan, words, needed))
         least = np.nanmin([*one.values[[KT, GAIN, VISCOUS, COULOMB]], np.inf])
-        words = "" if least > 0.0 else f"joint {i}: {least:.2g}, where only a positive one can be"
+        words = "" if least > 0.0 else f"joint {i}: a parameter is {least:.2g}, must be positive"
         checks.append(Check(f"positive_{i}", FAIL if words else PASS, float(least), 0.0, words))
     return checks
 

@@ -26,7 +26,7 @@ def _input(i: int) -> Input:
     def feed(finder: ExcitationFinder, message: Any) -> list[Excitation]:
         numbers = {name: float(getattr(message, name)) for name in COLUMNS}
         frame = Frame(boot=int(message.boot), homings=int(message.homings), **numbers)
-        return finder.frame(i, stamp_ns(message.header.stamp), frame)
+        return finder.add_frame(i, stamp_ns(message.header.stamp), frame)
 
     return Input(f"link_{i}/telemetry", msg.LinkTelemetry, feed)
 
@@ -105,10 +105,10 @@ DRIVES = Calibration(
     numbers=("moving", "torque_residuals", "current_residuals"),
     report=drives_report,
     lacks={
-        "time offset": "every frame has the stamp of its link, and nothing else is heard",
-        "weight or outlier": "the deviations are those of leaving out each four seconds in turn",
-        "unknown joint": "it hears the links of the arm, each on its own topic",
-        CAUSES: "what is usually wrong with cameras and joints is not in telemetry",
+        "time offset": "all data of a link have the same clock; no other stream is used",
+        "weight or outlier": "deviations are computed by leaving out blocks of 4 s",
+        "unknown joint": "each link of the arm has its own topic",
+        CAUSES: "the usual mistakes concern motion capture and joint states, which are not used",
     },
     after={
         "calibration/kinematic": msg.KinematicCalibration,

@@ -28,9 +28,9 @@ from fss_arm_model.layout import (
     reach,
 )
 
-APART = 0.2  # approximate time between samples for the trapezoidal rule [s]
-KNOTS = 0.05  # least time between samples used to interpolate the motion [s]
-ROUNDS = 10  # reweighting iterations: the rule does not hold where the acceleration changes
+TRAPEZOID_STEP = 0.2  # approximate time between samples for the trapezoidal rule [s]
+KNOT_SPACING = 0.05  # least time between samples used to interpolate the motion [s]
+REWEIGHTINGS = 10  # reweighting iterations: the rule does not hold where the acceleration changes
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Moving:
+class ArmMotion:
     """Motion of the arm at k times."""
 
     q: Floats  # (k, n) [rad]
@@ -59,9 +59,9 @@ class Moving:
     qdd: Floats  # [rad/s^2]
 
 
-def ripple(s: Samples, periods: float) -> tuple[float, float]:
+def estimate_ripple(s: Samples, periods: float) -> tuple[float, float]:
     """Estimate A and B of the encoder's error [rad]."""
-    step = max(1, round(APART / s.period))
+    step = max(1, round(TRAPEZOID_STEP / s.period))
     t, q, qd = s.t[::step], s.q[::step], s.qd[::step]
     half = 0.5 * np.diff(t)
     phase, rate = periods * q, periods * qd
@@ -76,7 +76,7 @@ def ripple(s: Samples, periods: float) -> tuple[float, float]:
     A, e = np.column_stack(rows)[keep], error[keep]
     weight = np.ones(len(e))
     found = np.zeros(2)
-    for _ in range(ROUNDS):
+    for _ in range(REWEIGHTINGS):
         normal = A.T @ (weight[:, None] * A) + 1e-12 * np.eye(2)
         found = np.linalg.solve(normal, A.T @ (weight * e))
         left = e - A @ found
@@ -85,7 +85,7 @@ def ripple(s: Samples, periods: float) -> tuple[float, float]:
     return float(found[0]), float(found[1])
 
 
-def straightened(s: Samples, periods: float, of: tuple[float, float]) -> tuple[Floats, Floats]:
+def remove_ripple(s: Samples, periods: float, of: tuple[float, float]) -> tuple[Floats, Floats]:
     """Return angles and rates without the encoder's error."""
     q = s.q
     for _ in range(3):
@@ -95,7 +95,7 @@ def straightened(s: Samples, periods: float, of: tuple[float, float]) -> tuple[F
     return q, s.qd / (1.0 + slope)
 
 
-def heard(samples: Sequence[Samples], gap: float) -> Iterator[tuple[float, float]]:
+def common_intervals(samples: Sequence[Samples], gap: float) -> Iterator[tuple[float, float]]:
     """Yield time spans in which all links send telemetry, without gaps longer than `gap` [s]."""
     last = max(s.t[0] for s in samples)
     steps = ((s.t, np.flatnonzero(np.diff(s.t) > gap)) for s in samples)
@@ -113,29 +113,31 @@ class Motion:
 
         self._splines = []
         for s in samples:
-            q, qd = straightened(s, periods, ripple(s, periods))
-            step = max(1, round(KNOTS / s.period))
+            q, qd = remove_ripple(s, periods, estimate_ripple(s, periods))
+            step = max(1, round(KNOT_SPACING / s.period))
             self._splines.append(CubicHermiteSpline(s.t[::step], q[::step], qd[::step]))
-        self.width = [max(KNOTS, s.period) for s in samples]  # step to differentiate rates [s]
+        self.width = [
+            max(KNOT_SPACING, s.period) for s in samples
+        ]  # step to differentiate rates [s]
         margin = 2.0 * max(self.width)
-        every = ((begin + margin, end - margin) for begin, end in heard(samples, gap))
+        every = ((begin + margin, end - margin) for begin, end in common_intervals(samples, gap))
         self.runs = [(begin, end) for begin, end in every if begin < end]  # known motion [s]
 
-    def known(self, t: Floats) -> Mask:
+    def is_known(self, t: Floats) -> Mask:
         """Return a mask (k,), True where the motion is known at times t."""
         return np.any([(t > begin) & (t < end) for begin, end in self.runs], axis=0)
 
-    def at(self, t: Floats) -> Moving:
+    def at(self, t: Floats) -> ArmMotion:
         """Return the motion at times (k,)."""
         q, qd, qdd = (np.column_stack([f(t, k) for f in self._splines]) for k in range(3))
-        return Moving(q, qd, qdd)
+        return ArmMotion(q, qd, qdd)
 
     def rates(self, t: Floats, j: int) -> Floats:
         """Return the rates (k,) of joint j, counted from 0."""
         return np.asarray(self._splines[j](t, 1))
 
 
-def passed(arm: Arm, m: Moving) -> tuple[Floats, Floats]:
+def transmitted_loads(arm: Arm, m: ArmMotion) -> tuple[Floats, Floats]:
     """Return torques and forces transmitted by the joints of the floating arm.
 
     There are no external forces and no momentum. The motion of the base follows from

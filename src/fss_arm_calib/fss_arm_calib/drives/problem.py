@@ -21,7 +21,7 @@ and that of a current is then unknown, so that least squares would underestimate
 percent. The torque of the rigid arm does not have this error and replaces s in Z (instrumental
 variables: Young 1970; Janot, Vandanjon & Gautier 2014).
 
-The swinging of the links is not white noise: residuals are correlated within BLOCK seconds.
+The swinging of the links is not white noise: residuals are correlated within BLOCK_DURATION.
 Standard deviations are therefore computed by a jackknife that leaves out one block after the other
 in both regressions (Bell & McCaffrey 2002; MacKinnon, Nielsen & Webb 2023). It covers the errors
 that the second regression inherits from the first, and blocks of unequal information. The number of
@@ -34,18 +34,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.drives.motion import Motion, Samples, passed
+from fss_arm_calib.drives.motion import Motion, Samples, transmitted_loads
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix
 
-GRID = 0.02  # step of the integrals [s]
-BLOCK = 4.0  # time within which residuals may be correlated [s]
-SPEEDS = np.geomspace(0.01, 0.3, 18)  # candidates for the Stribeck speed [rad/s]
+INTEGRATION_STEP = 0.02  # step of the integrals [s]
+BLOCK_DURATION = 4.0  # time within which residuals may be correlated [s]
+STRIBECK_SPEEDS = np.geomspace(0.01, 0.3, 18)  # candidates for the Stribeck speed [rad/s]
 
 SCALE, DRIFT, CROSSTALK, COMPLIANCE = range(1, 5)  # columns of the sensor's regression; 0: zero
-MORE, STEP, INERTIA = range(7, 10)  # columns of the drive's regression
+EXCESS, SPEED_STEP, INERTIA = range(7, 10)  # columns of the drive's regression
 
 #: Parameters of each joint, in this order, with units.
 NAMES = {
@@ -64,13 +64,13 @@ NAMES = {
 KT, GAIN, ZERO, CROSS, VISCOUS, COULOMB, STATIC, SPEED, ROTOR, STIFFNESS, BAND = range(len(NAMES))
 
 
-_NAME = tuple(NAMES)
-JOINED = 0.2  # time over which dense samples are averaged [s]
-STEPS = 8
-DENSE = 0.015  # largest time between frames that resolves the links' swinging [s]
-ROTOR_KNOWN = 0.1  # relative deviation of a rotor's inertia from its data sheet
-SURE = 3.0  # standard deviations by which a significant value differs from zero
-CROSSTALK_KNOWN = 0.003  # largest deviation of a reported crosstalk [m]
+_NAMES = tuple(NAMES)
+AVERAGING_TIME = 0.2  # time over which dense samples are averaged [s]
+GAUSS_NEWTON_STEPS = 8
+MAX_DENSE_PERIOD = 0.015  # largest time between frames that resolves the links' swinging [s]
+ROTOR_DEVIATION = 0.1  # relative deviation of a rotor's inertia from its data sheet
+SIGNIFICANCE = 3.0  # standard deviations by which a significant value differs from zero
+MAX_CROSSTALK_DEVIATION = 0.003  # largest deviation of a reported crosstalk [m]
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Drive:
 
     values: Floats  # (11,) in the order of NAMES; NaN: refused
     covariance: Floats  # (11, 11)
-    refused: dict[str, str]  # reason by name of the parameter
+    undetermined: dict[str, str]  # reason by name of the parameter
     moving: float  # time for which the joint turned [s]
     residuals: tuple[float, float]  # root mean square of the sensor's [N m] and the drive's [A]
 
@@ -96,29 +96,29 @@ class Windows:
     def __init__(self, arm: Arm, samples: Sequence[Samples], s: DrivesSettings) -> None:
         self.arm, self.length = arm, s.window
         self.motion = Motion(samples, s.periods, s.joint_gap)
-        parts = [self._of(begin, end) for begin, end in self.motion.runs]
+        parts = [self._average_interval(begin, end) for begin, end in self.motion.runs]
         none = np.empty((0, arm.n))
         columns = zip(*parts, strict=True) if parts else [[none[:, 0]], [none], [none], [none]]
         self.t, self.torque, self.force, self.swing = map(np.concatenate, columns)
 
-    def _of(self, begin: float, end: float) -> tuple[Floats, Floats, Floats, Floats]:
+    def _average_interval(self, begin: float, end: float) -> tuple[Floats, Floats, Floats, Floats]:
         """Return middles (w,), and torque, force and swing (w, n), between two times."""
-        t = np.arange(begin, end, GRID)
+        t = np.arange(begin, end, INTEGRATION_STEP)
         moving = self.motion.at(t)
-        torque, force = passed(self.arm, moving)
-        half = round(0.5 * self.length / GRID)
-        u = GRID * np.arange(-half, half + 1)
+        torque, force = transmitted_loads(self.arm, moving)
+        half = round(0.5 * self.length / INTEGRATION_STEP)
+        u = INTEGRATION_STEP * np.arange(-half, half + 1)
         turn = 2.0 * np.pi / self.length
         phi = 1.0 + np.cos(turn * u)
         bend = -(turn**2) * np.cos(turn * u) / phi.sum()
         bend -= bend.mean()
         phi /= phi.sum()
         middles = np.arange(half, len(t) - half, max(1, half // 2))
-        swing = _over(torque, bend, middles)
+        swing = _integrate(torque, bend, middles)
         swing = np.einsum("kij,kj->ki", _reduced(self.arm, moving.q[middles]), swing)
-        return t[middles], _over(torque, phi, middles), _over(force, phi, middles), swing
+        return t[middles], _integrate(torque, phi, middles), _integrate(force, phi, middles), swing
 
-    def seen(self, one: Samples) -> tuple[Floats, Floats]:
+    def average_sensor(self, one: Samples) -> tuple[Floats, Floats]:
         """Return mean and number of a sensor's samples in each window, (w,) each."""
         half, means, counts = 0.5 * self.length, [], []
         low = np.searchsorted(one.t, self.t - half)
@@ -130,7 +130,7 @@ class Windows:
         return np.array(means), np.array(counts, dtype=float)
 
 
-def _over(x: Floats, kernel: Floats, middles: np.ndarray) -> Floats:
+def _integrate(x: Floats, kernel: Floats, middles: np.ndarray) -> Floats:
     """Integrate columns (k, n) with a kernel about each middle, (w, n)."""
     every = [np.convolve(column, kernel[::-1], "same") for column in x.T]
     return np.column_stack(every)[middles]
@@ -151,15 +151,15 @@ class Equations(NamedTuple):
     t: Floats  # (k,) [s]
     Z: Floats  # (k, p)
 
-    def solved(self, without: float = -1.0) -> Floats:
+    def solve(self, without: float = -1.0) -> Floats:
         """Return the solution x (p,) from all blocks except block `without`."""
-        keep = self.t // BLOCK != without
+        keep = self.t // BLOCK_DURATION != without
         return regression(self.A[keep], self.y[keep], self.Z[keep])
 
 
 def sensor(w: Windows, one: Samples, j: int) -> Equations:
     """Return the equations of a torque sensor, with unknowns zero, scale, drift, X and c."""
-    seen, counts = w.seen(one)
+    seen, counts = w.average_sensor(one)
     keep = counts >= 0.7 * w.length / one.period
     t = w.t[keep]
     columns = [
@@ -178,15 +178,15 @@ class Turning:
     v: Floats  # (k,) [rad/s]
     current: Floats  # (k,) [A]
     torque: Floats  # (k,) sensor torque [N m]
-    passed: Floats  # (k,) torque transmitted by the rigid arm [N m]
+    rigid_torque: Floats  # (k,) torque transmitted by the rigid arm [N m]
     force: Floats  # (k,) [N]
     gain: Floats  # (k,) joint acceleration [rad/s^2]
     others: Floats  # (k, 6) columns of the regression: zero, drift, friction, ripple
-    every: Floats  # (k, joined) all rates [rad/s]
+    every: Floats  # (k, averaged) all rates [rad/s]
     rotor: float | None  # assumed inertia of the rotor [kg m^2]; None: it is estimated
 
     @property
-    def joined(self) -> int:
+    def averaged(self) -> int:
         """Number of samples that are averaged into one."""
         return self.every.shape[1]
 
@@ -207,42 +207,42 @@ class Turning:
         else:
             torque += shown[SCALE] * self.rotor * self.gain
             A = np.column_stack([torque, self.others, *curve])
-            Z = np.column_stack([self.passed, A[:, 1:]])
+            Z = np.column_stack([self.rigid_torque, A[:, 1:]])
         return Equations(A, self.current, self.t, Z)
 
 
-def _turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Turning:
+def _collect_turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Turning:
     """Collect the samples of a drive while its joint turns."""
     gap = w.motion.width[j]
     v, before, after = (w.motion.rates(one.t + way, j) for way in (0.0, -gap, gap))
-    turns = w.motion.known(one.t) & (np.abs(v) > s.min_speed)
+    turns = w.motion.is_known(one.t) & (np.abs(v) > s.min_speed)
     turns &= np.minimum(before * v, after * v) > s.min_speed**2
-    joined = max(1, round(JOINED / one.period))
-    whole = turns[: len(v) // joined * joined].reshape(-1, joined).all(axis=1)
-    which = np.flatnonzero(np.repeat(whole, joined))
-    t, v, dense = one.t[which], v[which], one.period <= DENSE
+    averaged = max(1, round(AVERAGING_TIME / one.period))
+    whole = turns[: len(v) // averaged * averaged].reshape(-1, averaged).all(axis=1)
+    which = np.flatnonzero(np.repeat(whole, averaged))
+    t, v, dense = one.t[which], v[which], one.period <= MAX_DENSE_PERIOD
     m = w.motion.at(t)
     # The instrument is taken halfway between the torque's sample and that of the current, so that
     # it is equally correlated with both.
-    torque = passed(w.arm, w.motion.at(t - 0.5 * one.age[which]))[0][:, j]
-    seen = (_now(one) if dense else one.torque)[which]
+    torque = transmitted_loads(w.arm, w.motion.at(t - 0.5 * one.age[which]))[0][:, j]
+    seen = (_interpolate_torques(one) if dense else one.torque)[which]
     phase = s.periods * m.q[:, j]
     others = [
         np.ones(len(v)), (t - one.t.mean()) / 100.0, v, np.sign(v), np.sin(phase), np.cos(phase),
     ]  # fmt: skip
 
     def means(x: Floats) -> Floats:
-        return np.asarray(x.reshape(-1, joined).mean(axis=1))
+        return np.asarray(x.reshape(-1, averaged).mean(axis=1))
 
     return Turning(
         means(t), means(v), means(one.current[which]), means(seen), means(torque),
-        means(passed(w.arm, m)[1][:, j]), means((after - before)[which] / (2.0 * gap)),
-        np.column_stack([means(x) for x in others]), v.reshape(-1, joined),
+        means(transmitted_loads(w.arm, m)[1][:, j]), means((after - before)[which] / (2.0 * gap)),
+        np.column_stack([means(x) for x in others]), v.reshape(-1, averaged),
         None if dense else s.rotor_inertia,
     )  # fmt: skip
 
 
-def _now(one: Samples) -> Floats:
+def _interpolate_torques(one: Samples) -> Floats:
     """Interpolate torques at the frames' own times; linear interpolation would damp swinging."""
     from scipy.interpolate import CubicSpline  # slow import, not needed by --help
 
@@ -265,50 +265,50 @@ def solve(arm: Arm, samples: Sequence[Samples], s: DrivesSettings) -> list[Drive
 
 
 def _drive(w: Windows, arm: Arm, one: Samples, j: int, s: DrivesSettings) -> Drive:
-    rows = _turning(w, one, j, s)
-    moving = one.period * rows.joined * len(rows.t)
+    rows = _collect_turning(w, one, j, s)
+    moving = one.period * rows.averaged * len(rows.t)
     if moving < s.min_moving:
         reason = f"joint {j + 1} turns for {moving:.1f} s (at least {s.min_moving:g})"
         nothing = np.full((len(NAMES),) * 2, np.nan)
         return Drive(nothing[0], nothing, dict.fromkeys(NAMES, reason), moving, (np.nan, np.nan))
     windows = sensor(w, one, j)
-    shown = windows.solved()
+    shown = windows.solve()
 
     def squares(speed: float) -> float:
-        left = _left(rows.equations(shown, speed))
+        left = _residuals(rows.equations(shown, speed))
         return float(left @ left)
 
-    speed, more = min(SPEEDS.tolist(), key=squares), 0.0
-    for k in range(STEPS):  # Gauss-Newton iterations from the best candidate
-        fit = rows.equations(shown, speed, more).solved()
-        more = fit[MORE]
+    speed, more = min(STRIBECK_SPEEDS.tolist(), key=squares), 0.0
+    for k in range(GAUSS_NEWTON_STEPS):  # Gauss-Newton iterations from the best candidate
+        fit = rows.equations(shown, speed, more).solve()
+        more = fit[EXCESS]
         if k:
-            speed += float(np.clip(fit[STEP], -0.3 * speed, 0.4 * speed))
-            speed = float(np.clip(speed, SPEEDS[0], SPEEDS[-1]))
+            speed += float(np.clip(fit[SPEED_STEP], -0.3 * speed, 0.4 * speed))
+            speed = float(np.clip(speed, STRIBECK_SPEEDS[0], STRIBECK_SPEEDS[-1]))
 
     def found(without: float = -1.0, rows: Turning = rows) -> Floats:
-        first = windows.solved(without)
-        second = rows.equations(first, speed, more).solved(without)
+        first = windows.solve(without)
+        second = rows.equations(first, speed, more).solve(without)
         return _parameters(first, second, speed, arm, j)
 
-    values, turning = found(), np.unique(rows.t // BLOCK)
-    blocks = np.unique(np.concatenate([windows.t // BLOCK, turning]))
+    values, turning = found(), np.unique(rows.t // BLOCK_DURATION)
+    blocks = np.unique(np.concatenate([windows.t // BLOCK_DURATION, turning]))
     shifts = np.array([found(block) for block in blocks]) - values
     freedom = len(turning) - 1
     student = freedom / max(freedom - 2, 1)  # variance of the Student distribution
     covariance = student * freedom / len(turning) * shifts.T @ shifts
     if rows.rotor is not None:
-        other = found(rows=replace(rows, rotor=(1.0 + ROTOR_KNOWN) * rows.rotor)) - values
+        other = found(rows=replace(rows, rotor=(1.0 + ROTOR_DEVIATION) * rows.rotor)) - values
         covariance += np.outer(other, other)
-    left = _left(windows), _left(rows.equations(shown, speed, more))
+    left = _residuals(windows), _residuals(rows.equations(shown, speed, more))
     torque, current = (float(np.sqrt(np.mean(each**2))) for each in left)
-    refused = _refused(values, covariance, rows, one, s)
+    refused = _refuse_uncertain(values, covariance, rows, one, s)
     return Drive(values, covariance, refused, moving, (torque, current))
 
 
-def _left(e: Equations) -> Floats:
+def _residuals(e: Equations) -> Floats:
     """Return the residuals (k,)."""
-    return e.y - e.A @ e.solved()
+    return e.y - e.A @ e.solve()
 
 
 def _parameters(shown: Floats, x: Floats, speed: float, arm: Arm, j: int) -> Floats:
@@ -319,12 +319,12 @@ def _parameters(shown: Floats, x: Floats, speed: float, arm: Arm, j: int) -> Flo
     found[KT], found[GAIN] = K, arm.links[j].torque_sensor.gain / g
     found[ZERO], found[CROSS] = shown[0] / g, shown[CROSSTALK] / g
     found[VISCOUS], found[COULOMB] = K * x[3:5]
-    found[STATIC], found[SPEED] = K * (x[4] + x[MORE]), speed + x[STEP]
+    found[STATIC], found[SPEED] = K * (x[4] + x[EXCESS]), speed + x[SPEED_STEP]
     found[ROTOR] = K * x[INERTIA] if len(x) > INERTIA else np.nan
     return found
 
 
-def _refused(
+def _refuse_uncertain(
     values: Floats, covariance: Floats, rows: Turning, one: Samples, s: DrivesSettings
 ) -> dict[str, str]:
     """Return the reason for each refused parameter, by name, and set its value to NaN."""
@@ -332,33 +332,33 @@ def _refused(
     why: dict[str, str] = {}
     for k in (KT, GAIN, VISCOUS, COULOMB, STATIC):
         if not sigma[k] <= s.max_relative * abs(values[k]):
-            why[_NAME[k]] = f"{values[k]:.3g} ± {sigma[k]:.1g} (at most {s.max_relative:.0%})"
+            why[_NAMES[k]] = f"{values[k]:.3g} ± {sigma[k]:.1g} (at most {s.max_relative:.0%})"
     speed = values[SPEED]
-    below = one.period * rows.joined * np.count_nonzero(np.abs(rows.v) < 0.05)
+    below = one.period * rows.averaged * np.count_nonzero(np.abs(rows.v) < 0.05)
     excess = values[STATIC] - values[COULOMB]
     spread = covariance[STATIC, STATIC] + covariance[COULOMB, COULOMB]
     spread = np.sqrt(max(spread - 2.0 * covariance[STATIC, COULOMB], 0.0))
-    if not excess > SURE * spread or not SPEEDS[0] < speed < SPEEDS[-1]:
+    if not excess > SIGNIFICANCE * spread or not STRIBECK_SPEEDS[0] < speed < STRIBECK_SPEEDS[-1]:
         words = f"static friction exceeds Coulomb's by {excess:.2g} ± {spread:.1g} N m"
-        words += f"; {below:.0f} s below 0.05 rad/s were seen"
+        words += f"; {below:.0f} s of motion below 0.05 rad/s"
         why["static"] = why["stribeck_speed"] = words
-    if one.period > DENSE:
+    if one.period > MAX_DENSE_PERIOD:
         why["rotor_inertia"] = (
-            f"frames {1e3 * one.period:.0f} ms apart (at most {1e3 * DENSE:.0f}) do not tell how "
-            f"links swing; taken as {rows.rotor:g} kg m^2"
+            f"frames are {1e3 * one.period:.0f} ms apart (at most {1e3 * MAX_DENSE_PERIOD:.0f} to "
+            f"resolve the swinging of links); assumed: {rows.rotor:g} kg m^2"
         )
-    elif not values[ROTOR] > SURE * sigma[ROTOR]:
-        why["rotor_inertia"] = f"{values[ROTOR]:.2g} ± {sigma[ROTOR]:.1g} kg m^2 may be none"
-    if not sigma[CROSS] <= CROSSTALK_KNOWN:
-        why["torque_crosstalk"] = f"± {sigma[CROSS]:.1g} m (at most {CROSSTALK_KNOWN:g})"
-    way = s.min_speed * one.period
+    elif not values[ROTOR] > SIGNIFICANCE * sigma[ROTOR]:
+        why["rotor_inertia"] = f"{values[ROTOR]:.2g} ± {sigma[ROTOR]:.1g} kg m^2 is not significant"
+    if not sigma[CROSS] <= MAX_CROSSTALK_DEVIATION:
+        why["torque_crosstalk"] = f"± {sigma[CROSS]:.1g} m (at most {MAX_CROSSTALK_DEVIATION:g})"
+    step = s.min_speed * one.period
     why["dead_band"] = (
-        f"the encoder is on the motor: in {1e3 * one.period:.0f} ms between frames it turns "
-        f"{1e3 * way:.2g} mrad at the least speed, and a gap within that is not seen"
+        f"the encoder is on the motor and turns {1e3 * step:.2g} mrad between frames at the least "
+        "speed, so that a smaller dead band does not show"
     )
-    why["stiffness"] = "the encoder is on the motor and does not see the twist of the gear"
+    why["stiffness"] = "the encoder is on the motor and does not measure the twist of the gear"
     for name in why:
-        k = _NAME.index(name)
+        k = _NAMES.index(name)
         values[k] = np.nan
         covariance[k], covariance[:, k] = np.nan, np.nan
     return why

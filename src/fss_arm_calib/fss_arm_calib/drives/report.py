@@ -18,7 +18,7 @@ def drives_report(outcome: Outcome[Any, list[Drive]], truth: Arm | None = None) 
     tables = [_parameters(outcome, truth)]
     if found is None:
         return make_report(title, outcome, tables)
-    return make_report(title, outcome, [*tables, _refused(found)], [_data(found)])
+    return make_report(title, outcome, [*tables, _undetermined(found)], [_data(found)])
 
 
 def _parameters(outcome: Outcome[Any, list[Drive]], truth: Arm | None) -> Table:
@@ -49,17 +49,17 @@ def _parameters(outcome: Outcome[Any, list[Drive]], truth: Arm | None) -> Table:
             rows[-1].append(format_number(off, "+.1f"))
     head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
     note = (
-        "Torques are to the scale of the described masses, taken as they are; "
-        "amber: within two deviations of none."
+        "The described masses set the scale of the torques; amber: not significant (within two "
+        "standard deviations of 0)."
     )
     return Table("Parameters", head + (["off [sigma]"] if truth else []), rows, 2, note, weak)
 
 
-def _refused(found: list[Drive]) -> Table:
-    """Tabulate the refused parameters; joints with the same reason share a row."""
+def _undetermined(found: list[Drive]) -> Table:
+    """Tabulate the undetermined parameters; joints with the same reason share a row."""
     joints: dict[tuple[str, str], list[str]] = {}
     for i, one in enumerate(found, 1):
-        for name, reason in one.refused.items():
+        for name, reason in one.undetermined.items():
             joints.setdefault((name, reason), []).append(str(i))
     order = list(NAMES)
     rows = [
@@ -68,7 +68,9 @@ def _refused(found: list[Drive]) -> Table:
             joints.items(), key=lambda row: (order.index(row[0][0]), row[1])
         )
     ]
-    return Table("Refused: what these data cannot show", ["parameter", "joints", "why"], rows, 3)
+    return Table(
+        "Parameters not determined by these data", ["parameter", "joints", "reason"], rows, 3
+    )
 
 
 def _data(found: list[Drive]) -> Table:
@@ -76,5 +78,5 @@ def _data(found: list[Drive]) -> Table:
         [str(i), f"{one.moving:.1f}", *(format_number(1e3 * x, ".2f") for x in one.residuals)]
         for i, one in enumerate(found, 1)
     ]
-    head = ["joint", "turns for [s]", "torque's residual [mN m]", "current's residual [mA]"]
+    head = ["joint", "time in motion [s]", "torque residual [mN m]", "current residual [mA]"]
     return Table("Data", head, rows)

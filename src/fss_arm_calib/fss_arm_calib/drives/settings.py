@@ -25,16 +25,18 @@ class DrivesSettings(ExcitationSettings, KindSettings):
     max_excitations: int = max_data(600, "excitations")
     gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
     window: float = setting(
-        1.6, "over which torques are compared with the arm's motion", unit="s", check=POSITIVE
+        1.6, "time over which torques are compared with the arm's motion", unit="s", check=POSITIVE
     )
     rotor_inertia: float = setting(
-        0.0026, "inertia of each motor, felt at its joint, by its data sheet; taken as it is where "
-        "frames do not tell", unit="kg m^2", check=NOT_NEGATIVE,
+        0.0026, "inertia of each motor at its joint, from its data sheet; assumed if frames are "
+        "too far apart to estimate it", unit="kg m^2", check=NOT_NEGATIVE,
     )  # fmt: skip
-    min_moving: float = setting(20.0, "time for which a joint must turn", unit="s", check=POSITIVE)
+    min_moving: float = setting(
+        20.0, "time in motion that each joint needs", unit="s", check=POSITIVE
+    )
     max_relative: float = setting(
-        0.1, "largest deviation of a torque constant, friction or gain, against it; what is less "
-        "certain is refused", check=NOT_NEGATIVE,
+        0.1, "largest relative deviation of a torque constant, friction or gain; less certain ones "
+        "are not reported", check=NOT_NEGATIVE,
     )  # fmt: skip
 
     @property

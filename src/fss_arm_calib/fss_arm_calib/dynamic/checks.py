@@ -30,7 +30,7 @@ from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.least_squares import MAX_CONDITION
-from fss_arm_calib.estimation.noise import assumed
+from fss_arm_calib.estimation.noise import assumed_noise
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
@@ -78,7 +78,7 @@ def check_tips(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[C
     distance = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
     # Errors of the observed poses of base and end effector widen the limit.
     reach = float(np.sqrt(np.mean(np.sum(seen[:, :2] ** 2, axis=1))))
-    position, heading = assumed(s).deviations
+    position, heading = assumed_noise(s).deviations
     errors = hypot(2.0 * position, reach * heading)
     limit = hypot(s.max_tip_error, errors)
     words = f"end effector {distance:.3f} m from where it is described (at most {limit:.3f} m)"
@@ -89,13 +89,13 @@ def check_tips(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[C
 def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
     """Evaluate the checks of a solution."""
     r, m = solution.result, solution.result.minimum
-    left = solution.first.left
+    left = solution.nominal.residual_sums
     fit = check_fit(
         float(np.sum(left.squares)), float(np.sum(left.freedom)), s.min_probability,
         "residuals are larger than the deviations allow", solution.noise,
     )  # fmt: skip
     found = []
-    if fit.verdict == FAIL and _fits_swapped(solution.first.problem, s):
+    if fit.verdict == FAIL and _fits_swapped(solution.nominal.problem, s):
         found = [cause_check("the end effector is taken for the base")]
     return [
         *found,

@@ -8,7 +8,7 @@ import numpy as np
 
 from fss_arm_calib.calibration import Calibration, Data, Input
 from fss_arm_calib.dynamic.calibrate import calibrate
-from fss_arm_calib.dynamic.evidence import evidence
+from fss_arm_calib.dynamic.measurements import measurements
 from fss_arm_calib.dynamic.report import dynamic_report
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
@@ -123,13 +123,13 @@ DYNAMIC = Calibration(
     settings=DynamicSettings,
     data=Data(
         "maneuver", Maneuver, "calibration/maneuvers", maneuvers_message, maneuvers_from_message,
-        lambda one: f"joints {list(one.moved)} moved",
+        lambda one: f"joints {list(one.moved_joints)} moved",
     ),
     most=lambda s: s.max_maneuvers,
     inputs=inputs,
     finder=lambda arm, s, _: ManeuverFinder(arm.n, s),
     calibrate=calibrate,
-    evidence=evidence,
+    measurements=measurements,
     message=msg.DynamicCalibration,
     to_message=to_message,
     numbers=("combination_values", "momenta"),

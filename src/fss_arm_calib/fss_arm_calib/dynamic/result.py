@@ -9,8 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.dynamic.problem import DynamicProblem
-from fss_arm_calib.estimation.least_squares import NOTICEABLE, Decomposition, Floats, Mask, Minimum
-from fss_arm_calib.estimation.noise import Left
+from fss_arm_calib.estimation.least_squares import (
+    MAX_UNDETERMINED_SHARE,
+    Decomposition,
+    Floats,
+    Mask,
+    Minimum,
+)
+from fss_arm_calib.estimation.noise import ResidualSums
 from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_model.description import Arm, Known
 from fss_arm_model.parameters import parameter_names, values, with_values
@@ -96,12 +102,12 @@ class DynamicResult:
     @cached_property
     def undetermined(self) -> Mask:
         """Mask (p,) of the parameters that the data do not determine."""
-        return self.minimum.basis.undetermined() > NOTICEABLE
+        return self.minimum.basis.undetermined() > MAX_UNDETERMINED_SHARE
 
     @property
     def inseparable(self) -> tuple[str, ...]:
         """Names of parameters that the data do not separate, except those at a bound."""
-        return tuple(compress(self.problem.names, self.undetermined & ~self.minimum.held))
+        return tuple(compress(self.problem.names, self.undetermined & ~self.minimum.at_bound))
 
     @property
     def condition_number(self) -> float:
@@ -109,7 +115,7 @@ class DynamicResult:
 
         The priors are included; parameters at a bound are left out.
         """
-        Phi = self.minimum.linear.regressor[:, ~self.minimum.held]
+        Phi = self.minimum.linear.regressor[:, ~self.minimum.at_bound]
         return Decomposition.of(Phi).condition if Phi.size else 1.0
 
     @cached_property
@@ -129,7 +135,7 @@ class DynamicResult:
     @property
     def at_bound(self) -> tuple[str, ...]:
         """Names of parameters that the data would move out of their bounds."""
-        return tuple(compress(self.problem.names, self.minimum.held))
+        return tuple(compress(self.problem.names, self.minimum.at_bound))
 
     @cached_property
     def beyond_reach(self) -> tuple[str, ...]:
@@ -146,7 +152,7 @@ class DynamicResult:
         assumed = self.problem.assumed[np.ix_(self.assumed, self.assumed)]
         deviations = np.sqrt(np.diag(P + influence @ assumed @ influence.T))
         away = np.abs(free.step(linear.residuals))
-        guess, lost = np.abs(self.problem.guess), free.undetermined() > NOTICEABLE
+        guess, lost = np.abs(self.problem.guess), free.undetermined() > MAX_UNDETERMINED_SHARE
         hidden = lost | ((away < 3.0 * deviations) & (deviations > 0.5 * guess))
         return tuple(compress(self.problem.names, hidden))
 
@@ -204,7 +210,7 @@ class DynamicResult:
         return np.trace(H, axis1=1, axis2=2), np.sqrt(squares / np.maximum(self.problem.free, 1))
 
     @property
-    def left(self) -> Left:
+    def residual_sums(self) -> ResidualSums:
         """Squared residuals and degrees of freedom of positions and headings, without priors.
 
         The priors are left out, above all those of the momenta. Their deviations may be far larger
@@ -214,11 +220,13 @@ class DynamicResult:
         H, r = self._hat
         seen = self.problem.weight > 0.0
         rows = seen.shape[1]
-        hat = np.diagonal(H, axis1=1, axis2=2) + self.minimum.linear.taken.reshape(len(seen), -1)
+        hat = np.diagonal(H, axis1=1, axis2=2) + self.minimum.linear.absorbed.reshape(len(seen), -1)
         free = seen - hat[:, :rows]
         heading = self.problem.looked_at % 3 == 2
         kinds = np.array([~heading, heading]).astype(float)
-        return Left(kinds @ np.sum(r[:, :rows, 0] ** 2, axis=0), kinds @ np.sum(free, axis=0))
+        return ResidualSums(
+            kinds @ np.sum(r[:, :rows, 0] ** 2, axis=0), kinds @ np.sum(free, axis=0)
+        )
 
     @property
     def redundancy(self) -> Floats:

@@ -14,12 +14,18 @@ from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.least_squares import Floats, Mask
-from fss_arm_calib.estimation.noise import Left, Noise, Solved, assumed, estimated
-from fss_arm_calib.estimation.outliers import weighed, without_outliers
+from fss_arm_calib.estimation.noise import (
+    Noise,
+    NoiseSolution,
+    ResidualSums,
+    assumed_noise,
+    solve_with_noise,
+)
+from fss_arm_calib.estimation.outliers import reject_outliers, solve_robustly
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.maneuvers import Maneuver
-from fss_arm_calib.segments.poses import independent
+from fss_arm_calib.segments.poses import count_independent
 from fss_arm_model.description import Arm
 from fss_arm_model.joint_path import Path, stack
 from fss_arm_model.units import GRAVITY
@@ -42,9 +48,9 @@ def problem_of(
     deviations = pose_deviations(s)
     for one, pose, spread in zip(maneuvers, poses, sigma, strict=True):
         pose[: len(one.marks)] = one.poses
-        fresh = independent(one.frames, one.seconds, s.fresh_rate)
+        fresh = count_independent(one.frames, one.seconds, s.fresh_rate)
         spread[: len(one.marks)] = deviations / np.sqrt(fresh)[:, None]
-        if (way := one.underway).any():
+        if (way := one.in_motion).any():
             late = s.path_timing * np.gradient(np.array(one.poses), one.marks, axis=0)
             rows = np.flatnonzero(way)
             spread[rows] = np.hypot(spread[rows], late[rows])
@@ -53,7 +59,7 @@ def problem_of(
 
 def pose_deviations(s: DynamicSettings) -> Floats:
     """Return the deviations (3,) of a base pose with independent errors; inf: not used."""
-    deviations = assumed(s).deviations[[0, 0, 1]]
+    deviations = assumed_noise(s).deviations[[0, 0, 1]]
     if s.residuals == HEADING:
         deviations[:2] = inf
     return deviations
@@ -97,7 +103,7 @@ class Solution:
     directions: tuple[Direction, ...]  # of the p parameters
     combinations: tuple[Combination, ...]
     noise: Noise  # of poses that are independent according to `fresh_rate`
-    first: DynamicResult  # with the given deviations, or the largest plausible ones
+    nominal: DynamicResult  # with the given deviations, or the largest plausible ones
 
     @property
     def momenta(self) -> Floats:
@@ -113,25 +119,25 @@ def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
     weights = np.zeros(size)
 
     largest, seen = (
-        assumed(s).deviations,
+        assumed_noise(s).deviations,
         np.asarray(np.isfinite(problem.sigma[..., 1:]).any(axis=(0, 1))),
     )
 
-    def solved(mask: Mask) -> tuple[Solved[DynamicResult], Floats]:
+    def solved(mask: Mask) -> tuple[NoiseSolution[DynamicResult], Floats]:
         weights[:] = 0.0
 
-        def with_noise(deviations: Floats) -> tuple[DynamicResult, Left]:
+        def with_noise(deviations: Floats) -> tuple[DynamicResult, ResidualSums]:
             those = problem.only(mask).scaled(deviations / largest)
-            result, weights[mask], errors[:] = weighed(
+            result, weights[mask], errors[:] = solve_robustly(
                 lambda weight: _solve_weighted(those, weight), len(errors), s.loss
             )
-            return result, result.left
+            return result, result.residual_sums
 
         errors = np.empty(np.count_nonzero(mask))
-        found = estimated(s, with_noise, seen)
+        found = solve_with_noise(s, with_noise, seen)
         return found, errors
 
-    found = without_outliers(solved, size, s, s.min_maneuvers, "error")
+    found = reject_outliers(solved, size, s, s.min_maneuvers, "error")
     result, noise, first = found.result
     leverage = np.zeros(size)
     leverage[found.mask] = result.checks[0]

@@ -24,33 +24,36 @@ class Loss(NamedTuple):
     weight: Callable[[Floats], Floats]  # rho'(d2)
 
 
-KNEE = 2.8  # of the Huber loss [deviations]; 95% of all observations are shorter
-SCALE = 4.0  # of the Cauchy loss [deviations], for an efficiency of about 95%
+HUBER_THRESHOLD = 2.8  # of the Huber loss [deviations]; 95% of all observations are shorter
+CAUCHY_SCALE = 4.0  # of the Cauchy loss [deviations], for an efficiency of about 95%
 
 SQUARE, HUBER, CAUCHY = "square", "huber", "cauchy"
 LOSSES = {
     SQUARE: Loss(lambda d2: d2, np.ones_like),
     HUBER: Loss(
-        lambda d2: np.where(d2 <= KNEE**2, d2, 2.0 * KNEE * np.sqrt(d2) - KNEE**2),
-        lambda d2: KNEE / np.sqrt(np.maximum(d2, KNEE**2)),
+        lambda d2: np.where(
+            d2 <= HUBER_THRESHOLD**2, d2, 2.0 * HUBER_THRESHOLD * np.sqrt(d2) - HUBER_THRESHOLD**2
+        ),
+        lambda d2: HUBER_THRESHOLD / np.sqrt(np.maximum(d2, HUBER_THRESHOLD**2)),
     ),
     CAUCHY: Loss(
-        lambda d2: SCALE**2 * np.log1p(d2 / SCALE**2), lambda d2: 1.0 / (1.0 + d2 / SCALE**2)
+        lambda d2: CAUCHY_SCALE**2 * np.log1p(d2 / CAUCHY_SCALE**2),
+        lambda d2: 1.0 / (1.0 + d2 / CAUCHY_SCALE**2),
     ),
 }
 
 
-#: A smaller step is within rounding errors, in the unit of the parameter.
-ROUNDING = 1e-13
+#: Steps below this are rounding errors, in the unit of the parameter.
+ROUNDING_ERROR = 1e-13
 
 #: A smaller step is accepted without a check that it lowers the sum of squares [deviations].
-SHORT = 1e-6
+UNCHECKED_STEP = 1e-6
 
 #: Above this condition number of the column-scaled regressor, rounding errors dominate.
 MAX_CONDITION = 1e6
 
 #: Share of a parameter in undetermined directions above which the parameter is reported.
-NOTICEABLE = 1e-6
+MAX_UNDETERMINED_SHARE = 1e-6
 
 MAX_ITERATIONS = 50
 
@@ -71,7 +74,7 @@ class Decomposition(NamedTuple):
     @classmethod
     def of(cls, Phi: Floats, max_condition: float = MAX_CONDITION) -> "Decomposition":
         """Decompose a regressor (m, p); a column of zeros belongs to a parameter that is fixed."""
-        scale, U, s, Vt = _scaled(Phi)
+        scale, U, s, Vt = _scaled_svd(Phi)
         keep = s * max_condition > s[0]
         condition = s[0] / s[-1] if len(s) == len(scale) and s[-1] > 0.0 else inf
         return cls(scale, U[:, keep], s[keep], Vt[keep], float(condition))
@@ -97,7 +100,7 @@ class Linear(NamedTuple):
     regressor: Floats  # (m, p)
     cost: Floats  # () the sum of squares to minimize
     extend: Callable[[Floats], Floats] | None = None  # from dx (p,) to a step of all unknowns
-    taken: Floats = np.empty(0)  # (rows,) share of each row that eliminated unknowns absorb
+    absorbed: Floats = np.empty(0)  # (rows,) share of each row that eliminated unknowns absorb
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,7 @@ class Minimum:
     x: Floats  # all unknowns
     linear: Linear  # at x
     basis: Decomposition  # at x, with parameters at a bound fixed
-    held: Mask  # (p,) True for parameters at a bound that they would cross
+    at_bound: Mask  # (p,) True for parameters at a bound that they would cross
     iterations: int
     last_update: float  # largest component of the next step, in the parameter's deviations
     converged: bool
@@ -142,27 +145,27 @@ def minimize(
     low, high = bounds if bounds else (np.full(p, -inf), np.full(p, inf))
     damping = 0.0
     for iteration in range(max_iterations + 1):
-        basis, held, step = _step(linear, x[:p], low, high, damping, max_condition)
-        update = _largest(step, basis)
-        negligible = update < tolerance or float(np.max(np.abs(step), initial=0.0)) < ROUNDING
+        basis, at_bound, step = _step(linear, x[:p], low, high, damping, max_condition)
+        update = _largest_update(step, basis)
+        negligible = update < tolerance or float(np.max(np.abs(step), initial=0.0)) < ROUNDING_ERROR
         converged = damping == 0.0 and negligible
         if converged or iteration == max_iterations:
             break
-        there = x + (linear.extend(step) if linear.extend else step)
-        there[:p] = np.minimum(np.maximum(there[:p], low), high)
-        following = linearize(there)
+        x_next = x + (linear.extend(step) if linear.extend else step)
+        x_next[:p] = np.minimum(np.maximum(x_next[:p], low), high)
+        linear_next = linearize(x_next)
         # The change by such a short step is quadratic in its length and below rounding errors.
-        if update < SHORT or following.cost <= linear.cost:
-            x, linear = there, following
+        if update < UNCHECKED_STEP or linear_next.cost <= linear.cost:
+            x, linear = x_next, linear_next
             damping = damping / 10.0 if damping > 1e-3 else 0.0
         else:
             damping = max(10.0 * damping, 1e-3)
     if not converged and negligible:
         # The damped steps became negligible: check whether the undamped one is, too.
-        basis, held, step = _step(linear, x[:p], low, high, 0.0, max_condition)
-        update = _largest(step, basis)
+        basis, at_bound, step = _step(linear, x[:p], low, high, 0.0, max_condition)
+        update = _largest_update(step, basis)
         converged = update < tolerance
-    return Minimum(x, linear, basis, held, iteration, update, converged)
+    return Minimum(x, linear, basis, at_bound, iteration, update, converged)
 
 
 def minimize_all(
@@ -182,46 +185,46 @@ def minimize_all(
         bounds: as in `minimize`.
         tolerance: as in `minimize`.
     """
-    found: list[Minimum | None] = [None] * len(start)
+    minima: list[Minimum | None] = [None] * len(start)
     which, x, linear = np.arange(len(start)), start, linearize(start, np.arange(len(start)))
     p = linear.regressor.shape[-1]
     low, high = bounds if bounds else (np.full(p, -inf), np.full(p, inf))
     downhill = np.full(len(start), True)
     for iteration in range(MAX_ITERATIONS + 1):
         with np.errstate(all="ignore"):  # problems with inseparable parameters
-            scale, U, s, Vt = _scaled(linear.regressor)
+            scale, U, s, Vt = _scaled_svd(linear.regressor)
             roots = np.swapaxes(Vt, 1, 2) / s[:, None] / scale[..., None]
-            step = _times(roots, _times(np.swapaxes(U, 1, 2), linear.residuals))
+            step = _multiply(roots, _multiply(np.swapaxes(U, 1, 2), linear.residuals))
             condition, deviations = s[:, 0] / s[:, -1], np.sqrt(np.sum(roots**2, axis=2))
             sizes = np.abs(step)
-            update, there = np.max(sizes / deviations, axis=1), x[:, :p] + step
-            plain = downhill & (s.shape[1] == p) & (condition < MAX_CONDITION)
-            plain &= ((there >= low) & (there <= high)).all(axis=1)
-        done = plain & ((update < tolerance) | (sizes.max(axis=1) < ROUNDING))
+            update, x_next = np.max(sizes / deviations, axis=1), x[:, :p] + step
+            solvable = downhill & (s.shape[1] == p) & (condition < MAX_CONDITION)
+            solvable &= ((x_next >= low) & (x_next <= high)).all(axis=1)
+        done = solvable & ((update < tolerance) | (sizes.max(axis=1) < ROUNDING_ERROR))
         for k in np.flatnonzero(done):
-            r, Phi, cost, _, taken = linear
-            one = Linear(r[k], Phi[k], cost[k], taken=taken[k])
+            r, Phi, cost, _, absorbed = linear
+            one = Linear(r[k], Phi[k], cost[k], absorbed=absorbed[k])
             basis = Decomposition(scale[k], U[k], s[k], Vt[k], float(condition[k]))
-            held = np.zeros(p, dtype=bool)
-            found[which[k]] = Minimum(x[k], one, basis, held, iteration, float(update[k]), True)
-        on = plain & ~done
-        if not on.any():
+            free = np.zeros(p, dtype=bool)
+            minima[which[k]] = Minimum(x[k], one, basis, free, iteration, float(update[k]), True)
+        active = solvable & ~done
+        if not active.any():
             break
-        x = (x + linear.extend(step) if linear.extend else there)[on]
-        which, cost, short = which[on], linear.cost[on], update[on] < SHORT
+        x = (x + linear.extend(step) if linear.extend else x_next)[active]
+        which, cost, short = which[active], linear.cost[active], update[active] < UNCHECKED_STEP
         linear = linearize(x, which)
         downhill = short | (linear.cost <= cost)
-    return found
+    return minima
 
 
-def _scaled(Phi: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def _scaled_svd(Phi: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the column norms of Phi (..., m, p), 1 if zero, and U, s, Vt of the scaled Phi."""
     norms = np.sqrt(np.einsum("...ij,...ij->...j", Phi, Phi))
     scale = np.where(norms > 0.0, norms, 1.0)
     return scale, *np.linalg.svd(Phi / scale[..., None, :], full_matrices=False)
 
 
-def _largest(step: Floats, basis: Decomposition) -> float:
+def _largest_update(step: Floats, basis: Decomposition) -> float:
     """Return the largest component of a step, in the parameter's deviations."""
     deviations = np.sqrt(np.diag(basis.covariance()))
     sizes = np.abs(step[deviations > 0.0]) / deviations[deviations > 0.0]
@@ -235,18 +238,18 @@ def _step(
 
     Parameters that would cross a bound are moved to it; the others take the best step given that.
     """
-    held, fixed = np.zeros(len(x), dtype=bool), np.zeros(len(x))
+    at_bound, fixed = np.zeros(len(x), dtype=bool), np.zeros(len(x))
     while True:
-        basis = Decomposition.of(np.where(held, 0.0, linear.regressor), max_condition)
+        basis = Decomposition.of(np.where(at_bound, 0.0, linear.regressor), max_condition)
         step = fixed + basis.step(linear.residuals - linear.regressor @ fixed, damping)
-        crossing = ~held & ((x + step < low) | (x + step > high))
+        crossing = ~at_bound & ((x + step < low) | (x + step > high))
         if not crossing.any():
-            return basis, held, step
-        held |= crossing
+            return basis, at_bound, step
+        at_bound |= crossing
         fixed = np.where(crossing, np.clip(x + step, low, high) - x, fixed)
 
 
-def _times(A: Floats, x: Floats) -> Floats:
+def _multiply(A: Floats, x: Floats) -> Floats:
     """Multiply matrices (..., m, p) by vectors (..., p)."""
     return np.asarray((A @ x[..., None])[..., 0])
 
@@ -265,20 +268,20 @@ def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
         r: (..., blocks, rows) residuals.
     """
     Q, R = np.linalg.qr(B)
-    every = np.concatenate([A, r[..., None]], axis=-1)
-    along = np.swapaxes(Q, -1, -2) @ every
-    rest = every - Q @ along
-    own = np.linalg.solve(R, along)
+    rows = np.concatenate([A, r[..., None]], axis=-1)
+    components = np.swapaxes(Q, -1, -2) @ rows
+    projected = rows - Q @ components
+    solution = np.linalg.solve(R, components)
     batch, count = r.shape[:-2], r.shape[-2] * r.shape[-1]
 
     def extend(dx: Floats) -> Floats:
-        following = own[..., -1] - _times(own[..., :-1], dx[..., None, :])
-        return np.concatenate([dx, following.reshape(*batch, R.shape[-1] * R.shape[-3])], axis=-1)
+        own = solution[..., -1] - _multiply(solution[..., :-1], dx[..., None, :])
+        return np.concatenate([dx, own.reshape(*batch, R.shape[-1] * R.shape[-3])], axis=-1)
 
     return Linear(
-        residuals=rest[..., -1].reshape(*batch, count),
-        regressor=rest[..., :-1].reshape(*batch, count, A.shape[-1]),
+        residuals=projected[..., -1].reshape(*batch, count),
+        regressor=projected[..., :-1].reshape(*batch, count, A.shape[-1]),
         cost=np.sum(r**2, axis=(-2, -1)),
         extend=extend,
-        taken=np.sum(Q**2, axis=-1).reshape(*batch, count),
+        absorbed=np.sum(Q**2, axis=-1).reshape(*batch, count),
     )

@@ -21,16 +21,17 @@ import numpy as np
 from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.estimation.statistics import probability
 
-FEWEST = 4.0  # degrees of freedom needed to estimate the deviation of a kind of coordinate
-LEAST = 1e-3  # smallest estimate, as a fraction of the largest deviation; for exact data
-ROUNDS, SETTLED = 20, 1e-4  # most iterations, and the relative change that stops them
+MIN_FREEDOM = 4.0  # degrees of freedom needed to estimate the deviation of a kind of coordinate
+MIN_DEVIATION_RATIO = 1e-3  # smallest estimate relative to the largest deviation; for exact data
+MAX_ITERATIONS = 20
+MAX_CHANGE = 1e-4  # relative change of the deviations below which they have converged
 
 
 R = TypeVar("R")
 S = TypeVar("S", bound=Any)
 
 
-class Limits(Protocol):
+class NoiseSettings(Protocol):
     """Settings for the deviations of positions and headings."""
 
     @property
@@ -54,7 +55,7 @@ class Limits(Protocol):
         """Probability of residuals below which they are not explained by noise alone."""
 
 
-class Left(NamedTuple):
+class ResidualSums(NamedTuple):
     """Residuals of positions and headings after a solution, (2,) each."""
 
     squares: Floats  # sums of squared residuals, in the assumed deviations
@@ -71,36 +72,38 @@ class Noise:
     freedom: float  # degrees of freedom of the estimate; inf: given
 
     @property
-    def given(self) -> Mask:
+    def is_given(self) -> Mask:
         """Mask (2,), True for deviations that are given, not estimated."""
         return np.asarray(self.uncertainty == 0.0)
 
-    def given_to(self, settings: S) -> S:
-        """Return the settings with these deviations as given values."""
+    def apply_to(self, settings: S) -> S:
+        """Return the settings with these deviations in place of theirs."""
         position, heading = self.deviations.tolist()
         return replace(settings, position_deviation=position, heading_deviation=heading)
 
     def __str__(self) -> str:
         texts = []
         for k, (scale, unit) in enumerate(((1e3, "mm"), (np.degrees(1.0), "degrees"))):
-            value, by = scale * self.deviations[k], scale * self.uncertainty[k]
-            expected = f"up to {scale * self.largest[k]:.3g} expected"
-            if value > scale * self.largest[k]:  # accepted only because the excess is by chance
-                expected += ", more within chance"
-            found = f"± {by:.1g} {unit} ({expected})" if by else unit
-            texts.append(f"{value:.2g} {found}")
+            value, uncertainty = scale * self.deviations[k], scale * self.uncertainty[k]
+            limit = f"{scale * self.largest[k]:.3g} {unit} assumed"
+            if value > scale * self.largest[k]:
+                limit += "; the excess is not significant"
+            else:
+                limit = f"at most {limit}"
+            estimate = f"± {uncertainty:.1g} {unit} ({limit})" if uncertainty else unit
+            texts.append(f"{value:.2g} {estimate}")
         return " and ".join(texts)
 
 
-class Solved(NamedTuple, Generic[R]):
+class NoiseSolution(NamedTuple, Generic[R]):
     """Solution with the deviations estimated from its residuals."""
 
     result: R
     noise: Noise
-    first: R  # with the given deviations, and the largest accepted ones of those to estimate
+    nominal: R  # with the given deviations, and the largest accepted ones of those to estimate
 
 
-def assumed(s: Limits) -> Noise:
+def assumed_noise(s: NoiseSettings) -> Noise:
     """Return the given deviations, and the largest accepted ones of those to estimate."""
     given = np.array([s.position_deviation, s.heading_deviation])
     largest = np.array([s.max_position_deviation, s.max_heading_deviation])
@@ -108,9 +111,11 @@ def assumed(s: Limits) -> Noise:
     return Noise(deviations, np.zeros(2), deviations, np.inf)
 
 
-def estimated(
-    s: Limits, solve: Callable[[Floats], tuple[R, Left | None]], used: Mask | None = None
-) -> Solved[R]:
+def solve_with_noise(
+    s: NoiseSettings,
+    solve: Callable[[Floats], tuple[R, ResidualSums | None]],
+    used: Mask | None = None,
+) -> NoiseSolution[R]:
     """Solve repeatedly with the deviations estimated from the residuals, until these converge.
 
     If the residuals are larger than the largest accepted deviations explain, they are not caused by
@@ -122,36 +127,36 @@ def estimated(
             residuals, or None in their place if these are not known.
         used: (2,) True if positions, headings are observed.
     """
-    noise = assumed(s)
+    noise = assumed_noise(s)
     free = np.array([s.position_deviation == 0.0, s.heading_deviation == 0.0])
     free &= np.ones(2, bool) if used is None else used
-    result, left = solve(noise.deviations)
-    first = result
-    if left and probability(left.squares.sum(), left.freedom.sum()) < s.min_probability:
-        return Solved(first, noise, first)
-    for _ in range(ROUNDS if free.any() else 0):
-        if left is None or (found := _factors(left, free)) is None:
+    nominal, sums = solve(noise.deviations)
+    if sums and probability(sums.squares.sum(), sums.freedom.sum()) < s.min_probability:
+        return NoiseSolution(nominal, noise, nominal)
+    result = nominal
+    for _ in range(MAX_ITERATIONS if free.any() else 0):
+        if sums is None or (found := _noise_factors(sums, free)) is None:
             break
         factors, freedom = found
-        deviations = np.maximum(factors * noise.deviations, LEAST * noise.largest)
+        deviations = np.maximum(factors * noise.deviations, MIN_DEVIATION_RATIO * noise.largest)
         change = np.max(np.abs(deviations / noise.deviations - 1.0))
         uncertainty = np.where(free, deviations / np.sqrt(2.0 * freedom), 0.0)
-        seen = (deviations > LEAST * noise.largest).all()
-        by = float(np.sum(left.freedom[free])) if seen else np.inf
-        noise = Noise(deviations, uncertainty, noise.largest, by)
-        if change < SETTLED:
+        noisy = (deviations > MIN_DEVIATION_RATIO * noise.largest).all()
+        total = float(np.sum(sums.freedom[free])) if noisy else np.inf
+        noise = Noise(deviations, uncertainty, noise.largest, total)
+        if change < MAX_CHANGE:
             break
-        result, left = solve(deviations)
-    return Solved(result, noise, first)
+        result, sums = solve(deviations)
+    return NoiseSolution(result, noise, nominal)
 
 
-def _factors(left: Left, free: Mask) -> tuple[Floats, Floats] | None:
+def _noise_factors(sums: ResidualSums, free: Mask) -> tuple[Floats, Floats] | None:
     """Return the factors of the deviations (2,) and the degrees of freedom; None: too few."""
-    squares, freedom = left
-    if (freedom[free] < FEWEST).any():  # use one factor for both
+    squares, freedom = sums
+    if (freedom[free] < MIN_FREEDOM).any():  # use one factor for both
         squares = np.full(2, np.sum(squares[free]))
         freedom = np.full(2, np.sum(freedom[free]))
-    if (freedom[free] < FEWEST).any():
+    if (freedom[free] < MIN_FREEDOM).any():
         return None
     factors = np.sqrt(squares / np.maximum(freedom - 2.0, 1.0))
     return np.where(free, factors, 1.0), freedom

@@ -7,10 +7,10 @@ import numpy as np
 
 from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE, Floats, Mask
 
-ROUNDS = 20  # iterations of the weights of a robust loss
+REWEIGHTINGS = 20  # number of iterations with a robust loss
 
 
-class Limits(Protocol):
+class OutlierSettings(Protocol):
     """Settings for outliers."""
 
     @property
@@ -25,7 +25,7 @@ class Limits(Protocol):
 R = TypeVar("R")
 
 
-class Kept(NamedTuple, Generic[R]):
+class OutlierSolution(NamedTuple, Generic[R]):
     """Result, with a mask of the s data that it is computed from."""
 
     result: R  # from the data kept
@@ -34,35 +34,35 @@ class Kept(NamedTuple, Generic[R]):
     errors: Floats  # (s,) error of each datum; of a rejected one when it was rejected [deviations]
 
 
-def without_outliers(
+def reject_outliers(
     solve: Callable[[Mask], tuple[R, Floats]],
     size: int,
-    limits: Limits,
-    fewest: int,
-    what: str,
-) -> Kept[R]:
+    limits: OutlierSettings,
+    min_count: int,
+    error_name: str,
+) -> OutlierSolution[R]:
     """Solve, and reject outliers one by one up to the allowed number.
 
     Args:
         solve: takes a mask (size,) of data; returns the result and the errors of these data.
         size: number of data.
         limits: definition of an outlier, and how many may be rejected.
-        fewest: number of data that must remain.
-        what: name of the error.
+        min_count: number of data that must remain.
+        error_name: name of the error, for the reasons.
     """
     mask, reasons, errors = np.ones(size, dtype=bool), [""] * size, np.zeros(size)
     while True:
         result, errors[mask] = solve(mask)
         worst = int(np.argmax(np.where(mask, errors, 0.0)))
         length, rejected = float(errors[worst]), int(np.sum(~mask))
-        enough = size - rejected > fewest  # one more can be rejected
-        if length <= limits.outlier or rejected >= limits.max_outliers or not enough:
-            return Kept(result, mask, tuple(reasons), errors)
+        can_reject = rejected < limits.max_outliers and size - rejected > min_count
+        if length <= limits.outlier or not can_reject:
+            return OutlierSolution(result, mask, tuple(reasons), errors)
         mask[worst] = False
-        reasons[worst] = f"{what} {length:.3g}, more than {limits.outlier:g}"
+        reasons[worst] = f"{error_name} {length:.3g}, more than {limits.outlier:g}"
 
 
-def weighed(
+def solve_robustly(
     solve: Callable[[Floats], tuple[R, Floats]], size: int, loss: str
 ) -> tuple[R, Floats, Floats]:
     """Solve with each datum weighted by a loss of its error.
@@ -77,7 +77,7 @@ def weighed(
         The result, the weights and the unweighted errors (size,) in deviations.
     """
     weights = np.ones(size)
-    for _ in range(1 if loss == SQUARE else ROUNDS):
+    for _ in range(1 if loss == SQUARE else REWEIGHTINGS):
         result, errors = solve(weights)
         errors = errors / np.sqrt(weights)
         if loss != SQUARE:

@@ -9,11 +9,11 @@ from fss_arm_calib.estimation.least_squares import Floats
 
 def root_mean_square(values: Floats) -> float:
     """Return the root mean square of the finite values; NaN if there are none."""
-    seen = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(seen**2))) if seen.size else nan
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else nan
 
 
-def probability(chi_square: float, freedom: float, known_by: float = inf) -> float:
+def probability(chi_square: float, freedom: float, noise_freedom: float = inf) -> float:
     """Return the probability of a sum of squared normal errors at least this large.
 
     The probability is 1 if there are no degrees of freedom.
@@ -21,30 +21,30 @@ def probability(chi_square: float, freedom: float, known_by: float = inf) -> flo
     Args:
         chi_square: the sum, in deviations.
         freedom: its degrees of freedom.
-        known_by: degrees of freedom from which the deviations were estimated; inf: they are known.
+        noise_freedom: degrees of freedom of the estimated deviations; inf: they are known.
     """
     from scipy.special import fdtrc, gammaincc
 
     if not freedom:
         return 1.0
-    if isinf(known_by):
+    if isinf(noise_freedom):
         return float(gammaincc(freedom / 2, chi_square / 2))
-    return float(fdtrc(freedom, known_by, chi_square / freedom))
+    return float(fdtrc(freedom, noise_freedom, chi_square / freedom))
 
 
-def as_if_known(error: float, freedom: float, known_by: float) -> float:
+def equivalent_error(error: float, freedom: float, noise_freedom: float) -> float:
     """Return the error in known deviations that has the same probability as this one.
 
     Args:
         error: length of the error, in estimated deviations.
         freedom: degrees of freedom of its square.
-        known_by: degrees of freedom from which the deviations were estimated; inf: they are known.
+        noise_freedom: degrees of freedom of the estimated deviations; inf: they are known.
     """
     from scipy.special import chdtri, fdtrc
 
-    if isinf(known_by):
+    if isinf(noise_freedom):
         return error
-    chance = max(float(fdtrc(freedom, known_by, error**2 / freedom)), 1e-290)
+    chance = max(float(fdtrc(freedom, noise_freedom, error**2 / freedom)), 1e-290)
     return float(np.sqrt(chdtri(freedom, chance)))
 
 

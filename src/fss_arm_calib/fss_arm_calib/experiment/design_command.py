@@ -21,7 +21,7 @@ from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import problem_of, problem_without_data
-from fss_arm_calib.estimation.noise import assumed
+from fss_arm_calib.estimation.noise import assumed_noise
 from fss_arm_calib.experiment import postures
 from fss_arm_calib.experiment.design import (
     design,
@@ -69,7 +69,7 @@ def prior_from_bag(bag: str, arm: Arm, settings: DynamicSettings) -> PriorKnowle
         raise BagError(f"no maneuver of {bag} can be used{why}")
     used = outcome.used
     if outcome.solution:
-        settings = outcome.solution.noise.given_to(settings)
+        settings = outcome.solution.noise.apply_to(settings)
         used = tuple(compress(used, outcome.solution.kept))
     arm = from_yaml(outcome.description) if outcome.description else arm
     return PriorKnowledge(arm, settings, problem_of(used, arm, settings))
@@ -221,7 +221,7 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         )
         minutes = sum(one.length + conditions.rest for one in plan) / 60.0
         console.print(f"goal {options.goal}: {words}, in {minutes:.1f} min", soft_wrap=True)
-    seen = assumed(settings).deviations[:2]
+    seen = assumed_noise(settings).deviations[:2]
     console.print(
         f"for a base seen to {1e3 * seen[0]:.2g} mm and {np.degrees(seen[1]):.2g} degrees, "
         f"{settings.fresh_rate:g} times a second", soft_wrap=True,

@@ -27,7 +27,7 @@ from fss_arm_calib.estimation.least_squares import MAX_CONDITION, Floats
 from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, make_outcome
-from fss_arm_calib.segments.rests import homed
+from fss_arm_calib.segments.rests import rehomed_joints
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import from_yaml
@@ -56,7 +56,7 @@ class Session:
 def split_at_homings(session: Session) -> Iterator[Session]:
     """Split a session where a rest shows that a joint was homed."""
     rests = [one for one in session.data.get("kinematic", ()) if one.used]
-    cuts = [b.start for a, b in pairwise(rests) if homed(a, b)]
+    cuts = [b.start for a, b in pairwise(rests) if rehomed_joints(a, b)]
     for k, (start, end) in enumerate(zip([0, *cuts], [*cuts, 2**63], strict=True), 1):
         data = {
             kind: [one for one in some if start <= one.start < end]
@@ -86,7 +86,7 @@ def run_stages(
     used, outcomes, known = {}, {}, dict(settings)
     for name, kind in kinds.items():
         data = session.data.get(name, ())
-        if not any(one.used for one in data) or not kind.evidence:
+        if not any(one.used for one in data) or not kind.measurements:
             continue
         outcome = kind.calibrate(data, arm, settings[name], session.of(name), LIVE)
         weights = outcome.estimate.weights
@@ -94,7 +94,7 @@ def run_stages(
         used[name] = [one for one, well in zip(outcome.used, kept, strict=True) if well]
         outcomes[name] = outcome
         if noise := getattr(outcome.solution, "noise", None):  # drifts have given deviations
-            known[name] = noise.given_to(settings[name])
+            known[name] = noise.apply_to(settings[name])
         arm = from_yaml(outcome.description) if outcome.description else arm
     return StagedResults(arm, used, outcomes, known)
 
@@ -148,7 +148,7 @@ def problem_of(
     """
     sessions = []
     for data, its in zip(used, own or len(used) * [settings], strict=True):
-        every = ((name, kinds[name].evidence) for name in data)
+        every = ((name, kinds[name].measurements) for name in data)
         sessions.append({name: make(data[name], arm, its[name]) for name, make in every if make})
     n = arm.n
     size = 5 * n + 6 + s.theta_e

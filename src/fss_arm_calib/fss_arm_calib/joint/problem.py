@@ -24,9 +24,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.evidence import Evidence
 from fss_arm_calib.estimation.least_squares import (
-    NOTICEABLE,
+    MAX_UNDETERMINED_SHARE,
     Decomposition,
     Floats,
     Linear,
@@ -34,6 +33,7 @@ from fss_arm_calib.estimation.least_squares import (
     eliminate,
     minimize,
 )
+from fss_arm_calib.estimation.measurements import Measurements
 from fss_arm_model import layout
 from fss_arm_model.description import Arm
 from fss_arm_model.drifting import SURROUNDINGS
@@ -53,14 +53,14 @@ class LinearizedData(NamedTuple):
 
 @dataclass(frozen=True)
 class JointProblem:
-    """Joint problem of S sessions with evidence by kind and prior knowledge.
+    """Joint problem of S sessions with measurements by kind and prior knowledge.
 
     Deviations are 1 sigma. The joints' zeros are those of the last session; earlier sessions have
     offsets relative to it.
     """
 
     arm: Arm  # the initial guess
-    sessions: Sequence[Mapping[str, Evidence]]
+    sessions: Sequence[Mapping[str, Measurements]]
     prior: Floats  # (p, p) covariance of the guess
     believed: npt.NDArray[np.intp]  # indices of the parameters that have a prior
     surroundings: Floats  # (5,) deviations of SURROUNDINGS, about 0; 0: no such effect
@@ -135,8 +135,8 @@ class JointProblem:
         for k, session in enumerate(self.sessions):
             own = slice(at, at := at + len(self.own_names(k)))
             data = {}
-            for kind, evidence in session.items():
-                data[kind] = slice(at, at := at + len(evidence.begin()))
+            for kind, measured in session.items():
+                data[kind] = slice(at, at := at + len(measured.initial_unknowns()))
             found.append((own, data))
         return found
 
@@ -154,7 +154,7 @@ class JointProblem:
         parts = [self.guess if arm is None else arm]
         for k, session in enumerate(self.sessions):
             parts.append(moved[k] if moved else np.zeros(len(self.own_names(k))))
-            parts += [evidence.begin() for evidence in session.values()]
+            parts += [measured.initial_unknowns() for measured in session.values()]
         x = np.concatenate(parts)
         for _ in range(DATA_ITERATIONS):
             for k in range(len(self.sessions)):
@@ -173,7 +173,8 @@ class JointProblem:
         z, (_, places) = self.z(x, session), self._places[session]
         every = self.sessions[session].items()
         return [
-            LinearizedData(kind, one.near(z, x[places[kind]]), places[kind]) for kind, one in every
+            LinearizedData(kind, one.linearize(z, x[places[kind]]), places[kind])
+            for kind, one in every
         ]
 
     def rows(
@@ -237,8 +238,8 @@ class JointProblem:
 
         Each of a session's own parameters has a prior, so these cancel.
         """
-        free = sum(one.free for session in self.sessions for one in session.values())
-        return free + len(self.believed) - len(self.names)
+        every = [one for session in self.sessions for one in session.values()]
+        return sum(one.degrees_of_freedom for one in every) + len(self.believed) - len(self.names)
 
 
 def _data_step(linear: Linear, dz: Floats) -> Floats:
@@ -272,13 +273,13 @@ class JointResult:
     @cached_property
     def undetermined(self) -> tuple[str, ...]:
         """Names of parameters that the data do not separate, except those at a bound."""
-        lost = (self.minimum.basis.undetermined() > NOTICEABLE) & ~self.minimum.held
+        lost = (self.minimum.basis.undetermined() > MAX_UNDETERMINED_SHARE) & ~self.minimum.at_bound
         return tuple(compress(self.problem.names, lost))
 
     @property
     def at_bound(self) -> tuple[str, ...]:
         """Names of parameters that the data would move out of their bounds."""
-        return tuple(compress(self.problem.names, self.minimum.held))
+        return tuple(compress(self.problem.names, self.minimum.at_bound))
 
     def session(self, k: int) -> tuple[Floats, Floats]:
         """Return values and standard deviations of a session's own parameters."""
@@ -294,8 +295,9 @@ class JointResult:
         found = dict.fromkeys(self.problem.kinds, (0.0, 0))
         for k, session in enumerate(self.problem.sessions):
             for kind, linear, _ in self.problem.parts(self.minimum.x, k):
-                cost, free = found[kind]
-                found[kind] = cost + float(linear.cost), free + session[kind].free
+                cost, freedom = found[kind]
+                freedom += session[kind].degrees_of_freedom
+                found[kind] = cost + float(linear.cost), freedom
         return found
 
     @cached_property
@@ -305,7 +307,7 @@ class JointResult:
         for kind in self.problem.kinds:
             Phi = self.problem.linearize(self.minimum.x, kind).regressor
             basis = Decomposition.of(Phi)
-            lost = basis.undetermined() > NOTICEABLE
+            lost = basis.undetermined() > MAX_UNDETERMINED_SHARE
             found[kind] = np.where(lost, inf, np.sqrt(np.diag(basis.covariance())))
         return found
 

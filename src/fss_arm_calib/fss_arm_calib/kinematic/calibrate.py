@@ -9,12 +9,12 @@ from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import (
     Solution,
     estimate_of,
-    fewest,
+    min_observations,
     problem_of,
     solution_of,
 )
 from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
-from fss_arm_calib.segments.rests import Observation, since_homed
+from fss_arm_calib.segments.rests import Observation, keep_since_homing
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 
@@ -40,22 +40,22 @@ def calibrate(
         ValueError: the observations do not match the arm, or a setting is impossible.
     """
     s, streams = settings or KinematicSettings(), streams or Streams()
-    comparable = since_homed(observations)
+    comparable = keep_since_homing(observations)
     used = [o for o in comparable if o.used]
     problem = problem_of(used, arm, s)
-    homings, number = checks.homings(observations), checks.number(problem, streams, s)
+    homings, number = checks.check_homings(observations), checks.check_number(problem, streams, s)
     if number.verdict != PASS and homings.reason:
         number = replace(number, reason=f"{number.reason}; {homings.reason}")
     found = [
         check_joint_names(streams, arm),
         homings,
-        checks.rests(comparable, fewest(problem, s), s),
+        checks.check_rests(comparable, min_observations(problem, s), s),
         check_clocks(streams, s.joint_gap),
         number,
     ]
     solution = solution_of(problem, s) if number.verdict == PASS else None
     if solution:
-        why = checks.why_off(solution.result, solution.problem, s)
+        why = checks.misfit_causes(solution.result, solution.problem, s)
         reasons = (r and r + w for r, w in zip(solution.reasons, why, strict=True))
         solution = replace(solution, reasons=tuple(reasons))
         found += checks.evaluate(solution, s)

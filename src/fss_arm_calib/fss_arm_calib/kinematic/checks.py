@@ -25,34 +25,39 @@ from fss_arm_calib.acceptance import (
 )
 from fss_arm_calib.estimation.least_squares import CAUCHY, Floats, Mask
 from fss_arm_calib.estimation.statistics import probability, redundancy
-from fss_arm_calib.kinematic.problem import ALIKE, FULL, KinematicProblem
+from fss_arm_calib.kinematic.problem import EQUAL_LENGTH_TOLERANCE, FULL, KinematicProblem
 from fss_arm_calib.kinematic.result import KinematicResult
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_calib.kinematic.solution import ANY, Solution, fewest
+from fss_arm_calib.kinematic.solution import RELAXED_MAX_CONDITION, Solution, min_observations
 from fss_arm_calib.kinematic.solve import fit
-from fss_arm_calib.segments.rests import Observation, homed, since_homed, unrepeated
+from fss_arm_calib.segments.rests import (
+    Observation,
+    keep_since_homing,
+    rehomed_joints,
+    rejected_without_repeat,
+)
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import DescriptionError
 from fss_arm_model.planar import inverse
 
 
-def homings(observations: Sequence[Observation]) -> Check:
+def check_homings(observations: Sequence[Observation]) -> Check:
     """Report the observations left out because a joint was homed later; this always passes."""
-    joints = sorted({i for o in observations for i in homed(o, observations[-1])})
-    left_out = len(observations) - len(since_homed(observations))
+    joints = sorted({i for o in observations for i in rehomed_joints(o, observations[-1])})
+    left_out = len(observations) - len(keep_since_homing(observations))
     names = ", ".join(f"joint_{i}" for i in joints)
     words = f"{format_count(left_out, 'observation')} left out: {names} homed or restarted since"
     return Check("homings", PASS, left_out, nan, words if left_out else "")
 
 
-def rests(observations: Sequence[Observation], needed: int, s: KinematicSettings) -> Check:
+def check_rests(observations: Sequence[Observation], needed: int, s: KinematicSettings) -> Check:
     """Check that each rejected rest was repeated.
 
     A rest need not be repeated once the observations used since then suffice by themselves.
     """
     used = [o for o in observations if o.used]
     since = used[-needed].start if len(used) >= needed else 0
-    lost = [o for o in unrepeated(observations, s.same_posture) if o.end >= since]
+    lost = [o for o in rejected_without_repeat(observations, s.same_posture) if o.end >= since]
     reason = (
         f"{format_count(len(lost), 'rest')} rejected ({lost[0].reason}) and not repeated"
         if lost
@@ -61,9 +66,9 @@ def rests(observations: Sequence[Observation], needed: int, s: KinematicSettings
     return Check("rests", NOT_EVALUATED if lost else PASS, len(lost), 0.0, reason)
 
 
-def number(problem: KinematicProblem, streams: Streams, s: KinematicSettings) -> Check:
+def check_number(problem: KinematicProblem, streams: Streams, s: KinematicSettings) -> Check:
     """Check that the observations suffice for the parameters."""
-    found, needed = len(problem.q), fewest(problem, s)
+    found, needed = len(problem.q), min_observations(problem, s)
     reason = f"{format_count(found, 'observation')} (at least {needed})"
     if found < needed:
         names = ", ".join(problem.names)
@@ -74,7 +79,7 @@ def number(problem: KinematicProblem, streams: Streams, s: KinematicSettings) ->
 def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
     """Evaluate the checks of a solution."""
     r = solution.result
-    checks = [_determined(solution.first, s)]
+    checks = [_check_determined(solution.nominal, s)]
     if r.undetermined:
         return checks
     checks.append(check_convergence(r.converged, r.iterations, r.last_update))
@@ -84,7 +89,7 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
         least = float(np.min(solution.problem.all_parameters(r.values)[: solution.problem.arm.n]))
         checks.append(Check("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
     residuals = check_fit(
-        solution.first.chi_square, solution.first.degrees_of_freedom, s.min_probability,
+        solution.nominal.chi_square, solution.nominal.degrees_of_freedom, s.min_probability,
         "residuals are larger than the assumed deviations allow", solution.noise,
     )  # fmt: skip
     far = check_outliers(
@@ -95,12 +100,12 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
         checks.append(cause_check(hint))
         residuals = replace(residuals, verdict=FAIL)
     return [
-        *checks, _lengths_kept(solution, s), residuals, far, _checked(solution, s),
-        _predicted(solution, s),
+        *checks, _check_lengths(solution, s), residuals, far, _check_redundancy(solution, s),
+        _check_prediction(solution, s),
     ]  # fmt: skip
 
 
-def _determined(r: KinematicResult, s: KinematicSettings) -> Check:
+def _check_determined(r: KinematicResult, s: KinematicSettings) -> Check:
     """Check that all parameters are determined; name the joints that hardly moved."""
     span = np.ptp(r.problem.q, axis=0)
     still = [f"joint_{i + 1}" for i in np.flatnonzero(span < s.same_posture)]
@@ -110,7 +115,7 @@ def _determined(r: KinematicResult, s: KinematicSettings) -> Check:
     )
 
 
-def _lengths_kept(solution: Solution, s: KinematicSettings) -> Check:
+def _check_lengths(solution: Solution, s: KinematicSettings) -> Check:
     """Check that the link lengths are close to the description.
 
     Data of another arm would fit just as well.
@@ -121,44 +126,48 @@ def _lengths_kept(solution: Solution, s: KinematicSettings) -> Check:
     k = int(np.argmax(np.abs(lengths - described)))
     change = float(abs(lengths[k] - described[k]))
     words = f"a_{k + 1} is {lengths[k]:.4f} m, {described[k]:.4f} m in the description"
-    words += f" (at most {s.max_length_change:g} m apart)"
-    averaged = _averaged(problem)
+    words += f" (difference at most {s.max_length_change:g} m)"
+    averaged = _equal_length_remark(problem)
     failing = f"another arm's data, or {averaged}" if averaged else "another arm's data"
     check = check_limit("description", change, s.max_length_change, words, failing)
-    if averaged and check.verdict == PASS and _told_apart(solution) < s.min_probability:
+    if (
+        averaged
+        and check.verdict == PASS
+        and _equal_length_probability(solution) < s.min_probability
+    ):
         return replace(check, verdict=FAIL, reason=averaged)
     return check if check.verdict == FAIL else replace(check, reason=averaged)
 
 
-def _told_apart(solution: Solution) -> float:
+def _equal_length_probability(solution: Solution) -> float:
     """Return the probability that chance explains the larger residuals of equal lengths.
 
     The residuals are compared with those of a fit with a separate length for each link.
     """
     equal = solution.result
-    full = fit(replace(equal.problem, parametrization=FULL), max_condition=ANY)
+    full = fit(replace(equal.problem, parametrization=FULL), max_condition=RELAXED_MAX_CONDITION)
     more = len(full.values) - len(equal.values)
-    if solution.noise.given.all():
+    if solution.noise.is_given.all():
         return probability(equal.chi_square - full.chi_square, more)
     freedom = full.degrees_of_freedom
     scale = full.chi_square / max(freedom, 1)
     return probability((equal.chi_square - full.chi_square) / scale, more, freedom)
 
 
-def _averaged(problem: KinematicProblem) -> str:
+def _equal_length_remark(problem: KinematicProblem) -> str:
     """Return a remark if one length is estimated for links with different described lengths.
 
     This is only a remark because the lengths of a full calibration scatter by as much: 9 mm with
     13 postures.
     """
     lengths = [link.a for link in problem.arm.links[:-1]]
-    if not problem.shares_length or max(lengths) - min(lengths) <= ALIKE:
+    if not problem.shares_length or max(lengths) - min(lengths) <= EQUAL_LENGTH_TOLERANCE:
         return ""
     unlike = f"links described as {min(lengths):.3f} to {max(lengths):.3f} m long"
-    return f"{unlike} are taken as equal: {FULL} tells them apart"
+    return f"{unlike} are assumed equal: parametrization {FULL} separates them"
 
 
-def _checked(solution: Solution, s: KinematicSettings) -> Check:
+def _check_redundancy(solution: Solution, s: KinematicSettings) -> Check:
     """Check that each observation is verified by the others.
 
     If the redundancy is too small, the described lengths and mount may help. If their estimates
@@ -166,7 +175,7 @@ def _checked(solution: Solution, s: KinematicSettings) -> Check:
     computed for the angles alone, which is larger.
     """
     r = solution.result
-    regressor = r.problem.linear(r.values).regressor
+    regressor = r.problem.linearize(r.values).regressor
     check = check_redundancy(_redundancy(regressor), solution.kept, s.min_redundancy, "observation")
     if check.verdict == PASS:
         return check
@@ -174,7 +183,8 @@ def _checked(solution: Solution, s: KinematicSettings) -> Check:
     change = float(np.max(np.abs(r.values - r.problem.initial)[~angles], initial=0.0))
     by_angles = float(np.min(_redundancy(regressor[:, angles])))
     if change <= s.max_length_change and by_angles >= s.min_redundancy:
-        words = f"{check.reason}, but lengths and mount are as described: then {by_angles:.2g}"
+        words = f"{check.reason}, but lengths and mount agree with the description: "
+        words += f"then {by_angles:.2g}"
         return Check("redundancy", PASS, by_angles, s.min_redundancy, words)
     return check
 
@@ -185,10 +195,10 @@ def _redundancy(regressor: Floats) -> Floats:
     return redundancy(Q @ np.swapaxes(Q, 1, 2))
 
 
-def _predicted(solution: Solution, s: KinematicSettings) -> Check:
+def _check_prediction(solution: Solution, s: KinematicSettings) -> Check:
     held_out = solution.held_out.tolist()
     if not held_out:
-        words = "no observation was held out" + (", as they are too few" if s.held_out else "")
+        words = "no observation was held out" + (": too few observations" if s.held_out else "")
         return Check("prediction", NOT_EVALUATED, nan, s.min_probability, words, needed=False)
     what = f"{format_indices(held_out)} predicted from the others"
     check = check_chi_square(
@@ -201,10 +211,12 @@ def _predicted(solution: Solution, s: KinematicSettings) -> Check:
 def _fits_swapped(result: KinematicResult, problem: KinematicProblem, s: KinematicSettings) -> Mask:
     """Return a mask of the observations that would fit if base and tip were swapped, (s,)."""
     swapped = replace(problem, tip=inverse(problem.tip))
-    return np.asarray(result.predicted(swapped).normalized <= s.outlier)
+    return np.asarray(result.predict(swapped).normalized <= s.outlier)
 
 
-def why_off(result: KinematicResult, problem: KinematicProblem, s: KinematicSettings) -> list[str]:
+def misfit_causes(
+    result: KinematicResult, problem: KinematicProblem, s: KinematicSettings
+) -> list[str]:
     """Return the reason why each observation does not fit, (s,); empty if unknown."""
     words = ": base and end effector are swapped"
     return [words if swapped else "" for swapped in _fits_swapped(result, problem, s)]

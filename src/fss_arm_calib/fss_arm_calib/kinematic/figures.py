@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.estimation.noise import assumed
+from fss_arm_calib.estimation.noise import assumed_noise
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_figures import empty_figure
@@ -25,7 +25,7 @@ def postures(outcome: Outcome[Observation, Solution]) -> Any:
     they would dwarf all others.
     """
     e, found = outcome.estimate, outcome.solution
-    errors = (found.noise if found else assumed(outcome.settings)).deviations
+    errors = (found.noise if found else assumed_noise(outcome.settings)).deviations
     q, tip = np.array([o.q for o in outcome.used]), np.array([o.tip for o in outcome.used])
     residuals = np.where((e.weights > 0.0)[:, None], e.residuals, np.nan)
     drawing = empty_figure((14, 8))

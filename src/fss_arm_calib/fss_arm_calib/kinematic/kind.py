@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from fss_arm_calib.calibration import Calibration, Data, Input
 from fss_arm_calib.kinematic.calibrate import calibrate
-from fss_arm_calib.kinematic.evidence import evidence
+from fss_arm_calib.kinematic.measurements import measurements
 from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import Solution
@@ -17,7 +17,7 @@ from fss_arm_calib.messages import (
     telemetry_inputs,
 )
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.segments.rests import BASE, TIP, Observation, RestFinder, homed
+from fss_arm_calib.segments.rests import BASE, TIP, Observation, RestFinder, rehomed_joints
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import (
@@ -105,7 +105,7 @@ def observations_of(message: KinematicObservations) -> list[Observation]:
 
 def stale(outcome: Outcome[Observation, Solution], streams: Streams) -> str:
     """Return a message if a joint was homed or restarted since, else an empty string."""
-    again = homed(outcome.used[-1], streams) if outcome.used else []
+    again = rehomed_joints(outcome.used[-1], streams) if outcome.used else []
     names = ", ".join(f"joint_{i}" for i in again)
     return f"{names} homed or restarted since: calibrate the offsets" if again else ""
 
@@ -122,7 +122,7 @@ KINEMATIC = Calibration(
     inputs=inputs,
     finder=finder,
     calibrate=calibrate,
-    evidence=evidence,
+    measurements=measurements,
     message=KinematicCalibration,
     to_message=to_message,
     numbers=("held_out_residuals", "held_out_normalized"),

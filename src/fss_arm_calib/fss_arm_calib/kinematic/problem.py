@@ -46,13 +46,13 @@ FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
 PARAMETRIZATIONS = (FULL, EQUAL, OFFSETS)
 DESCRIBED = "described"  # in settings: FULL or EQUAL, depending on the description
 
-ALIKE = 0.01  # described lengths that differ by at most this count as equal [m]
+EQUAL_LENGTH_TOLERANCE = 0.01  # described lengths that differ by at most this count as equal [m]
 
 #: Errors of an observation that give residuals like the paper's 0.015 m and 0.683 degrees.
 POSITION_DEVIATION = 0.0177  # [m], each axis
 HEADING_DEVIATION = float(np.radians(0.715))
 
-RIPPLE = 60  # periods per turn of a joint: two per turn of the wave generator, at 30 : 1
+RIPPLE_PERIODS = 60  # periods per turn of a joint: two per turn of the wave generator, at 30 : 1
 
 
 @dataclass(frozen=True)
@@ -149,14 +149,14 @@ class KinematicProblem:
         """Values from `arm` of the parameters not estimated, (2n+3,); 0 for the estimated ones."""
         return np.where(self.basis.any(axis=1), 0.0, self._guess[self._index])
 
-    def chosen(self, values: Floats) -> Floats:
+    def estimated_parameters(self, values: Floats) -> Floats:
         """Return the p estimated parameters of (2n+3,) values; shared lengths are averaged."""
         return np.asarray(np.linalg.lstsq(self.basis, values)[0])
 
     @property
     def initial(self) -> Floats:
         """Initial guess of the p parameters, from `arm`."""
-        return self.chosen(self._guess[self._index])
+        return self.estimated_parameters(self._guess[self._index])
 
     def all_parameters(self, xi: Floats) -> Floats:
         """Return all parameters (2n+3,) in the order of all_names."""
@@ -175,17 +175,17 @@ class KinematicProblem:
     @cached_property
     def _whitening(self) -> Floats:
         """Inverse roots (s, 3, 3) of the observations' covariances, evaluated at the guess."""
-        by_reading = self.reading_deviation * self.by_readings(self.initial)
+        by_reading = self.reading_deviation * self.reading_jacobian(self.initial)
         covariance = np.diag(self.sigma**2) + by_reading @ np.swapaxes(by_reading, 1, 2)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
-    def in_deviations(self, x: Floats) -> Floats:
+    def whiten(self, x: Floats) -> Floats:
         """Whiten quantities of the poses, (s, 3, c), so that their errors have unit covariance."""
         if self.reading_deviation == 0.0:
             return x / self.sigma[:, None]
         return self._whitening @ x
 
-    def by_readings(self, xi: Floats) -> Floats:
+    def reading_jacobian(self, xi: Floats) -> Floats:
         """Return Phi_q (s, 3, n), the derivative of the poses with respect to the readings.
 
         It equals the derivative with respect to the joints' offsets.
@@ -202,9 +202,9 @@ class KinematicProblem:
 
     def residuals(self, xi: Floats) -> Floats:
         """Return observed minus predicted poses (Eq. 2), (s, 3) [m, m, rad], headings wrapped."""
-        return self.away(self.vector(xi))
+        return self.pose_errors(self.vector(xi))
 
-    def away(self, p: Floats) -> Floats:
+    def pose_errors(self, p: Floats) -> Floats:
         """Return observed minus predicted poses for the arm parameters p = Arm.vector()."""
         away = self.tip - tip_in_base(p, self.q)
         away[:, 2] = wrap(away[:, 2])
@@ -212,63 +212,67 @@ class KinematicProblem:
 
     def regressor(self, xi: Floats) -> Floats:
         """Return Phi_k (Eq. 5), with rows weighted by the root of W, (3s, p)."""
-        return self._whitened(xi, self.basis)
+        return self._whitened_regressor(xi, self.basis)
 
-    def _whitened(self, xi: Floats, basis: Floats) -> Floats:
+    def _whitened_regressor(self, xi: Floats, basis: Floats) -> Floats:
         """Return the whitened regressor (3s, c) for combinations (2n+3, c) of all parameters."""
         Phi = tip_regressor(self.vector(xi), self.q)
         by_theta_E = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(self.q), 3, 1))
         Phi = np.concatenate([Phi, by_theta_E], axis=-1) @ basis
-        return self.in_deviations(Phi).reshape(3 * len(self.q), basis.shape[1])
+        return self.whiten(Phi).reshape(3 * len(self.q), basis.shape[1])
 
     @cached_property
-    def assumed(self) -> Floats:
+    def fixed_covariance(self) -> Floats:
         """Covariance (2n+3, 2n+3) of parameters not estimated, from the description; else 0."""
         C = self.arm.known.covariance_of(self.all_names, np.zeros(len(self.all_names)))
         estimated = self.basis.any(axis=1)
         C[estimated] = C[:, estimated] = 0.0
         return C
 
-    def normalized(self, residuals: Floats) -> Floats:
+    def whiten_residuals(self, residuals: Floats) -> Floats:
         """Return the whitened residuals (s, 3)."""
-        return self.in_deviations(residuals[..., None])[..., 0]
+        return self.whiten(residuals[..., None])[..., 0]
 
-    def repeated(self, xi: Floats, P: Floats) -> Floats:
+    def repeated_error_covariance(self, xi: Floats, P: Floats) -> Floats:
         """Return what repeated reading errors add to the covariance P of xi, (p, p)."""
         if self.reading_deviation == 0.0:
             return np.zeros_like(P)
         apart = self.q[:, None] - self.q
-        K = self.ripple_deviation**2 * np.cos(RIPPLE * apart)
+        K = self.ripple_deviation**2 * np.cos(RIPPLE_PERIODS * apart)
         K += self.eccentricity_deviation**2 * np.cos(apart)
         K[np.diag_indices(len(self.q))] = 0.0
-        Phi_q = self.in_deviations(self.by_readings(xi))
+        Phi_q = self.whiten(self.reading_jacobian(xi))
         Phi_k = self.regressor(xi).reshape(*self.q.shape[:1], 3, -1)
         G = self.weights(xi)[:, None, None] * np.einsum("kip,kij->kjp", Phi_k, Phi_q)
         return np.asarray(P @ np.einsum("kjp,klj,ljr->pr", G, K, G) @ P)
 
-    def distances(self, xi: Floats) -> Floats:
+    def squared_distances(self, xi: Floats) -> Floats:
         """Return d_k^2, the squared length of each whitened residual, (s,)."""
-        return np.asarray(np.sum(self.normalized(self.residuals(xi)) ** 2, axis=1))
+        return np.asarray(np.sum(self.whiten_residuals(self.residuals(xi)) ** 2, axis=1))
 
     def influence(self, xi: Floats, P: Floats) -> Floats:
         """Return the shift (p, 2n+3) of the estimate per error (true - assumed) of a parameter."""
         weights = np.repeat(self.weights(xi), 3)[:, None]
-        return P @ (weights * self.regressor(xi)).T @ self._whitened(xi, np.eye(len(self.basis)))
+        return (
+            P
+            @ (weights * self.regressor(xi)).T
+            @ self._whitened_regressor(xi, np.eye(len(self.basis)))
+        )
 
     def cost(self, xi: Floats) -> float:
         """Return the cost that the iteration minimizes, sum_k rho(d_k^2)."""
-        return float(np.sum(LOSSES[self.loss].cost(self.distances(xi))))
+        return float(np.sum(LOSSES[self.loss].cost(self.squared_distances(xi))))
 
     def weights(self, xi: Floats) -> Floats:
         """Return the weights rho'(d_k^2), (s,)."""
-        return LOSSES[self.loss].weight(self.distances(xi))
+        return LOSSES[self.loss].weight(self.squared_distances(xi))
 
-    def linear(self, xi: Floats) -> Linear:
+    def linearize(self, xi: Floats) -> Linear:
         """Return the weighted problem, linearized at xi."""
-        distances = self.distances(xi)
+        distances = self.squared_distances(xi)
         root = np.repeat(np.sqrt(LOSSES[self.loss].weight(distances)), 3)
         return Linear(
-            residuals=root * self.normalized(self.residuals(xi)).ravel(),
+            residuals=root * self.whiten_residuals(self.residuals(xi)).ravel(),
             regressor=root[:, None] * self.regressor(xi),
             cost=LOSSES[self.loss].cost(distances).sum(),
         )
@@ -277,7 +281,7 @@ class KinematicProblem:
         """Return True if a length is negative."""
         return bool((self.all_parameters(xi)[: self.arm.n] < 0.0).any())
 
-    def folded(self, xi: Floats) -> Floats:
+    def unmirror(self, xi: Floats) -> Floats:
         """Return the mirror image without negative lengths: such a link is turned by pi.
 
         The position of the end effector does not change. Its heading changes only if the last
@@ -290,4 +294,4 @@ class KinematicProblem:
         values[:n] = np.abs(values[:n])
         values[n : 2 * n - 1] = wrap(np.diff(headings))
         values[-2:] = wrap([headings[0], values[-1] - turned[-1]])
-        return self.chosen(values)
+        return self.estimated_parameters(values)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.estimation.noise import assumed
+from fss_arm_calib.estimation.noise import assumed_noise
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic.figures import (
     PAPER_HEADING_RESIDUAL,
@@ -70,7 +70,7 @@ def _parameters(outcome: Outcome[Observation, Solution], truth: Arm | None) -> T
     head += ["error / sigma"] * known
     note, weak = "", list[int]()
     if found := outcome.solution:
-        note = "amber: three times less known than the end effector by a single observation."
+        note = "amber: more than three times as uncertain as the end effector in one observation."
         one = dict(zip(("m", "rad"), found.noise.deviations, strict=True))
         weak = [k for k, unit in enumerate(e.units) if not e.deviations[k] < 3 * one[unit]]
     return Table("Parameters", head, rows, words=2, note=note, weak=weak)
@@ -78,7 +78,7 @@ def _parameters(outcome: Outcome[Observation, Solution], truth: Arm | None) -> T
 
 def _residuals(outcome: Outcome[Observation, Solution]) -> Table:
     e, found = outcome.estimate, outcome.solution
-    noise = found.noise if found else assumed(outcome.settings)
+    noise = found.noise if found else assumed_noise(outcome.settings)
     predicted = found.prediction.residuals if found else np.empty((0, 3))
     rows = [
         [name, display_unit(unit), *(format_value(value, unit) for value in values)]
@@ -89,10 +89,10 @@ def _residuals(outcome: Outcome[Observation, Solution]) -> Table:
              root_mean_square(predicted[:, 2]), noise.deviations[1]),
         )
     ]  # fmt: skip
-    head = ["of the end effector's", "unit", "paper", "here", "predicted", "errors"]
+    head = ["end effector", "unit", "paper", "this result", "predicted", "assumed error"]
     note = (
-        "predicted: of observations held out, by a solution without them; errors: of an "
-        f"observation, {'as given' if noise.given.all() else f'estimated: {noise}'}."
+        "predicted: held-out observations, by a solution without them; assumed error: of an "
+        f"observation, {'as given' if noise.is_given.all() else f'estimated: {noise}'}."
     )
     return Table("Standard deviation of the residuals", head, rows, words=2, note=note)
 
@@ -117,8 +117,8 @@ def _observations(outcome: Outcome[Observation, Solution]) -> Table:
         "dx [mm]", "dy [mm]", "dheading [deg]", "normalized", "leverage", "weight", "",
     ]  # fmt: skip
     note = (
-        "Joint readings; the end effector seen from the base; observed minus predicted, and its "
-        "length in its own deviations; the observation's share in its own prediction."
+        "Joint readings; pose of the end effector relative to the base; residual (observed minus "
+        "predicted), its length in its standard deviations; leverage on its own prediction."
     )
     return Table("Observations", head, rows, note=note)
 

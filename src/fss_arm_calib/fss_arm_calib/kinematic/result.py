@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.estimation.noise import Left
+from fss_arm_calib.estimation.noise import ResidualSums
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_model.description import Arm
@@ -62,21 +62,23 @@ class KinematicResult:
         """Standard deviation of the s heading residuals: root mean square about zero [rad]."""
         return root_mean_square(self.residuals[:, 2])
 
-    def _spread(self, problem: KinematicProblem, covariance: Floats) -> Floats:
+    def _prediction_covariance(self, problem: KinematicProblem, covariance: Floats) -> Floats:
         """Return the whitened covariance (s, 3, 3) of predictions due to the parameters."""
         Phi = problem.regressor(self.values).reshape(-1, 3, len(self.values))
         return np.asarray(Phi @ covariance @ np.swapaxes(Phi, 1, 2))
 
     @property
-    def left(self) -> Left | None:
+    def residual_sums(self) -> ResidualSums | None:
         """Squared residuals and degrees of freedom of positions and headings."""
         if self.undetermined:
             return None
-        hat = np.diagonal(self._spread(self.problem, self.weighted), axis1=1, axis2=2)
-        squares = self.weights[:, None] * self.problem.normalized(self.residuals) ** 2
+        hat = np.diagonal(
+            self._prediction_covariance(self.problem, self.weighted), axis1=1, axis2=2
+        )
+        squares = self.weights[:, None] * self.problem.whiten_residuals(self.residuals) ** 2
         freedom = self.weights[:, None] * (1.0 - self.weights[:, None] * hat)
         parts = [np.array([np.sum(x[:, :2]), np.sum(x[:, 2])]) for x in (squares, freedom)]
-        return Left(*parts)
+        return ResidualSums(*parts)
 
     @cached_property
     def leverage(self) -> Floats:
@@ -85,7 +87,9 @@ class KinematicResult:
         It is the mean of the observation's three diagonal elements of the hat matrix. The average
         is p / 3s.
         """
-        hat = self.weights * np.trace(self._spread(self.problem, self.weighted), axis1=1, axis2=2)
+        hat = self.weights * np.trace(
+            self._prediction_covariance(self.problem, self.weighted), axis1=1, axis2=2
+        )
         return np.asarray(hat / 3.0)
 
     @cached_property
@@ -95,19 +99,23 @@ class KinematicResult:
         For correct observations, the squares have a chi-square distribution with 3 degrees of
         freedom.
         """
-        hat = self.weights[:, None, None] * self._spread(self.problem, self.weighted)
-        return _lengths(self.problem.normalized(self.residuals), np.eye(3) - hat)
+        hat = self.weights[:, None, None] * self._prediction_covariance(self.problem, self.weighted)
+        return _mahalanobis(self.problem.whiten_residuals(self.residuals), np.eye(3) - hat)
 
-    def predicted(self, problem: KinematicProblem) -> Prediction:
+    def predict(self, problem: KinematicProblem) -> Prediction:
         """Predict observations that were not used for the estimate."""
         residuals = problem.residuals(self.values)
-        z, Phi = problem.normalized(residuals), problem.regressor(self.values)
+        z, Phi = problem.whiten_residuals(residuals), problem.regressor(self.values)
         # z' (1 + Phi C Phi')^-1 z, by the matrix inversion lemma
         v, C = Phi.T @ z.ravel(), self.covariance
         chi_square = float(
             np.sum(z**2) - v @ np.linalg.solve(np.eye(len(v)) + C @ Phi.T @ Phi, C @ v)
         )
-        return Prediction(residuals, _lengths(z, np.eye(3) + self._spread(problem, C)), chi_square)
+        return Prediction(
+            residuals,
+            _mahalanobis(z, np.eye(3) + self._prediction_covariance(problem, C)),
+            chi_square,
+        )
 
     def calibrated(self) -> Arm:
         """Return the initial arm with the estimated parameters.
@@ -117,8 +125,15 @@ class KinematicResult:
         """
         problem, arm = self.problem, self.problem.arm
         *values, theta_E = problem.all_parameters(self.values).tolist()
-        cross = problem.basis @ problem.influence(self.values, self.weighted) @ problem.assumed
-        C = problem.basis @ self.covariance @ problem.basis.T + problem.assumed - cross - cross.T
+        cross = (
+            problem.basis @ problem.influence(self.values, self.weighted) @ problem.fixed_covariance
+        )
+        C = (
+            problem.basis @ self.covariance @ problem.basis.T
+            + problem.fixed_covariance
+            - cross
+            - cross.T
+        )
         uncertain = np.flatnonzero(np.diag(C) > 0.0)
         known = arm.known.updated(
             [problem.all_names[k] for k in uncertain], C[np.ix_(uncertain, uncertain)]
@@ -126,7 +141,7 @@ class KinematicResult:
         return replace(arm.with_kinematics(values), theta_E=theta_E, known=known)
 
 
-def _lengths(z: Floats, covariance: Floats) -> Floats:
+def _mahalanobis(z: Floats, covariance: Floats) -> Floats:
     """Return sqrt(z' covariance^-1 z) of each, (s,), where the covariance is not singular."""
     inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
     return np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", z, inverse, z), 0.0))

@@ -13,7 +13,7 @@ from fss_arm_calib.kinematic.problem import (
     PARAMETRIZATIONS,
     POSITION_DEVIATION,
 )
-from fss_arm_calib.settings import FRACTION, CalibrationSettings, max_data
+from fss_arm_calib.settings import CalibrationSettings, max_data
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 
@@ -27,7 +27,7 @@ class KinematicSettings(CalibrationSettings):
     """
 
     ABOUT: ClassVar = (
-        "Lengths, joint offsets and the mount, from where the end effector is seen at rest."
+        "Lengths, joint offsets and the mount, from poses of the end effector while the arm rests."
     )
 
     tip_topic: str = like(Vehicle, "tip_topic")
@@ -35,15 +35,15 @@ class KinematicSettings(CalibrationSettings):
     parametrization: str = setting(
         DESCRIBED,
         f"{EQUAL}: one length for all links but the last; {FULL}: a length for each; {DESCRIBED}: "
-        f"{EQUAL} if the description's lengths are, else {FULL}; {OFFSETS}: only the angles, as "
-        "after a drive was switched off and on",
+        f"{EQUAL} if the described lengths are equal, else {FULL}; {OFFSETS}: only the angles, for "
+        "use after a drive was switched off and on",
         check=one_of(DESCRIBED, *PARAMETRIZATIONS),
     )
-    theta_e: bool = setting(False, "estimate the end effector subject's heading offset, too")
+    theta_e: bool = setting(False, "also estimate the heading offset of the end effector's subject")
     position_deviation: float = setting(
         0.0,
-        "1 sigma of a position seen from the base, each axis, with the error of the base's heading "
-        "times the reach; 0: estimated from the residuals",
+        "1 sigma of a position relative to the base, each axis, including the error of the base's "
+        "heading times the reach; 0: estimated from the residuals",
         unit="m", check=NOT_NEGATIVE,
     )  # fmt: skip
     heading_deviation: float = setting(
@@ -51,25 +51,25 @@ class KinematicSettings(CalibrationSettings):
         check=NOT_NEGATIVE,
     )  # fmt: skip
     max_position_deviation: float = setting(
-        POSITION_DEVIATION, "largest position_deviation that is believed of an estimate; of few "
-        "observations it is assumed", unit="m", check=POSITIVE,
+        POSITION_DEVIATION, "largest accepted estimate of position_deviation; assumed with too few "
+        "observations", unit="m", check=POSITIVE,
     )  # fmt: skip
     max_heading_deviation: float = setting(
-        HEADING_DEVIATION, "largest heading_deviation that is believed of an estimate; of few "
-        "observations it is assumed", unit="rad", check=POSITIVE,
+        HEADING_DEVIATION, "largest accepted estimate of heading_deviation; assumed with too few "
+        "observations", unit="rad", check=POSITIVE,
     )  # fmt: skip
     ripple_deviation: float = setting(
         0.0,
-        "1 sigma of a reading from its joint's angle, by what comes twice a turn of the wave "
-        "generator: of poses seen to a millimetre it is the larger error",
+        "1 sigma of the reading error with two periods per turn of the wave generator; it "
+        "dominates if poses are accurate to a millimeter",
         unit="rad", check=NOT_NEGATIVE,
     )  # fmt: skip
     eccentricity_deviation: float = setting(
-        0.0, "1 sigma of a reading from its joint's angle, by what comes once a turn of the joint",
+        0.0, "1 sigma of the reading error with one period per turn of the joint",
         unit="rad", check=NOT_NEGATIVE,
     )  # fmt: skip
     min_observations: int = setting(
-        6, "fewest observations to accept a result from", check=at_least(1)
+        6, "number of observations needed to accept a result", check=at_least(1)
     )
     max_condition: float = setting(
         200.0, "largest condition number of the column-scaled regressor",
@@ -77,20 +77,20 @@ class KinematicSettings(CalibrationSettings):
     )  # fmt: skip
     min_redundancy: float = setting(
         0.1,
-        "least share of an observation's error that the others let show, squared",
+        "smallest redundancy: squared share of an observation's error that its residual shows",
         check=FRACTION,
     )
     held_out: int = setting(
         4,
-        "each observation whose number is a multiple of it is predicted from the others, if "
-        "enough remain; 0: none",
+        "every n-th observation is held out and predicted from the others, if enough remain; "
+        "0: none",
         check=Check("0, or 2 or more", lambda value: value == 0 or value >= 2, low=0.0),
     )
     max_length_change: float = setting(
-        0.05, "largest change of a link's length from the description; more is another arm",
+        0.05, "largest change of a link's length; a larger one means another arm",
         unit="m", check=POSITIVE,
     )  # fmt: skip
     same_posture: float = setting(
-        radians(1.0), "joints closer than this make a posture already observed", unit="rad",
+        radians(1.0), "two postures are the same if no joint differs by more", unit="rad",
         check=POSITIVE,
     )  # fmt: skip

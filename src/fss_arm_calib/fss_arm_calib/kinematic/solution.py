@@ -8,10 +8,22 @@ import numpy.typing as npt
 
 from fss_arm_calib.acceptance import UPDATE_TOLERANCE
 from fss_arm_calib.estimation.least_squares import Floats, Mask
-from fss_arm_calib.estimation.noise import Left, Noise, Solved, assumed, estimated
-from fss_arm_calib.estimation.outliers import without_outliers
-from fss_arm_calib.estimation.statistics import as_if_known
-from fss_arm_calib.kinematic.problem import ALIKE, DESCRIBED, EQUAL, FULL, KinematicProblem
+from fss_arm_calib.estimation.noise import (
+    Noise,
+    NoiseSolution,
+    ResidualSums,
+    assumed_noise,
+    solve_with_noise,
+)
+from fss_arm_calib.estimation.outliers import reject_outliers
+from fss_arm_calib.estimation.statistics import equivalent_error
+from fss_arm_calib.kinematic.problem import (
+    DESCRIBED,
+    EQUAL,
+    EQUAL_LENGTH_TOLERANCE,
+    FULL,
+    KinematicProblem,
+)
 from fss_arm_calib.kinematic.result import KinematicResult, Prediction
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solve import NotIdentifiable, fit, solve
@@ -22,7 +34,7 @@ from fss_arm_model.description import Arm
 #: Limit of the condition number for solutions with estimated deviations. Whether all parameters are
 #: determined is checked with the assumed deviations: very accurate headings increase the condition
 #: number, but make no parameter less certain.
-ANY = 1e6
+RELAXED_MAX_CONDITION = 1e6
 
 
 @dataclass(frozen=True)
@@ -37,7 +49,7 @@ class Solution:
     held_out: npt.NDArray[np.intp]  # (h,) indices of the held-out observations
     prediction: Prediction  # of the held-out observations, by a solution without them
     noise: Noise  # of the observations, as in `problem`
-    first: KinematicResult  # with the given deviations, or the largest plausible ones
+    nominal: KinematicResult  # with the given deviations, or the largest plausible ones
 
 
 def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> KinematicProblem:
@@ -46,7 +58,7 @@ def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> K
     Raises:
         ValueError: the observations do not match the arm.
     """
-    position, heading = assumed(s).deviations.tolist()
+    position, heading = assumed_noise(s).deviations.tolist()
     return KinematicProblem(
         q=np.array([o.q for o in used]).reshape(len(used), -1 if used else arm.n),
         tip=np.array([o.tip for o in used]).reshape(-1, 3),
@@ -66,10 +78,10 @@ def parametrization(arm: Arm, s: KinematicSettings) -> str:
     if s.parametrization != DESCRIBED:
         return s.parametrization
     lengths = [link.a for link in arm.links[:-1]] or [0.0]
-    return EQUAL if max(lengths) - min(lengths) <= ALIKE else FULL
+    return EQUAL if max(lengths) - min(lengths) <= EQUAL_LENGTH_TOLERANCE else FULL
 
 
-def fewest(problem: KinematicProblem, s: KinematicSettings) -> int:
+def min_observations(problem: KinematicProblem, s: KinematicSettings) -> int:
     """Return the number of observations needed."""
     return max(s.min_observations, len(problem.names) // 3 + 1)
 
@@ -80,36 +92,40 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
 
     largest = problem.sigma[1:].tolist()
 
-    def solved_only(mask: Mask) -> Solved[KinematicResult]:
+    def solved_only(mask: Mask) -> NoiseSolution[KinematicResult]:
         those = problem.only(mask)
 
-        def with_noise(deviations: Floats) -> tuple[KinematicResult, Left | None]:
+        def with_noise(deviations: Floats) -> tuple[KinematicResult, ResidualSums | None]:
             weighed = those.with_deviations(deviations)
-            most = s.max_condition if weighed.sigma[1:].tolist() == largest else ANY
+            most = (
+                s.max_condition if weighed.sigma[1:].tolist() == largest else RELAXED_MAX_CONDITION
+            )
             result = fit(weighed, UPDATE_TOLERANCE, max_condition=most)
-            return result, result.left
+            return result, result.residual_sums
 
-        return estimated(s, with_noise)
+        return solve_with_noise(s, with_noise)
 
-    def solved(mask: Mask) -> tuple[Solved[KinematicResult], Floats]:
+    def solved(mask: Mask) -> tuple[NoiseSolution[KinematicResult], Floats]:
         found = solved_only(mask)
         errors = found.result.normalized_residuals
-        if not found.noise.given.all() and np.sum(mask) > fewest(problem, s):
+        if not found.noise.is_given.all() and np.sum(mask) > min_observations(problem, s):
             # Judge the worst by the noise of the others: an outlier inflates the estimated
             # deviation and so hides itself.
             worst, others = int(np.argmax(errors)), mask.copy()
             others[np.flatnonzero(mask)[worst]] = False
             without = solved_only(others)
             there = problem.only(mask & ~others).with_deviations(without.noise.deviations)
-            off = without.result.predicted(there).normalized[0]
-            errors[worst] = max(errors[worst], as_if_known(off, 3.0, without.noise.freedom))
+            off = without.result.predict(there).normalized[0]
+            errors[worst] = max(errors[worst], equivalent_error(off, 3.0, without.noise.freedom))
         return found, errors
 
-    found = without_outliers(solved, len(problem.q), s, fewest(problem, s), "normalized residual")
+    found = reject_outliers(
+        solved, len(problem.q), s, min_observations(problem, s), "normalized residual"
+    )
     result, noise, first = found.result
     problem = problem.with_deviations(noise.deviations)
-    errors = np.where(found.mask, found.errors, result.predicted(problem).normalized)
-    most = s.max_condition if noise.given.all() else ANY
+    errors = np.where(found.mask, found.errors, result.predict(problem).normalized)
+    most = s.max_condition if noise.is_given.all() else RELAXED_MAX_CONDITION
     held_out = _held_out(problem, result, found.mask, s, most)
     return Solution(problem, result, found.mask, found.reasons, errors, *held_out, noise, first)
 
@@ -127,13 +143,13 @@ def _held_out(
     )
     rest = kept.copy()
     rest[held_out] = False
-    if len(held_out) and np.sum(rest) >= fewest(problem, s):
+    if len(held_out) and np.sum(rest) >= min_observations(problem, s):
         try:
             without = solve(problem.only(rest), UPDATE_TOLERANCE, max_condition=max_condition)
-            return held_out, without.predicted(problem.only(held_out))
+            return held_out, without.predict(problem.only(held_out))
         except NotIdentifiable:
             pass
-    return held_out[:0], result.predicted(problem.only(held_out[:0]))
+    return held_out[:0], result.predict(problem.only(held_out[:0]))
 
 
 def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimate:
@@ -159,7 +175,7 @@ def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimat
         heading_residual=r.heading_residual,
         chi_square=r.chi_square,
         degrees_of_freedom=r.degrees_of_freedom,
-        condition_number=solution.first.condition_number,
+        condition_number=solution.nominal.condition_number,
         iterations=r.iterations,
         last_update=r.last_update,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from fss_arm_calib.kinematic.result import KinematicResult
 from fss_arm_model.planar import wrap
 
 #: A parameter is reported if its share in the undetermined directions is larger.
-NOTICEABLE = 1e-3
+MAX_UNDETERMINED_SHARE = 1e-3
 
 MAX_ITERATIONS = 200
 
@@ -22,7 +22,7 @@ class NotIdentifiable(ValueError):  # noqa: N818
     def __init__(self, parameters: tuple[str, ...], undetermined: int, condition: float) -> None:
         self.parameters, self.undetermined, self.condition = parameters, undetermined, condition
         super().__init__(
-            f"{', '.join(parameters)} cannot be told apart ({undetermined} "
+            f"{', '.join(parameters)} cannot be separated ({undetermined} "
             f"combination{'s' * (undetermined > 1)} undetermined, condition number {condition:.3g})"
         )
 
@@ -64,15 +64,15 @@ def fit(
         start: (p,) guess in place of the arm's, which cannot have lengths of zero.
     """
     guess = problem.initial if start is None else np.asarray(start, dtype=float)
-    starts = [_linear_stage(problem, guess), *_closed_form(problem)]
+    starts = [_linear_start(problem, guess), *_closed_form_start(problem)]
     freedom = max(problem.tip.size - len(guess), 1)
     fits: list[Minimum] = []
 
     def iterate(xi: Floats) -> Minimum:
         fits.append(
             minimize(
-                problem.linear,
-                problem.folded(xi),
+                problem.linearize,
+                problem.unmirror(xi),
                 tolerance=tolerance,
                 max_iterations=MAX_ITERATIONS,
                 max_condition=max_condition,
@@ -88,18 +88,20 @@ def fit(
             break  # any better minimum would be better only by chance
     best = min(fits, key=lambda fit: (not fit.converged, fit.cost))
     missing = len(best.x) - len(best.basis.s)
-    lost = best.basis.undetermined() > NOTICEABLE
+    lost = best.basis.undetermined() > MAX_UNDETERMINED_SHARE
     angles = np.array(problem.units) == "rad"
     weights, P = problem.weights(best.x), best.basis.covariance()
     G = problem.influence(best.x, P)
     return KinematicResult(
         problem=problem,
         values=np.where(angles, wrap(best.x), best.x),
-        covariance=P + problem.repeated(best.x, P) + G @ problem.assumed @ G.T,
+        covariance=P
+        + problem.repeated_error_covariance(best.x, P)
+        + G @ problem.fixed_covariance @ G.T,
         weighted=P,
         residuals=problem.residuals(best.x),
         weights=weights,
-        chi_square=float(weights @ problem.distances(best.x)),
+        chi_square=float(weights @ problem.squared_distances(best.x)),
         condition_number=best.basis.condition,
         iterations=best.iterations,
         last_update=best.last_update,
@@ -109,12 +111,12 @@ def fit(
     )
 
 
-def _turns(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
+def _link_phasors(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
     """Return exp(i Q_i) with Q_i = q_1 + .. + q_i, (s, n)."""
     return np.asarray(np.exp(1j * np.cumsum(problem.q, axis=1)))
 
 
-def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
+def _linear_start(problem: KinematicProblem, xi: Floats) -> Floats:
     """Return a start with the angles of xi and the best lengths and mount for them.
 
     Lengths and mount that the observations do not determine keep their values in xi.
@@ -123,7 +125,7 @@ def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
     values = problem.all_parameters(xi)
     headings = np.cumsum([values[-2], *values[n : 2 * n - 1]])
     ones = np.ones(len(problem.q))
-    columns = np.column_stack([_turns(problem) * np.exp(1j * headings), ones, 1j * ones])
+    columns = np.column_stack([_link_phasors(problem) * np.exp(1j * headings), ones, 1j * ones])
     linear = np.flatnonzero(np.array(problem.units) == "m")
     rows = [*range(n), 2 * n - 1, 2 * n]  # of lengths and mount
     by_linear = columns @ problem.basis[np.ix_(rows, linear)]
@@ -134,7 +136,7 @@ def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
     return xi
 
 
-def _closed_form(problem: KinematicProblem) -> list[Floats]:
+def _closed_form_start(problem: KinematicProblem) -> list[Floats]:
     """Return a start from the positions, without a guess; none if they do not suffice.
 
     With complex numbers as vectors in the plane and Q_i = q_1 + .. + q_i, the end effector is at
@@ -145,7 +147,7 @@ def _closed_form(problem: KinematicProblem) -> list[Floats]:
     which is linear in the mount m and the z_i. Lengths found as |z_i| are never negative, so this
     start also keeps the iteration from the mirrored arms that fit the positions as well.
     """
-    n, turns = problem.arm.n, _turns(problem)
+    n, turns = problem.arm.n, _link_phasors(problem)
     columns = np.column_stack([np.ones(len(turns)), turns])
     positions = problem.tip[:, 0] + 1j * problem.tip[:, 1]
     z, _, rank, _ = np.linalg.lstsq(columns, positions)
@@ -154,4 +156,8 @@ def _closed_form(problem: KinematicProblem) -> list[Floats]:
     headings = np.angle(z[1:])
     seen = np.exp(1j * (problem.tip[:, 2] - headings[-1])) / turns[:, -1]
     mount = [z[0].real, z[0].imag, headings[0], np.angle(np.mean(seen))]
-    return [problem.chosen(np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount]))]
+    return [
+        problem.estimated_parameters(
+            np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount])
+        )
+    ]

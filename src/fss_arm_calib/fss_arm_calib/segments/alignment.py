@@ -22,13 +22,13 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.joints import Joint
 from fss_arm_calib.segments.samples import SECOND
 
-LONGEST_MOVE = 20.0  # length of the last part of a move that is used [s]
-LEAST_TURN = 0.1  # a move that turns the end effector less is ignored [rad]
-GRID = 0.02  # step of the search [s]
-WORST = 0.05  # a move whose offset has a larger deviation is ignored [s]
-FRAME = 0.01  # sample period of a move [s]
-ENOUGH = 5  # number of moves from which their scatter is estimated
-NEWEST = 100  # number of moves in the mean; limited because clocks drift
+MAX_MOVE_DURATION = 20.0  # of a longer move, only the last part is used [s]
+MIN_ROTATION = 0.1  # moves that turn the end effector less are ignored [rad]
+SEARCH_STEP = 0.02  # step of the search [s]
+MAX_OFFSET_DEVIATION = 0.05  # moves whose offset has a larger deviation are ignored [s]
+SAMPLE_PERIOD = 0.01  # sample period of a move [s]
+MIN_MOVES = 5  # number of moves needed to estimate their scatter
+MAX_MOVES = 100  # number of moves in the mean; limited because clocks drift
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,15 @@ class Offset:
     deviation: float = inf
 
 
-def offset_of_move(
-    t: Floats, q: list[tuple[Floats, Floats]], seen: Floats, psi: Floats, search: float
+def estimate_offset(
+    t: Floats, q: list[tuple[Floats, Floats]], stamps: Floats, psi: Floats, search: float
 ) -> Offset:
     """Return the offset that best aligns a move in the readings with the one in motion capture.
 
     Args:
         t: (2,) start and end of the move, by the joints' stamps [s].
         q: stamps [s] and readings [rad] of each joint, from before the move until after it.
-        seen: (k,) stamps of motion capture [s].
+        stamps: (k,) stamps of motion capture [s].
         psi: (k,) the end effector's heading in the base's frame, unwrapped [rad].
         search: largest offset to search for [s].
 
@@ -57,18 +57,18 @@ def offset_of_move(
     """
     from scipy.interpolate import PchipInterpolator
 
-    u = np.arange(t[0], t[1], FRAME)
+    u = np.arange(t[0], t[1], SAMPLE_PERIOD)
     paths = [(PchipInterpolator(*joint), np.clip(u, joint[0][0], joint[0][-1])) for joint in q]
     Q = sum(path(at) for path, at in paths)
     rate = sum(path(at, 1) for path, at in paths)
-    if len(u) < 10 or np.ptp(Q) < LEAST_TURN:
+    if len(u) < 10 or np.ptp(Q) < MIN_ROTATION:
         return Offset()
 
     def residual(delta: float) -> Floats:
-        away = np.interp(u - delta, seen, psi) - Q
-        return np.asarray(away - np.mean(away))
+        difference = np.interp(u - delta, stamps, psi) - Q
+        return np.asarray(difference - np.mean(difference))
 
-    grid = np.arange(-search, search + 0.5 * GRID, GRID)
+    grid = np.arange(-search, search + 0.5 * SEARCH_STEP, SEARCH_STEP)
     squares = [float(np.sum(residual(delta) ** 2)) for delta in grid]
     best = int(np.argmin(squares))
     if best in (0, len(grid) - 1):
@@ -76,16 +76,16 @@ def offset_of_move(
     delta, slope = float(grid[best]), rate - np.mean(rate)
     for _ in range(5):
         delta += float(residual(delta) @ slope / (slope @ slope))
-    period = max(float(np.mean(np.diff(stamps))) for stamps, _ in q)
-    variance = float(np.mean(residual(delta) ** 2)) * max(period / FRAME, 1.0)
+    period = max(float(np.mean(np.diff(readings))) for readings, _ in q)
+    variance = float(np.mean(residual(delta) ** 2)) * max(period / SAMPLE_PERIOD, 1.0)
     return Offset(delta, sqrt(variance / float(slope @ slope)))
 
 
-def last_move(joints: Sequence[Joint], end: int, threshold: float) -> tuple[int, int] | None:
+def find_last_move(joints: Sequence[Joint], end: int, threshold: float) -> tuple[int, int] | None:
     """Return start and end of the used part of the last move before `end` [ns]; None: no move."""
     moving = []
     for joint in joints:
-        t, q, _ = joint.within(end - round(LONGEST_MOVE * SECOND), end)
+        t, q, _ = joint.samples_within(end - round(MAX_MOVE_DURATION * SECOND), end)
         fast = np.flatnonzero(np.abs(np.diff(q)) > threshold)
         if len(fast):
             moving += [t[fast[0]], t[fast[-1] + 1]]
@@ -102,25 +102,27 @@ class Alignment:
     def __init__(self, search: float) -> None:
         self.search = search
         self.offset = Offset()
-        self.moves: deque[Offset] = deque(maxlen=NEWEST)  # with a finite offset
+        self.moves: deque[Offset] = deque(maxlen=MAX_MOVES)  # with a finite offset
 
-    def learn(self, move: Offset) -> None:
+    def add_move(self, move: Offset) -> None:
         """Update the mean with another move."""
         if isfinite(move.value):
             self.moves.append(move)
-        if move.deviation <= WORST:
-            self.offset = mean_offset([move for move in self.moves if move.deviation <= WORST])
+        if move.deviation <= MAX_OFFSET_DEVIATION:
+            self.offset = mean_offset(
+                [move for move in self.moves if move.deviation <= MAX_OFFSET_DEVIATION]
+            )
 
     @property
-    def beyond(self) -> float:
+    def lower_bound(self) -> float:
         """Lower limit of the offset if it is outside the search for most moves, else 0 [s]."""
         outside = sum(move.deviation == inf for move in self.moves)
-        most = outside >= ENOUGH and 2 * outside > len(self.moves)
-        return self.search if most else 0.0
+        mostly_outside = outside >= MIN_MOVES and 2 * outside > len(self.moves)
+        return self.search if mostly_outside else 0.0
 
 
 def mean_offset(moves: Collection[Offset]) -> Offset:
-    """Return the weighted mean of the moves; with ENOUGH moves, their scatter gives its deviation.
+    """Return the weighted mean of the moves; their scatter gives its deviation if they suffice.
 
     The ratio of the error to the deviation from a scatter of n moves is distributed as Student's t
     with n - 1 degrees of freedom, of variance (n - 1) / (n - 3).
@@ -129,6 +131,6 @@ def mean_offset(moves: Collection[Offset]) -> Offset:
     weights = np.array([move.deviation for move in moves]) ** -2.0
     mean = float(weights @ values / np.sum(weights))
     scatter = float(weights @ (values - mean) ** 2) / max(len(moves) - 3, 1)
-    if len(moves) < ENOUGH:
+    if len(moves) < MIN_MOVES:
         scatter = max(scatter, 1.0)
     return Offset(mean, sqrt(scatter / float(np.sum(weights))))

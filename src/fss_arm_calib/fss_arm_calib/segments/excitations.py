@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.segments.samples import SECOND, Gap, Stream, silences
+from fss_arm_calib.segments.samples import SECOND, Gap, Stream, find_silences
 from fss_arm_calib.segments.settings import ExcitationSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 
 BLOCK = 4 * SECOND  # [ns]
-TOGETHER = 15  # excitations returned together while the arm moves: each return triggers a solve
-LATE = "late"
+BATCH_SIZE = 15  # excitations returned at once while the arm moves; each return triggers a solve
+TOO_LATE = "late"
 
 
 class Frame(NamedTuple):
@@ -71,25 +71,25 @@ class Excitation:
         return tuple(one.homings for one in self.links)
 
 
-class Reports(Stream):
-    """Frames of a link that are not evaluated yet."""
+class FrameQueue(Stream):
+    """Queue of a link's frames that are not evaluated yet."""
 
     def __init__(self, name: str, horizon: int) -> None:
         super().__init__(name, horizon)
-        self.waiting: deque[tuple[int, Frame]] = deque()
+        self.queue: deque[tuple[int, Frame]] = deque()
 
     def append(self, t: int, frame: Frame) -> None:
         """Append a frame of the link."""
         for sample in self.admit(t, frame):
             self.newest = sample[0]
-            self.waiting.append(sample)
+            self.queue.append(sample)
 
-    def before(self, end: int) -> list[tuple[int, Frame]]:
+    def pop_before(self, end: int) -> list[tuple[int, Frame]]:
         """Remove and return the frames before a time [ns]."""
-        found = []
-        while self.waiting and self.waiting[0][0] < end:
-            found.append(self.waiting.popleft())
-        return found
+        frames = []
+        while self.queue and self.queue[0][0] < end:
+            frames.append(self.queue.popleft())
+        return frames
 
 
 class ExcitationFinder:
@@ -98,7 +98,7 @@ class ExcitationFinder:
     Args:
         arm: arm whose encoder resolutions convert velocities.
         settings: definition of an excitation.
-        kept: excitations of a previous run.
+        kept: excitations of a previous run; frames until their end are too late.
     """
 
     def __init__(
@@ -109,19 +109,19 @@ class ExcitationFinder:
     ) -> None:
         s = settings or ExcitationSettings()
         self.horizon, self.joint_gap = (round(t * SECOND) for t in (s.horizon, s.joint_gap))
-        self.links = [Reports(f"link_{i}", self.horizon) for i in range(1, arm.n + 1)]
-        self._slow = [10.0 * s.min_speed * k.drive.counts_per_turn / tau for k in arm.links]
-        self._since = kept[-1].end + 1 if kept else 0  # earlier frames are evaluated [ns]
-        self._turned = -2  # the last block in which a joint turned
+        self.links = [FrameQueue(f"link_{i}", self.horizon) for i in range(1, arm.n + 1)]
+        self._min_rates = [10.0 * s.min_speed * k.drive.counts_per_turn / tau for k in arm.links]
+        self._evaluated_until = kept[-1].end + 1 if kept else 0  # [ns]
+        self._last_turning = -2  # the last block in which a joint turned
         self._found: list[Excitation] = []
         for one in kept[-1:]:
-            self._note(one.end // BLOCK, [link.velocity for link in one.links])
+            self._note_turning(one.end // BLOCK, [link.velocity for link in one.links])
 
-    def frame(self, i: int, t: int, frame: Frame) -> list[Excitation]:
+    def add_frame(self, i: int, t: int, frame: Frame) -> list[Excitation]:
         """Process a frame of link i, 1 to n, at t [ns]; return the excitations it completes."""
         link = self.links[i - 1]
         link.append(t, frame)
-        link.rejected[LATE] += len(link.before(self._since))
+        link.rejected[TOO_LATE] += len(link.pop_before(self._evaluated_until))
         return self._collect()
 
     def close(self) -> list[Excitation]:
@@ -142,66 +142,66 @@ class ExcitationFinder:
         )
 
     def _collect(self, closing: bool = False) -> list[Excitation]:
-        rests = False
-        while first := [one.waiting[0][0] for one in self.links if one.waiting]:
+        at_rest = False
+        while first := [one.queue[0][0] for one in self.links if one.queue]:
             block = min(first) // BLOCK
-            decided = self._decided((block + 1) * BLOCK)
-            if not (closing or decided):
+            complete = self._is_complete((block + 1) * BLOCK)
+            if not (closing or complete):
                 break
-            self._since = (block + 1) * BLOCK if decided else self._since
-            self._found += self._excitations(block)
-            rests = block > self._turned
-        if not (closing or rests or len(self._found) >= TOGETHER):
+            self._evaluated_until = (block + 1) * BLOCK if complete else self._evaluated_until
+            self._found += self._evaluate_block(block)
+            at_rest = block > self._last_turning
+        if not (closing or at_rest or len(self._found) >= BATCH_SIZE):
             return []
         found, self._found = self._found, []
         return found
 
-    def _decided(self, end: int) -> bool:
+    def _is_complete(self, end: int) -> bool:
         """Return True if all links have passed a time or have timed out."""
         newest = [one.newest for one in self.links]
         return min(newest) >= end or max(newest) - self.horizon > end
 
-    def _note(self, block: int, velocities: Sequence[Sequence[float]]) -> None:
+    def _note_turning(self, block: int, velocities: Sequence[Sequence[float]]) -> None:
         """Note the block if a joint turns in it, given the velocities of each link."""
-        links = zip(velocities, self._slow, strict=False)  # a state file may have other links
-        if any(abs(velocity) > slow for those, slow in links for velocity in those):
-            self._turned = block
+        links = zip(velocities, self._min_rates, strict=False)  # a state file may have other links
+        if any(abs(v) > min_rate for values, min_rate in links for v in values):
+            self._last_turning = block
 
-    def _excitations(self, block: int) -> Iterator[Excitation]:
+    def _evaluate_block(self, block: int) -> Iterator[Excitation]:
         """Yield the excitation in a block, if a joint turns."""
-        rows = [one.before((block + 1) * BLOCK) for one in self.links]
-        self._note(block, [[frame.velocity for _, frame in those] for those in rows])
-        if block - self._turned > 1:
+        rows = [one.pop_before((block + 1) * BLOCK) for one in self.links]
+        self._note_turning(block, [[frame.velocity for _, frame in frames] for frames in rows])
+        if block - self._last_turning > 1:
             return
-        stamps = [t for those in rows for t, _ in those]
+        stamps = [t for frames in rows for t, _ in frames]
         start, end = min(stamps), max(stamps)
-        reason = next(self._reasons(rows, start, end), "")
-        yield Excitation(start, end, tuple(map(_frames, rows)), not reason, reason)
+        reason = next(self._rejection_reasons(rows, start, end), "")
+        yield Excitation(start, end, tuple(map(_combine_frames, rows)), not reason, reason)
 
-    def _reasons(
+    def _rejection_reasons(
         self, rows: Sequence[Sequence[tuple[int, Frame]]], start: int, end: int
     ) -> Iterator[str]:
         """Yield reasons to reject an excitation."""
-        for link, those in zip(self.links, rows, strict=True):
-            homings = {frame.homings for _, frame in those} - {0}
-            if len({frame.boot for _, frame in those}) > 1 or len(homings) > 1:
+        for link, frames in zip(self.links, rows, strict=True):
+            homings = {frame.homings for _, frame in frames} - {0}
+            if len({frame.boot for _, frame in frames}) > 1 or len(homings) > 1:
                 yield f"{link.name} was homed or restarted"
-            stamps = np.array([t for t, _ in those], dtype=np.int64)
-            for gap in silences(stamps, start, end, self.joint_gap):
+            stamps = np.array([t for t, _ in frames], dtype=np.int64)
+            for gap in find_silences(stamps, start, end, self.joint_gap):
                 yield str(Gap(*gap, link.name))
 
 
-def _frames(rows: Sequence[tuple[int, Frame]]) -> Frames:
+def _combine_frames(rows: Sequence[tuple[int, Frame]]) -> Frames:
     """Combine successive frames of a link."""
-    every = [frame for _, frame in rows]
-    told = [frame.homings for frame in every if frame.homings]
+    frames = [frame for _, frame in rows]
+    homings = [frame.homings for frame in frames if frame.homings]
     return Frames(
-        boot=every[-1].boot if every else 0,
-        homings=told[-1] if told else 0,
+        boot=frames[-1].boot if frames else 0,
+        homings=homings[-1] if homings else 0,
         stamps=tuple(t for t, _ in rows),
-        position=tuple(frame.position for frame in every),
-        velocity=tuple(frame.velocity for frame in every),
-        current=tuple(frame.current for frame in every),
-        torque=tuple(frame.torque for frame in every),
-        torque_age=tuple(frame.torque_age for frame in every),
+        position=tuple(frame.position for frame in frames),
+        velocity=tuple(frame.velocity for frame in frames),
+        current=tuple(frame.current for frame in frames),
+        torque=tuple(frame.torque for frame in frames),
+        torque_age=tuple(frame.torque_age for frame in frames),
     )

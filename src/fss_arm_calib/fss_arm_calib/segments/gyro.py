@@ -5,7 +5,7 @@ from array import array
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.segments.samples import LARGEST, OUT_OF_RANGE, SECOND, Stamps, Stream
+from fss_arm_calib.segments.samples import MAX_VALUE, OUT_OF_RANGE, SECOND, Stamps, Stream
 from fss_arm_model.planar import wrap
 
 
@@ -19,7 +19,7 @@ class Gyro(Stream):
 
     def append(self, t: int, rate: float) -> None:
         """Append a rate [rad/s]."""
-        if not abs(rate) <= LARGEST:
+        if not abs(rate) <= MAX_VALUE:
             self.rejected[OUT_OF_RANGE] += 1
             return
         for stamp, value in self.admit(t, rate):
@@ -29,7 +29,7 @@ class Gyro(Stream):
 
     def extend(self, t: Stamps, rates: Floats) -> None:
         """Append k rates, (k,) each."""
-        if not np.all(np.abs(rates) <= LARGEST) or not self.in_order(t):
+        if not np.all(np.abs(rates) <= MAX_VALUE) or not self.in_order(t):
             for stamp, rate in zip(t.tolist(), rates.tolist(), strict=True):
                 self.append(stamp, rate)
         elif len(t):
@@ -39,7 +39,7 @@ class Gyro(Stream):
 
     def angles(self, begin: int, end: int, gap: int) -> tuple[Stamps, Floats] | None:
         """Return stamps and angles turned since the first [rad]; None: a gap exceeds `gap` [ns]."""
-        around = self.around(begin, end)
+        around = self.slice_around(begin, end)
         t, rate = np.array(self.t[around]), np.array(self.rate[around])
         if len(t) < 2 or t[0] > begin or t[-1] < end or np.diff(t).max() > gap:
             return None

@@ -10,7 +10,7 @@ import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.samples import (
-    LARGEST,
+    MAX_VALUE,
     NOT_FINITE,
     OUT_OF_RANGE,
     SECOND,
@@ -25,34 +25,34 @@ class Joint(Stream):
 
     def __init__(self, name: str, horizon: int) -> None:
         super().__init__(name, horizon)
-        self.waiting: deque[tuple[int, tuple[float, float]]] = deque()  # for other joints
+        self.queue: deque[tuple[int, tuple[float, float]]] = deque()  # until all joints passed
         self.q, self.qd = array("d"), array("d")
         self.columns += [(self.q, 1), (self.qd, 1)]
         self.run = Run()
-        self.stillest = -1  # longest time at rest [ns]; -1: no reading yet
-        self.merged, self.begun = 0, -1  # number of readings, and stamp of the first [ns]
+        self.longest_rest = -1  # longest time at rest [ns]; -1: no reading yet
+        self.reading_count, self.first_stamp = 0, -1  # of merged readings [ns]
 
     @property
     def period(self) -> float:
         """Mean time between readings [s]; 0: not known."""
-        steps = self.merged - 1
-        return (self.newest - self.begun) / SECOND / steps if steps > 0 else 0.0
+        steps = self.reading_count - 1
+        return (self.newest - self.first_stamp) / SECOND / steps if steps > 0 else 0.0
 
     def append(self, t: int, q: float, qd: float) -> None:
         """Queue a reading [rad] and rate [rad/s]; NaN: rate not known."""
-        if not abs(q) <= LARGEST:
+        if not abs(q) <= MAX_VALUE:
             self.rejected[OUT_OF_RANGE if isfinite(q) else NOT_FINITE] += 1
             return
-        if abs(qd) > LARGEST:
+        if abs(qd) > MAX_VALUE:
             self.rejected[f"rate {OUT_OF_RANGE}"] += 1
             qd = nan
         for sample in self.admit(t, (q, qd)):
             self.newest = sample[0]
-            self.waiting.append(sample)
+            self.queue.append(sample)
 
-    def within(self, begin: int, end: int) -> tuple[Stamps, Floats, Floats]:
+    def samples_within(self, begin: int, end: int) -> tuple[Stamps, Floats, Floats]:
         """Return stamps, readings and rates from `begin` to `end`, both included."""
-        inside = self.inside(begin, end)
+        inside = self.slice_within(begin, end)
         return np.array(self.t[inside]), np.array(self.q[inside]), np.array(self.qd[inside])
 
 
@@ -61,8 +61,8 @@ class Rest(NamedTuple):
 
     begin: int  # [ns]
     end: int  # up to which all joints confirm it; before `begin`: there is no rest
-    until: int  # time at which a joint moved
-    moved: int  # last time before the rest at which some joint was moving; -1: not known
+    moved_at: int  # time at which a joint moved
+    last_motion: int  # last time before the rest at which some joint was moving; -1: not known
     low: tuple[float, ...]  # smallest reading of each joint, including dropped readings [rad]
     high: tuple[float, ...]
 
@@ -71,10 +71,10 @@ class Rest(NamedTuple):
         """Midpoint of the readings of each joint [rad]."""
         return tuple(0.5 * (low + high) for low, high in zip(self.low, self.high, strict=True))
 
-    def near(self, q: Sequence[float], threshold: float) -> bool:
+    def matches(self, q: Sequence[float], threshold: float) -> bool:
         """Return True if each joint's readings and q are within `threshold` of each other."""
         rows = zip(self.low, self.high, q, strict=True)
-        return all(max(high, at) - min(low, at) <= threshold for low, high, at in rows)
+        return all(max(high, x) - min(low, x) <= threshold for low, high, x in rows)
 
 
 class Rests:
@@ -87,8 +87,8 @@ class Rests:
 
     def __init__(self, n: int, motion_threshold: float, horizon: int) -> None:
         self.joints = [Joint(f"joint_{i}", horizon) for i in range(1, n + 1)]
-        self.unknown: set[int] = set()  # numbers received that the arm does not have
-        self.others: set[str] = set()  # names received that are not joint_<i>
+        self.unknown_joints: set[int] = set()  # numbers received that the arm does not have
+        self.other_names: set[str] = set()  # names received that are not joint_<i>
         self.motion_threshold, self.horizon = motion_threshold, horizon
         self.begin, self.end = -1, -1  # of the present rest
 
@@ -100,45 +100,45 @@ class Rests:
     def add(self, i: int, t: int, q: float, qd: float = nan) -> Iterator[Rest | None]:
         """Add a reading of joint i; yield for each merged reading the rest that it ends, if any."""
         if not 1 <= i <= len(self.joints):
-            self.unknown.add(i)
+            self.unknown_joints.add(i)
             return
         self.joints[i - 1].append(t, q, qd)
-        while joint := self._next():
+        while joint := self._next_joint():
             yield self._merge(joint)
 
     def drain(self) -> Iterator[Rest | None]:
         """Merge the queued readings if none follow; yield as `add` does."""
-        while joint := self._next(closing=True):
+        while joint := self._next_joint(closing=True):
             yield self._merge(joint)
 
-    def present(self, until: int = -1) -> Rest:
-        """Return the present rest, up to the time that all joints confirm."""
+    def current_rest(self, moved_at: int = -1) -> Rest:
+        """Return the current rest, up to the time that all joints confirm."""
         runs = [joint.run for joint in self.joints]
         low, high = tuple(run.low for run in runs), tuple(run.high for run in runs)
-        moved = max(run.moved for run in runs)
-        return Rest(self.begin, self.end, max(until, self.end), moved, low, high)
+        last_motion = max(run.moved for run in runs)
+        return Rest(self.begin, self.end, max(moved_at, self.end), last_motion, low, high)
 
     def _merge(self, joint: Joint) -> Rest | None:
-        t, (q, qd) = joint.waiting.popleft()
+        t, (q, qd) = joint.queue.popleft()
         moves = joint.run.start >= 0 and not joint.run.holds(q, self.motion_threshold)
-        ended = self.present(t) if moves else None
+        ended_rest = self.current_rest(t) if moves else None
         joint.run.add(t, q, self.motion_threshold)
-        joint.stillest = max(joint.stillest, joint.run.last - joint.run.start)
-        joint.merged += 1
-        joint.begun = joint.begun if joint.begun >= 0 else t
+        joint.longest_rest = max(joint.longest_rest, joint.run.last - joint.run.start)
+        joint.reading_count += 1
+        joint.first_stamp = joint.first_stamp if joint.first_stamp >= 0 else t
         joint.t.append(t)
         joint.q.append(q)
         joint.qd.append(qd)
         self.begin = max(self.begin, joint.run.start)
         self.end = min(one.run.last for one in self.joints)
-        return ended
+        return ended_rest
 
-    def _next(self, closing: bool = False) -> Joint | None:
+    def _next_joint(self, closing: bool = False) -> Joint | None:
         """Return the joint with the oldest queued reading, if no older one can arrive."""
-        waiting = [joint for joint in self.joints if joint.waiting]
-        if not waiting:
+        queued = [joint for joint in self.joints if joint.queue]
+        if not queued:
             return None
-        oldest = min(waiting, key=lambda joint: joint.waiting[0][0])
-        complete = closing or len(waiting) == len(self.joints)
-        passed = complete or self.newest - oldest.waiting[0][0] > self.horizon
-        return oldest if passed else None
+        oldest = min(queued, key=lambda joint: joint.queue[0][0])
+        complete = closing or len(queued) == len(self.joints)
+        final = complete or self.newest - oldest.queue[0][0] > self.horizon
+        return oldest if final else None

@@ -22,17 +22,17 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.segments.alignment import offset_of_move
+from fss_arm_calib.segments.alignment import estimate_offset
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.joints import Joint, Rest
-from fss_arm_calib.segments.poses import BASE, FROZEN, bins, mean_pose, seen_from
+from fss_arm_calib.segments.poses import BASE, FROZEN, average_bins, mean_pose, relative_poses
 from fss_arm_calib.segments.samples import SECOND, Gap, Stamps
 from fss_arm_calib.segments.settings import ManeuverSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.joint_path import Path, path, sampled
 
-LOOK = SECOND // 10  # averaging time of a pose of the base during the motion [ns]
-LEAST_SEEN = 1.0  # sum of squared base angles needed for a gyro ratio, over all frames [rad^2]
+POSE_AVERAGING_TIME = SECOND // 10  # averaging time of a pose of the base during the motion [ns]
+MIN_ROTATION_SQUARES = 1.0  # sum of squared base angles needed for a gyro ratio [rad^2]
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,15 @@ class Maneuver:
         return path(law, edges, marks)
 
     @property
-    def underway(self) -> npt.NDArray[np.bool_]:
+    def in_motion(self) -> npt.NDArray[np.bool_]:
         """Mask (m,), True for marks during the motion."""
-        ways = [t for t in self.times if len(t) > 1]
-        begin, end = (min(t[0] for t in ways), max(t[-1] for t in ways)) if ways else (inf, -inf)
+        moving = [t for t in self.times if len(t) > 1]
+        begin = min((t[0] for t in moving), default=inf)
+        end = max((t[-1] for t in moving), default=-inf)
         return (np.array(self.marks) > begin) & (np.array(self.marks) < end)
 
     @property
-    def moved(self) -> tuple[int, ...]:
+    def moved_joints(self) -> tuple[int, ...]:
         """Numbers of the joints that moved, from 1."""
         return tuple(i for i, t in enumerate(self.times, 1) if len(t) > 1)
 
@@ -81,7 +82,7 @@ class Window(NamedTuple):
 
     begin: int
     end: int
-    moved: int  # last time before at which some joint was moving; -1: not known
+    last_motion: int  # last time before at which some joint was moving; -1: not known
 
 
 class Motion(NamedTuple):
@@ -108,47 +109,47 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
     def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
         s = settings or ManeuverSettings()
         super().__init__(n, s, search=0.5)
-        self._lag(s.time_offset)
-        self._turns = np.zeros(2)  # sums of gyro * motion capture and motion capture^2 [rad^2]
-        self._before: Rest | None = None  # the rest before the next maneuver
+        self._set_offset(s.time_offset)
+        self._rotations = np.zeros(2)  # sums of gyro * motion capture and motion capture^2 [rad^2]
+        self._rest_before: Rest | None = None  # the rest before the next maneuver
 
-    def _merged(self, ended: Rest | None) -> None:
-        if ended and self._window(ended) >= self.min_duration:
-            self._propose(ended)
-            self._before = ended
+    def _process_reading(self, ended_rest: Rest | None) -> None:
+        if ended_rest and self._window_length(ended_rest) >= self.min_duration:
+            self._queue_candidate(ended_rest)
+            self._rest_before = ended_rest
 
-    def _window(self, rest: Rest) -> int:
+    def _window_length(self, rest: Rest) -> int:
         """Return the longest window at each end of a rest [ns]."""
         return min(self.max_duration, (rest.end - rest.begin - self.settle_time) // 2)
 
-    def _propose(self, rest: Rest) -> bool:
+    def _queue_candidate(self, rest: Rest) -> bool:
         """Queue the maneuver that ends with a rest; return False if there is no new one."""
-        before = self._before
+        before = self._rest_before
         if not before or rest.begin <= before.end:
             return False
         settled = rest.begin + self.settle_time
-        departure = Window(before.end - self._window(before), before.end, before.moved)
-        arrival = Window(settled, settled + self._window(rest), rest.moved)
+        departure = Window(before.end - self._window_length(before), before.end, before.last_motion)
+        arrival = Window(settled, settled + self._window_length(rest), rest.last_motion)
         self._pending.append(Motion(departure, arrival))
         return True
 
     def _collect(self, closing: bool = False) -> list[Maneuver]:
         usable = self.rests.end - self.rests.begin - self.settle_time
-        full = self._before and usable >= 2 * self.max_duration
+        full = self._rest_before and usable >= 2 * self.max_duration
         if closing:
-            self._merged(self.rests.present())
-        elif full and self._propose(self.rests.present()):
-            self._before = None  # a long rest need not end: the window after is complete
+            self._process_reading(self.rests.current_rest())
+        elif full and self._queue_candidate(self.rests.current_rest()):
+            self._rest_before = None  # a long rest need not end: the window after is complete
         return super()._collect(closing)
 
     def _segment(self, candidate: Motion, closing: bool) -> Maneuver | None:
         """Return the maneuver between two rests; None if no joint moved far enough."""
         start, end = candidate.before.begin, candidate.end
         if end - start > self.horizon:  # its first samples are dropped already
-            lasts, most = (end - start) / SECOND, self.settings.horizon
-            nothing = ((),) * len(self.joints)
-            reason = f"it lasts {lasts:.0f} s, at most {most:g} s are followed"
-            return Maneuver(start, end, nothing, nothing, nothing, used=False, reason=reason)
+            duration, limit = (end - start) / SECOND, self.settings.horizon
+            empty = ((),) * len(self.joints)
+            reason = f"maneuver takes {duration:.0f} s (at most {limit:g}: see horizon)"
+            return Maneuver(start, end, empty, empty, empty, used=False, reason=reason)
         series = [joint_path(joint, *candidate, self.motion_threshold) for joint in self.joints]
         gaps = [gap for joint in self.joints for gap in self._joint_gaps(joint, candidate)]
         travel = max(float(np.ptp(q)) if len(q) else 0.0 for _, q, _ in series)
@@ -158,102 +159,106 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
             tuple(tuple(part.tolist()) for part in parts) for parts in zip(*series, strict=True)
         )
         maneuver = Maneuver(start, end, times, q, qd)
-        gaps += self._frozen(candidate)
-        if reason := str(gaps[0]) if gaps else self._rejected(maneuver):
+        gaps += self._frozen_windows(candidate)
+        if reason := str(gaps[0]) if gaps else self._rejection_reason(maneuver):
             return replace(maneuver, used=False, reason=reason)
-        tip = seen_from(self.base, self.tip, start, candidate.before.end)[1]
+        tip = relative_poses(self.base, self.tip, start, candidate.before.end)[1]
         if len(tip) > 1:
             maneuver = replace(maneuver, tip=tuple(mean_pose(tip).tolist()))
-        maneuver = replace(self._averaged(maneuver, candidate), time_offset=self.base.lag / SECOND)
-        self._align(start, end)
+        maneuver = replace(
+            self._average_poses(maneuver, candidate), time_offset=self.base.lag / SECOND
+        )
+        self._align_clocks(start, end)
         return maneuver
 
     def _joint_gaps(self, joint: Joint, motion: Motion) -> list[Gap]:
         """Return the gaps in a joint's readings that hide its motion."""
         start, end = motion.before.begin, motion.end
-        t, q, _ = joint.within(start, end)
+        t, q, _ = joint.samples_within(start, end)
         if not len(q):
             return [Gap(start, end, joint.name)]
-        moved = np.concatenate([[True], np.abs(np.diff(q)) > self.motion_threshold, [True]])
+        moving = np.concatenate([[True], np.abs(np.diff(q)) > self.motion_threshold, [True]])
         t = np.concatenate([[start], t, [end]])
-        late = np.flatnonzero((np.diff(t) > self.joint_gap) & moved)
-        gaps = [Gap(int(t[k]), int(t[k + 1]), joint.name) for k in late]
+        before_gaps = np.flatnonzero((np.diff(t) > self.joint_gap) & moving)
+        gaps = [Gap(int(t[k]), int(t[k + 1]), joint.name) for k in before_gaps]
         # A joint at rest may be silent for `joint_gap`, which may be longer than a window.
-        empty = [w for w in motion if not len(joint.within(w.begin, w.end)[0])]
+        empty = [w for w in motion if not len(joint.samples_within(w.begin, w.end)[0])]
         return gaps + [Gap(w.begin, w.end, joint.name) for w in empty]
 
-    def _frozen(self, motion: Motion) -> list[Gap]:
+    def _frozen_windows(self, motion: Motion) -> list[Gap]:
         """Return the windows with frozen poses: unchanged since before the arm came to rest."""
         gaps = []
         for window in motion:
-            if number := self.base.frozen(*window):
+            if number := self.base.count_frozen(*window):
                 self.base.rejected[FROZEN] += number
                 gaps.append(Gap(window.begin, window.end, BASE, FROZEN))
         return gaps
 
-    def _rejected(self, maneuver: Maneuver) -> str:
+    def _rejection_reason(self, maneuver: Maneuver) -> str:
         """Return a reason from the telemetry to reject a maneuver; empty if there is none."""
         span = maneuver.start, maneuver.end
         for i, (joint, link) in enumerate(zip(self.joints, self.links, strict=True), 1):
-            if link.homed(*span):
+            if link.was_homed(*span):
                 return f"{joint.name} homed or restarted"
-            readings = (joint.within(*part)[1] for part in link.disarmed(*span))
+            readings = (joint.samples_within(*part)[1] for part in link.disarmed_intervals(*span))
             travel = max((float(np.ptp(q)) for q in readings if len(q)), default=0.0)
-            if i in maneuver.moved and travel > self.motion_threshold:
+            if i in maneuver.moved_joints and travel > self.motion_threshold:
                 return f"{joint.name} moved while disarmed"
         return ""
 
-    def _averaged(self, maneuver: Maneuver, motion: Motion) -> Maneuver:
+    def _average_poses(self, maneuver: Maneuver, motion: Motion) -> Maneuver:
         """Return the maneuver with the base's poses, averaged over bins."""
-        t, poses = self.base.within(maneuver.start, maneuver.end)
+        t, poses = self.base.samples_within(maneuver.start, maneuver.end)
         step = round(pi / self.settings.max_base_turn * SECOND)
         heading = self.gyro.unwrap(t, poses[:, 2], step, self.vicon_gap)
         if isinstance(heading, tuple):
-            return replace(maneuver, used=False, reason=f"{Gap(*heading, BASE)}, and no gyro")
+            return replace(maneuver, used=False, reason=f"{Gap(*heading, BASE)}, without a gyro")
         poses[:, 2], rows = heading, []
         for begin, end, _ in motion:
-            seen = list(bins(t, poses, begin, end, self.settings.bin, maneuver.start))
-            if not seen:
+            window = list(average_bins(t, poses, begin, end, self.settings.bin, maneuver.start))
+            if not window:
                 return replace(maneuver, used=False, reason=str(Gap(begin, end, BASE)))
-            rows += seen
+            rows += window
         if rate := self.settings.path_rate:
-            way = motion.before.end, motion.after.begin - LOOK
-            for begin in range(*way, max(LOOK, round(SECOND / rate))):
-                width = LOOK / SECOND
-                rows += bins(t, poses, begin, begin + LOOK, width, maneuver.start)
+            limits = motion.before.end, motion.after.begin - POSE_AVERAGING_TIME
+            for begin in range(*limits, max(POSE_AVERAGING_TIME, round(SECOND / rate))):
+                width = POSE_AVERAGING_TIME / SECOND
+                rows += average_bins(
+                    t, poses, begin, begin + POSE_AVERAGING_TIME, width, maneuver.start
+                )
         rows.sort()
         marks, means, frames, seconds = zip(*rows, strict=True)
         return replace(maneuver, marks=marks, poses=means, frames=frames, seconds=seconds)
 
-    def _align(self, begin: int, end: int) -> None:
+    def _align_clocks(self, begin: int, end: int) -> None:
         """Update the clocks' offset from the rotation of the base."""
-        turned = self.gyro.angles(begin, end, self.vicon_gap)
-        if turned is None or self.base.gaps(begin, end, self.vicon_gap):
+        rotation = self.gyro.angles(begin, end, self.vicon_gap)
+        if rotation is None or self.base.gaps(begin, end, self.vicon_gap):
             return
-        t, poses = self.base.about(begin, end)
-        self._compare(turned, t, np.unwrap(poses[:, 2]))
+        t, poses = self.base.samples_around(begin, end)
+        self._compare_rotations(rotation, t, np.unwrap(poses[:, 2]))
         search = self.alignment.search
         ends = np.array([search, (end - begin) / SECOND - search])
-        gyro, seen = (turned[0] - begin) / SECOND, (t - begin) / SECOND
+        gyro, stamps = (rotation[0] - begin) / SECOND, (t - begin) / SECOND
         psi = np.unwrap(poses[:, 2])
-        found = offset_of_move(ends, [(gyro, turned[1])], seen, psi, search)
-        if found.deviation < inf:
-            self._learn(replace(found, value=found.value + self.base.lag / SECOND))
+        offset = estimate_offset(ends, [(gyro, rotation[1])], stamps, psi, search)
+        if offset.deviation < inf:
+            self._update_offset(replace(offset, value=offset.value + self.base.lag / SECOND))
 
-    def _compare(self, turned: tuple[Stamps, Floats], t: Stamps, psi: Floats) -> None:
+    def _compare_rotations(self, rotation: tuple[Stamps, Floats], t: Stamps, psi: Floats) -> None:
         """Update the ratio of the base's rotation by the gyro to that by motion capture."""
-        angle = np.interp(t - t[0], turned[0] - t[0], turned[1])
+        angle = np.interp(t - t[0], rotation[0] - t[0], rotation[1])
         a, p = angle - np.mean(angle), psi - np.mean(psi)
-        self._turns += [float(a @ p), float(p @ p)]
+        self._rotations += [float(a @ p), float(p @ p)]
 
     def streams(self) -> Streams:
         """Return the state of the streams, with the gyro ratio."""
-        common, own = self._turns
-        ratio = common / own if own > LEAST_SEEN else nan
+        products, squares = self._rotations
+        ratio = products / squares if squares > MIN_ROTATION_SQUARES else nan
         return replace(super().streams(), gyro_ratio=ratio)
 
-    def _needed_since(self) -> int:
-        rest = self._pending[0].before if self._pending else self._before or self.rests
+    def _oldest_needed(self) -> int:
+        rest = self._pending[0].before if self._pending else self._rest_before or self.rests
         return rest.end - 2 * self.max_duration - SECOND
 
 
@@ -264,8 +269,8 @@ def joint_path(
 
     A joint that did not move has one sample; a joint without readings at rest has none.
     """
-    t, q, qd = joint.within(before.end + 1, after.begin - 1)
-    ends = [joint.within(window.begin, window.end)[1] for window in (before, after)]
+    t, q, qd = joint.samples_within(before.end + 1, after.begin - 1)
+    ends = [joint.samples_within(window.begin, window.end)[1] for window in (before, after)]
     if not all(map(len, ends)):
         return np.empty(0), np.empty(0), np.empty(0)
     first, last = (float(np.mean(readings)) for readings in ends)

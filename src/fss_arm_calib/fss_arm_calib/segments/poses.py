@@ -15,13 +15,13 @@ import numpy.typing as npt
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.samples import (
-    LARGEST,
+    MAX_VALUE,
     OUT_OF_RANGE,
     SECOND,
     Gap,
     Stamps,
     Stream,
-    silences,
+    find_silences,
 )
 from fss_arm_model.planar import wrap
 
@@ -38,7 +38,8 @@ class Poses(Stream):
     """Poses of a subject.
 
     Methods take and return times of the joints' clock, `lag` later than motion capture's. A pose
-    that has not changed since before `moved`, a time at which the subject was moving, is frozen.
+    that has not changed since before `last_motion`, a time at which the subject was moving, is
+    frozen.
 
     Args:
         name: name of the subject.
@@ -50,55 +51,55 @@ class Poses(Stream):
     def __init__(self, name: str, horizon: int, max_speed: float, max_turn: float) -> None:
         super().__init__(name, horizon)
         self.max_speed, self.max_turn = max_speed, max_turn
-        self.first = -1  # first stamp of the stream [ns]
+        self.first_stamp = -1  # [ns]
         self.frame = ""  # frame id of the poses
         self.xyh = array("d")
-        self.since = array("q")  # time since which the pose at t has not changed
-        self.columns += [(self.xyh, 3), (self.since, 1)]
+        self.unchanged_since = array("q")  # time since which the pose at t has not changed
+        self.columns += [(self.xyh, 3), (self.unchanged_since, 1)]
 
     def append(self, t: int, pose: tuple[float, float, float] | None) -> None:
         """Add x [m], y [m], heading [rad] at stamp t; None: it was not visible."""
         if pose is None or not all(map(isfinite, pose)):
             self.rejected[OCCLUDED] += 1
-        elif max(map(abs, pose)) > LARGEST:
+        elif max(map(abs, pose)) > MAX_VALUE:
             self.rejected[OUT_OF_RANGE] += 1
         else:
             for stamp, admitted in self.admit(t, pose):
-                self._take(stamp, admitted)
+                self._store(stamp, admitted)
 
-    def _take(self, t: int, pose: tuple[float, float, float]) -> None:
-        if self.t and self._jumps(t, *pose):
+    def _store(self, t: int, pose: tuple[float, float, float]) -> None:
+        if self.t and self._is_jump(t, *pose):
             self.rejected[JUMP] += 1
             return
         same = bool(self.t) and tuple(self.xyh[-3:]) == pose
-        self.since.append(self.since[-1] if same else t)
+        self.unchanged_since.append(self.unchanged_since[-1] if same else t)
         self.t.append(t)
         self.xyh.extend(pose)
         self.newest = t
-        if self.first < 0:
-            self.first = t
+        if self.first_stamp < 0:
+            self.first_stamp = t
 
     def extend(self, t: Stamps, poses: Floats) -> None:
         """Add k poses, (k,) and (k, 3); in rows that are not finite the subject was not visible."""
-        seen = np.isfinite(poses).all(axis=1)
-        if not seen.all():
-            self.rejected[OCCLUDED] += int(np.sum(~seen))
-            t, poses = t[seen], poses[seen]
-        if not self._plain(t, poses):
+        visible = np.isfinite(poses).all(axis=1)
+        if not visible.all():
+            self.rejected[OCCLUDED] += int(np.sum(~visible))
+            t, poses = t[visible], poses[visible]
+        if not self._all_plausible(t, poses):
             for stamp, pose in zip(t.tolist(), poses.tolist(), strict=True):
                 self.append(stamp, tuple(pose))
             return
         before = np.vstack([self.xyh[-3:], poses[:-1]])
         fresh = np.any(poses != before, axis=1)
-        since = np.maximum.accumulate(np.where(fresh, t, self.since[-1]))
-        self.since.frombytes(since.tobytes())
+        since = np.maximum.accumulate(np.where(fresh, t, self.unchanged_since[-1]))
+        self.unchanged_since.frombytes(since.tobytes())
         self.t.frombytes(t.tobytes())
         self.xyh.frombytes(poses.tobytes())
         self.newest = self.t[-1]
 
-    def _plain(self, t: Stamps, poses: Floats) -> bool:
+    def _all_plausible(self, t: Stamps, poses: Floats) -> bool:
         """Return True if none of the poses is to be rejected."""
-        if not self.in_order(t) or np.any(np.abs(poses) > LARGEST):
+        if not self.in_order(t) or np.any(np.abs(poses) > MAX_VALUE):
             return False
         seconds = np.diff(t, prepend=self.newest) / SECOND
         step = np.diff(poses, axis=0, prepend=[self.xyh[-3:]])
@@ -107,7 +108,7 @@ class Poses(Stream):
             and np.all(np.abs(wrap(step[:, 2])) <= HEADING_NOISE + self.max_turn * seconds)
         )
 
-    def _jumps(self, t: int, x: float, y: float, heading: float) -> bool:
+    def _is_jump(self, t: int, x: float, y: float, heading: float) -> bool:
         seconds = (t - self.newest) / SECOND
         before = self.xyh[-3:]
         turn = abs(float(wrap(heading - before[2])))
@@ -116,49 +117,54 @@ class Poses(Stream):
             or turn > HEADING_NOISE + self.max_turn * seconds
         )
 
-    def within(self, begin: int, end: int, moved: int = -1) -> tuple[Stamps, Floats]:
+    def samples_within(self, begin: int, end: int, last_motion: int = -1) -> tuple[Stamps, Floats]:
         """Return stamps and poses (k, 3) in an interval, without frozen ones."""
-        return self._fresh(self.inside(begin, end), moved)
+        return self._without_frozen(self.slice_within(begin, end), last_motion)
 
-    def about(self, begin: int, end: int, moved: int = -1) -> tuple[Stamps, Floats]:
-        """Return as `within`, with the last pose before and the first one after the interval."""
-        return self._fresh(self.around(begin, end), moved)
+    def samples_around(self, begin: int, end: int, last_motion: int = -1) -> tuple[Stamps, Floats]:
+        """Return as `samples_within`, plus the last pose before it and the first after it."""
+        return self._without_frozen(self.slice_around(begin, end), last_motion)
 
-    def _fresh(self, part: slice, moved: int) -> tuple[Stamps, Floats]:
-        fresh = np.array(self.since[part]) > moved - self.lag
+    def _without_frozen(self, part: slice, last_motion: int) -> tuple[Stamps, Floats]:
+        fresh = np.array(self.unchanged_since[part]) > last_motion - self.lag
         poses = np.array(self.xyh[3 * part.start : 3 * part.stop]).reshape(-1, 3)
         return np.array(self.t[part])[fresh] + self.lag, poses[fresh]
 
-    def frozen(self, begin: int, end: int, moved: int) -> int:
+    def count_frozen(self, begin: int, end: int, last_motion: int) -> int:
         """Return the number of frozen poses in an interval."""
-        return int(np.sum(np.array(self.since[self.inside(begin, end)]) <= moved - self.lag))
+        return int(
+            np.sum(
+                np.array(self.unchanged_since[self.slice_within(begin, end)])
+                <= last_motion - self.lag
+            )
+        )
 
-    def gaps(self, begin: int, end: int, max_gap: int, moved: int = -1) -> list[Gap]:
+    def gaps(self, begin: int, end: int, max_gap: int, last_motion: int = -1) -> list[Gap]:
         """Return the gaps longer than `max_gap` [ns] that overlap an interval."""
-        stamps = self.about(begin, end, moved)[0]
+        stamps = self.samples_around(begin, end, last_motion)[0]
         return [
-            Gap(a, b, self.name, FROZEN if self.frozen(a, b, moved) else "silent")
-            for a, b in silences(stamps, begin, end, max_gap)
+            Gap(a, b, self.name, FROZEN if self.count_frozen(a, b, last_motion) else "silent")
+            for a, b in find_silences(stamps, begin, end, max_gap)
         ]
 
 
-def seen_from(
-    base: Poses, other: Poses, begin: int, end: int, moved: int = -1
+def relative_poses(
+    base: Poses, other: Poses, begin: int, end: int, last_motion: int = -1
 ) -> tuple[Stamps, Floats]:
     """Return stamps and poses (k, 3) of one subject in the frame of another, in an interval.
 
-    Poses that are frozen since before `moved`, a time at which the subjects were moving, are
+    Poses that are frozen since before `last_motion`, a time at which the subjects were moving, are
     omitted.
     """
-    t, seen = other.about(begin, end, moved)
-    t_base, poses = base.about(begin, end, moved)
+    t, others = other.samples_around(begin, end, last_motion)
+    t_base, poses = base.samples_around(begin, end, last_motion)
     if not len(t_base):
-        return t[:0], seen[:0]
+        return t[:0], others[:0]
     paired = (t >= max(begin, t_base[0])) & (t <= min(end, t_base[-1]))
-    t, seen = t[paired], seen[paired]
-    x, y, heading = _interpolated(t - begin, t_base - begin, poses).T
-    away = ((seen[:, 0] - x) + 1j * (seen[:, 1] - y)) * np.exp(-1j * heading)
-    return t, np.column_stack([away.real, away.imag, wrap(seen[:, 2] - heading)])
+    t, others = t[paired], others[paired]
+    x, y, heading = _interpolate(t - begin, t_base - begin, poses).T
+    relative = ((others[:, 0] - x) + 1j * (others[:, 1] - y)) * np.exp(-1j * heading)
+    return t, np.column_stack([relative.real, relative.imag, wrap(others[:, 2] - heading)])
 
 
 def mean_pose(poses: Floats) -> Floats:
@@ -167,12 +173,12 @@ def mean_pose(poses: Floats) -> Floats:
     return np.array([*poses[:, :2].mean(axis=0), heading])
 
 
-def near_most(seen: Floats) -> npt.NDArray[np.bool_]:
+def near_median(poses: Floats) -> npt.NDArray[np.bool_]:
     """Return a mask of the poses (k, 3) near the median: at rest the end effector does not move."""
-    x, y = (seen[:, :2] - np.median(seen[:, :2], axis=0)).T
-    mean = np.angle(np.median(np.cos(seen[:, 2])) + 1j * np.median(np.sin(seen[:, 2])))
-    away = np.abs(wrap(seen[:, 2] - mean))
-    return np.asarray((np.hypot(x, y) <= POSITION_NOISE) & (away <= HEADING_NOISE))
+    x, y = (poses[:, :2] - np.median(poses[:, :2], axis=0)).T
+    mean = np.angle(np.median(np.cos(poses[:, 2])) + 1j * np.median(np.sin(poses[:, 2])))
+    turn = np.abs(wrap(poses[:, 2] - mean))
+    return np.asarray((np.hypot(x, y) <= POSITION_NOISE) & (turn <= HEADING_NOISE))
 
 
 class Bin(NamedTuple):
@@ -184,7 +190,7 @@ class Bin(NamedTuple):
     seconds: float  # averaging time [s]
 
 
-def bins(
+def average_bins(
     t: Stamps, poses: Floats, begin: int, end: int, width: float, origin: int
 ) -> Iterator[Bin]:
     """Yield poses (k, 3) in an interval averaged over about `width` [s], timed from `origin` [ns].
@@ -193,20 +199,20 @@ def bins(
     """
     edges = np.linspace(begin, end, max(1, round((end - begin) / SECOND / width)) + 1)
     for low, high in pairwise(edges):
-        those = (t >= low) & (t < high)
-        number = int(np.count_nonzero(those))
+        inside = (t >= low) & (t < high)
+        number = int(np.count_nonzero(inside))
         if number >= 2:
-            seconds = float(np.ptp(t[those])) / SECOND * number / (number - 1)
-            x, y, heading = np.mean(poses[those], axis=0).tolist()
-            yield Bin(float(np.mean(t[those] - origin)) / SECOND, (x, y, heading), number, seconds)
+            seconds = float(np.ptp(t[inside])) / SECOND * number / (number - 1)
+            x, y, heading = np.mean(poses[inside], axis=0).tolist()
+            yield Bin(float(np.mean(t[inside] - origin)) / SECOND, (x, y, heading), number, seconds)
 
 
-def independent(frames: npt.ArrayLike, seconds: npt.ArrayLike, rate: float) -> Floats:
+def count_independent(frames: npt.ArrayLike, seconds: npt.ArrayLike, rate: float) -> Floats:
     """Return the number of independent poses in averages (m,), for a rate of such poses [1/s]."""
     return np.minimum(frames, np.maximum(1.0, rate * np.asarray(seconds)))
 
 
-def _interpolated(t: Stamps, stamps: Stamps, poses: Floats) -> Floats:
+def _interpolate(t: Stamps, stamps: Stamps, poses: Floats) -> Floats:
     """Interpolate poses at other times; where the stamps are equal, the poses are unchanged."""
     columns = [poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])]
     return np.column_stack([np.interp(t, stamps, column) for column in columns])

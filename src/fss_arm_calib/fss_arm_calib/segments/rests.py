@@ -12,7 +12,7 @@ from math import nan
 
 import numpy as np
 
-from fss_arm_calib.segments.alignment import LONGEST_MOVE, last_move, offset_of_move
+from fss_arm_calib.segments.alignment import MAX_MOVE_DURATION, estimate_offset, find_last_move
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.joints import Rest
 from fss_arm_calib.segments.poses import (
@@ -21,17 +21,25 @@ from fss_arm_calib.segments.poses import (
     JUMP,
     TIP,
     mean_pose,
-    near_most,
-    seen_from,
+    near_median,
+    relative_poses,
 )
-from fss_arm_calib.segments.samples import SECOND, Gap, between
+from fss_arm_calib.segments.samples import SECOND, Gap, parts_outside
 from fss_arm_calib.segments.settings import RestSettings
-from fss_arm_calib.segments.telemetry import homed, since_homed
+from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
 from fss_arm_model.planar import wrap
 
-__all__ = ["BASE", "TIP", "Observation", "RestFinder", "homed", "since_homed", "unrepeated"]
+__all__ = [
+    "BASE",
+    "TIP",
+    "Observation",
+    "RestFinder",
+    "keep_since_homing",
+    "rehomed_joints",
+    "rejected_without_repeat",
+]
 
-MOST_CONTRADICTING = 0.1  # share of a rest's poses that may be rejected as jumps
+MAX_JUMP_SHARE = 0.1  # largest share of a rest's poses that are rejected as jumps
 
 
 @dataclass(frozen=True)
@@ -52,16 +60,18 @@ class Observation:
     reason: str = ""  # why it is not used
 
 
-def unrepeated(observations: Sequence[Observation], tolerance: float) -> list[Observation]:
-    """Return the rejected observations without a used one of the same posture.
+def rejected_without_repeat(
+    observations: Sequence[Observation], tolerance: float
+) -> list[Observation]:
+    """Return the rejected observations for which no observation of the same posture is used.
 
     Postures are the same if all readings agree within `tolerance` [rad].
     """
-    seen = [np.array(o.q) for o in observations if o.used]
+    postures = [np.array(o.q) for o in observations if o.used]
     return [
         o
         for o in observations
-        if not o.used and not any(np.all(np.abs(q - o.q) <= tolerance) for q in seen)
+        if not o.used and not any(np.all(np.abs(q - o.q) <= tolerance) for q in postures)
     ]
 
 
@@ -85,158 +95,164 @@ class RestFinder(Finder[Rest, Observation]):
     ) -> None:
         s = settings or RestSettings()
         super().__init__(n, s, search=s.settle_time + s.min_duration)
-        self._observed = False  # the present rest has been observed
-        self._whole_since = 0  # end of the last known gap in the present rest
-        self._aligned = 0  # start of the last rest that the clocks were aligned for
+        self._is_observed = False  # True if the current rest has been observed
+        self._last_gap_end = 0  # end of the last known gap in the current rest [ns]
+        self._aligned_rest = 0  # start of the last rest for which the clocks were aligned [ns]
         self._resting_at = resting_at
 
-    def _merged(self, ended: Rest | None) -> None:
-        if ended:
-            if not self._done(ended) and (rest := self._settled(ended)):
+    def _process_reading(self, ended_rest: Rest | None) -> None:
+        if ended_rest:
+            if not self._is_observed_already(ended_rest) and (
+                rest := self._remove_settling(ended_rest)
+            ):
                 self._pending.append(rest)
-            self._observed, self._resting_at, self._whole_since = False, None, 0
+            self._is_observed, self._resting_at, self._last_gap_end = False, None, 0
 
-    def _done(self, rest: Rest) -> bool:
-        """Return True if the present rest needs no further observation."""
-        at = self._resting_at
-        return self._observed or (at is not None and rest.near(at, 2.0 * self.motion_threshold))
+    def _is_observed_already(self, rest: Rest) -> bool:
+        """Return True if the current rest needs no further observation."""
+        q = self._resting_at
+        return self._is_observed or (q is not None and rest.matches(q, 2.0 * self.motion_threshold))
 
-    def _settled(self, rest: Rest) -> Rest | None:
+    def _remove_settling(self, rest: Rest) -> Rest | None:
         """Return the rest without the time to settle, or None if it is too short.
 
         If a joint was silent before it moved, the rest extends to the motion.
         """
-        end = rest.until if rest.until - rest.end > self.joint_gap else rest.end
+        end = rest.moved_at if rest.moved_at - rest.end > self.joint_gap else rest.end
         begin = rest.begin + self.settle_time
         return rest._replace(begin=begin, end=end) if rest.end > begin else None
 
     def _collect(self, closing: bool = False) -> list[Observation]:
         found = super()._collect(closing)
-        if not self._pending and (observation := self._observe_present(closing)):
-            self._observed = True
+        if not self._pending and (observation := self._observe_current_rest(closing)):
+            self._is_observed = True
             found.append(observation)
         return found
 
-    def _observe_present(self, closing: bool) -> Observation | None:
-        """Return the observation of the present rest if it is long enough, or if closing."""
+    def _observe_current_rest(self, closing: bool) -> Observation | None:
+        """Return the observation of the current rest if it is long enough, or if closing."""
         begin = self.rests.begin + self.settle_time
-        early = self.rests.end - begin < self.min_duration and not closing
-        if early or (self._observed and self._aligned == begin):
+        too_short = self.rests.end - begin < self.min_duration and not closing
+        if too_short or (self._is_observed and self._aligned_rest == begin):
             return None
-        self._align(begin, self.rests.end)
+        self._align_clocks(begin, self.rests.end)
         # Cheap test, without arrays, whether the rest can contain an interval of full length.
-        until = min(self._heard, self.rests.end)
-        if not closing and until - max(begin, self._whole_since) < self.max_duration:
+        until = min(self._received_until, self.rests.end)
+        if not closing and until - max(begin, self._last_gap_end) < self.max_duration:
             return None
-        rest = self.rests.present(self.rests.newest if closing else -1)
-        settled = None if self._done(rest) else self._settled(rest)
+        rest = self.rests.current_rest(self.rests.newest if closing else -1)
+        settled = None if self._is_observed_already(rest) else self._remove_settling(rest)
         if not settled:
             return None
-        return self._observe(settled if closing else settled._replace(end=until), over=closing)
+        return self._observe(settled if closing else settled._replace(end=until), is_over=closing)
 
-    def _decided(self, candidate: Rest) -> bool:
-        if not super()._decided(candidate):
+    def _is_complete(self, candidate: Rest) -> bool:
+        if not super()._is_complete(candidate):
             return False
-        self._align(candidate.begin, candidate.end)
-        return super()._decided(candidate)  # with the new offset
+        self._align_clocks(candidate.begin, candidate.end)
+        return super()._is_complete(candidate)  # with the new offset
 
     def _segment(self, candidate: Rest, closing: bool) -> Observation | None:
-        self._align(candidate.begin, candidate.end)
-        given_up = [p for p in self._poses if p.reached < candidate.end and not closing]
-        missing = [Gap(poses.reached, candidate.end, poses.name) for poses in given_up]
-        return self._observe(candidate, over=True, missing=missing)
+        self._align_clocks(candidate.begin, candidate.end)
+        timed_out = [p for p in self._needed_poses if p.received_until < candidate.end]
+        missing = [Gap(p.received_until, candidate.end, p.name) for p in timed_out if not closing]
+        return self._observe(candidate, is_over=True, missing=missing)
 
-    def _align(self, begin: int, end: int) -> None:
+    def _align_clocks(self, begin: int, end: int) -> None:
         """Update the clocks' offset from the move before a rest that all streams have passed."""
-        heard = begin + self.min_duration
-        if self._aligned == begin or min(end, self._seen) < heard:
+        required = begin + self.min_duration
+        if self._aligned_rest == begin or min(end, self._poses_received_until) < required:
             return
-        self._aligned = begin
-        move = last_move(self.joints, begin - self.settle_time, self.motion_threshold)
+        self._aligned_rest = begin
+        move = find_last_move(self.joints, begin - self.settle_time, self.motion_threshold)
         if not move:
             return
         search = round(self.alignment.search * SECOND)
-        first, last = move[0] - search, max(move[1] + search, heard)
-        if any(poses.gaps(first, last, self.vicon_gap) for poses in self._poses):
+        first, last = move[0] - search, max(move[1] + search, required)
+        if any(poses.gaps(first, last, self.vicon_gap) for poses in self._needed_poses):
             return
-        t, seen = seen_from(self.base, self.tip, first, last)
-        q = [joint.within(first, heard)[:2] for joint in self.joints]
+        t, poses = relative_poses(self.base, self.tip, first, last)
+        q = [joint.samples_within(first, required)[:2] for joint in self.joints]
         if len(t) < 2 or any(len(stamps) < 3 for stamps, _ in q):
             return
         ends = np.array([0.0, (move[1] - move[0]) / SECOND])
         paths = [((stamps - move[0]) / SECOND, readings) for stamps, readings in q]
-        frames, psi = (t - self.base.lag - move[0]) / SECOND, np.unwrap(seen[:, 2])
-        self._learn(offset_of_move(ends, paths, frames, psi, self.alignment.search))
+        frames, psi = (t - self.base.lag - move[0]) / SECOND, np.unwrap(poses[:, 2])
+        self._update_offset(estimate_offset(ends, paths, frames, psi, self.alignment.search))
 
-    def _observe(self, rest: Rest, over: bool, missing: Sequence[Gap] = ()) -> Observation | None:
+    def _observe(
+        self, rest: Rest, is_over: bool, missing: Sequence[Gap] = ()
+    ) -> Observation | None:
         """Return the observation of a rest; None if it is too short, or can still become longer."""
         # A stream that has not started is no gap. Samples older than the horizon may be dropped.
-        begun = max(poses.first + poses.lag for poses in self._poses)
-        begin = max(rest.begin, begun, rest.end - self.horizon - self.max_duration)
-        if rest.end - begin < self.min_duration or any(p.first < 0 for p in self._poses):
+        started = max(poses.first_stamp + poses.lag for poses in self._needed_poses)
+        begin = max(rest.begin, started, rest.end - self.horizon - self.max_duration)
+        if rest.end - begin < self.min_duration or any(
+            p.first_stamp < 0 for p in self._needed_poses
+        ):
             return None
         gaps = [g for joint in self.joints for g in joint.gaps(begin, rest.end, self.joint_gap)]
         gaps += [gap for gap in missing if gap.end > begin]
-        for poses in self._poses:
-            gaps += poses.gaps(begin, rest.end, self.vicon_gap, rest.moved)
-        pieces = between(begin, rest.end, gaps)
+        for poses in self._needed_poses:
+            gaps += poses.gaps(begin, rest.end, self.vicon_gap, rest.last_motion)
+        pieces = parts_outside(begin, rest.end, gaps)
         whole = [(a, a + self.max_duration) for a, b in pieces if b - a >= self.max_duration]
-        if not whole and over:
+        if not whole and is_over:
             best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0, 0))
             whole = [best] if best[1] - best[0] >= self.min_duration else []
-        if not whole and not over:
-            self._whole_since = max(gap.end for gap in gaps) if gaps else begin
+        if not whole and not is_over:
+            self._last_gap_end = max(gap.end for gap in gaps) if gaps else begin
             return None
-        for poses in self._poses:
-            poses.rejected[FROZEN] += poses.frozen(begin, rest.end, rest.moved)
+        for poses in self._needed_poses:
+            poses.rejected[FROZEN] += poses.count_frozen(begin, rest.end, rest.last_motion)
         if whole:
             return self._average(rest, *whole[0])
         # Do not report gaps beyond the rest: samples there may be dropped, or not received yet.
         inside = [
             gap._replace(start=max(gap.start, begin), end=min(gap.end, rest.end)) for gap in gaps
         ]
-        return self._unused(rest, str(max(inside, key=lambda gap: gap.end - gap.start)))
+        return self._reject(rest, str(max(inside, key=lambda gap: gap.end - gap.start)))
 
     def _average(self, rest: Rest, begin: int, end: int) -> Observation:
         """Average an interval of a rest that has no gaps."""
-        readings = [joint.within(begin, end)[1] for joint in self.joints]
+        readings = [joint.samples_within(begin, end)[1] for joint in self.joints]
         for joint, q in zip(self.joints, readings, strict=True):
             if not len(q):
-                return self._unused(rest, f"no reading of {joint.name}")
-        seen = seen_from(self.base, self.tip, begin, end, rest.moved)[1]
-        if len(seen) < 2:
-            return self._unused(rest, "fewer than 2 pairs of poses")
-        together = near_most(seen)
-        self.tip.rejected[JUMP] += int(np.sum(~together))
-        if np.mean(together) < 1.0 - MOST_CONTRADICTING:
-            return self._unused(rest, "poses contradict each other")
-        seen = seen[together]
-        mean = mean_pose(seen)
-        away = seen - mean
-        away[:, 2] = wrap(away[:, 2])
+                return self._reject(rest, f"no reading of {joint.name}")
+        poses = relative_poses(self.base, self.tip, begin, end, rest.last_motion)[1]
+        if len(poses) < 2:
+            return self._reject(rest, "fewer than 2 pairs of poses")
+        consistent = near_median(poses)
+        self.tip.rejected[JUMP] += int(np.sum(~consistent))
+        if np.mean(consistent) < 1.0 - MAX_JUMP_SHARE:
+            return self._reject(rest, "poses contradict each other")
+        poses = poses[consistent]
+        mean = mean_pose(poses)
+        errors = poses - mean
+        errors[:, 2] = wrap(errors[:, 2])
         boots, homings = self._references(end)
         return Observation(
             start=begin,
             end=end,
             q=tuple(float(q.mean()) for q in readings),
             tip=tuple(mean.tolist()),
-            scatter=tuple(np.sqrt(np.sum(away**2, axis=0) / (len(away) - 1)).tolist()),
+            scatter=tuple(np.sqrt(np.sum(errors**2, axis=0) / (len(errors) - 1)).tolist()),
             joint_samples=min(map(len, readings)),
-            vicon_frames=len(seen),
+            vicon_frames=len(poses),
             time_offset=self.base.lag / SECOND,
             boots=boots,
             homings=homings,
         )
 
-    def _unused(self, rest: Rest, reason: str) -> Observation:
+    def _reject(self, rest: Rest, reason: str) -> Observation:
         boots, homings = self._references(rest.end)
         return Observation(
             rest.begin, rest.end, rest.q, boots=boots, homings=homings, used=False, reason=reason
         )
 
-    def _needed_since(self) -> int:
+    def _oldest_needed(self) -> int:
         since = self._pending[0].begin if self._pending else self.rests.end
-        if not self._observed:
+        if not self._is_observed:
             since = min(since, self.rests.begin)
         # The move before a rest is needed to align the clocks.
-        return since - round((LONGEST_MOVE + 2.0 * self.alignment.search) * SECOND)
+        return since - round((MAX_MOVE_DURATION + 2.0 * self.alignment.search) * SECOND)

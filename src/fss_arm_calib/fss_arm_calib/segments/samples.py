@@ -13,25 +13,26 @@ import numpy.typing as npt
 Stamps = npt.NDArray[np.int64]
 
 SECOND = 1_000_000_000  # [ns]
-CONFIRMED = SECOND  # time for which samples must follow a suspect one to confirm it [ns]
-LARGEST = 1e3  # largest valid value on a test bed [rad, rad/s, m]
+CONFIRMATION_TIME = SECOND  # time for which samples must follow a suspect one to confirm it [ns]
+MAX_VALUE = 1e3  # largest valid value on a test bed [rad, rad/s, m]
 
 NOT_FINITE, OUT_OF_RANGE = "not finite", "out of range"
-REPEATED, OUT_OF_ORDER, ASTRAY = "repeated", "out of order", "astray in time"
+REPEATED, OUT_OF_ORDER, ISOLATED = "repeated", "out of order", "isolated in time"
+
+HOUR = 3600.0  # [s]
+YEAR = 3.156e7  # [s]
+MAX_CLOCK_ERROR = 1e8  # larger differences mean that a clock counts from its start [s]
 
 
-HOUR, YEARS = 3600.0, 1e8  # [s]
-
-
-def span(by: float) -> str:
+def describe_clock_error(error: float) -> str:
     """Describe in words how far a clock is ahead of or behind another one [s]."""
-    direction, by = "ahead of" if by > 0.0 else "behind", abs(by)
-    hours = round(by / HOUR)
-    if by > YEARS:
-        return f"{by / 3.156e7:.3g} years {direction} (counting since its start?)"
-    if hours and abs(by - hours * HOUR) < 0.02 * HOUR:
-        return f"{by:.0f} s ({'an hour' if hours == 1 else f'{hours} hours'}) {direction}"
-    return f"{by:.4g} s {direction}"
+    direction, size = "ahead of" if error > 0.0 else "behind", abs(error)
+    hours = round(size / HOUR)
+    if size > MAX_CLOCK_ERROR:
+        return f"{size / YEAR:.3g} years (does it count from its start?) {direction}"
+    if hours and abs(size - hours * HOUR) < 0.02 * HOUR:
+        return f"{size:.0f} s ({'an hour' if hours == 1 else f'{hours} hours'}) {direction}"
+    return f"{size:.4g} s {direction}"
 
 
 class Gap(NamedTuple):
@@ -39,19 +40,19 @@ class Gap(NamedTuple):
 
     start: int  # [ns]
     end: int
-    who: str
-    how: str = "silent"
+    stream: str
+    state: str = "silent"
 
     def __str__(self) -> str:
-        return f"{self.who} {self.how} for {(self.end - self.start) / SECOND:.2f} s"
+        return f"{self.stream} {self.state} for {(self.end - self.start) / SECOND:.2f} s"
 
 
 class Stream:
     """Samples in order of their stamps [ns].
 
     A stamp farther than `horizon` [ns] from the stream's last one, or the first stamp, is suspect
-    until samples have followed it for CONFIRMED: then a clock was set, or a long gap has ended.
-    Otherwise only the suspect samples are rejected, as astray in time.
+    until samples have followed it for CONFIRMATION_TIME: then a clock was set, or a long gap has
+    ended. Otherwise only the suspect samples are rejected, as isolated in time.
     """
 
     def __init__(self, name: str, horizon: int) -> None:
@@ -62,75 +63,77 @@ class Stream:
         self.set_back = 0  # longest step back of the stamps [ns]
         self.t = array("q")
         self.columns: list[tuple[array[Any], int]] = [(self.t, 1)]  # arrays, values per stamp
-        self.doubted: list[tuple[int, Any]] = []
+        self.suspects: list[tuple[int, Any]] = []
 
     def admit(self, t: int, value: Any) -> Sequence[tuple[int, Any]]:
         """Return the samples to accept: this one, this one with confirmed suspect ones, or none."""
-        if self.doubted:
-            since = t - self.doubted[-1][0]
+        if self.suspects:
+            since = t - self.suspects[-1][0]
             if since == 0:
                 self.rejected[REPEATED] += 1
                 return ()
             if 0 < since <= self.horizon:
-                self.doubted.append((t, value))
-                return self._confirmed() if t - self.doubted[0][0] >= CONFIRMED else ()
-            self.rejected[ASTRAY] += len(self.doubted)
-            self.doubted.clear()
+                self.suspects.append((t, value))
+                return (
+                    self._confirm_suspects() if t - self.suspects[0][0] >= CONFIRMATION_TIME else ()
+                )
+            self.rejected[ISOLATED] += len(self.suspects)
+            self.suspects.clear()
         step = t - self.newest
         if self.newest < 0 or abs(step) > self.horizon:
-            self.doubted.append((t, value))
+            self.suspects.append((t, value))
         elif step > 0:
             return ((t, value),)
         else:
-            self._late(t)
+            self._reject_late(t)
         return ()
 
-    def _confirmed(self) -> Sequence[tuple[int, Any]]:
-        samples, self.doubted = self.doubted, []
+    def _confirm_suspects(self) -> Sequence[tuple[int, Any]]:
+        samples, self.suspects = self.suspects, []
         if samples[0][0] > self.newest:
             return samples
         for t, _ in samples:
-            self._late(t)
+            self._reject_late(t)
         return ()
 
-    def _late(self, t: int) -> None:
+    def _reject_late(self, t: int) -> None:
         self.rejected[REPEATED if t == self.newest else OUT_OF_ORDER] += 1
         self.set_back = max(self.set_back, self.newest - t)
 
     def in_order(self, t: Stamps) -> bool:
         """Return True if all samples with these stamps are to be accepted."""
-        if self.newest < 0 or self.doubted:
+        if self.newest < 0 or self.suspects:
             return False
         steps = np.diff(t, prepend=self.newest)
         return bool(np.all((steps > 0) & (steps <= self.horizon)))
 
     @property
-    def reached(self) -> int:
+    def received_until(self) -> int:
         """Newest stamp, in the time of queries [ns]."""
         return self.newest + self.lag
 
-    def around(self, begin: int, end: int) -> slice:
-        """Return the slice of an interval, with the last sample before and the first one after."""
+    def slice_around(self, begin: int, end: int) -> slice:
+        """Return the slice of an interval, with the last sample before and the first after it."""
         before = max(bisect_right(self.t, begin - self.lag) - 1, 0)
         return slice(before, bisect_left(self.t, end - self.lag) + 1)
 
-    def inside(self, begin: int, end: int) -> slice:
+    def slice_within(self, begin: int, end: int) -> slice:
         """Return the slice of the samples in an interval, both ends included."""
         return slice(bisect_left(self.t, begin - self.lag), bisect_right(self.t, end - self.lag))
 
     def gaps(self, begin: int, end: int, max_gap: int) -> list[Gap]:
         """Return the gaps longer than `max_gap` [ns] that overlap an interval."""
-        stamps = np.array(self.t[self.around(begin, end)]) + self.lag
-        return [Gap(a, b, self.name) for a, b in silences(stamps, begin, end, max_gap)]
+        stamps = np.array(self.t[self.slice_around(begin, end)]) + self.lag
+        return [Gap(a, b, self.name) for a, b in find_silences(stamps, begin, end, max_gap)]
 
-    def forget(self, before: int) -> None:
+    def drop_before(self, before: int) -> None:
         """Drop all samples before a time [ns] except the last one of them."""
-        k = self.around(before, before).start
+        k = self.slice_around(before, before).start
         for column, width in self.columns:
             del column[: k * width]
 
 
-def silences(t: Stamps, begin: int, end: int, max_gap: int) -> list[tuple[int, int]]:
+def find_silences(t: Stamps, begin: int, end: int, max_gap: int) -> list[tuple[int, int]]:
     """Return steps longer than `max_gap` between stamps in and around an interval [ns].
 
     If no sample precedes or follows the interval, its start or end takes the place of a stamp.
@@ -142,7 +145,7 @@ def silences(t: Stamps, begin: int, end: int, max_gap: int) -> list[tuple[int, i
     return [(int(t[k]), int(t[k + 1])) for k in np.flatnonzero(np.diff(t) > max_gap)]
 
 
-def between(begin: int, end: int, gaps: Sequence[Gap]) -> list[tuple[int, int]]:
+def parts_outside(begin: int, end: int, gaps: Sequence[Gap]) -> list[tuple[int, int]]:
     """Return the parts of an interval that are outside all gaps."""
     edges = [begin]
     for gap in sorted(gaps):

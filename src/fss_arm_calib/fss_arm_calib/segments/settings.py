@@ -14,9 +14,14 @@ class StreamSettings(Settings):
     """
 
     joint_gap: float = setting(
-        1.0, "silence of a joint that counts as a gap", unit="s", check=POSITIVE
+        1.0,
+        "longest time without a reading of a joint; a longer one is a gap",
+        unit="s",
+        check=POSITIVE,
     )
-    horizon: float = setting(60.0, "how far streams may lag each other", unit="s", check=POSITIVE)
+    horizon: float = setting(
+        60.0, "largest lag of a stream behind the others", unit="s", check=POSITIVE
+    )
 
 
 @dataclass(frozen=True)
@@ -31,22 +36,23 @@ class RestSettings(StreamSettings):
         1e-3, "largest change of a joint's reading at rest", unit="rad", check=POSITIVE
     )
     settle_time: float = setting(
-        0.5, "time after the last motion that is not used", unit="s", check=NOT_NEGATIVE
+        0.5, "time after the last motion that is discarded", unit="s", check=NOT_NEGATIVE
     )
-    min_duration: float = setting(0.5, "least time to average over", unit="s", check=POSITIVE)
-    max_duration: float = setting(
-        2.0, "time to average over if the arm rests that long", unit="s", check=POSITIVE
-    )
+    min_duration: float = setting(0.5, "shortest averaging time", unit="s", check=POSITIVE)
+    max_duration: float = setting(2.0, "longest averaging time", unit="s", check=POSITIVE)
     vicon_gap: float = setting(
-        0.25, "silence of a VICON subject that counts as a gap", unit="s", check=POSITIVE
+        0.25,
+        "longest time without a pose of a VICON subject; a longer one is a gap",
+        unit="s",
+        check=POSITIVE,
     )
     max_speed: float = setting(
-        5.0, "a subject's pose that would need a faster motion is rejected", unit="m/s",
+        5.0, "largest speed of a subject; poses that imply a higher speed are rejected", unit="m/s",
         check=POSITIVE,
     )  # fmt: skip
     max_turn: float = setting(
-        10.0, "a subject's pose that would need a faster turn is rejected", unit="rad/s",
-        check=POSITIVE,
+        10.0, "largest turn rate of a subject; poses that imply a higher rate are rejected",
+        unit="rad/s", check=POSITIVE,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -66,32 +72,36 @@ class ManeuverSettings(RestSettings):
     """
 
     max_duration: float = setting(
-        2.0, "longest window on the base before a maneuver, and after it; half a rest at most",
+        2.0, "longest window before and after a maneuver, at most half of the rest",
         unit="s", check=POSITIVE,
     )  # fmt: skip
     joint_gap: float = setting(
-        0.5, "silence of a joint for which a maneuver is rejected", unit="s", check=POSITIVE
+        0.5,
+        "longest time without a reading of a joint; a longer one rejects a maneuver",
+        unit="s",
+        check=POSITIVE,
     )
     horizon: float = setting(
-        60.0, "how far streams may lag each other, and how long a maneuver may last", unit="s",
-        check=POSITIVE,
+        60.0, "largest lag of a stream behind the others, and longest duration of a maneuver",
+        unit="s", check=POSITIVE,
     )  # fmt: skip
-    bin: float = setting(
-        0.5, "time over which poses of a window are averaged", unit="s", check=POSITIVE
-    )
+    bin: float = setting(0.5, "averaging time of the poses in a window", unit="s", check=POSITIVE)
     path_rate: float = setting(
-        0.0, "poses of the base that count on its way, too, by joints that do not give; 0: none",
+        0.0, "rate of base poses used during the motion, for stiff joints only; 0: none",
         unit="1/s", check=NOT_NEGATIVE,
     )  # fmt: skip
-    min_travel: float = setting(0.05, "a smaller motion is no maneuver", unit="rad", check=POSITIVE)
+    min_travel: float = setting(
+        0.05, "smallest motion of a joint in a maneuver", unit="rad", check=POSITIVE
+    )
     time_offset: float = setting(
         0.0,
-        "about how much the joints' and the gyro's stamps are later than motion capture's, "
-        "until the gyro's and the base's turns show it",
+        "initial estimate of the offset of the joints' and the gyro's stamps relative to motion "
+        "capture's; the rotation of the base then refines it",
         unit="s", check=FINITE,
     )  # fmt: skip
     max_base_turn: float = setting(
-        3.0, "largest rate of the base; what it may turn by unseen, the gyro must have seen",
+        3.0, "largest turn rate of the base; gaps in its poses in which it could make half a turn "
+        "need the gyro",
         unit="rad/s", check=POSITIVE,
     )  # fmt: skip
 
@@ -112,12 +122,15 @@ class DriftFinderSettings(RestSettings):
     """
 
     min_duration: float = setting(
-        20.0, "a shorter rest of the arm is no drift", unit="s", check=POSITIVE
+        20.0, "shortest rest of the arm that is a drift", unit="s", check=POSITIVE
     )
     max_duration: float = setting(
-        120.0, "a longer rest of the arm is taken as several drifts", unit="s", check=POSITIVE
+        120.0,
+        "longest drift; a longer rest of the arm is split into several drifts",
+        unit="s",
+        check=POSITIVE,
     )
-    bin: float = setting(0.5, "time over which poses are averaged", unit="s", check=POSITIVE)
+    bin: float = setting(0.5, "averaging time of the poses", unit="s", check=POSITIVE)
 
 
 @dataclass(frozen=True)
@@ -129,6 +142,11 @@ class ExcitationSettings(StreamSettings):
     """
 
     joint_gap: float = setting(
-        1.0, "silence of a link for which an excitation is rejected", unit="s", check=POSITIVE
+        1.0,
+        "longest time without a frame of a link; a longer one rejects an excitation",
+        unit="s",
+        check=POSITIVE,
     )
-    min_speed: float = setting(0.01, "a slower joint stands still", unit="rad/s", check=POSITIVE)
+    min_speed: float = setting(
+        0.01, "speed below which a joint is at rest", unit="rad/s", check=POSITIVE
+    )

@@ -14,13 +14,13 @@ class Streams:
 
     silent: tuple[str, ...] = ()  # streams without any sample yet
     unknown: tuple[str, ...] = ()  # joints received that the arm does not have
-    others: tuple[str, ...] = ()  # names of joints received that are not joint_<i>
+    other_names: tuple[str, ...] = ()  # names of joints received that are not joint_<i>
     rejected: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
     set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
     offset: Offset = field(default_factory=Offset)  # between the clocks
-    offset_beyond: float = 0.0  # lower limit of the offset if it was outside the search [s]
+    offset_lower_bound: float = 0.0  # if the offset was outside the search, else 0 [s]
     frames: Mapping[str, str] = field(default_factory=dict)  # frame id of each subject seen
-    doubts: tuple[str, ...] = ()  # problems that may hide all data
+    problems: tuple[str, ...] = ()  # problems that may hide all data
     gyro_ratio: float = nan  # base's rotation by the gyro over that by motion capture
     boots: tuple[int, ...] = ()  # latest values, as in Observation
     homings: tuple[int, ...] = ()
@@ -37,14 +37,14 @@ class Found(Protocol):
 F = TypeVar("F", bound=Found)
 
 
-def newest(found: Sequence[F], most: int) -> list[F]:
-    """Return the newest `most` used data, and at most as many unused data since the first of these.
+def keep_newest(found: Sequence[F], max_count: int) -> list[F]:
+    """Return the newest used data, and at most as many unused data since the first of these.
 
     Rejected data therefore never displace used data. The function can be called whenever data are
     found: repeated calls keep the same data as one call for all of them.
     """
     used = [k for k, one in enumerate(found) if one.used]
-    first = used[-most] if len(used) >= most else 0
+    first = used[-max_count] if len(used) >= max_count else 0
     unused = [k for k, one in enumerate(found) if k >= first and not one.used]
-    which = {*used[-most:], *unused[-most:]}
+    which = {*used[-max_count:], *unused[-max_count:]}
     return [one for k, one in enumerate(found) if k in which]

@@ -1,4 +1,4 @@
-"""Evidence from maneuvers for the joint estimate: poses of the base."""
+"""Measurements of maneuvers for the joint estimate: poses of the base."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,26 +15,26 @@ from fss_arm_model.description import Arm
 
 
 @dataclass(frozen=True)
-class ManeuverEvidence:
-    """Evidence from maneuvers; unknown for each are its pose and momentum at the start."""
+class ManeuverMeasurements:
+    """Measurements of maneuvers; unknown for each are its pose and momentum at the start."""
 
     problem: DynamicProblem
 
     @property
-    def free(self) -> int:
+    def degrees_of_freedom(self) -> int:
         """Number of coordinates of the poses, less the unknowns without a prior."""
         return int(self.problem.free.sum())
 
-    def begin(self) -> Floats:
+    def initial_unknowns(self) -> Floats:
         """Return the initial guess: each maneuver starts at rest at its first observed pose."""
         return self.problem.start[len(self.problem.names) :]
 
-    def near(self, z: Floats, own: Floats) -> Linear:
+    def linearize(self, z: Floats, unknowns: Floats) -> Linear:
         """Linearize the residuals of the base's poses, divided by their standard deviations."""
         problem, size = self.problem, layout.size(self.problem.arm.n)
         states = np.zeros((len(problem.poses), 8))
         states[:, :3] = problem.poses[:, 0]
-        states[:, problem.own] = own.reshape(len(states), -1)
+        states[:, problem.own] = unknowns.reshape(len(states), -1)
         states[:, 6:] = z[size : size + 2]
         columns = np.zeros((size + 8, len(z)))
         columns[:size, :size] = np.eye(size)
@@ -42,12 +42,12 @@ class ManeuverEvidence:
         return problem.observed(z[:size], states, columns)
 
 
-def evidence(
+def measurements(
     maneuvers: Sequence[Maneuver], arm: Arm, settings: DynamicSettings
-) -> ManeuverEvidence:
-    """Return the evidence from maneuvers.
+) -> ManeuverMeasurements:
+    """Return the measurements of maneuvers.
 
     Raises:
         ValueError: the maneuvers do not match the arm.
     """
-    return ManeuverEvidence(problem_of(maneuvers, arm, settings))
+    return ManeuverMeasurements(problem_of(maneuvers, arm, settings))

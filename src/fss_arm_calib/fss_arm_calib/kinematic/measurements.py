@@ -1,4 +1,4 @@
-"""Evidence from rests for the joint estimate: end-effector poses relative to the base."""
+"""Measurements of rests for the joint estimate: end-effector poses relative to the base."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,36 +16,38 @@ from fss_arm_model.kinematics import tip_regressor
 
 
 @dataclass(frozen=True)
-class RestEvidence:
-    """Evidence from rests, which have no unknowns of their own."""
+class RestMeasurements:
+    """Measurements of rests, which have no unknowns of their own."""
 
     problem: KinematicProblem
 
     @property
-    def free(self) -> int:
+    def degrees_of_freedom(self) -> int:
         """Number of coordinates of the poses."""
         return self.problem.tip.size
 
-    def begin(self) -> Floats:
+    def initial_unknowns(self) -> Floats:
         """Return an empty vector: rests have no unknowns of their own."""
         return np.empty(0)
 
-    def near(self, z: Floats, own: Floats) -> Linear:
+    def linearize(self, z: Floats, unknowns: Floats) -> Linear:
         """Linearize the pose residuals near z, divided by their standard deviations."""
         problem, n = self.problem, self.problem.arm.n
         p = z[: layout.size(n)]
         J = np.zeros((*problem.tip.shape, len(z)))
         J[..., layout.kinematic_index(n)] = tip_regressor(p, problem.q)
         J[:, 2, layout.TIP_ANGLE] = 1.0
-        r = problem.normalized(problem.away(p)).ravel()
-        rows = problem.in_deviations(J).reshape(len(r), len(z))
+        r = problem.whiten_residuals(problem.pose_errors(p)).ravel()
+        rows = problem.whiten(J).reshape(len(r), len(z))
         return Linear(r, rows, r @ r, lambda dz: dz)
 
 
-def evidence(rests: Sequence[Observation], arm: Arm, settings: KinematicSettings) -> RestEvidence:
-    """Return the evidence from rests.
+def measurements(
+    rests: Sequence[Observation], arm: Arm, settings: KinematicSettings
+) -> RestMeasurements:
+    """Return the measurements of rests.
 
     Raises:
         ValueError: the rests do not match the arm.
     """
-    return RestEvidence(problem_of(rests, arm, settings))
+    return RestMeasurements(problem_of(rests, arm, settings))
