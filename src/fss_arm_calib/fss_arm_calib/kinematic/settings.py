@@ -13,7 +13,7 @@ from fss_arm_calib.kinematic.problem import (
     PARAMETRIZATIONS,
     POSITION_DEVIATION,
 )
-from fss_arm_calib.settings import CalibrationSettings, max_data
+from fss_arm_calib.settings import FRACTION, CalibrationSettings, max_data
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 
