@@ -43,7 +43,7 @@ OPENINGS = re.compile(
 )
 #: Names of functions and constants that state neither an action nor a quantity.
 NAMES = re.compile(
-    r"_*(?:told|tells?|take|taken|given?|heard?|hear|seen?|look|asked|said|own|near|far|late|known|"
+    r"_*(?:told|take|taken|given?|heard?|hear|seen?|look|asked|said|own|near|far|late|known|"
     r"kept|held|put|go|goes|went|together|alike|within|begin|most|least|often|slow|quiet|apart|"
     r"ahead|patience|enough|again|still|worst|whole|plain|sure)_*",
     re.IGNORECASE,

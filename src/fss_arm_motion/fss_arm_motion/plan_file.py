@@ -41,13 +41,13 @@ def digest(arm: Arm) -> str:
     return hashlib.sha256(to_yaml(arm).encode()).hexdigest()[:16]
 
 
-def _plain(value: Any) -> Any:
+def _to_builtin(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return _to_builtin(value.tolist())
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_to_builtin(one) for one in value]
     if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _to_builtin(one) for key, one in value.items()}
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
 
 
@@ -66,7 +66,9 @@ def written(start: Start, plan: Plan) -> str:
         "used": plan.used,
         "base": {"time": base.times, "pose": base.pose, "deviation": base.deviation},
     }
-    return HEAD + str(yaml.safe_dump(_plain(content), sort_keys=False, default_flow_style=None))
+    return HEAD + str(
+        yaml.safe_dump(_to_builtin(content), sort_keys=False, default_flow_style=None)
+    )
 
 
 class _Part:

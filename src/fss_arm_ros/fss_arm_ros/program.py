@@ -94,7 +94,7 @@ class Program:
         """Run with a command line (default sys.argv); return the exit code."""
         argv = list(sys.argv if args is None else args)
         name = Path(argv[0]).name
-        if {"-h", "--help"} & set(_plain(argv)):
+        if {"-h", "--help"} & set(_own_arguments(argv)):
             print(self.usage(name))
             return 0
         for flag, parameter in self.short.items():
@@ -108,7 +108,7 @@ class Program:
             return run(lambda *plain: make(*of, *plain), argv, self.takes)
 
 
-def _plain(argv: Sequence[str]) -> list[str]:
+def _own_arguments(argv: Sequence[str]) -> list[str]:
     """Return the arguments outside of `--ros-args ... --`."""
     plain, for_ros = [], False
     for word in argv[1:]:

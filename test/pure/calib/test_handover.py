@@ -192,8 +192,8 @@ def test_a_result_that_cannot_be_begun_from_is_refused(told, tmp_path, change, m
     [
         (["a_1", "a_1"], [[1.0, 0.0], [0.0, 1.0]], "names is .* expected a list of names"),
         (["a_1", "a_2"], [[1.0]], "covariance is 'of 1 values', expected of 2"),
-        (["a_1", "a_2"], [[1.0, 0.5], [0.4, 1.0]], "expected a symmetric one"),
-        (["a_1"], [[-1.0]], "expected a symmetric one, its diagonal 0 or more"),
+        (["a_1", "a_2"], [[1.0, 0.5], [0.4, 1.0]], "expected a symmetric matrix"),
+        (["a_1"], [[-1.0]], "expected a symmetric matrix whose diagonal is 0 or more"),
         (["a_1"], [["x"]], "expected as many rows"),
         (["a_1"], [[float("nan")]], "expected as many rows"),
     ],

@@ -148,14 +148,18 @@ class Board:
             self.state.tick(clock)
             self._broken |= self.state.valves() & plant.thrusters.broken
             measured = Measured(
-                self._gyro_sum, self._gyro_samples, plant.closed, plant.holds, self._slow(plant)
+                self._gyro_sum,
+                self._gyro_samples,
+                plant.closed,
+                plant.holds,
+                self._slow_fields(plant),
             )
             frame = self.state.telemetry(clock, self._sequence, measured)
             self._sequence += 1
             self._out.send(Datagram(encode(frame, self._key), self._peer), now, faults)
         return self._out.arrived(now)
 
-    def _slow(self, plant: Vehicle) -> dict[BaseSlow, int]:
+    def _slow_fields(self, plant: Vehicle) -> dict[BaseSlow, int]:
         tank, propulsion = plant.thrusters.pressure, plant.thrusters.propulsion
         return {
             BaseSlow.TANK: round(1e-3 * tank),
