@@ -30,7 +30,16 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
-from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, Telemetry, decode, encode
+from fss_arm_driver.protocol import (
+    Command,
+    LinkCommandFlag,
+    Mode,
+    Slow,
+    State,
+    Telemetry,
+    decode,
+    encode,
+)
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import SENSOR, sensor
 from fss_link.receiver import Receiver
@@ -119,8 +128,8 @@ class FakeLink(Peer):
         """Receive a command; return its set point [counts]."""
         command = decode(data)
         assert isinstance(command, Command)
-        state = {int(Order.ARM): State.ARMED, int(Order.STOP): State.STOPPED}
-        flag = state.get(command.flags & (Order.ARM | Order.STOP), 0)
+        state = {int(LinkCommandFlag.ARM): State.ARMED, int(LinkCommandFlag.STOP): State.STOPPED}
+        flag = state.get(command.flags & (LinkCommandFlag.ARM | LinkCommandFlag.STOP), 0)
         self.frame = replace(self.frame, echo=command.clock & 0xFFFFFFFF, flags=FRAME.flags | flag)
         self.arrival = time.monotonic()
         return command.set_point
@@ -299,7 +308,7 @@ def processor_share(rate: float, seconds: float) -> tuple[float, float]:
     def on_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
-            accepted[status.name] = int(values.get("believed", 0))
+            accepted[status.name] = int(values.get("accepted", 0))
 
     node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 100)
     executor.add_node(node)

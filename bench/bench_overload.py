@@ -30,7 +30,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
-from fss_arm_driver.protocol import Command, Order, decode
+from fss_arm_driver.protocol import Command, LinkCommandFlag, decode
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import LinkTelemetry
@@ -118,7 +118,7 @@ class Watch(Node):
         """Store the counters of the drivers."""
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
-            if "believed" in values:
+            if "accepted" in values:
                 counts = {name: int(n) for name, n in values.items() if n.isdigit()}
                 self.counts[status.name] = counts
 
@@ -187,8 +187,8 @@ def run(folder: str, count: int, rate: float, seconds: float, together: bool) ->
         links_process.join()
         watch.close()
     latencies = [
-        min((a.at for a in report.arrivals if a.link == k and a.at > at and a.flags & Order.STOP),
-            default=np.inf) - at
+        min((a.at for a in report.arrivals
+             if a.link == k and a.at > at and a.flags & LinkCommandFlag.STOP), default=np.inf) - at
         for at in stops for k in range(1, count + 1)
     ]  # fmt: skip
     gaps = [
@@ -197,7 +197,7 @@ def run(folder: str, count: int, rate: float, seconds: float, together: bool) ->
     ]
     gap = max((g.max(initial=0.0) for g in gaps), default=0.0)
     total = {name: sum(c.get(name, 0) for c in watch.counts.values())
-             for name in ("believed", "lost", "dropped")}  # fmt: skip
+             for name in ("accepted", "lost", "dropped")}  # fmt: skip
     sent = count * rate * (end - start)
     print(
         f"{count} links at {rate:g} Hz, {'one process' if together else 'one each'}: "

@@ -77,8 +77,8 @@ def missing_messages(bags: Bags) -> dict[str, int]:
     for _, _, _, message in bags.messages({"/diagnostics"}):
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
-            if "believed" in values:
-                published[f"{status.name}/telemetry"] = int(values["believed"])
+            if "accepted" in values:
+                published[f"{status.name}/telemetry"] = int(values["accepted"])
                 missed[status.name] = int(values.get("missed", 0))
     print("missed by the drivers, on the wire:", missed.total())
     if unreported := set(TELEMETRY) - set(published):

@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_driver.protocol import Order, State
+from fss_arm_driver.protocol import LinkCommandFlag, State
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import BaseTelemetry, LinkCommand, LinkTelemetry, SimTruth
@@ -261,7 +261,7 @@ def test_a_move_that_is_interrupted_comes_to_rest(spin, moving):
         process.send_signal(signal.SIGINT)
         spin(nodes, lambda: process.poll() is not None)
         assert process.returncode == 130
-        spin(nodes, lambda: not nodes[2].links.arbiter.holder(nodes[2].links.now()))
+        spin(nodes, lambda: not nodes[2].links.arbiter.current_name(nodes[2].links.now()))
         assert transports[0].link.position < 240_000 / 360 * 70
 
 
@@ -467,11 +467,11 @@ def test_a_hundred_stops_tell_the_truth_each_time(spin, start, telling, capsys):
 def test_faults_of_all_links_are_cleared(spin, bench, telling):
     nodes, transports = bench
     arm(spin, nodes, nodes[0])
-    said = "".join(f"link_{i}/clear_faults: asked for\n" for i in (1, 2))
+    said = "".join(f"link_{i}/clear_faults: clearing requested\n" for i in (1, 2))
     assert telling(nodes, (sys.executable, SCRIPT, "clear")) == (0, said, "")
     assert not nodes[0].session.armed
     for transport in transports:
-        assert transport.link.taken.flags & Order.CLEAR_FAULTS
+        assert transport.link.taken.flags & LinkCommandFlag.CLEAR_FAULTS
 
 
 def test_the_valves_are_armed(ros, telling):

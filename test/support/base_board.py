@@ -5,12 +5,12 @@ from dataclasses import replace
 from fss_base_driver.protocol import (
     NO_ON_TIMES,
     BaseCommand,
-    BaseOrder,
+    BaseCommandFlag,
     BaseSlow,
     BaseState,
     BaseTelemetry,
     BoardState,
-    Hand,
+    GripperFlag,
     board_gate,
     encode,
 )
@@ -20,11 +20,11 @@ KEY = bytes(range(16))
 SAMPLE = BaseTelemetry(
     link=0, flags=BaseState.ARMED | BaseState.LIMITED, boot=3, sequence=1000, clock=200_000_000,
     echo=0x89ABCDEF, turnaround=1500, gyro_sum=0xFFFFFB2E, gyro_samples=1234, valves=0b10000001,
-    gripper=Hand.TOLD_TO_CLOSE | Hand.CLOSED, pulse=41, pulse_age=123, slow_id=BaseSlow.SUPPLY,
-    slow_value=7001,
+    gripper=GripperFlag.COMMANDED_CLOSED | GripperFlag.CLOSED, pulse=41, pulse_age=123,
+    slow_id=BaseSlow.SUPPLY, slow_value=7001,
 )  # fmt: skip
 ORDER = BaseCommand(
-    link=0, flags=BaseOrder.ARM, boot=3, sequence=77, clock=1_700_000_000_000_000,
+    link=0, flags=BaseCommandFlag.ARM, boot=3, sequence=77, clock=1_700_000_000_000_000,
     expiry=201_000_000, pulse=42, watchdog=500, on_times=(300, 0, 0, 1000, 0, 0, 0, 55),
     gripper=2,
 )  # fmt: skip
@@ -32,10 +32,10 @@ QUIET = BaseCommand(
     link=0, flags=0, boot=BOOT, sequence=1, clock=5, expiry=0, pulse=0, watchdog=500
 )
 GO = replace(
-    QUIET, flags=BaseOrder.ARM, sequence=2, expiry=3 * SECOND, pulse=1,
+    QUIET, flags=BaseCommandFlag.ARM, sequence=2, expiry=3 * SECOND, pulse=1,
     on_times=(1000, 2000, 0, 0, 0, 0, 0, 0),
 )  # fmt: skip
-STOP = replace(QUIET, flags=BaseOrder.STOP)
+STOP = replace(QUIET, flags=BaseCommandFlag.STOP)
 
 
 def numbered(commands, begin=1):

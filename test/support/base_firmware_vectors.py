@@ -16,8 +16,8 @@ from fss_base_driver.protocol import (
     NO_ON_TIMES,
     VALVES,
     BaseCommand,
+    BaseCommandFlag,
     BaseFrame,
-    BaseOrder,
     BaseSlow,
     BaseTelemetry,
     decode,
@@ -63,13 +63,13 @@ def commands(rng: random.Random) -> Iterator[BaseCommand]:
     """Random ones, with extreme values among them."""
     while True:
         command = BaseCommand(
-            link=0, flags=rng.choice([0, BaseOrder.STOP, *3 * [BaseOrder.ARM]]),
+            link=0, flags=rng.choice([0, BaseCommandFlag.STOP, *3 * [BaseCommandFlag.ARM]]),
             boot=rng.choice([1, 7, 0xFFFF]), sequence=rng.getrandbits(32),
             clock=rng.choice([0, 1 << 63, rng.getrandbits(64)]),
             expiry=rng.choice([1, (1 << 64) - 1, rng.getrandbits(50) + 1]),
             pulse=0, watchdog=rng.choice([1, 500, 0xFFFF]), on_times=NO_ON_TIMES,
         )  # fmt: skip
-        if command.flags == BaseOrder.ARM:
+        if command.flags == BaseCommandFlag.ARM:
             pulse = rng.choice([0, 1, 0xFFFF, rng.getrandbits(16)])
             times = tuple(rng.choice([0, 1, 0xFFFF, rng.getrandbits(16)]) for _ in range(VALVES))
             times = times if pulse else NO_ON_TIMES

@@ -4,7 +4,16 @@ import struct
 from hashlib import blake2s
 from zlib import crc32
 
-from fss_arm_driver.protocol import LAST, Command, Mode, Order, Segment, Slow, State, Telemetry
+from fss_arm_driver.protocol import (
+    LAST_SEGMENT,
+    Command,
+    LinkCommandFlag,
+    Mode,
+    Segment,
+    Slow,
+    State,
+    Telemetry,
+)
 
 KEY = bytes(range(16))
 SAMPLE = Telemetry(
@@ -14,12 +23,12 @@ SAMPLE = Telemetry(
     slow_value=240,
 )  # fmt: skip
 ORDER = Command(
-    link=2, flags=Order.ARM, boot=3, sequence=77, clock=1_700_000_000_000_000,
+    link=2, flags=LinkCommandFlag.ARM, boot=3, sequence=77, clock=1_700_000_000_000_000,
     expiry=201_000_000, mode=Mode.POSITION, watchdog=2000, set_point=40000, velocity=381972,
     acceleration=7639,
 )  # fmt: skip
 PIECE = Segment(
-    link=2, flags=LAST, boot=3, sequence=78, clock=1_700_000_000_000_001, path=7, index=4,
+    link=2, flags=LAST_SEGMENT, boot=3, sequence=78, clock=1_700_000_000_000_001, path=7, index=4,
     begin=202_000_000, duration=2_500_000, position=40000, velocity=38197, end_position=-12000,
     end_velocity=0,
 )  # fmt: skip

@@ -9,8 +9,8 @@ from fss_arm_driver.faults import IN_MOTION
 from fss_arm_driver.protocol import (
     VELOCITY_UNIT,
     Command,
+    LinkCommandFlag,
     Mode,
-    Order,
     PathFollower,
     Segment,
     Slow,
@@ -54,7 +54,7 @@ class FakeLink:
     def take(self, data: bytes, now: int) -> None:
         command = decode(data, self.key)
         if isinstance(command, Segment):
-            assert self.paths.take(command, self.clock(now)) is None
+            assert self.paths.store(command, self.clock(now)) is None
             return
         assert isinstance(command, Command)
         assert command.boot in (0, self.frame.boot)
@@ -62,14 +62,14 @@ class FakeLink:
         assert command.expiry == 0 or self.clock(now) <= command.expiry
         self.taken, self.arrived = command, now
         latches = self.flags & (State.STOPPED | State.WATCHDOG)
-        if command.flags & Order.STOP:
+        if command.flags & LinkCommandFlag.STOP:
             self.flags = State.STOPPED
-        elif not command.flags & Order.ARM:
+        elif not command.flags & LinkCommandFlag.ARM:
             self.flags, self.speed = 0, 0.0
         elif not latches:
             self.flags = State.ARMED
-            self.referenced |= bool(command.flags & Order.HOME)
-            if command.flags & Order.HOME:
+            self.referenced |= bool(command.flags & LinkCommandFlag.HOME)
+            if command.flags & LinkCommandFlag.HOME:
                 self.speed = 0.0
             elif command.mode == Mode.POSITION:
                 self.target, self.speed = command.set_point, VELOCITY_UNIT * command.velocity
@@ -118,7 +118,7 @@ class FakeLine:
     """A transport with electronics at the other end, which talk and hear as long as they shall."""
 
     def __init__(self, clock):
-        self.counts, self.trouble = Counter(), ""
+        self.counts, self.problem = Counter(), ""
         self.clock = clock
         self.talks = self.hears = True
         self.last = 0

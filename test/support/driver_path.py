@@ -153,5 +153,5 @@ def spread(bed):
     for session, link in zip(bed.sessions, bed.bed.links, strict=True):
         path = session._paths.next or session._paths.followed
         now, later = link.clock(bed.bed.now), link.clock(bed.bed.now + SECOND)
-        begins.append((path.begin - now) / (later - now))
+        begins.append((path.start - now) / (later - now))
     return 1e3 * (max(begins) - min(begins))

@@ -15,10 +15,10 @@ from itertools import islice
 from driver_frames import sealed
 
 from fss_arm_driver.protocol import (
-    LAST,
+    LAST_SEGMENT,
     Command,
+    LinkCommandFlag,
     Mode,
-    Order,
     Segment,
     Slow,
     Telemetry,
@@ -67,8 +67,14 @@ def telemetries(rng: random.Random) -> Iterator[Telemetry]:
 
 def commands(rng: random.Random) -> Iterator[Command]:
     """Random ones, with extreme values among them."""
-    flags = [0, Order.ARM, Order.STOP, Order.ARM | Order.HOLD, Order.STOP | Order.CLEAR_FAULTS]
-    flags.append(Order.ARM | Order.HOME)
+    flags = [
+        0,
+        LinkCommandFlag.ARM,
+        LinkCommandFlag.STOP,
+        LinkCommandFlag.ARM | LinkCommandFlag.HOLD,
+        LinkCommandFlag.STOP | LinkCommandFlag.CLEAR_FAULTS,
+    ]
+    flags.append(LinkCommandFlag.ARM | LinkCommandFlag.HOME)
     while True:
         mode = rng.choice(list(Mode))
         set_point = rng.choice([-(1 << 31), (1 << 31) - 1, rng.getrandbits(16)])
@@ -89,7 +95,7 @@ def segments(rng: random.Random) -> Iterator[Segment]:
         return rng.choice([-(1 << 31), (1 << 31) - 1, 0, rng.randint(-(1 << 31), (1 << 31) - 1)])
 
     while True:
-        flags = rng.choice([0, 0, LAST])
+        flags = rng.choice([0, 0, LAST_SEGMENT])
         duration = rng.choice([1000, 60_000_000, rng.randint(1000, 60_000_000)])
         yield Segment(
             link=rng.randint(1, 255), flags=flags, boot=rng.choice([1, 7, 0xFFFF]),

@@ -3,7 +3,7 @@
 from contextlib import suppress
 from math import pi
 
-from fss_arm_driver.protocol import Mode, Order, Slow
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow
 from fss_arm_driver.scale import HOME
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
@@ -102,4 +102,4 @@ class Bench:
         return self.run(5.0, lambda: not self.session.lost)
 
 
-__all__ = ["COUNT", "Bench", "Mode", "Order"]
+__all__ = ["COUNT", "Bench", "LinkCommandFlag", "Mode"]

@@ -1,4 +1,4 @@
-"""The node of the whole arm: its state, the ways to move it, and one answer for all links."""
+"""Node of the whole arm: its state, its motions, and services for all links."""
 
 import sys
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.arm.guard_topics import GuardTopics
-from fss_arm_driver.arm.link_topics import LinkTopics, Take, in_words
+from fss_arm_driver.arm.link_topics import CommandSink, LinkTopics, describe_problems
 from fss_arm_driver.arm.move_action import MoveAction
 from fss_arm_driver.arm.state_topics import StateTopics
 from fss_arm_driver.arm.stream_topic import StreamTopic
@@ -22,22 +22,22 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import subscribe_stop
 
-ANSWER = 6.0  # a link's driver has answered by then [s]
-HEARTBEAT = 0.5  # of diagnostics: at most 1 s old, even while a long goal is planned [s]
+ANSWER_TIMEOUT = 6.0  # for a link's driver to answer [s]
+HEARTBEAT = 0.5  # period of diagnostics: at most 1 s old, even while a long goal is planned [s]
 
 
 class ArmNode(Node):
-    """Says what all joints do, moves them by moves, trajectories and streams, arms the links.
+    """Node that publishes all joints, moves them by moves, trajectories and streams, and arms them.
 
     Args:
-        kind: ArmSettings, or more than these.
-        local: what takes commands of links whose drivers are in this process, by number.
+        kind: ArmSettings, or a subclass.
+        local: callbacks for the commands of links whose drivers are in this process, by number.
     """
 
     def __init__(
         self,
         kind: type[ArmSettings] = ArmSettings,
-        local: Mapping[int, Take] | None = None,
+        local: Mapping[int, CommandSink] | None = None,
         **options: Any,
     ) -> None:
         super().__init__("arm", **options)
@@ -49,32 +49,32 @@ class ArmNode(Node):
         self.trajectories = TrajectoryAction(self.links, self.guard)
         self.streams = StreamTopic(self.links, self.guard)
         subscribe_stop(self, "arm/stop", lambda _: self.links.stop())
-        waits = ReentrantCallbackGroup()  # answers take their time; all else goes on
+        concurrent = ReentrantCallbackGroup()  # other callbacks run while answers are awaited
         self.armers = [
-            self.create_client(SetBool, f"link_{i}/arm", callback_group=waits)
+            self.create_client(SetBool, f"link_{i}/arm", callback_group=concurrent)
             for i in self.links.numbers
         ]
-        self.create_service(SetBool, "arm/enable", self.on_arm, callback_group=waits)
+        self.create_service(SetBool, "arm/enable", self.on_arm, callback_group=concurrent)
         self.create_timer(1.0 / self.settings.rate, self.tick, clock=self.links.clock)
         self.diagnostics = Diagnostics(self, self.health, period=HEARTBEAT)
 
     def close(self) -> None:
-        """Give back what a node does not destroy by itself."""
+        """Release what the node does not destroy by itself."""
         self.streams.close()
         self.moves.server.destroy()
         self.trajectories.close()
 
     def tick(self) -> None:
-        """See where base and target are, and let a motion under way go on."""
-        self.guard.look()
+        """Receive the poses of base and target, and continue the current motion."""
+        self.guard.poll()
         self.links.tick()
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
-        """Pass the request on to all links at once; succeed if all do. An old one arms nothing."""
+        """Forward the request to all links; succeed if all do. After a pause nothing is armed."""
         if request.data and (old := self.links.interruption()):
             response.message = old
             return response
-        pending = [self.ask(client, request) for client in self.armers]
+        pending = [self.call(client, request) for client in self.armers]
         answers = [await answer for answer in pending]
         texts = [
             f"link {i} did not answer" if answer is None else answer.message
@@ -86,33 +86,33 @@ class ArmNode(Node):
         response.message = "; ".join(texts) or f"all {len(self.armers)} links are {words}"
         return response
 
-    def ask(self, client: Any, request: SetBool.Request) -> Future:
-        """The answer to a request, or None when it has not come in time or nobody is there."""
+    def call(self, client: Any, request: SetBool.Request) -> Future:
+        """Return the future answer to a request: None after a timeout, or if no driver runs."""
         if not client.service_is_ready():
-            nobody = Future()
-            nobody.set_result(None)
-            return nobody
+            unavailable = Future()
+            unavailable.set_result(None)
+            return unavailable
         answer = client.call_async(request)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = self.create_timer(ANSWER, answer.cancel, clock=steady)
+        timer = self.create_timer(ANSWER_TIMEOUT, answer.cancel, clock=steady)
         answer.add_done_callback(lambda _: self.destroy_timer(timer))
         return answer
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """Return the health for diagnostics."""
         links, stream = self.links, self.streams.stream
-        troubles = links.troubles()
-        values: dict[str, Any] = {f"link {i}": troubles.get(i, "armed") for i in links.numbers}
-        values["arm/joint_states"] = self.states.withheld or "published"
-        values["guarded against"] = self.guard.words()
+        problems = links.problems()
+        values: dict[str, Any] = {f"link {i}": problems.get(i, "armed") for i in links.numbers}
+        values["arm/joint_states"] = self.states.withheld_reason or "published"
+        values["guarded against"] = self.guard.describe_protection()
         values["path"] = links.path
-        values["commands taken"] = stream.taken
+        values["commands accepted"] = stream.accepted
         values |= {f"commands refused: {kind}": n for kind, n in sorted(stream.refused.items())}
-        if troubles:
-            return Health(WARN, in_words(troubles), values)
-        if why := self.states.withheld:
+        if problems:
+            return Health(WARN, describe_problems(problems), values)
+        if why := self.states.withheld_reason:
             return Health(WARN, f"no arm/joint_states: {why}", values)
-        return Health(OK, links.arbiter.holder(links.now()) or "ready", values)
+        return Health(OK, links.arbiter.current_name(links.now()) or "ready", values)
 
 
 if __name__ == "__main__":

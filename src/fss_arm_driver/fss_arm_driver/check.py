@@ -16,7 +16,7 @@ from fss_arm_model.description_file import described
 from fss_arm_ros.command_line import Parser, in_one_line, interrupt_at_end
 from fss_link.protocol import load_keys
 
-SEARCH = 3.0  # for each link's number at a URL [s]
+SEARCH_TIMEOUT = 3.0  # for each link's number at a URL [s]
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
 
 
@@ -25,7 +25,7 @@ def find(url: str, arm: Arm, keys: Mapping[int, bytes]) -> Rig | None:
     for number, link in enumerate(arm.links, 1):
         transport = open_transport(url, number, keys.get(number))
         rig = Rig(number, link, transport, keys.get(number))
-        if rig.listen(SEARCH):
+        if rig.listen(SEARCH_TIMEOUT):
             return rig
         transport.close()
     return None
@@ -33,7 +33,11 @@ def find(url: str, arm: Arm, keys: Mapping[int, bytes]) -> Rig | None:
 
 def as_yaml(findings: list[Finding], urls: dict[int, str], when: str) -> str:
     """Format the findings as YAML."""
-    lines = ["# What `ros2 run fss_arm_driver check` found.", f"when: {json.dumps(when)}", "links:"]
+    lines = [
+        "# Findings of `ros2 run fss_arm_driver check`.",
+        f"when: {json.dumps(when)}",
+        "links:",
+    ]
     for number, url in urls.items():
         lines += [f"  - link: {number}", f"    url: {json.dumps(url)}", "    findings:"]
         for finding in findings:
@@ -48,14 +52,16 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = Parser(
         prog="check",
-        description="Try links, one at a time, and write down what was found.",
-        epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 something was not tried.",
+        description="Test links, one at a time, and write the findings to a file.",
+        epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 a test was not carried out.",
     )
-    p.add_argument("urls", metavar="URL", nargs="+", help="where a link may be")
+    p.add_argument("urls", metavar="URL", nargs="+", help="URL of a link")
     p.add_argument("--arm", default="", help="the arm's description (default: the paper's)")
     p.add_argument("--keys", default="", help="file of the links' keys")
-    p.add_argument("--current", type=float, default=0.1, help="first step of current [A]")
-    p.add_argument("--output", default="check.yaml", help="what is written")
+    p.add_argument(
+        "--current", type=float, default=0.1, help="first step of current [A] (default: 0.1)"
+    )
+    p.add_argument("--output", default="check.yaml", help="file to write (default: check.yaml)")
     return p
 
 
@@ -99,7 +105,7 @@ def run(given: argparse.Namespace) -> int:
                     result = f"{finding.name}: {finding.verdict}: {finding.found}"
                     print(f"link {finding.link}: {result}")
     except (EOFError, KeyboardInterrupt) as end:
-        why = "no more input" if isinstance(end, EOFError) else "interrupted"
+        why = "end of input" if isinstance(end, EOFError) else "interrupted"
         findings.append(Finding(number, COMPLETE, NOT_TRIED, why))
         places.setdefault(number, url)
         print(f"check: {why}", file=sys.stderr)

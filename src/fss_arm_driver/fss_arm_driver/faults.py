@@ -100,17 +100,17 @@ FAULTS = (
 _BLOCKING = sum(1 << f.bit for f in FAULTS if f.word is Word.STATUS and f.blocks)  # of the status
 
 
-def present(status: int, faults: int) -> list[Fault]:
+def active_faults(status: int, faults: int) -> list[Fault]:
     """Return the entries of the table that are set in the drive's two words."""
     words = {Word.STATUS: status, Word.FAULTS: faults}
     return [fault for fault in FAULTS if words[fault.word] >> fault.bit & 1]
 
 
-def blocking(status: int, faults: int) -> list[str]:
+def blocking_faults(status: int, faults: int) -> list[str]:
     """Return the names of the faults that block motion, each once, without a redundant summary."""
     if not (status & _BLOCKING or faults):
         return []
-    names = [fault.name for fault in present(status, faults) if fault.blocks]
+    names = [fault.name for fault in active_faults(status, faults) if fault.blocks]
     known = {fault.bit for fault in FAULTS if fault.word is Word.FAULTS}
     names += [f"latched fault {bit}" for bit in range(32) if faults >> bit & 1 and bit not in known]
     if len(names) > 1 and "latched fault" in names:

@@ -1,4 +1,4 @@
-"""The knots of a joint's path in time, checked against its limits, in a link's counts."""
+"""Knots of a joint's timed path, checked against its limits, in a link's counts."""
 
 from collections.abc import Iterator, Sequence
 from math import sqrt
@@ -13,14 +13,17 @@ from fss_link.session import CommandError
 
 Floats = npt.NDArray[np.float64]
 
-SHORTEST, LONGEST = 2000, 59_000_000  # from knot to knot; more is left than clocks differ [us]
+MIN_INTERVAL, MAX_INTERVAL = (
+    2000,
+    59_000_000,
+)  # between knots; the protocol allows slightly more, for clock drift [us]
 TOLERANCE = 1e-6  # of limits [rad, rad/s]
 
 
 class Knot(NamedTuple):
-    """A time, and what the joint does then."""
+    """State of the joint at one time."""
 
-    time: int  # since the path begins [us]
+    time: int  # since the start of the path [us]
     position: int  # [counts]
     velocity: int  # [0.1 counts/s]
 
@@ -28,7 +31,7 @@ class Knot(NamedTuple):
 def knots(
     scale: Scale, time: Sequence[float], position: Sequence[float], velocity: Sequence[float]
 ) -> tuple[Knot, ...]:
-    """The knots of a path of cubics (Hermite's), as a link takes them.
+    """Convert a path of cubic Hermite polynomials to the knots of a link.
 
     Args:
         scale: the link's units and limits.
@@ -37,12 +40,12 @@ def knots(
         velocity: (n) of the joint [rad/s].
 
     Raises:
-        CommandError: they make no path, or one beyond the joint's limits.
+        CommandError: they are no valid path, or exceed the joint's limits.
     """
     lengths = len(time), len(position), len(velocity)
     if len(set(lengths)) > 1 or not 2 <= len(time) <= MAX_INDEX + 2:
         raise CommandError(
-            f"time, position and velocity hold {lengths[0]}, {lengths[1]} and {lengths[2]} values, "
+            f"time, position and velocity have {lengths[0]}, {lengths[1]} and {lengths[2]} values, "
             f"expected as many of each, 2 to {MAX_INDEX + 2}"
         )
     for name, values in (("time", time), ("position", position), ("velocity", velocity)):
@@ -55,10 +58,10 @@ def knots(
     with np.errstate(over="ignore", invalid="ignore"):
         clocks = np.rint(1e6 * np.asarray(time))
         steps = np.diff(clocks)
-    for k in np.flatnonzero((steps < SHORTEST) | (steps > LONGEST)).tolist():
+    for k in np.flatnonzero((steps < MIN_INTERVAL) | (steps > MAX_INTERVAL)).tolist():
         raise CommandError(
             f"time[{k + 1}] is {1e-6 * steps[k]:g} s after the one before, expected "
-            f"{1e-6 * SHORTEST:g} to {1e-6 * LONGEST:g} s"
+            f"{1e-6 * MIN_INTERVAL:g} to {1e-6 * MAX_INTERVAL:g} s"
         )
     q, qd = np.asarray(position), np.asarray(velocity)
     for k in _doubtful_segments(scale, np.asarray(time), q, qd):
@@ -84,7 +87,7 @@ def _doubtful_segments(scale: Scale, time: Floats, q: Floats, qd: Floats) -> lis
 def _check_limits(
     scale: Scale, k: int, time: Sequence[float], q: Sequence[float], qd: Sequence[float]
 ) -> None:
-    """Check that the cubic that ends at knot k keeps the limits of the joint."""
+    """Check that the cubic that ends at knot k is within the joint's limits."""
     link, fastest = scale.link, scale.link.drive.max_velocity
     cubic = time[k] - time[k - 1], q[k - 1], qd[k - 1], q[k], qd[k]
     for t in _turning_points(*cubic):
@@ -102,7 +105,7 @@ def _check_limits(
 
 
 def _turning_points(duration: float, p0: float, v0: float, p1: float, v1: float) -> Iterator[float]:
-    """Times at which a cubic or its velocity may be greatest: its ends, and where either turns."""
+    """Yield the times of possible extremes of a cubic or its velocity: ends and turning points."""
     yield from (0.0, duration)
     rise, a, b = p1 - p0, duration * v0, duration * v1
     square, cube = 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise

@@ -18,7 +18,7 @@ from fss_arm_driver.messages import (
     SampleMessages,
     command_refused,
     command_status,
-    state_words,
+    describe_state,
 )
 from fss_arm_driver.programs import link as main
 from fss_arm_driver.protocol import Slow
@@ -54,7 +54,7 @@ class LinkNode(SessionNode):
     """
 
     session: LinkSession
-    unconfirmed = "does not say that it is off"
+    unconfirmed = "does not confirm that it is off"
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class LinkNode(SessionNode):
             self.resolution,
             settings.key(),
             settings.empty,
-            self.clock.ahead,
+            self.clock.offset,
             settings.arm,
         )
         transport = transport or open_transport(settings.url, number, settings.key())
@@ -98,21 +98,23 @@ class LinkNode(SessionNode):
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
         self.pacer = Pacer(settings.max_rate)
         period = 1.0 / settings.rate
-        self.late = self.create_timer(period, self.send, clock=timer_clock(self), autostart=False)
+        self.delayed_send = self.create_timer(
+            period, self.send, clock=timer_clock(self), autostart=False
+        )
         self.messages = SampleMessages(self.session, self.settings.frame_prefix)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
-        self.begin(f"{self.name}/arm")
+        self.start_communication(f"{self.name}/arm")
         self.commands = SubscriptionThread(self, [
             *(Topic(Empty, "arm/stop", qos, self.on_stop) for qos in STOPS),
             Topic(LinkCommand, f"{self.name}/command", COMMAND, self.on_command),
         ])  # fmt: skip
 
-    def take(self, data: bytes, now: int) -> None:
+    def process_datagram(self, data: bytes, now: int) -> None:
         """Publish the contents of a datagram; the joint's state first."""
         sample = self.session.measure(data, now)
         if sample is None:
             return
-        sample = sample._replace(stamp=sample.stamp + self.clock.ahead)
+        sample = sample._replace(stamp=sample.stamp + self.clock.offset)
         if sample.referenced:  # else the position is not valid
             self.joint_states.publish(self.messages.joint_state(sample))
         self.session.follow(sample)
@@ -120,9 +122,9 @@ class LinkNode(SessionNode):
         if sample.frame.slow_id == Slow.BATTERY:
             self.battery.publish(self.messages.battery(sample))
 
-    def complain(self) -> None:
+    def log_changes(self) -> None:
         """Log changes and problems, each problem once when it starts."""
-        super().complain()
+        super().log_changes()
         self.warn("path", self.session.breakage)
 
     def transmit(self) -> None:
@@ -134,9 +136,9 @@ class LinkNode(SessionNode):
             period = self.path_period if self.session.follows else self.period
             if period != self.steady.timer_period_ns:
                 self.steady.timer_period_ns = period
-                self.news.trigger()  # wakes the executor
+                self.wakeup.trigger()  # wakes the executor
             self.steady.reset()
-            self.late.cancel()
+            self.delayed_send.cancel()
 
     def send_path(self, now: int) -> None:
         """Send the path segments that the link lacks."""
@@ -149,19 +151,19 @@ class LinkNode(SessionNode):
         This runs in a separate thread; the executor reports the command's status later.
         """
         with self.lock:
-            now, before, ahead = self.now(), self.session.progress, self.clock.ahead
+            now, before, ahead = self.now(), self.session.progress, self.clock.offset
             given = stamp_ns(message.header.stamp)
             given = min(given - ahead, now) if given else now
             try:
-                self.order(message, given, now)
+                self.set_command(message, given, now)
                 self.warn("command refused", "")
-                self.pass_on(now)
+                self.send_soon(now)
             except CommandError as error:
-                self.refuse("command", error, given)
+                self.report_refusal("command", error, given)
             if before and before is not self.session.progress:
                 self.replaced.append(before)
 
-    def order(self, message: LinkCommand, given: int, now: int) -> None:
+    def set_command(self, message: LinkCommand, given: int, now: int) -> None:
         """Pass a command given at `given` to the session, or raise CommandError."""
         if not 0.0 < (lives := message.time_to_live) <= 3600.0:
             raise CommandError(f"time_to_live is {lives} s, expected above 0")
@@ -175,30 +177,30 @@ class LinkNode(SessionNode):
             now,
         )
 
-    def pass_on(self, now: int) -> None:
+    def send_soon(self, now: int) -> None:
         """Send the accepted command at once, or as soon as the highest rate allows."""
         if wait := self.pacer.wait(now):
-            self.late.timer_period_ns = wait
-            self.late.reset()
-            self.news.trigger()  # wakes the executor
+            self.delayed_send.timer_period_ns = wait
+            self.delayed_send.reset()
+            self.wakeup.trigger()  # wakes the executor
         else:
             self.transmit()
 
     def on_path(self, message: LinkPath) -> None:
         """Accept a path, and send its first segments to the link."""
         with self.lock:
-            now, begin = self.now(), stamp_ns(message.header.stamp) - self.clock.ahead
+            now, begin = self.now(), stamp_ns(message.header.stamp) - self.clock.offset
             knots = message.time, message.position, message.velocity
             try:
                 self.session.give_path(message.path, begin, *knots, now)
                 self.warn("path refused", "")
             except CommandError as error:
-                self.refuse("path", error, now)
+                self.report_refusal("path", error, now)
             self.send_path(now)
 
-    def refuse(self, what: str, error: CommandError, given: int) -> None:
+    def report_refusal(self, what: str, error: CommandError, given: int) -> None:
         """Report that a command or a path is refused."""
-        ahead = self.clock.ahead
+        ahead = self.clock.offset
         self.status.publish(command_refused(str(error), given + ahead, self.now() + ahead))
         self.warn(f"{what} refused", f"{what} refused: {error}")
 
@@ -207,11 +209,11 @@ class LinkNode(SessionNode):
         with self.lock:
             self.session.stop()
         self.transmit()
-        self.news.trigger()
+        self.wakeup.trigger()
 
-    def state_words(self) -> str:
+    def describe_state(self) -> str:
         """Return the link's state in words."""
-        return state_words(self.session)
+        return describe_state(self.session)
 
     def on_clear_faults(self, _: Trigger.Request, response: Trigger.Response) -> Any:
         """Disarm and clear the drive's latched faults; telemetry shows those that remain."""
@@ -219,10 +221,10 @@ class LinkNode(SessionNode):
             self.session.clear_faults(self.now())
         self.send()
         response.success = not self.session.lost
-        response.message = "asked for" if response.success else f"{self.name} is lost"
+        response.message = "clearing requested" if response.success else f"{self.name} is lost"
         return response
 
-    def has_news(self) -> bool:
+    def has_pending_answers(self) -> bool:
         """Return True if a request waits, or the last command's status is not yet reported."""
         progress = self.session.progress
         progressed = progress and (progress.given, progress.status) != self.reported
@@ -231,23 +233,23 @@ class LinkNode(SessionNode):
     def report(self, progress: Progress) -> None:
         """Publish the progress of a command, if it has changed."""
         if (progress.given, progress.status) != self.reported:
-            self.reported, ahead = (progress.given, progress.status), self.clock.ahead
+            self.reported, ahead = (progress.given, progress.status), self.clock.offset
             if progress.given != self.given[0]:
                 self.given = progress.given, progress.given + ahead
             self.status.publish(command_status(progress, self.given[1], self.now() + ahead))
 
-    def answer(self) -> None:
+    def answer_requests(self) -> None:
         """Report changes: the progress of the last command, and the end of arming."""
         with self.lock:
             while self.replaced:
                 self.report(self.replaced.popleft())
             if self.session.progress:
                 self.report(self.session.progress)
-        super().answer()
+        super().answer_requests()
 
     def health(self) -> Health:
         """Return the status for diagnostics, and log, as a stream of commands delays the timer."""
-        self.complain()
+        self.log_changes()
         with self.lock:
             return self.link_health(self.now())
 
@@ -265,7 +267,7 @@ def make_nodes(kind: type[LinkSettings] = LinkSettings) -> list[LinkNode]:
     quiet = {"enable_rosout": False, "start_parameter_services": False}
     # With the last node of a process Fast DDS (2.14) deletes its participant. This was seen to hang
     # while other nodes were being discovered, so one node stays until the links' nodes exist.
-    stays = Node("_begins", use_global_arguments=False, **quiet)
+    keeper = Node("_begins", use_global_arguments=False, **quiet)
     probe = Node("link", **quiet)
     try:
         s = declare(probe, kind)
@@ -273,7 +275,7 @@ def make_nodes(kind: type[LinkSettings] = LinkSettings) -> list[LinkNode]:
         links = enumerate(s.urls, 1) if s.urls else [(s.link, s.url)]
         return [LinkNode(number, url, kind=kind) for number, url in links]
     finally:
-        stays.destroy_node()
+        keeper.destroy_node()
 
 
 if __name__ == "__main__":

@@ -1,74 +1,77 @@
-"""Whether a motion may go on: who asked for it, this process and its clocks; times in s."""
+"""Checks whether a motion may continue: its client, this process and its clocks; times in s."""
 
 from dataclasses import dataclass
 
-DISCOVERY = 3.0  # by then ROS knows of a client that has asked already [s]
+DISCOVERY = 3.0  # time in which ROS discovers the client [s]
 
 
 class GoalClient:
-    """Whoever asked for a move: shall confirm that again and again, if it said it would.
+    """Client of a goal; it must send keep-alives if it has announced them.
 
     Args:
-        keep_alive: silence that means it is gone [s]; 0: it never does.
-        now: when it asked.
+        keep_alive: silence after which the client is gone [s]; 0: it sends no keep-alives.
+        now: time of the request.
     """
 
     def __init__(self, keep_alive: float, now: float) -> None:
-        self.keep_alive, self.heard = keep_alive, now
-        self._unseen = now + DISCOVERY
+        self.keep_alive, self.last_alive = keep_alive, now
+        self._deadline = now + DISCOVERY
 
-    def gone(self, now: float, seen: bool) -> str:
-        """That it is gone, in words; `seen`: ROS knows of a client that awaits a result."""
-        if self.keep_alive and now - self.heard > self.keep_alive:
-            return f"whoever asked for it is silent for {now - self.heard:.1f} s"
-        if seen:
-            self._unseen = 0.0  # from now on it is missed at once
-        return "whoever asked for it is gone" if not seen and now > self._unseen else ""
+    def lost_reason(self, now: float, connected: bool) -> str:
+        """Return why the client counts as gone, else empty.
+
+        `connected`: ROS knows of a client that awaits a result.
+        """
+        if self.keep_alive and now - self.last_alive > self.keep_alive:
+            return f"its client has been silent for {now - self.last_alive:.1f} s"
+        if connected:
+            self._deadline = 0.0  # from now on its absence counts at once
+        return "its client is gone" if not connected and now > self._deadline else ""
 
 
 @dataclass
 class Stall:
-    """Detects pauses of a process, and reports one for as long again: its messages may be old.
+    """Detector of pauses of a process; it reports one for a while, as received messages may be old.
 
     `now` may jump back, as simulated time does when it restarts.
     """
 
     max_interval: float  # from one check to the next without being a stall [s]
-    lasted: float = 0.0  # the last one [s]
-    ended: float = float("-inf")
-    checked: float | None = None
+    duration: float = 0.0  # the last one [s]
+    end: float = float("-inf")
+    last_check: float | None = None
 
     def check(self, now: float) -> str:
         """Describe the last pause while it is recent; empty: there was none."""
-        late, self.checked = now - (now if self.checked is None else self.checked), now
+        late, self.last_check = now - (now if self.last_check is None else self.last_check), now
         if late > self.max_interval:
-            self.lasted, self.ended = late, now
-        recent = 0.0 <= now - self.ended < self.max_interval
-        return f"this node paused for {self.lasted:.1f} s" if recent else ""
+            self.duration, self.end = late, now
+        recent = 0.0 <= now - self.end < self.max_interval
+        return f"this node paused for {self.duration:.1f} s" if recent else ""
 
 
 @dataclass
-class Steps:
-    """Finds that the time of day was set, and says so for a while.
+class ClockSteps:
+    """Detector of steps of the time of day; it reports one for a while.
 
     Motions are planned by the time of day, and commands and measurements stamped with it.
     """
 
-    least: float  # change that is no adjustment [s]
-    lasts: float  # for how long to say so [s]
+    min_step: float  # smaller changes are adjustments [s]
+    report_time: float  # for which a step is reported [s]
     step: float = 0.0  # the last one [s]
-    found: float = float("-inf")
-    ahead: float | None = None
+    detected: float = float("-inf")
+    offset: float | None = None
 
-    def check(self, ahead: float, now: float) -> str:
-        """What to say of a step that was just now, if there was one.
+    def check(self, offset: float, now: float) -> str:
+        """Describe a recent step; empty: there was none.
 
         Args:
-            ahead: the time of day less `now` [s].
-            now: time by a clock that nobody sets [s].
+            offset: time of day minus `now` [s].
+            now: time of a clock that is never set [s].
         """
-        before, self.ahead = self.ahead, ahead
-        if before is not None and abs(ahead - before) > self.least:
-            self.step, self.found = ahead - before, now
-        recent = 0.0 <= now - self.found < self.lasts
+        before, self.offset = self.offset, offset
+        if before is not None and abs(offset - before) > self.min_step:
+            self.step, self.detected = offset - before, now
+        recent = 0.0 <= now - self.detected < self.report_time
         return f"the clock of this computer was set by {self.step:+.1f} s" if recent else ""

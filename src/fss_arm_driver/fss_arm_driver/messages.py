@@ -6,7 +6,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import BatteryState, JointState
 
-from fss_arm_driver.faults import present
+from fss_arm_driver.faults import active_faults
 from fss_arm_driver.protocol import NO_TORQUE, Slow, State
 from fss_arm_driver.session import LinkSession, Progress, Sample, Status
 from fss_arm_msgs.msg import CommandStatus, LinkTelemetry
@@ -25,7 +25,7 @@ SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s not in UNREPORTED
 LATCHED_WORDS = {
     State.STOPPED: "the link is stopped",
     State.WATCHDOG: "its watchdog tripped",
-    State.BROKEN: "its last path broke off",
+    State.BROKEN: "its last path was aborted",
 }
 
 
@@ -99,7 +99,7 @@ def command_refused(reason: str, given: int, now: int) -> CommandStatus:
     return message
 
 
-def state_words(session: LinkSession) -> str:
+def describe_state(session: LinkSession) -> str:
     """Return the link's state in words."""
     flags = session.frame.flags if session.frame else 0
     words = [text for latch, text in LATCHED_WORDS.items() if flags & latch]
@@ -119,22 +119,22 @@ class LinkHealth(SessionHealth):
     def __init__(self, session: LinkSession, transport: Transport, signed: bool) -> None:
         super().__init__(f"link_{session.number}", session, transport, signed)
 
-    def words(self) -> str:
+    def describe_state(self) -> str:
         """Return the link's state in words."""
-        return state_words(self.session)
+        return describe_state(self.session)
 
-    def doubt(self) -> str:
+    def extra_warning(self) -> str:
         """Return a warning if the link has not reported an expected serial number."""
-        return self.session.nameless
+        return self.session.serial_problem
 
-    def is_well(self) -> bool:
+    def is_healthy(self) -> bool:
         """Return True if the link's positions are valid."""
         return self.session.referenced
 
     def values(self) -> dict[str, Any]:
         """Return the values that the drive reports."""
         session, slow = self.session, self.session.slow
-        known = [f.name for f in present(session.frame.status, 0)] if session.frame else []
+        known = [f.name for f in active_faults(session.frame.status, 0)] if session.frame else []
         return {
             "faults": ", ".join(session.faults) or "none",
             "drive": ", ".join(known) or "nothing to report",
@@ -142,6 +142,6 @@ class LinkHealth(SessionHealth):
             "homings": slow.get(Slow.HOMINGS, 0),
             "supply [V]": 0.1 * slow[Slow.SUPPLY] if Slow.SUPPLY in slow else "not reported",
             "temperature [deg C]": slow.get(Slow.TEMPERATURE, "not reported"),
-            "serial": slow.get(Slow.SERIAL, "not told yet"),
+            "serial": slow.get(Slow.SERIAL, "not reported yet"),
             "expected serial": session.serial or "any",
         }

@@ -1,4 +1,4 @@
-"""A move in which all joints begin and arrive together: one trapezoid, scaled joint by joint.
+"""Move in which all joints start and arrive together: one trapezoid, scaled for each joint.
 
 With s from 0 to 1 as the common path, joint i turns by d_i s(t): its profile velocity is
 |d_i| V and its acceleration |d_i| A for the rate V and acceleration A of s, the largest that no
@@ -15,26 +15,26 @@ from math import ceil, copysign, degrees, sqrt
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Arm, Link
 
-MIN_TRAVEL = 1e-9  # [rad], a way not worth a profile
+MIN_TRAVEL = 1e-9  # a shorter way needs no profile [rad]
 MAX_DURATION = 3600.0  # of any motion [s]
 MIN_KEEP_ALIVE = 0.05  # [s]; less than a client on Wi-Fi can keep
-STEPS = 50  # of a frame, that an acceleration has at least: so it is rounded by 1% at most
+STEPS = 50  # least acceleration, in steps of a frame, so that rounding changes it by 1% at most
 
 
 class MoveError(ValueError):
-    """A move that must not be begun; the message says which joint, value and limits."""
+    """Error of an invalid move; the message names joint, value and limits."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """One joint's part in a move; 0 and 0 for a joint that stays, which leaves it to the link."""
+    """Profile of one joint in a move; velocity and acceleration are 0 if the joint stays."""
 
     target: float  # [rad]
     velocity: float  # [rad/s]
     acceleration: float  # [rad/s^2]
 
     def at(self, start: float, t: float) -> tuple[float, float]:
-        """Angle [rad] and rate [rad/s] at a time since it began at rest at `start` [s]."""
+        """Return angle [rad] and rate [rad/s] at time t [s] since it left `start` at rest."""
         way = self.target - start
         if not self.velocity or abs(way) <= MIN_TRAVEL:
             return self.target, 0.0
@@ -60,7 +60,7 @@ class Move:
     duration: float  # [s]
 
     def at(self, t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Angles [rad] and rates [rad/s] of all joints at a time since its begin [s]."""
+        """Return angles [rad] and rates [rad/s] of all joints at time t since the start [s]."""
         states = [p.at(q, t) for p, q in zip(self.profiles, self.start, strict=True)]
         return tuple(q for q, _ in states), tuple(qd for _, qd in states)
 
@@ -70,13 +70,13 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
 
     Args:
         arm: the limits.
-        q: where the joints are, at rest.
-        goal: where they shall be.
-        duration: how long it shall take [s]; one shorter than the limits allow, as 0, means as
-            fast as they do.
+        q: present angles of the joints, at rest.
+        goal: desired angles.
+        duration: desired duration [s]; if the limits do not allow it (such as 0), the shortest
+            possible one.
 
     Raises:
-        MoveError: as `check` does.
+        MoveError: the goal is invalid (see `check`).
     """
     check(arm, goal, duration)
     way = [d if (d := abs(b - a)) > MIN_TRAVEL else 0.0 for a, b in zip(q, goal, strict=True)]
@@ -97,7 +97,7 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
 
 
 def check(arm: Arm, goal: Sequence[float], duration: float = 0.0, keep_alive: float = 0.0) -> None:
-    """Check a requested move, wherever the arm is: angles [rad], times [s].
+    """Check a requested move independently of the arm's state: angles [rad], times [s].
 
     Raises:
         MoveError: wrong number of joints, a goal beyond a limit, or a time out of range.
@@ -119,7 +119,7 @@ def check(arm: Arm, goal: Sequence[float], duration: float = 0.0, keep_alive: fl
 
 
 def _profile(link: Link, target: float, way: float, acceleration: float, lasts: float) -> Profile:
-    """One joint's part, for an acceleration that may be raised to what a frame can hold."""
+    """Return one joint's profile; its acceleration may be raised to the resolution of a frame."""
     if not way:
         return Profile(target, 0.0, 0.0)
     scale, drive = Scale(link), link.drive

@@ -80,7 +80,7 @@ class Scale:
         sensor = self.link.torque_sensor
         return sensor.gain * (counts - sensor.zero)
 
-    def possible(self, frame: Telemetry) -> bool:
+    def is_plausible(self, frame: Telemetry) -> bool:
         """Return True if the frame is within the link's bounds."""
         return (
             self._lowest <= frame.position <= self._highest
@@ -88,11 +88,11 @@ class Scale:
             and abs(frame.current) <= self._largest_current
         )
 
-    def reachable(self, counts: int, microseconds: int) -> bool:
+    def is_reachable(self, counts: int, microseconds: int) -> bool:
         """Return True if the joint can turn by `counts` in this time."""
         return abs(counts) <= self._fastest * 1e-6 * microseconds + self._reach_margin
 
-    def outward(self, order: SetPoint, counts: int) -> bool:
+    def pushes_outward(self, order: SetPoint, counts: int) -> bool:
         """Return True if a current or a velocity pushes a joint at its limit further outward.
 
         The drive's own soft limits act at once; this check waits for the next telemetry.

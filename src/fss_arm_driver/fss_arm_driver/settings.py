@@ -7,7 +7,7 @@ from fss_arm_model.description_file import described
 from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
 from fss_arm_model.vehicle import Vehicle
-from fss_link.protocol import key_of
+from fss_link.protocol import load_key
 
 
 @dataclass(frozen=True)
@@ -15,22 +15,22 @@ class LinkSettings(Settings):
     """Parameters of a LinkNode."""
 
     link: int = setting(1, "number of the link; 1 is at the base", check=between(1, 255))
-    url: str = setting("", "where the link is: udp://, tcp://, serial:// or copley://; required")
+    url: str = setting("", "address of the link: udp://, tcp://, serial:// or copley://; required")
     urls: tuple[str, ...] = setting(
-        (), "instead of url: where links 1, 2, ... are, to host all in one process"
+        (), "addresses of links 1, 2, ..., instead of url, to run all drivers in one process"
     )
     rate: float = setting(
-        5.0, "rate at which the command of the moment is repeated; below 10, doubled on a path",
+        5.0, "rate at which the current command is repeated; doubled on a path if below 10",
         unit="1/s",
         check=between(0.1, 1000.0),
     )  # fmt: skip
     max_rate: float = setting(
-        50.0, "most commands a second to the link, as users' commands are passed on at once",
+        50.0, "largest rate of commands to the link; users' commands are sent at once",
         unit="1/s", check=between(0.1, 1000.0),
     )  # fmt: skip
     timeout: float = setting(
         1.0,
-        "silence after which the link is lost, and longest round trip to arm at",
+        "silence after which the link is lost, and largest round trip at which it can be armed",
         unit="s",
         check=between(0.001, 3600.0),
     )
@@ -72,7 +72,7 @@ class LinkSettings(Settings):
         Raises:
             ValueError: keys are configured, but none for this link.
         """
-        return key_of(self.keys, self.link, f"link {self.link}")
+        return load_key(self.keys, self.link, f"link {self.link}")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class ArmSettings(GuardSettings):
         check=between(0.1, 1000.0),
     )  # fmt: skip
     time_to_live: float = setting(
-        1.0, "age beyond which a command, or what a link reported, is out of date", unit="s",
+        1.0, "age beyond which a command or a link's telemetry is out of date", unit="s",
         check=between(0.001, 3600.0),
     )  # fmt: skip
     stream_time_to_live: float = setting(
@@ -93,21 +93,22 @@ class ArmSettings(GuardSettings):
         check=between(0.001, 3600.0),
     )  # fmt: skip
     lead: float = setting(
-        0.5, "least time from a trajectory's arrival to its begin, for the links to hear of it",
+        0.5,
+        "least time from a trajectory's arrival to its start, so that the links receive it in time",
         unit="s", check=between(0.0, 60.0),
     )  # fmt: skip
     tolerance: float = setting(
-        0.005, "a joint nearer to its goal has reached it", unit="rad", check=POSITIVE
+        0.005, "a joint this close to its goal has reached it", unit="rad", check=POSITIVE
     )
     path_tolerance: float = setting(
-        0.0, "most that a joint may be off a trajectory that says no tolerance; 0: any", unit="rad",
+        0.0, "largest error of a joint on a trajectory without path tolerances; 0: any", unit="rad",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     motion_threshold: float = setting(
         0.01, "rate above which a joint counts as moving", unit="rad/s", check=POSITIVE
     )
     max_overrun: float = setting(
-        5.0, "most time that a move or a trajectory may take beyond what was planned", unit="s",
+        5.0, "time by which a move or a trajectory may exceed its planned duration", unit="s",
         check=POSITIVE,
     )  # fmt: skip
     state_rate: float = setting(
@@ -115,18 +116,19 @@ class ArmSettings(GuardSettings):
         check=between(0.1, 1000.0),
     )  # fmt: skip
     max_extrapolation: float = setting(
-        0.5, "age of a joint's measurement beyond which arm/joint_states cease", unit="s",
+        0.5,
+        "age of a joint's measurement beyond which arm/joint_states is not published", unit="s",
         check=POSITIVE,
     )  # fmt: skip
     guard: bool = setting(
-        True, "whether to refuse motions that bring bodies nearer to each other than the margins"
+        True, "whether to reject motions that bring bodies closer to each other than the margins"
     )
     base_age: float = setting(
-        1.0, "age of base/state, or of the target's pose, beyond which it is unknown to the guard",
+        1.0, "age of base/state, or of the target's pose, beyond which the guard ignores it",
         unit="s", check=POSITIVE,
     )  # fmt: skip
     publish_tf: bool = setting(
-        True, "whether to publish transforms; not beside robot_state_publisher, which does"
+        True, "whether to publish transforms; set it to false if robot_state_publisher runs"
     )
     full_tank: float = like(Vehicle, "full_tank")
     frame_prefix: str = like(Vehicle, "frame_prefix")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import copysign, degrees, isnan, pi, radians
 from statistics import mean, pstdev
 
-from fss_arm_driver.faults import present
+from fss_arm_driver.faults import active_faults
 from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State
 from fss_arm_driver.session import LinkSession, Sample
 from fss_arm_model.description import Link
@@ -23,15 +23,15 @@ PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"
 COMPLETE = "complete"  # name of the last finding, of tests that ended early
 
 PERIOD = SECOND // 10  # of commands
-ENOUGH = 0.03  # angle that shows the direction of motion [rad]
-FAR = 0.35  # largest angle of a test [rad]
+MIN_TURN = 0.03  # angle that shows the direction of motion [rad]
+MAX_TURN = 0.35  # largest angle of a test [rad]
 SLOW_TURN = 0.1  # velocity of the tests of stop and watchdog [rad/s]
 STEPS = 5  # of current, until the joint turns
 MOTION_THRESHOLD = 0.01  # [rad/s]
 WATCHDOG = 1.0  # used in the test [s]
-NO_TORQUE = "no samples of the torque sensor come"
+NO_TORQUE = "no samples of the torque sensor are received"
 
-Ask = Callable[[str], str]
+Prompt = Callable[[str], str]
 
 
 @dataclass(frozen=True)
@@ -54,21 +54,21 @@ class Rig:
             number, link, timeout=1.0, watchdog=WATCHDOG, key=key, epoch=epoch
         )
         self.sample: Sample | None = None
-        self.talking = True
+        self.sending = True
         self._sent = 0
 
-    def until(self, condition: Callable[[], object], timeout: float) -> bool:
+    def wait_until(self, condition: Callable[[], object], timeout: float) -> bool:
         """Return True if the condition becomes true within `timeout` [s]."""
         end = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > end:
                 return False
-            self.turn()
+            self.step()
         return True
 
-    def turn(self) -> None:
+    def step(self) -> None:
         """Send a command when one is due; process received data."""
-        if self.talking and time.monotonic_ns() - self._sent > PERIOD:
+        if self.sending and time.monotonic_ns() - self._sent > PERIOD:
             self.send()
         if self.transport.wait(0.02):
             for data in self.transport.receive():
@@ -81,7 +81,7 @@ class Rig:
 
     def listen(self, timeout: float) -> bool:
         """Return True if a sample of the link is received within `timeout` [s]."""
-        return self.until(lambda: self.sample, timeout)
+        return self.wait_until(lambda: self.sample, timeout)
 
     def samples(self, seconds: float) -> list[Sample]:
         """Return the samples that are received within `seconds`.
@@ -89,15 +89,15 @@ class Rig:
         Raises:
             CommandError: the link is lost.
         """
-        got = [self.now()]
+        received = [self.now()]
 
-        def keep() -> None:
-            if self.sample and self.sample is not got[-1]:
-                got.append(self.sample)
+        def append_new() -> None:
+            if self.sample and self.sample is not received[-1]:
+                received.append(self.sample)
 
-        self.until(keep, seconds)
+        self.wait_until(append_new, seconds)
         self.now()
-        return got[1:]
+        return received[1:]
 
     def torques(self, seconds: float) -> list[int]:
         """Return the torque samples within `seconds` [counts]; empty without a sensor."""
@@ -120,29 +120,29 @@ class Rig:
         Raises:
             CommandError: it cannot be armed, or does not confirm the release.
         """
-        self.turn()  # the link counts as lost after the operator's answer
-        self.until(lambda: not self.session.obstacle(time.monotonic_ns()), 3.0)
+        self.step()  # the link counts as lost after the operator's answer
+        self.wait_until(lambda: not self.session.obstacle(time.monotonic_ns()), 3.0)
         self.session.arm(time.monotonic_ns())
         try:
-            self.until(lambda: self.session.arming is not Arming.ARMING, 3.0)
+            self.wait_until(lambda: self.session.arming is not Arming.ARMING, 3.0)
             if not self.session.armed:
                 raise CommandError(f"link {self.number} does not arm")
             yield
         finally:
-            self.rest()
+            self.release()
 
     def set(self, mode: Mode, value: float, seconds: float) -> None:
-        """Give a command that is valid for `seconds`."""
+        """Set a command that is valid for `seconds`."""
         now = time.monotonic_ns()
         self.session.set(mode, value, 0.0, 0.0, now + round(seconds * SECOND), now)
 
-    def rest(self) -> None:
+    def release(self) -> None:
         """Disarm, and wait until the link reports that its drive is off and the joint rests.
 
         Raises:
             CommandError: the link does not report this in time.
         """
-        self.talking = True
+        self.sending = True
         self.session.disarm()
         self.send()  # even if the joint rests already: it may be held there under power
 
@@ -150,16 +150,16 @@ class Rig:
             at_rest = self.sample and abs(self.sample.velocity) < MOTION_THRESHOLD
             return bool(self.session.released and at_rest)
 
-        if not self.until(released, 1e-9 * RELEASE_TIMEOUT):
-            raise CommandError(f"link {self.number} is not seen to switch off: cut its power")
+        if not self.wait_until(released, 1e-9 * RELEASE_TIMEOUT):
+            raise CommandError(f"link {self.number} does not confirm that it is off: cut its power")
 
 
 def answers(rig: Rig) -> Finding:
     """Report the link's firmware, state and faults."""
-    rig.until(lambda: len(rig.session.slow) >= len(Slow), 3.0)
+    rig.wait_until(lambda: len(rig.session.slow) >= len(Slow), 3.0)
     sample, session = rig.now(), rig.session
     version = session.slow.get(Slow.FIRMWARE, 0)
-    words = [fault.name for fault in present(sample.frame.status, 0)]
+    words = [fault.name for fault in active_faults(sample.frame.status, 0)]
     faults = session.faults
     found = (
         f"start {sample.frame.boot}, firmware "
@@ -171,16 +171,16 @@ def answers(rig: Rig) -> Finding:
     return Finding(rig.number, "answers", FAIL if faults else PASS, found)
 
 
-def turn_by_hand(rig: Rig, ask: Ask) -> Finding:
+def turn_by_hand(rig: Rig, ask: Prompt) -> Finding:
     """Measure direction and counts per turn, from a turn by a known angle."""
     name = "direction and counts per turn"
     before = rig.now().frame.position
     text = ask(
         "Turn the joint by hand, counter-clockwise seen from above, by an angle that you know; "
-        "then type the angle in degrees, or nothing to leave it out: "
+        "then type the angle in degrees, or nothing to skip this test: "
     )
     if not (angle := radians(_number(text))):
-        return Finding(rig.number, name, NOT_TRIED, "left out")
+        return Finding(rig.number, name, NOT_TRIED, "skipped")
     rig.samples(1.0)
     counts = rig.now().frame.position - before
     drive = rig.link.drive
@@ -191,10 +191,10 @@ def turn_by_hand(rig: Rig, ask: Ask) -> Finding:
     return Finding(rig.number, name, PASS if good else FAIL, words)
 
 
-def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
+def torque_by_hand(rig: Rig, ask: Prompt) -> Iterator[Finding]:
     """Measure zero and gain of the torque sensor, from a known torque."""
     sensor = rig.link.torque_sensor
-    ask("Let the joint hang free of any torque, and press Enter: ")
+    ask("Leave the joint free of any torque, and press Enter: ")
     if not (rest := rig.torques(2.0)):
         yield Finding(rig.number, "torque zero", FAIL, NO_TORQUE)
         yield Finding(rig.number, "torque gain", NOT_TRIED, NO_TORQUE)
@@ -204,18 +204,19 @@ def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
     words = f"{zero:.0f} +- {noise:.0f} counts, off by {off:+.4f} N m from the description's"
     yield Finding(rig.number, "torque zero", PASS if abs(off) < 0.05 else FAIL, words)
     text = ask(
-        "Put a known torque on the joint, counter-clockwise positive, hold it, and type it in N m, "
-        "or nothing to leave it out: "
+        "Apply a known torque to the joint, counter-clockwise positive, hold it, and type it in "
+        "N m, "
+        "or nothing to skip this test: "
     )
     if not (torque := _number(text)):
-        yield Finding(rig.number, "torque gain", NOT_TRIED, "left out")
+        yield Finding(rig.number, "torque gain", NOT_TRIED, "skipped")
         return
     if not (held := rig.torques(2.0)):
         yield Finding(rig.number, "torque gain", FAIL, NO_TORQUE)
         return
     loaded = mean(held)
     if loaded == zero:
-        yield Finding(rig.number, "torque gain", FAIL, "the sensor does not answer to the torque")
+        yield Finding(rig.number, "torque gain", FAIL, "the sensor does not respond to the torque")
         return
     gain = torque / (loaded - zero)
     good = abs(gain - sensor.gain) < 0.1 * abs(sensor.gain)
@@ -232,12 +233,12 @@ def signs(rig: Rig, current: float) -> Iterator[Finding]:
         for step in range(1, STEPS + 1):
             applied = step * inwards
             rig.set(Mode.CURRENT, applied, 1.0)
-            rig.until(lambda: abs(rig.now().position - start) > ENOUGH, 1.0)
+            rig.wait_until(lambda: abs(rig.now().position - start) > MIN_TURN, 1.0)
             seen.append(rig.now())
-            if abs(rig.now().position - start) > ENOUGH:
+            if abs(rig.now().position - start) > MIN_TURN:
                 break
         turned = rig.now().position - start
-    if abs(turned) < ENOUGH:
+    if abs(turned) < MIN_TURN:
         words = f"does not turn with up to {applied:+.2f} A"
         yield Finding(rig.number, "current sign", FAIL, words)
         return
@@ -264,17 +265,17 @@ def stop(rig: Rig) -> Finding:
     """Measure how soon the joint is at rest after a stop."""
     with rig.armed():
         _turn_slowly(rig)
-        begun = time.monotonic()
+        start = time.monotonic()
         rig.session.stop()
         rig.send()
-        stopped = rig.until(
+        stopped = rig.wait_until(
             lambda: (
                 rig.now().frame.flags & State.STOPPED and abs(rig.now().velocity) < MOTION_THRESHOLD
             ),
             3.0,
         )
-        took = time.monotonic() - begun
-    words = f"at rest {took:.2f} s after it" if stopped else "goes on"
+        took = time.monotonic() - start
+    words = f"at rest {took:.2f} s after it" if stopped else "still moves"
     return Finding(rig.number, "stop", PASS if stopped else FAIL, words)
 
 
@@ -282,8 +283,8 @@ def watchdog(rig: Rig) -> Finding:
     """Measure how soon the joint is at rest when the computer stops sending."""
     with rig.armed():
         _turn_slowly(rig)
-        rig.talking, begun = False, time.monotonic()
-        stopped = rig.until(
+        rig.sending, start = False, time.monotonic()
+        stopped = rig.wait_until(
             lambda: (
                 rig.sample
                 and rig.sample.frame.flags & State.WATCHDOG
@@ -291,9 +292,9 @@ def watchdog(rig: Rig) -> Finding:
             ),
             WATCHDOG + 2.0,
         )
-        took = time.monotonic() - begun
+        took = time.monotonic() - start
     words = f"at rest {took:.2f} s after the last command, watchdog {WATCHDOG} s" if stopped else ""
-    return Finding(rig.number, "watchdog", PASS if stopped else FAIL, words or "goes on")
+    return Finding(rig.number, "watchdog", PASS if stopped else FAIL, words or "still moves")
 
 
 def _turn_slowly(rig: Rig) -> None:
@@ -303,28 +304,28 @@ def _turn_slowly(rig: Rig) -> None:
         CommandError: the joint does not turn.
     """
     way = 0.5 * (rig.link.q_min + rig.link.q_max) - rig.now().position
-    rig.set(Mode.VELOCITY, copysign(SLOW_TURN, way), FAR / SLOW_TURN)
-    if not rig.until(lambda: abs(rig.now().velocity) > 0.5 * SLOW_TURN, 2.0):
+    rig.set(Mode.VELOCITY, copysign(SLOW_TURN, way), MAX_TURN / SLOW_TURN)
+    if not rig.wait_until(lambda: abs(rig.now().velocity) > 0.5 * SLOW_TURN, 2.0):
         raise CommandError("does not turn at a slow velocity")
 
 
-def trials(rig: Rig, ask: Ask, current: float) -> Iterator[Finding]:
+def trials(rig: Rig, ask: Prompt, current: float) -> Iterator[Finding]:
     """Test one link; a failure that prevents further tests is the last finding."""
     try:
         yield answers(rig)
         yield turn_by_hand(rig, ask)
         yield from torque_by_hand(rig, ask)
         question = (
-            f"Link {rig.number} will turn by up to {degrees(FAR):.0f} deg with up to "
+            f"Link {rig.number} will turn by up to {degrees(MAX_TURN):.0f} deg with up to "
             f"{STEPS * current:.2f} A. Hold the base, stand clear, and type yes: "
         )
         if ask(question).strip().lower() != "yes":
-            yield from _left_out(rig, "left out", "current sign", "stop", "watchdog")
+            yield from _skipped(rig, "skipped", "current sign", "stop", "watchdog")
             return
         sign, *others = signs(rig, current)
         yield from (sign, *others)
         if sign.verdict != PASS:  # the drive's velocity loop may run away
-            yield from _left_out(rig, "the current sign has not passed", "stop", "watchdog")
+            yield from _skipped(rig, "the current sign has not passed", "stop", "watchdog")
             return
         yield stop(rig)
         yield watchdog(rig)
@@ -332,7 +333,7 @@ def trials(rig: Rig, ask: Ask, current: float) -> Iterator[Finding]:
         yield Finding(rig.number, COMPLETE, FAIL, str(error))
 
 
-def _left_out(rig: Rig, why: str, *names: str) -> Iterator[Finding]:
+def _skipped(rig: Rig, why: str, *names: str) -> Iterator[Finding]:
     return (Finding(rig.number, name, NOT_TRIED, why) for name in names)
 
 

@@ -13,7 +13,7 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = Parser(prog="urdf", description="Write an arm's description as URDF.")
     p.add_argument("arm", nargs="?", default="", help="the description (default: the paper's arm)")
-    p.add_argument("--output", metavar="FILE", help="what is written (default: standard output)")
+    p.add_argument("--output", metavar="FILE", help="file to write (default: standard output)")
     return p
 
 

@@ -125,7 +125,7 @@ def checked(p: npt.ArrayLike, q: npt.ArrayLike) -> tuple[Floats, Floats, int]:
     return p, q, n
 
 
-def _held(q_m: npt.ArrayLike) -> Floats:
+def _with_base_at_origin(q_m: npt.ArrayLike) -> Floats:
     """Return the state with its base at the origin."""
     q_m = np.asarray(q_m, dtype=float)
     return np.concatenate([np.zeros((*q_m.shape[:-1], 3)), q_m], axis=-1)
@@ -188,7 +188,7 @@ def tip_in_base(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
     Raises:
         ValueError: shapes do not fit.
     """
-    return tip_pose(p, _held(q_m))
+    return tip_pose(p, _with_base_at_origin(q_m))
 
 
 def tip_regressor(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
@@ -200,5 +200,5 @@ def tip_regressor(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
     Raises:
         ValueError: shapes do not fit.
     """
-    p, q, n = checked(p, _held(q_m))
+    p, q, n = checked(p, _with_base_at_origin(q_m))
     return _tip_regressor(p, q, _THREE, np.empty(2 * n + 2))

@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-THRIFT = 1e-3  # kappa, relative to the strongest valve's force
-CLIPPED = 0.01  # difference that counts as clipping, relative to the strongest valve's force
+PROPELLANT_WEIGHT = 1e-3  # kappa, relative to the strongest valve's force
+CLIPPING_TOLERANCE = 0.01  # smallest clipped force, relative to the strongest valve's force
 
 
 class Allocation:
@@ -52,22 +52,24 @@ class Allocation:
         count = len(self.valves)
         stuck = {*stuck_open, *stuck_closed}
         if not stuck <= set(range(count)):
-            raise ValueError(f"stuck are {sorted(stuck)}, expected numbers from 0 to {count - 1}")
+            raise ValueError(
+                f"stuck valves are {sorted(stuck)}, expected numbers from 0 to {count - 1}"
+            )
         if not 0.0 <= minimum_on_time < period:
             raise ValueError(
                 f"minimum_on_time is {minimum_on_time} s, expected from 0 to below {period} s"
             )
         self.period, self.minimum_on_time = period, minimum_on_time
-        self._works = np.array([i for i in range(count) if i not in stuck], dtype=int)
+        self._working = np.array([i for i in range(count) if i not in stuck], dtype=int)
         self._leaks = self.valves[list(stuck_open)].sum(axis=0)
         strongest = np.abs(self.valves).max(axis=0)
         force = float(strongest[:2].max())
         self._scale = np.array([1.0, 1.0, force / strongest[2] if strongest[2] else 1.0])
-        effect = (self.valves[self._works] * self._scale).T
-        self._matrix = np.vstack([effect, np.full(len(self._works), THRIFT * force)])
-        self._most_owed = 2.0 * strongest * max(minimum_on_time, 1e-3)  # [N s], [N m s]
-        self._owed = np.zeros(3)
-        self._tolerance = CLIPPED * force
+        effect = (self.valves[self._working] * self._scale).T
+        self._matrix = np.vstack([effect, np.full(len(self._working), PROPELLANT_WEIGHT * force)])
+        self._max_carried = 2.0 * strongest * max(minimum_on_time, 1e-3)  # [N s], [N m s]
+        self._carried = np.zeros(3)
+        self._tolerance = CLIPPING_TOLERANCE * force
         self.clipped = False  # True if the valves cannot produce the last wrench
 
     def on_times(self, wrench: npt.ArrayLike) -> Floats:
@@ -76,17 +78,17 @@ class Allocation:
         Args:
             wrench: (3,) desired mean: force in the base's axes [N], torque about its origin [N m].
         """
-        wanted = np.asarray(wrench, dtype=float) + self._owed / self.period
-        aim = np.append(self._scale * (wanted - self._leaks), 0.0)
+        desired = np.asarray(wrench, dtype=float) + self._carried / self.period
+        aim = np.append(self._scale * (desired - self._leaks), 0.0)
         shares = self._fit(self._matrix, aim, (0.0, 1.0), method="bvls").x
         missing = np.abs(aim - self._matrix @ shares)[:3]
-        owed = np.abs(self._scale * self._owed) / self.period
-        self.clipped = bool((missing > owed + self._tolerance).any())
+        carried = np.abs(self._scale * self._carried) / self.period
+        self.clipped = bool((missing > carried + self._tolerance).any())
         times = np.zeros(len(self.valves))
-        times[self._works] = self._pulses(self.period * shares)
-        given = times @ self.valves + self.period * self._leaks
-        owed = self.period * wanted - given
-        self._owed = np.clip(owed, -self._most_owed, self._most_owed)
+        times[self._working] = self._pulses(self.period * shares)
+        produced = times @ self.valves + self.period * self._leaks
+        carried = self.period * desired - produced
+        self._carried = np.clip(carried, -self._max_carried, self._max_carried)
         return times
 
     def _pulses(self, times: Floats) -> Floats:

@@ -25,10 +25,10 @@ from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe, validators
 from fss_base_driver import messages
 from fss_base_driver.allocation import Allocation
-from fss_base_driver.gyro import BiasError, BiasSearch, Sums
+from fss_base_driver.gyro import BiasError, BiasSearch, GyroSums
 from fss_base_driver.programs import base as main
 from fss_base_driver.protocol import TIME_UNIT, VALVES, BaseSlow
-from fss_base_driver.session import NO_PULSE, BoardSession, Heard, Pulse
+from fss_base_driver.session import NO_PULSE, BoardSample, BoardSession, Pulse
 from fss_base_driver.settings import BaseSettings, live_kinds
 from fss_base_driver.wrench import planar_wrench
 from fss_link.pacer import Pacer
@@ -37,9 +37,9 @@ from fss_link.session_node import SessionNode
 from fss_link.transport import Transport, open_transport
 
 COMMANDS = "thrusters/command", "base/wrench", "gripper/command"
-AHEAD = 0.5  # largest lead of a stamp over the clock [s]
+MAX_STAMP_LEAD = 0.5  # largest lead of a stamp over the clock [s]
 MAX_OVERLOAD = 1000.0  # components of a wrench, as multiples of the total thrust
-OFF = VALVES * (0.0,)
+ALL_CLOSED = VALVES * (0.0,)
 
 
 class BaseNode(SessionNode):
@@ -51,27 +51,27 @@ class BaseNode(SessionNode):
     """
 
     session: BoardSession
-    unconfirmed = "does not say that its valves are closed"
+    unconfirmed = "does not confirm that its valves are closed"
 
     def __init__(self, transport: Transport | None = None, **options: Any) -> None:
         super().__init__("base", BaseSettings, live=True, **options)
         s: BaseSettings = self.settings
         self.session = BoardSession(
             s.timeout, s.watchdog, s.command_lifetime, s.max_on_time, self.resolution, s.key(),
-            s.empty, self.clock.ahead,
+            s.empty, self.clock.offset,
         )  # fmt: skip
         transport = transport or open_transport(s.url)
         self.connect(self.session, transport, "open the valves")
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
-        self.found = ThrusterHealth()  # faults of the valves found by the navigation
+        self.valve_faults = ThrusterHealth()  # detected by the navigation
         self.wrench: tuple[tuple[float, float, float], int] | None = None  # active one and its time
-        self.shared = 0  # time of the last allocation
-        self.pacer, self.sums = Pacer(s.max_rate), Sums()
-        self.turned = 0  # time of the gyro's last rate
+        self.allocated_at = 0  # time of the last allocation
+        self.pacer, self.sums = Pacer(s.max_rate), GyroSums()
+        self.gyro_time = 0  # time of the gyro's last rate
         self.search: BiasSearch | None = None
-        self.result: tuple[float, float] | str | None = None  # of the search
-        self.sent = NO_PULSE
-        self.seeking: Future | None = None  # completed when the search for the gyro's bias ends
+        self.bias_result: tuple[float, float] | str | None = None  # of the search
+        self.last_pulse = NO_PULSE
+        self.bias_future: Future | None = None  # completed when the search for the gyro's bias ends
 
         def publish(kind: type, topic: str) -> Any:
             return self.create_publisher(kind, topic, SENSOR)
@@ -88,65 +88,67 @@ class BaseNode(SessionNode):
             (Bool, "gripper/command", self.on_grip, 1.0),
         ):
             subscribe(self, kind, topic, callback, command(lifetime))
-        subscribe(self, ThrusterHealth, "thrusters/health", self.on_found, LATCHED)
+        subscribe(self, ThrusterHealth, "thrusters/health", self.on_valve_faults, LATCHED)
         for topic in ("base/stop", "arm/stop"):
             subscribe_stop(self, topic, self.on_stop)
         group = ReentrantCallbackGroup()  # the search takes long; other callbacks run meanwhile
-        self.create_service(Trigger, "base/find_gyro_bias", self.on_find, callback_group=group)
-        self.sharing = self.create_timer(s.wrench_period, self.share, clock=timer_clock(self))
+        self.create_service(Trigger, "base/find_gyro_bias", self.on_find_bias, callback_group=group)
+        self.allocation_timer = self.create_timer(
+            s.wrench_period, self.allocate_wrench, clock=timer_clock(self)
+        )
         declare_live(self, live_kinds(), self.on_live)
         self.allocation = self.new_allocation()
         total_thrust = float(np.hypot(*s.valves()[:, :2].T).sum())
         self.max_component = MAX_OVERLOAD * total_thrust  # of a wrench [N, N m]
         self.session.counts["wrenches_clipped"] = 0
         self.board_health = messages.BoardHealth(self.session, self.transport, bool(s.keys))
-        self.begin("base/arm")
+        self.start_communication("base/arm")
 
-    def take(self, data: bytes, now: int) -> None:
+    def process_datagram(self, data: bytes, now: int) -> None:
         """Decode a datagram and publish its contents."""
-        if heard := self.session.feed(data, now):
-            self.publish(heard, now)
+        if sample := self.session.feed(data, now):
+            self.publish(sample, now)
 
-    def publish(self, heard: Heard, now: int) -> None:
+    def publish(self, sample: BoardSample, now: int) -> None:
         """Publish a telemetry frame; the gyro's rate comes first."""
-        heard = heard._replace(stamp=heard.stamp + self.clock.ahead)
-        frame, slow = heard.frame, self.session.slow
-        self.publish_rate(heard)
+        sample = sample._replace(stamp=sample.stamp + self.clock.offset)
+        frame, slow = sample.frame, self.session.slow
+        self.publish_rate(sample)
         frame_id, prefix = self.settings.base_frame, self.settings.frame_prefix
-        self.telemetry.publish(messages.telemetry(heard, self.session, now, frame_id))
-        self.gripper.publish(messages.gripper_state(heard, f"{prefix}end_effector"))
+        self.telemetry.publish(messages.telemetry(sample, self.session, now, frame_id))
+        self.gripper.publish(messages.gripper_state(sample, f"{prefix}end_effector"))
         if frame.slow_id == BaseSlow.BATTERY:
             voltage = self.session.battery.voltage
-            self.battery.publish(messages.battery(heard.stamp, voltage, f"{prefix}base"))
+            self.battery.publish(messages.battery(sample.stamp, voltage, f"{prefix}base"))
         if frame.slow_id == BaseSlow.TANK:
             kilopascals = frame.slow_value
-            self.pressure.publish(messages.pressure(heard.stamp, kilopascals, f"{prefix}tank"))
+            self.pressure.publish(messages.pressure(sample.stamp, kilopascals, f"{prefix}tank"))
             if left := messages.propellant(slow, self.settings.tank_volume):
                 self.propellant.publish(left)
 
-    def publish_rate(self, heard: Heard) -> None:
+    def publish_rate(self, sample: BoardSample) -> None:
         """Publish the mean turn rate since the last frame, stamped at the middle of that time."""
-        if (turn := self.sums.take(heard.frame, heard.stamp)) is None:
+        if (turn := self.sums.add(sample.frame, sample.stamp)) is None:
             return
-        self.turned = self.now()
+        self.gyro_time = self.now()
         gyro, settings = self.live["gyro"], self.settings
         rate = gyro.scale * turn.counts
         deviation = settings.gyro_noise / turn.samples**0.5
         frame_id = settings.base_frame
         self.imu.publish(messages.imu(turn.stamp, rate - gyro.bias, deviation, frame_id))
         if self.search:
-            self.seek(turn.stamp, rate, turn.samples, heard.frame.valves)
+            self.update_bias_search(turn.stamp, rate, turn.samples, sample.frame.valves)
 
-    def seek(self, stamp: int, rate: float, samples: int, valves: int) -> None:
+    def update_bias_search(self, stamp: int, rate: float, samples: int, valves: int) -> None:
         """Pass a rate to the search for the gyro's bias, and store the result."""
         if self.search:
             try:
-                self.result = self.search.take(stamp, rate, samples, valves)
+                self.bias_result = self.search.add(stamp, rate, samples, valves)
             except BiasError as error:
-                self.result = str(error)
-        if self.result:
+                self.bias_result = str(error)
+        if self.bias_result:
             self.search = None
-            self.news.trigger()
+            self.wakeup.trigger()
 
     def transmit(self) -> None:
         """Send the present command, and publish a new pulse."""
@@ -155,23 +157,23 @@ class BaseNode(SessionNode):
             self.transport.send(self.session.command(now))
             self.pacer.sent(now)
             self.steady.reset()
-            self.tell(now, self.session.pulse, self.sent)
-            self.sent = self.session.pulse
+            self.publish_pulse(now, self.session.pulse, self.last_pulse)
+            self.last_pulse = self.session.pulse
 
-    def tell(self, now: int, pulse: Pulse, last: Pulse) -> None:
+    def publish_pulse(self, now: int, pulse: Pulse, last: Pulse) -> None:
         """Publish a new pulse, or that the last one was ended early."""
-        stamp = now + self.clock.ahead
+        stamp = now + self.clock.offset
         if pulse.number == last.number:
             return
         if pulse.number:
             times = [1e-6 * TIME_UNIT * time for time in pulse.on_times]
             self.pulses.publish(messages.pulses(stamp, times))
         elif now < last.given + last.longest:
-            self.pulses.publish(messages.pulses(stamp, OFF))
+            self.pulses.publish(messages.pulses(stamp, ALL_CLOSED))
 
     @contextmanager
-    def taking(self, topic: str) -> Iterator[None]:
-        """Hold the session's lock; log and count a rejected message of the topic."""
+    def receiving(self, topic: str) -> Iterator[None]:
+        """Context with the session's lock; it logs and counts a rejected message of the topic."""
         with self.lock:
             try:
                 yield
@@ -182,46 +184,46 @@ class BaseNode(SessionNode):
 
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Open the requested valves, instead of following the active wrench."""
-        with self.taking("thrusters/command"):
-            given = self.given(message, self.settings.command_lifetime)
+        with self.receiving("thrusters/command"):
+            given = self.message_time(message, self.settings.command_lifetime)
             self.session.thrust(message.on_time, given, self.now())
             self.wrench = None
-            self.pass_on()
+            self.send_soon()
 
     def on_wrench(self, message: WrenchStamped) -> None:
         """Store a wrench, and allocate it at once if there was none for a period."""
-        with self.taking("base/wrench"):
-            given = self.given(message, self.settings.wrench_lifetime)
+        with self.receiving("base/wrench"):
+            given = self.message_time(message, self.settings.wrench_lifetime)
             self.session.require_armed()
             frame = self.settings.base_frame
             self.wrench = planar_wrench(message, frame, self.max_component), given
-            if self.now() - self.shared >= SECOND * self.settings.wrench_period:
-                self.share()
+            if self.now() - self.allocated_at >= SECOND * self.settings.wrench_period:
+                self.allocate_wrench()
 
-    def share(self) -> None:
+    def allocate_wrench(self) -> None:
         """Allocate the active wrench for the next period; without one, stop the timer."""
         if self.wrench is None:
-            self.sharing.cancel()
+            self.allocation_timer.cancel()
             return
-        with self.taking("base/wrench"):
+        with self.receiving("base/wrench"):
             now, (wrench, given) = self.now(), self.wrench
             if now - given > SECOND * self.settings.wrench_lifetime or not any(wrench):
                 self.wrench = None
                 self.allocation = self.new_allocation()  # resets the impulse carried over
             if now - given > SECOND * self.settings.wrench_lifetime:
                 return  # the last pulse ends by itself
-            times = self.allocation.on_times(wrench).tolist() if any(wrench) else OFF
+            times = self.allocation.on_times(wrench).tolist() if any(wrench) else ALL_CLOSED
             self.session.counts["wrenches_clipped"] += self.allocation.clipped
             self.session.thrust(times, now, now)
-            self.shared = now
-            self.sharing.reset()
+            self.allocated_at = now
+            self.allocation_timer.reset()
             self.transmit()
 
     def new_allocation(self) -> Allocation:
         """Return an allocation to the valves that work."""
 
         def stuck(how: str) -> list[int]:
-            found = getattr(self.found, how)
+            found = getattr(self.valve_faults, how)
             return [
                 i for i in range(VALVES) if found[i] or getattr(self.live[f"valve_{i + 1}"], how)
             ]
@@ -232,29 +234,29 @@ class BaseNode(SessionNode):
             stuck("stuck_closed"),
         )  # fmt: skip
 
-    def on_found(self, message: ThrusterHealth) -> None:
+    def on_valve_faults(self, message: ThrusterHealth) -> None:
         """Exclude the valves that the navigation has found stuck."""
         with self.lock:
-            self.found = message
+            self.valve_faults = message
             self.allocation = self.new_allocation()
 
-    def given(self, message: Any, lifetime: float) -> int:
+    def message_time(self, message: Any, lifetime: float) -> int:
         """Return the time of a message in the steady clock; reject a message that is too old."""
         now = self.now()
         if not (stamp := stamp_ns(message.header.stamp)):
-            raise CommandError("it has no stamp, so that a recording could not be told from it")
-        age = (now + self.clock.ahead - stamp) / SECOND
-        if not -AHEAD <= age <= lifetime:
+            raise CommandError("it has no stamp, so it could be an old recording")
+        age = (now + self.clock.offset - stamp) / SECOND
+        if not -MAX_STAMP_LEAD <= age <= lifetime:
             raise CommandError(f"it is {age:.3f} s old, expected at most {lifetime:g} s")
-        return min(now, stamp - self.clock.ahead)
+        return min(now, stamp - self.clock.offset)
 
     def on_grip(self, message: Bool) -> None:
         """Close the gripper, or open it."""
-        with self.taking("gripper/command"):
+        with self.receiving("gripper/command"):
             self.session.grip(message.data, self.now())
-            self.pass_on()
+            self.send_soon()
 
-    def pass_on(self) -> None:
+    def send_soon(self) -> None:
         """Send an accepted command at once, or with the next one if max_rate would be exceeded."""
         if not self.pacer.wait(self.now()):
             self.transmit()
@@ -266,22 +268,23 @@ class BaseNode(SessionNode):
             self.session.stop()
         self.send()
 
-    def state_words(self) -> str:
+    def describe_state(self) -> str:
         """Return the board's state as text."""
-        return messages.state_words(self.session)
+        return messages.describe_state(self.session)
 
-    async def on_find(self, _: Trigger.Request, response: Trigger.Response) -> Any:
+    async def on_find_bias(self, _: Trigger.Request, response: Trigger.Response) -> Any:
         """Find the gyro's bias while the base is at rest, and set it."""
         s = self.settings
         with self.lock:
-            if self.seeking or self.session.lost:
-                response.message = "it is being sought" if self.seeking else self.session.absence
+            if self.bias_future or self.session.lost:
+                running = "a search for the bias is already running"
+                response.message = running if self.bias_future else self.session.loss_reason
                 return response
-            self.seeking = Future()
-            self.result, self.turned = None, self.now()
+            self.bias_future = Future()
+            self.bias_result, self.gyro_time = None, self.now()
             self.search = BiasSearch(s.bias_time, s.bias_scatter, s.max_bias)
-        result = await self.seeking
-        self.seeking = None
+        result = await self.bias_future
+        self.bias_future = None
         if isinstance(result, str):
             response.message = result
             return response
@@ -297,15 +300,16 @@ class BaseNode(SessionNode):
             self.live[prefix] = replace(self.live[prefix], **{field: value})
             self.allocation = self.new_allocation()
 
-    def answer(self) -> None:
+    def answer_requests(self) -> None:
         """Answer requests that are complete."""
-        super().answer()
-        silence = (self.now() - self.turned) / SECOND
+        super().answer_requests()
+        silence = (self.now() - self.gyro_time) / SECOND
         if self.search and (self.session.lost or silence > self.settings.timeout):
             self.search = None
-            self.result = self.session.absence if self.session.lost else "the gyro is silent"
-        if self.seeking and self.result and not self.seeking.done():
-            self.seeking.set_result(self.result)
+            silent = "the gyro is silent"
+            self.bias_result = self.session.loss_reason if self.session.lost else silent
+        if self.bias_future and self.bias_result and not self.bias_future.done():
+            self.bias_future.set_result(self.bias_result)
 
     @property
     def commands_refused(self) -> int:
@@ -315,16 +319,16 @@ class BaseNode(SessionNode):
 
     def health(self) -> Health:
         """Health for the diagnostics."""
-        silence = (self.now() - self.turned) / SECOND if self.turned else inf
+        silence = (self.now() - self.gyro_time) / SECOND if self.gyro_time else inf
         more = {"gyro bias [rad/s]": self.live["gyro"].bias, "gyro's age [s]": silence}
         more["commands_refused"] = self.commands_refused
         for name, valve in self.live.items():
             for how, value in vars(valve).items() if name != "gyro" else ():
                 if value:
-                    more[f"{name} is said to be"] = how.replace("_", " ")
+                    more[f"{name} is configured as"] = how.replace("_", " ")
         for how in ("stuck_open", "stuck_closed"):
-            for i in np.flatnonzero(getattr(self.found, how)):
-                more[f"valve_{i + 1} is found to be"] = how.replace("_", " ")
+            for i in np.flatnonzero(getattr(self.valve_faults, how)):
+                more[f"valve_{i + 1} is detected as"] = how.replace("_", " ")
         with self.lock:
             return self.board_health(self.now(), more)
 

@@ -30,12 +30,12 @@ from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, subscribe_sensor
 from fss_arm_ros.run import spin_once
 from fss_base_driver.check_options import BASE_TOPIC, parser
-from fss_base_driver.thrust import Body, Floats, Thrust, TrackError, estimate, order, verdict
+from fss_base_driver.thrust import Body, Floats, Thrust, TrackError, estimate, valve_order, verdict
 
 PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
-CANNOT, INTERRUPTED = 1, 130
-PATIENCE = 10.0  # longest wait for an answer [s]
+NOT_POSSIBLE, INTERRUPTED = 1, 130
+ANSWER_TIMEOUT = 10.0  # longest wait for an answer [s]
 DISCOVERY = 1.0  # time to discover the topics [s]
 
 
@@ -100,10 +100,10 @@ class Tester(Node):
         Raises:
             CheckError: it fails.
         """
-        if not self.arming.wait_for_service(PATIENCE):
+        if not self.arming.wait_for_service(ANSWER_TIMEOUT):
             raise CheckError("no node `base` answers on base/arm: does it run in this ROS domain?")
         answer = self.arming.call_async(SetBool.Request(data=data))
-        if not self.wait(answer.done, PATIENCE):
+        if not self.wait(answer.done, ANSWER_TIMEOUT):
             raise CheckError("the node `base` does not answer on base/arm")
         if not answer.result().success:
             raise CheckError(answer.result().message)
@@ -133,9 +133,9 @@ class Tester(Node):
         Raises:
             CheckError: not all joints have sent readings.
         """
-        self.wait(lambda: len(self.joints) >= arm.n, DISCOVERY + PATIENCE)
+        self.wait(lambda: len(self.joints) >= arm.n, DISCOVERY + ANSWER_TIMEOUT)
         if missing := [i for i in range(1, arm.n + 1) if i not in self.joints]:
-            raise CheckError(f"joint_states say nothing of joints {missing}: give --q")
+            raise CheckError(f"joint_states have no readings of joints {missing}: pass --q")
         return [self.joints[i] for i in range(1, arm.n + 1)]
 
     def pulse(self, valve: int, on_time: float) -> float:
@@ -150,13 +150,13 @@ class Tester(Node):
         message.header.stamp = self.get_clock().now().to_msg()
         self.command.publish(message)
         if not self.wait(lambda: self.sent, 1.0):
-            raise CheckError("the node `base` sent no pulse: its log says why")
+            raise CheckError("the node `base` sent no pulse: see its log for the reason")
         return stamp_ns(self.sent[0].header.stamp) / SECOND
 
     def try_valve(self, valve: int, body: Body, rows: Floats, given: argparse.Namespace) -> Finding:
         """Open one valve, numbered from 0, and evaluate it by the base's motion."""
-        for kept in (self.poses, self.rates, self.telemetry):
-            kept.clear()
+        for record in (self.poses, self.rates, self.telemetry):
+            record.clear()
         self.wait(lambda: False, given.before)
         begin = self.pulse(valve, given.on_time)
         self.wait(lambda: False, given.on_time + given.after)
@@ -174,7 +174,7 @@ class Tester(Node):
 
 def as_yaml(findings: list[Finding], when: str) -> str:
     """Return the result as YAML; with all valves measured, also as the node's parameter."""
-    lines = ["# What `ros2 run fss_base_driver check` found.", f"when: {json.dumps(when)}"]
+    lines = ["# Findings of `ros2 run fss_base_driver check`.", f"when: {json.dumps(when)}"]
     lines += ["valves:"]
     for found in sorted(findings):
         lines += [f"  - valve: {found.valve}", f"    verdict: {json.dumps(found.verdict)}"]
@@ -223,15 +223,15 @@ def main(args: Sequence[str] | None = None) -> int:
         if given.q and len(given.q) != arm.n:
             command.error(f"--q has {len(given.q)} angles, expected {arm.n}")
         if not given.yes:
-            input("The base floats freely, all joints hold, nobody is near? Enter to begin: ")
+            input("Let the base float freely, hold all joints, stand clear, press Enter to start: ")
         run(arm, given, findings)
     except (CheckError, ValueError, OSError) as error:
         print(f"check: {in_words(error)}", file=sys.stderr)
-        return CANNOT
+        return NOT_POSSIBLE
     except (EOFError, KeyboardInterrupt) as end:
-        why = "no more input" if isinstance(end, EOFError) else "interrupted"
+        why = "end of input" if isinstance(end, EOFError) else "interrupted"
         print(f"check: {why}", file=sys.stderr)
-        return CANNOT if isinstance(end, EOFError) else INTERRUPTED
+        return NOT_POSSIBLE if isinstance(end, EOFError) else INTERRUPTED
     finally:  # the results are saved even after an error
         if findings:
             when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
@@ -254,12 +254,13 @@ def run(arm: Arm, given: argparse.Namespace, findings: list[Finding]) -> None:
     try:
         topic = given.base_topic or default_in(BASE_TOPIC, given.namespace)
         tester = Tester(given.namespace, topic)
-        tester.wait(lambda: tester.telemetry, PATIENCE)  # otherwise the answer to arming says why
+        # Without telemetry, the answer to arming gives the reason.
+        tester.wait(lambda: tester.telemetry, ANSWER_TIMEOUT)
         body = Body.of(arm, given.q or tester.angles(arm))
         with tester.armed():
-            if not tester.wait(lambda: tester.poses, PATIENCE):
-                raise CheckError(f"{topic} is silent: the base is not seen")
-            for valve in order(rows):
+            if not tester.wait(lambda: tester.poses, ANSWER_TIMEOUT):
+                raise CheckError(f"no poses on {topic}: is the base visible to motion capture?")
+            for valve in valve_order(rows):
                 if valve + 1 in (given.valves or range(1, COUNT + 1)):
                     findings.append(tester.try_valve(valve, body, rows, given))
                     print(f"valve {valve + 1}: {findings[-1].verdict} {findings[-1].words}")

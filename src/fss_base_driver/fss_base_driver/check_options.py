@@ -14,30 +14,48 @@ def parser() -> argparse.ArgumentParser:
     """Return the command-line parser."""
     p = Parser(
         prog="check",
-        description="Open each valve of the base in turn, by the running node `base`, and compare "
-        "how the base moves (motion capture, fog/imu) with the valves' layout. The base floats "
-        "freely, its joints hold.",
-        epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 something was not tried, "
+        description="Open each valve of the base in turn through the running node `base`, and "
+        "compare the base's motion (motion capture, fog/imu) with the valves' layout. The base "
+        "must float freely, and its joints must hold.",
+        epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 a valve was not tested, "
         "130 interrupted.",
     )
     p.add_argument("--arm", default="", help="the arm's description (default: the paper's)")
     p.add_argument(
         "--namespace", default=os.environ.get("FSS_NAMESPACE", ""),
-        help="of the vehicle (default: $FSS_NAMESPACE)",
+        help="namespace of the vehicle (default: $FSS_NAMESPACE)",
     )  # fmt: skip
     p.add_argument(
         "--base-topic",
-        help=f"of the base's poses (default {BASE_TOPIC.default}, of vehicle V /vicon/V/V)",
+        help=f"topic of the base's poses (default {BASE_TOPIC.default}, for vehicle V /vicon/V/V)",
     )
-    p.add_argument("--q", type=float, nargs="+", help="joint angles [rad], if nobody tells them")
-    p.add_argument("--thrust", type=float, default=0.16, help="of a thruster [N] (default 0.16)")
-    p.add_argument("--lever", type=float, default=0.11, help="of a thruster [m] (default 0.11)")
-    p.add_argument("--layout", type=float, nargs=3 * COUNT, help="as the parameter of `base`")
-    p.add_argument("--valves", type=int, nargs="+", help="which to try (default: all)")
-    p.add_argument("--on-time", type=float, default=1.0, help="of each pulse [s] (default 1)")
-    p.add_argument("--before", type=float, default=3.0, help="time before it [s] (default 3)")
-    p.add_argument("--after", type=float, default=4.0, help="time after it [s] (default 4)")
-    p.add_argument("--tolerance", type=float, default=0.2, help="as a part (default 0.2)")
-    p.add_argument("--yes", action="store_true", help="ask nobody whether the base is free")
-    p.add_argument("--output", default="base_check.yaml", help="what is written")
+    p.add_argument(
+        "--q", type=float, nargs="+", help="joint angles [rad], if no node publishes them"
+    )
+    p.add_argument(
+        "--thrust", type=float, default=0.16, help="thrust of a thruster [N] (default 0.16)"
+    )
+    p.add_argument(
+        "--lever", type=float, default=0.11, help="lever of a thruster [m] (default 0.11)"
+    )
+    p.add_argument(
+        "--layout", type=float, nargs=3 * COUNT, help="layout, as the parameter of `base`"
+    )
+    p.add_argument("--valves", type=int, nargs="+", help="valves to test (default: all)")
+    p.add_argument(
+        "--on-time", type=float, default=1.0, help="length of each pulse [s] (default 1)"
+    )
+    p.add_argument(
+        "--before", type=float, default=3.0, help="time recorded before a pulse [s] (default 3)"
+    )
+    p.add_argument(
+        "--after", type=float, default=4.0, help="time recorded after a pulse [s] (default 4)"
+    )
+    p.add_argument("--tolerance", type=float, default=0.2, help="relative tolerance (default 0.2)")
+    p.add_argument(
+        "--yes", action="store_true", help="start without asking whether the base is free"
+    )
+    p.add_argument(
+        "--output", default="base_check.yaml", help="file to write (default: base_check.yaml)"
+    )
     return p

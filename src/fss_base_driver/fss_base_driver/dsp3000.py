@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 BAUD = 38_400
 RATE = 100.0  # lines a second, within 3 %
-LARGEST = 375.0  # measurement range [deg/s]
-LONGEST = 64  # most bytes before an end of line [bytes]
+MAX_RATE = 375.0  # measurement range [deg/s]
+MAX_LINE_LENGTH = 64  # most bytes before an end of line [bytes]
 _LINE = re.compile(rb"\s*(-?\d{1,3}\.\d{6})\s+([01])\s*")
 
 
@@ -29,17 +29,15 @@ class Lines:
     """Decoder of a byte stream that is fed in pieces of any size.
 
     Lines have no checksum. A truncated line or a flipped bit is detected only by the line's form
-    and
-    by the size of the rate. Everything before the first end of line is dropped, because it may be
-    the
-    rest of a line.
+    and by the size of the rate. Everything before the first end of line is dropped, because it may
+    be the rest of a line.
     """
 
     def __init__(self) -> None:
         self.counts = Counts()
         self._rest: bytes | None = None  # None: skip to the next end of line
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """Reset the decoder after the port was opened again; the counters are kept."""
         self._rest = None
 
@@ -49,7 +47,7 @@ class Lines:
         if not ended:
             if self._rest is not None:
                 self._rest += data
-                if len(self._rest) > LONGEST:
+                if len(self._rest) > MAX_LINE_LENGTH:
                     self._rest = None
                     self._count(noise=1)
             return []
@@ -61,7 +59,7 @@ class Lines:
     def _rate(self, line: bytes) -> float | None:
         """Return the rate of a line [rad/s]; None if the line is invalid."""
         match = _LINE.fullmatch(line)
-        if match is None or abs(degrees := float(match[1])) > LARGEST:
+        if match is None or abs(degrees := float(match[1])) > MAX_RATE:
             self._count(noise=1)
         elif match[2] == b"0":
             self._count(faults=1)
@@ -71,5 +69,5 @@ class Lines:
         return None
 
     def _count(self, rates: int = 0, faults: int = 0, noise: int = 0) -> None:
-        was = self.counts
-        self.counts = Counts(was.rates + rates, was.faults + faults, was.noise + noise)
+        old = self.counts
+        self.counts = Counts(old.rates + rates, old.faults + faults, old.noise + noise)

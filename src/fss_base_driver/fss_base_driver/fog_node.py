@@ -23,9 +23,9 @@ from fss_base_driver.settings import FogCorrection, FogSettings
 from fss_link.host_clock import HostClock
 from fss_link.transport import Line, open_port, readable
 
-AGAIN = 0.5  # pause between attempts to open the port [s]
-AWAKE = 0.2  # interval at which the thread checks for the shutdown [s]
-DOUBT = "is it a DSP-3000 in its mode `rate`, and at this baud rate?"
+RETRY_INTERVAL = 0.5  # pause between attempts to open the port [s]
+WAKE_INTERVAL = 0.2  # interval at which the thread checks for the shutdown [s]
+HINT = "is it a DSP-3000 in its mode `rate`, and at this baud rate?"
 
 
 class FogNode(Node):
@@ -42,8 +42,8 @@ class FogNode(Node):
         self.correction, self.lines = FogCorrection(), Lines()
         self.imu = self.create_publisher(Imu, "fog/imu", SENSOR)
         self.lock, self.closing = Lock(), Event()
-        self.trouble, self.measured = "nothing heard yet", 0
-        self.before, self.then = self.lines.counts, time.monotonic()
+        self.problem, self.measured = "nothing received yet", 0
+        self.before, self.last_time = self.lines.counts, time.monotonic()
         declare_live(self, {"gyro": FogCorrection}, self.on_live)
         self.port: Line | None = None
         try:
@@ -52,30 +52,30 @@ class FogNode(Node):
             why = error.strerror or error
             raise ValueError(f"device {settings.device!r} cannot be opened: {why}") from None
         self.diagnostics = Diagnostics(self, self.health, settings.device)
-        self.thread = Thread(target=self.listen, daemon=True)
+        self.thread = Thread(target=self.read_port, daemon=True)
         self.thread.start()
 
     def on_live(self, _: str, field: str, value: float) -> None:
         """Update a parameter that was set."""
         self.correction = replace(self.correction, **{field: value})
 
-    def listen(self) -> None:
+    def read_port(self) -> None:
         """Read the port until closed; open it again if it is lost."""
         while not self.closing.is_set():
             try:
                 if self.port is None:
                     self.port = open_port(self.settings.device, self.settings.baud)
-                    self.lines.begin()
-                if readable([self.port], AWAKE):
-                    self.take(os.read(self.port.fileno(), 4096), self.clock.now())
+                    self.lines.reset()
+                if readable([self.port], WAKE_INTERVAL):
+                    self.process_bytes(os.read(self.port.fileno(), 4096), self.clock.now())
             except RCLError:
                 return  # ROS was shut down
             except (OSError, ValueError) as error:
-                self.drop()
-                self.trouble = f"cannot use the port: {getattr(error, 'strerror', None) or error}"
-                self.closing.wait(AGAIN)
+                self.close_port()
+                self.problem = f"cannot use the port: {getattr(error, 'strerror', None) or error}"
+                self.closing.wait(RETRY_INTERVAL)
 
-    def take(self, data: bytes, arrival: int) -> None:
+    def process_bytes(self, data: bytes, arrival: int) -> None:
         """Publish the received rates; the last one has just arrived."""
         if not data:
             raise ConnectionResetError("the device is gone")
@@ -86,13 +86,13 @@ class FogNode(Node):
 
     def publish(self, measured: int, rate: float) -> None:
         """Publish a rate; stamps increase, unless the system time is set back."""
-        self.measured, self.trouble = max(measured, self.measured + 1), ""
+        self.measured, self.problem = max(measured, self.measured + 1), ""
         settings, gyro = self.settings, self.correction
         rate = gyro.scale * rate - gyro.bias
-        stamp = self.measured + self.clock.ahead
+        stamp = self.measured + self.clock.offset
         self.imu.publish(messages.imu(stamp, rate, settings.gyro_noise, settings.base_frame))
 
-    def drop(self) -> None:
+    def close_port(self) -> None:
         """Close the port."""
         port, self.port = self.port, None
         if port:
@@ -102,24 +102,25 @@ class FogNode(Node):
     def health(self) -> Health:
         """Return the health: whether rates arrive and are valid."""
         now, counts = time.monotonic(), self.lines.counts
-        grown = [new - old for new, old in zip(counts, self.before, strict=True)]
-        rate = grown[0] / max(now - self.then, 1e-9)
-        self.before, self.then = counts, now
+        increases = [new - old for new, old in zip(counts, self.before, strict=True)]
+        rate = increases[0] / max(now - self.last_time, 1e-9)
+        self.before, self.last_time = counts, now
         values = {"rate [1/s]": rate, **counts._asdict()}
         if not rate:
-            why = self.trouble or "silent"
-            if grown[1] or grown[2]:
-                why = "its rates are not valid" if grown[1] else f"what comes are no rates: {DOUBT}"
+            why = self.problem or "silent"
+            if increases[1] or increases[2]:
+                noise = f"the received bytes are no rates: {HINT}"
+                why = "its rates are not valid" if increases[1] else noise
             return Health(ERROR, f"the gyro is lost: {why}", values)
-        if grown[1] or grown[2]:
+        if increases[1] or increases[2]:
             return Health(WARN, "some lines are not valid", values)
-        return Health(OK, "the gyro is heard", values)
+        return Health(OK, "the gyro is received", values)
 
     def close(self) -> None:
         """Stop the thread and close the port."""
         self.closing.set()
         self.thread.join()
-        self.drop()
+        self.close_port()
 
 
 if __name__ == "__main__":

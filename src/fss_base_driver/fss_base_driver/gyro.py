@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 from fss_base_driver.protocol import BaseTelemetry
 
-LONGEST = 1_000_000  # longest time between frames; the sums may wrap around after that [us]
+MAX_FRAME_INTERVAL = 1_000_000  # between frames; after that the sums may wrap around [us]
 
 
-class Turn(NamedTuple):
+class MeanRate(NamedTuple):
     """Mean of some gyro samples."""
 
     stamp: int  # middle of the averaging time [ns]
@@ -16,13 +16,13 @@ class Turn(NamedTuple):
     samples: int
 
 
-class Sums:
+class GyroSums:
     """Differences of the sums between frames; a lost frame loses no sample."""
 
     def __init__(self) -> None:
         self._last: tuple[BaseTelemetry, int] | None = None
 
-    def take(self, frame: BaseTelemetry, stamp: int) -> Turn | None:
+    def add(self, frame: BaseTelemetry, stamp: int) -> MeanRate | None:
         """Return the mean since the last frame; None without samples, or if the board restarted.
 
         Args:
@@ -33,13 +33,14 @@ class Sums:
         if last is None:
             return None
         before, then = last
-        again = frame.boot != before.boot or not 0 < frame.clock - before.clock <= LONGEST
+        interval = frame.clock - before.clock
+        restarted = frame.boot != before.boot or not 0 < interval <= MAX_FRAME_INTERVAL
         samples = (frame.gyro_samples - before.gyro_samples) & 0xFFFF
-        if again or not samples:
+        if restarted or not samples:
             return None
         difference = (frame.gyro_sum - before.gyro_sum) & 0xFFFFFFFF
         difference = (difference ^ 1 << 31) - (1 << 31)
-        return Turn((then + stamp) // 2, difference / samples, samples)
+        return MeanRate((then + stamp) // 2, difference / samples, samples)
 
 
 class BiasError(ValueError):
@@ -62,9 +63,7 @@ class BiasSearch:
         self._rates: list[tuple[float, int]] = []
         self._begin = self._end = 0
 
-    def take(
-        self, stamp: int, rate: float, samples: int, valves: int
-    ) -> tuple[float, float] | None:
+    def add(self, stamp: int, rate: float, samples: int, valves: int) -> tuple[float, float] | None:
         """Add a frame's mean rate, without bias correction [rad/s].
 
         Returns:

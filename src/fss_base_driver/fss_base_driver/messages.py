@@ -10,8 +10,8 @@ from std_msgs.msg import Float64
 from fss_arm_model.thrusters import gas_mass
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
 from fss_arm_ros.convert import to_time
-from fss_base_driver.protocol import VALVES, BaseSlow, BaseState, Hand
-from fss_base_driver.session import BoardSession, Heard
+from fss_base_driver.protocol import VALVES, BaseSlow, BaseState, GripperFlag
+from fss_base_driver.session import BoardSample, BoardSession
 from fss_link.health import SessionHealth
 from fss_link.transport import Transport
 
@@ -35,12 +35,12 @@ FLAG_WORDS = {
 }
 
 
-def telemetry(heard: Heard, session: BoardSession, now: int, frame_id: str) -> BaseTelemetry:
+def telemetry(sample: BoardSample, session: BoardSession, now: int, frame_id: str) -> BaseTelemetry:
     """Return all that the board reported, raw, with the state of the session."""
     message, slow = BaseTelemetry(), session.slow
-    message.header.stamp, message.header.frame_id = to_time(heard.stamp), frame_id
+    message.header.stamp, message.header.frame_id = to_time(sample.stamp), frame_id
     for name in REPORTED:
-        setattr(message, name, getattr(heard.frame, name))
+        setattr(message, name, getattr(sample.frame, name))
     for field, name in SLOW_NAMES:
         setattr(message, name, slow.get(field, 0) & 0xFFFFFFFF)
     message.temperature = slow.get(BaseSlow.TEMPERATURE, 0)
@@ -61,14 +61,14 @@ def imu(stamp: int, rate: float, deviation: float, frame_id: str) -> Imu:
     return message
 
 
-def gripper_state(heard: Heard, frame_id: str) -> GripperState:
+def gripper_state(sample: BoardSample, frame_id: str) -> GripperState:
     """Return the gripper's state; the board knows neither distance nor angle to anything."""
-    told = heard.frame.gripper
+    state = sample.frame.gripper
     message = GripperState(
-        closed=bool(told & Hand.TOLD_TO_CLOSE), holds=bool(told & Hand.HOLDS), distance=nan,
-        angle=nan, speed=nan,
+        closed=bool(state & GripperFlag.COMMANDED_CLOSED), holds=bool(state & GripperFlag.HOLDS),
+        distance=nan, angle=nan, speed=nan,
     )  # fmt: skip
-    message.header.stamp, message.header.frame_id = to_time(heard.stamp), frame_id
+    message.header.stamp, message.header.frame_id = to_time(sample.stamp), frame_id
     return message
 
 
@@ -110,11 +110,13 @@ def faulty_valves(slow: dict[int, int]) -> list[str]:
     """Return the valves whose current does not match their command."""
     bits = slow.get(BaseSlow.FAULTS, 0)
     dead = [f"valve {i + 1} draws no current" for i in range(VALVES) if bits >> i & 1]
-    live = [f"valve {i + 1} draws current unasked" for i in range(VALVES) if bits >> i + 8 & 1]
+    live = [
+        f"valve {i + 1} draws current without a command" for i in range(VALVES) if bits >> i + 8 & 1
+    ]
     return dead + live
 
 
-def state_words(session: BoardSession) -> str:
+def describe_state(session: BoardSession) -> str:
     """Return the board's state as text."""
     flags = session.frame.flags if session.frame else 0
     words = [text for flag, text in FLAG_WORDS.items() if flags & flag]
@@ -132,17 +134,17 @@ class BoardHealth(SessionHealth):
     def __init__(self, session: BoardSession, transport: Transport, signed: bool) -> None:
         super().__init__(session.partner.name, session, transport, signed)
 
-    def words(self) -> str:
+    def describe_state(self) -> str:
         """Return the board's state as text."""
-        return state_words(self.session)
+        return describe_state(self.session)
 
-    def _doubts(self, grown: Mapping[str, int]) -> Iterator[str]:
+    def _warnings(self, grown: Mapping[str, int]) -> Iterator[str]:
         """Yield warnings, the most serious first."""
-        yield from super()._doubts(grown)
+        yield from super()._warnings(grown)
         if grown["wrenches_clipped"]:
-            yield "base/wrench exceeds what the valves can give"
+            yield "base/wrench exceeds the thrust of the valves"
 
-    def is_well(self) -> bool:
+    def is_healthy(self) -> bool:
         """Return True if nothing is latched and the currents of all valves match their commands."""
         flagged = self.session.frame and self.session.frame.flags & ~BaseState.ARMED
         return not flagged and not faulty_valves(self.session.slow)

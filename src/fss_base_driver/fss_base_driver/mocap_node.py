@@ -22,7 +22,7 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
 from fss_arm_ros.rclpy_compat import RCLError
 from fss_base_driver.mocap import (
-    MOST,
+    MAX_SUBJECTS,
     Bounds,
     Pose,
     Receiver,
@@ -36,7 +36,7 @@ from fss_base_driver.programs import mocap as main
 from fss_base_driver.settings import MocapSettings
 
 STAMPS = {True: "stamped by the relayed header", False: "stamped by arrival"}
-CHOOSE = "name those that are wanted in the parameter subjects"
+CHOOSE_SUBJECTS = "list the required ones in the parameter subjects"
 
 
 class MocapNode(Node):
@@ -52,9 +52,9 @@ class MocapNode(Node):
             self.poses[name] = self.new_publisher(name)
         self.relays = [Relay(relay.rpartition("=")[0], self.topic_of(relay)) for relay in s.relays]
         self.lock = Lock()  # frames arrive in a separate thread
-        self.frames, self.heard, self.by_header = 0, time.monotonic_ns(), False
+        self.frames, self.last_frame, self.by_header = 0, time.monotonic_ns(), False
         self.empty = False  # the last frame had no subject
-        self.trouble = self.told = ""  # why the receiver ended, and the last log line
+        self.problem = self.last_log = ""  # why the receiver ended, and the last log line
         self.create_service(Trigger, "mocap/accept", self.on_accept)
         self.create_timer(0.5, self.look_for_relays, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health, s.host)
@@ -73,7 +73,7 @@ class MocapNode(Node):
 
     def on_frame(self, arrival: int, poses: dict[str, Pose]) -> None:
         """Publish a frame of the system."""
-        self.take(arrival - round(self.settings.latency * SECOND), poses)
+        self.publish_accepted(arrival - round(self.settings.latency * SECOND), poses)
 
     def on_message(self, relay: Relay, message: Any) -> None:
         """Publish the poses of a relayed message."""
@@ -81,17 +81,19 @@ class MocapNode(Node):
         self.by_header = bool(stamp)
         arrival = time.time_ns() - round(self.settings.latency * SECOND)
         poses = named_poses(message, relay.subject, self.settings.relay_scale)
-        self.take(stamp or arrival, {name or relay.last_name: pose for name, pose in poses})
+        self.publish_accepted(
+            stamp or arrival, {name or relay.last_name: pose for name, pose in poses}
+        )
 
-    def take(self, stamp: int, poses: dict[str, Pose]) -> None:
+    def publish_accepted(self, stamp: int, poses: dict[str, Pose]) -> None:
         """Publish the accepted poses of a frame."""
         wanted = {n: p for n, p in poses.items() if not self.places or n in self.places}
         with self.lock:
             self.frames, arrival = self.frames + 1, time.monotonic_ns()
             self.empty = not poses  # as of a VRPN server that is not running
             if poses:
-                self.heard, self.trouble, self.told = arrival, "", ""
-            for name, pose in self.subjects.take(stamp, wanted, arrival).items():
+                self.last_frame, self.problem, self.last_log = arrival, "", ""
+            for name, pose in self.subjects.filter_frame(stamp, wanted, arrival).items():
                 self.publish(name, stamp, pose)
 
     def publish(self, name: str, stamp: int, pose: Pose) -> None:
@@ -119,7 +121,7 @@ class MocapNode(Node):
         try:
             return self.create_publisher(PoseStamped, topic, SENSOR)
         except (NameValidationException, RCLError) as error:
-            raise SettingError(f"subjects: {topic!r} is no name of a topic: {error}") from None
+            raise SettingError(f"subjects: {topic!r} is no valid topic name: {error}") from None
 
     def topic_of(self, relay: str) -> str:
         """Return the topic of a relay, with its namespace.
@@ -132,82 +134,87 @@ class MocapNode(Node):
             validate_topic_name(topic)
             return self.resolve_topic_name(topic)
         except NameValidationException as error:
-            raise SettingError(f"relays: {topic!r} is no name of a topic: {error}") from None
+            raise SettingError(f"relays: {topic!r} is no valid topic name: {error}") from None
 
     def look_for_relays(self) -> None:
         """Subscribe to relayed topics once they have a type that can be read."""
-        waiting = [relay for relay in self.relays if relay.lacks]
+        waiting = [relay for relay in self.relays if relay.obstacle]
         types = dict(self.get_topic_names_and_types()) if waiting else {}
         for relay in waiting:
             try:
                 if kinds := types.get(relay.topic):
-                    take = partial(self.on_message, relay)
-                    subscribe_sensor(self, message_type(kinds), relay.topic, take)
-                    relay.lacks = ""
+                    callback = partial(self.on_message, relay)
+                    subscribe_sensor(self, message_type(kinds), relay.topic, callback)
+                    relay.obstacle = ""
             except RelayError as error:
-                if relay.lacks != (lacks := str(error)):
-                    self.get_logger().error(f"{relay.topic}: {lacks}")
-                relay.lacks = lacks
+                if relay.obstacle != (obstacle := str(error)):
+                    self.get_logger().error(f"{relay.topic}: {obstacle}")
+                relay.obstacle = obstacle
 
     def on_end(self, why: str) -> None:
         """Store and log why the receiving process has ended."""
-        self.trouble = why
-        self.tell(why)
+        self.problem = why
+        self.log_once(why)
 
-    def tell(self, why: str) -> None:
+    def log_once(self, why: str) -> None:
         """Log once why no poses arrive."""
-        if why != self.told and self.context.ok():
+        if why != self.last_log and self.context.ok():
             self.get_logger().error(why)
-        self.told = why
+        self.last_log = why
 
     def on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Accept all subjects, because the operator confirms their names."""
         with self.lock:
-            doubts = self.subjects.doubts(time.monotonic_ns())
-            self.subjects.accept()
+            rejected = self.subjects.rejection_reasons(time.monotonic_ns())
+            self.subjects.accept_all()
         response.success = True
-        response.message = f"believed again: {', '.join(doubts) or 'none was in doubt'}"
+        response.message = f"accepted again: {', '.join(rejected) or 'none was rejected'}"
         return response
 
     def health(self) -> Health:
         """Return the health for diagnostics."""
         now, timeout = time.monotonic_ns(), self.settings.timeout
         with self.lock:
-            silence = (now - self.heard) / SECOND
-            words = self.doubts(now)
+            silence = (now - self.last_frame) / SECOND
+            words = self.describe_problems(now)
             counts = {name: dict(s.counts) for name, s in self.subjects.subjects.items()}
         values = {"frames": self.frames, "time": STAMPS[self.by_header], **counts}
-        if why := self.trouble or (self.absence() if silence > timeout else ""):
-            self.tell(why)
+        if why := self.problem or (self.loss_reason() if silence > timeout else ""):
+            self.log_once(why)
             return Health(ERROR, f"{why} ({silence:.1f} s)", values)
         return Health(WARN if words else OK, "; ".join(words) or "receiving", values)
 
-    def absence(self) -> str:
+    def loss_reason(self) -> str:
         """Return why no frames arrive, as text."""
         if self.receiver and not self.receiver.connected:
             return f"waiting for {self.source}: it does not answer"
         if self.empty:
             return f"no subject in the frames of {self.source}"
-        if not self.receiver and (lacking := self.lacking()):
-            return f"waiting for {'; '.join(lacking)}"
+        if not self.receiver and (waiting_relays := self.waiting_relays()):
+            return f"waiting for {'; '.join(waiting_relays)}"
         return f"no frame {'any more' if self.frames else 'yet'} from {self.source}"
 
-    def lacking(self) -> list[str]:
+    def waiting_relays(self) -> list[str]:
         """Return the topics that cannot be relayed yet, with reasons."""
-        return [f"{relay.topic}: {relay.lacks}" for relay in self.relays if relay.lacks]
+        return [f"{relay.topic}: {relay.obstacle}" for relay in self.relays if relay.obstacle]
 
-    def doubts(self, now: int) -> list[str]:
+    def describe_problems(self, now: int) -> list[str]:
         """Return the problems with subjects and relays as text."""
         subjects, known = self.subjects, self.subjects.subjects
-        words = [f"{name} {why}" for name, why in subjects.doubts(now).items()]
-        silent = subjects.silent(now, self.settings.timeout).items()
-        words += [f"{name} not seen anew for {age:.1f} s" for name, age in silent]
-        words += [f"{name} not seen yet" for name in self.places if name not in known]
-        nameless = [name for name, publisher in self.poses.items() if publisher is None]
-        words += [f"{name!r} is no name for a topic: rename it, or {CHOOSE}" for name in nameless]
-        if subjects.left_out:
-            words.append(f"subjects beyond the first {MOST} are left out: {CHOOSE}")
-        return words + self.lacking()
+        words = [f"{name} {why}" for name, why in subjects.rejection_reasons(now).items()]
+        silent = subjects.stale_subjects(now, self.settings.timeout).items()
+        words += [f"{name} has no new pose for {age:.1f} s" for name, age in silent]
+        words += [f"{name} was not seen yet" for name in self.places if name not in known]
+        invalid_names = [name for name, publisher in self.poses.items() if publisher is None]
+        words += [
+            f"{name!r} is no valid topic name: rename it, or {CHOOSE_SUBJECTS}"
+            for name in invalid_names
+        ]
+        if subjects.ignored:
+            words.append(
+                f"more than {MAX_SUBJECTS} subjects: the rest is ignored; {CHOOSE_SUBJECTS}"
+            )
+        return words + self.waiting_relays()
 
     def close(self) -> None:
         """Stop the receiving process."""

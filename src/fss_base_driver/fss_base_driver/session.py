@@ -1,4 +1,4 @@
-"""Session of the driver with the base's board: pulses for its valves, orders for its gripper.
+"""Session of the driver with the base's board: pulses for its valves, commands for its gripper.
 
 Frames are described in docs/reference/base_protocol.md. All times are the caller's, in integer
 nanoseconds.
@@ -14,12 +14,12 @@ from fss_base_driver.protocol import (
     TIME_UNIT,
     VALVES,
     BaseCommand,
-    BaseOrder,
+    BaseCommandFlag,
     BaseSlow,
     BaseState,
     BaseTelemetry,
     Gripper,
-    Hand,
+    GripperFlag,
     decode,
     encode,
 )
@@ -27,11 +27,11 @@ from fss_link.session import SECOND, CommandError, Partner, Session
 
 NAME = "the base's board"
 UNIT = 1000 * TIME_UNIT  # of on-times [ns]
-LATEST = SECOND // 10  # largest delay of a pulse's start by repetition [ns]
+MAX_START_DELAY = SECOND // 10  # largest delay of a pulse's start by repetition [ns]
 LATCHES = BaseState.STOPPED | BaseState.WATCHDOG | BaseState.SPENT
 
 
-class Heard(NamedTuple):
+class BoardSample(NamedTuple):
     """An accepted telemetry frame."""
 
     frame: BaseTelemetry
@@ -58,11 +58,11 @@ NO_PULSE = Pulse()
 class Unrestricted:
     """Plausibility rules that accept any telemetry of the board."""
 
-    def possible(self, frame: BaseTelemetry) -> bool:
+    def is_plausible(self, frame: BaseTelemetry) -> bool:
         """Return True: any frame is plausible."""
         return True
 
-    def reachable(self, before: BaseTelemetry, frame: BaseTelemetry) -> bool:
+    def is_reachable(self, before: BaseTelemetry, frame: BaseTelemetry) -> bool:
         """Return True: any frame may follow any other."""
         return True
 
@@ -118,7 +118,7 @@ class BoardSession(Session[BaseTelemetry]):
             self.pulse = NO_PULSE
             return
         self._number = self._number % 0xFFFF + 1
-        ends = now + UNIT * max(times) + LATEST + self._echoes.delay
+        ends = now + UNIT * max(times) + MAX_START_DELAY + self._echoes.delay
         expiry = max(given + self._lifetime, ends)
         self.pulse = Pulse(self._number, times, now, expiry)
 
@@ -145,13 +145,13 @@ class BoardSession(Session[BaseTelemetry]):
         """Return the frame to send now."""
         self.tick(now)
         flags, expiry, pulse, grip = self._flags(now), 0, NO_PULSE, Gripper.KEEP
-        if flags == BaseOrder.ARM:
+        if flags == BaseCommandFlag.ARM:
             pulse, grip = self.pulse, self._grip
             expiry = pulse.expiry if pulse.number else now + self._timeout
         return encode(
             BaseCommand(
-                **self._head(flags, now),
-                expiry=self._by_its_clock(expiry),
+                **self._header(flags, now),
+                expiry=self._to_partner_clock(expiry),
                 pulse=pulse.number,
                 on_times=pulse.on_times,
                 gripper=grip,
@@ -159,29 +159,29 @@ class BoardSession(Session[BaseTelemetry]):
             self._key,
         )
 
-    def feed(self, data: bytes, now: int) -> Heard | None:
+    def feed(self, data: bytes, now: int) -> BoardSample | None:
         """Process a datagram; return its frame if it is accepted."""
-        if taken := self._take(data, now):
-            self._follow(taken[0])
-        return Heard(*taken) if taken else None
+        if accepted := self._accept(data, now):
+            self._update_state(accepted[0])
+        return BoardSample(*accepted) if accepted else None
 
     def _is_off(self, frame: BaseTelemetry) -> bool:
         """Return True if all valves are closed."""
         return not frame.valves
 
-    def _end(self, why: str) -> None:
-        """Drop the active pulse and the order to the gripper."""
+    def _cancel_command(self, why: str) -> None:
+        """Drop the active pulse and the command to the gripper."""
         self.pulse, self._grip = NO_PULSE, Gripper.KEEP
 
-    def _pass(self, now: int) -> None:
+    def _advance_command(self, now: int) -> None:
         """Drop the active pulse when it has expired."""
         if now > self.pulse.expiry:
             self.pulse = NO_PULSE
 
-    def _learn(self, frame: BaseTelemetry, echoed: int | None) -> None:
+    def _update_progress(self, frame: BaseTelemetry, echoed: int | None) -> None:
         """Synchronize the pulse number with the board, and check for the gripper's confirmation."""
         if not self.armed:
             self._number = frame.pulse
-        told = Gripper.CLOSE if frame.gripper & Hand.TOLD_TO_CLOSE else Gripper.OPEN
-        if echoed is not None and echoed >= self._grip_time and told is self._grip:
+        commanded = Gripper.CLOSE if frame.gripper & GripperFlag.COMMANDED_CLOSED else Gripper.OPEN
+        if echoed is not None and echoed >= self._grip_time and commanded is self._grip:
             self._grip = Gripper.KEEP

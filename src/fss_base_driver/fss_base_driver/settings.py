@@ -20,7 +20,7 @@ from fss_arm_model.thrusters import layout
 from fss_arm_model.vehicle import Vehicle
 from fss_base_driver.dsp3000 import BAUD
 from fss_base_driver.protocol import BOARD, VALVES
-from fss_link.protocol import key_of
+from fss_link.protocol import load_key
 
 SYSTEMS = ("vicon", "vrpn", "optitrack", "qualisys", "mock")
 
@@ -40,21 +40,21 @@ class MocapSettings(Settings):
     )
     relays: tuple[str, ...] = setting(
         (),
-        "topics of other receivers to pass on, each SUBJECT=TOPIC, or TOPIC if messages hold names",
+        "topics of other receivers to relay, each SUBJECT=TOPIC, or TOPIC if messages have names",
     )
     relay_scale: float = setting(
-        1.0, "length of one unit of the relayed topics; 0.001 for millimetres", unit="m",
+        1.0, "length unit of the relayed topics; 0.001 for millimetres", unit="m",
         check=POSITIVE,
     )  # fmt: skip
     subjects: tuple[str, ...] = setting(
-        (), "names of subjects to pass on, each NAME or NAME=SUBJECT/SEGMENT; empty: all"
+        (), "subjects to publish, each NAME or NAME=SUBJECT/SEGMENT; empty: all"
     )
     prefix: str = setting(
         "vicon", "first part of the topics PREFIX/SUBJECT/SEGMENT", within="/vicon"
     )
-    frame_id: str = setting("world", "frame that the poses are in")
+    frame_id: str = setting("world", "frame of the poses")
     latency: float = setting(
-        0.0, "delay from exposure to arrival, taken off the time of arrival", unit="s",
+        0.0, "delay from exposure to arrival, subtracted from the time of arrival", unit="s",
         check=between(0.0, 10.0),
     )  # fmt: skip
     max_speed: float = setting(
@@ -64,7 +64,7 @@ class MocapSettings(Settings):
         3.0, "rate of turn above which a subject has jumped", unit="rad/s", check=POSITIVE
     )
     settle_time: float = setting(
-        1.0, "time of plausible motion after which a subject that jumped is believed again",
+        1.0, "time of plausible motion after which a subject that jumped is accepted again",
         unit="s", check=POSITIVE,
     )  # fmt: skip
     timeout: float = setting(
@@ -93,19 +93,21 @@ class MocapSettings(Settings):
 class BaseSettings(Settings):
     """Parameters of a BaseNode."""
 
-    url: str = setting("", "where the base's board is: udp://, tcp:// or serial://; required")
+    url: str = setting("", "address of the base's board: udp://, tcp:// or serial://; required")
     rate: float = setting(
         20.0,
-        "rate at which the command of the moment is repeated",
+        "rate at which the current command is repeated",
         unit="1/s",
         check=between(1.0, 1000.0),
     )
     max_rate: float = setting(
-        50.0, "most commands a second to the board, as what is asked of it is passed on at once",
+        50.0, "largest rate of commands to the board; users' commands are sent at once",
         unit="1/s", check=between(1.0, 1000.0),
     )  # fmt: skip
     timeout: float = setting(
-        1.0, "silence after which the board is lost, and longest round trip to arm at", unit="s",
+        1.0,
+        "silence after which the board is lost, and largest round trip at which it can be armed",
+        unit="s",
         check=between(0.001, 3600.0),
     )  # fmt: skip
     watchdog: float = setting(
@@ -126,7 +128,7 @@ class BaseSettings(Settings):
     )  # fmt: skip
     layout: tuple[float, ...] = setting(
         (),
-        "instead of thrust and lever: of each valve in turn force along x and y and torque about "
+        "instead of thrust and lever: for each valve, force along x and y and torque about "
         "the base's origin, 24 numbers",
         unit="N, N, N m",
         check=FINITE,
@@ -135,18 +137,21 @@ class BaseSettings(Settings):
         0.01, "shortest time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
     )
     max_on_time: float = setting(
-        1.0, "longest time on thrusters/command that is taken", unit="s", check=between(0.001, 6.5)
+        1.0,
+        "longest on-time that is accepted on thrusters/command",
+        unit="s",
+        check=between(0.001, 6.5),
     )
     command_lifetime: float = setting(
         0.5, "age beyond which a message on thrusters/command is refused", unit="s",
         check=between(0.001, 10.0),
     )  # fmt: skip
     wrench_lifetime: float = setting(
-        0.3, "age beyond which a message on base/wrench no longer acts", unit="s",
+        0.3, "age beyond which a message on base/wrench has no effect", unit="s",
         check=between(0.001, 10.0),
     )  # fmt: skip
     wrench_period: float = setting(
-        0.1, "time over which a wrench is given as a mean, by one pulse of each valve", unit="s",
+        0.1, "period over which a wrench is averaged, with one pulse of each valve", unit="s",
         check=between(0.02, 1.0),
     )  # fmt: skip
     gyro_noise: float = setting(
@@ -196,7 +201,7 @@ class BaseSettings(Settings):
         Raises:
             ValueError: keys are configured, but none for the board.
         """
-        return key_of(self.keys, BOARD, f"the board, {BOARD}")
+        return load_key(self.keys, BOARD, f"the board, {BOARD}")
 
 
 @dataclass(frozen=True)
@@ -225,7 +230,7 @@ def live_kinds() -> dict[str, type]:
 class FogSettings(Settings):
     """Parameters of a FogNode."""
 
-    device: str = setting("/dev/ttyUSB0", "serial port that the gyro is on")
+    device: str = setting("/dev/ttyUSB0", "serial port of the gyro")
     baud: int = setting(BAUD, "rate of the serial port", unit="1/s", check=between(300, 4_000_000))
     base_frame: str = like(BaseSettings, "base_frame")
     gyro_noise: float = like(BaseSettings, "gyro_noise")
@@ -239,5 +244,7 @@ class FogSettings(Settings):
 class FogCorrection(Settings):
     """Correction of the gyro's rates that can change at runtime."""
 
-    scale: float = setting(1.0, "factor of its rates; -1 turns the gyro over", check=FINITE)
+    scale: float = setting(
+        1.0, "factor of its rates; -1 if the gyro is mounted upside down", check=FINITE
+    )
     bias: float = like(GyroSettings, "bias")

@@ -30,7 +30,7 @@ UNITS = ("[1/s]", "[ms]", "p50, p99 [ms]", "[ms]", "[m]", "[m]", "[deg]", "")
 
 
 @dataclass
-class Heard:
+class SubjectLog:
     """Messages received of one subject."""
 
     stamps: list[int] = field(default_factory=list)  # [ns]
@@ -38,7 +38,7 @@ class Heard:
     poses: list[tuple[float, float, float]] = field(default_factory=list)
     unusable: int = 0  # occluded or not finite
 
-    def take(self, message: Any) -> None:
+    def add(self, message: Any) -> None:
         """Record a message."""
         self.arrivals.append(time.time_ns())
         self.stamps.append(stamp_ns(message.header.stamp))
@@ -73,22 +73,22 @@ class Listener(Node):
     def __init__(self, prefix: str) -> None:
         super().__init__("subjects", enable_rosout=False, start_parameter_services=False)
         self.prefix = self.resolve_topic_name(prefix) + "/"
-        self.heard: dict[str, Heard] = {}
-        self.create_timer(0.2, self.look)
+        self.subjects: dict[str, SubjectLog] = {}
+        self.create_timer(0.2, self.subscribe_to_new_topics)
 
-    def look(self) -> None:
+    def subscribe_to_new_topics(self) -> None:
         """Subscribe to new topics."""
         for topic, kinds in self.get_topic_names_and_types():
             pose = "geometry_msgs/msg/PoseStamped" in kinds and topic.startswith(self.prefix)
-            if pose and topic not in self.heard:
-                self.heard[topic] = Heard()
-                subscribe_sensor(self, PoseStamped, topic, self.heard[topic].take)
+            if pose and topic not in self.subjects:
+                self.subjects[topic] = SubjectLog()
+                subscribe_sensor(self, PoseStamped, topic, self.subjects[topic].add)
 
 
-def table(heard: dict[str, Heard]) -> Table:
+def table(subjects: dict[str, SubjectLog]) -> Table:
     """Return the received subjects as a table."""
     shown = Table("topic", *map("\n".join, zip(COLUMNS, UNITS, strict=True)), box=None)
-    for topic, subject in sorted(heard.items()):
+    for topic, subject in sorted(subjects.items()):
         shown.add_row(topic, *(subject.row() if subject.stamps else ["silent"]))
     return shown
 
@@ -115,15 +115,15 @@ def listen(given: argparse.Namespace) -> int:
         until = time.monotonic() + given.seconds
         while (left := until - time.monotonic()) > 0.0:
             spin_once(node, min(left, 0.1))
-        domain, prefix, heard = node.context.get_domain_id(), node.prefix, node.heard
+        domain, prefix, subjects = node.context.get_domain_id(), node.prefix, node.subjects
     except KeyboardInterrupt:
         return 130
     finally:
         rclpy.try_shutdown()
-    if not any(subject.stamps for subject in heard.values()):
+    if not any(subject.stamps for subject in subjects.values()):
         print(f"subjects: no pose on {prefix}... in ROS domain {domain}", file=sys.stderr)
         return 1
-    Console().print(table(heard))
+    Console().print(table(subjects))
     return 0
 
 

@@ -24,7 +24,7 @@ from fss_arm_model.dynamics import inertia_matrix
 
 Floats = npt.NDArray[np.float64]
 
-LEAST = 20  # least number of poses before a pulse, and after it
+MIN_POSES = 20  # least number of poses before a pulse, and after it
 
 
 class TrackError(ValueError):
@@ -79,9 +79,9 @@ def estimate(
     track, gyro = np.asarray(poses, float).reshape(-1, 4), np.asarray(rates, float).reshape(-1, 2)
     t, heading = track[:, 0] - begin, track[:, 3]
     before, after = int((t < 0.0).sum()), int((t > duration).sum())
-    if min(before, after) < LEAST:
+    if min(before, after) < MIN_POSES:
         raise TrackError(
-            f"{before} poses before the pulse and {after} after it, expected {LEAST} each"
+            f"{before} poses before the pulse and {after} after it, expected {MIN_POSES} each"
         )
     turn = np.exp(1j * heading)
     com = track[:, 1] + 1j * track[:, 2] + turn * complex(*body.com)
@@ -119,7 +119,7 @@ def _turned(
 ) -> tuple[float, float]:
     """Return the change of the turn rate and its deviation [rad/s], from heading and gyro."""
     results = [_fit(design, heading)]
-    if len(t) >= LEAST:
+    if len(t) >= MIN_POSES:
         ramp = np.clip(t / duration, 0.0, 1.0)
         results.append(_fit(np.column_stack([np.ones_like(t), t, ramp]), rate))
     weights = [1.0 / max(deviation, 1e-12) ** 2 for _, deviation in results]
@@ -127,7 +127,7 @@ def _turned(
     return mean, float(1.0 / np.sqrt(sum(weights)))
 
 
-def order(layout: npt.ArrayLike) -> list[int]:
+def valve_order(layout: npt.ArrayLike) -> list[int]:
     """Return all valves, from 0, in an order in which each next one leaves the base slowest."""
     rows = np.asarray(layout, float)
     rows = rows / np.maximum(np.abs(rows).max(axis=0), 1e-12)
@@ -155,10 +155,10 @@ def verdict(found: Thrust, layout: npt.ArrayLike, valve: int, tolerance: float =
     slack = 3.0 * np.array([found.deviation[0]] * 2 + [found.deviation[1]])
     if found.size < 0.2 * sizes[valve] + slack[0]:
         return f"no thrust: {found.size:.3f} N, expected {sizes[valve]:.3f} N"
-    seen = np.array([*found.force, found.torque])
+    measured = np.array([*found.force, found.torque])
     scale = np.array([1.0, 1.0, 1.0 / levers])
     fits = [
-        bool((np.abs(seen - row) * scale <= tolerance * size + slack * scale).all())
+        bool((np.abs(measured - row) * scale <= tolerance * size + slack * scale).all())
         for row, size in zip(rows, sizes, strict=True)
     ]
     if fits[valve]:
@@ -166,9 +166,10 @@ def verdict(found: Thrust, layout: npt.ArrayLike, valve: int, tolerance: float =
     others = [i + 1 for i, fit in enumerate(fits) if fit]
     if others:
         return f"pushes as valve {others[0]} should: are their wires or hoses swapped?"
-    along = rows[valve, :2] @ seen[:2] / sizes[valve]
+    along = rows[valve, :2] @ measured[:2] / sizes[valve]
     if abs(along - found.size) > tolerance * sizes[valve] + slack[0]:
-        return f"pushes along ({seen[0]:.3f}, {seen[1]:.3f}) N, expected {tuple(rows[valve, :2])} N"
+        found_force = f"({measured[0]:.3f}, {measured[1]:.3f}) N"
+        return f"pushes along {found_force}, expected {tuple(rows[valve, :2])} N"
     if abs(found.size - sizes[valve]) > tolerance * sizes[valve] + slack[0]:
         return f"thrust is {found.size:.3f} N, expected {sizes[valve]:.3f} N"
     return (

@@ -6,10 +6,10 @@ from typing import Any
 
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Health
-from fss_link.session import TROUBLES, Session
+from fss_link.session import FRAME_PROBLEMS, Session
 from fss_link.transport import Transport
 
-SHORT = 600.0  # remaining battery time below which to warn [s]
+BATTERY_WARNING_TIME = 600.0  # remaining battery time below which to warn [s]
 
 
 class SessionHealth(ABC):
@@ -28,10 +28,10 @@ class SessionHealth(ABC):
         self, name: str, session: Session[Any], transport: Transport, signed: bool
     ) -> None:
         self.name, self.session, self.transport, self.signed = name, session, transport, signed
-        self.counts, self.then = dict(session.counts), 0
+        self.counts, self.last_time = dict(session.counts), 0
 
     @abstractmethod
-    def words(self) -> str:
+    def describe_state(self) -> str:
         """Return the partner's state in words."""
 
     @abstractmethod
@@ -39,52 +39,57 @@ class SessionHealth(ABC):
         """Return the values of this kind of partner."""
 
     @abstractmethod
-    def is_well(self) -> bool:
+    def is_healthy(self) -> bool:
         """Return True if the words describe nothing to warn of."""
 
-    def doubt(self) -> str:
+    def extra_warning(self) -> str:
         """Return a further warning in words; empty: none."""
         return ""
 
     def __call__(self, now: int, more: Mapping[str, Any] | None = None) -> Health:
         """Return the diagnostic status at time `now` [ns], with the values of `more` added."""
-        session, before, then = self.session, self.counts, self.then
+        session, before, last_time = self.session, self.counts, self.last_time
         session.tick(now)
-        self.counts, self.then = dict(session.counts), now
-        grown = {name: count - before[name] for name, count in self.counts.items()}
+        self.counts, self.last_time = dict(session.counts), now
+        increase = {name: count - before[name] for name, count in self.counts.items()}
         values = {
             "state": session.arming.value,
             **self.values(),
-            **self._common(grown, (now - then) / SECOND, now),
+            **self._common(increase, (now - last_time) / SECOND, now),
             **(more or {}),
         }
-        if now == then:
-            return Health(WARN, "the clock stands still", values)
+        if now == last_time:
+            return Health(WARN, "the clock is stopped: does /clock advance?", values)
         if session.lost:
-            why = self.transport.trouble or session.rival or session.strain or session.absence
+            why = (
+                self.transport.problem
+                or session.other_driver
+                or session.link_problem
+                or session.loss_reason
+            )
             return Health(ERROR, f"{self.name} is lost{': ' * bool(why)}{why}", values)
-        words = self.words()
-        if session.rival or session.faults:
-            return Health(ERROR, session.rival or words, values)
-        if doubt := next(filter(None, self._doubts(grown)), ""):
-            return Health(WARN, f"{words}; {doubt}", values)
-        return Health(OK if self.is_well() else WARN, words, values)
+        words = self.describe_state()
+        if session.other_driver or session.faults:
+            return Health(ERROR, session.other_driver or words, values)
+        if warning := next(filter(None, self._warnings(increase)), ""):
+            return Health(WARN, f"{words}; {warning}", values)
+        return Health(OK if self.is_healthy() else WARN, words, values)
 
-    def _doubts(self, grown: Mapping[str, int]) -> Iterator[str]:
+    def _warnings(self, increase: Mapping[str, int]) -> Iterator[str]:
         """Yield warnings, the most severe first; an empty one is none."""
-        yield self.doubt()
-        yield self.session.strain
-        if (left := self.session.battery.time_left()) < SHORT:
+        yield self.extra_warning()
+        yield self.session.link_problem
+        if (left := self.session.battery.time_left()) < BATTERY_WARNING_TIME:
             yield f"the battery lasts {left / 60.0:.0f} min"
-        if any(grown[name] for name in TROUBLES):
-            yield "frames were lost or refused"
+        if any(increase[name] for name in FRAME_PROBLEMS):
+            yield "frames were lost or rejected"
 
-    def _common(self, grown: Mapping[str, int], seconds: float, now: int) -> dict[str, Any]:
+    def _common(self, increase: Mapping[str, int], seconds: float, now: int) -> dict[str, Any]:
         session, firmware = self.session, self.session.slow.get(self.firmware, 0)
-        came = grown["believed"] + grown["missed"]
+        expected = increase["accepted"] + increase["missed"]
         return {
-            "rate [1/s]": grown["believed"] / seconds if seconds else 0.0,
-            "loss [%]": 100.0 * grown["missed"] / came if came else 0.0,
+            "rate [1/s]": increase["accepted"] / seconds if seconds else 0.0,
+            "loss [%]": 100.0 * increase["missed"] / expected if expected else 0.0,
             "age [s]": session.silence(now),
             "round trip [s]": session.round_trip,
             "clock offset [s]": session.offset,

@@ -22,15 +22,15 @@ class HostClock:
         self, now: Callable[[], int] = boot_time, day: Callable[[], int] = time.time_ns
     ) -> None:
         self.now, self._day = now, day
-        self._ahead = 0
+        self._offset = 0
 
     @property
-    def ahead(self) -> int:
+    def offset(self) -> int:
         """Time of day minus `now` [ns].
 
         Its uncertainty is the time that the reading takes. Within that the value is kept, so
         that stamps do not jitter.
         """
         before, day, after = self.now(), self._day(), self.now()
-        self._ahead = max(day - after, min(self._ahead, day - before))
-        return self._ahead
+        self._offset = max(day - after, min(self._offset, day - before))
+        return self._offset

@@ -18,11 +18,11 @@ from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.timer_clock import timer_clock
-from fss_link.complaints import Complaints
 from fss_link.host_clock import HostClock
 from fss_link.receiver import Receiver
 from fss_link.session import Arming, CommandError, Session, StatusLog
 from fss_link.transport import Transport, is_exposed
+from fss_link.warning_filter import WarningFilter
 
 SIMULATED_STEP = 0.01  # step of /clock [s]
 
@@ -31,7 +31,7 @@ class SessionNode(Node):
     """Node that sends commands to a partner at a steady rate, arms it, and reports its state.
 
     The constructor of a subclass creates a session, passes it to `connect`, creates its topics, and
-    finally calls `begin`.
+    finally calls `start_communication`.
 
     Args:
         name: of the node.
@@ -61,32 +61,33 @@ class SessionNode(Node):
         self.clock = clock or HostClock()
         self.now = self.clock.now
         self.lock = RLock()
-        self.complaints = Complaints()
+        self.warnings = WarningFilter()
         self.waiting: list[Future] = []  # for the partner to arm, or to disarm
 
     def simulated_now(self) -> int:
         """Return the time of /clock [ns]; 0 before its first message."""
         return int(self.get_clock().now().nanoseconds)
 
-    def connect(self, session: Session[Any], transport: Transport, danger: str) -> None:
+    def connect(self, session: Session[Any], transport: Transport, threat: str) -> None:
         """Store the session and the transport to the partner.
 
         Args:
             session: of this kind of node.
             transport: to the partner.
-            danger: what an attacker can do to a partner whose frames are not signed, in words.
+            threat: what an attacker can do to a partner whose frames are not signed, in words.
         """
         self.session, self.transport = session, transport
         self.name = session.partner.name  # in answers
-        self.changes = StatusLog(session)
-        self.complaints.begins("trouble", self.trouble())  # an initial problem is not logged
+        self.status_log = StatusLog(session)
+        # An initial problem is not logged.
+        self.warnings.is_new("connection", self.connection_problem())
         if is_exposed(self.settings.url, self.settings.keys):
             self.get_logger().warning(
-                f"{self.settings.url}: frames are not signed, so anybody on this network can "
-                f"{danger}; see docs/how-to/security.md"
+                f"{self.settings.url}: frames are not signed, so any computer on this network can "
+                f"{threat}; see docs/how-to/security.md"
             )
 
-    def begin(self, service: str) -> None:
+    def start_communication(self, service: str) -> None:
         """Start the communication; `service` arms and disarms."""
         group = ReentrantCallbackGroup()  # other callbacks run while the response waits
         self.create_service(SetBool, service, self.on_arm, callback_group=group)
@@ -94,11 +95,11 @@ class SessionNode(Node):
             1.0 / self.settings.rate, self.send, clock=timer_clock(self)
         )
         self.diagnostics = Diagnostics(self, self.health, self.settings.url)
-        self.news = self.create_guard_condition(self.answer)
-        self.receiver = Receiver(self.transport, self.poll, self.news)
+        self.wakeup = self.create_guard_condition(self.answer_requests)
+        self.receiver = Receiver(self.transport, self.process_datagrams, self.wakeup)
 
     @abstractmethod
-    def take(self, data: bytes, now: int) -> None:
+    def process_datagram(self, data: bytes, now: int) -> None:
         """Publish the contents of a datagram."""
 
     @abstractmethod
@@ -106,54 +107,54 @@ class SessionNode(Node):
         """Send the current command."""
 
     @abstractmethod
-    def state_words(self) -> str:
+    def describe_state(self) -> str:
         """Return the partner's state in words."""
 
     @abstractmethod
     def health(self) -> Health:
         """Return the status for diagnostics."""
 
-    def has_news(self) -> bool:
+    def has_pending_answers(self) -> bool:
         """Return True if there is a request to answer or a status to report."""
         return bool(self.waiting)
 
-    def poll(self, datagrams: list[bytes]) -> None:
+    def process_datagrams(self, datagrams: list[bytes]) -> None:
         """Process received datagrams; drop them while there is no clock to stamp them with."""
         with self.lock:
             now = self.now()  # under the lock, so that the session's time does not go back
             try:
                 for data in datagrams if now else ():
-                    self.take(data, now)
+                    self.process_datagram(data, now)
             except RCLError:
                 if self.context.ok():
                     raise
                 return  # shut down meanwhile
-        if self.has_news():
-            self.news.trigger()
+        if self.has_pending_answers():
+            self.wakeup.trigger()
 
     def send(self) -> None:
         """Send the current command, answer earlier requests, and log changes."""
         self.transmit()
-        self.answer()
-        self.complain()
+        self.answer_requests()
+        self.log_changes()
 
-    def complain(self) -> None:
+    def log_changes(self) -> None:
         """Log changes and problems, each problem once when it starts."""
         with self.lock:
-            news = self.changes(self.now())
-        report(self, news)
-        self.warn("trouble", self.trouble())
-        self.warn("rival", self.session.rival)
-        self.warn("strain", self.session.strain)
+            lines = self.status_log(self.now())
+        report(self, lines)
+        self.warn("connection", self.connection_problem())
+        self.warn("other driver", self.session.other_driver)
+        self.warn("link", self.session.link_problem)
 
-    def trouble(self) -> str:
+    def connection_problem(self) -> str:
         """Return the problem of the connection to the partner, in words; empty: none."""
-        trouble = self.transport.trouble
-        return trouble and f"{self.settings.url}: {trouble}"
+        problem = self.transport.problem
+        return problem and f"{self.settings.url}: {problem}"
 
     def warn(self, kind: str, text: str) -> None:
         """Log a warning of a kind when it starts; an empty text ends it."""
-        if self.complaints.begins(kind, text):
+        if self.warnings.is_new(kind, text):
             self.get_logger().warning(text)
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
@@ -177,12 +178,12 @@ class SessionNode(Node):
         session = self.session
         done = session.armed if arm else session.released
         if done or arm or session.arming is not Arming.DISARMED:
-            words = self.state_words(), "" if done else session.strain
+            words = self.describe_state(), "" if done else session.link_problem
             return done, "; ".join(filter(None, words))
         how = "is lost" if session.lost else self.unconfirmed
-        return False, f"{self.name} {how}: asked to disarm, not confirmed"
+        return False, f"{self.name} {how}: disarming requested, not confirmed"
 
-    def answer(self) -> None:
+    def answer_requests(self) -> None:
         """Answer requests to arm or disarm that have succeeded or failed."""
         if self.receiver.error and self.context.ok():
             raise self.receiver.error

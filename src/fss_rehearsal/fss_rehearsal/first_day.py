@@ -87,9 +87,9 @@ class FirstDayOperator(Operator):
     def answer_prompt(self, to: IO[str]) -> None:
         """Answer the current prompt, if there is one."""
         answers = {
-            "degrees, or nothing to leave it out: ": self.turn_joint,
+            "degrees, or nothing to skip this test: ": self.turn_joint,
             "press Enter: ": lambda: "",
-            "in N m, or nothing to leave it out: ": self.load_joint,
+            "N m, or nothing to skip this test: ": self.load_joint,
             "type yes: ": self.confirm,
         }
         for question, answer in answers.items():

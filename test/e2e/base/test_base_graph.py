@@ -197,7 +197,7 @@ def test_a_replayed_bag_opens_no_valve(graph):
         user.thrust.publish(message)
         user.wrench.publish(wrench)
         graph.pass_time(0.05)
-    user.thrust.publish(user.command(0.0, 0.1))  # a live one is heard among them
+    user.thrust.publish(user.command(0.0, 0.1))  # a live one is received among them
     graph.until(lambda: graph.board.opened[1] == 100_000)
     assert graph.board.opened == [0, 100_000, *6 * [0]]
     assert graph.board.pulse == 1

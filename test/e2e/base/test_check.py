@@ -39,7 +39,7 @@ def test_a_valve_that_does_not_open_is_found_and_the_others_fit(spin, start, tmp
         (("--on-time", "0"), 1, "--on-time is 0.0, expected above 0"),
         (("--valves", "9"), 1, r"--valves is [9], expected 1 to 8"),
         (("--q", "0"), 1, "--q has 1 angles, expected 4"),
-        ((), 1, "no more input"),
+        ((), 1, "end of input"),
     ],
 )
 def test_what_cannot_be_done_is_said(start, args, code, words):

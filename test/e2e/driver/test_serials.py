@@ -34,7 +34,7 @@ def test_swapped_and_replaced_links_are_refused_and_the_others_armed(spin, tmp_p
         return future.result().message
 
     def told(client):
-        """The answer once the link is heard, and has told its serial number."""
+        """The answer once the link has reported its serial number."""
         message = ""
         while not message or "not yet told" in message or "is lost" in message:
             message = answer(client)
@@ -49,5 +49,5 @@ def test_swapped_and_replaced_links_are_refused_and_the_others_armed(spin, tmp_p
         first, second, third, fourth = map(told, clients)
     assert first == "link_1 is armed"
     for message, came, expected in ((second, 9, 8), (third, 8, 9), (fourth, 23, 10)):
-        assert f"serial number {came} came where {expected} is expected" in message
+        assert f"serial number is {came}, expected {expected}" in message
         assert str(arm_file) in message

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from fss_arm_driver.protocol import Order
+from fss_arm_driver.protocol import LinkCommandFlag
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 
@@ -135,7 +135,7 @@ def test_two_hosts_and_a_bad_network(spin, start, far_link, capsys):
     recovery = (min(heard for heard, _ in user.joints if heard > back) - back) / SECOND
     rate = len([1 for heard, _ in user.joints if heard < pulled]) / 60.0
     taken = entries(far_link, "taken")
-    armed = [left for _, _, flags, left in taken if int(flags) & Order.ARM]
+    armed = [left for _, _, flags, left in taken if int(flags) & LinkCommandFlag.ARM]
     with capsys.disabled():
         print(
             f"\n  stamps deviate by {1e3 * settled:.2f} ms (1 sigma), with the first "

@@ -166,7 +166,7 @@ def test_a_driver_that_was_stopped_and_goes_on_moves_nothing(spin, start, url, k
     # What came first may have been measured before it was stopped.
     assert max(person.positions[held + 3 :]) - min(person.positions[held + 3 :]) < 1e-4
     assert "disarmed" in person.health[url].message
-    assert driver.output.count("stood still for 5") == 1
+    assert driver.output.count("was stalled for 5") == 1
     begin(spin, [person], person)
 
 
@@ -194,7 +194,9 @@ def test_two_drivers_of_a_link_do_not_share_it_and_both_say_so(spin, start, url,
     other = f"{url.partition('=')[0]}={free_port()}"
     start(*arguments(other, keys), "-r", "__ns:=/other")
     arming = person.create_client(SetBool, "/other/link_1/arm")
-    lost = "link_1 is lost: not heard yet: is it on, and does no other driver talk to it?"
+    lost = (
+        "link_1 is lost: nothing received yet: is it switched on, and does no other driver use it?"
+    )
 
     def told():
         assert person.turning()

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from fss_arm_driver.faults import FAULTS, Word, blocking
+from fss_arm_driver.faults import FAULTS, Word, blocking_faults
 from fss_arm_driver.protocol import State
 from fss_arm_model.files import read_yaml
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
@@ -119,7 +119,7 @@ def happen(lab, chosen):
     lab.goal = {}
     lab.until(lambda: not any(lab.heard[i].mode or lab.heard[i].armed for i in chosen))
     for i, name in chosen.items():
-        assert name in blocking(lab.heard[i].status, lab.heard[i].faults)
+        assert name in blocking_faults(lab.heard[i].status, lab.heard[i].faults)
 
 
 def mend(lab, chosen):
@@ -248,7 +248,7 @@ class Person:
     def act(self, spin):
         """Do what is asked for, if something is."""
         joint = self.bed.testbed.plant.q[2 + self.link : 3 + self.link]
-        if "to leave it out: " in self.asked and "by an angle" in self.asked:
+        if "to skip this test: " in self.asked and "by an angle" in self.asked:
             before = joint[0]
             self.push(0.4)
             spin(self.bed, lambda: joint_of(self.bed, self.link) > before + 0.6)
@@ -262,7 +262,7 @@ class Person:
             frame = self.bed.testbed.frame  # a busy machine may still read of the hand's torque
             spin(self.bed, lambda: self.bed.testbed.frame > frame + 300, 30.0)
             self.answer("")
-        elif "in N m, or nothing to leave it out: " in self.asked:
+        elif "N m, or nothing to skip this test: " in self.asked:
             self.push(0.5)
             frame = self.bed.testbed.frame
             spin(self.bed, lambda: self.bed.testbed.frame > frame + 1000, 30.0)  # to the stop

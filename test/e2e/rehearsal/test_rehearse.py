@@ -112,7 +112,7 @@ def test_a_power_failure_is_judged_by_what_the_bag_says(how, missed):
 def test_a_first_day_is_as_expected_if_all_was_tried_and_passes():
     good = [{"name": f"{k}", "verdict": "pass", "found": "it is"} for k in range(9)]
     assert all(check.passed for check in first_day.evaluate(good, 0))
-    bad = [*good[:8], {"name": "stop", "verdict": "fail", "found": "goes on"}]
+    bad = [*good[:8], {"name": "stop", "verdict": "fail", "found": "still moves"}]
     assert [c.expected for c in first_day.evaluate(bad, 0) if not c.passed] == ["stop: pass"]
     assert not first_day.evaluate(good[:5], 0)[-1].passed
     assert not first_day.evaluate(good, 3)[-1].passed

@@ -236,7 +236,7 @@ def test_a_wrench_beyond_what_the_valves_give_is_reported(armed):
         user.push(x)
         return user.health[-1].status[0].message == words
 
-    beyond = "the base's board is armed; base/wrench exceeds what the valves can give"
+    beyond = "the base's board is armed; base/wrench exceeds the thrust of the valves"
     armed.until(lambda: reported(0.3, "the base's board is armed"))
     assert armed.values()["wrenches_clipped"] == "0"
     armed.until(lambda: reported(0.4, beyond))
@@ -259,7 +259,7 @@ def pushes_back_without_valve_1(armed):
 def test_wrenches_do_without_a_valve_that_is_said_to_be_stuck(armed):
     armed.node.set_parameters([Parameter("valve_1.stuck_closed", value=1.0)])
     pushes_back_without_valve_1(armed)
-    armed.until(lambda: armed.values().get("valve_1 is said to be") == "stuck closed")
+    armed.until(lambda: armed.values().get("valve_1 is configured as") == "stuck closed")
 
 
 def test_parameters_that_are_set_together_are_all_taken_or_none(bench):
@@ -273,10 +273,10 @@ def test_parameters_that_are_set_together_are_all_taken_or_none(bench):
 def test_wrenches_do_without_a_valve_that_is_found_to_be_stuck(armed):
     told = armed.user.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
     told.publish(ThrusterHealth(stuck_closed=[True] + 7 * [False]))
-    armed.until(lambda: armed.values().get("valve_1 is found to be") == "stuck closed")
+    armed.until(lambda: armed.values().get("valve_1 is detected as") == "stuck closed")
     pushes_back_without_valve_1(armed)
     told.publish(ThrusterHealth())
-    armed.until(lambda: "valve_1 is found to be" not in armed.values())
+    armed.until(lambda: "valve_1 is detected as" not in armed.values())
 
 
 def test_the_gripper_closes_and_says_so(armed):
@@ -294,7 +294,7 @@ def test_diagnostics_name_what_is_wrong(armed):
     armed.until(lambda: status().level == DiagnosticStatus.OK)
     assert status().message == "the base's board is armed"
     armed.board.slow[BaseSlow.FAULTS] = 1 << 2 | 1 << 12
-    wanted = "valve 3 draws no current, valve 5 draws current unasked"
+    wanted = "valve 3 draws no current, valve 5 draws current without a command"
     armed.until(lambda: wanted in status().message)
     assert status().level == DiagnosticStatus.WARN
 
@@ -318,7 +318,7 @@ def test_a_silent_board_is_reported(spin):
     [
         (
             {"url": "copley://ttyUSB0"},
-            "or serial://DEVICE.baud=RATE: no such scheme",
+            "or serial://DEVICE.baud=RATE: unknown scheme",
         ),
         ({"layout": [1.0]}, "layout has 1 numbers, expected 24"),
         ({"watchdog": 0.04}, "watchdog is 0.04 s, expected more than the 0.05 s"),

@@ -57,9 +57,9 @@ def test_a_port_that_cannot_be_opened_is_named(ros, tmp_path):
 def test_what_is_no_line_of_the_gyro_is_said(spin, gyro):
     end, device = gyro
     node = FogNode(parameter_overrides=[Parameter("device", value=device)])
-    spin(node, lambda: node.health().message == "the gyro is lost: nothing heard yet")
+    spin(node, lambda: node.health().message == "the gyro is lost: nothing received yet")
     os.write(end, b"\x00\xfe garbage\r\n" * 3)
-    words = "the gyro is lost: what comes are no rates: "
+    words = "the gyro is lost: the received bytes are no rates: "
     spin(node, lambda: node.health().message.startswith(words))
 
 
@@ -93,7 +93,7 @@ def test_a_gyro_that_is_plugged_in_again_is_heard_without_a_warning(spin, gyro, 
     link.unlink()
     link.symlink_to(os.ttyname(again))
     before = node.port
-    node.drop()  # as reading it fails
+    node.close_port()  # as reading it fails
     spin(node, lambda: node.port not in (None, before))
     write = functools.partial(os.write, other, b"0.500000 1\r\n0.500000 1\r\n")
     rates = node.lines.counts.rates

@@ -24,7 +24,8 @@ from std_srvs.srv import Trigger
 
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
-from fss_base_driver.mocap import Receiver, receiving
+from fss_base_driver.mocap import Receiver
+from fss_base_driver.mocap import receiver as receiver_module
 from fss_base_driver.mocap_node import MocapNode
 
 NAMES = ["fss", "end_effector"]
@@ -66,11 +67,11 @@ def served(spin):
     nodes = node, user
     spin(nodes, lambda: server.clients, 30.0)
 
-    def begin():  # until the first poses come through
+    def has_poses():  # until the first poses come through
         server.send({name: pose(-1, x) for x, name in enumerate(NAMES)})
         return all(user.heard.values())
 
-    spin(nodes, begin, 20.0)
+    spin(nodes, has_poses, 20.0)
     for heard in user.heard.values():
         heard.clear()
     yield server, node, user, nodes
@@ -103,7 +104,7 @@ def test_occluded_and_swapped_subjects_are_not_published_and_named(spin, served)
     spin(nodes, accept.service_is_ready)
     answer = accept.call_async(Trigger.Request())
     spin(nodes, answer.done)
-    assert answer.result().message == "believed again: end_effector, fss"
+    assert answer.result().message == "accepted again: end_effector, fss"
     server.send({"fss": pose(5, 1.0)})
     spin(nodes, lambda: user.heard["fss"])
 
@@ -130,7 +131,7 @@ def test_a_server_that_falls_silent_is_reported(spin, served):
 
 
 def test_a_subject_whose_name_makes_no_topic_is_named_and_the_others_are_published(spin):
-    """Motive calls what nobody has named `Rigid Body 1`."""
+    """Motive names an unnamed body `Rigid Body 1`."""
     server, user, k = NatNetServer(["fss", "Rigid Body 1"]), User(), 0
     node = MocapNode(
         parameter_overrides=parameters(system="optitrack", host="127.0.0.1", options=server.options)
@@ -148,7 +149,7 @@ def test_a_subject_whose_name_makes_no_topic_is_named_and_the_others_are_publish
 
 
 def test_frames_without_any_subject_are_no_sign_of_life(spin, served):
-    """As the library makes them up for a VRPN server that is not there."""
+    """Empty frames, as the library produces them for a missing VRPN server."""
     server, node, _, nodes = served
 
     def send():
@@ -184,7 +185,7 @@ def test_a_receiver_that_is_closed_as_its_process_begins_ends(monkeypatch):
         assert closing.wait(10.0)
         return process
 
-    monkeypatch.setattr(receiving, "subprocess", SimpleNamespace(Popen=popen, PIPE=PIPE))
+    monkeypatch.setattr(receiver_module, "subprocess", SimpleNamespace(Popen=popen, PIPE=PIPE))
     receiver = Receiver("mock", [], lambda *_: None, lambda _: None)
     assert begun.wait(10.0)
     monkeypatch.setattr(receiver, "join", lambda: closing.set() or Thread.join(receiver, 10.0))
@@ -234,7 +235,7 @@ def test_other_receivers_are_relayed_with_their_stamps(spin):
 def test_what_is_to_be_relayed_and_does_not_come_is_named(spin):
     node, user = MocapNode(parameter_overrides=parameters(relays=["fss=/a", "/b"])), User()
     spin([node, user], lambda: node.health().level == DiagnosticStatus.ERROR)
-    wanted = "waiting for /a: nobody publishes it; /b: nobody publishes it ("
+    wanted = "waiting for /a: it has no publisher; /b: it has no publisher ("
     assert node.health().message.startswith(wanted)
     poses = user.create_publisher(PoseStamped, "/a", SENSOR)
     strange = user.create_publisher(Empty, "/b", SENSOR)
@@ -242,19 +243,19 @@ def test_what_is_to_be_relayed_and_does_not_come_is_named(spin):
     message, k = PoseStamped(), 0
     message.pose.orientation.w = 1.0
 
-    def said(words):
+    def reports(words):
         nonlocal k
         k += 1
         message.pose.position.x = 1e-4 * k
         poses.publish(message)
         return node.health().message == words
 
-    is_none = "/b: std_msgs/msg/Empty is no type of poses; there are "
-    spin([node, user], lambda: said("") or node.health().message.startswith(is_none))
+    is_none = "/b: std_msgs/msg/Empty is no type of poses, expected one of "
+    spin([node, user], lambda: reports("") or node.health().message.startswith(is_none))
     user.destroy_publisher(strange)
     spin([node, user], lambda: user.count_publishers("/b") == 0)
     tips = user.create_publisher(TransformStamped, "/b", SENSOR)
-    spin([node, user], lambda: said("receiving") and tips.get_subscription_count())
+    spin([node, user], lambda: reports("receiving") and tips.get_subscription_count())
     tip = TransformStamped(child_frame_id="end_effector")
     tip.transform.rotation.w = 1.0
     tips.publish(tip)
@@ -267,7 +268,7 @@ def test_a_subject_that_is_wanted_and_never_seen_is_named(spin):
             system="mock", options=["rigid_bodies=fss(1,2,0,1,0,0,0)"], subjects=["fss", "tip"]
         )
     )
-    spin(node, lambda: "tip not seen yet" in node.health().message, 30.0)
+    spin(node, lambda: "tip was not seen yet" in node.health().message, 30.0)
     assert node.health().level == DiagnosticStatus.WARN
 
 
@@ -278,9 +279,12 @@ def test_a_subject_that_is_wanted_and_never_seen_is_named(spin):
         ({"system": "viconn"}, "system is 'viconn', expected one of"),
         ({"system": "vicon"}, "host is '', expected the address of the vicon computer"),
         ({"system": "mock", "options": ["x"]}, "options holds 'x', expected OPTION=VALUE"),
-        ({"system": "mock", "subjects": ["fss=a b"]}, "subjects: 'vicon/a b' is no name of a "),
+        (
+            {"system": "mock", "subjects": ["fss=a b"]},
+            "subjects: 'vicon/a b' is no valid",
+        ),
         ({"system": "mock", "latency": 1e11}, "latency is .*, expected 0 to 10"),
-        ({"relays": ["fss=a b"]}, "relays: 'a b' is no name of a topic"),
+        ({"relays": ["fss=a b"]}, "relays: 'a b' is no valid topic name"),
     ],
 )
 def test_wrong_settings_are_named(ros, given, expected):

@@ -27,7 +27,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from fss_arm_driver.arm import trajectory_action
 from fss_arm_driver.arm.guard_topics import GuardTopics
-from fss_arm_driver.arm.request import MAX_POINTS, requested
+from fss_arm_driver.arm.request import MAX_POINTS, parse_request
 from fss_arm_driver.arm.trajectory import Trajectory
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.settings import ArmSettings
@@ -73,7 +73,7 @@ class Bench:
         self.until(future.done)
         return future.result()
 
-    def begin(self, goal):
+    def send_goal(self, goal):
         handle = self.after(self.client.send(goal))
         assert handle.accepted
         return handle
@@ -81,8 +81,8 @@ class Bench:
     def end(self, handle):
         return self.after(handle.get_result_async())
 
-    def go(self, goal):
-        return self.end(self.begin(goal))
+    def execute(self, goal):
+        return self.end(self.send_goal(goal))
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_joints_are_extrapolated_but_not_for_long(bench):
     bench.until(lambda: len(bench.client.states) > count)
 
 
-def planned(bench):
+def plan_trajectory(bench):
     heard = []
     bench.client.create_subscription(JointTrajectory, "arm/planned", heard.append, 10)
     bench.until(lambda: heard)
@@ -133,17 +133,17 @@ def since(message, point):
 
 @pytest.mark.parametrize("by", ["trajectory", "move"])
 def test_what_is_planned_is_told_before_the_joints_do_it(bench, by):
-    heard = planned(bench)
+    heard = plan_trajectory(bench)
     assert [list(p.velocities) for p in heard[-1].points] == [[0.0] * 4]
     if by == "move":
         bench.links.deaf = {1, 2, 3, 4}  # else they would be there at once
         mover = standard_action(bench)
         mover.send_goal_async(MoveArm.Goal(q=THERE, duration=3.0))
     else:
-        bench.begin(bench.client.goal([(1.0, THERE, (0.1, 0.0, 0.0, 0.0)), (3.0, (0.0,) * 4)]))
+        bench.send_goal(bench.client.goal([(1.0, THERE, (0.1, 0.0, 0.0, 0.0)), (3.0, (0.0,) * 4)]))
     bench.until(lambda: moving(heard[-1]))
     early = heard[-1]
-    for point in early.points:  # what was told ahead is what is told then
+    for point in early.points:  # the announced plan is the later plan
         bench.until(lambda p=point: stamp_ns(heard[-1].header.stamp) > since(early, p))
         late = heard[-1]
         ahead = (stamp_ns(late.header.stamp) - since(early, point)) / SECOND
@@ -162,11 +162,11 @@ def test_transforms_lead_from_the_base_to_the_tip_as_the_description_does(bench)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     found = {}
 
-    def take(message):
+    def on_transforms(message):
         found.update({t.child_frame_id: t for t in message.transforms})
 
-    bench.client.create_subscription(TFMessage, "/tf", take, 10)
-    bench.client.create_subscription(TFMessage, "/tf_static", take, latched)
+    bench.client.create_subscription(TFMessage, "/tf", on_transforms, 10)
+    bench.client.create_subscription(TFMessage, "/tf_static", on_transforms, latched)
     bench.links.q = list(THERE)
     end = f"link_{ARM.n}"
     bench.until(lambda: {end, "end_effector", "fss_body"} <= found.keys())
@@ -297,7 +297,7 @@ def test_a_stream_of_a_million_numbers_is_refused_unread(bench, field):
 
 
 def test_a_stream_takes_the_turn_of_a_trajectory_and_the_rest_of_the_joints_rest(bench):
-    handle = bench.begin(bench.client.goal([(5.0, THERE)]))
+    handle = bench.send_goal(bench.client.goal([(5.0, THERE)]))
     bench.until(lambda: bench.links.q[0] > 0.02)
     bench.client.command(("joint_1",), velocity=(0.1,))
     ended = bench.end(handle)
@@ -309,7 +309,7 @@ def test_a_stream_takes_the_turn_of_a_trajectory_and_the_rest_of_the_joints_rest
 
 
 def test_rates_are_planned_for_as_long_as_their_stream_lives(bench):
-    heard = planned(bench)
+    heard = plan_trajectory(bench)
     bench.client.command(("joint_3",), velocity=(0.1,))
     bench.until(lambda: moving(heard[-1]))
     rates = np.array([point.velocities for point in heard[-1].points])
@@ -330,8 +330,8 @@ def test_a_move_is_refused_while_a_stream_has_the_turn(bench):
     bench.until(lambda: bench.links.taken)
     handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=THERE)))
     result = bench.end(handle).result
-    assert result.message == "arm/joint_commands is under way"
-    bench.until(lambda: not bench.arm.links.arbiter.holder(bench.arm.links.now()))
+    assert result.message == "arm/joint_commands is in progress"
+    bench.until(lambda: not bench.arm.links.arbiter.current_name(bench.arm.links.now()))
     handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=THERE)))
     assert bench.end(handle).result.reached
     mover.destroy()
@@ -349,7 +349,7 @@ def standard_action(bench):
 
 
 def test_all_links_get_one_path_with_one_begin_and_the_commands_to_follow_it(bench):
-    ended = bench.go(bench.client.goal([(1.0, THERE)]))
+    ended = bench.execute(bench.client.goal([(1.0, THERE)]))
     assert (ended.status, ended.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, 0)
     paths = [paths[1] for paths in bench.links.paths]
     assert len({(m.path, stamp_ns(m.header.stamp), tuple(m.time)) for m in paths}) == 1
@@ -358,19 +358,19 @@ def test_all_links_get_one_path_with_one_begin_and_the_commands_to_follow_it(ben
     commands = [m for _, i, m in bench.links.taken if i == 3]
     assert len(commands) > 10
     assert {(m.mode, m.path) for m in commands} == {(LinkCommand.PATH, 1)}
-    bench.go(bench.client.goal([(1.0, (0.0, 0.0, 0.0, 0.0))]))
+    bench.execute(bench.client.goal([(1.0, (0.0, 0.0, 0.0, 0.0))]))
     assert bench.links.last(1).path == 2
 
 
 def test_a_number_goes_on_after_those_that_links_still_hold(bench):
     bench.links.paths[2][65_535] = None
     bench.until(lambda: bench.arm.links.states[3].path == 65_535)
-    bench.go(bench.client.goal([(0.8, THERE)]))
+    bench.execute(bench.client.goal([(0.8, THERE)]))
     assert bench.links.last(1).path == 1
 
 
 def test_a_joint_off_its_path_ends_it_and_all_come_to_rest(bench):
-    handle = bench.begin(bench.client.goal([(5.0, THERE)], path=[("joint_2", 0.01)]))
+    handle = bench.send_goal(bench.client.goal([(5.0, THERE)], path=[("joint_2", 0.01)]))
     bench.until(lambda: bench.links.q[0] > 0.02)
     bench.links.off[1] = 0.02
     ended = bench.end(handle)
@@ -381,7 +381,7 @@ def test_a_joint_off_its_path_ends_it_and_all_come_to_rest(bench):
 
 def test_a_link_that_breaks_off_ends_it(spin):
     bench = Bench(spin, time_to_live=1.0)
-    handle = bench.begin(bench.client.goal([(5.0, THERE)]))
+    handle = bench.send_goal(bench.client.goal([(5.0, THERE)]))
     bench.until(lambda: bench.links.q[0] > 0.02)
     bench.links.broken[3] = True
     ended = bench.end(handle)
@@ -392,7 +392,7 @@ def test_a_link_that_breaks_off_ends_it(spin):
 
 def test_a_goal_that_is_missed_ends_in_time(bench):
     bench.links.off[2] = 0.02
-    ended = bench.go(bench.client.goal([(0.8, THERE)], time=0.5))
+    ended = bench.execute(bench.client.goal([(0.8, THERE)], time=0.5))
     assert ended.result.error_code == ENDED.GOAL_TOLERANCE_VIOLATED
     assert ended.result.error_string.startswith("joint_3 is off by 0.0200 rad, at most 0.005, 0.5")
 
@@ -400,13 +400,13 @@ def test_a_goal_that_is_missed_ends_in_time(bench):
 def test_a_stop_and_a_silent_link_end_it(bench):
     stopper = bench.client.create_publisher(Empty, "arm/stop", 10)
     bench.until(stopper.get_subscription_count)
-    handle = bench.begin(bench.client.goal([(5.0, THERE)]))
+    handle = bench.send_goal(bench.client.goal([(5.0, THERE)]))
     bench.until(lambda: bench.links.q[0] > 0.02)
     stopper.publish(Empty())
     ended = bench.end(handle).result
     assert (ended.error_code, ended.error_string) == (ENDED.INVALID_GOAL, "stopped")
     assert bench.links.last(1).mode == LinkCommand.PATH  # its driver stops by itself
-    handle = bench.begin(bench.client.goal([(20.0, THERE)]))
+    handle = bench.send_goal(bench.client.goal([(20.0, THERE)]))
     bench.links.silent = {2}
     ended = bench.end(handle).result
     assert ended.error_string == "link 2 is silent"
@@ -440,11 +440,11 @@ def test_while_a_goal_is_received_the_node_and_a_motion_continue(bench, monkeypa
 
     def slow(*given):
         assert release.wait(30.0)
-        return requested(*given)
+        return parse_request(*given)
 
-    handle = bench.begin(bench.client.goal([(20.0, THERE)]))
+    handle = bench.send_goal(bench.client.goal([(20.0, THERE)]))
     bench.until(lambda: bench.links.q[0] > 0.01)
-    monkeypatch.setattr(trajectory_action, "requested", slow)
+    monkeypatch.setattr(trajectory_action, "parse_request", slow)
     second = bench.client.send(bench.client.goal([(2.0, (0.0, 0.0, 0.0, 0.0))]))
     beats, commands, feedback = bench.beats, len(bench.links.taken), len(bench.client.feedback)
     bench.until(lambda: bench.beats > beats + 3)
@@ -490,9 +490,9 @@ def test_the_longest_goal_runs_and_heartbeats_are_never_older_than_a_second(star
 
 
 def test_a_new_goal_goes_on_from_where_the_old_one_will_be(bench):
-    first = bench.begin(bench.client.goal([(4.0, THERE)]))
+    first = bench.send_goal(bench.client.goal([(4.0, THERE)]))
     bench.until(lambda: bench.links.q[0] > 0.1)
-    second = bench.begin(bench.client.goal([(2.0, (0.0, 0.0, 0.0, 0.0))]))
+    second = bench.send_goal(bench.client.goal([(2.0, (0.0, 0.0, 0.0, 0.0))]))
     assert bench.end(first).result.error_string == "preempted by a trajectory"
     bench.until(lambda: 2 in bench.links.paths[0])
     old, new = (bench.links.paths[0][k] for k in (1, 2))
@@ -518,7 +518,7 @@ FOLDED = (0.0, 1.5, 1.5, 1.5)
 
 
 def test_nothing_folds_the_arm_into_itself_or_the_base(bench):
-    ended = bench.go(bench.client.goal([(9.0, FOLDED)])).result
+    ended = bench.execute(bench.client.goal([(9.0, FOLDED)])).result
     assert ended.error_code == ENDED.INVALID_GOAL
     assert re.search(
         r"link \d and \w+.* would be -?0\.\d+ m apart with the joints", ended.error_string
@@ -534,7 +534,7 @@ def test_nothing_folds_the_arm_into_itself_or_the_base(bench):
 
 
 def odometry(pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0), stamp=None):
-    """Of a base with this pose and twist, in the world."""
+    """Odometry of a base with this pose and twist, in the world."""
     message, c, s = Odometry(), cos(pose[2]), sin(pose[2])
     message.header.stamp = to_time(stamp or time.time_ns())
     place, turn, v = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
@@ -550,7 +550,7 @@ def test_a_path_ends_when_the_base_drifts_to_the_edge(bench):
     bench.client.create_timer(0.05, lambda: base.publish(odometry(**state)))
     state = {}
     bench.until(lambda: bench.health.get("guarded against") == "self, edge")
-    handle = bench.begin(bench.client.goal([(8.0, THERE)]))
+    handle = bench.send_goal(bench.client.goal([(8.0, THERE)]))
     bench.until(lambda: bench.links.q[0] > 0.02)
     state = {"pose": (-1.2, 0.0, 0.0), "twist": (-0.3, 0.0, 0.0)}
     ended = bench.end(handle).result

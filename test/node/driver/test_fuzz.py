@@ -1,9 +1,9 @@
-"""A million random and mutated datagrams at a driver while its true link goes on talking.
+"""A million random and mutated datagrams at a driver while its true link keeps sending.
 
-Half of the damaged frames have their CRC put right, so they are frames that somebody forged at the
-link's own address. Without a signature a forged frame that a link could have sent cannot be told
-from a true one; what is published must then still be what docs/reference/protocol.md lets
-follow from the frames before. The judge below knows the truth and the published bounds, not the
+Half of the damaged frames have a corrected CRC, as if an attacker had forged them at the link's own
+address. Without a signature a forged frame that a link could have sent cannot be distinguished from
+a true one; what is published must then still follow from the frames before, by the rules of
+docs/reference/protocol.md. The judge below knows the truth and the published bounds, not the
 implementation.
 """
 
@@ -21,7 +21,7 @@ from fss_arm_driver.protocol import decode, encode
 from fss_arm_driver.session import COUNTS, LinkSession
 from fss_arm_model.description import paper_arm
 
-BETWEEN = 20  # datagrams from one true frame to the next
+FRAME_INTERVAL = 20  # datagrams from one true frame to the next
 PERIOD = SECOND // 5
 COUNTS_PER_RADIAN = 240_000 / (2 * pi)
 
@@ -40,7 +40,7 @@ def flip(rng, data):
 
 
 def damage(rng, true_frames, ahead):
-    """One datagram: noise, a repetition, or a true frame damaged; half sealed anew."""
+    """One datagram: noise, a repetition, or a true frame damaged; half with a new CRC."""
     kind = rng.random()
     frame = rng.choice(true_frames) if kind < 0.995 else ahead
     if kind < 0.15:
@@ -95,8 +95,8 @@ def test_damaged_datagrams(datagrams):
     link, judge = FakeLink(boot=3), Judge()
     recent, ahead, now, before = [], b"", SECOND, 0
     for k in range(datagrams):
-        now += PERIOD // BETWEEN
-        if k % BETWEEN == 0:
+        now += PERIOD // FRAME_INTERVAL
+        if k % FRAME_INTERVAL == 0:
             link.take(session.command(now), now)
             link.position = round(truth(now / SECOND) * COUNTS_PER_RADIAN)
             data = link.telemetry(now)
@@ -117,5 +117,5 @@ def test_damaged_datagrams(datagrams):
     assert memory() - before < 4_000_000
     assert tuple(counts) == COUNTS
     assert counts["received"] == datagrams
-    assert judge.exact > 0.9 * datagrams / BETWEEN
+    assert judge.exact > 0.9 * datagrams / FRAME_INTERVAL
     assert 0 < judge.forged < 0.1 * judge.exact  # some damaged frames came before the true one

@@ -25,7 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver import link_node
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_driver.protocol import Mode, Order, Slow, State
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
@@ -121,7 +121,7 @@ def test_a_command_that_another_replaces_is_told_to_have_ended(bench):
     order(user, mode=Mode.VELOCITY, set_point=0.1)
     until(lambda: user.status[-1].given != user.status[0].given)
     ended = [m for m in user.status if m.given == user.status[0].given][-1]
-    assert (ended.status, ended.reason) == (ended.ABORTED, "another command took its place")
+    assert (ended.status, ended.reason) == (ended.ABORTED, "replaced by another command")
 
 
 @pytest.mark.parametrize("bench", [{"timeout": 1.5}], indirect=True)
@@ -134,7 +134,7 @@ def test_one_message_for_each_valid_frame_and_none_for_others(bench):
         transport.put(data)
     until(lambda: user.level() == DiagnosticStatus.ERROR and int(user.values()["length"]) == 2)
     values = user.values()
-    assert int(values["believed"]) == len(user.joints) == len(user.telemetry)
+    assert int(values["accepted"]) == len(user.joints) == len(user.telemetry)
     assert int(values["magic"]) == 1
     assert int(values["crc"]) == 1
 
@@ -169,7 +169,7 @@ def test_commands_move_an_armed_link_only(bench):
     until(lambda: user.joints[-1].position[0] == pytest.approx(0.05, abs=1e-4))
     assert transport.link.taken.velocity == 38197
     order(user, set_point=0.05, time_to_live=0.5)
-    until(lambda: transport.link.taken.flags & Order.HOLD)  # the command has expired
+    until(lambda: transport.link.taken.flags & LinkCommandFlag.HOLD)  # the command has expired
     assert arm(user, until, data=False).success
     until(lambda: not user.telemetry[-1].armed)
     assert transport.link.flags == 0
@@ -198,7 +198,7 @@ def test_refused_commands_change_nothing_and_are_said_once(bench, monkeypatch):
     user.command.publish(late)
     until(lambda: len(said) == 5)
     assert "expired" in said[4]
-    until(lambda: transport.link.taken.flags == Order.ARM | Order.HOLD)
+    until(lambda: transport.link.taken.flags == LinkCommandFlag.ARM | LinkCommandFlag.HOLD)
     assert transport.link.position == 0
 
 
@@ -229,17 +229,17 @@ def test_each_change_of_state_is_one_line_and_the_worst_are_events(bench, monkey
     transport.talks = False
     until(lambda: "is lost" in said[-1])
     transport.talks = True
-    until(lambda: "heard again" in said[-1])
+    until(lambda: "received again" in said[-1])
     user.stop.publish(Empty())
     until(lambda: said[-1] == "link 1 is stopped")
     arm(user, until, data=False)
     until(lambda: said[-1] == "link 1 is disarmed")
     told = [re.sub(r"\d+\.\d s", "N s", line) for line in said]
-    begun = told.index("link 1 is armed")  # that it is heard may have been said before, or not
+    begun = told.index("link 1 is armed")  # its reception may have been logged before
     assert [line for line in told[begun:] if "arming" not in line] == [
         "link 1 is armed",
         "link 1 is lost: silent for N s; it was armed",
-        "link 1 is heard again, after N s, and disarmed",
+        "link 1 is received again after N s, and disarmed",
         "link 1 is stopped",
         "link 1 is disarmed",
     ]
@@ -305,11 +305,11 @@ def test_a_path_that_breaks_off_and_one_that_is_refused_are_said_once(bench, mon
     until(lambda: transport.link.paths.report)
     transport.link.position = 30_000
     until(lambda: user.status and user.status[-1].status == CommandStatus.ABORTED)
-    words = "path 3 of link 1 broke off: the joint is 0."
+    words = "path 3 of link 1 was aborted: the joint is 0."
     assert user.status[-1].reason.startswith(words)
     until(lambda: said)
     refused = {
-        "path 3 is over": lambda: order(user, mode=LinkCommand.PATH, path=3),
+        "path 3 has ended": lambda: order(user, mode=LinkCommand.PATH, path=3),
         "position is 2 rad between knots 0 and 1": lambda: path(user, number=4, way=2.0),
     }
     for reason, ask in 2 * list(refused.items()):
@@ -318,7 +318,7 @@ def test_a_path_that_breaks_off_and_one_that_is_refused_are_said_once(bench, mon
         until(lambda reason=reason: any(s.reason.startswith(reason) for s in user.status))
         assert {status.status for status in user.status} == {CommandStatus.REFUSED}
     until(lambda: user.telemetry[-1].path == 3 << 16)  # so that the next can be newer
-    assert [text[: len(words)] for text in said if "broke" in text] == [words]
+    assert [text[: len(words)] for text in said if "was aborted" in text] == [words]
     assert any("path refused: position is 2 rad" in text for text in said)
 
 
@@ -327,7 +327,7 @@ def test_old_firmware_is_named(bench):
     transport.talks = False
     old = bytearray(transport.link.telemetry(transport.clock()))
     old[2] = 1
-    words = "link 1 speaks version 1 of the protocol, expected 2: flash its firmware"
+    words = "link 1 uses version 1 of the protocol, expected 2: flash its firmware"
 
     def shown():
         transport.put(bytes(old))
@@ -365,7 +365,7 @@ def test_faults_are_told_and_cleared(bench):
     cleared = user.clear.call_async(Trigger.Request())
     until(cleared.done)
     assert cleared.result().success
-    until(lambda: transport.link.taken.flags == Order.CLEAR_FAULTS)
+    until(lambda: transport.link.taken.flags == LinkCommandFlag.CLEAR_FAULTS)
     transport.link.frame = replace(transport.link.frame, slow_value=0)
     until(lambda: not node.session.faults)
     assert arm(user, until).success
@@ -384,7 +384,7 @@ def test_a_link_of_another_serial_number_is_refused_and_told(spin, tmp_path):
     until(lambda: node.session.slow and user.health and user.arm.service_is_ready())
     answer = arm(user, until)
     assert not answer.success
-    assert "serial number 8 came where 7 is expected" in answer.message
+    assert "serial number is 8, expected 7" in answer.message
     assert str(arm_file) in answer.message
     until(lambda: user.values()["serial"] == "8")
     assert user.values()["expected serial"] == "7"
@@ -423,7 +423,7 @@ def test_disarming_a_link_that_does_not_hear_fails_in_words(bench):
     transport.hears = False
     answer = arm(user, until, data=False)
     assert not answer.success
-    words = "link_1 does not say that it is off: asked to disarm, not confirmed"
+    words = "link_1 does not confirm that it is off: disarming requested, not confirmed"
     assert answer.message == words
 
 
@@ -436,7 +436,7 @@ def test_disarming_a_lost_link_fails_in_words(bench):
         assert node.session.lost == lost
         answer = arm(user, until, data=False)
         assert not answer.success
-        assert answer.message == "link_1 is lost: asked to disarm, not confirmed"
+        assert answer.message == "link_1 is lost: disarming requested, not confirmed"
 
 
 def test_arming_a_link_that_does_not_hear_fails_in_words(bench):
@@ -456,7 +456,7 @@ def test_simulated_time_is_waited_for_and_followed(spin):
     for _ in range(3):
         transport.put(transport.link.telemetry(SECOND))
     spin([node, user], lambda: user.health and clock.get_subscription_count())
-    assert user.health[-1].status[0].message == "the clock stands still"
+    assert user.health[-1].status[0].message == "the clock is stopped: does /clock advance?"
     assert not node.session.counts["received"]
     simulated = 50 * SECOND
 
@@ -470,7 +470,10 @@ def test_simulated_time_is_waited_for_and_followed(spin):
     stamps = [stamp_ns(m.header.stamp) for m in user.telemetry]
     # The link here keeps real time, and /clock may lag behind it by the timeout.
     assert all(50 * SECOND < stamp < simulated + 5 * SECOND for stamp in stamps)
-    spin([node, user], lambda: user.health[-1].status[0].message == "the clock stands still")
+    spin(
+        [node, user],
+        lambda: user.health[-1].status[0].message == "the clock is stopped: does /clock advance?",
+    )
 
 
 @pytest.mark.parametrize(
@@ -524,7 +527,7 @@ def test_a_link_that_starts_later_and_is_unplugged(spin, tmp_path, kind):
     if kind != "pty":
         end.unplug()
     node, user = LinkNode(1, end.url, **options(timeout=1.5)), User()
-    spin([node, user], lambda: node.session.counts["sent"] > 3)  # to nobody
+    spin([node, user], lambda: node.session.counts["sent"] > 3)  # without a receiver
     if kind != "pty":
         end.replug()
     link = FakeLink(boot=2, born=time.time_ns() - SECOND)
@@ -534,17 +537,17 @@ def test_a_link_that_starts_later_and_is_unplugged(spin, tmp_path, kind):
             link.take(frame, time.time_ns())
             end.send(link.telemetry(time.time_ns()))
 
-    def heard():
+    def is_received():
         serve()
         return not node.session.lost and len(user.joints) == len(user.telemetry) > 3
 
-    spin([node, user], heard)
+    spin([node, user], is_received)
     assert user.telemetry[-1].boot == 2
     end.unplug()
     spin([node, user], lambda: node.session.lost)
     user.telemetry.clear(), user.joints.clear()
     end.replug()
-    spin([node, user], heard)
+    spin([node, user], is_received)
     end.close()
 
 
@@ -552,17 +555,17 @@ def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
     end = ENDS["pty"](tmp_path)
     program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"url:={end.url}")
 
-    def said():
+    def has_logged():
         with suppress(BlockingIOError):
             end.raw(b"\xf8\x00\x78" * 50)
         end.receive(0.01)
-        return "bytes come" in program.output
+        return "received bytes" in program.output
 
     os.set_blocking(end.line.fileno(), False)
-    wait_until(said, 20.0, lambda: None)
+    wait_until(has_logged, 20.0, lambda: None)
     assert program.stop() == 0
     assert program.output.count("\n") == 1
-    assert "bytes come that are no frames: is the other end set to 115200 baud" in program.output
+    assert "the received bytes are no frames: is the other end set to 115200 baud" in program.output
     end.close()
 
 
@@ -596,7 +599,7 @@ def test_a_link_without_a_key_among_keys_is_refused(start, tmp_path):
         "fss_arm_driver.link_node", "--ros-args", "-p", f"keys:={keys}", "-p", "link:=2"
     )
     assert program.wait() == 1
-    assert program.output.endswith("keys', which holds no key for link 2\n")
+    assert program.output.endswith("keys', which has no key for link 2\n")
     keys.chmod(0o644)
     program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"keys:={keys}")
     assert program.wait() == 1
@@ -606,7 +609,9 @@ def test_a_link_without_a_key_among_keys_is_refused(start, tmp_path):
 def test_unsigned_frames_over_a_network_are_warned_of(start):
     arguments = "--ros-args", "-p", "url:=udp://192.0.2.1:9?bind=0"
     program = start("fss_arm_driver.link_node", *arguments)
-    wait_until(lambda: "frames are not signed, so anybody" in program.output, 20.0, lambda: None)
+    wait_until(
+        lambda: "frames are not signed, so any computer" in program.output, 20.0, lambda: None
+    )
     program.stop()
     assert "docs/how-to/security.md" in program.output
 
@@ -629,7 +634,7 @@ def test_a_battery_that_ends_soon_is_a_warning(bench):
     assert "battery lasts" not in user.health[-1].status[0].message
     now = time.time_ns()
     for age in range(600, 0, -10):  # 12.5 V in the end, 5 minutes above 12.0 V
-        node.session.battery.take(12.5 + age / 600.0, now - age * SECOND)
+        node.session.battery.add(12.5 + age / 600.0, now - age * SECOND)
     until(lambda: "the battery lasts 5 min" in user.health[-1].status[0].message)
     assert user.level() == DiagnosticStatus.WARN
 
@@ -639,7 +644,7 @@ def test_frames_of_somebody_else_are_shown_and_logged_once(bench, monkeypatch):
     said, sent = [], node.session.counts["sent"]
     monkeypatch.setattr(node.get_logger(), "warning", said.append)
     node.session._echoes.crowded = True
-    until(lambda: "; link 1 refuses frames of somebody" in user.health[-1].status[0].message)
+    until(lambda: "; link 1 refuses frames of another sender" in user.health[-1].status[0].message)
     assert user.level() == DiagnosticStatus.WARN
     until(lambda: node.session.counts["sent"] > sent + 10)
     assert len(said) == 1
@@ -650,10 +655,10 @@ def test_one_process_hosts_all_links_and_is_up_soon(start, spin):
     user = Node("user")
     heard = {}
 
-    def take(message):
+    def on_diagnostics(message):
         heard.setdefault(message.status[0].name, time.monotonic())
 
-    user.create_subscription(DiagnosticArray, "/diagnostics", take, 100)
+    user.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 100)
     spin([user], lambda: True)
     urls = ", ".join(["'udp://127.0.0.1:9?bind=0'"] * 4)
     program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"urls:=[{urls}]")
@@ -694,7 +699,7 @@ def test_commands_are_passed_on_as_they_come_but_not_faster_than_allowed(bench):
     assert [p for _, p in sent] == sorted({p for _, p in sent})
     until(lambda: time.monotonic() > sent[-1][0] + 0.4)
     assert sent[-1][1] == last
-    until(lambda: time.monotonic() - sent[-1][0] < 0.05, 2.0)  # the steady rate goes on
+    until(lambda: time.monotonic() - sent[-1][0] < 0.05, 2.0)  # the steady rate continues
     assert sent[-1][1] == last
 
 
@@ -714,7 +719,7 @@ def low(transport):
 
 
 def test_a_stop_passes_an_executor_that_is_busy(bench):
-    """Nobody spins the node meanwhile."""
+    """The node is not spun meanwhile."""
     node, user, transport, until = bench
     arm(user, until)
     user.stop.publish(Empty())
@@ -723,7 +728,7 @@ def test_a_stop_passes_an_executor_that_is_busy(bench):
 
 
 def test_the_process_stays_in_the_graph_from_its_first_node_on(spin, monkeypatch):
-    """Fast DDS may wait for ever if the last node goes as others are being discovered."""
+    """Fast DDS may hang if the last node is destroyed as others are being discovered."""
     alive, left = [], []
     make, destroy = Node.__init__, Node.destroy_node
 

@@ -1,4 +1,4 @@
-"""Two vehicles of one link each, in namespaces: what they share tells them apart."""
+"""Two vehicles of one link each, in namespaces: shared topics distinguish them."""
 
 from dataclasses import replace
 

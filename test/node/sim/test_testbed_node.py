@@ -14,7 +14,7 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_driver.protocol import Command, Mode, Order, Telemetry, decode, encode
+from fss_arm_driver.protocol import Command, LinkCommandFlag, Mode, Telemetry, decode, encode
 from fss_arm_msgs.msg import SimFaults, SimTruth
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
@@ -166,7 +166,7 @@ class Session:
             for i, host in enumerate(self.hosts):
                 command = replace(
                     DISARM, link=i + 1, sequence=k + 1, clock=1000 * k + 1, boot=boot if k else 0,
-                    flags=Order.ARM if k else 0, expiry=60_000_000 if k else 0,
+                    flags=LinkCommandFlag.ARM if k else 0, expiry=60_000_000 if k else 0,
                     mode=Mode.POSITION if k else Mode.OFF, set_point=10_000 * k * (i + 1),
                     velocity=300_000, acceleration=3000,
                 )  # fmt: skip

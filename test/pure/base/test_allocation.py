@@ -8,7 +8,7 @@ from fss_arm_model.thrusters import layout
 from fss_base_driver.allocation import Allocation
 
 VALVES = layout(0.16, 0.11)
-PERIOD, LEAST = 0.1, 0.01
+PERIOD, MIN_ON_TIME = 0.1, 0.01
 SCALE = np.array([1.0, 1.0, 0.16 / 0.0176])
 
 
@@ -24,10 +24,10 @@ def test_feasible_wrenches_come_true_on_average(size):
     rng = np.random.default_rng(1)
     for _ in range(8):
         wanted = size * rng.uniform(-1.0, 1.0, 3) * (0.1, 0.1, 0.02)
-        given, times = mean(Allocation(VALVES, PERIOD, LEAST), wanted)
+        given, times = mean(Allocation(VALVES, PERIOD, MIN_ON_TIME), wanted)
         # What may be owed, two shortest pulses, over 8 s.
-        np.testing.assert_allclose(given, wanted, atol=2.0 * 0.16 * LEAST / 8.0)
-        assert ((times == 0.0) | ((times >= LEAST) & (times <= PERIOD))).all()
+        np.testing.assert_allclose(given, wanted, atol=2.0 * 0.16 * MIN_ON_TIME / 8.0)
+        assert ((times == 0.0) | ((times >= MIN_ON_TIME) & (times <= PERIOD))).all()
 
 
 def test_shares_are_optimal():
@@ -57,16 +57,18 @@ def test_a_stuck_valve_is_done_without(stuck, how):
     leak = (stuck,) if how == "stuck_open" else ()
     for wanted in (*np.eye(3), *-np.eye(3)):
         wrench = wanted * (0.05, 0.05, 0.01)
-        given, times = mean(Allocation(VALVES, PERIOD, LEAST, **{how: (stuck,)}), wrench, leak=leak)
-        np.testing.assert_allclose(given, wrench, atol=2.0 * 0.16 * LEAST / 8.0)
+        given, times = mean(
+            Allocation(VALVES, PERIOD, MIN_ON_TIME, **{how: (stuck,)}), wrench, leak=leak
+        )
+        np.testing.assert_allclose(given, wrench, atol=2.0 * 0.16 * MIN_ON_TIME / 8.0)
         assert leak or not times[:, stuck].any()
 
 
 def test_what_cannot_be_given_is_not_owed_for_ever():
-    allocation = Allocation(VALVES, PERIOD, LEAST)
+    allocation = Allocation(VALVES, PERIOD, MIN_ON_TIME)
     for _ in range(100):
         allocation.on_times([5.0, 0.0, 0.0])
-    assert allocation.on_times([0.0, 0.0, 0.0]).sum() <= 6.0 * LEAST
+    assert allocation.on_times([0.0, 0.0, 0.0]).sum() <= 6.0 * MIN_ON_TIME
     assert not allocation.on_times([0.0, 0.0, 0.0])[VALVES[:, 0] > 0.0].any()
 
 
@@ -83,7 +85,7 @@ def test_what_cannot_be_given_is_not_owed_for_ever():
     ],
 )
 def test_a_wrench_beyond_the_working_valves_is_clipped(wrench, stuck_closed, clipped):
-    allocation = Allocation(VALVES, PERIOD, LEAST, stuck_closed=stuck_closed)
+    allocation = Allocation(VALVES, PERIOD, MIN_ON_TIME, stuck_closed=stuck_closed)
     for _ in range(20):  # whatever is owed meanwhile
         allocation.on_times(wrench)
         assert allocation.clipped == clipped
@@ -94,10 +96,10 @@ def test_a_wrench_beyond_the_working_valves_is_clipped(wrench, stuck_closed, cli
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ({"stuck_open": [8]}, r"stuck are \[8\], expected numbers from 0 to 7"),
+        ({"stuck_open": [8]}, r"stuck valves are \[8\], expected numbers from 0 to 7"),
         ({"minimum_on_time": 0.2}, r"minimum_on_time is 0.2 s, expected from 0 to below 0.1 s"),
     ],
 )
 def test_wrong_settings_are_named(options, expected):
     with pytest.raises(ValueError, match=expected):
-        Allocation(VALVES, PERIOD, **{"minimum_on_time": LEAST} | options)
+        Allocation(VALVES, PERIOD, **{"minimum_on_time": MIN_ON_TIME} | options)

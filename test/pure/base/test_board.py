@@ -1,4 +1,4 @@
-"""What the base's board obeys: its table of states, its limits, and that time is exact."""
+"""Behavior of the base's board: table of states, limits, exact times."""
 
 from dataclasses import replace
 
@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from fss_base_driver.protocol import (
     VALVES,
-    BaseOrder,
+    BaseCommandFlag,
     BaseSlow,
     BaseState,
     Gripper,
-    Hand,
+    GripperFlag,
     Limits,
     Measured,
     decode,
@@ -23,16 +23,16 @@ from fss_link.protocol import Refused
 
 MS = 1000
 ARM = replace(GO, pulse=0, on_times=VALVES * (0,), expiry=1 << 63)
-FOREVER = VALVES * (0xFFFF,)
+MAX_ON_TIMES = VALVES * (0xFFFF,)
 
 
-def tell(state, command, clock=SECOND):
+def send_command(state, command, clock=SECOND):
     return state.receive(encode(command), clock)
 
 
 def keep(state, clock, sequence, **changes):
     """Repeat an order to arm, so that the watchdog does not trip."""
-    assert tell(state, replace(ARM, sequence=sequence, clock=sequence, **changes), clock)
+    assert send_command(state, replace(ARM, sequence=sequence, clock=sequence, **changes), clock)
 
 
 def test_it_starts_disarmed_and_closed():
@@ -56,14 +56,14 @@ def test_a_pulse_opens_each_valve_for_its_time():
 AFTER = [
     ("stop", [STOP], BaseState.STOPPED, 0),
     ("disarm", [QUIET], 0, 0),
-    ("arm after stop", [STOP, opens(FOREVER, 2)], BaseState.STOPPED, 0),
+    ("arm after stop", [STOP, opens(MAX_ON_TIMES, 2)], BaseState.STOPPED, 0),
     ("the way back", [STOP, QUIET, opens((50,) * 8, 2)], BaseState.ARMED, 255),
     ("another pulse", [opens((0, 0, 30, *5 * (0,)), 2)], BaseState.ARMED, 4),
     ("an older number", [opens((0, 0, 30, *5 * (0,)), 65535)], BaseState.ARMED, 4),
     ("the same number", [opens((0, 0, 30, *5 * (0,)), 1)], BaseState.ARMED, 3),
     ("no pulse", [ARM], BaseState.ARMED, 0),
-    ("a pulse does not come back", [ARM, opens(FOREVER, 1)], BaseState.ARMED, 0),
-    ("nor after arming anew", [QUIET, opens(FOREVER, 1)], BaseState.ARMED, 0),
+    ("a pulse does not come back", [ARM, opens(MAX_ON_TIMES, 1)], BaseState.ARMED, 0),
+    ("nor after arming again", [QUIET, opens(MAX_ON_TIMES, 1)], BaseState.ARMED, 0),
     ("an empty pulse", [opens(VALVES * (0,), 2)], BaseState.ARMED, 0),
 ]
 
@@ -73,7 +73,7 @@ AFTER = [
 def test_the_table(commands, flags, valves):
     state = board(QUIET, GO)
     for command in numbered(commands, 10):
-        assert tell(state, command, SECOND + 50 * MS)
+        assert send_command(state, command, SECOND + 50 * MS)
     assert (state.flags(), state.valves()) == (flags, valves)
     assert state.armed == bool(flags & BaseState.ARMED)
 
@@ -81,7 +81,7 @@ def test_the_table(commands, flags, valves):
 def test_what_repeats_neither_lengthens_nor_shortens_a_pulse():
     state = board(QUIET, opens((1000, *7 * (0,))))
     for k in range(10):
-        assert tell(state, opens((1000, *7 * (0,)), 1, 3 + k), SECOND + 10 * MS * k)
+        assert send_command(state, opens((1000, *7 * (0,)), 1, 3 + k), SECOND + 10 * MS * k)
         assert state.valves() == 1
     state.tick(SECOND + 100 * MS)
     assert state.valves() == 0
@@ -105,9 +105,9 @@ def test_silence_closes_and_disarms_within_the_watchdog(watchdog):
     state.tick(SECOND + watchdog * MS + 1)
     assert (state.flags(), state.valves()) == (BaseState.WATCHDOG, 0)
     late = SECOND + 700 * MS
-    assert not tell(state, opens(FOREVER, 2, 3), late)  # a session cannot begin armed
-    assert tell(state, replace(QUIET, sequence=1), late)
-    assert tell(state, opens(FOREVER, 2, 2), late)
+    assert not send_command(state, opens(MAX_ON_TIMES, 2, 3), late)  # a session cannot begin armed
+    assert send_command(state, replace(QUIET, sequence=1), late)
+    assert send_command(state, opens(MAX_ON_TIMES, 2, 2), late)
     assert state.valves() == 255
 
 
@@ -118,7 +118,7 @@ def test_a_pulse_longer_than_the_longest_is_cut():
     assert state.valves() == 3
     state.tick(2 * SECOND)
     assert state.valves() == 0
-    assert tell(state, replace(QUIET, sequence=3), 2 * SECOND)
+    assert send_command(state, replace(QUIET, sequence=3), 2 * SECOND)
     assert state.flags() == 0
 
 
@@ -131,7 +131,7 @@ def test_a_valve_that_is_kept_open_is_held_to_its_duty():
     clock, sequence = SECOND, 2
     while clock < 101 * SECOND:  # pulses of 100 ms, without a gap, of the first valve
         clock, sequence = clock + 100 * MS, sequence + 1
-        assert tell(state, opens((1000, *7 * (0,)), sequence, sequence), clock)
+        assert send_command(state, opens((1000, *7 * (0,)), sequence, sequence), clock)
     # Full at the start, and a quarter of the time; a pulse that begins takes what there is.
     assert state.opened[0] == pytest.approx(2_000_000 + 25 * SECOND, rel=0.01)
     assert state.opened[0] <= 2_000_000 + 25 * SECOND
@@ -157,10 +157,10 @@ def test_the_total_time_is_spent_once_and_given_back_by_an_order_to_disarm():
     assert state.valves() == 255
     state.tick(SECOND + 125 * MS)
     assert (state.armed, state.valves(), state.flags()) == (False, 0, BaseState.SPENT)
-    assert tell(state, opens(FOREVER, 2, 3), SECOND + 130 * MS)
+    assert send_command(state, opens(MAX_ON_TIMES, 2, 3), SECOND + 130 * MS)
     assert (state.armed, state.valves()) == (False, 0)
-    assert tell(state, replace(QUIET, sequence=4), SECOND + 140 * MS)
-    assert tell(state, opens(FOREVER, 2, 5), SECOND + 140 * MS)
+    assert send_command(state, replace(QUIET, sequence=4), SECOND + 140 * MS)
+    assert send_command(state, opens(MAX_ON_TIMES, 2, 5), SECOND + 140 * MS)
     assert state.valves() == 255
 
 
@@ -191,7 +191,7 @@ REFUSED = [
 @pytest.mark.parametrize(("command", "reason"), REFUSED)
 def test_it_refuses_and_changes_nothing(command, reason):
     state = board(QUIET, ARM)
-    assert not tell(state, replace(command, pulse=9))
+    assert not send_command(state, replace(command, pulse=9))
     assert state.gate.refused == {reason: 1}
     assert (state.valves(), state.pulse) == (0, 0)
 
@@ -206,7 +206,7 @@ def test_it_refuses_what_is_no_command():
 
 def test_a_stop_is_obeyed_whatever_its_boot_and_sequence():
     state = board(QUIET, GO)
-    assert tell(state, replace(STOP, sequence=0, boot=BOOT + 5))
+    assert send_command(state, replace(STOP, sequence=0, boot=BOOT + 5))
     assert (state.flags(), state.valves()) == (BaseState.STOPPED, 0)
 
 
@@ -231,7 +231,7 @@ def test_telemetry_says_all():
     assert (frame.echo, frame.turnaround) == (2, 1500)
     assert (frame.gyro_sum, frame.gyro_samples) == (5, 6)
     assert (frame.valves, frame.pulse, frame.pulse_age) == (2, 9, 15)
-    assert frame.gripper == Hand.TOLD_TO_CLOSE | Hand.CLOSED | Hand.HOLDS
+    assert frame.gripper == GripperFlag.COMMANDED_CLOSED | GripperFlag.CLOSED | GripperFlag.HOLDS
     assert (frame.slow_id, frame.slow_value) == (BaseSlow.TANK, 19_500)
     slow = [state.telemetry(SECOND + 3500, k, measured) for k in range(16)]
     values = {frame.slow_id: frame.slow_value for frame in slow}
@@ -248,7 +248,7 @@ def test_before_a_pulse_there_is_no_age():
 
 
 def order(flags, times, pulse, expiry):
-    pulse = {"pulse": pulse, "on_times": times} if flags == BaseOrder.ARM else {}
+    pulse = {"pulse": pulse, "on_times": times} if flags == BaseCommandFlag.ARM else {}
     return replace(QUIET, flags=flags, expiry=expiry, **pulse)
 
 
@@ -269,7 +269,7 @@ def play(history, ticks):
         for tick in [t for t in ticks if clock < t <= clock + after]:
             state.tick(tick)
         clock += after
-        expiry = clock + command.expiry if command.flags == BaseOrder.ARM else 0
+        expiry = clock + command.expiry if command.flags == BaseCommandFlag.ARM else 0
         state.receive(encode(replace(command, sequence=k, clock=k, expiry=expiry)), clock)
         told.append((state.valves(), state.flags(), list(state.opened), state.left))
     return told
@@ -285,7 +285,7 @@ def test_no_valve_is_open_unarmed_or_beyond_its_limits(history, ticks):
     state, clock, since = board(QUIET, limits=TIGHT), SECOND, 0
     for k, (after, command) in enumerate(history, 2):
         clock += after
-        expiry = clock + command.expiry if command.flags == BaseOrder.ARM else 0
+        expiry = clock + command.expiry if command.flags == BaseCommandFlag.ARM else 0
         state.receive(encode(replace(command, sequence=k, clock=k, expiry=expiry)), clock)
         since = sum(state.opened) if command.flags == 0 and state.gate.arrival == clock else since
         assert state.armed or not state.valves()

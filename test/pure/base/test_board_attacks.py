@@ -1,4 +1,4 @@
-"""Whoever sends the board frames: heard, forged, held back or made up, they open no valve."""
+"""Attacks on the board: recorded, forged, delayed or invented frames open no valve."""
 
 import random
 import time
@@ -25,7 +25,7 @@ STEP = 50_000  # from one command to the next [us]
 
 
 def session(key):
-    """What a driver sends, by the board's clock: arms, opens, stops, arms anew, opens."""
+    """Commands of a driver, by the board's clock: arm, open, stop, arm again, open."""
     orders = [QUIET, QUIET, *(opens((400,) * 8, 1) for _ in range(6)), STOP, STOP, QUIET]
     orders += [opens((0,) * 8, 0, gripper=0) for _ in range(3)]
     orders += [opens((0, 200, *6 * (0,)), 2) for _ in range(4)]
@@ -90,7 +90,7 @@ def unsigned(state, clock, heard):
 
 
 def foreign(state, clock, heard):
-    """Of the links, and for another start."""
+    """Frames of the links, and frames for another start."""
     for data in heard[-4:]:
         made = bytearray(data)
         made[3] = 2
@@ -142,7 +142,7 @@ def test_each_refusal_is_counted_by_its_reason(change, reason):
 
 
 def mutated(rng, pool, key):
-    """Noise, a damaged frame, or one whose fields are anything, sealed by whoever has the key."""
+    """Noise, a damaged frame, or one whose fields are anything, signed with the key."""
     kind = rng.random()
     if kind < 0.1:
         return rng.randbytes(rng.choice((0, 5, 71, 72, 72, 73, 200)))
@@ -178,7 +178,7 @@ def test_whatever_comes_no_valve_is_open_unarmed_and_nothing_is_raised(inputs, k
         if k % 1000 == 0:  # one who has the key may have used up the order of stamps
             state = BoardState(board_gate(BOOT, key))
             pool = [encode(QUIET, key), encode(STOP, key)]
-        if k % 50 < 2:  # the driver goes on between
+        if k % 50 < 2:  # the driver continues in between
             order = QUIET if k % 250 == 0 else opens([rng.randrange(3000)] * 8, k % 65535 + 1)
             data = encode(following(state, order, clock), key)
             pool = [*pool[-8:], data]

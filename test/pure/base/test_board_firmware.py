@@ -18,12 +18,12 @@ from firmware import BASE, Core, build
 from fss_base_driver.protocol import (
     NO_ON_TIMES,
     VALVES,
-    BaseOrder,
+    BaseCommandFlag,
     BaseSlow,
     BaseState,
     BoardState,
     Gripper,
-    Hand,
+    GripperFlag,
     Limits,
     Measured,
     board_gate,
@@ -33,7 +33,7 @@ from fss_base_driver.protocol import (
 VECTORS = Path(__file__).parents[2] / "vectors/base_firmware.txt"
 MS = 1000
 TIGHT = Limits(longest=200_000, allowance=150_000, duty=30, total=500_000)
-FOREVER = VALVES * (0xFFFF,)
+MAX_ON_TIMES = VALVES * (0xFFFF,)
 
 
 @pytest.fixture(scope="module")
@@ -75,13 +75,13 @@ def test_the_firmware_agrees_with_the_python_codec_on_random_frames(core):
 
 def clumsy(rng, clock, sequence, number):
     """A command as a computer in trouble may send it: repeated, late, of another start."""
-    flags = rng.choice([0, 0, BaseOrder.STOP, *30 * [BaseOrder.ARM]])
+    flags = rng.choice([0, 0, BaseCommandFlag.STOP, *30 * [BaseCommandFlag.ARM]])
     command = replace(
         QUIET, flags=flags, sequence=sequence + rng.choice([1, 1, 1, 1, 1, 1, 0, -1, 5]),
         clock=clock + rng.randint(-1000, 0), boot=rng.choice([*12 * [BOOT], BOOT + 1]),
         watchdog=rng.choice([100, 500]),
     )  # fmt: skip
-    if flags != BaseOrder.ARM:
+    if flags != BaseCommandFlag.ARM:
         return command
     times = tuple(rng.choice([0, 0, 1, 77, 300, 2500, 0xFFFF]) for _ in range(VALVES))
     pulse = (number + rng.choice([0, 0, 1, 1, 1, -1])) & 0xFFFF
@@ -101,7 +101,7 @@ def same_as(board, table, measured):
         expected = table.telemetry(frame.clock, frame.sequence, Measured())
         for name in ("flags", "echo", "turnaround", "valves", "pulse", "pulse_age"):
             assert getattr(frame, name) == getattr(expected, name), name
-        told = Hand.TOLD_TO_CLOSE
+        told = GripperFlag.COMMANDED_CLOSED
         assert frame.gripper & told == expected.gripper & told
         if frame.slow_id >= BaseSlow.LEFT or frame.slow_id == BaseSlow.REFUSED:
             assert (frame.slow_id, frame.slow_value) == (expected.slow_id, expected.slow_value)
@@ -176,11 +176,11 @@ def test_a_command_that_expires_closes_though_the_loop_hangs(board):
 
 @pytest.mark.parametrize("hangs", [False, True])
 def test_limits_hold_whatever_is_asked(core, hangs):
-    """Whoever asks for all valves, always, for 20 s has each for its allowance and duty."""
+    """Commands for all valves for 20 s open each for its allowance and duty."""
     board = FirmwareBoard(core, limits=replace(TIGHT, total=100 * SECOND))
     assert board.send(QUIET)
     for k in range(200):
-        asked = opens(FOREVER, 1 + k, 2 + k, expiry=board.clock + SECOND)
+        asked = opens(MAX_ON_TIMES, 1 + k, 2 + k, expiry=board.clock + SECOND)
         assert board.send(replace(asked, watchdog=500))
         board.run(100 * MS, hangs)
     most = TIGHT.allowance + TIGHT.duty * board.clock // 100
@@ -201,7 +201,7 @@ def test_a_pulse_is_cut_to_the_longest(board):
 @pytest.mark.parametrize("stopped", [STOP, replace(STOP, boot=0, sequence=0), QUIET])
 def test_a_stop_and_a_disarm_close_at_once(board, stopped):
     assert board.send(QUIET)
-    assert board.send(opens(FOREVER))
+    assert board.send(opens(MAX_ON_TIMES))
     board.run(10 * MS)
     assert board.send(replace(stopped, sequence=stopped.sequence and 3))
     assert board.valves().driven == 0
@@ -209,7 +209,7 @@ def test_a_stop_and_a_disarm_close_at_once(board, stopped):
     assert max(board.opened()) == 10 * MS
 
 
-# --- what it tells -------------------------------------------------------------------------------
+# --- telemetry -----------------------------------------------------------------------------------
 
 
 def test_it_measures_twenty_times_a_second_whatever_arrives(board):
@@ -282,11 +282,14 @@ def test_the_gripper_takes_its_time_and_is_not_opened_by_a_stop(board):
     board.tell("hold 1")
     assert board.send(QUIET)
     assert board.send(opens(gripper=Gripper.CLOSE))
-    assert board.run(100 * MS)[-1].gripper == Hand.TOLD_TO_CLOSE
+    assert board.run(100 * MS)[-1].gripper == GripperFlag.COMMANDED_CLOSED
     assert board.send(replace(STOP, sequence=3))
-    assert board.run(400 * MS)[-1].gripper == Hand.TOLD_TO_CLOSE | Hand.CLOSED | Hand.HOLDS
+    assert (
+        board.run(400 * MS)[-1].gripper
+        == GripperFlag.COMMANDED_CLOSED | GripperFlag.CLOSED | GripperFlag.HOLDS
+    )
     assert board.send(opens(gripper=Gripper.OPEN, sequence=4))
-    assert board.run(400 * MS)[-1].gripper & Hand.TOLD_TO_CLOSE
+    assert board.run(400 * MS)[-1].gripper & GripperFlag.COMMANDED_CLOSED
 
 
 def test_the_tank_empties_by_what_is_open(board):
@@ -329,7 +332,7 @@ def test_it_fits_the_due_and_never_asks_for_memory():
 
 
 def life(core):
-    """What a board says while it is armed, flown, left alone, and flown again."""
+    """Output of a board while it is armed, flown, left alone, and flown again."""
     board = FirmwareBoard(core, key=KEY, limits=TIGHT)
     said = [board.run(SECOND), board.send(replace(QUIET, clock=5))]
     for k in range(12):

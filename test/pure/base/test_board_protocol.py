@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from fss_arm_driver import protocol as links
 from fss_base_driver.protocol import (
     BaseCommand,
-    BaseOrder,
+    BaseCommandFlag,
     BaseSlow,
     BaseTelemetry,
     decode,
@@ -135,7 +135,7 @@ def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, k
         patched(ORDER, 5, b"\0"),  # a pulse without arm
         patched(ORDER, 5, b"\2"),  # a pulse with a stop
         patched(ORDER, 6, b"\0\0"),  # arms whatever boot
-        patched(ORDER, 20, bytes(8)),  # arms for ever
+        patched(ORDER, 20, bytes(8)),  # arms without expiry
         patched(ORDER, 28, b"\0\0"),  # on times without a pulse
         patched(ORDER, 30, b"\0\0"),  # watchdog
         patched(ORDER, 48, b"\3"),  # gripper
@@ -159,7 +159,11 @@ def test_what_has_no_meaning_is_refused_as_a_field(data):
         (ORDER, {"on_times": (*7 * (0,), 65536)}, "on_times are .*65536.*, expected 8 from 0"),
         (ORDER, {"on_times": (-1, *7 * (0,))}, "on_times are .*-1.*, expected 8 from 0"),
         (ORDER, {"pulse": 0}, "on_times without a pulse"),
-        (ORDER, {"flags": BaseOrder.STOP}, "a pulse, or an order to the gripper, without arm"),
+        (
+            ORDER,
+            {"flags": BaseCommandFlag.STOP},
+            "a pulse or a gripper command without arm",
+        ),
         (ORDER, {"expiry": 0}, "expiry is 0 in a command that arms"),
     ],
 )

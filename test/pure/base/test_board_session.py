@@ -5,7 +5,7 @@ from math import inf, nan
 import pytest
 from base_link import SECOND, FakeBoard
 
-from fss_base_driver.protocol import BaseOrder, BaseState, Gripper, decode
+from fss_base_driver.protocol import BaseCommandFlag, BaseState, Gripper, decode
 from fss_base_driver.session import BoardSession
 from fss_link.session import Arming, CommandError
 
@@ -38,7 +38,7 @@ class Bench:
         times = (*on_times, *(8 - len(on_times)) * [0.0])
         self.session.thrust(times, self.now - round(age * SECOND), self.now)
 
-    def told(self):
+    def last_command(self):
         return self.board.taken[-1]
 
     def arm(self):
@@ -68,7 +68,7 @@ def test_nothing_is_opened_unarmed(bench):
         with pytest.raises(CommandError, match="the base's board is disarmed, not armed"):
             call()
     bench.step()
-    assert bench.told().flags == 0
+    assert bench.last_command().flags == 0
     assert bench.board.state.opened == 8 * [0]
 
 
@@ -165,9 +165,9 @@ def test_silence_closes_the_valves_within_the_watchdog(armed):
     assert armed.board.state.valves() == 0
     assert armed.board.state.opened[0] <= 500_001
     armed.now += SECOND
-    armed.step()  # it finds that it stood still, and that the board has disarmed itself
+    armed.step()  # it detects the stall, and that the board has disarmed itself
     assert armed.session.arming is Arming.DISARMED
-    assert "stood still" in armed.session.standstill
+    assert "was stalled" in armed.session.stall
 
 
 def test_a_lost_board_is_disarmed_when_it_is_heard_again(armed):
@@ -179,7 +179,7 @@ def test_a_lost_board_is_disarmed_when_it_is_heard_again(armed):
     for _ in range(3):
         armed.step()
     assert not armed.session.lost
-    assert armed.told().flags == 0
+    assert armed.last_command().flags == 0
 
 
 def test_a_new_driver_counts_on_from_the_boards_pulse(armed):
@@ -220,7 +220,7 @@ def test_the_gripper_is_told_until_it_says_so_and_not_again(armed):
     assert armed.board.state.gripper is Gripper.CLOSE
     armed.step()
     armed.step()
-    assert armed.told().gripper == Gripper.KEEP
+    assert armed.last_command().gripper == Gripper.KEEP
     armed.session.stop()
     armed.step()
     armed.arm()
@@ -249,4 +249,4 @@ def test_signed_frames_work_and_others_are_refused():
     unsigned = FakeBoard(7, bench.board.born)
     assert bench.session.feed(unsigned.telemetry(bench.now), bench.now) is None
     assert bench.session.counts["signature"] == 1
-    assert decode(bench.session.command(bench.now), key).flags == BaseOrder.ARM
+    assert decode(bench.session.command(bench.now), key).flags == BaseCommandFlag.ARM

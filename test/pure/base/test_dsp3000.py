@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fss_base_driver.dsp3000 import LARGEST, Lines
+from fss_base_driver.dsp3000 import MAX_RATE, Lines
 
 TABLE = [
     (b"12.345678 1", 12.345678),
@@ -73,7 +73,7 @@ def test_any_split_of_the_stream_says_the_same(numbers, sizes):
 def test_noise_is_counted_and_says_nothing_impossible(noise):
     decoder = lines()
     rates = decoder.feed(noise)
-    assert all(abs(rate) <= radians(LARGEST) for rate in rates)
+    assert all(abs(rate) <= radians(MAX_RATE) for rate in rates)
     decoder.feed(b"\r\n")
     assert decoder.feed(b"-2.000000 1\r\n") == [radians(-2.0)]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from base_board import SAMPLE
 
-from fss_base_driver.gyro import BiasError, BiasSearch, Sums
+from fss_base_driver.gyro import BiasError, BiasSearch, GyroSums
 
 MS = 1_000_000
 
@@ -25,8 +25,8 @@ def frames(counts, per_frame=5, begin=(0, 0)):
 
 
 def turns(made):
-    sums = Sums()
-    return [turn for frame, stamp in made if (turn := sums.take(frame, stamp))]
+    sums = GyroSums()
+    return [turn for frame, stamp in made if (turn := sums.add(frame, stamp))]
 
 
 @pytest.mark.parametrize("begin", [(0, 0), (0xFFFFFFF0, 0xFFFE), (-70_000, 7)])
@@ -61,7 +61,7 @@ def test_nothing_is_said_over_a_restart_a_long_gap_or_a_dead_gyro():
 def search(rates, valves=0):
     finder = BiasSearch(1.0, 1e-3, 0.01)
     for k, rate in enumerate(rates):
-        if found := finder.take(50 * MS * k + 1, rate, 5, valves):
+        if found := finder.add(50 * MS * k + 1, rate, 5, valves):
             return k, *found
     return None
 

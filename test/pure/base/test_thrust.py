@@ -8,7 +8,7 @@ import pytest
 from fss_arm_driver.protocol import Mode
 from fss_arm_model.description import paper_arm
 from fss_arm_model.thrusters import layout
-from fss_base_driver.thrust import Body, Thrust, TrackError, estimate, order, verdict
+from fss_base_driver.thrust import Body, Thrust, TrackError, estimate, valve_order, verdict
 from fss_sim.noise import PRESETS
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
@@ -17,7 +17,7 @@ from fss_sim.sensors import RATE, Sensors
 VALVES = layout(0.16, 0.11)
 Q = (0.3, -0.5, 0.7, 0.2)
 ARM = paper_arm()
-BEFORE, AFTER, ON = 3.0, 4.0, 1.0
+TIME_BEFORE, TIME_AFTER, ON_TIME = 3.0, 4.0, 1.0
 
 
 def fly(
@@ -29,9 +29,9 @@ def fly(
     for i in range(ARM.n):  # each joint holds its place
         plant.command(i, Demand(Mode.POSITION, 0.0, 0.0, 5.0))
     sensors, poses, rates = Sensors(PRESETS[preset], seed), [], []
-    for k in range(round((BEFORE + ON + AFTER) * RATE)):
-        if k == round(BEFORE * RATE):
-            plant.thrust([ON if i == valve else 0.0 for i in range(8)])
+    for k in range(round((TIME_BEFORE + ON_TIME + TIME_AFTER) * RATE)):
+        if k == round(TIME_BEFORE * RATE):
+            plant.thrust([ON_TIME if i == valve else 0.0 for i in range(8)])
         plant.advance(1.0 / RATE)
         sight = sensors.observe(k, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:])
         poses.append(((k + 1) / RATE, *sight.base.pose))
@@ -42,7 +42,7 @@ def fly(
 @pytest.mark.parametrize("valve", range(8))
 def test_without_noise_it_is_the_thrusters_own(valve):
     poses, rates = fly(valve, "ideal")
-    found = estimate(Body.of(ARM, Q), poses, rates, BEFORE + 0.005, ON)
+    found = estimate(Body.of(ARM, Q), poses, rates, TIME_BEFORE + 0.005, ON_TIME)
     np.testing.assert_allclose(found.force, VALVES[valve, :2], atol=0.004)
     assert found.torque == pytest.approx(VALVES[valve, 2], abs=0.0015)
     assert verdict(found, VALVES, valve) == ""
@@ -52,7 +52,7 @@ def test_with_default_errors_on_a_tilted_table_its_deviation_is_honest():
     body, off = Body.of(ARM, Q), []
     for seed in range(12):
         valve = seed % 8
-        found = estimate(body, *fly(valve, seed=seed, tilt=(1e-4, -5e-5)), BEFORE, ON)
+        found = estimate(body, *fly(valve, seed=seed, tilt=(1e-4, -5e-5)), TIME_BEFORE, ON_TIME)
         wrong = np.array([*found.force, found.torque]) - VALVES[valve]
         off.append(wrong / [found.deviation[0], found.deviation[0], found.deviation[1]])
         assert found.deviation[0] < 0.01
@@ -65,37 +65,43 @@ def test_with_default_errors_on_a_tilted_table_its_deviation_is_honest():
 
 def test_without_a_gyro_the_heading_alone_tells():
     poses, _ = fly(0)
-    found = estimate(Body.of(ARM, Q), poses, [], BEFORE, ON)
+    found = estimate(Body.of(ARM, Q), poses, [], TIME_BEFORE, ON_TIME)
     assert found.torque == pytest.approx(VALVES[0, 2], abs=0.02)
 
 
 def test_a_track_that_is_too_short_is_named():
     poses, rates = fly(0)
     with pytest.raises(TrackError, match="0 poses before the pulse and"):
-        estimate(Body.of(ARM, Q), poses, rates, 0.0, ON)
+        estimate(Body.of(ARM, Q), poses, rates, 0.0, ON_TIME)
 
 
 def test_valves_are_tried_in_an_order_that_leaves_the_base_slow():
-    tried = order(VALVES)
+    tried = valve_order(VALVES)
     assert sorted(tried) == list(range(8))
     total = np.cumsum(VALVES[tried], axis=0)
     assert np.abs(total[1::2]).max() < 1e-12  # each second one undoes the one before
 
 
-def seen(force, torque, deviation=(0.002, 0.0005)):
+def measured_thrust(force, torque, deviation=(0.002, 0.0005)):
     return Thrust(tuple(force), torque, deviation)
 
 
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        (seen(VALVES[0, :2], VALVES[0, 2]), ""),
-        (seen(0.9 * VALVES[0, :2], 0.9 * VALVES[0, 2]), ""),
-        (seen((0.0, 0.003), 0.0), "no thrust: 0.003 N, expected 0.160 N"),
-        (seen(VALVES[3, :2], VALVES[3, 2]), "pushes as valve 4 should"),
-        (seen(0.5 * VALVES[0, :2], 0.5 * VALVES[0, 2]), "thrust is 0.080 N, expected 0.160 N"),
-        (seen(VALVES[0, :2], 1.6 * VALVES[0, 2]), "torque is 0.0282 N m, expected 0.0176 N m"),
-        (seen((-0.11, -0.11), 0.0176), r"pushes along \(-0.110, -0.110\) N, expected"),
+        (measured_thrust(VALVES[0, :2], VALVES[0, 2]), ""),
+        (measured_thrust(0.9 * VALVES[0, :2], 0.9 * VALVES[0, 2]), ""),
+        (measured_thrust((0.0, 0.003), 0.0), "no thrust: 0.003 N, expected 0.160 N"),
+        (measured_thrust(VALVES[3, :2], VALVES[3, 2]), "pushes as valve 4 should"),
+        (
+            measured_thrust(0.5 * VALVES[0, :2], 0.5 * VALVES[0, 2]),
+            "thrust is 0.080 N, expected 0.160 N",
+        ),
+        (
+            measured_thrust(VALVES[0, :2], 1.6 * VALVES[0, 2]),
+            "torque is 0.0282 N m, expected 0.0176 N m",
+        ),
+        (measured_thrust((-0.11, -0.11), 0.0176), r"pushes along \(-0.110, -0.110\) N, expected"),
     ],
 )
 def test_what_does_not_fit_is_said(found, words):

@@ -1,4 +1,4 @@
-"""Which wrenches the base accepts, and how it names the number that is wrong."""
+"""Wrenches that the base accepts, and messages that name an invalid number."""
 
 from math import inf, nan
 from operator import attrgetter

@@ -1,6 +1,6 @@
 """Attacks on the way between driver and link: none changes the driver's state or moves the link.
 
-The attacker hears all that is said, sends what he likes in the name of either side, and can hold
+The attacker receives all frames, sends any frame in the name of either side, and can hold
 frames back; he has the key of another link, and not of this one.
 """
 
@@ -13,7 +13,7 @@ from struct import unpack_from
 import pytest
 from driver_frames import with_crc
 
-from fss_arm_driver.protocol import Mode, Order, State, decode, encode
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, State, decode, encode
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
 from fss_link.protocol import Refused
@@ -21,7 +21,7 @@ from fss_link.session import Arming
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.plant import Motion
 
-KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
+KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
 SECOND = 1_000_000_000
 PERIOD, DELAY = SECOND // 5, SECOND // 500
 START = 1_700_000_000 * SECOND
@@ -134,7 +134,7 @@ def later(data, key=None, **changes):
 
 
 def another_links(world):
-    other = World(number=2, key=OTHER, now=world.now - 2 * SECOND).armed()
+    other = World(number=2, key=OTHER_KEY, now=world.now - 2 * SECOND).armed()
     return other.down, other.up
 
 
@@ -148,8 +148,8 @@ ON_BYTES = {
     "flipped bits": lambda heard, _: flipped(heard[-1]),
     "good CRC, no such signature": lambda heard, _: [later(heard[-1])[:56] + RNG.randbytes(16)],
     "the signature of another frame": lambda heard, _: [later(heard[-1])[:56] + heard[-1][56:]],
-    "signed under another link's key": lambda heard, _: [later(heard[-1], OTHER)],
-    "the last frame under another key": lambda heard, _: [forged(heard[-1], OTHER)],
+    "signed under another link's key": lambda heard, _: [later(heard[-1], OTHER_KEY)],
+    "the last frame under another key": lambda heard, _: [forged(heard[-1], OTHER_KEY)],
     "not signed": lambda heard, _: [later(heard[-1])],
     "truncated": lambda heard, _: [heard[-1][:n] for n in range(1, 72)],
     "empty": lambda heard, _: [b""],
@@ -159,7 +159,7 @@ ON_BYTES = {
     "an older version": lambda heard, _: [patched(later(heard[-1]), 2, 0)],
     "another link's frames": lambda _, others: others,
     "another link's, renumbered": lambda _, others: [patched(data, 4, 1) for data in others],
-    "renumbered, signed by its holder": lambda heard, _: [later(heard[-1], OTHER, link=1)],
+    "renumbered, signed by its holder": lambda heard, _: [later(heard[-1], OTHER_KEY, link=1)],
 }
 
 
@@ -184,10 +184,10 @@ ON_PIECES = {
     "all again, newest first": (None, lambda heard: heard[:-5:-1]),
     "those that are over": (Refused.TIME, lambda heard: heard[:1]),
     "flipped bits": (Refused.FRAME, lambda heard: list(flipped(heard[-1]))[: 8 * 52]),
-    "another link's key": (Refused.FRAME, lambda heard: [forged(heard[-1], OTHER)]),
+    "another link's key": (Refused.FRAME, lambda heard: [forged(heard[-1], OTHER_KEY)]),
     "not signed": (Refused.FRAME, lambda heard: [forged(heard[-1], None)]),
     "another's signature": (Refused.FRAME, lambda heard: [heard[-1][:56] + heard[-2][56:]]),
-    "another link's": (Refused.FRAME, lambda _: World(2, OTHER).following().pieces),
+    "another link's": (Refused.FRAME, lambda _: World(2, OTHER_KEY).following().pieces),
     "noise": (Refused.FRAME, lambda _: [RNG.randbytes(72) for _ in range(100)]),
 }
 
@@ -326,7 +326,7 @@ def test_commands_of_an_earlier_start_of_the_link_neither_arm_nor_shut_the_compu
     world.switch_on(boot=4)
     for data in earlier:
         if world.link.receive(data, world.clock()):
-            assert not decode(data, KEY).flags & Order.ARM
+            assert not decode(data, KEY).flags & LinkCommandFlag.ARM
     assert not world.link.armed
     assert world.link.demand(world.clock(), REST).mode == Mode.OFF
     world.run(10)
@@ -374,7 +374,7 @@ def test_a_recorded_stop_does_not_stop_again():
     world.session.stop()
     world.run(2)
     stop = world.down[-1]
-    assert decode(stop, KEY).flags & Order.STOP
+    assert decode(stop, KEY).flags & LinkCommandFlag.STOP
     world.session.arm(world.now)
     world.run(4)
     assert world.link.armed

@@ -19,10 +19,10 @@ STEP = 0.005  # [s]
 
 
 class Bench:
-    """A link on a bench and its person, in time of their own; stands for the module `time`, too."""
+    """A link on a bench and its person, in time of their own; also replaces the module `time`."""
 
     def __init__(self, description, friction=0.0, deaf=False, hand=pi / 2, load=0.5, number=1):
-        self.counts, self.trouble = {}, ""
+        self.counts, self.problem = {}, ""
         self.link = LinkElectronics(number, description, boot=3)
         self.modes = [Mode.OFF]  # that the drive was in, without repetition
         self.seconds, self.q, self.qd, self.torque, self.current = 0.0, -0.6, 0.0, 0.0, 0.0
@@ -80,7 +80,7 @@ class Bench:
         pass
 
     def ask(self, question):
-        """A person who does as told, and tells what was done."""
+        """An operator who follows the instructions and answers."""
         self.asked.append(question)
         if "Turn the joint by hand" in question:
             self.q += self.hand
@@ -213,7 +213,7 @@ def test_a_drive_that_is_not_seen_to_switch_off_fails(tried):
     at_each_step(bench, fall_deaf)
     found = tried(bench)
     assert found["complete"].verdict == FAIL
-    assert found["complete"].found == "link 1 is not seen to switch off: cut its power"
+    assert found["complete"].found == "link 1 does not confirm that it is off: cut its power"
 
 
 def test_a_torque_sensor_that_is_not_there_does_not_pass(tried):
@@ -223,7 +223,7 @@ def test_a_torque_sensor_that_is_not_there_does_not_pass(tried):
     assert {f.name: f.verdict for f in found.values() if "torque" in f.name} == {
         "torque zero": FAIL, "torque gain": NOT_TRIED, "torque sign": NOT_TRIED,
     }  # fmt: skip
-    assert found["torque zero"].found == "no samples of the torque sensor come"
+    assert found["torque zero"].found == "no samples of the torque sensor are received"
     assert not any("known torque" in question for question in bench.asked)
 
 
@@ -280,11 +280,11 @@ def checked(monkeypatch, tmp_path):
     return run
 
 
-FIRST, SECOND = "udp://first:5001", "udp://second:5001"
+FIRST_URL, SECOND_URL = "udp://first:5001", "udp://second:5001"
 
 
 def test_the_result_is_written_and_the_exit_code_tells(checked, capsys):
-    code, text = checked({FIRST: Bench(LINK)})
+    code, text = checked({FIRST_URL: Bench(LINK)})
     assert code == 0
     assert '    url: "udp://first:5001"\n' in text
     assert text.count('verdict: "pass"') == 9
@@ -294,7 +294,7 @@ def test_the_result_is_written_and_the_exit_code_tells(checked, capsys):
 def test_a_place_where_nothing_answers_is_a_failure(checked, capsys):
     bench = Bench(LINK, deaf=True)
     bench.receive = list
-    assert checked({FIRST: bench})[0] == 2
+    assert checked({FIRST_URL: bench})[0] == 2
     assert "udp://first:5001: no link answers" in capsys.readouterr().out
 
 
@@ -306,7 +306,7 @@ def test_a_link_that_is_lost_fails_and_the_next_is_tried(checked, when):
         bench.seconds += 2.0
         return bench.ask(question)
 
-    code, text = checked({FIRST: Bench(LINK), SECOND: Bench(LINK, number=2)}, ask)
+    code, text = checked({FIRST_URL: Bench(LINK), SECOND_URL: Bench(LINK, number=2)}, ask)
     first, second = text.split("  - link: 2")
     assert code == 2
     assert 'verdict: "fail"\n        found: "link 1 is lost' in first
@@ -317,7 +317,7 @@ def test_a_link_that_is_lost_fails_and_the_next_is_tried(checked, when):
     ("hand", "code"), [(pi / 2, 3), (pi / 4, 2)], ids=["all well until then", "a failure before"]
 )
 @pytest.mark.parametrize(
-    ("end", "words"), [(EOFError, "no more input"), (KeyboardInterrupt, "interrupted")]
+    ("end", "words"), [(EOFError, "end of input"), (KeyboardInterrupt, "interrupted")]
 )
 def test_what_was_found_before_an_end_is_written(checked, capsys, end, words, hand, code):
     def ask(bench, question):
@@ -325,7 +325,7 @@ def test_what_was_found_before_an_end_is_written(checked, capsys, end, words, ha
             raise end
         return bench.ask(question)
 
-    got, text = checked({FIRST: Bench(LINK, hand=hand), SECOND: Bench(LINK, number=2)}, ask)
+    got, text = checked({FIRST_URL: Bench(LINK, hand=hand), SECOND_URL: Bench(LINK, number=2)}, ask)
     assert got == code
     assert text.count("verdict") == 4
     assert f'name: "complete"\n        verdict: "not tried"\n        found: "{words}"' in text
@@ -333,7 +333,7 @@ def test_what_was_found_before_an_end_is_written(checked, capsys, end, words, ha
 
 
 def test_what_was_found_before_a_wrong_url_is_written(checked, capsys):
-    code, text = checked({FIRST: Bench(LINK), SECOND: ValueError("no such URL")})
+    code, text = checked({FIRST_URL: Bench(LINK), SECOND_URL: ValueError("no such URL")})
     assert code == 1
     assert text.count('verdict: "pass"') == 9
     assert capsys.readouterr().err == "check: no such URL\n"

@@ -17,7 +17,7 @@ POOL = 1 << 16
 
 
 def damaged(rng, frame, noise, kind, key):
-    """An input of one of the kinds; the last two are sealed anew."""
+    """An input of one of the kinds; the last two get a new CRC."""
     at = rng.randrange(POOL - 200)
     if kind == 0:
         return noise[at : at + FRAME_SIZE]

@@ -17,17 +17,17 @@ from fss_arm_driver.copley.language import (
     Trajectory,
     Value,
     Variable,
-    get,
+    get_variable,
     parse,
-    put,
+    set_variable,
     trajectory,
 )
 from fss_arm_driver.copley.link import DriveLink
 from fss_arm_driver.protocol import (
-    LAST,
+    LAST_SEGMENT,
     Command,
+    LinkCommandFlag,
     Mode,
-    Order,
     Segment,
     State,
     at,
@@ -51,14 +51,14 @@ MEANT = (1, 3, 4, 5, 9, 10, 11, 14, 15, 16, 18, 19, 20, 21, 22, 25, 27, 31, 32, 
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (put(Variable.PROFILE_TYPE, 0), b"s r0xc8 0\r"),
-        (put(Variable.TARGET, 40000), b"s r0xca 40000\r"),
-        (put(Variable.PROFILE_VELOCITY, 70000), b"s r0xcb 70000\r"),
-        (put(Variable.DESIRED_STATE, 21), b"s r0x24 21\r"),
-        (put(Variable.TARGET, -1), b"s r0xca -1\r"),
-        (get(Variable.POSITION), b"g r0x32\r"),
-        (get(Variable.STATUS), b"g r0xa0\r"),
-        (get(Variable.COMMANDED_CURRENT), b"g r0x02\r"),
+        (set_variable(Variable.PROFILE_TYPE, 0), b"s r0xc8 0\r"),
+        (set_variable(Variable.TARGET, 40000), b"s r0xca 40000\r"),
+        (set_variable(Variable.PROFILE_VELOCITY, 70000), b"s r0xcb 70000\r"),
+        (set_variable(Variable.DESIRED_STATE, 21), b"s r0x24 21\r"),
+        (set_variable(Variable.TARGET, -1), b"s r0xca -1\r"),
+        (get_variable(Variable.POSITION), b"g r0x32\r"),
+        (get_variable(Variable.STATUS), b"g r0xa0\r"),
+        (get_variable(Variable.COMMANDED_CURRENT), b"g r0x02\r"),
         (trajectory(Trajectory.ABORT), b"t 0\r"),
         (trajectory(Trajectory.START), b"t 1\r"),
         (trajectory(Trajectory.HOME), b"t 2\r"),
@@ -120,14 +120,14 @@ class Bench:
             answer = b"" if self.cut else self.there.feed(line, self.here.baud)
         return self
 
-    def told(self, since=0):
+    def commands(self, since=0):
         return [line for line in self.there.lines[since:] if line[:1] in ("s", "t")]
 
     def demand(self, goal, *values):
         before = len(self.there.lines)
         self.here.demand = Demand(goal, *values)
         self.run()
-        return self.told(before)
+        return self.commands(before)
 
 
 @pytest.fixture
@@ -217,7 +217,7 @@ def test_a_demand_made_again_while_braking_is_followed(bench):
     bench.run(0.4)
     bench.here.demand = Demand(Goal.POSITION, 40000, 70000)
     bench.run(0.4)
-    assert bench.told(before)[-1] == "t 1"
+    assert bench.commands(before)[-1] == "t 1"
 
 
 @pytest.mark.parametrize("goal", [(Goal.POSITION, 40000, 70000), (Goal.CURRENT, 50)])
@@ -245,7 +245,7 @@ def test_a_cable_pulled_in_mid_line_costs_the_demand_and_not_the_drive(bench, cu
     bench.here.demand = Demand(Goal.VELOCITY, 5000)
     for _ in range(cut_at):
         bench.run(0.002)
-    bench.there.buffer = b"s r0x2"  # what has come of a line
+    bench.there.buffer = b"s r0x2"  # the start of a line
     bench.cut = True
     bench.run(2.0)
     assert bench.here.reading is None
@@ -315,9 +315,9 @@ class LinkBench:
     def arm(self, **fields):
         command(self.link, self.now)
         self.run(0.1)
-        command(self.link, self.now, flags=Order.ARM | Order.HOLD)
+        command(self.link, self.now, flags=LinkCommandFlag.ARM | LinkCommandFlag.HOLD)
         self.run(0.3)
-        command(self.link, self.now, flags=Order.ARM, **fields)
+        command(self.link, self.now, flags=LinkCommandFlag.ARM, **fields)
 
 
 def test_telemetry_comes_at_its_rate_and_says_what_there_is():
@@ -347,7 +347,7 @@ def test_armed_it_moves_and_holds_when_its_time_is_over():
 
 PIECES = [
     Segment(
-        link=1, flags=LAST * (k == 1), boot=7, sequence=k, clock=1, path=4, index=k,
+        link=1, flags=LAST_SEGMENT * (k == 1), boot=7, sequence=k, clock=1, path=4, index=k,
         begin=(3 + k) * SECOND, duration=SECOND, position=40_000 * k, velocity=0,
         end_position=40_000 * (1 - k), end_velocity=0,
     )
@@ -387,7 +387,11 @@ def test_a_path_is_followed_at_50_hz_or_more():
 
 
 def test_a_path_that_ends_early_or_is_stopped_is_held():
-    for data in (None, {"flags": Order.ARM | Order.HOLD}, {"flags": Order.STOP}):
+    for data in (
+        None,
+        {"flags": LinkCommandFlag.ARM | LinkCommandFlag.HOLD},
+        {"flags": LinkCommandFlag.STOP},
+    ):
         bench = following()
         bench.run(0.8)
         assert bench.frames[-1].flags & State.FOLLOWING
@@ -433,7 +437,7 @@ def test_one_that_cannot_hold_is_switched_off_and_no_stop_switches_it_on():
     bench.run(0.5)
     bench.there.error = 15
     for _ in range(5):
-        command(bench.link, bench.now, flags=Order.STOP)
+        command(bench.link, bench.now, flags=LinkCommandFlag.STOP)
         bench.run(0.3)
     assert bench.there.held[0x24] == Mode.OFF
     bench.arm(mode=Mode.VELOCITY, set_point=5000)
@@ -463,14 +467,18 @@ def test_told_to_home_it_is_referenced_once_it_has():
     bench.run(0.5)
     bench.frames.clear()
     bench.there.shakes = True  # so it does not begin
-    command(bench.link, bench.now, flags=Order.ARM | Order.HOME, mode=Mode.POSITION)
+    command(
+        bench.link, bench.now, flags=LinkCommandFlag.ARM | LinkCommandFlag.HOME, mode=Mode.POSITION
+    )
     told = bench.now
     bench.run(0.8)
     frames = [frame for frame in bench.frames if frame.echo == told]
     assert frames
     assert not any(frame.flags & State.REFERENCED for frame in frames)
     bench.there.shakes = False
-    command(bench.link, bench.now, flags=Order.ARM | Order.HOME, mode=Mode.POSITION)
+    command(
+        bench.link, bench.now, flags=LinkCommandFlag.ARM | LinkCommandFlag.HOME, mode=Mode.POSITION
+    )
     bench.run(0.8)
     assert bench.frames[-1].flags & State.REFERENCED
     assert bench.link.drive.homings == homings + 1
@@ -484,7 +492,7 @@ def test_once_disarmed_by_a_fault_it_must_be_told_to_disarm():
     bench.run(0.3)
     bench.there.held[0xA4] = 0
     bench.run(0.3)
-    command(bench.link, bench.now, flags=Order.ARM | Order.HOLD)
+    command(bench.link, bench.now, flags=LinkCommandFlag.ARM | LinkCommandFlag.HOLD)
     bench.run(0.5)
     assert not bench.frames[-1].flags & State.ARMED
     bench.arm(mode=Mode.POSITION, set_point=40000, velocity=10)
@@ -516,7 +524,11 @@ def reset_bit(drive):
 @pytest.mark.parametrize("goes_on", ["stop", "hold", "watchdog"])
 @pytest.mark.parametrize("happening", [end_of_power, quick_reset, blocked, reset_bit])
 def test_nothing_switches_a_dropped_drive_on_again(happening, goes_on):
-    flags = {"stop": Order.STOP, "hold": Order.ARM | Order.HOLD, "watchdog": Order.STOP}[goes_on]
+    flags = {
+        "stop": LinkCommandFlag.STOP,
+        "hold": LinkCommandFlag.ARM | LinkCommandFlag.HOLD,
+        "watchdog": LinkCommandFlag.STOP,
+    }[goes_on]
     bench = LinkBench()
     bench.there.reset = False
     bench.run(1.0)
@@ -559,7 +571,7 @@ class Rig:
     def until(self, condition, timeout=20.0):
         deadline = time.monotonic() + timeout
         while not condition():
-            assert time.monotonic() < deadline, self.transport.trouble
+            assert time.monotonic() < deadline, self.transport.problem
             now = time.time_ns()
             if now - self.sent > 100_000_000:
                 self.transport.send(self.session.command(now))
@@ -629,7 +641,7 @@ def test_unplugged_and_plugged_in_again_it_is_found_and_disarmed(rig):
     rig.arm()
     rig.end.unplug()
     rig.until(lambda: rig.session.lost)
-    rig.until(lambda: "cannot use the port" in rig.transport.trouble)
+    rig.until(lambda: "cannot use the port" in rig.transport.problem)
     rig.end.replug()
     rig.until(lambda: not rig.session.lost)
     assert not rig.session.armed
@@ -642,16 +654,16 @@ def test_an_adapter_that_goes_while_it_is_set_up_is_found_again(rig, monkeypatch
     rig.arm()
     if pulled:
         rig.end.unplug()
-        rig.until(lambda: "cannot use the port" in rig.transport.trouble)
+        rig.until(lambda: "cannot use the port" in rig.transport.problem)
         rig.end.replug()
     else:
-        rig.peer.drive.switch_on()  # so its rate is raised anew
+        rig.peer.drive.switch_on()  # so its rate is raised again
     with monkeypatch.context() as patch:
         patch.setattr(termios, "tcsetattr", go_in_mid_open)
         said = "cannot use the port: Input/output error"
-        rig.until(lambda: rig.transport.trouble == said)
+        rig.until(lambda: rig.transport.problem == said)
     rig.until(lambda: not rig.session.armed)
-    rig.until(lambda: not rig.session.lost and not rig.transport.trouble)
+    rig.until(lambda: not rig.session.lost and not rig.transport.problem)
 
 
 def test_whatever_goes_wrong_on_the_way_is_said_and_tried_again(rig, monkeypatch):
@@ -659,9 +671,9 @@ def test_whatever_goes_wrong_on_the_way_is_said_and_tried_again(rig, monkeypatch
     with monkeypatch.context() as patch:
         patch.setattr(DriveLink, "poll", lambda *_: {}["nothing"])
         said = "cannot use the port: KeyError('nothing')"
-        rig.until(lambda: rig.transport.trouble == said)
+        rig.until(lambda: rig.transport.problem == said)
     rig.until(lambda: not rig.session.armed)
-    rig.until(lambda: not rig.session.lost and not rig.transport.trouble)
+    rig.until(lambda: not rig.session.lost and not rig.transport.problem)
 
 
 def test_power_cycled_it_takes_no_position_until_it_is_homed(rig):
@@ -670,7 +682,7 @@ def test_power_cycled_it_takes_no_position_until_it_is_homed(rig):
     rig.until(lambda: not rig.session.lost and not rig.session.referenced)
     assert not rig.session.armed
     sent = rig.session.counts["sent"]
-    rig.until(lambda: rig.session.counts["sent"] > sent + 1)  # so it is told to disarm
+    rig.until(lambda: rig.session.counts["sent"] > sent + 1)  # so a command to disarm was sent
     rig.arm()
     with pytest.raises(ValueError, match="home it first"):
         rig.set(Mode.POSITION, 0.1)
@@ -682,9 +694,9 @@ def test_a_port_without_a_drive_is_said(tmp_path):
     end = ENDS["pty"](tmp_path)
     transport = open_transport(end.url.replace("serial", "copley"))
     deadline = time.monotonic() + 20.0
-    while not transport.trouble and time.monotonic() < deadline:
+    while not transport.problem and time.monotonic() < deadline:
         transport.wait(0.1)
-    assert transport.trouble == "no drive answers, neither at 9600 baud nor at the rate given"
+    assert transport.problem == "no drive answers, neither at 9600 baud nor at the rate given"
     transport.close()
     end.close()
 

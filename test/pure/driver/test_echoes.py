@@ -1,11 +1,11 @@
-"""What the echo tells: two drivers of one link, the order of signed commands, delay, standstill."""
+"""Echoes: two drivers of one link, the order of signed commands, delay, stalls."""
 
 import heapq
 from functools import partial
 
 import pytest
 
-from fss_arm_driver.protocol import Mode, Order, State, decode
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, State, decode
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
 from fss_link.session import Arming, CommandError
@@ -122,19 +122,19 @@ def test_a_second_driver_of_a_link_does_not_disturb_the_first_and_both_notice(ke
         assert first.armed
         assert world.turns()
     assert len(world.commands) - taken > 40
-    assert not first.rival  # it commands the link, and goes on
-    assert "somebody else: another driver?" in first.strain
-    assert second.rival == "another driver commands link 1"
+    assert not first.other_driver  # it still commands the link
+    assert "another sender: does a second driver run?" in first.link_problem
+    assert second.other_driver == "another driver commands link 1"
     with pytest.raises(CommandError, match="another driver commands link 1"):
         second.arm(world.now)
-    second.stop()  # anybody may; signed, not with a clock behind
+    second.stop()  # any driver may; signed, not with a clock behind
     world.send(second)
     world.run(0.5 if key is None else 1.5)  # with a key the first driver loses the link
     assert world.link.stopped == (key is None or step >= 0.0)
     assert first.armed != world.link.stopped
     world.kill(second)
     world.run(5.0)
-    assert not first.strain
+    assert not first.link_problem
     world.turn(world.arm(first))
 
 
@@ -161,8 +161,8 @@ def test_a_driver_that_lost_its_link_to_another_disarms_and_says_so(key):
     for _ in range(300):  # commands that the link takes for newer, as of an older session
         second.command(world.now)
     world.drivers.append([second, world.now])
-    world.run(1.0 if key is None else 2.0, lambda: first.rival)
-    assert first.rival
+    world.run(1.0 if key is None else 2.0, lambda: first.other_driver)
+    assert first.other_driver
     assert first.arming is Arming.DISARMED
 
 
@@ -176,8 +176,8 @@ def test_a_driver_that_starts_again_does_not_take_itself_for_another(key):
     second = world.driver()
     for _ in range(2000):
         world.step()
-        assert not second.rival
-        assert not second.strain
+        assert not second.other_driver
+        assert not second.link_problem
     assert world.can_arm(second)
 
 
@@ -190,14 +190,14 @@ def test_single_strange_echoes_and_the_echo_of_an_old_command_are_no_driver():
     echoes = session._echoes
     for frame in map(decode, world.heard[-20:]):
         strange = type(frame)(**{**fields_of(frame), "echo": old, "turnaround": 75_000_000})
-        echoes.hear(strange, world.now)
-        assert not echoes.rival(world.now)
+        echoes.update(strange, world.now)
+        assert not echoes.has_other_driver(world.now)
     forged = type(frame)(**{**fields_of(frame), "echo": 12345, "turnaround": 1000})
-    echoes.hear(forged, world.now)
-    assert not echoes.rival(world.now)
-    echoes.hear(forged, world.now + SECOND)
-    assert echoes.rival(world.now + SECOND)
-    assert not echoes.rival(world.now + 4 * SECOND)
+    echoes.update(forged, world.now)
+    assert not echoes.has_other_driver(world.now)
+    echoes.update(forged, world.now + SECOND)
+    assert echoes.has_other_driver(world.now + SECOND)
+    assert not echoes.has_other_driver(world.now + 4 * SECOND)
 
 
 def fields_of(frame):
@@ -289,9 +289,9 @@ def test_a_link_that_hears_nothing_for_minutes_is_still_believed(key):
     world.to_link = lambda _: None
     world.run(150.0)
     assert not session.lost
-    believed = session.counts["believed"]
+    believed = session.counts["accepted"]
     world.run(10.0)
-    assert session.counts["believed"] == pytest.approx(believed + 50, abs=1)
+    assert session.counts["accepted"] == pytest.approx(believed + 50, abs=1)
 
 
 def test_sessions_of_the_same_simulated_time_draw_other_stamps():
@@ -340,10 +340,10 @@ def test_beyond_that_it_is_refused_and_the_delay_is_said(key, delay):
     world = World(key, delay)
     session = world.driver()
     world.run(12.0)
-    words = rf"delay of {2 * delay:.1f}\d s there and back, at most 1 s"
+    words = rf"round trip of {2 * delay:.1f}\d s, at most 1 s allowed"
     with pytest.raises(CommandError, match=words):
         session.arm(world.now)
-    assert session.strain
+    assert session.link_problem
 
 
 @both
@@ -361,7 +361,7 @@ def test_a_stop_takes_effect_after_one_way_whatever_the_delay(key, delay, since)
     assert not world.turns()
 
 
-# --- a process that stood still ---
+# --- a stalled process ---
 
 
 @both
@@ -372,14 +372,14 @@ def test_a_driver_that_stood_still_starts_from_rest(key, still):
     world.run(3.0)
     world.turn(world.arm(session), seconds=7200.0)
     world.drivers.clear()
-    world.run(min(still, 5.0))  # nobody talks to the link
+    world.run(min(still, 5.0))  # the link receives nothing
     world.now += round((still - min(still, 5.0)) * SECOND)
     waiting = world.heard[-1]
     assert decode(waiting, key).flags & State.WATCHDOG
     world.drivers.append([session, world.now])
     told = decode(session.command(world.now), key)
-    assert not told.flags & Order.ARM
-    assert session.progress.reason == f"stood still for {still:.1f} s"
+    assert not told.flags & LinkCommandFlag.ARM
+    assert session.progress.reason == f"was stalled for {still:.1f} s"
     session.feed(waiting, world.now)
     with pytest.raises(CommandError, match="link 1"):
         session.arm(world.now)  # asked for before, and only heard now
@@ -396,4 +396,4 @@ def test_a_stop_outlives_a_standstill():
     world.arm(session)
     session.stop()
     world.now += 10 * SECOND
-    assert decode(session.command(world.now)).flags == Order.STOP
+    assert decode(session.command(world.now)).flags == LinkCommandFlag.STOP

@@ -7,8 +7,15 @@ from pathlib import Path
 import pytest
 from driver_link import SAMPLE, SECOND, FakeLink
 
-from fss_arm_driver.faults import FAULTS, IN_MOTION, Word, as_markdown, blocking, present
-from fss_arm_driver.protocol import Mode, Order, Slow, State, decode
+from fss_arm_driver.faults import (
+    FAULTS,
+    IN_MOTION,
+    Word,
+    active_faults,
+    as_markdown,
+    blocking_faults,
+)
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, decode
 from fss_arm_driver.scale import HOME, Scale
 from fss_arm_driver.session import LinkSession
 from fss_arm_driver.session.progress import STALL_TIME, START_TIMEOUT, Progress, Status
@@ -47,11 +54,14 @@ def test_each_bit_stands_once_and_what_blocks_has_a_remedy():
     ],
 )
 def test_what_blocks_is_named_once(status, faults, names):
-    assert blocking(status, faults) == names
+    assert blocking_faults(status, faults) == names
 
 
 def test_words_for_what_does_not_block():
-    assert [fault.name for fault in present(1 << 27 | 1 << 20, 0)] == ["was reset", "in motion"]
+    assert [fault.name for fault in active_faults(1 << 27 | 1 << 20, 0)] == [
+        "was reset",
+        "in motion",
+    ]
 
 
 class Bench:
@@ -78,7 +88,7 @@ class Bench:
         self.now += PERIOD // 2
         return self.session.feed(self.link.telemetry(self.now, **changes), self.now)
 
-    def told(self):
+    def last_command(self):
         return decode(self.session.command(self.now))
 
     def set(self, mode, value=0.0, time_to_live=1.0):
@@ -108,10 +118,10 @@ def test_latched_faults_are_cleared_by_frames_that_do_not_arm(bench):
     bench.step(slow_id=Slow.FAULTS, slow_value=1 << 9)
     assert bench.session.faults == ["tracking error"]
     bench.session.clear_faults(bench.now)
-    assert bench.told().flags == Order.CLEAR_FAULTS
+    assert bench.last_command().flags == LinkCommandFlag.CLEAR_FAULTS
     bench.step(slow_id=Slow.FAULTS, slow_value=0)
     bench.arm()
-    assert not bench.told().flags & Order.CLEAR_FAULTS
+    assert not bench.last_command().flags & LinkCommandFlag.CLEAR_FAULTS
 
 
 def test_a_link_without_reference_is_commanded_no_position_until_homed(bench):
@@ -120,10 +130,14 @@ def test_a_link_without_reference_is_commanded_no_position_until_homed(bench):
     with pytest.raises(CommandError, match="link 1 is not referenced: home it first"):
         bench.set(Mode.POSITION, 0.1)
     bench.set(Mode.VELOCITY, 0.1)
-    assert bench.told().mode == Mode.VELOCITY
+    assert bench.last_command().mode == Mode.VELOCITY
     bench.set(HOME)
-    told = bench.told()
-    assert (told.flags, told.mode, told.set_point) == (Order.ARM | Order.HOME, Mode.POSITION, 0)
+    told = bench.last_command()
+    assert (told.flags, told.mode, told.set_point) == (
+        LinkCommandFlag.ARM | LinkCommandFlag.HOME,
+        Mode.POSITION,
+        0,
+    )
     bench.step()
     assert bench.step().referenced
     assert bench.session.progress.status is Status.REACHED
@@ -134,7 +148,7 @@ def test_a_current_that_makes_too_much_torque_is_clamped():
     drive = Drive(torque_constant=0.8, max_torque=0.4, max_current=2.25)
     bench = Bench(replace(LINK, drive=drive))
     bench.set(Mode.CURRENT, 2.0)
-    assert bench.told().set_point == 50
+    assert bench.last_command().set_point == 50
     assert bench.session.counts["commands_clamped"] == 1
 
 
@@ -153,9 +167,9 @@ def test_a_command_is_accepted_moving_and_reached(bench):
     [
         (lambda b: b.session.stop(), Status.ABORTED, "stopped"),
         (lambda b: b.session.disarm(), Status.ABORTED, "disarmed"),
-        (lambda b: b.set(Mode.VELOCITY, 0.1), Status.ABORTED, "another command took its place"),
+        (lambda b: b.set(Mode.VELOCITY, 0.1), Status.ABORTED, "replaced by another command"),
         (lambda b: b.session.tick(b.now + 2 * SECOND), Status.ABORTED, "link 1 is lost"),
-        (lambda b: [b.step() for _ in range(4)], Status.TIMED_OUT, "its time to live ended"),
+        (lambda b: [b.step() for _ in range(4)], Status.TIMED_OUT, "its time to live expired"),
         (
             lambda b: (
                 b.link.take(b.session.command(b.now), b.now)
@@ -181,7 +195,7 @@ ARMED = replace(SAMPLE, flags=State.ARMED | State.REFERENCED, mode=Mode.POSITION
 def follow(frames, mode=Mode.POSITION, value=0.5):
     progress = Progress(SCALE.set_point(mode, value), 0, SCALE)
     for now, taken, changes in frames:
-        progress.follow(replace(ARMED, **changes), taken, now)
+        progress.update(replace(ARMED, **changes), taken, now)
     return progress.status, progress.reason
 
 
@@ -192,15 +206,15 @@ MOVING = {"status": IN_MOTION, "velocity": 100, "position": HALF // 2}
     ("frames", "status", "reason"),
     [
         ([(1, False, MOVING)], Status.ACCEPTED, ""),
-        ([(START_TIMEOUT + 1, False, {})], Status.TIMED_OUT, "the link has not taken it"),
+        ([(START_TIMEOUT + 1, False, {})], Status.TIMED_OUT, "the link has not accepted it"),
         ([(1, True, {})], Status.ACCEPTED, ""),
-        ([(START_TIMEOUT + 1, True, {})], Status.TIMED_OUT, "the joint has not begun to move"),
+        ([(START_TIMEOUT + 1, True, {})], Status.TIMED_OUT, "the joint did not start to move"),
         ([(1, True, MOVING)], Status.MOVING, ""),
         ([(1, True, MOVING), (2, True, {"position": HALF // 2})], Status.MOVING, ""),
         (
             [(1, True, MOVING), (STALL_TIME + 2, True, {"position": HALF // 2})],
             Status.ABORTED,
-            "the joint came to rest before it",
+            "the joint stopped before its goal",
         ),
         ([(1, True, {**MOVING, "position": HALF})], Status.MOVING, ""),
         ([(1, True, {"position": HALF + 100})], Status.REACHED, ""),
@@ -225,21 +239,21 @@ def test_a_battery_tells_how_long_it_lasts():
     assert isnan(battery.time_left())
     for second in range(0, 600, 2):
         volts = 14.8 - 0.0005 * second
-        battery.take(round(volts, 1), second * SECOND)
+        battery.add(round(volts, 1), second * SECOND)
     assert battery.time_left() == pytest.approx((volts - 12.0) / 0.0005, rel=0.1)
 
 
 def test_a_battery_is_read_on_when_the_clock_was_set_back():
     battery = Battery(empty=12.0)
     for second in range(9000, 9100):
-        battery.take(13.0, second * SECOND)
+        battery.add(13.0, second * SECOND)
     for second in range(900):
-        battery.take(16.0 - 0.001 * second, second * SECOND)
+        battery.add(16.0 - 0.001 * second, second * SECOND)
     assert battery.time_left() == pytest.approx((15.1 - 12.0) / 0.001, rel=0.01)
 
 
 def test_a_battery_that_does_not_fall_lasts():
     battery = Battery(empty=12.0)
     for second in range(0, 600, 10):
-        battery.take(14.8, second * SECOND)
+        battery.add(14.8, second * SECOND)
     assert battery.time_left() == inf

@@ -17,11 +17,11 @@ from firmware_vectors import cases
 
 from fss_arm_driver.faults import FAULTS, Word
 from fss_arm_driver.protocol import (
-    LAST,
+    LAST_SEGMENT,
     VELOCITY_UNIT,
     Command,
+    LinkCommandFlag,
     Mode,
-    Order,
     Segment,
     Slow,
     State,
@@ -69,17 +69,22 @@ def test_the_firmware_agrees_with_the_python_codec_on_random_frames(core):
 BOOT, SECOND = 7, 1_000_000
 MILLISECOND = 1_000_000  # in nanoseconds
 KEY = bytes(range(16))
-QUIET = Command(
+DISARM = Command(
     link=2, flags=0, boot=BOOT, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
     set_point=0, velocity=0, acceleration=0,
 )  # fmt: skip
 MOVE = replace(
-    QUIET, flags=Order.ARM, sequence=2, expiry=100 * SECOND, mode=Mode.POSITION,
+    DISARM, flags=LinkCommandFlag.ARM, sequence=2, expiry=100 * SECOND, mode=Mode.POSITION,
     set_point=200_000, velocity=381_972, acceleration=7639,
 )  # fmt: skip
 TURN = replace(MOVE, mode=Mode.VELOCITY, set_point=-300_000, velocity=0)
 PUSH = replace(MOVE, mode=Mode.CURRENT, set_point=20, velocity=0, acceleration=0)
-HOME = replace(QUIET, flags=Order.ARM | Order.HOME, mode=Mode.POSITION, expiry=100 * SECOND)
+HOME = replace(
+    DISARM,
+    flags=LinkCommandFlag.ARM | LinkCommandFlag.HOME,
+    mode=Mode.POSITION,
+    expiry=100 * SECOND,
+)
 LATCHES = State.ARMED | State.STOPPED | State.WATCHDOG
 
 
@@ -94,7 +99,7 @@ def link(core) -> FirmwareLink:
 
 def moving(link, command=MOVE):
     """The link, one second into a command."""
-    assert link.send(QUIET)
+    assert link.send(DISARM)
     assert link.send(command)
     link.run(1.0)
     assert abs(link.joint().velocity) > 20_000
@@ -128,7 +133,7 @@ def test_it_measures_five_times_a_second_whatever_arrives(link):
 
 
 def test_it_echoes_the_last_command_at_the_measurement(link):
-    assert link.send(replace(QUIET, clock=(1 << 33) + 77))
+    assert link.send(replace(DISARM, clock=(1 << 33) + 77))
     (frame,) = link.run(0.2)
     assert frame.echo == 77
     assert frame.turnaround == frame.clock - SECOND
@@ -143,7 +148,7 @@ def test_it_reads_the_torque_converter(link, counts):
 
 
 def test_a_move_is_what_the_drives_guide_says(link):
-    assert link.send(QUIET)
+    assert link.send(DISARM)
     assert link.send(replace(MOVE, set_point=40_000))
     reached = link.run(1.9)[-1]
     assert link.orders() == [
@@ -162,7 +167,7 @@ def test_a_move_is_what_the_drives_guide_says(link):
     ],
 )
 def test_set_points_are_written_before_the_mode_that_follows_them(link, command, orders):
-    assert link.send(QUIET)
+    assert link.send(DISARM)
     assert link.send(command)
     frame = link.run(1.0)[-1]
     assert link.orders() == orders
@@ -213,7 +218,7 @@ def test_silence_trips_the_watchdog_and_only_a_disarming_frame_resets_it(link, c
     still = link.joint()
     assert (still.velocity, still.mode) == (0, Mode.POSITION)
     assert not link.send(replace(MOVE, sequence=3))
-    assert link.send(replace(QUIET, sequence=4))
+    assert link.send(replace(DISARM, sequence=4))
     assert link.send(replace(MOVE, sequence=5))
     assert link.frame().flags & LATCHES == State.ARMED
 
@@ -246,7 +251,7 @@ def test_an_expired_set_point_is_held_and_the_link_stays_armed(link, command):
 )
 def test_stop_brakes_at_once_and_latches(link, command, braking, holding):
     moving(link, command)
-    assert link.send(replace(QUIET, sequence=0, boot=BOOT + 5, flags=Order.STOP))
+    assert link.send(replace(DISARM, sequence=0, boot=BOOT + 5, flags=LinkCommandFlag.STOP))
     link.run(0.02)  # a reading under way, then three orders
     assert link.orders() == braking
     link.run(1.0)
@@ -255,15 +260,15 @@ def test_stop_brakes_at_once_and_latches(link, command, braking, holding):
     assert link.send(replace(MOVE, sequence=4))
     assert link.frame().flags & LATCHES == State.STOPPED
     assert link.joint().velocity == 0
-    assert link.send(replace(QUIET, sequence=5))
+    assert link.send(replace(DISARM, sequence=5))
     assert link.send(replace(MOVE, sequence=6))
     assert link.frame().flags & LATCHES == State.ARMED
 
 
 def test_a_stop_switches_nothing_on(link):
     link.run(1.0)
-    assert link.send(QUIET)
-    assert link.send(replace(QUIET, sequence=2, flags=Order.STOP))
+    assert link.send(DISARM)
+    assert link.send(replace(DISARM, sequence=2, flags=LinkCommandFlag.STOP))
     frame = link.run(1.0)[-1]
     assert (frame.mode, frame.flags & LATCHES) == (Mode.OFF, State.STOPPED)
     assert link.joint().mode == Mode.OFF
@@ -274,10 +279,10 @@ def test_stop_is_obeyed_whatever_exchange_is_under_way(core, command):
     for moment in range(60):
         link = FirmwareLink(core)
         link.run(1.0)
-        assert link.send(QUIET)
+        assert link.send(DISARM)
         assert link.send(command)
         link.run(0.0004 * moment)
-        assert link.send(replace(QUIET, sequence=3, flags=Order.STOP))
+        assert link.send(replace(DISARM, sequence=3, flags=LinkCommandFlag.STOP))
         link.run(0.5)
         assert link.joint().velocity == 0
         assert link.joint().mode == Mode.POSITION
@@ -286,7 +291,7 @@ def test_stop_is_obeyed_whatever_exchange_is_under_way(core, command):
 @pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
 def test_disarming_brakes_and_switches_off_at_rest(link, command):
     moving(link, command)
-    assert link.send(replace(QUIET, sequence=3))
+    assert link.send(replace(DISARM, sequence=3))
     link.run(0.01)
     assert link.joint().mode != Mode.OFF
     frame = link.run(1.0)[-1]
@@ -298,7 +303,7 @@ def test_disarming_brakes_and_switches_off_at_rest(link, command):
 def test_a_joint_that_does_not_come_to_rest_is_switched_off_in_bounded_time(link, command):
     moving(link, command)
     link.tell("shake 1")
-    assert link.send(replace(QUIET, sequence=3))
+    assert link.send(replace(DISARM, sequence=3))
     link.run(2.9)
     assert link.joint().mode != Mode.OFF
     link.run(0.2)
@@ -335,7 +340,7 @@ def test_a_session_cannot_begin_armed(link):
 
 def test_a_flood_does_not_keep_it_from_stopping(link):
     moving(link)
-    assert link.send(replace(QUIET, sequence=3, flags=Order.STOP))
+    assert link.send(replace(DISARM, sequence=3, flags=LinkCommandFlag.STOP))
     for _ in range(200):
         assert not link.send(bytes(72))
     link.run(0.01)
@@ -358,9 +363,11 @@ ATTACKS = {
     "another key": encode(replace(MOVE, sequence=3, clock=7), bytes(range(1, 17))),
     "another link's": encode(replace(MOVE, link=3, sequence=3, clock=7), KEY),
     "replayed": encode(replace(MOVE, clock=6), KEY),
-    "stop from before": encode(replace(QUIET, flags=Order.STOP, sequence=9, clock=6), KEY),
-    "disarm from before": encode(replace(QUIET, sequence=9, clock=4), KEY),
-    "not signed stop": encode(replace(QUIET, flags=Order.STOP, sequence=9, clock=9)),
+    "stop from before": encode(
+        replace(DISARM, flags=LinkCommandFlag.STOP, sequence=9, clock=6), KEY
+    ),
+    "disarm from before": encode(replace(DISARM, sequence=9, clock=4), KEY),
+    "not signed stop": encode(replace(DISARM, flags=LinkCommandFlag.STOP, sequence=9, clock=9)),
     "another start's": encode(replace(MOVE, sequence=3, clock=7, boot=BOOT - 1), KEY),
     "good signature of another frame": encode(replace(MOVE, sequence=3, clock=8), KEY)[:56]
     + encode(replace(MOVE, sequence=3, clock=7), KEY)[56:],
@@ -372,13 +379,13 @@ def test_an_attack_changes_nothing(signed, attack):
     assert not signed.send(ATTACKS[attack])
     assert signed.run(0.9)[-1].flags & LATCHES == State.ARMED
     assert signed.orders() == []
-    assert signed.send(replace(QUIET, flags=Order.STOP, sequence=9, clock=7))
+    assert signed.send(replace(DISARM, flags=LinkCommandFlag.STOP, sequence=9, clock=7))
     assert signed.frame().flags & LATCHES == State.STOPPED
 
 
 def test_a_recorded_session_cannot_be_played_to_a_silent_link(signed):
     signed.run(3.0)
-    for command in (replace(QUIET, clock=5), replace(MOVE, clock=6)):
+    for command in (replace(DISARM, clock=5), replace(MOVE, clock=6)):
         assert not signed.send(command)
     assert signed.frame().flags & LATCHES == State.WATCHDOG
 
@@ -388,7 +395,11 @@ def test_a_recorded_session_cannot_be_played_to_a_silent_link(signed):
 
 def clumsy_command(rng, clock, sequence):
     """A command as a computer in trouble may send it: doubled, late, for another start."""
-    flags = rng.choice([Order.ARM] * 8 + [Order.ARM | Order.HOLD] * 3 + [0, 0, 0, Order.STOP])
+    flags = rng.choice(
+        [LinkCommandFlag.ARM] * 8
+        + [LinkCommandFlag.ARM | LinkCommandFlag.HOLD] * 3
+        + [0, 0, 0, LinkCommandFlag.STOP]
+    )
     return replace(
         rng.choice([MOVE, TURN, PUSH]),
         sequence=(sequence + rng.choice([-1, 0, 1, 1, 1, 1, 1, 2])) & 0xFFFFFFFF,
@@ -402,7 +413,7 @@ def clumsy_command(rng, clock, sequence):
 
 
 def clumsy_segment(rng, clock):
-    """A segment as the same computer may send it, of a path that nobody orders."""
+    """A segment as the same computer may send it, of a path that is not commanded."""
     knots = [(0, 0, 0), (1, 5, 0)]
     (segment,) = path(
         max(0, clock + rng.randint(-2 * SECOND, 2 * SECOND)), knots, rng.choice([1, 2, 3])
@@ -472,7 +483,7 @@ def test_what_the_drive_refused_before_a_stop_does_not_count_against_the_stop(co
         link.tell("fail 15")
         assert link.send(replace(MOVE, sequence=3, set_point=300_000))
         link.run(0.0004 * moment)
-        assert link.send(replace(QUIET, sequence=4, flags=Order.STOP))
+        assert link.send(replace(DISARM, sequence=4, flags=LinkCommandFlag.STOP))
         link.run(0.5)
         held = link.joint().mode == Mode.POSITION
         assert held == ("s r0xc8 0" in link.orders())  # else it was the stop that was refused
@@ -483,7 +494,7 @@ def test_what_the_drive_refused_before_a_stop_does_not_count_against_the_stop(co
 def test_a_drive_that_cannot_hold_is_switched_off(link):
     moving(link)
     link.tell("fail 15")
-    assert link.send(replace(QUIET, sequence=3, flags=Order.STOP))
+    assert link.send(replace(DISARM, sequence=3, flags=LinkCommandFlag.STOP))
     link.run(0.5)
     assert link.orders() == ["t 0", "s r0x24 0"]
     assert link.joint().mode == Mode.OFF
@@ -491,7 +502,7 @@ def test_a_drive_that_cannot_hold_is_switched_off(link):
 
 
 def test_one_that_cannot_hold_when_its_time_is_over_is_switched_off(link):
-    assert link.send(QUIET)
+    assert link.send(DISARM)
     assert link.send(replace(TURN, expiry=2 * SECOND))
     link.run(0.5)
     link.tell("fail 15")
@@ -503,18 +514,23 @@ def test_one_that_cannot_hold_when_its_time_is_over_is_switched_off(link):
     assert not link.frame().flags & State.ARMED
 
 
-SLOW = {Slow.FAULTS: 0xA4, Slow.SUPPLY: 0x1E, Slow.TEMPERATURE: 0x20, "deceleration": 0xCF}
+SLOW_VARIABLES = {
+    Slow.FAULTS: 0xA4,
+    Slow.SUPPLY: 0x1E,
+    Slow.TEMPERATURE: 0x20,
+    "deceleration": 0xCF,
+}
 
 
-@pytest.mark.parametrize("lacking", SLOW)
+@pytest.mark.parametrize("lacking", SLOW_VARIABLES)
 def test_what_a_drive_lacks_is_not_taken_from_another_variable(core, lacking):
     link = FirmwareLink(core)
-    link.tell(f"lack {SLOW[lacking]}")
+    link.tell(f"lack {SLOW_VARIABLES[lacking]}")
     slow = {frame.slow_id: frame.slow_value for frame in link.run(3.0)}
     expected = {Slow.FAULTS: 0, Slow.SUPPLY: 240, Slow.TEMPERATURE: 31} | {lacking: 0}
     assert {name: slow.get(name, 0) for name in expected} == expected
     moving(link, TURN)
-    assert link.send(replace(QUIET, sequence=3))
+    assert link.send(replace(DISARM, sequence=3))
     link.run(0.02)
     limit = [] if lacking == "deceleration" else ["s r0x37 300"]
     assert link.orders() == [*limit, "s r0x2f 0"]
@@ -525,7 +541,7 @@ def test_a_pulled_cable_disarms_and_says_nothing_stale(link):
     link.tell("plug 0")
     before = link.run(1.0)
     assert all(frame.clock < 2_000_000 + 20_000 for frame in before)
-    assert link.send(replace(QUIET, sequence=3, boot=0))
+    assert link.send(replace(DISARM, sequence=3, boot=0))
     link.tell("plug 1")
     after = link.run(3.0)
     assert after
@@ -584,7 +600,7 @@ def test_a_drive_that_others_switched_off_is_not_switched_on_again(link):
 
 
 def test_homing_is_begun_once_and_counted(link):
-    assert link.send(QUIET)
+    assert link.send(DISARM)
     for sequence in range(2, 5):
         assert link.send(replace(HOME, sequence=sequence))
         frames = link.run(0.25)
@@ -595,7 +611,7 @@ def test_homing_is_begun_once_and_counted(link):
 
 
 def test_it_is_not_referenced_from_the_order_to_home_on(link):
-    link.tell(f"lack {SLOW['deceleration']}")
+    link.tell(f"lack {SLOW_VARIABLES['deceleration']}")
     moving(link, replace(TURN, acceleration=3000))
     assert link.send(replace(HOME, sequence=3, clock=99))
     frames = [frame for frame in link.run(3.0) if frame.echo == 99]
@@ -612,11 +628,15 @@ def test_a_drive_that_refuses_to_home_does_not_say_that_it_has(link):
     frames = [frame for frame in link.run(1.0) if frame.echo == 99]
     assert frames
     assert not any(frame.flags & State.REFERENCED for frame in frames)
-    assert link.send(replace(HOME, sequence=4, flags=Order.ARM | Order.HOLD, mode=Mode.OFF))
+    assert link.send(
+        replace(HOME, sequence=4, flags=LinkCommandFlag.ARM | LinkCommandFlag.HOLD, mode=Mode.OFF)
+    )
     assert link.frame().flags & State.REFERENCED
 
 
-@pytest.mark.parametrize("flags", [Order.ARM | Order.HOLD, Order.STOP])
+@pytest.mark.parametrize(
+    "flags", [LinkCommandFlag.ARM | LinkCommandFlag.HOLD, LinkCommandFlag.STOP]
+)
 def test_a_drive_that_held_is_off_after_a_power_cycle(link, flags):
     moving(link)
     assert link.send(replace(MOVE, sequence=3, flags=flags))
@@ -632,7 +652,7 @@ def stopped_again_and_again(link, seconds):
     """The modes that the drive is in meanwhile."""
     modes = []
     for _ in range(round(seconds / 0.2)):
-        link.send(replace(QUIET, sequence=3, boot=0, flags=Order.STOP))
+        link.send(replace(DISARM, sequence=3, boot=0, flags=LinkCommandFlag.STOP))
         link.run(0.2)
         modes.append(link.joint().mode)
     return modes
@@ -649,7 +669,7 @@ def test_no_stop_switches_on_a_drive_whose_power_came_back(link, stop):
     assert set(stopped_again_and_again(link, 4.0)) == {Mode.OFF}
     assert link.frame().flags & State.STOPPED
     assert not link.send(MOVE)
-    assert link.send(replace(QUIET, sequence=10))
+    assert link.send(replace(DISARM, sequence=10))
     assert link.send(replace(TURN, sequence=11))
     link.run(0.5)
     assert link.joint().mode == Mode.VELOCITY
@@ -665,7 +685,7 @@ def test_no_stop_switches_on_a_drive_that_was_blocked(link):
     assert link.frame().flags & LATCHES == State.STOPPED
 
 
-@pytest.mark.parametrize("command", [MOVE, replace(QUIET, sequence=3, flags=Order.STOP)])
+@pytest.mark.parametrize("command", [MOVE, replace(DISARM, sequence=3, flags=LinkCommandFlag.STOP)])
 def test_a_reset_that_is_over_at_once_is_noticed_by_its_status_bit(link, command):
     moving(link)
     link.send(command)
@@ -703,7 +723,7 @@ def test_a_latched_fault_disarms_and_is_cleared_once_the_drive_is_off(link):
     assert not link.send(replace(MOVE, sequence=2))
     assert link.send(replace(MOVE, sequence=3))
     assert not link.frame().flags & State.ARMED  # while it lasts
-    assert link.send(replace(QUIET, sequence=4, flags=Order.CLEAR_FAULTS))
+    assert link.send(replace(DISARM, sequence=4, flags=LinkCommandFlag.CLEAR_FAULTS))
     link.run(0.5)
     assert link.orders()[-1] == "s r0xa4 4"
     assert link.send(replace(MOVE, sequence=5))
@@ -713,7 +733,7 @@ def test_a_latched_fault_disarms_and_is_cleared_once_the_drive_is_off(link):
 def test_without_a_drive_it_neither_arms_nor_talks(core):
     link = FirmwareLink(core)
     link.tell("plug 0")
-    link.send(QUIET)
+    link.send(DISARM)
     link.send(MOVE)
     assert link.run(3.0) == []
     link.tell("plug 1")
@@ -735,8 +755,8 @@ def path(begin, knots, number=1):
     ]
     return [
         Segment(
-            link=2, flags=LAST if index == len(knots) - 2 else 0, boot=BOOT, sequence=0, clock=9,
-            path=number, index=index, begin=t0, duration=t1 - t0, position=p0, velocity=v0,
+            link=2, flags=LAST_SEGMENT if index == len(knots) - 2 else 0, boot=BOOT, sequence=0,
+            clock=9, path=number, index=index, begin=t0, duration=t1 - t0, position=p0, velocity=v0,
             end_position=p1, end_velocity=v1,
         )
         for index, ((t0, p0, v0), (t1, p1, v1)) in enumerate(pairwise(knots))
@@ -748,9 +768,9 @@ SLOW_KNOTS = [(0.2 * i, 2.0 * i, 10.0 if 0 < i < 40 else 0.0) for i in range(41)
 
 
 def following(link, knots=KNOTS, seconds=1.0, kept=32):
-    """The link, so many seconds into a path of which so many segments have come; these."""
+    """Return a link some seconds into a path, and the segments that it has received."""
     segments = path(link.clock + 300_000, knots)
-    assert link.send(replace(QUIET, clock=8))
+    assert link.send(replace(DISARM, clock=8))
     assert link.send(FOLLOW)
     assert all(link.send(segment) for segment in segments[:kept])
     link.run(0.3 + seconds)
@@ -758,14 +778,14 @@ def following(link, knots=KNOTS, seconds=1.0, kept=32):
 
 
 def angle(segments, clock):
-    """Where a path is [counts]."""
+    """Position of a path [counts]."""
     segment = next((s for s in segments if clock < s.end), segments[-1])
     return at(segment, min(max(clock, segment.begin), segment.end))[0]
 
 
 def track(link):
     """Follow KNOTS; errors [deg] each 10 ms to 0.5 s after the end, set-points/s, the rest."""
-    assert link.send(QUIET)
+    assert link.send(DISARM)
     assert link.send(FOLLOW)
     segments = path(2 * SECOND, KNOTS)
     assert all(link.send(segment) for segment in reversed(segments))
@@ -890,7 +910,7 @@ def test_the_next_path_takes_over_in_motion(link):
     begin = first[9].end
     second = path(begin, [(0, 20, 10), (1, 10, 0)], number=2)
     assert link.send(replace(FOLLOW, sequence=3, set_point=2))
-    link.run(0.1)  # it has not come: the first goes on
+    link.run(0.1)  # it was not received: the first continues
     assert all(link.send(segment) for segment in second)
     while link.clock < second[0].end + 300_000:
         link.run(0.02)
@@ -901,9 +921,9 @@ def test_the_next_path_takes_over_in_motion(link):
 
 
 ENDINGS = {
-    "disarmed": replace(QUIET, sequence=3),
-    "stopped": replace(QUIET, sequence=3, flags=Order.STOP),
-    "held": replace(FOLLOW, sequence=3, flags=Order.ARM | Order.HOLD),
+    "disarmed": replace(DISARM, sequence=3),
+    "stopped": replace(DISARM, sequence=3, flags=LinkCommandFlag.STOP),
+    "held": replace(FOLLOW, sequence=3, flags=LinkCommandFlag.ARM | LinkCommandFlag.HOLD),
     "turned": replace(TURN, sequence=3, set_point=10),
     "sent on an older path": replace(FOLLOW, sequence=3, set_point=0xFFFF),
 }
@@ -929,7 +949,7 @@ def test_a_path_is_gone_after(link, ending):
 def test_a_path_is_gone_when_its_time_or_the_watchdogs_is_over(link, silence):
     expiry = 100 * SECOND if silence else link.clock + 2 * SECOND
     segments = path(link.clock + 100_000, SLOW_KNOTS)
-    assert link.send(replace(QUIET, watchdog=2000 if silence else 3000))
+    assert link.send(replace(DISARM, watchdog=2000 if silence else 3000))
     assert link.send(replace(FOLLOW, watchdog=2000 if silence else 3000, expiry=expiry))
     assert all(link.send(segment) for segment in segments[:30])
     link.run(1.9)
@@ -943,7 +963,7 @@ def test_a_path_is_gone_when_its_time_or_the_watchdogs_is_over(link, silence):
 
 def test_segments_are_for_the_armed(link):
     segments = path(link.clock + 300_000, KNOTS)
-    assert link.send(QUIET)
+    assert link.send(DISARM)
     assert not link.send(segments[0])
     assert link.send(FOLLOW)
     past, far = {"begin": 1, "duration": 1000}, {"begin": 200 * SECOND}
@@ -956,7 +976,7 @@ def test_segments_are_for_the_armed(link):
 
 def test_a_segment_recorded_before_the_link_was_disarmed_is_refused(signed):
     (segment,) = path(signed.clock + 300_000, [(0, 0, 0), (1, 5, 0)])
-    assert signed.send(replace(QUIET, sequence=3, clock=9))
+    assert signed.send(replace(DISARM, sequence=3, clock=9))
     signed.run(0.1)
     assert signed.send(replace(FOLLOW, sequence=4, clock=10))
     assert not signed.send(encode(replace(segment, clock=10)))  # not signed
@@ -1026,7 +1046,9 @@ def random_path(rng, begin, number):
         velocity = rng.randint(-20_000, 20_000) if left else 0
         knots.append((t + duration, p + round(1e-7 * duration * (v + velocity) / 2), velocity))
     return [
-        Segment(2, LAST * (i == count - 1), BOOT, 0, 0, number, i, t0, t1 - t0, p0, v0, p1, v1)
+        Segment(
+            2, LAST_SEGMENT * (i == count - 1), BOOT, 0, 0, number, i, t0, t1 - t0, p0, v0, p1, v1
+        )
         for i, ((t0, p0, v0), (t1, p1, v1)) in enumerate(pairwise(knots))
     ]
 
@@ -1054,7 +1076,7 @@ def test_paths_are_kept_and_followed_as_the_simulated_link_does(core, seed):
             begin = clock + rng.randint(-100_000, 500_000)
             segments = known.setdefault(one, random_path(rng, begin, one))
             segment = random_segment(rng, segments, clock)
-            refused = paths.take(segment, clock)
+            refused = paths.store(segment, clock)
             answer = core.ask(f"keep {encode(segment).hex()} {clock}")
             assert answer == ("refused" if refused else "taken"), refused
             answers[answer] += 1
@@ -1076,7 +1098,7 @@ def test_paths_are_kept_and_followed_as_the_simulated_link_does(core, seed):
             answers[flags] += 1
         else:
             core.ask("leave")
-            paths.leave()
+            paths.abandon()
     assert min(answers[key] for key in ("taken", "refused", "1 0", "0 1")) > 20, answers
 
 
@@ -1111,8 +1133,8 @@ def test_a_cortex_m3_agrees_with_the_vectors_and_with_this_computer(core):
         request, answer = line.split(" = ")
         assert emulated.ask(request) == answer, request
     for request in [
-        "start 2 7 - 0", "run 1000000", f"send {encode(QUIET).hex()}", f"send {encode(MOVE).hex()}",
-        "run 2500000", "joint", "orders",
+        "start 2 7 - 0", "run 1000000", f"send {encode(DISARM).hex()}",
+        f"send {encode(MOVE).hex()}", "run 2500000", "joint", "orders",
     ]:  # fmt: skip
         assert emulated.ask(request) == core.ask(request)
     assert tracked(emulated) == tracked(core)

@@ -1,4 +1,4 @@
-"""The session with one link: what is believed, what is told, loss and adoption."""
+"""The session with one link: accepted telemetry, sent commands, loss and adoption."""
 
 from dataclasses import replace
 from math import inf, isnan, nan, pi
@@ -6,7 +6,7 @@ from math import inf, isnan, nan, pi
 import pytest
 from driver_link import MILLISECOND, SECOND, FakeLink
 
-from fss_arm_driver.protocol import Mode, Order, Slow, State, decode, encode
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, decode, encode
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import Drive, TorqueSensor, paper_arm
 from fss_link.session import Arming, CommandError, StatusLog
@@ -43,7 +43,7 @@ class Bench:
         self.now += later
         return self.session.feed(data, self.now)
 
-    def told(self):
+    def last_command(self):
         return decode(self.session.command(self.now))
 
     def set(self, mode, value, velocity=0.0, acceleration=0.0, time_to_live=1.0):
@@ -57,19 +57,19 @@ def bench():
 
 
 @pytest.fixture
-def heard(bench):
+def connected(bench):
     while bench.step() is None:
         pass
     return bench
 
 
 @pytest.fixture
-def armed(heard):
-    heard.now += PERIOD // 2
-    heard.session.arm(heard.now)
-    while not heard.session.armed:
-        assert heard.step()
-    return heard
+def armed(connected):
+    connected.now += PERIOD // 2
+    connected.session.arm(connected.now)
+    while not connected.session.armed:
+        assert connected.step()
+    return connected
 
 
 def test_the_second_frame_in_a_row_is_believed(bench):
@@ -106,28 +106,28 @@ def test_without_a_round_trip_the_stamp_says_so(bench):
     assert isnan(bench.session.round_trip)
 
 
-def test_slow_fields_are_kept(heard):
-    heard.step(slow_id=Slow.TEMPERATURE, slow_value=-3)
-    assert heard.step()
-    assert heard.session.slow == {Slow.TEMPERATURE: -3, Slow.SUPPLY: 240}
+def test_slow_fields_are_kept(connected):
+    connected.step(slow_id=Slow.TEMPERATURE, slow_value=-3)
+    assert connected.step()
+    assert connected.session.slow == {Slow.TEMPERATURE: -3, Slow.SUPPLY: 240}
 
 
 NAMED = replace(LINK, serial=7)
 
 
-def named(*told, description=NAMED):
+def named(*serials, description=NAMED):
     """A link that has told these serial numbers, at a place where another may be expected."""
     bench = Bench(description, file="arm.yaml")
     while bench.step() is None:
         pass
-    for serial in told:
+    for serial in serials:
         bench.step(slow_id=Slow.SERIAL, slow_value=serial)
     return bench
 
 
 def test_a_link_is_armed_once_it_has_told_the_serial_number_expected():
     bench = named()
-    why = "link 1 has not yet told its serial number, expected 7"
+    why = "link 1 has not yet reported its serial number, expected 7"
     with pytest.raises(CommandError, match=f"^{why}$"):
         bench.session.arm(bench.now)
     bench.step(slow_id=Slow.SERIAL, slow_value=7)
@@ -140,12 +140,12 @@ def test_a_link_is_armed_once_it_has_told_the_serial_number_expected():
 def test_another_link_is_not_armed_and_is_told_with_the_file_to_change():
     bench = named(8)
     why = (
-        "link 1 has faults: serial number 8 came where 7 is expected: "
+        "link 1 has faults: serial number is 8, expected 7: "
         "mount that link here or change the links in arm.yaml"
     )
     with pytest.raises(CommandError, match=f"^{why}$"):
         bench.session.arm(bench.now)
-    assert not bench.told().flags & Order.ARM
+    assert not bench.last_command().flags & LinkCommandFlag.ARM
 
 
 def test_a_link_that_is_swapped_while_armed_is_disarmed():
@@ -156,14 +156,14 @@ def test_a_link_that_is_swapped_while_armed_is_disarmed():
     assert bench.session.armed
     bench.step(slow_id=Slow.SERIAL, slow_value=8)
     assert bench.session.arming is Arming.DISARMED
-    assert "serial number 8 came" in bench.session.dropped
+    assert "serial number is 8" in bench.session.disarm_reason
 
 
-@pytest.mark.parametrize(("told", "description"), [((0,), NAMED), ((8,), LINK), ((), LINK)])
-def test_without_two_serial_numbers_to_compare_a_link_is_armed(told, description):
-    bench = named(*told, description=description)
+@pytest.mark.parametrize(("serials", "description"), [((0,), NAMED), ((8,), LINK), ((), LINK)])
+def test_without_two_serial_numbers_to_compare_a_link_is_armed(serials, description):
+    bench = named(*serials, description=description)
     assert bench.session.obstacle(bench.now) == ""
-    assert bool(bench.session.nameless) == (description is NAMED)
+    assert bool(bench.session.serial_problem) == (description is NAMED)
 
 
 def test_a_serial_number_is_told_anew_after_a_loss():
@@ -172,7 +172,7 @@ def test_a_serial_number_is_told_anew_after_a_loss():
     bench.session.tick(bench.now)
     while bench.step() is None:
         pass
-    assert "has not yet told" in bench.session.obstacle(bench.now)
+    assert "has not yet reported" in bench.session.obstacle(bench.now)
 
 
 def test_a_pause_at_the_begin_is_not_taken_for_the_usual_period(bench):
@@ -180,53 +180,61 @@ def test_a_pause_at_the_begin_is_not_taken_for_the_usual_period(bench):
     bench.now += 2 * PERIOD
     for _ in range(5):
         bench.step()
-    assert bench.session.counts["believed"] == 5
+    assert bench.session.counts["accepted"] == 5
 
 
-def test_damage_repetition_and_disorder_are_counted_and_published_never(heard):
-    one = heard.link.telemetry(heard.now + 1 * PERIOD)
-    two = heard.link.telemetry(heard.now + 2 * PERIOD)
-    assert heard.feed(two, 2 * PERIOD + DELAY)
-    counts = heard.session.counts
+def test_damage_repetition_and_disorder_are_counted_and_published_never(connected):
+    one = connected.link.telemetry(connected.now + 1 * PERIOD)
+    two = connected.link.telemetry(connected.now + 2 * PERIOD)
+    assert connected.feed(two, 2 * PERIOD + DELAY)
+    counts = connected.session.counts
     before = counts.copy()
     foreign = encode(replace(decode(two), link=2))
-    for data in (two, one, two[:-1], b"", two + b"\0", foreign, heard.session.command(heard.now)):
-        assert heard.feed(data) is None
+    for data in (
+        two,
+        one,
+        two[:-1],
+        b"",
+        two + b"\0",
+        foreign,
+        connected.session.command(connected.now),
+    ):
+        assert connected.feed(data) is None
     flipped = bytearray(two)
     flipped[30] ^= 4
-    assert heard.feed(bytes(flipped)) is None
+    assert connected.feed(bytes(flipped)) is None
     assert counts["repeated"] - before["repeated"] == 1
     assert counts["reordered"] - before["reordered"] == 1
     assert counts["length"] - before["length"] == 3
     assert counts["foreign"] - before["foreign"] == 2
     assert counts["crc"] - before["crc"] == 1
     assert counts["missed"] == before["missed"]
-    assert counts["believed"] == before["believed"]
+    assert counts["accepted"] == before["accepted"]
 
 
-def test_missed_frames_are_counted(heard):
-    heard.step(up=False)
-    heard.step(up=False)
-    assert heard.step()
-    assert heard.session.counts["missed"] == 2
+def test_missed_frames_are_counted(connected):
+    connected.step(up=False)
+    connected.step(up=False)
+    assert connected.step()
+    assert connected.session.counts["missed"] == 2
 
 
-def test_a_delayed_burst_is_taken_in_order_with_its_true_stamps(heard):
-    begin = heard.now
-    frames = [heard.link.telemetry(begin + k * PERIOD) for k in range(1, 4)]
-    heard.now += 3 * PERIOD + DELAY
-    stamps = [heard.feed(frame).stamp for frame in frames]
+def test_a_delayed_burst_is_taken_in_order_with_its_true_stamps(connected):
+    begin = connected.now
+    frames = [connected.link.telemetry(begin + k * PERIOD) for k in range(1, 4)]
+    connected.now += 3 * PERIOD + DELAY
+    stamps = [connected.feed(frame).stamp for frame in frames]
     for k, stamp in enumerate(stamps, 1):
         assert abs(stamp - begin - k * PERIOD) < 1000
-    assert not heard.session.lost
+    assert not connected.session.lost
 
 
-def test_a_frame_older_than_the_timeout_is_stale(heard):
-    old = heard.link.telemetry(heard.now + 60 * MILLISECOND)
+def test_a_frame_older_than_the_timeout_is_stale(connected):
+    old = connected.link.telemetry(connected.now + 60 * MILLISECOND)
     for _ in range(6):
-        heard.step()
-    assert heard.feed(old) is None
-    assert heard.session.counts["stale"] == 1
+        connected.step()
+    assert connected.feed(old) is None
+    assert connected.session.counts["stale"] == 1
 
 
 @pytest.mark.parametrize(
@@ -237,10 +245,10 @@ def test_a_frame_older_than_the_timeout_is_stale(heard):
         {"position": -round(4.8 * COUNTS_PER_RADIAN)},
     ],
 )
-def test_what_the_link_cannot_do_is_refused(heard, changes):
-    assert heard.step(**changes) is None
-    assert heard.session.counts["impossible"] == 1
-    assert heard.step()
+def test_what_the_link_cannot_do_is_refused(connected, changes):
+    assert connected.step(**changes) is None
+    assert connected.session.counts["impossible"] == 1
+    assert connected.step()
 
 
 @pytest.mark.parametrize(
@@ -252,18 +260,18 @@ def test_what_the_link_cannot_do_is_refused(heard, changes):
         {"sequence": 1 << 30},
     ],
 )
-def test_a_single_jump_is_never_believed(heard, jump):
-    assert heard.step(**jump) is None
-    assert heard.session.counts["candidates"] == 2
-    assert heard.step().frame.boot == 7
-    assert heard.session.counts["adopted"] == 1
+def test_a_single_jump_is_never_believed(connected, jump):
+    assert connected.step(**jump) is None
+    assert connected.session.counts["candidates"] == 2
+    assert connected.step().frame.boot == 7
+    assert connected.session.counts["adopted"] == 1
 
 
-def test_a_stranger_cannot_displace_a_link_that_talks(heard):
-    stranger = FakeLink(boot=9, born=heard.now - 5 * SECOND)
+def test_a_stranger_cannot_displace_a_link_that_talks(connected):
+    stranger = FakeLink(boot=9, born=connected.now - 5 * SECOND)
     for _ in range(20):
-        assert heard.feed(stranger.telemetry(heard.now), DELAY) is None
-        assert heard.step().frame.boot == 7
+        assert connected.feed(stranger.telemetry(connected.now), DELAY) is None
+        assert connected.step().frame.boot == 7
 
 
 def test_sequence_numbers_wrap():
@@ -280,21 +288,21 @@ def test_a_silent_link_is_lost_and_returns_disarmed(armed):
         armed.step(up=False)
     assert armed.session.lost
     assert armed.session.arming is Arming.DISARMED
-    told = armed.told()
-    assert (told.flags, told.boot, told.mode) == (0, 0, Mode.OFF)
+    logged = armed.last_command()
+    assert (logged.flags, logged.boot, logged.mode) == (0, 0, Mode.OFF)
     assert armed.step()
     assert not armed.session.armed
     assert armed.session.counts["lost"] == 1
     assert armed.session.counts["adopted"] == 2
-    assert not armed.told().flags & Order.ARM
+    assert not armed.last_command().flags & LinkCommandFlag.ARM
     with pytest.raises(CommandError, match="not armed"):
         armed.set(Mode.POSITION, 0.2)
 
 
-def test_a_link_lost_for_long_is_adopted_by_its_second_frame(heard):
-    heard.now += 70 * SECOND
-    assert heard.step() is None
-    assert heard.step()
+def test_a_link_lost_for_long_is_adopted_by_its_second_frame(connected):
+    connected.now += 70 * SECOND
+    assert connected.step() is None
+    assert connected.step()
 
 
 def test_a_rebooted_link_is_adopted_disarmed(armed):
@@ -309,7 +317,7 @@ def test_a_rebooted_link_is_adopted_disarmed(armed):
     assert sample.frame.boot == 8
     assert not armed.session.armed
     assert armed.session.slow == {Slow.SUPPLY: 240}
-    assert armed.told().boot == 8
+    assert armed.last_command().boot == 8
     assert armed.session.arming is Arming.DISARMED
 
 
@@ -317,13 +325,13 @@ def replace_boot(data, boot):
     return encode(replace(decode(data), boot=boot, flags=0, expiry=0))
 
 
-def test_a_link_that_reuses_its_boot_number_comes_back(heard):
-    heard.restart(boot=7)
-    heard.now += 2 * SECOND
+def test_a_link_that_reuses_its_boot_number_comes_back(connected):
+    connected.restart(boot=7)
+    connected.now += 2 * SECOND
     for _ in range(5 * 70):
-        if heard.step(down=False):
+        if connected.step(down=False):
             break
-    assert heard.session.frame == heard.link.frame
+    assert connected.session.frame == connected.link.frame
 
 
 @pytest.mark.parametrize("leap", [2 * SECOND, 15 * SECOND, 59 * SECOND])
@@ -365,27 +373,27 @@ def test_a_host_clock_that_leaps_costs_seconds_not_a_restart(armed, leap):
     assert abs(stamps[-1] - DELAY) < DELAY
 
 
-def test_arming_is_told_held_and_confirmed(heard):
-    heard.session.arm(heard.now)
-    told = heard.told()
-    assert told.flags == Order.ARM | Order.HOLD
-    assert told.boot == 7
-    assert told.expiry >= heard.link.clock(heard.now + SECOND - DELAY)
-    assert heard.session.arming is Arming.ARMING
-    heard.step()
-    assert heard.session.armed
+def test_arming_is_told_held_and_confirmed(connected):
+    connected.session.arm(connected.now)
+    logged = connected.last_command()
+    assert logged.flags == LinkCommandFlag.ARM | LinkCommandFlag.HOLD
+    assert logged.boot == 7
+    assert logged.expiry >= connected.link.clock(connected.now + SECOND - DELAY)
+    assert connected.session.arming is Arming.ARMING
+    connected.step()
+    assert connected.session.armed
 
 
 def test_a_lost_link_cannot_be_armed(bench):
-    with pytest.raises(CommandError, match="link 1 is lost: not heard yet"):
+    with pytest.raises(CommandError, match="link 1 is lost: nothing received yet"):
         bench.session.arm(bench.now)
 
 
-def test_arming_that_comes_to_nothing_ends(heard):
-    heard.session.arm(heard.now)
+def test_arming_that_comes_to_nothing_ends(connected):
+    connected.session.arm(connected.now)
     for _ in range(12):
-        heard.step(down=False)
-    assert heard.session.arming is Arming.DISARMED
+        connected.step(down=False)
+    assert connected.session.arming is Arming.DISARMED
 
 
 def test_an_old_confirmation_does_not_arm(armed):
@@ -397,15 +405,15 @@ def test_an_old_confirmation_does_not_arm(armed):
 
 def test_a_command_is_told_in_the_drives_units_until_it_expires(armed):
     armed.set(Mode.POSITION, -0.5, velocity=0.5, acceleration=1.0, time_to_live=0.5)
-    told = armed.told()
-    assert told.flags == Order.ARM
-    assert told.mode == Mode.POSITION
-    assert told.set_point == round(-0.5 * COUNTS_PER_RADIAN)
-    assert told.velocity == round(0.5 * COUNTS_PER_RADIAN * 10)
-    assert told.acceleration == round(1.0 * COUNTS_PER_RADIAN / 10)
-    assert abs(told.expiry - armed.link.clock(armed.now + SECOND // 2)) <= DELAY // 1000
+    logged = armed.last_command()
+    assert logged.flags == LinkCommandFlag.ARM
+    assert logged.mode == Mode.POSITION
+    assert logged.set_point == round(-0.5 * COUNTS_PER_RADIAN)
+    assert logged.velocity == round(0.5 * COUNTS_PER_RADIAN * 10)
+    assert logged.acceleration == round(1.0 * COUNTS_PER_RADIAN / 10)
+    assert abs(logged.expiry - armed.link.clock(armed.now + SECOND // 2)) <= DELAY // 1000
     armed.now += SECOND // 2 + 1
-    assert armed.told().flags == Order.ARM | Order.HOLD
+    assert armed.last_command().flags == LinkCommandFlag.ARM | LinkCommandFlag.HOLD
 
 
 @pytest.mark.parametrize(
@@ -419,7 +427,7 @@ def test_a_command_is_told_in_the_drives_units_until_it_expires(armed):
 )
 def test_velocity_and_current_are_clamped(armed, mode, value, set_point):
     armed.set(mode, value)
-    assert armed.told().set_point == set_point
+    assert armed.last_command().set_point == set_point
     assert armed.session.counts["commands_clamped"] == (abs(value) > 1.0)
 
 
@@ -440,7 +448,7 @@ def test_commands_that_must_not_be_given_are_refused(armed, arguments, words):
     armed.set(Mode.POSITION, 0.3)
     with pytest.raises(CommandError, match=words):
         armed.set(*arguments)
-    assert armed.told().set_point == round(0.3 * COUNTS_PER_RADIAN)
+    assert armed.last_command().set_point == round(0.3 * COUNTS_PER_RADIAN)
     assert armed.session.counts["commands_refused"] == 1
 
 
@@ -449,15 +457,15 @@ def test_a_joint_at_its_limit_is_not_pushed_on(armed):
         armed.link.position = round(q * COUNTS_PER_RADIAN)
         armed.step()
     armed.set(Mode.VELOCITY, 0.5)
-    assert armed.told().flags & Order.HOLD
+    assert armed.last_command().flags & LinkCommandFlag.HOLD
     armed.set(Mode.VELOCITY, -0.5)
-    assert not armed.told().flags & Order.HOLD
+    assert not armed.last_command().flags & LinkCommandFlag.HOLD
 
 
 def test_a_stop_latches_until_armed_anew(armed):
     armed.set(Mode.POSITION, 0.2)
     armed.session.stop()
-    assert armed.told().flags == Order.STOP
+    assert armed.last_command().flags == LinkCommandFlag.STOP
     armed.step()
     assert armed.link.flags == State.STOPPED
     with pytest.raises(CommandError, match="link 1 is stopped, not armed"):
@@ -465,21 +473,21 @@ def test_a_stop_latches_until_armed_anew(armed):
     armed.session.arm(armed.now)
     while not armed.session.armed:
         armed.step()
-    assert armed.told().flags == Order.ARM | Order.HOLD
+    assert armed.last_command().flags == LinkCommandFlag.ARM | LinkCommandFlag.HOLD
 
 
 def test_a_stop_outlives_the_loss_of_the_link(armed):
     armed.session.stop()
     while not armed.session.lost:
         armed.step(up=False)
-    assert armed.told().flags == Order.STOP
+    assert armed.last_command().flags == LinkCommandFlag.STOP
 
 
 def test_disarming_releases_what_was_stopped(armed):
     armed.session.stop()
     armed.step()
     armed.session.disarm()
-    assert armed.told().flags == 0
+    assert armed.last_command().flags == 0
     armed.step()
     assert armed.link.flags == 0
 
@@ -520,17 +528,17 @@ def test_a_lost_link_does_not_confirm_that_it_was_disarmed(armed):
     assert not armed.session.released
 
 
-def test_faults_are_not_cleared_again_when_the_clock_was_set_back(heard):
-    heard.session.clear_faults(heard.now)
-    heard.now -= 3600 * SECOND
-    assert heard.told().flags == 0
+def test_faults_are_not_cleared_again_when_the_clock_was_set_back(connected):
+    connected.session.clear_faults(connected.now)
+    connected.now -= 3600 * SECOND
+    assert connected.last_command().flags == 0
 
 
 def test_faults_are_cleared_after_a_stop(armed):
     armed.session.stop()
     armed.step()
     armed.session.clear_faults(armed.now)
-    assert armed.told().flags == Order.CLEAR_FAULTS
+    assert armed.last_command().flags == LinkCommandFlag.CLEAR_FAULTS
 
 
 def test_a_link_that_disarmed_itself_is_not_armed_again(armed):
@@ -538,7 +546,7 @@ def test_a_link_that_disarmed_itself_is_not_armed_again(armed):
     armed.link.flags = State.WATCHDOG
     armed.step(down=False)
     assert armed.session.arming is Arming.DISARMED
-    assert armed.told().flags == 0
+    assert armed.last_command().flags == 0
     armed.step()
     assert armed.link.flags == 0
 
@@ -548,8 +556,8 @@ def test_a_clock_in_steps_is_stamped_with_its_uncertainty():
     step = 10 * MILLISECOND
     for k in range(50):
         bench.now += PERIOD + k * MILLISECOND
-        told = bench.session.command(bench.now // step * step)
-        bench.link.take(told, bench.now + DELAY)
+        logged = bench.session.command(bench.now // step * step)
+        bench.link.take(logged, bench.now + DELAY)
         measured = bench.now + 61 * MILLISECOND
         received = (measured + DELAY) // step * step
         sample = bench.session.feed(bench.link.telemetry(measured), received)
@@ -559,54 +567,54 @@ def test_a_clock_in_steps_is_stamped_with_its_uncertainty():
     assert deviation < 0.006
 
 
-class Told:
+class LogLines:
     """The words of a session's news, asked for before and after each period."""
 
     def __init__(self, bench):
-        self.bench, self.news = bench, StatusLog(bench.session)
+        self.bench, self.wakeup = bench, StatusLog(bench.session)
 
     def __call__(self, periods=1, **how):
-        lines = list(self.news(self.bench.now))
+        lines = list(self.wakeup(self.bench.now))
         for _ in range(periods):
             self.bench.step(**how)
-            lines += self.news(self.bench.now)
+            lines += self.wakeup(self.bench.now)
         return [line.words for line in lines]
 
 
 def test_each_change_of_state_is_told_once(bench):
-    told = Told(bench)
-    assert told(10) == ["link 1 is heard, and disarmed"]
+    logged = LogLines(bench)
+    assert logged(10) == ["link 1 is received, and disarmed"]
     bench.session.arm(bench.now)
-    assert told(10) == ["link 1 is arming", "link 1 is armed"]
-    assert told(10, up=False) == ["link 1 is lost: silent for 1.2 s; it was armed"]
-    assert told(50, up=False) == []
-    assert told(10) == ["link 1 is heard again, after 12.2 s, and disarmed"]
+    assert logged(10) == ["link 1 is arming", "link 1 is armed"]
+    assert logged(10, up=False) == ["link 1 is lost: silent for 1.2 s; it was armed"]
+    assert logged(50, up=False) == []
+    assert logged(10) == ["link 1 is received again after 12.2 s, and disarmed"]
     bench.session.arm(bench.now)
-    assert told(10) == ["link 1 is arming", "link 1 is armed"]
-    assert told(slow_id=Slow.FAULTS, slow_value=1 << 9) == [
+    assert logged(10) == ["link 1 is arming", "link 1 is armed"]
+    assert logged(slow_id=Slow.FAULTS, slow_value=1 << 9) == [
         "link 1 is disarmed: tracking error", "link 1 has a fault: tracking error"
     ]  # fmt: skip
-    assert told(slow_id=Slow.FAULTS, slow_value=0) == ["link 1 has no fault any more"]
+    assert logged(slow_id=Slow.FAULTS, slow_value=0) == ["link 1 has no fault any more"]
     bench.session.stop()
-    assert told(10) == ["link 1 is stopped"]
+    assert logged(10) == ["link 1 is stopped"]
     bench.session.disarm()
-    assert told(10) == ["link 1 is disarmed"]
+    assert logged(10) == ["link 1 is disarmed"]
 
 
 def test_a_link_that_was_never_heard_is_told_once(bench):
-    told = Told(bench)
-    assert told(20, up=False) == []
-    words = "link 1 is not heard yet: is it on, and does no other driver talk to it?"
-    assert told(200, up=False) == [words]
-    assert told(2) == ["link 1 is heard, and disarmed"]
+    logged = LogLines(bench)
+    assert logged(20, up=False) == []
+    words = "link 1: nothing received yet: is it switched on, and does no other driver use it?"
+    assert logged(200, up=False) == [words]
+    assert logged(2) == ["link 1 is received, and disarmed"]
 
 
 def test_a_watchdog_that_trips_and_a_link_that_does_not_arm_are_told(armed):
-    told = Told(armed)
-    assert told(5) == ["link 1 is heard, and armed"]
-    assert told(3, down=False, flags=State.WATCHDOG) == [
+    logged = LogLines(armed)
+    assert logged(5) == ["link 1 is received, and armed"]
+    assert logged(3, down=False, flags=State.WATCHDOG) == [
         "link 1 is disarmed: link 1 has disarmed itself",
-        "link 1: its watchdog tripped, as it heard no commands",
+        "link 1: its watchdog tripped, as it received no commands",
     ]
     armed.session.arm(armed.now)
-    assert told(30, down=False, flags=0) == ["link 1 is arming", "link 1 did not arm"]
+    assert logged(30, down=False, flags=0) == ["link 1 is arming", "link 1 did not arm"]

@@ -24,7 +24,7 @@ def time_of(way, velocity, acceleration):
 
 
 def arrivals(q, move):
-    """When each joint that moves arrives by what a frame tells its drive, and its velocity."""
+    """Arrival and velocity of each moving joint, from the values in a frame."""
     for a, link, part in zip(q, ARM.links, move.profiles, strict=True):
         if part.velocity:
             scale = Scale(link)

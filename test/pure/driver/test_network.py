@@ -11,7 +11,7 @@ from random import Random
 import pytest
 from driver_network import SECOND, Network
 
-from fss_arm_driver.protocol import Mode, Order
+from fss_arm_driver.protocol import LinkCommandFlag, Mode
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
 from fss_link.session import CommandError
@@ -98,7 +98,7 @@ def test_a_bad_network(seed, key):
                 Mode.POSITION, 0.2 + 0.001 * k, 0.0, 0.0, world.now + SECOND // 2, world.now
             )
         except CommandError:
-            session.arm(world.now)  # disarmed by a second of silence: armed anew
+            session.arm(world.now)  # disarmed by a second of silence: armed again
         world.run(0.2)
     before = len(world.samples)
     world.network.down = True
@@ -124,7 +124,9 @@ def test_a_bad_network(seed, key):
     stamps = [sample.stamp for _, sample in world.samples]
     assert stamps == sorted(set(stamps))
 
-    executed = [(clock, command) for clock, command in world.taken if command.flags & Order.ARM]
+    executed = [
+        (clock, command) for clock, command in world.taken if command.flags & LinkCommandFlag.ARM
+    ]
     assert len(executed) > 100
     assert all(clock <= command.expiry for clock, command in executed)
     order = [command.sequence for _, command in world.taken]

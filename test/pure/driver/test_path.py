@@ -15,11 +15,11 @@ from scipy.interpolate import CubicHermiteSpline
 
 from fss_arm_driver.knots import knots
 from fss_arm_driver.protocol import (
-    LAST,
+    LAST_SEGMENT,
     MAX_INDEX,
     Command,
+    LinkCommandFlag,
     Mode,
-    Order,
     PathFollower,
     Segment,
     State,
@@ -33,11 +33,11 @@ from fss_arm_ros.validation import RULES
 from fss_link.protocol import Refused
 from fss_link.session import CommandError
 
-NOW = 50_000_000  # of the link's clock [us]
+START_CLOCK = 50_000_000  # of the link's clock [us]
 STEP = 20_000  # [us]
 FASTEST = 40_000.0  # [counts/s]: the reach is 10000 counts
 ORDER = Command(
-    link=1, flags=Order.ARM, boot=3, sequence=77, clock=1, expiry=1 << 60, mode=Mode.PATH,
+    link=1, flags=LinkCommandFlag.ARM, boot=3, sequence=77, clock=1, expiry=1 << 60, mode=Mode.PATH,
     watchdog=2000, set_point=5, velocity=10 * int(FASTEST), acceleration=7639,
 )  # fmt: skip
 KNOTS = [(0, 0, 0), (1_000_000, 5000, 60_000), (2_000_000, 9000, -20_000), (3_000_000, 0, 0)]
@@ -49,26 +49,26 @@ def test_the_longest_path_passes_the_links_door():
     assert len(sent) <= RULES["fss_arm_msgs/LinkPath"].size
 
 
-def path(number=5, begin=NOW + 1_000_000, told=KNOTS, last=True):
-    """The segments of a path of knots (us since its begin, counts, 0.1 counts/s)."""
+def path(number=5, begin=START_CLOCK + 1_000_000, told=KNOTS, last=True):
+    """The segments of a path of knots (us since its start, counts, 0.1 counts/s)."""
     pairs = list(pairwise(told))
     return [
         Segment(
-            link=1, flags=LAST if last and k == len(pairs) - 1 else 0, boot=3, sequence=k, clock=1,
-            path=number, index=k, begin=begin + t0, duration=t1 - t0, position=p0, velocity=v0,
-            end_position=p1, end_velocity=v1,
+            link=1, flags=LAST_SEGMENT if last and k == len(pairs) - 1 else 0, boot=3, sequence=k,
+            clock=1, path=number, index=k, begin=begin + t0, duration=t1 - t0, position=p0,
+            velocity=v0, end_position=p1, end_velocity=v1,
         )
         for k, ((t0, p0, v0), (t1, p1, v1)) in enumerate(pairs)
     ]  # fmt: skip
 
 
-FIRST, SECOND_ONE, THIRD = path()
+FIRST_SEGMENT, SECOND_SEGMENT, THIRD_SEGMENT = path()
 
 
 class Joint:
-    """A joint that turns as it is told, and stands still when it is told nothing."""
+    """A joint that turns as commanded, and rests without a command."""
 
-    def __init__(self, follower, clock=NOW, position=0.0):
+    def __init__(self, follower, clock=START_CLOCK, position=0.0):
         self.follower, self.clock, self.position = follower, clock, position
         self.told = 0.0  # velocity [counts/s]; None: hold
         self.fastest_turn = 0.0
@@ -83,14 +83,14 @@ class Joint:
         return self
 
 
-def follower(*segments, clock=NOW):
+def follower(*segments, clock=START_CLOCK):
     paths = PathFollower()
     for segment in segments:
-        assert paths.take(segment, clock) is None
+        assert paths.store(segment, clock) is None
     return paths
 
 
-def following(*segments, at=NOW + 1_500_000):
+def following(*segments, at=START_CLOCK + 1_500_000):
     """A joint in the middle of path 5."""
     return Joint(follower(*(segments or path()))).until(at)
 
@@ -109,77 +109,82 @@ def test_between_two_knots_a_path_is_their_cubic(duration, p0, v0, p1, v1):
 @pytest.mark.parametrize(
     ("segment", "why"),
     [
-        (SECOND_ONE, None),
-        (FIRST, None),  # again
-        (replace(FIRST, sequence=9, clock=9), None),
-        (replace(FIRST, position=1), Refused.CONTRADICTION),
-        (replace(FIRST, flags=LAST, end_velocity=0), Refused.CONTRADICTION),
-        (replace(FIRST, begin=FIRST.begin + 1), Refused.CONTRADICTION),
-        (replace(FIRST, duration=FIRST.duration + 1), Refused.CONTRADICTION),
-        (replace(SECOND_ONE, position=5001), Refused.CONTRADICTION),
-        (replace(SECOND_ONE, velocity=60_001), Refused.CONTRADICTION),
-        (replace(SECOND_ONE, begin=SECOND_ONE.begin + 1), Refused.CONTRADICTION),
-        (replace(SECOND_ONE, end_position=0), None),  # what comes after is not known
-        (replace(SECOND_ONE, index=31), None),
-        (replace(SECOND_ONE, index=32), Refused.INDEX),
-        (replace(SECOND_ONE, index=65534), Refused.INDEX),
-        (replace(FIRST, begin=NOW - 2_000_000, duration=2_000_000), Refused.TIME),
-        (replace(SECOND_ONE, begin=0), Refused.TIME),
-        (replace(SECOND_ONE, index=9, begin=NOW + 120_000_000), None),
-        (replace(SECOND_ONE, index=9, begin=NOW + 120_000_001), Refused.TIME),
-        (replace(SECOND_ONE, index=9, begin=(1 << 64) - 60_000_001), Refused.TIME),
-        (replace(FIRST, path=6), None),
-        (replace(FIRST, path=5 + 32767), None),
-        (replace(FIRST, path=5 + 32768), Refused.PATH),
-        (replace(FIRST, path=4), Refused.PATH),
-        (replace(FIRST, path=6, index=32), Refused.INDEX),
+        (SECOND_SEGMENT, None),
+        (FIRST_SEGMENT, None),  # again
+        (replace(FIRST_SEGMENT, sequence=9, clock=9), None),
+        (replace(FIRST_SEGMENT, position=1), Refused.CONTRADICTION),
+        (replace(FIRST_SEGMENT, flags=LAST_SEGMENT, end_velocity=0), Refused.CONTRADICTION),
+        (replace(FIRST_SEGMENT, begin=FIRST_SEGMENT.begin + 1), Refused.CONTRADICTION),
+        (replace(FIRST_SEGMENT, duration=FIRST_SEGMENT.duration + 1), Refused.CONTRADICTION),
+        (replace(SECOND_SEGMENT, position=5001), Refused.CONTRADICTION),
+        (replace(SECOND_SEGMENT, velocity=60_001), Refused.CONTRADICTION),
+        (replace(SECOND_SEGMENT, begin=SECOND_SEGMENT.begin + 1), Refused.CONTRADICTION),
+        (replace(SECOND_SEGMENT, end_position=0), None),  # what comes after is not known
+        (replace(SECOND_SEGMENT, index=31), None),
+        (replace(SECOND_SEGMENT, index=32), Refused.INDEX),
+        (replace(SECOND_SEGMENT, index=65534), Refused.INDEX),
+        (replace(FIRST_SEGMENT, begin=START_CLOCK - 2_000_000, duration=2_000_000), Refused.TIME),
+        (replace(SECOND_SEGMENT, begin=0), Refused.TIME),
+        (replace(SECOND_SEGMENT, index=9, begin=START_CLOCK + 120_000_000), None),
+        (replace(SECOND_SEGMENT, index=9, begin=START_CLOCK + 120_000_001), Refused.TIME),
+        (replace(SECOND_SEGMENT, index=9, begin=(1 << 64) - 60_000_001), Refused.TIME),
+        (replace(FIRST_SEGMENT, path=6), None),
+        (replace(FIRST_SEGMENT, path=5 + 32767), None),
+        (replace(FIRST_SEGMENT, path=5 + 32768), Refused.PATH),
+        (replace(FIRST_SEGMENT, path=4), Refused.PATH),
+        (replace(FIRST_SEGMENT, path=6, index=32), Refused.INDEX),
     ],
 )  # fmt: skip
 def test_a_segment_is_kept_or_refused_for_a_reason(segment, why):
     """The link keeps the first segment of path 5, and no command has come."""
-    paths = follower(FIRST)
+    paths = follower(FIRST_SEGMENT)
     report = paths.report
-    assert paths.take(segment, NOW) is why
+    assert paths.store(segment, START_CLOCK) is why
     if why:
         assert paths.report == report
-    joint = Joint(paths).until(NOW + 3_000_000, replace(ORDER, flags=Order.ARM, set_point=9))
+    joint = Joint(paths).until(
+        START_CLOCK + 3_000_000, replace(ORDER, flags=LinkCommandFlag.ARM, set_point=9)
+    )
     assert joint.position == 0.0
 
 
 @pytest.mark.parametrize(
     ("segment", "why"),
     [
-        (replace(FIRST, begin=NOW, duration=5_000_000), Refused.INDEX),  # is over
-        (SECOND_ONE, None),
-        (replace(SECOND_ONE, index=32, begin=NOW + 9_000_000), None),
-        (replace(SECOND_ONE, index=33, begin=NOW + 9_000_000), Refused.INDEX),
-        (replace(THIRD, index=3, flags=0), Refused.CONTRADICTION),  # after the last
-        (replace(FIRST, path=4, begin=NOW + 9_000_000), Refused.PATH),
-        (replace(FIRST, path=6, begin=NOW + 9_000_000), None),
+        (replace(FIRST_SEGMENT, begin=START_CLOCK, duration=5_000_000), Refused.INDEX),  # is over
+        (SECOND_SEGMENT, None),
+        (replace(SECOND_SEGMENT, index=32, begin=START_CLOCK + 9_000_000), None),
+        (replace(SECOND_SEGMENT, index=33, begin=START_CLOCK + 9_000_000), Refused.INDEX),
+        (replace(THIRD_SEGMENT, index=3, flags=0), Refused.CONTRADICTION),  # after the last
+        (replace(FIRST_SEGMENT, path=4, begin=START_CLOCK + 9_000_000), Refused.PATH),
+        (replace(FIRST_SEGMENT, path=6, begin=START_CLOCK + 9_000_000), None),
     ],
 )
 def test_what_fits_a_path_that_is_followed(segment, why):
-    last = THIRD if segment.index == 3 else replace(THIRD, flags=0)
-    joint = following(FIRST, SECOND_ONE, last, at=NOW + 2_500_000)
-    assert joint.follower.take(segment, joint.clock) is why
-    joint.until(NOW + 2_900_000)
+    last = THIRD_SEGMENT if segment.index == 3 else replace(THIRD_SEGMENT, flags=0)
+    joint = following(FIRST_SEGMENT, SECOND_SEGMENT, last, at=START_CLOCK + 2_500_000)
+    assert joint.follower.store(segment, joint.clock) is why
+    joint.until(START_CLOCK + 2_900_000)
     assert joint.follower.following
 
 
 def test_a_last_segment_cannot_come_before_one_that_is_held():
-    paths = follower(FIRST, SECOND_ONE)
-    assert paths.take(replace(FIRST, flags=LAST, end_velocity=0), NOW) is Refused.CONTRADICTION
+    paths = follower(FIRST_SEGMENT, SECOND_SEGMENT)
+    assert (
+        paths.store(replace(FIRST_SEGMENT, flags=LAST_SEGMENT, end_velocity=0), START_CLOCK)
+        is Refused.CONTRADICTION
+    )
 
 
 def test_segments_alone_move_nothing_and_a_command_without_them_holds():
     paths = PathFollower()
-    joint = Joint(paths).until(NOW + 500_000)
+    joint = Joint(paths).until(START_CLOCK + 500_000)
     assert joint.told is None
     for segment in reversed(path()):
-        assert paths.take(segment, joint.clock) is None
-    joint.until(NOW + 900_000)
+        assert paths.store(segment, joint.clock) is None
+    joint.until(START_CLOCK + 900_000)
     assert (joint.told, joint.position, paths.following) == (None, 0.0, False)
-    joint.until(NOW + 1_500_000)
+    joint.until(START_CLOCK + 1_500_000)
     assert paths.following
 
 
@@ -188,10 +193,10 @@ def test_a_joint_follows_from_the_first_knot_to_the_last():
     spline = CubicHermiteSpline([k[0] for k in KNOTS], [k[1] for k in KNOTS],
                                 [1e-7 * k[2] for k in KNOTS])  # fmt: skip
     for t in range(0, 3_000_000, STEP):
-        joint.until(NOW + 1_000_000 + t)
+        joint.until(START_CLOCK + 1_000_000 + t)
         assert joint.position == pytest.approx(float(spline(t)), abs=150.0)
     assert joint.follower.following
-    joint.until(NOW + 6_000_000)
+    joint.until(START_CLOCK + 6_000_000)
     assert not joint.follower.following
     assert not joint.follower.broken
     assert joint.follower.followed == 5
@@ -201,7 +206,7 @@ def test_a_joint_follows_from_the_first_knot_to_the_last():
 def test_a_disturbed_joint_returns_to_its_path_within_the_most_velocity():
     joint = following()
     joint.position += 9000.0
-    joint.until(NOW + 3_900_000)
+    joint.until(START_CLOCK + 3_900_000)
     assert joint.follower.following
     assert joint.fastest_turn <= FASTEST
     assert abs(joint.position - 0.0) < 2000.0
@@ -216,41 +221,43 @@ def test_a_disturbed_joint_returns_to_its_path_within_the_most_velocity():
     ],
 )
 def test_a_path_breaks_off_for_good(change, clock):
-    joint = following(FIRST, SECOND_ONE)
+    joint = following(FIRST_SEGMENT, SECOND_SEGMENT)
     change(joint)
     joint.until(joint.clock + clock + 2 * STEP)
     paths = joint.follower
     assert (joint.told, paths.following, paths.broken) == (None, False, True)
     for segment in path():
-        assert paths.take(segment, joint.clock) in (Refused.PATH, Refused.TIME)
+        assert paths.store(segment, joint.clock) in (Refused.PATH, Refused.TIME)
     where = joint.position
     joint.until(joint.clock + 200_000)
     assert (joint.position, paths.broken, paths.report) == (where, True, 0)
     begin = joint.clock + 100_000
     for segment in path(6, begin, [(t, p + round(where), v) for t, p, v in KNOTS]):
-        assert paths.take(segment, joint.clock) is None
+        assert paths.store(segment, joint.clock) is None
     joint.until(begin + 200_000, replace(ORDER, set_point=6))
     assert (paths.following, paths.broken) == (True, False)
 
 
 def test_a_path_that_is_far_from_the_joint_breaks_off_before_it_moves():
-    joint = Joint(follower(*path()), position=10_100.0).until(NOW + 2_000_000)
+    joint = Joint(follower(*path()), position=10_100.0).until(START_CLOCK + 2_000_000)
     assert (joint.position, joint.follower.broken) == (10_100.0, True)
 
 
 def test_a_late_command_joins_a_path_that_has_begun():
     paths = follower(*path())
-    joint = Joint(paths, clock=NOW + 2_200_000, position=5500.0).until(NOW + 3_000_000)
+    joint = Joint(paths, clock=START_CLOCK + 2_200_000, position=5500.0).until(
+        START_CLOCK + 3_000_000
+    )
     assert paths.following
     assert joint.position == pytest.approx(9000.0, abs=100.0)
 
 
 def test_the_next_path_takes_over_when_it_begins():
     joint = following()
-    there = NOW + 2_000_000
+    there = START_CLOCK + 2_000_000
     then = [(0, 5000, 60_000), (1_000_000, 8000, 0), (2_000_000, 8000, 0)]
     for segment in path(6, there, then):
-        assert joint.follower.take(segment, joint.clock) is None
+        assert joint.follower.store(segment, joint.clock) is None
     assert joint.follower.report == 6 << 16 | 2
     order = replace(ORDER, set_point=6)
     joint.until(there - STEP, order)
@@ -262,11 +269,11 @@ def test_the_next_path_takes_over_when_it_begins():
 
 def test_until_the_next_path_has_come_the_joint_goes_on():
     joint, order = following(), replace(ORDER, set_point=6)
-    joint.until(NOW + 1_800_000, order)
+    joint.until(START_CLOCK + 1_800_000, order)
     assert joint.follower.followed == 5
-    for segment in path(6, NOW + 2_000_000, [(0, 5000, 60_000), (1_000_000, 8000, 0)]):
-        assert joint.follower.take(segment, joint.clock) is None
-    joint.until(NOW + 2_500_000, order)
+    for segment in path(6, START_CLOCK + 2_000_000, [(0, 5000, 60_000), (1_000_000, 8000, 0)]):
+        assert joint.follower.store(segment, joint.clock) is None
+    joint.until(START_CLOCK + 2_500_000, order)
     assert joint.follower.followed == 6
     joint.until(joint.clock + 100_000, replace(ORDER, set_point=4))  # long over
     assert (joint.told, joint.follower.report) == (None, 0)
@@ -274,20 +281,20 @@ def test_until_the_next_path_has_come_the_joint_goes_on():
 
 def test_another_order_ends_the_followed_path_and_keeps_the_next():
     joint = following()
-    for segment in path(6, NOW + 9_000_000):
-        joint.follower.take(segment, joint.clock)
-    joint.follower.leave()
+    for segment in path(6, START_CLOCK + 9_000_000):
+        joint.follower.store(segment, joint.clock)
+    joint.follower.abandon()
     assert joint.follower.followed == 0
     assert joint.follower.report >> 16 == 6
     assert joint.until(joint.clock + 100_000).told is None
 
 
 def test_the_report_counts_what_came_without_a_gap():
-    paths = follower(FIRST)
+    paths = follower(FIRST_SEGMENT)
     assert paths.report == 5 << 16 | 1
-    assert paths.take(THIRD, NOW) is None
+    assert paths.store(THIRD_SEGMENT, START_CLOCK) is None
     assert paths.report == 5 << 16 | 1
-    assert paths.take(SECOND_ONE, NOW) is None
+    assert paths.store(SECOND_SEGMENT, START_CLOCK) is None
     assert paths.report == 5 << 16 | 3
     assert follower(*path(0x8000)).report == (0x8000 << 16 | 3) - (1 << 32)
 
@@ -303,8 +310,8 @@ VELOCITIES = [0.0, -0.1, 0.05, 0.1, -0.1, 0.0]
 @pytest.mark.parametrize(
     ("time", "position", "velocity", "words"),
     [
-        ([0.0], [0.0], [0.0], "hold 1, 1 and 1 values, expected as many of each, 2 to 65536"),
-        ([0.0, 1.0], [0.0, 0.1], [0.0], "hold 2, 2 and 1 values"),
+        ([0.0], [0.0], [0.0], "have 1, 1 and 1 values, expected as many of each, 2 to 65536"),
+        ([0.0, 1.0], [0.0, 0.1], [0.0], "have 2, 2 and 1 values"),
         ([0.1, 1.0], [0.0, 0.1], [0.0, 0.0], r"time\[0\] is 0.1 s, expected 0"),
         ([0.0, 0.0], [0.0, 0.1], [0.0, 0.0], r"time\[1\] is 0 s after the one before"),
         ([0.0, -1.0], [0.0, 0.1], [0.0, 0.0], r"time\[1\] is -1 s after the one before"),
@@ -385,15 +392,15 @@ def test_without_buffered_segments_the_path_breaks_off_and_says_so():
     bed.give(3, begin, time, [[0.002 * k for k in range(100)]], [[*(99 * [0.02]), 0.0]])
     bed.follow(3, lives=8.0)
     bed.run(2.0)
-    bed.sessions[0].segments = lambda now: []  # no more come
+    bed.sessions[0].segments = lambda now: []  # none is sent any longer
     bed.until(lambda: bed.electronics().paths.broken)
     assert bed.now - begin > 2 * SECOND
     bed.orders.clear()
     bed.until(lambda: bed.sessions[0].breakage)
-    words = "path 3 of link 1 broke off: no segment after"
+    words = "path 3 of link 1 was aborted: no segment after"
     assert words in bed.sessions[0].breakage
     assert bed.sessions[0].progress.status is Status.ABORTED
-    with pytest.raises(CommandError, match="path 3 is over: expected one newer than 3"):
+    with pytest.raises(CommandError, match="path 3 has ended, expected one newer than 3"):
         bed.order_path(0, 3)
     assert bed.flags() & State.BROKEN
     bed.run(1.0)
@@ -407,7 +414,7 @@ def test_a_joint_that_is_held_back_breaks_off_and_the_words_say_by_how_much():
     bed.until(lambda: bed.electronics().paths.broken)
     bed.orders.clear()
     bed.until(lambda: bed.sessions[0].breakage)
-    assert "rad off it, at most 0.25 allowed" in bed.sessions[0].breakage
+    assert "rad off the path, at most 0.25 allowed" in bed.sessions[0].breakage
     assert bed.reading(0) == pytest.approx(0.0, abs=0.01)
 
 
@@ -428,9 +435,9 @@ def test_a_dense_path_is_sent_as_the_link_has_room():
     [
         ({"number": 0}, "path is 0, expected 1 to 65535"),
         ({"number": 3}, "path 3 is older than path 4"),
-        ({"number": 4, "time": [0.0, 2.5]}, "path 4 was given before, otherwise"),
-        ({"number": 4, "begin": 2}, "path 4 was given before, otherwise"),
-        ({"begin": 121}, "path 5 begins 121.0 s ahead, at most 120 s allowed"),
+        ({"number": 4, "time": [0.0, 2.5]}, "path 4 was given before with other knots"),
+        ({"number": 4, "begin": 2}, "path 4 was given before with other knots"),
+        ({"begin": 121}, "path 5 starts 121.0 s ahead, at most 120 s allowed"),
         ({"begin": -9}, "path 5 ended 7.000 s ago"),
     ],
 )
@@ -486,9 +493,9 @@ def test_frames_of_another_version_are_counted_and_named():
     for version, what in ((1, "flash its firmware"), (3, "update this computer's software")):
         data[2] = version
         assert bed.sessions[0].feed(bytes(data), bed.now) is None
-        words = f"link 1 speaks version {version} of the protocol, expected 2: {what}"
+        words = f"link 1 uses version {version} of the protocol, expected 2: {what}"
         assert bed.sessions[0].obstacle(bed.now) == words
-        assert bed.sessions[0].absence == words
+        assert bed.sessions[0].loss_reason == words
     assert bed.sessions[0].counts["version"] == 2
     bed.run(1.0)
     assert not bed.sessions[0].obstacle(bed.now)

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fss_arm_driver.protocol import (
-    LAST,
+    LAST_SEGMENT,
     Command,
+    LinkCommandFlag,
     Mode,
-    Order,
     Segment,
     Slow,
     Telemetry,
@@ -32,13 +32,13 @@ from fss_link.protocol import (
     parse_keys,
 )
 
-FAR = Segment(
+MAXIMAL_SEGMENT = Segment(
     link=255, flags=0, boot=0xFFFF, sequence=0xFFFFFFFF, clock=(1 << 64) - 1, path=0xFFFF,
     index=0xFFFE, begin=(1 << 64) - 60_000_001, duration=60_000_000, position=-(1 << 31),
     velocity=(1 << 31) - 1, end_position=(1 << 31) - 1, end_velocity=-(1 << 31),
 )  # fmt: skip
 FOLLOW = Command(
-    link=2, flags=Order.ARM, boot=3, sequence=79, clock=1_700_000_000_000_002,
+    link=2, flags=LinkCommandFlag.ARM, boot=3, sequence=79, clock=1_700_000_000_000_002,
     expiry=201_000_000, mode=Mode.PATH, watchdog=2000, set_point=0xFFFF, velocity=381972,
     acceleration=7639,
 )  # fmt: skip
@@ -48,7 +48,7 @@ LIMITS = Telemetry(
     mode=Mode.OFF, slow_id=Slow.PATH, status=0xFFFFFFFF, torque=-(1 << 23), torque_age=255,
     slow_value=-1,
 )  # fmt: skip
-QUIET = Command(
+DISARM = Command(
     link=1, flags=0, boot=0, sequence=0, clock=1, expiry=0, mode=Mode.OFF, watchdog=2000,
     set_point=0, velocity=0, acceleration=0,
 )  # fmt: skip
@@ -61,11 +61,11 @@ CASES = [
      "ffff0000 14d40500 d71d0000 0000000000000000 32e9d2a9"),
     (PIECE, "5346 02 03 02 01 0300 4e000000 01401e18240a0600 0700 0400 80460a0c00000000 "
      "a0252600 409c0000 35950000 20d1ffff 00000000 23671909"),
-    (FAR, "5346 02 03 ff 00 ffff ffffffff ffffffffffffffff ffff feff ff786cfcffffffff 00879303 "
-     "00000080 ffffff7f ffffff7f 00000080 69ac41f2"),
+    (MAXIMAL_SEGMENT, "5346 02 03 ff 00 ffff ffffffff ffffffffffffffff ffff feff "
+     "ff786cfcffffffff 00879303 00000080 ffffff7f ffffff7f 00000080 69ac41f2"),
     (LIMITS, "5346 02 01 ff 3f ffff ffffffff ffffffffffffffff ffffffff ffffffff 00000080 "
      "ffffff7f 0080 00 08 ffffffff 000080 ff ffffffff 4fddf3f0"),
-    (QUIET, "5346 02 02 01 00 0000 00000000 0100000000000000 0000000000000000 00 00 d007 "
+    (DISARM, "5346 02 02 01 00 0000 00000000 0100000000000000 0000000000000000 00 00 d007 "
      "00000000 00000000 00000000 0000000000000000 6d33beb2"),
 ]  # fmt: skip
 NO_SIGNATURE = bytes(16)
@@ -105,7 +105,7 @@ SEGMENTS = st.builds(
     duration=st.integers(1000, 60_000_000), position=signed(32), velocity=signed(32),
     end_position=signed(32), end_velocity=signed(32),
 )  # fmt: skip
-LASTS = st.builds(lambda segment: replace(segment, flags=LAST, end_velocity=0), SEGMENTS)
+LASTS = st.builds(lambda segment: replace(segment, flags=LAST_SEGMENT, end_velocity=0), SEGMENTS)
 FRAMES = TELEMETRY | COMMANDS | FOLLOWS | SEGMENTS | LASTS
 
 
@@ -179,10 +179,10 @@ def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, k
         (patched(SAMPLE, 38, b"\x1f"), Refusal.FIELD),  # a path is for commands
         (patched(SAMPLE, 39, b"\x0a"), Refusal.FIELD),  # slow id
         (patched(ORDER, 5, b"\3"), Refusal.FIELD),  # arm and stop
-        (patched(QUIET, 5, b"\x10"), Refusal.FIELD),  # home without arm
+        (patched(DISARM, 5, b"\x10"), Refusal.FIELD),  # home without arm
         (patched(ORDER, 5, b"\x21"), Refusal.FIELD),  # no such flag
         (patched(ORDER, 6, b"\0\0"), Refusal.FIELD),  # arms whatever boot
-        (patched(ORDER, 20, bytes(8)), Refusal.FIELD),  # arms for ever
+        (patched(ORDER, 20, bytes(8)), Refusal.FIELD),  # arms without expiry
         (patched(ORDER, 29, b"\1"), Refusal.FIELD),  # reserved
         (patched(ORDER, 30, b"\0\0"), Refusal.FIELD),  # watchdog
         (patched(ORDER, 39, b"\x80"), Refusal.FIELD),  # profile velocity
@@ -196,7 +196,7 @@ def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, k
         (patched(PIECE, 32, b"\xe7\3\0\0"), Refusal.FIELD),  # 999 us
         (patched(PIECE, 32, b"\1\x87\x93\3"), Refusal.FIELD),  # 60.000001 s
         (patched(PIECE, 48, b"\1"), Refusal.FIELD),  # it would end moving
-        (patched(FAR, 24, bytes([255]) * 8), Refusal.FIELD),  # end beyond 64 bits
+        (patched(MAXIMAL_SEGMENT, 24, bytes([255]) * 8), Refusal.FIELD),  # end beyond 64 bits
     ],
 )
 def test_each_damage_has_its_reason(data, reason):
@@ -255,7 +255,7 @@ def test_a_signature_is_good_under_its_key_alone(key):
 
 
 def test_the_signature_is_keyed_blake2s():
-    """As OpenSSL computes it: openssl mac -macopt hexkey:KEY -macopt size:16 BLAKE2SMAC."""
+    """Signatures computed by OpenSSL: openssl mac -macopt hexkey:KEY -macopt size:16 BLAKE2SMAC."""
     assert encode(SAMPLE, KEY)[56:].hex() == "3bade87061685d603aa7a1917e84e1d7"
 
 

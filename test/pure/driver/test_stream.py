@@ -6,11 +6,11 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.arm.arbiter import Arbiter
-from fss_arm_driver.arm.stream import AHEAD, SECOND, SetPoint, Stream, StreamError
+from fss_arm_driver.arm.stream import MAX_LEAD, SECOND, SetPoint, Stream, StreamError
 from fss_arm_driver.protocol import Mode
 from fss_arm_model.description import paper_arm
 
-NOW = 1_000 * SECOND
+START_TIME = 1_000 * SECOND
 
 
 def state(names=("joint_1",), **fields):
@@ -24,12 +24,12 @@ def stream():
 
 def test_any_joints_in_any_order_by_what_is_filled(stream):
     names = ("joint_3", "joint_1")
-    assert stream.read(state(names, position=(0.1, -0.2))) == [
+    assert stream.parse(state(names, position=(0.1, -0.2))) == [
         SetPoint(3, Mode.POSITION, 0.1),
         SetPoint(1, Mode.POSITION, -0.2),
     ]
-    assert stream.read(state(names, velocity=(0.1, 9.0)))[1] == SetPoint(1, Mode.VELOCITY, 9.0)
-    ((link, mode, current),) = stream.read(state(("joint_4",), effort=(0.4,)))
+    assert stream.parse(state(names, velocity=(0.1, 9.0)))[1] == SetPoint(1, Mode.VELOCITY, 9.0)
+    ((link, mode, current),) = stream.parse(state(("joint_4",), effort=(0.4,)))
     assert (link, mode, current) == (4, Mode.CURRENT, pytest.approx(0.5))  # 0.8 N m/A
 
 
@@ -49,26 +49,26 @@ REFUSED = {
 def test_what_is_not_understood_whole_is_refused(stream, words):
     kind, message = REFUSED[words]
     with pytest.raises(StreamError, match=words) as error:
-        stream.read(message)
+        stream.parse(message)
     assert error.value.kind == kind
 
 
 def test_a_message_lives_from_its_stamp_on(stream):
-    assert stream.given(0, NOW) == NOW
-    assert stream.given(NOW - SECOND // 2, NOW) == NOW - SECOND // 2
-    assert stream.given(NOW + AHEAD, NOW) == NOW
+    assert stream.start_time(0, START_TIME) == START_TIME
+    assert stream.start_time(START_TIME - SECOND // 2, START_TIME) == START_TIME - SECOND // 2
+    assert stream.start_time(START_TIME + MAX_LEAD, START_TIME) == START_TIME
     with pytest.raises(StreamError, match=r"stamp is 0.501 s old, expected less than 0.5 s"):
-        stream.given(NOW - 501_000_000, NOW)
+        stream.start_time(START_TIME - 501_000_000, START_TIME)
     with pytest.raises(StreamError, match=r"stamp is 0.101 s in the future"):
-        stream.given(NOW + AHEAD + 1_000_000, NOW)
+        stream.start_time(START_TIME + MAX_LEAD + 1_000_000, START_TIME)
 
 
 def test_refusals_are_counted_and_a_change_is_told(stream):
-    told = [stream.refuse(StreamError(kind, "")) for kind in ("old", "old", "names", "old")]
+    told = [stream.count_refusal(StreamError(kind, "")) for kind in ("old", "old", "names", "old")]
     assert told == [True, False, True, True]
-    stream.accept()
-    assert stream.refuse(StreamError("old", ""))
-    assert (stream.refused, stream.taken) == ({"old": 4, "names": 1}, 1)
+    stream.count_accepted()
+    assert stream.count_refusal(StreamError("old", ""))
+    assert (stream.refused, stream.accepted) == ({"old": 4, "names": 1}, 1)
 
 
 # --- whose turn it is ----------------------------------------------------------------------------
@@ -76,21 +76,21 @@ def test_refusals_are_counted_and_a_change_is_told(stream):
 
 def test_the_newest_has_the_turn():
     turn = Arbiter()
-    first = turn.take("a trajectory", 0)
-    second = turn.take("a stream", 1, until=10)
-    assert (first.ended, second.ended) == ("preempted by a stream", "")
-    assert turn.has(second, 10)
-    assert not turn.has(first, 10)
-    turn.leave(first)
-    assert turn.holder(10) == "a stream"
-    assert turn.holder(11) == ""
-    assert not turn.take("a move", 11).ended
-    assert second.ended == ""  # it was over
+    first = turn.start("a trajectory", 0)
+    second = turn.start("a stream", 1, expiry=10)
+    assert (first.end_reason, second.end_reason) == ("preempted by a stream", "")
+    assert turn.is_current(second, 10)
+    assert not turn.is_current(first, 10)
+    turn.finish(first)
+    assert turn.current_name(10) == "a stream"
+    assert turn.current_name(11) == ""
+    assert not turn.start("a move", 11).end_reason
+    assert second.end_reason == ""  # it was over
 
 
 def test_a_stop_ends_what_there_is():
     turn = Arbiter()
     turn.stop()
-    motion = turn.take("a move", 0)
+    motion = turn.start("a move", 0)
     turn.stop()
-    assert (motion.ended, turn.holder(0)) == ("stopped", "")
+    assert (motion.end_reason, turn.current_name(0)) == ("stopped", "")

@@ -19,7 +19,6 @@ from trajectory_msgs.msg import (
     MultiDOFJointTrajectoryPoint,
 )
 
-from fss_arm_driver.arm.following import Following
 from fss_arm_driver.arm.request import (
     MAX_MAGNITUDE,
     MAX_POINTS,
@@ -28,7 +27,7 @@ from fss_arm_driver.arm.request import (
     Request,
     TrajectoryError,
     check_goal,
-    requested,
+    parse_request,
 )
 from fss_arm_driver.arm.state import LinkState
 from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
@@ -36,15 +35,16 @@ from fss_arm_driver.arm.trajectory import (
     MAX_SEGMENT,
     Trajectory,
     check_time,
-    planned,
+    plan_trajectory,
     spline_velocities,
 )
+from fss_arm_driver.arm.trajectory_monitor import TrajectoryMonitor
 from fss_arm_model.description import paper_arm
 from fss_arm_ros import validation
 
 ARM = paper_arm()
 JOINTS = [f"joint_{i}" for i in range(1, 5)]
-NOW = 1_000 * SECOND
+START_TIME = 1_000 * SECOND
 
 
 def message(points, names=JOINTS):
@@ -98,22 +98,22 @@ def test_a_velocity_that_is_given_is_kept_and_parts_the_spline():
 def test_a_path_is_the_cubic_between_its_knots():
     times, q = wavy()
     rng = np.random.default_rng(3)
-    path = Trajectory(NOW, times - times[0], q, rng.uniform(-0.2, 0.2, q.shape))
+    path = Trajectory(START_TIME, times - times[0], q, rng.uniform(-0.2, 0.2, q.shape))
     other = CubicHermiteSpline(path.times, path.q, path.qd)
     for t in rng.uniform(0.0, path.times[-1], 50):
-        at = NOW + round(t * SECOND)
+        at = START_TIME + round(t * SECOND)
         np.testing.assert_allclose(path.at(at)[0], other(t), atol=1e-8)
         np.testing.assert_allclose(path.at(at)[1], other(t, 1), atol=1e-7)
-    np.testing.assert_array_equal(path.at(NOW - 1), [path.q[0], np.zeros(4)])
+    np.testing.assert_array_equal(path.at(START_TIME - 1), [path.q[0], np.zeros(4)])
     np.testing.assert_array_equal(path.at(path.end), [path.q[-1], np.zeros(4)])
 
 
 def test_names_come_in_any_order():
     times, q = wavy()
     points = [*list(zip(times, q, -q, strict=True))[:-1], (times[-1], q[-1])]
-    straight = requested(ARM, message(points))
+    straight = parse_request(ARM, message(points))
     turned = [(t, np.asarray(q)[::-1], *(np.asarray(v)[::-1] for v in qd)) for t, q, *qd in points]
-    other = requested(ARM, message(turned, JOINTS[::-1]))
+    other = parse_request(ARM, message(turned, JOINTS[::-1]))
     np.testing.assert_array_equal(straight.q, other.q)
     np.testing.assert_array_equal(straight.qd, other.qd)
     assert np.isnan(straight.qd[-1]).all()
@@ -124,36 +124,42 @@ def test_an_arm_may_have_any_number_of_joints(n):
     """`joint_10` comes before `joint_2` in the order of letters."""
     arm = replace(ARM, links=(ARM.links * 3)[:n])
     names = [f"joint_{i}" for i in range(n, 0, -1)]
-    asked = requested(arm, message([(1.0, np.arange(n, 0, -1))], names))
+    asked = parse_request(arm, message([(1.0, np.arange(n, 0, -1))], names))
     assert asked.q[0].tolist() == list(range(1, n + 1))
 
 
 def test_a_path_begins_where_the_arm_is_and_reaches_every_point():
     times, q = wavy()
-    path = planned(ARM, Request(0, times, q, np.full_like(q, np.nan)), NOW, at_rest())
-    assert path.begin == NOW
+    path = plan_trajectory(
+        ARM, Request(0, times, q, np.full_like(q, np.nan)), START_TIME, at_rest()
+    )
+    assert path.begin == START_TIME
     np.testing.assert_array_equal(path.q[0], np.zeros(4))
-    np.testing.assert_allclose([path.at(NOW + round(t * SECOND))[0] for t in times], q, atol=1e-8)
+    np.testing.assert_allclose(
+        [path.at(START_TIME + round(t * SECOND))[0] for t in times], q, atol=1e-8
+    )
     np.testing.assert_array_equal(path.qd[[0, -1]], np.zeros((2, 4)))
 
 
 def test_one_that_says_itself_where_it_begins_must_begin_nearby():
     times, q = wavy()
     request = Request(0, times - times[0], q, np.full_like(q, np.nan))
-    assert len(planned(ARM, request, NOW, at_rest(*q[0] + 0.2)).times) == len(times)
-    with pytest.raises(TrajectoryError, match=r"joint_1 begins 0.3000 rad from where it is"):
-        planned(ARM, request, NOW, at_rest(*q[0] + 0.3))
+    assert len(plan_trajectory(ARM, request, START_TIME, at_rest(*q[0] + 0.2)).times) == len(times)
+    with pytest.raises(
+        TrajectoryError, match=r"joint_1 starts 0.3000 rad from its present position"
+    ):
+        plan_trajectory(ARM, request, START_TIME, at_rest(*q[0] + 0.3))
 
 
 def test_of_a_trajectory_that_has_begun_the_rest_is_followed():
     times, q = wavy()
-    request = Request(NOW, times, q, np.full_like(q, np.nan))
-    now = NOW + round(times[3] * SECOND) + SECOND // 10
-    path = planned(ARM, request, now, at_rest(*q[3]))
+    request = Request(START_TIME, times, q, np.full_like(q, np.nan))
+    now = START_TIME + round(times[3] * SECOND) + SECOND // 10
+    path = plan_trajectory(ARM, request, now, at_rest(*q[3]))
     assert path.begin == now
     np.testing.assert_allclose(path.times[1:], times[4:] - times[3] - 0.1, atol=1e-9)
     np.testing.assert_array_equal(path.q[1:], q[4:])
-    ended = NOW + round(times[-1] * SECOND)
+    ended = START_TIME + round(times[-1] * SECOND)
     check_time(request, ended - SECOND)
     with pytest.raises(TrajectoryError, match="ends in the past") as error:
         check_time(request, ended)
@@ -162,20 +168,20 @@ def test_of_a_trajectory_that_has_begun_the_rest_is_followed():
 
 def test_one_in_the_future_begins_when_it_says():
     times, q = wavy()
-    request = Request(NOW + 5 * SECOND, times, q, np.full_like(q, np.nan))
-    assert planned(ARM, request, NOW, at_rest()).begin == NOW + 5 * SECOND
-    with pytest.raises(TrajectoryError, match=r"begins 120.0 s ahead, expected at most 119"):
-        check_time(request, NOW - 115 * SECOND)
+    request = Request(START_TIME + 5 * SECOND, times, q, np.full_like(q, np.nan))
+    assert plan_trajectory(ARM, request, START_TIME, at_rest()).begin == START_TIME + 5 * SECOND
+    with pytest.raises(TrajectoryError, match=r"starts 120.0 s ahead, expected at most 119"):
+        check_time(request, START_TIME - 115 * SECOND)
 
 
 def test_long_waits_are_divided_without_a_change():
     q = np.array([np.zeros(4), np.full(4, 0.5)])
     request = Request(0, np.array([0.0, 150.0]), q, np.zeros_like(q))
-    path = planned(ARM, request, NOW, at_rest())
+    path = plan_trajectory(ARM, request, START_TIME, at_rest())
     assert np.diff(path.times).max() <= MAX_SEGMENT
-    whole = Trajectory(NOW, request.times, q, request.qd)
+    whole = Trajectory(START_TIME, request.times, q, request.qd)
     for t in np.linspace(0.0, 150.0, 31):
-        at = NOW + round(t * SECOND)
+        at = START_TIME + round(t * SECOND)
         np.testing.assert_allclose(path.at(at), whole.at(at), atol=1e-9)
 
 
@@ -206,7 +212,7 @@ REFUSED = {
 def test_malformed_trajectories_are_refused(words):
     code, points, names = REFUSED[words]
     with pytest.raises(TrajectoryError, match=words) as error:
-        requested(ARM, message(points, names))
+        parse_request(ARM, message(points, names))
     assert error.value.code is code
     assert len(str(error.value)) < 200
 
@@ -215,10 +221,10 @@ def test_the_longest_trajectory_is_read_and_a_longer_one_is_not():
     times = 0.36 * np.arange(MAX_POINTS)
     points = [*zip(times, np.zeros((MAX_POINTS, 4)), strict=True)]
     whole = message(points)
-    assert requested(ARM, whole).q.shape == (MAX_POINTS, 4)
+    assert parse_request(ARM, whole).q.shape == (MAX_POINTS, 4)
     whole.points.append(whole.points[-1])
     with pytest.raises(TrajectoryError, match="points has 10001 elements, expected 1 to 10000"):
-        requested(ARM, whole)
+        parse_request(ARM, whole)
 
 
 def test_a_million_points_are_refused_without_work():
@@ -228,7 +234,7 @@ def test_a_million_points_are_refused_without_work():
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts at the present size
     before = peak_memory()
     with pytest.raises(TrajectoryError, match="points has 1000000 elements"):
-        requested(ARM, whole)
+        parse_request(ARM, whole)
     assert peak_memory() - before < 50.0
 
 
@@ -264,8 +270,8 @@ def refusal(goal):
     """Return why a goal is refused; empty: it is not."""
     try:
         check_goal(goal)
-        DEFAULT.of_goal(goal)
-        requested(ARM, goal.trajectory)
+        DEFAULT.with_goal(goal)
+        parse_request(ARM, goal.trajectory)
     except TrajectoryError as error:
         return str(error)
     return ""
@@ -390,7 +396,7 @@ def test_what_the_arm_cannot_do_is_refused(q, times, words):
     points = np.outer(q, [0.0, 1.0, 0.0, 0.0])
     request = Request(0, np.array(times), points, np.full_like(points, np.nan))
     with pytest.raises(TrajectoryError, match=words):
-        planned(ARM, request, NOW, at_rest())
+        plan_trajectory(ARM, request, START_TIME, at_rest())
 
 
 def test_limits_are_checked_between_the_knots():
@@ -403,7 +409,7 @@ def test_limits_are_checked_between_the_knots():
         qd = rng.uniform(-0.9, 0.9, (4, 4))
         qd[-1] = 0.0
         try:
-            path = planned(ARM, Request(0, times - times[0], q, qd), 0, at_rest(*q[0]))
+            path = plan_trajectory(ARM, Request(0, times - times[0], q, qd), 0, at_rest(*q[0]))
             good, path = True, CubicHermiteSpline(path.times, path.q, path.qd)
         except TrajectoryError:
             good, path = False, CubicHermiteSpline(times - times[0], q, qd)
@@ -429,11 +435,11 @@ def goal(path=(), end=(), time=0.0):
 def test_a_goal_changes_defaults_and_erases_them():
     path = [JointTolerance(name="joint_2", position=0.1)]
     end = [JointTolerance(name="joint_3", position=-1.0), JointTolerance(name="joint_1")]
-    found = DEFAULT.of_goal(goal(path, end, 2.0))
+    found = DEFAULT.with_goal(goal(path, end, 2.0))
     assert found.path[1] == Tolerance(0.1, 0.0)
     assert found.goal == (DEFAULT.goal[0], DEFAULT.goal[1], Tolerance(0.0, 0.01), DEFAULT.goal[3])
-    assert (found.goal_time, DEFAULT.of_goal(goal()).goal_time) == (2.0, 5.0)
-    assert DEFAULT.of_goal(goal(time=-1.0)).goal_time == 0.0
+    assert (found.goal_time, DEFAULT.with_goal(goal()).goal_time) == (2.0, 5.0)
+    assert DEFAULT.with_goal(goal(time=-1.0)).goal_time == 0.0
 
 
 @pytest.mark.parametrize(
@@ -446,18 +452,18 @@ def test_a_goal_changes_defaults_and_erases_them():
 )
 def test_tolerances_that_make_no_sense_are_refused(tolerance, words):
     with pytest.raises(TrajectoryError, match=words):
-        DEFAULT.of_goal(goal([tolerance]))
+        DEFAULT.with_goal(goal([tolerance]))
 
 
 # --- following -----------------------------------------------------------------------------------
 
-PATH = Trajectory(NOW, np.array([0.0, 4.0]), np.array([np.zeros(4), np.full(4, 0.4)]),
+PATH = Trajectory(START_TIME, np.array([0.0, 4.0]), np.array([np.zeros(4), np.full(4, 0.4)]),
                   np.zeros((2, 4)))  # fmt: skip
 
 
 def links(seconds, off=0.0, **changes):
-    """States measured at a time since the begin, joint 2 off the path."""
-    at = NOW + round(seconds * SECOND)
+    """States measured at a time since the start, joint 2 off the path."""
+    at = START_TIME + round(seconds * SECOND)
     q, qd = PATH.at(at)
     error = off * np.array([0.0, 1.0, 0.0, 0.0])
     state = {"effort": 0.0, "armed": True, "referenced": True, "following": True, "path": 1}
@@ -472,7 +478,7 @@ def following(**tolerances):
     path, end = tolerances.get("path", 0.0), tolerances.get("end", 0.005)
     wanted = Tolerances((Tolerance(path),) * 4, (Tolerance(end, 0.01),) * 4,
                         tolerances.get("time", 1.0))  # fmt: skip
-    return Following(PATH, wanted, 1.0)
+    return TrajectoryMonitor(PATH, wanted, 1.0)
 
 
 def test_errors_are_those_at_the_time_of_the_measurement():
@@ -484,28 +490,28 @@ def test_errors_are_those_at_the_time_of_the_measurement():
 
 
 def test_it_is_over_when_all_are_there_and_at_rest():
-    assert not following().reached(links(3.9))
-    assert following().reached(links(4.1))
-    assert not following().reached(links(4.1, off=0.006))
-    assert following(end=0.0).reached(links(4.1, off=0.5))
+    assert not following().is_goal_reached(links(3.9))
+    assert following().is_goal_reached(links(4.1))
+    assert not following().is_goal_reached(links(4.1, off=0.006))
+    assert following(end=0.0).is_goal_reached(links(4.1, off=0.5))
     with pytest.raises(TrajectoryError, match=r"joint_2 is off by 0.0060 rad, at most 0.005") as e:
-        following().reached(links(5.1, off=0.006))
+        following().is_goal_reached(links(5.1, off=0.006))
     assert e.value.code is Code.GOAL_TOLERANCE_VIOLATED
-    assert not following(time=0.0).reached(links(1000.0, off=0.006))
+    assert not following(time=0.0).is_goal_reached(links(1000.0, off=0.006))
 
 
 def test_who_leaves_the_path_ends_it():
-    assert not following(path=0.1).reached(links(2.0, off=0.09))
+    assert not following(path=0.1).is_goal_reached(links(2.0, off=0.09))
     with pytest.raises(TrajectoryError, match=r"joint_2 is off by 0.1100 rad") as error:
-        following(path=0.1).reached(links(2.0, off=0.11))
+        following(path=0.1).is_goal_reached(links(2.0, off=0.11))
     assert error.value.code is Code.PATH_TOLERANCE_VIOLATED
-    assert not following(path=0.1).reached(links(-0.1, off=0.11))  # not begun yet
+    assert not following(path=0.1).is_goal_reached(links(-0.1, off=0.11))  # not begun yet
 
 
 @pytest.mark.parametrize(("broken", "words"), [(True, "left its path"), (False, "does not follow")])
 def test_a_link_that_does_not_follow_ends_it(broken, words):
     lost = {"following": False, "broken": broken}
-    assert not following().reached(links(0.9, **lost))  # it may not have heard of it
-    assert not following().reached(links(3.95, **lost))  # it may have arrived
+    assert not following().is_goal_reached(links(0.9, **lost))  # it may not have heard of it
+    assert not following().is_goal_reached(links(3.95, **lost))  # it may have arrived
     with pytest.raises(TrajectoryError, match=f"link 1 {words}"):
-        following().reached(links(1.1, **lost))
+        following().is_goal_reached(links(1.1, **lost))

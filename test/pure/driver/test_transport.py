@@ -13,7 +13,7 @@ from driver_wire import ENDS, TIMEOUT, go_in_mid_open
 
 from fss_arm_driver.transport import COPLEY_FORM, open_transport
 from fss_link.transport import BATCH, SCHEMES, TransportError, UdpTransport, stream
-from fss_link.transport.udp import HELD, SKB
+from fss_link.transport.udp import BUFFER_PER_FRAME, BUFFERED_FRAMES
 
 DOWN, UP = bytes(range(72)), bytes(range(72, 144))
 
@@ -23,7 +23,7 @@ FORMS = {**{name: one.form for name, one in SCHEMES.items()}, "copley": COPLEY_F
 
 @pytest.fixture
 def crowd():
-    """More open files than `select` can tell apart."""
+    """More open files than `select` supports."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
     files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1024)]
@@ -74,7 +74,7 @@ def meet(transport, end):
             while end.receive(0.0):
                 pass
             return
-    pytest.fail(f"nothing came: {transport.trouble}")
+    pytest.fail(f"nothing came: {transport.problem}")
 
 
 def test_any_number_of_files_may_be_open(crowd, end, opened):
@@ -85,20 +85,20 @@ def test_any_number_of_files_may_be_open(crowd, end, opened):
     assert transport.receive() == [UP]
 
 
-def hear(transport):
+def receive_frames(transport):
     """The next frames that come."""
     deadline = time.monotonic() + TIMEOUT
     while time.monotonic() < deadline:
         if transport.wait(0.1) and (got := transport.receive()):
             return got
-    return pytest.fail(f"nothing came: {transport.trouble}")
+    return pytest.fail(f"nothing came: {transport.problem}")
 
 
 def test_both_ways(joined):
     transport, end = joined
-    assert transport.trouble == ""
+    assert transport.problem == ""
     end.send(UP)
-    assert hear(transport) == [UP]
+    assert receive_frames(transport) == [UP]
     assert transport.receive() == []
     assert not transport.wait(0.0)
     transport.send(DOWN)
@@ -116,24 +116,24 @@ def test_the_far_end_may_go_and_come_back(joined):
         end.replug()
         meet(transport, end)
         end.send(UP)
-        assert UP in hear(transport)
-        assert transport.trouble == ""
+        assert UP in receive_frames(transport)
+        assert transport.problem == ""
 
 
 def test_a_flood_is_read_in_batches(joined):
     transport, end = joined
     for _ in range(2 * BATCH):
         end.send(UP)
-    got = hear(transport)
+    got = receive_frames(transport)
     assert len(got) < 2 * BATCH
     while len(got) < 2 * BATCH:
-        got += hear(transport)
+        got += receive_frames(transport)
     assert got == [UP] * 2 * BATCH
 
 
 @pytest.mark.slow
 def test_a_thousand_restarts_leak_nothing(joined):
-    """Of a link's electronics, and of its driver."""
+    """Frames of a link's electronics, and of its driver."""
     transport, end = joined
     before = descriptors()
     for _ in range(1000):
@@ -167,15 +167,15 @@ def test_a_closed_transport_does_nothing(joined):
 def test_bytes_that_are_no_frames_are_said(joined):
     transport, end = joined
     deadline = time.monotonic() + TIMEOUT
-    while not transport.trouble and time.monotonic() < deadline:
+    while not transport.problem and time.monotonic() < deadline:
         end.raw(b"\xf8\x00\x78" * 50)
         transport.wait(0.1)
         assert transport.receive() == []
-    assert "bytes come that are no frames: is " in transport.trouble
+    assert "the received bytes are no frames: is " in transport.problem
     assert transport.counts["noise_bytes"] > 1000
     end.send(UP)
-    assert hear(transport) == [UP]
-    assert transport.trouble == ""
+    assert receive_frames(transport) == [UP]
+    assert transport.problem == ""
 
 
 @pytest.mark.parametrize("end", ["tcp", "pty"], indirect=True)
@@ -187,7 +187,7 @@ def test_an_end_that_does_not_read_holds_nothing_up(joined):
             break
     assert transport.counts["send_failures"] > 10
     end.send(UP)
-    assert UP in hear(transport)
+    assert UP in receive_frames(transport)
 
 
 @pytest.mark.parametrize("end", ["tcp", "pty"], indirect=True)
@@ -195,12 +195,12 @@ def test_a_lost_connection_is_said(joined):
     transport, end = joined
     end.unplug()
     deadline = time.monotonic() + TIMEOUT
-    while not transport.trouble.startswith("cannot connect") and time.monotonic() < deadline:
+    while not transport.problem.startswith("cannot connect") and time.monotonic() < deadline:
         transport.wait(0.01)
         transport.receive()
-        if transport.trouble:
-            assert transport.trouble.startswith(("connection lost", "cannot connect"))
-    assert transport.trouble.startswith("cannot connect: ")
+        if transport.problem:
+            assert transport.problem.startswith(("connection lost", "cannot connect"))
+    assert transport.problem.startswith("cannot connect: ")
 
 
 def test_a_stream_is_not_closed_while_a_frame_is_written_to_it(opened, monkeypatch):
@@ -243,13 +243,13 @@ def test_two_seconds_of_frames_wait_while_nobody_reads(udp):
     transport, end = udp
     meet(transport, end)
     with open("/proc/sys/net/core/rmem_max") as file:
-        room = 2 * int(file.read()) // SKB
-    for _ in range(HELD):
+        room = 2 * int(file.read()) // BUFFER_PER_FRAME
+    for _ in range(BUFFERED_FRAMES):
         end.send(UP)
     got = []
     while transport.wait(0.1):
         got += transport.receive()
-    assert len(got) >= 0.9 * min(HELD, room)
+    assert len(got) >= 0.9 * min(BUFFERED_FRAMES, room)
 
 
 def test_strangers_are_counted_and_not_heard(udp):
@@ -258,23 +258,23 @@ def test_strangers_are_counted_and_not_heard(udp):
         stranger.sendto(b"hello", ("127.0.0.1", transport.port))
     assert transport.wait(5.0)
     assert transport.receive() == []
-    assert transport.counts["strangers"] == 1
+    assert transport.counts["other_senders"] == 1
 
 
 def test_long_datagrams_are_cut(udp):
     transport, end = udp
     end.home = "127.0.0.1", transport.port
     end.send(bytes(1000))
-    assert [len(data) for data in hear(transport)] == [73]
+    assert [len(data) for data in receive_frames(transport)] == [73]
 
 
 def test_what_cannot_be_sent_is_counted_and_said(udp):
     transport, _ = udp
     transport.send(bytes(100_000))
     assert transport.counts["send_failures"] == 1
-    assert transport.trouble == "nothing can be sent: Message too long"
+    assert transport.problem == "cannot send: Message too long"
     transport.send(DOWN)
-    assert transport.trouble == ""
+    assert transport.problem == ""
 
 
 @pytest.mark.parametrize(
@@ -322,7 +322,7 @@ def test_a_taken_port_is_named(udp):
     ("device", "words"),
     [
         ("no_such_port", "No such file or directory"),
-        ("null", "it is no serial port, or has no rate of 9600 baud"),
+        ("null", "it is no serial port, or does not support 9600 baud"),
     ],
 )
 def test_a_dead_serial_port_is_named(device, words):
@@ -351,16 +351,16 @@ def test_an_adapter_that_goes_while_it_is_set_up_is_found_again(opened, tmp_path
     transport = opened(end.url)
     meet(transport, end)
     end.unplug()
-    while not transport.trouble:
+    while not transport.problem:
         transport.wait(0.01)
         transport.receive()
     end.replug()
     with monkeypatch.context() as patch:
         patch.setattr(termios, "tcsetattr", go_in_mid_open)
         assert not transport.wait(0.01)
-        assert transport.trouble == "cannot connect: Input/output error"
+        assert transport.problem == "cannot connect: Input/output error"
         with pytest.raises(TransportError, match="Input/output error"):
             open_transport(end.url)
     meet(transport, end)
-    assert transport.trouble == ""
+    assert transport.problem == ""
     end.close()

@@ -1,4 +1,4 @@
-"""What is passed on at once, and what has to wait."""
+"""Commands sent at once, and delayed ones."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ INTERVAL = SECOND // 50
 
 
 def gone(times, rate=50.0):
-    """When each goes out, one after the other."""
+    """Times at which they are sent, one after the other."""
     pacer, sent = Pacer(rate), []
     for at in times:
         now = max([at, *sent[-1:]])

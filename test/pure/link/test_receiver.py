@@ -1,4 +1,4 @@
-"""Who receives when, and what is dropped if that is not enough."""
+"""Turns of the receivers, and frames dropped under overload."""
 
 from collections import Counter, deque
 from threading import Event
@@ -6,7 +6,7 @@ from threading import Event
 import pytest
 from running import wait_until
 
-from fss_link.receiver import NEWEST, Receiver, Turns
+from fss_link.receiver import OVERLOAD_FRAMES, Receiver, TurnScheduler
 
 
 class Time:
@@ -17,33 +17,33 @@ class Time:
         return self.now
 
 
-def work(turns, time, seconds):
-    with turns.turn():
+def work(scheduler, time, seconds):
+    with scheduler.turn():
         time.now += seconds
 
 
-def test_who_works_little_never_rests():
-    turns = Turns(0.5, 0.1, time := Time())
+def test_a_light_load_never_waits():
+    scheduler = TurnScheduler(0.5, 0.1, time := Time())
     for _ in range(1000):
-        work(turns, time, 0.004)
+        work(scheduler, time, 0.004)
         time.now += 0.006
-        assert turns.rest() <= 0.0
+        assert scheduler.wait_time() <= 0.0
 
 
-def test_who_works_all_the_time_rests_for_half_of_it_but_not_at_once():
-    turns = Turns(0.5, 0.1, time := Time())
-    begun, worked, first = time.now, 0.0, None
+def test_a_full_load_waits_half_of_the_time_after_the_burst():
+    scheduler = TurnScheduler(0.5, 0.1, time := Time())
+    start, worked, first = time.now, 0.0, None
     while worked < 10.0:
-        if (rest := turns.rest()) > 0.0:
-            first = first or time.now - begun
+        if (rest := scheduler.wait_time()) > 0.0:
+            first = first or time.now - start
             time.now += rest
-        work(turns, time, 0.01)
+        work(scheduler, time, 0.01)
         worked += 0.01
     assert first == pytest.approx(0.1, abs=0.011)
-    assert worked / (time.now - begun) == pytest.approx(0.5, rel=0.02)
+    assert worked / (time.now - start) == pytest.approx(0.5, rel=0.02)
 
 
-class Line:
+class BatchTransport:
     """A transport from which frames come in batches."""
 
     def __init__(self, *batches):
@@ -59,10 +59,10 @@ class Line:
         return self.batches.popleft() if self.batches else []
 
 
-class Behind(Turns):
-    """Its time is always used up."""
+class Overloaded(TurnScheduler):
+    """Scheduler whose share is always used up."""
 
-    def rest(self):
+    def wait_time(self):
         return 1e-6
 
 
@@ -70,22 +70,22 @@ def frames(first, count):
     return [bytes([number % 256]) for number in range(first, first + count)]
 
 
-def received(turns, *batches):
-    line, got = Line(*batches), []
-    receiver = Receiver(line, got.append, None, turns)
+def received(scheduler, *batches):
+    line, got = BatchTransport(*batches), []
+    receiver = Receiver(line, got.append, None, scheduler)
     wait_until(line.silent.is_set, 5.0, lambda: line.silent.wait(0.1))
     receiver.close()
     return got, line.counts["dropped"]
 
 
 def test_nothing_is_dropped_while_there_is_time():
-    got, dropped = received(Turns(0.5, 10.0), frames(0, 64), frames(64, 64), frames(128, 3))
+    got, dropped = received(TurnScheduler(0.5, 10.0), frames(0, 64), frames(64, 64), frames(128, 3))
     assert got == [frames(0, 64), frames(64, 64), frames(128, 3)]
     assert dropped == 0
 
 
-def test_the_newest_are_taken_when_there_is_too_much_and_the_others_counted():
-    got, dropped = received(Behind(0.5, 0.1), frames(0, 64), frames(64, 64), frames(128, 3))
-    assert got == [frames(131 - NEWEST, NEWEST)]
-    assert dropped == 131 - NEWEST
-    assert received(Behind(0.5, 0.1), frames(0, 2)) == ([frames(0, 2)], 0)
+def test_under_overload_the_newest_frames_are_processed_and_the_others_counted():
+    got, dropped = received(Overloaded(0.5, 0.1), frames(0, 64), frames(64, 64), frames(128, 3))
+    assert got == [frames(131 - OVERLOAD_FRAMES, OVERLOAD_FRAMES)]
+    assert dropped == 131 - OVERLOAD_FRAMES
+    assert received(Overloaded(0.5, 0.1), frames(0, 2)) == ([frames(0, 2)], 0)

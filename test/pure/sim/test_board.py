@@ -7,7 +7,7 @@ import pytest
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.thrusters import layout
-from fss_base_driver.gyro import Sums
+from fss_base_driver.gyro import GyroSums
 from fss_base_driver.protocol import BaseSlow, BaseState, Gripper
 from fss_base_driver.session import BoardSession
 from fss_link.session import Arming
@@ -84,9 +84,9 @@ def test_the_gyro_sums_give_the_rotation_of_the_base():
     flight.open(v2=1.0, v3=1.0, v6=1.0, v7=1.0)  # two couples
     before, start = flight.bed.plant.q[2], len(flight.received)
     flight.frames(300)
-    sums, angle = Sums(), 0.0
+    sums, angle = GyroSums(), 0.0
     for received in flight.received[start - 1 :]:
-        if turn := sums.take(*received):
+        if turn := sums.add(*received):
             angle += GYRO_SCALE * turn.counts * turn.samples / RATE
     last = flight.received[-1].stamp - 10**9
     turned = flight.bed.plant.q[2] - before

@@ -4,7 +4,7 @@ from random import Random
 
 import pytest
 
-from fss_arm_driver.protocol import Command, Mode, Order, encode
+from fss_arm_driver.protocol import Command, LinkCommandFlag, Mode, encode
 from fss_arm_model.description import paper_arm
 from fss_link.protocol import Refused
 from fss_sim.link.electronics import LinkElectronics
@@ -24,8 +24,9 @@ def links(keys=None, boots=(1, 1, 1, 1)):
 
 def command(rng, k, i, boot):
     """Return a random command: arm, move, stop, home or clear."""
+    flag = LinkCommandFlag
     return Command(
-        link=i, flags=rng.choice((0, Order.ARM, Order.STOP, Order.ARM | Order.HOME)), boot=boot,
+        link=i, flags=rng.choice((0, flag.ARM, flag.STOP, flag.ARM | flag.HOME)), boot=boot,
         sequence=k, clock=SECOND + 1000 * k, expiry=SECOND + 1000 * k + 500, watchdog=2000,
         mode=rng.choice((Mode.OFF, Mode.CURRENT, Mode.VELOCITY, Mode.POSITION)),
         set_point=rng.randrange(-1000, 1000), velocity=rng.randrange(1000), acceleration=1000,
@@ -62,5 +63,5 @@ def test_without_keys_only_the_boot_number_distinguishes_vehicles():
     ]
     assert accepted == [False, True, False, False]  # link 2 has the same boot number in both
     assert first[0].receive(encode(Command(link=1, boot=0, **disarmed)), SECOND)  # boot 0: any link
-    stop = {**disarmed, "flags": Order.STOP, "sequence": 2, "clock": SECOND + 1}
+    stop = {**disarmed, "flags": LinkCommandFlag.STOP, "sequence": 2, "clock": SECOND + 1}
     assert first[2].receive(encode(Command(link=3, boot=9, **stop)), SECOND)  # always obeyed

@@ -6,7 +6,7 @@ from math import pi
 
 import pytest
 
-from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, decode, encode
+from fss_arm_driver.protocol import Command, LinkCommandFlag, Mode, Slow, State, decode, encode
 from fss_arm_model.description import Drive, Link, TorqueSensor
 from fss_link.protocol import Refused
 from fss_sim.link.electronics import LinkElectronics
@@ -23,8 +23,8 @@ DISARM = Command(
     set_point=0, velocity=0, acceleration=0,
 )  # fmt: skip
 MOVE = replace(
-    DISARM, flags=Order.ARM, sequence=2, expiry=3 * SECOND, mode=Mode.POSITION, set_point=-40_000,
-    velocity=300_000, acceleration=3000,
+    DISARM, flags=LinkCommandFlag.ARM, sequence=2, expiry=3 * SECOND, mode=Mode.POSITION,
+    set_point=-40_000, velocity=300_000, acceleration=3000,
 )  # fmt: skip
 
 
@@ -130,7 +130,8 @@ def test_every_stop_uses_the_largest_deceleration():
     gentle = replace(MOVE, acceleration=50)
     electronics = link(DISARM, gentle)
     assert electronics.demand(SECOND, REST).acceleration < 0.02
-    assert electronics.receive(encode(replace(DISARM, sequence=3, flags=Order.STOP)), SECOND)
+    stop = replace(DISARM, sequence=3, flags=LinkCommandFlag.STOP)
+    assert electronics.receive(encode(stop), SECOND)
     held = electronics.demand(SECOND, replace_speed(REST, 0.3))
     assert held.acceleration == LINK.drive.max_acceleration
 
@@ -147,7 +148,8 @@ def test_a_joint_that_keeps_moving_is_switched_off_after_a_timeout():
 
 
 def test_repeated_home_commands_home_once():
-    electronics, home = link(DISARM), replace(MOVE, flags=Order.ARM | Order.HOME, set_point=0)
+    home = replace(MOVE, flags=LinkCommandFlag.ARM | LinkCommandFlag.HOME, set_point=0)
+    electronics = link(DISARM)
     assert electronics.drive.referenced
     assert electronics.receive(encode(home), SECOND)
     assert not frame(electronics).flags & State.REFERENCED  # from the first that echoes it
@@ -164,7 +166,7 @@ def test_repeated_home_commands_home_once():
 
 
 def test_an_aborted_homing_leaves_no_reference_and_can_be_repeated():
-    home = replace(MOVE, flags=Order.ARM | Order.HOME, set_point=0)
+    home = replace(MOVE, flags=LinkCommandFlag.ARM | LinkCommandFlag.HOME, set_point=0)
     electronics = link(DISARM, home)
     electronics.demand(SECOND, REST)
     assert electronics.demand(3 * SECOND + 1, REST).speed == 0.0  # the command has expired
@@ -184,7 +186,7 @@ def test_an_expired_set_point_is_held():
 
 
 def test_stop_latches_until_disarmed_and_armed_again():
-    electronics = link(DISARM, MOVE, replace(DISARM, sequence=3, flags=Order.STOP))
+    electronics = link(DISARM, MOVE, replace(DISARM, sequence=3, flags=LinkCommandFlag.STOP))
     again = replace(MOVE, sequence=4)
     assert electronics.receive(encode(again), SECOND)
     assert not electronics.armed
@@ -195,7 +197,7 @@ def test_stop_latches_until_disarmed_and_armed_again():
 
 
 def test_a_stop_switches_nothing_on():
-    stop = replace(DISARM, sequence=3, flags=Order.STOP)
+    stop = replace(DISARM, sequence=3, flags=LinkCommandFlag.STOP)
     assert link(DISARM, MOVE, stop).demand(SECOND, REST).mode == Mode.POSITION
     for before in ([], [DISARM], [DISARM, MOVE, replace(DISARM, sequence=3)]):
         electronics = link(*before, stop)
@@ -205,7 +207,7 @@ def test_a_stop_switches_nothing_on():
 
 def test_stop_is_obeyed_whatever_its_boot_and_sequence():
     electronics = link(DISARM, MOVE)
-    stop = replace(DISARM, sequence=0, boot=BOOT + 5, flags=Order.STOP)
+    stop = replace(DISARM, sequence=0, boot=BOOT + 5, flags=LinkCommandFlag.STOP)
     assert electronics.receive(encode(stop), SECOND)
     assert not electronics.armed
     assert electronics.stopped
@@ -225,7 +227,7 @@ KEY = bytes(range(16))
 def test_with_a_key_each_command_is_accepted_once_and_only_if_signed():
     electronics = LinkElectronics(2, LINK, BOOT, key=KEY)
     move = replace(MOVE, clock=6)
-    stop = replace(DISARM, sequence=3, clock=7, flags=Order.STOP)
+    stop = replace(DISARM, sequence=3, clock=7, flags=LinkCommandFlag.STOP)
     seen = []
     for command in (DISARM, move, stop):
         assert not electronics.receive(encode(command), SECOND)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sim_drive import COUNT, Bench, Mode
 
-from fss_arm_driver.faults import FAULTS, Word, blocking
+from fss_arm_driver.faults import FAULTS, Word, blocking_faults
 from fss_arm_driver.protocol import State
 from fss_link.session import Arming, CommandError
 from fss_sim.faults import DriveFaults, LinkFaults
@@ -78,7 +78,7 @@ def test_each_fault_of_the_page_has_a_case_and_names_existing_faults():
 
 def test_the_emulated_drive_blocks_by_the_bits_of_the_page():
     for bit in range(32):
-        assert bool(blocking(1 << bit, 0)) == bool(servo.BLOCKING >> bit & 1)
+        assert bool(blocking_faults(1 << bit, 0)) == bool(servo.BLOCKING >> bit & 1)
 
 
 def bench_with_faults(faults, to=None):

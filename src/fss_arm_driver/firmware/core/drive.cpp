@@ -34,8 +34,8 @@ constexpr int32_t kAbort = 0, kStart = 1, kFindHome = 2;
 
 constexpr uint32_t kFirstBaud = 9600, kBaud = 115200;
 constexpr uint64_t kReplyTime = 100000;  // at most [us]
-constexpr uint64_t kResyncTime = 20000;  // for what is still under way after a failure
-constexpr uint64_t kClearTime = 50000;   // for the answer to what was left in the drive's buffer
+constexpr uint64_t kResyncTime = 20000;  // for late bytes after a failure
+constexpr uint64_t kClearTime = 50000;   // for the answer to an incomplete line
 constexpr uint64_t kRateTime = 30000;    // for `s r0x90 115200` to be sent at 9600 baud
 constexpr uint64_t kSwitchTime = 100000; // the drive's own, to change its rate
 constexpr uint64_t kGone = 500000;       // without a measurement: it does not answer
@@ -207,7 +207,7 @@ void Drive::connect(uint64_t now) {
       measured_ = Measurement{};
       turn_ = 0;
       mode_ = Mode::Off;
-      refused_ = true;  // whatever was asked must be asked again
+      refused_ = true;  // the command must be repeated
       begin(Demand{});
       referenced_ = paused_ = false;
       acceleration_ = deceleration_ = 0;
@@ -266,7 +266,7 @@ void Drive::end_round(uint64_t now) {
   homings_ = static_cast<uint16_t>(homings_ + (referenced && !referenced_));
   referenced_ = referenced;
   take_mode(round_[5]);
-  if (reset) phase_ = Phase::Begin;  // met anew: nothing goes on by itself
+  if (reset) phase_ = Phase::Begin;  // connect again: no motion resumes by itself
   switch (kSlowReadings[slow_turn_++ % sizeof kSlowReadings]) {
     case kFaults: faults_ = static_cast<uint32_t>(round_[kSlowTurn]); break;
     case kSupply: supply_ = round_[kSlowTurn]; break;
@@ -278,8 +278,8 @@ void Drive::end_round(uint64_t now) {
 }
 
 // The drive may be in another mode than was acknowledged, as acknowledgements get lost. One that
-// was switched off by others is met anew, so that nothing goes on by itself; a mode that is none
-// of ours is braked as current mode is.
+// was switched off externally is connected again, so that no motion resumes by itself; an unknown
+// mode is braked like current mode.
 void Drive::take_mode(int32_t value) {
   const bool known = value == 0 || value == 11 || value == 21;
   const Mode mode = known ? static_cast<Mode>(value) : Mode::Current;
@@ -399,7 +399,7 @@ void Drive::take_ok() {
   if (!outdated_) ++step_;
 }
 
-// What cannot be done is held instead, and what cannot be held is switched off.
+// After a refused demand the joint is held; if it cannot be held, the drive is switched off.
 void Drive::take_error() {
   paused_ = true;
   if (write_.variable == kFaults) {
@@ -437,7 +437,7 @@ void Drive::order(Write write, uint64_t now) {
   if (write.variable == kAccelerationLimit) acceleration_ = 0;
   if (write.variable == kDecelerationLimit) deceleration_ = 0;
   const bool homes = write.variable == kTrajectory && write.value == kFindHome;
-  if (homes || write.variable == kDesiredState) turn_ = 0;  // what was read is out of date
+  if (homes || write.variable == kDesiredState) turn_ = 0;  // the last readings are out of date
   variable_ = 0;
   waiting_ = Waiting::Ok;
   send(line.text, line.size, now);

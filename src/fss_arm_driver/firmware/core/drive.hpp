@@ -1,8 +1,8 @@
 // The servo drive behind its ASCII protocol (Copley's, docs/start/hardware.md): one exchange at a time.
 //
-// The drive is told what to do as a goal; the orders that lead there are found from what the drive
-// has acknowledged so far, so a lost reply or a drive that was off for a while needs no care.
-// Between orders its state is read, round and round.
+// The caller sets a goal. The commands that lead there follow from what the drive has acknowledged,
+// so a lost reply or a drive that was off for a while needs no special case. Between commands the
+// drive's state is read in rounds.
 #pragma once
 
 #include <stddef.h>
@@ -49,11 +49,11 @@ class Drive {
  public:
   explicit Drive(Board& board) : board_(board) {}
 
-  // What has come from the drive, and then what is sent to it.
+  // Receives from the drive, and then sends to it.
   void listen(uint64_t now);
   void talk(uint64_t now);
 
-  // Whether a new set-point for the same goal would be given to the drive now, and the time from
+  // Returns true if a new set point for the same goal would be sent now; kLead is the time from
   // then until half of its effect [us].
   bool is_open(uint64_t now) const;
   static constexpr uint32_t kLead = 8000;
@@ -67,7 +67,7 @@ class Drive {
   // Whether the drive answers, and has been measured since it does.
   bool answers() const { return phase_ == Phase::Running && measured_.clock != 0; }
   bool blocked() const;  // by a fault
-  bool refuses() const { return refused_; }                    // what was demanded
+  bool refuses() const { return refused_; }                    // the demand
   bool let_go() const { return demand_.goal == Demand::Off; }  // it refused even to hold
 
   Mode mode() const { return mode_; }
@@ -76,7 +76,7 @@ class Drive {
   uint32_t faults() const { return faults_; }                  // latched ones
   int32_t supply() const { return supply_; }                   // [0.1 V]
   int32_t temperature() const { return temperature_; }         // [deg C]
-  // Not while it is told to home and has not begun, or refuses to.
+  // False while a command to home is pending or refused.
   bool referenced() const {
     const bool begun = demand_.goal == Demand::Home && done_;
     return referenced_ && (asked_.goal != Demand::Home || begun);
@@ -125,22 +125,22 @@ class Drive {
   Waiting waiting_ = Waiting::Nothing;
   uint32_t baud_ = 9600;
   uint64_t asked_at_ = 0;
-  uint64_t quiet_until_ = 0;  // nothing is sent, and what comes is dropped
+  uint64_t quiet_until_ = 0;  // nothing is sent, and received bytes are dropped
   uint64_t alive_ = 0;        // when it was last connected to or measured
   uint8_t variable_ = 0;      // that is read; 0: none, it is an order
   Write write_ = {};          // the order
-  bool outdated_ = false;     // it was given for an earlier demand
+  bool outdated_ = false;     // it belongs to an earlier demand
   char line_[24] = {};
   size_t line_size_ = 0;
 
   // What the drive is to do, and how far that has come.
   Demand demand_, asked_;
-  bool refused_ = false;     // what was asked
-  bool pending_ = false;     // what was asked is another set-point for the same goal
+  bool refused_ = false;     // the last command
+  bool pending_ = false;     // the last command is another set point for the same goal
   bool clearing_ = false;
   bool paused_ = false;      // no orders until it has been measured anew
-  bool braked_ = false;      // the orders to brake are given
-  bool done_ = false;        // all orders are given
+  bool braked_ = false;      // the brake commands are sent
+  bool done_ = false;        // all commands are sent
   uint64_t braked_at_ = 0;
   uint64_t ordered_at_ = 0;  // the last order
   uint8_t step_ = 0;         // of the plan that is followed

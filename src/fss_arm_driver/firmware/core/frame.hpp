@@ -1,4 +1,4 @@
-// What all frames of docs/reference/protocol.md share: their beginning and end.
+// Common parts of all frames of docs/reference/protocol.md: start and end.
 #pragma once
 
 #include <stddef.h>
@@ -35,13 +35,13 @@ struct Order : Header {
 // Why bytes are not a frame for a board, in the order of the checks.
 enum class Refusal : uint8_t { None, Length, Magic, Version, Kind, Crc, Signature, Field };
 
-// Writes the beginning of a frame, and zeros behind it.
+// Writes the start of a frame, followed by zeros.
 void begin_frame(Kind kind, const Header& header, uint8_t* data);
 
 // Writes the end of a frame, signed if there is a key.
 void seal_frame(const Key& key, uint8_t* data);
 
-// Whether these bytes are a whole frame of a kind from `first` to `last`; not what it says.
+// Checks that these bytes are a complete frame of a kind from `first` to `last`, not its fields.
 Refusal check_frame(const uint8_t* data, size_t size, const Key& key, Kind first, Kind last);
 
 Header read_header(const uint8_t* data);

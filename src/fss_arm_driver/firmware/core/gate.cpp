@@ -36,7 +36,7 @@ bool Gate::admits(const Order& order, uint64_t now) const {
   return order.expiry == 0 || order.expiry >= now;
 }
 
-// Whether it is newer than the last order, or may begin a session.
+// Returns true if it is newer than the last command, or may start a session.
 bool Gate::follows(const Order& order, uint64_t now) const {
   if (silent(now)) return !(order.flags & kArm);
   return newer(order.sequence, newest_);

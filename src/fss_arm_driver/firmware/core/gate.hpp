@@ -19,7 +19,7 @@ class Gate {
   // Whether it is for this start of this board, and no recording from before it was last disarmed.
   bool is_current(const Header& header) const;
 
-  void refuse() { ++refused_; }  // counts what was refused
+  void refuse() { ++refused_; }  // counts a refused datagram
 
   const Order& order() const { return order_; }  // the last one taken
   uint64_t arrival() const { return arrival_; }  // of it [us]

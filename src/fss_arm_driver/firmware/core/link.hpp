@@ -61,10 +61,10 @@ class Link {
   Follower paths_;
   Torque torque_;
   bool armed_ = false;
-  bool stopped_ = false, watchdog_ = false, dropped_ = false;  // why not, until told to disarm
+  bool stopped_ = false, watchdog_ = false, dropped_ = false;  // prevent arming until disarmed
   bool on_ = false;  // the drive, from arming on: no stop switches it on
 
-  // When the position was read, and what there was to echo then.
+  // Time of the position's reading, and the echo at that time.
   uint64_t read_at_ = 0;
   uint32_t echo_ = 0, turnaround_ = 0;
 

@@ -5,9 +5,9 @@
 namespace fss {
 namespace {
 
-constexpr uint64_t kHorizon = 120000000;  // within which a segment begins [us]
+constexpr uint64_t kHorizon = 120000000;  // within which a segment must start [us]
 constexpr double kGain = 4.0;             // of the correction [1/s]
-constexpr double kReach = 0.25;           // what the joint covers in it is not too far off [s]
+constexpr double kReach = 0.25;           // largest error, in time at the path's limit [s]
 constexpr double kUnit = 0.1;             // of velocities on the wire [counts/s]
 
 bool operator==(const Knot& one, const Knot& other) {

@@ -1,4 +1,4 @@
-// Paths in time that a link keeps, and what its drive is to do to follow one.
+// Timed paths stored by a link, and the demand on its drive that follows one.
 // See docs/reference/protocol.md, Following a path.
 #pragma once
 
@@ -66,8 +66,8 @@ class Follower {
   int32_t report() const;  // the slow field of telemetry
   bool holds_none() const { return !followed().number() && !next().number(); }
 
-  // What the drive is to do from `now` on, by the command in force, which is of mode 31; `lead` is
-  // the time until half of what that sets is done [us].
+  // Returns the demand on the drive at `now`, for the active command of mode 31; `lead` is the time
+  // until half of the velocity step is reached [us].
   Demand demand(uint64_t now, uint32_t lead, const Command& command, const Measurement& measured);
 
  private:

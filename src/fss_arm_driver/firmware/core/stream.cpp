@@ -3,7 +3,7 @@
 namespace fss {
 
 void to_stream(const uint8_t* frame, uint8_t* out) {
-  uint8_t* code = out + 1;  // 1 + how many bytes follow up to the zero that it stands for
+  uint8_t* code = out + 1;  // 1 + the number of bytes up to the zero that it replaces
   out[0] = out[kStreamedSize - 1] = 0;
   *code = 1;
   for (size_t i = 0; i < kFrameSize; ++i) {

@@ -24,7 +24,7 @@ class StreamReader {
   bool decode();
 
   uint8_t buffer_[kFrameSize + 1] = {};
-  size_t size_ = 0;  // of what has come since the last zero; one more than fits: too much
+  size_t size_ = 0;  // bytes since the last zero; one more than a frame: too long
 };
 
 }  // namespace fss

@@ -1,4 +1,4 @@
-// The Arduino Due with what a link has: RS-232 to the servo drive, the load cell amplifier on two
+// The Arduino Due with a link's hardware: RS-232 to the servo drive, the load cell amplifier on two
 // pins, a battery.
 #pragma once
 

@@ -1,1 +1,1 @@
-"""The whole arm: what its joints do, and whose turn it is to move them."""
+"""The whole arm: states of all joints, and the motions that command them."""

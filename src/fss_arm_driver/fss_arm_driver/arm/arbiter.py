@@ -17,8 +17,8 @@ class Motion:
     """Motion of the arm, current or past."""
 
     name: str
-    until: int | None = None  # time at which it expires [ns]
-    ended: str = ""  # why it must end, in words
+    expiry: int | None = None  # time at which it expires [ns]
+    end_reason: str = ""  # why it must end, in words
     plan: Plan | None = None
 
 
@@ -32,30 +32,30 @@ class Arbiter:
         self.lock = RLock()
         self._motion: Motion | None = None
 
-    def holder(self, now: int) -> str:
+    def current_name(self, now: int) -> str:
         """Return the name of the current motion; empty: none."""
         motion = self._motion
-        over = motion is None or (motion.until is not None and now > motion.until)
-        return "" if motion is None or over or motion.ended else motion.name
+        expired = motion is None or (motion.expiry is not None and now > motion.expiry)
+        return "" if motion is None or expired or motion.end_reason else motion.name
 
-    def planned(self, now: int) -> Plan | None:
+    def current_plan(self, now: int) -> Plan | None:
         """Return the plan of the current motion; None: there is none."""
         motion = self._motion
-        return motion.plan if motion and self.holder(now) else None
+        return motion.plan if motion and self.current_name(now) else None
 
-    def has(self, motion: Motion | None, now: int) -> bool:
+    def is_current(self, motion: Motion | None, now: int) -> bool:
         """Return True if this motion is the current one."""
-        return motion is self._motion and bool(self.holder(now))
+        return motion is self._motion and bool(self.current_name(now))
 
-    def take(self, name: str, now: int, until: int | None = None) -> Motion:
+    def start(self, name: str, now: int, expiry: int | None = None) -> Motion:
         """Start a motion; it preempts the current one, if any."""
         with self.lock:
-            if self._motion and self.holder(now):
-                self._motion.ended = f"preempted by {name}"
-            self._motion = motion = Motion(name, until)
+            if self._motion and self.current_name(now):
+                self._motion.end_reason = f"preempted by {name}"
+            self._motion = motion = Motion(name, expiry)
         return motion
 
-    def leave(self, motion: Motion) -> None:
+    def finish(self, motion: Motion) -> None:
         """End a motion."""
         with self.lock:
             if motion is self._motion:
@@ -65,4 +65,4 @@ class Arbiter:
         """End the current motion, if any."""
         with self.lock:
             if self._motion:
-                self._motion.ended = "stopped"
+                self._motion.end_reason = "stopped"

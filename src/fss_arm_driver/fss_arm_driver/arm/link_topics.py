@@ -1,4 +1,4 @@
-"""The links' topics, as the arm's node has them: what they report, and what they are told."""
+"""Topics between the arm's node and the links: their telemetry, commands and paths."""
 
 from collections.abc import Callable, Iterable, Mapping
 
@@ -8,7 +8,7 @@ from rclpy.task import Future
 from fss_arm_driver.arm.arbiter import Arbiter, Motion
 from fss_arm_driver.arm.state import LinkState, link_state
 from fss_arm_driver.arm.trajectory import Trajectory
-from fss_arm_driver.liveness import Stall, Steps
+from fss_arm_driver.liveness import ClockSteps, Stall
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.description import Arm
@@ -18,45 +18,49 @@ from fss_arm_ros.qos import command, subscribe_sensor
 from fss_arm_ros.timer_clock import timer_clock
 from fss_link.host_clock import HostClock
 
-Take = Callable[[LinkCommand], None]
+CommandSink = Callable[[LinkCommand], None]
 
-LAST_PATH = 65_535  # the number after which they begin anew
-STEP = 0.1  # of the time of day that spoils a motion [s]
+MAX_PATH_NUMBER = 65_535  # the next number after it is 1
+MIN_CLOCK_STEP = 0.1  # change of the time of day that ends a motion [s]
 
-#: What a person does about a trouble.
-HELP = {
+#: What the operator does about a problem.
+REMEDIES = {
     "not armed": ": scripts/fss_arm.sh arm",
     "not referenced": ": scripts/fss_arm.sh home",
 }
 
 
 class MotionError(ValueError):
-    """A motion cannot be begun, or must end; the message says why."""
+    """Error of a motion that cannot start, or must end; the message says why."""
 
 
 class LinkTopics:
-    """All links of the arm, and whose turn it is to move them.
+    """Links of the arm: their last states, and the motion that commands them.
 
     Args:
-        node: whose topics they are.
+        node: of the arm.
         arm: the arm.
-        settings: the node's.
-        local: what takes the commands of links whose drivers are in this process, by number.
+        settings: of the node.
+        local: callbacks for the commands of links whose drivers are in this process, by number.
     """
 
     def __init__(
-        self, node: Node, arm: Arm, settings: ArmSettings, local: Mapping[int, Take] | None = None
+        self,
+        node: Node,
+        arm: Arm,
+        settings: ArmSettings,
+        local: Mapping[int, CommandSink] | None = None,
     ) -> None:
         self.node, self.arm, self.settings = node, arm, settings
         self.numbers = range(1, arm.n + 1)
         self.states: dict[int, LinkState] = {}
         self.arbiter, self.path = Arbiter(), 0
         self.clock, self.stall = timer_clock(node), Stall(settings.time_to_live)
-        self.steps = Steps(STEP, settings.time_to_live)
+        self.steps = ClockSteps(MIN_CLOCK_STEP, settings.time_to_live)
         self.host = HostClock(self.steady, lambda: self.now())
         self.ticked: Future = Future()
         lifespan = command(settings.time_to_live)
-        self.commands: dict[int, Take] = {
+        self.commands: dict[int, CommandSink] = {
             i: node.create_publisher(LinkCommand, f"link_{i}/command", lifespan).publish
             for i in self.numbers
         } | dict(local or {})
@@ -64,21 +68,21 @@ class LinkTopics:
             i: node.create_publisher(LinkPath, f"link_{i}/path", 10) for i in self.numbers
         }
         for i, link in enumerate(arm.links, 1):
-            self._listen(i, Scale(link))
+            self._subscribe(i, Scale(link))
 
-    def _listen(self, number: int, scale: Scale) -> None:
-        def take(message: LinkTelemetry) -> None:
+    def _subscribe(self, number: int, scale: Scale) -> None:
+        def on_telemetry(message: LinkTelemetry) -> None:
             measured = stamp_ns(message.header.stamp)
             self.states[number] = link_state(message, scale, measured, self.steady())
 
-        subscribe_sensor(self.node, LinkTelemetry, f"link_{number}/telemetry", take)
+        subscribe_sensor(self.node, LinkTelemetry, f"link_{number}/telemetry", on_telemetry)
 
     def now(self) -> int:
-        """The node's clock [ns]."""
+        """Return the time of the node's clock [ns]."""
         return int(self.node.get_clock().now().nanoseconds)
 
     def steady(self) -> int:
-        """A clock that nobody sets, or the simulated one [ns]."""
+        """Return the time of a clock that is never set, or the simulated time [ns]."""
         return int(self.clock.now().nanoseconds)
 
     def interruption(self) -> str:
@@ -87,33 +91,33 @@ class LinkTopics:
         Messages received just after that may be old, or seem so.
         """
         now = 1e-9 * self.steady()
-        return self.stall.check(now) or self.steps.check(1e-9 * self.host.ahead, now)
+        return self.stall.check(now) or self.steps.check(1e-9 * self.host.offset, now)
 
     def tick(self) -> None:
-        """Let a motion under way go on."""
+        """Continue the current motion."""
         self.interruption()
         self.wake()
 
     def wake(self) -> None:
-        """Have a motion see at once that it shall end."""
+        """Resume the current motion at once, so that it checks whether it must end."""
         self.ticked, ticked = Future(), self.ticked
         ticked.set_result(None)
 
     def stop(self) -> None:
-        """End a motion; the links' drivers stop by themselves."""
+        """End the current motion; the links' drivers stop by themselves."""
         self.arbiter.stop()
         self.wake()
 
-    def troubles(
+    def problems(
         self, numbers: Iterable[int] | None = None, referenced: bool = True
     ) -> dict[int, str]:
-        """What keeps links from moving, if anything does, all of them or these: one trouble."""
-        wanted = self.numbers if numbers is None else sorted(numbers)
+        """Return the links that cannot move, of all or of these, with the most basic problem."""
+        chosen = self.numbers if numbers is None else sorted(numbers)
         oldest = self.steady() - self.settings.time_to_live * SECOND
         silent = {
-            i: "silent" for i in wanted if i not in self.states or self.states[i].heard < oldest
+            i: "silent" for i in chosen if i not in self.states or self.states[i].received < oldest
         }
-        states = {i: self.states[i] for i in wanted if not silent}
+        states = {i: self.states[i] for i in chosen if not silent}
         lost = {i: "not referenced" for i, s in states.items() if not s.referenced}
         return (
             silent
@@ -123,47 +127,48 @@ class LinkTopics:
 
     def check(self, motion: Motion | None = None) -> None:
         """Raise MotionError if the arm cannot move, or `motion` shall end."""
-        if why := self.interruption() or (motion.ended if motion else ""):
+        if why := self.interruption() or (motion.end_reason if motion else ""):
             raise MotionError(why)
-        if troubles := self.troubles():
-            raise MotionError(in_words(troubles))
+        if problems := self.problems():
+            raise MotionError(describe_problems(problems))
 
     def q(self) -> tuple[float, ...]:
-        """Present readings (n) [rad]; () while a link has never been heard."""
-        heard = len(self.states) == self.arm.n
-        return tuple(self.states[i].q for i in self.numbers if heard)
+        """Return the present readings (n) [rad]; empty until all links have sent telemetry."""
+        received = len(self.states) == self.arm.n
+        return tuple(self.states[i].q for i in self.numbers if received)
 
     def send(
         self,
         messages: Mapping[int, LinkCommand],
-        given: int,
+        start: int,
         motion: Motion,
-        lives: float | None = None,
+        time_to_live: float | None = None,
     ) -> None:
-        """Send links commands of a motion, unless it shall end.
+        """Send the commands of a motion to the links, unless the motion must end.
 
         Args:
             messages: by link; stamp and time to live are filled in.
-            given: when, from which on they live [ns].
-            motion: whose they are.
-            lives: how long [s]; time_to_live by default.
+            start: stamp of the commands, the start of their time to live [ns].
+            motion: that the commands belong to.
+            time_to_live: of the commands [s]; time_to_live by default.
         """
-        stamp = to_time(given)
+        stamp = to_time(start)
+        lifetime = self.settings.time_to_live if time_to_live is None else time_to_live
         with self.arbiter.lock:
-            for i, message in messages.items() if not motion.ended else ():
+            for i, message in messages.items() if not motion.end_reason else ():
                 message.header.stamp = stamp
-                message.time_to_live = self.settings.time_to_live if lives is None else lives
+                message.time_to_live = lifetime
                 self.commands[i](message)
 
-    def rest(self, motion: Motion, numbers: Iterable[int] | None = None) -> None:
-        """Have links come to rest by a motion, unless it shall end: all of them, or these."""
-        wanted = self.numbers if numbers is None else numbers
-        rest = {i: LinkCommand(mode=LinkCommand.VELOCITY) for i in wanted}
-        self.send(rest, self.now(), motion)
+    def stop_joints(self, motion: Motion, numbers: Iterable[int] | None = None) -> None:
+        """Command all links, or these, to decelerate to rest, unless the motion must end."""
+        chosen = self.numbers if numbers is None else numbers
+        commands = {i: LinkCommand(mode=LinkCommand.VELOCITY) for i in chosen}
+        self.send(commands, self.now(), motion)
 
-    def give_path(self, trajectory: Trajectory) -> dict[int, LinkCommand]:
-        """Give each link its part of a trajectory; return the commands that make it follow."""
-        self.path = following([self.path, *(s.path for s in self.states.values())])
+    def publish_path(self, trajectory: Trajectory) -> dict[int, LinkCommand]:
+        """Publish each link's path of a trajectory; return the commands to follow it."""
+        self.path = next_path_number([self.path, *(s.path for s in self.states.values())])
         for i, publisher in self.paths.items():
             message = LinkPath(
                 path=self.path,
@@ -176,18 +181,18 @@ class LinkTopics:
         return {i: LinkCommand(mode=LinkCommand.PATH, path=self.path) for i in self.numbers}
 
 
-def in_words(troubles: Mapping[int, str]) -> str:
-    """The trouble that links have, the same for all, and what helps against it."""
-    trouble = next(iter(troubles.values()))
-    those = ", ".join(map(str, troubles))
-    they = f"link {those} is" if len(troubles) == 1 else f"links {those} are"
-    return f"{they} {trouble}{HELP.get(trouble, '')}"
+def describe_problems(problems: Mapping[int, str]) -> str:
+    """Return the common problem of these links as text, with its remedy."""
+    problem = next(iter(problems.values()))
+    numbers = ", ".join(map(str, problems))
+    links_are = f"link {numbers} is" if len(problems) == 1 else f"links {numbers} are"
+    return f"{links_are} {problem}{REMEDIES.get(problem, '')}"
 
 
-def following(numbers: Iterable[int]) -> int:
-    """The number for a path after all of these, which count modulo 65536 without 0."""
+def next_path_number(numbers: Iterable[int]) -> int:
+    """Return the next path number after all of these, which count modulo 65536 without 0."""
     newest = 0
     for number in numbers:
         if not newest or 0 < (number - newest) % 65_536 < 32_768:
             newest = number or newest
-    return newest % LAST_PATH + 1
+    return newest % MAX_PATH_NUMBER + 1

@@ -20,7 +20,7 @@ from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.validation import subscribe
 
-ASKING = "arm/move/_action/get_result"  # service that the clients of the action use
+RESULT_SERVICE = "arm/move/_action/get_result"  # service that the clients of the action use
 
 
 class MoveAction:
@@ -28,8 +28,8 @@ class MoveAction:
 
     def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
         self.links, self.guard, node = links, guard, links.node
-        self.moving = b""  # id of the goal
-        self.ended = ""  # why the last move ended, if its goal was not reached
+        self.goal_id = b""  # id of the goal
+        self.last_reason = ""  # why the last move ended, if its goal was not reached
         self.client = GoalClient(0.0, 0.0)
         subscribe(node, UUID, "arm/move/alive", self.on_alive, 10)
         self.server = ActionServer(
@@ -44,8 +44,8 @@ class MoveAction:
 
     def on_alive(self, goal: UUID) -> None:
         """Note that the client of a move is alive."""
-        if goal.uuid.tobytes() == self.moving:
-            self.client.heard = time.monotonic()
+        if goal.uuid.tobytes() == self.goal_id:
+            self.client.last_alive = time.monotonic()
 
     def on_goal(self, goal: MoveArm.Goal) -> GoalResponse:
         """Reject an invalid goal; the reason is logged, because the response cannot contain it."""
@@ -65,7 +65,7 @@ class MoveAction:
         """Execute `arm/move`."""
         message = ""
         try:
-            await self.begin(handle)
+            await self.execute(handle)
         except (MotionError, GuardError) as error:
             message = str(error)
         if not message:
@@ -73,13 +73,13 @@ class MoveAction:
         elif handle.is_cancel_requested:
             handle.canceled()
         else:
-            if message != self.ended:  # a waiting client repeats its goal
+            if message != self.last_reason:  # a waiting client repeats its goal
                 self.links.node.get_logger().warning(f"move ended: {message}")
             handle.abort()
-        self.ended = message
+        self.last_reason = message
         return MoveArm.Result(reached=not message, message=message, q=self.links.q())
 
-    async def begin(self, handle: ServerGoalHandle) -> None:
+    async def execute(self, handle: ServerGoalHandle) -> None:
         """Plan and execute a move until its goal is reached.
 
         Raises:
@@ -87,35 +87,36 @@ class MoveAction:
             GuardError: bodies would come too close.
         """
         links, request = self.links, handle.request
-        if other := links.arbiter.holder(links.now()):
-            raise MotionError(f"{other} is under way")
+        if other := links.arbiter.current_name(links.now()):
+            raise MotionError(f"{other} is in progress")
         links.check()
         move = plan(links.arm, links.q(), tuple(request.q), request.duration)
         if 0.0 < request.duration < move.duration:
             words = f"its limits do not allow {request.duration:g} s"
             links.node.get_logger().info(f"a move takes {move.duration:.2f} s: {words}")
         self.guard.check_move(links.states, move.profiles)
-        motion = links.arbiter.take("a move", links.now())
-        self.moving = handle.goal_id.uuid.tobytes()
+        motion = links.arbiter.start("a move", links.now())
+        self.goal_id = handle.goal_id.uuid.tobytes()
         self.client = GoalClient(request.keep_alive, time.monotonic())
         try:
-            await self.go(handle, move, motion)
+            await self.repeat_commands(handle, move, motion)
         except (MotionError, GuardError):
-            links.rest(motion)
+            links.stop_joints(motion)
             raise
         finally:
-            links.arbiter.leave(motion)
-            self.moving = b""
+            links.arbiter.finish(motion)
+            self.goal_id = b""
 
-    async def go(self, handle: ServerGoalHandle, move: Move, motion: Motion) -> None:
-        """Repeat the commands until all joints are there."""
-        links, begun = self.links, self.links.now()
-        given, motion.plan = begun, lambda at: move.at((at - begun) / SECOND)
+    async def repeat_commands(self, handle: ServerGoalHandle, move: Move, motion: Motion) -> None:
+        """Repeat the commands until all joints have arrived."""
+        links, start = self.links, self.links.now()
+        given, motion.plan = start, lambda at: move.at((at - start) / SECOND)
         longest = move.duration + links.settings.max_overrun
-        while not self.reached(move):
-            elapsed = (links.now() - begun) / SECOND
+        while not self.is_reached(move):
+            elapsed = (links.now() - start) / SECOND
             if elapsed > longest:
-                raise MotionError(f"not reached within {elapsed:.1f} s, {self.farthest(move)}")
+                worst = self.describe_farthest(move)
+                raise MotionError(f"goal not reached within {elapsed:.1f} s: {worst}")
             links.send({i: position(p) for i, p in enumerate(move.profiles, 1)}, given, motion)
             remaining = max(0.0, move.duration - elapsed)
             handle.publish_feedback(MoveArm.Feedback(q=links.q(), remaining=remaining))
@@ -129,11 +130,11 @@ class MoveAction:
         if handle.is_cancel_requested:
             raise MotionError("cancelled")
         self.links.check(motion)
-        seen = bool(self.links.node.count_clients(ASKING))
-        if gone := self.client.gone(time.monotonic(), seen):
-            raise MotionError(gone)
+        connected = bool(self.links.node.count_clients(RESULT_SERVICE))
+        if reason := self.client.lost_reason(time.monotonic(), connected):
+            raise MotionError(reason)
 
-    def reached(self, move: Move) -> bool:
+    def is_reached(self, move: Move) -> bool:
         """Return True if all joints are at their goals and at rest."""
         s = self.links.settings
         return all(
@@ -142,7 +143,7 @@ class MoveAction:
             for i, part in enumerate(move.profiles, 1)
         )
 
-    def farthest(self, move: Move) -> str:
+    def describe_farthest(self, move: Move) -> str:
         """Describe the joint that is farthest from its goal."""
         off = [abs(q - p.target) for q, p in zip(self.links.q(), move.profiles, strict=True)]
         return f"joint {off.index(max(off)) + 1} is off by {degrees(max(off)):.2f} deg"

@@ -36,7 +36,7 @@ class Code(IntEnum):
 
 
 class TrajectoryError(ValueError):
-    """A trajectory that is refused, or ended before its goal: a code, and the reason."""
+    """Error of a trajectory that is rejected, or ends before its goal: a code, and the reason."""
 
     def __init__(self, code: Code, words: str) -> None:
         super().__init__(words)
@@ -53,20 +53,20 @@ class Request:
     qd: Floats  # (m, n) [rad/s], NaN where it was not given
 
 
-def requested(arm: Arm, message: Any) -> Request:
+def parse_request(arm: Arm, message: Any) -> Request:
     """Read a trajectory_msgs/JointTrajectory.
 
     Raises:
         TrajectoryError: it is malformed, as joint_trajectory_controller defines it, or too large.
     """
     joints = [f"joint_{i}" for i in range(1, arm.n + 1)]
-    order = _order(message.joint_names, joints)
+    order = _joint_order(message.joint_names, joints)
     points = message.points
     if not 1 <= len(points) <= MAX_POINTS:
         raise _invalid("points", f"{len(points)} elements", f"1 to {MAX_POINTS}", "has")
     stamp = message.header.stamp
     if stamp.sec < 0 or stamp.nanosec >= SECOND:
-        raise _invalid("header.stamp", _shown(stamp), "a time from 1970 on")
+        raise _invalid("header.stamp", _format_time(stamp), "a time from 1970 on")
     times = _times(points)
     q, qd = _rows(points, "positions", order), _rows(points, "velocities", order, optional=True)
     _rows(points, "accelerations", order, optional=True)  # a cubic has its own
@@ -93,7 +93,7 @@ def check_goal(message: Any) -> None:
             raise _invalid(field, f"{len(values)} elements", "none", "has")
 
 
-def _order(names: Sequence[str], joints: list[str]) -> list[int]:
+def _joint_order(names: Sequence[str], joints: list[str]) -> list[int]:
     """Return the index of each joint in `names`, which must hold each once."""
     expected = f"each of {', '.join(joints)} once"
     if unknown := [name for name in names[: len(joints)] if name not in joints]:
@@ -109,18 +109,18 @@ def _times(points: Sequence[Any]) -> Floats:
     for k, time in enumerate(given):
         if time.nanosec >= SECOND or not 0 <= time.sec + time.nanosec / SECOND <= MAX_DURATION:
             what = f"time_from_start of point {k}"
-            raise _invalid(what, _shown(time), f"0 to {MAX_DURATION:.0f} s")
+            raise _invalid(what, _format_time(time), f"0 to {MAX_DURATION:.0f} s")
     times = np.array([time.sec * SECOND + time.nanosec for time in given]) / SECOND
     if late := np.flatnonzero(np.diff(times) <= 0.0).tolist():
         k = late[0] + 1
         raise _invalid(
-            f"time_from_start of point {k}", _shown(given[k]),
-            f"more than the {_shown(given[k - 1])} of the point before",
+            f"time_from_start of point {k}", _format_time(given[k]),
+            f"more than the {_format_time(given[k - 1])} of the point before",
         )  # fmt: skip
     return times
 
 
-def _shown(time: Any) -> str:
+def _format_time(time: Any) -> str:
     return f"{time.sec} s and {time.nanosec} ns" if time.nanosec else f"{time.sec} s"
 
 

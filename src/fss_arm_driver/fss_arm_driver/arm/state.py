@@ -16,7 +16,7 @@ SECOND = 1_000_000_000  # [ns]
 class LinkState:
     """Last report of one link."""
 
-    heard: int  # in a clock that is never set [ns]
+    received: int  # time of reception, in a clock that is never set [ns]
     measured: int  # in the time of day [ns]
     q: float  # [rad]
     qd: float  # [rad/s]
@@ -28,12 +28,12 @@ class LinkState:
     path: int  # number of the newest path that it holds; 0: none
 
 
-def link_state(message: Any, scale: Scale, measured: int, heard: int) -> LinkState:
+def link_state(message: Any, scale: Scale, measured: int, received: int) -> LinkState:
     """Convert a LinkTelemetry to SI units."""
     flags = message.flags
     known = message.torque_age < NO_TORQUE
     return LinkState(
-        heard,
+        received,
         measured,
         scale.position(message.position),
         scale.velocity(message.velocity),
@@ -54,24 +54,24 @@ class Joints(NamedTuple):
     effort: list[float]  # [N m]
 
 
-def together(links: Mapping[int, LinkState], n: int, at: int, most: float) -> Joints | str:
+def extrapolate(links: Mapping[int, LinkState], n: int, at: int, max_age: float) -> Joints | str:
     """Extrapolate all joints to a time by their rates, or return why that is not possible.
 
     Args:
         links: last reports by number; links without a report are missing.
         n: number of links.
         at: the time [ns].
-        most: longest extrapolation [s].
+        max_age: longest extrapolation [s].
     """
     q, qd, effort = [], [], []
     for i in range(1, n + 1):
         link = links.get(i)
         if link is None:
-            return f"link {i} is not heard yet"
+            return f"link {i} has sent no telemetry yet"
         if not link.referenced:
             return f"link {i} is not referenced"
-        if (age := (at - link.measured) / SECOND) > most:
-            return f"link {i} was measured {age:.2f} s ago, at most {most:g} s"
+        if (age := (at - link.measured) / SECOND) > max_age:
+            return f"link {i} was measured {age:.2f} s ago, at most {max_age:g} s"
         q.append(link.q + link.qd * age)
         qd.append(link.qd)
         effort.append(link.effort)

@@ -13,7 +13,7 @@ from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_driver.arm.link_topics import LinkTopics
-from fss_arm_driver.arm.state import Joints, together
+from fss_arm_driver.arm.state import Joints, extrapolate
 from fss_arm_model.urdf import Frame, frames, urdf
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
@@ -26,10 +26,10 @@ CALIBRATIONS = (
     ("calibration/dynamic", DynamicCalibration),
 )
 
-STEP, PLANNED = 100_000_000, 6  # interval [ns] and number of the points of arm/planned
+PLAN_STEP, PLAN_POINTS = 100_000_000, 6  # interval [ns] and number of the points of arm/planned
 
 
-PORTION = 0.005  # of propellant; the description is updated for each one used [kg]
+PROPELLANT_STEP = 0.005  # of propellant; the description is updated for each one used [kg]
 
 
 class StateTopics:
@@ -39,7 +39,7 @@ class StateTopics:
         self.links, node, s = links, links.node, links.settings
         self.calibrated = Calibrated(links.arm)
         self.used = 0.0  # propellant that the base has used [kg]
-        self.withheld = ""  # why there are no joint states, in words
+        self.withheld_reason = ""  # why there are no joint states, in words
         self.joint_states = node.create_publisher(JointState, "arm/joint_states", SENSOR)
         self.planned = node.create_publisher(JointTrajectory, "arm/planned", SENSOR)
         self.description = node.create_publisher(String, "robot_description", LATCHED)
@@ -51,7 +51,7 @@ class StateTopics:
             subscribe(node, kind, topic, partial(self.on_calibration, topic), LATCHED)
         subscribe_sensor(node, Float64, "base/propellant", self.on_propellant)
         node.create_timer(1.0 / s.state_rate, self.publish, clock=links.clock)
-        self.describe()
+        self.publish_description()
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Update the description from a valid calibration."""
@@ -62,16 +62,16 @@ class StateTopics:
             return
         if found.arm != self.calibrated.arm:
             self.calibrated = found
-            self.describe()
+            self.publish_description()
 
     def on_propellant(self, message: Float64) -> None:
         """Update the base's mass in the description from the remaining propellant."""
         used = self.links.settings.full_tank - message.data
-        if abs(used - self.used) >= PORTION and used < self.calibrated.arm.base.mass:
+        if abs(used - self.used) >= PROPELLANT_STEP and used < self.calibrated.arm.base.mass:
             self.used = used
-            self.describe()
+            self.publish_description()
 
-    def describe(self) -> None:
+    def publish_description(self) -> None:
         """Publish the description and its fixed transforms."""
         base = self.calibrated.arm.base
         arm = replace(self.calibrated.arm, base=replace(base, mass=base.mass - self.used))
@@ -86,18 +86,18 @@ class StateTopics:
     def publish(self) -> None:
         """Publish all joints at the present time, and the links' transforms."""
         links, now = self.links, self.links.now()
-        joints = together(links.states, links.arm.n, now, links.settings.max_extrapolation)
+        joints = extrapolate(links.states, links.arm.n, now, links.settings.max_extrapolation)
         if isinstance(joints, str):
-            self.withheld = joints
+            self.withheld_reason = joints
             return
-        self.withheld = ""
+        self.withheld_reason = ""
         message = JointState(
             name=[f"joint_{i}" for i in links.numbers],
             position=joints.q, velocity=joints.qd, effort=joints.effort,
         )  # fmt: skip
         message.header.stamp = to_time(now)
         self.joint_states.publish(message)
-        self.planned.publish(self.ahead(joints, now))
+        self.planned.publish(self.planned_motion(joints, now))
         if self.tf:
             moving = [self.transform(f, joints.q[f.joint - 1], now) for f in self.frames if f.joint]
             self.tf.publish(TFMessage(transforms=moving))
@@ -112,14 +112,14 @@ class StateTopics:
         message.transform.rotation.z, message.transform.rotation.w = sin(half), cos(half)
         return message
 
-    def ahead(self, joints: Joints, now: int) -> JointTrajectory:
+    def planned_motion(self, joints: Joints, now: int) -> JointTrajectory:
         """Return the joints' planned motion from now on; without a plan, the present state."""
         message = JointTrajectory(joint_names=[f"joint_{i}" for i in self.links.numbers])
         message.header.stamp = to_time(now)
-        plan = self.links.arbiter.planned(now)
-        for k in range(PLANNED if plan else 1):
-            q, qd = plan(now + k * STEP) if plan else (joints.q, joints.qd)
-            since = Duration(nanoseconds=k * STEP).to_msg()
+        plan = self.links.arbiter.current_plan(now)
+        for k in range(PLAN_POINTS if plan else 1):
+            q, qd = plan(now + k * PLAN_STEP) if plan else (joints.q, joints.qd)
+            since = Duration(nanoseconds=k * PLAN_STEP).to_msg()
             message.points.append(
                 JointTrajectoryPoint(positions=list(q), velocities=list(qd), time_from_start=since)
             )

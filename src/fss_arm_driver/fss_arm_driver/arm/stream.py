@@ -1,7 +1,7 @@
-"""A stream of commands: a JointState each, that some or all joints shall follow at once.
+"""Stream of joint commands: each JointState takes effect at once, for some or all joints.
 
-Exactly one of position, velocity and effort is filled, for the joints in `name`; an effort is a
-current through the joint's torque constant. A message that is not understood whole moves nothing.
+Exactly one of position, velocity and effort is filled, for the joints in `name`; an effort is
+converted to a current by the joint's torque constant. An invalid message moves no joint.
 """
 
 from collections import Counter
@@ -14,12 +14,12 @@ from fss_arm_driver.protocol import Mode
 from fss_arm_model.description import Arm
 
 SECOND = 1_000_000_000  # [ns]
-AHEAD = SECOND // 10  # that a stamp may be in the future, as computers' clocks differ [ns]
+MAX_LEAD = SECOND // 10  # largest lead of a stamp, as computers' clocks differ [ns]
 FIELDS = {"position": Mode.POSITION, "velocity": Mode.VELOCITY, "effort": Mode.CURRENT}
 
 
 class StreamError(ValueError):
-    """A message that was refused: of which kind the reason is, and the reason."""
+    """Error of a rejected message: the kind of the reason, and the reason."""
 
     def __init__(self, kind: str, words: str) -> None:
         super().__init__(words)
@@ -27,7 +27,7 @@ class StreamError(ValueError):
 
 
 class SetPoint(NamedTuple):
-    """What one joint shall do."""
+    """Set point of one joint."""
 
     link: int
     mode: Mode
@@ -35,40 +35,40 @@ class SetPoint(NamedTuple):
 
 
 class Stream:
-    """Takes messages, and counts those refused by reason.
+    """Parser of the messages; it counts rejected ones by reason.
 
     Args:
-        arm: whose joints.
+        arm: with the joints.
         time_to_live: of a message after its stamp [s].
     """
 
     def __init__(self, arm: Arm, time_to_live: float) -> None:
         self._arm, self._lives = arm, round(time_to_live * SECOND)
         self._links = {f"joint_{i}": i for i in range(1, arm.n + 1)}
-        self.taken = 0
+        self.accepted = 0
         self.refused: Counter[str] = Counter()
-        self.kind = ""  # of the last message's refusal; empty: it was taken
+        self.kind = ""  # of the last message's refusal; empty: it was accepted
 
-    def given(self, stamp: int, now: int) -> int:
-        """When a message was given, by its stamp and the time [ns]; stamp 0: now.
+    def start_time(self, stamp: int, now: int) -> int:
+        """Return the start of a message's time to live, from its stamp [ns]; stamp 0: now.
 
         Raises:
-            StreamError: it is too old, or from the future.
+            StreamError: the message is too old, or its stamp is in the future.
         """
         given = stamp or now
         if given + self._lives < now:
             raise StreamError("old", f"stamp is {(now - given) / SECOND:.3f} s old, expected less "
                               f"than {self._lives / SECOND:g} s")  # fmt: skip
-        if given > now + AHEAD:
+        if given > now + MAX_LEAD:
             ahead = (given - now) / SECOND
             raise StreamError("future", f"stamp is {ahead:.3f} s in the future, expected the past")
         return min(given, now)
 
-    def read(self, message: Any) -> list[SetPoint]:
-        """What a message asks for.
+    def parse(self, message: Any) -> list[SetPoint]:
+        """Return the set points in a message.
 
         Raises:
-            StreamError: it is not understood, or beyond the joints' limits.
+            StreamError: it is invalid, or beyond the joints' limits.
         """
         filled = [name for name in FIELDS if len(getattr(message, name))]
         if len(filled) != 1:
@@ -101,12 +101,12 @@ class Stream:
                 value /= link.drive.torque_constant
             yield SetPoint(i, FIELDS[kind], value)
 
-    def accept(self) -> None:
-        """Count a message that was taken."""
-        self.taken, self.kind = self.taken + 1, ""
+    def count_accepted(self) -> None:
+        """Count an accepted message."""
+        self.accepted, self.kind = self.accepted + 1, ""
 
-    def refuse(self, error: StreamError) -> bool:
-        """Count a message that was not taken; whether the last one was not for the same reason."""
+    def count_refusal(self, error: StreamError) -> bool:
+        """Count a rejected message; return True if the reason differs from the last one's."""
         self.refused[error.kind] += 1
         self.kind, before = error.kind, self.kind
         return before != error.kind

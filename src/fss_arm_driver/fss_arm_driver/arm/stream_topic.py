@@ -5,7 +5,7 @@ from sensor_msgs.msg import JointState
 
 from fss_arm_driver.arm.arbiter import Motion, Plan
 from fss_arm_driver.arm.guard_topics import GuardTopics
-from fss_arm_driver.arm.link_topics import LinkTopics, in_words
+from fss_arm_driver.arm.link_topics import LinkTopics, describe_problems
 from fss_arm_driver.arm.stream import SetPoint, Stream, StreamError
 from fss_arm_driver.protocol import Mode
 from fss_arm_model.guard.guard import GuardError
@@ -15,7 +15,7 @@ from fss_arm_ros.subscriptions import SubscriptionThread, Topic
 
 TOPIC = "arm/joint_commands"
 #: Matches any publisher; keeps only the newest message and does not resend a lost one.
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+NEWEST_ONLY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class StreamTopic:
@@ -27,7 +27,7 @@ class StreamTopic:
         self.stream = Stream(links.arm, self.lives)
         self.motion: Motion | None = None
         self.commands = {i: LinkCommand() for i in links.numbers}  # reused, as creation is slow
-        topic = Topic(JointState, TOPIC, NEWEST, self.on_command)
+        topic = Topic(JointState, TOPIC, NEWEST_ONLY, self.on_command)
         self.thread = SubscriptionThread(links.node, [topic])
         self.close = self.thread.close
 
@@ -35,19 +35,19 @@ class StreamTopic:
         """Pass a message on, or refuse it; repeated refusals for one reason are logged once."""
         now = self.links.now()
         try:
-            given = self.stream.given(stamp_ns(message.header.stamp), now)
-            points = self.stream.read(message)
+            given = self.stream.start_time(stamp_ns(message.header.stamp), now)
+            points = self.stream.parse(message)
             self.check(points)
         except StreamError as error:
-            if self.stream.refuse(error):
+            if self.stream.count_refusal(error):
                 self.links.node.get_logger().warning(f"{TOPIC} refused: {error}")
             return
-        self.stream.accept()
+        self.stream.count_accepted()
         for i, mode, value in points:
             self.commands[i].mode, self.commands[i].set_point = int(mode), value
         commands = {point.link: self.commands[point.link] for point in points}
         with self.links.arbiter.lock:
-            motion = self.take_turn(points, given, now)
+            motion = self.start_or_extend(points, given, now)
             motion.plan = self.plan(points)
             self.links.send(commands, given, motion, self.lives)
 
@@ -56,8 +56,8 @@ class StreamTopic:
         if why := self.links.interruption():
             raise StreamError("links", why)
         referenced = any(point.mode == Mode.POSITION for point in points)
-        if troubles := self.links.troubles([p.link for p in points], referenced):
-            raise StreamError("links", in_words(troubles))
+        if problems := self.links.problems([p.link for p in points], referenced):
+            raise StreamError("links", describe_problems(problems))
         try:
             self.guard.check_stream(self.links.states, points)
         except GuardError as error:
@@ -73,22 +73,22 @@ class StreamTopic:
         rates = dict.fromkeys(self.links.numbers, 0.0) | {p.link: p.value for p in points}
 
         def at(t: int) -> tuple[list[float], list[float]]:
-            heard = [(self.links.states[i], rate) for i, rate in rates.items()]
-            q = [one.q + (t - one.measured) / SECOND * rate for one, rate in heard]
+            states = [(self.links.states[i], rate) for i, rate in rates.items()]
+            q = [state.q + (t - state.measured) / SECOND * rate for state, rate in states]
             return q, list(rates.values())
 
         return at
 
-    def take_turn(self, points: list[SetPoint], given: int, now: int) -> Motion:
+    def start_or_extend(self, points: list[SetPoint], given: int, now: int) -> Motion:
         """Extend the stream, or start one: it preempts the motion, and all other joints rest."""
         arbiter, until = self.links.arbiter, given + round(self.lives * SECOND)
-        if self.motion and arbiter.has(self.motion, now):
-            self.motion.until = until
+        if self.motion and arbiter.is_current(self.motion, now):
+            self.motion.expiry = until
             return self.motion
-        moved = bool(arbiter.holder(now))
-        self.motion = arbiter.take(TOPIC, now, until)
+        moved = bool(arbiter.current_name(now))
+        self.motion = arbiter.start(TOPIC, now, until)
         if moved:
             self.links.wake()
             others = set(self.links.numbers) - {point.link for point in points}
-            self.links.rest(self.motion, others)
+            self.links.stop_joints(self.motion, others)
         return self.motion

@@ -1,4 +1,4 @@
-"""Tolerances of joints on the way and at the end of a trajectory."""
+"""Tolerances of joints along a trajectory and at its goal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,19 +8,19 @@ from typing import Any
 from fss_arm_driver.arm.request import MAX_MAGNITUDE, SECOND, Code, TrajectoryError
 from fss_arm_driver.move import MAX_DURATION
 
-ERASED = -1.0  # as a tolerance in a goal: none
+NO_TOLERANCE = -1.0  # as a tolerance in a goal: none
 MIN_TOLERANCE = 1e-6  # positive tolerance; an encoder resolves 2.6e-5 rad
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Of one joint; 0: none."""
+    """Tolerance of one joint; 0: none."""
 
     position: float = 0.0  # [rad]
     velocity: float = 0.0  # [rad/s]
 
-    def violated(self, error: float, rate: float) -> str:
-        """What errors of position [rad] and rate [rad/s] exceed, in words."""
+    def violation(self, error: float, rate: float) -> str:
+        """Return which tolerance the errors of position [rad] and rate [rad/s] exceed, as text."""
         if 0.0 < self.position < abs(error):
             return f"is off by {abs(error):.4f} rad, at most {self.position:g}"
         if 0.0 < self.velocity < abs(rate):
@@ -30,13 +30,13 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Of all joints, (n) each, and the time to reach the goal after the end [s]; 0: any."""
+    """Tolerances of all joints (n), and the time to reach the goal after the end [s]; 0: any."""
 
     path: tuple[Tolerance, ...]
     goal: tuple[Tolerance, ...]
     goal_time: float
 
-    def of_goal(self, goal: Any) -> "Tolerances":
+    def with_goal(self, goal: Any) -> "Tolerances":
         """Return these, with the values that a FollowJointTrajectory goal gives instead.
 
         Raises:
@@ -81,7 +81,7 @@ def _chosen(
     value: float, default: float, what: str, unit: str, greatest: float = MAX_MAGNITUDE
 ) -> float:
     """Return a goal's value; 0 means the default, -1 none."""
-    if value == ERASED:
+    if value == NO_TOLERANCE:
         return 0.0
     if value and not MIN_TOLERANCE <= value <= greatest:
         words = f"expected -1, 0, or {MIN_TOLERANCE:g} to {greatest:g}"

@@ -1,4 +1,4 @@
-"""A trajectory in time as the links follow it: cubic between knots."""
+"""Trajectory of all joints, as the links follow it: cubic between knots."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from fss_arm_driver.arm.request import SECOND, Code, Floats, Request, Trajectory
 from fss_arm_model.description import Arm
 
 MIN_SEGMENT, MAX_SEGMENT = 0.002, 59.0  # between knots, as a LinkPath has them [s]
-MAX_AHEAD = 119.0  # that a path may begin, of the 120 s that a link allows [s]
-REACH = 0.25  # a link begins a path no further away than its drive covers in this time [s]
-OVERSHOOT = 1.1  # of the drive's velocity: a cubic through points that keep it may exceed it a bit
+MAX_AHEAD = 119.0  # largest time until a path starts; a link allows 120 s [s]
+START_REACH_TIME = 0.25  # a path starts within the distance that the drive covers in this time [s]
+OVERSHOOT = 1.1  # factor on the drive's velocity, which a cubic may exceed slightly between points
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A path in time of all joints."""
+    """Timed path of all joints."""
 
     begin: int  # [ns]
     times: Floats  # (m,) ascending from 0 [s]
@@ -26,11 +26,11 @@ class Trajectory:
 
     @property
     def end(self) -> int:
-        """When its last knot is reached [ns]."""
+        """Time of the last knot [ns]."""
         return self.begin + round(self.times[-1] * SECOND)
 
     def at(self, time: int) -> tuple[Floats, Floats]:
-        """Positions [rad] and rates [rad/s] at a time [ns], at rest before and after it."""
+        """Return positions [rad] and rates [rad/s] at a time [ns]; outside the path, at rest."""
         if not self.begin <= time < self.end:
             k = 0 if time < self.begin else -1
             return self.q[k], np.zeros_like(self.q[k])
@@ -43,36 +43,36 @@ class Trajectory:
 
 
 def check_time(request: Request, earliest: int) -> None:
-    """Raise TrajectoryError if a request ends before its path could begin [ns], or begins late."""
+    """Raise TrajectoryError if a request ends before `earliest` [ns], or starts too late."""
     if (ahead := (request.stamp - earliest) / SECOND) > MAX_AHEAD:
-        words = f"begins {ahead:.1f} s ahead, expected at most {MAX_AHEAD:.0f}"
+        words = f"starts {ahead:.1f} s ahead, expected at most {MAX_AHEAD:.0f}"
         raise TrajectoryError(Code.INVALID_GOAL, f"the trajectory {words}")
     if request.stamp and request.stamp + round(request.times[-1] * SECOND) <= earliest:
         raise TrajectoryError(Code.OLD_HEADER_TIMESTAMP, "the trajectory ends in the past")
 
 
-def planned(
+def plan_trajectory(
     arm: Arm, request: Request, earliest: int, start: Callable[[int], tuple[Floats, Floats]]
 ) -> Trajectory:
-    """The path through what is still to come of a request, from where the arm will be.
+    """Plan the path through the remaining points of a request, from the arm's state at its start.
 
     Velocities that are not given are those of the cubic spline through the points with continuous
     accelerations, and zero at the end.
 
     Args:
         arm: its limits.
-        request: what was asked for.
-        earliest: when the path can begin [ns].
-        start: q and qd, (n) each, of the arm at a time [ns].
+        request: the requested trajectory.
+        earliest: earliest start of the path [ns].
+        start: returns q and qd, (n) each, of the arm at a time [ns].
 
     Raises:
-        TrajectoryError: it is over, leaves a limit, or begins too far away.
+        TrajectoryError: the request has ended, exceeds a limit, or starts too far away.
     """
     check_time(request, earliest)
     begin = max(request.stamp, earliest)
     times = request.times - ((begin - request.stamp) / SECOND if request.stamp else 0.0)
     q0, qd0 = start(begin)
-    if times[0] == 0.0:  # it says itself where it begins
+    if times[0] == 0.0:  # the request contains the start
         _check_start(arm, request.q[0], q0)
         q, qd = request.q, request.qd.copy()
         qd[0] = np.where(np.isnan(qd[0]), qd0, qd[0])
@@ -87,7 +87,7 @@ def planned(
     if (shortest := np.diff(times).min()) < MIN_SEGMENT - 1e-9:
         words = f"points are {shortest:.9g} s apart, expected at least {MIN_SEGMENT} s"
         raise TrajectoryError(Code.INVALID_GOAL, words)
-    found = _divided(Trajectory(begin, times, q, spline_velocities(times, q, qd)))
+    found = _split_long_segments(Trajectory(begin, times, q, spline_velocities(times, q, qd)))
     _check_limits(arm, found)
     return found
 
@@ -121,12 +121,12 @@ def spline_velocities(times: Floats, q: Floats, qd: Floats) -> Floats:
 
 
 def _coefficients(h: Any, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Of the cubic in s from 0 to 1 over a time h; q and qd begin with its two ends, (2, ...)."""
+    """Return the coefficients of the cubic in s = t / h, with q and qd (2, ...) at its ends."""
     d, v0, v1 = q[1] - q[0], h * qd[0], h * qd[1]
     return q[0], v0, 3.0 * d - 2.0 * v0 - v1, v0 + v1 - 2.0 * d
 
 
-def _divided(path: Trajectory) -> Trajectory:
+def _split_long_segments(path: Trajectory) -> Trajectory:
     """Return the same path with no segment longer than the protocol allows."""
     h = np.diff(path.times)
     parts = np.ceil(h / MAX_SEGMENT).astype(int)  # of each segment
@@ -149,11 +149,11 @@ def _divided(path: Trajectory) -> Trajectory:
 
 def _check_start(arm: Arm, first: Floats, here: Floats) -> None:
     for i, link in enumerate(arm.links):
-        reach = REACH * link.drive.max_velocity
+        reach = START_REACH_TIME * link.drive.max_velocity
         if (way := abs(first[i] - here[i])) > reach:
             raise TrajectoryError(
                 Code.INVALID_GOAL,
-                f"joint_{i + 1} begins {way:.4f} rad from where it is, expected at most "
+                f"joint_{i + 1} starts {way:.4f} rad from its present position, expected at most "
                 f"{reach:.4g} (or a later first point)",
             )
 

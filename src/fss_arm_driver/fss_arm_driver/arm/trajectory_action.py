@@ -1,4 +1,4 @@
-"""The action and the topic of a joint trajectory controller, by the name `arm_controller`."""
+"""Action and topic of a joint trajectory controller, named `arm_controller`."""
 
 import time
 from collections.abc import Callable
@@ -14,7 +14,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from unique_identifier_msgs.msg import UUID
 
 from fss_arm_driver.arm.arbiter import Motion
-from fss_arm_driver.arm.following import Following, Progress
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
 from fss_arm_driver.arm.request import (
@@ -23,10 +22,11 @@ from fss_arm_driver.arm.request import (
     Request,
     TrajectoryError,
     check_goal,
-    requested,
+    parse_request,
 )
 from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
-from fss_arm_driver.arm.trajectory import Trajectory, check_time, planned
+from fss_arm_driver.arm.trajectory import Trajectory, check_time, plan_trajectory
+from fss_arm_driver.arm.trajectory_monitor import Progress, TrajectoryMonitor
 from fss_arm_driver.liveness import GoalClient
 from fss_arm_model.guard.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
@@ -36,12 +36,14 @@ from fss_arm_ros.validation import subscribe
 
 CONTROLLER = "arm_controller"
 CANCELLED = "cancelled"
-ASKING = f"{CONTROLLER}/follow_joint_trajectory/_action/get_result"  # whose client who asks is
-KEEP_ALIVE = 1.0  # silence of who has once said that it is alive [s]
+RESULT_SERVICE = (
+    f"{CONTROLLER}/follow_joint_trajectory/_action/get_result"  # its clients await results
+)
+KEEP_ALIVE = 1.0  # timeout of a client that has sent a keep-alive [s]
 
 
 class TrajectoryAction:
-    """Has the links follow trajectories, the newest in the place of the one before."""
+    """Server that makes the links follow trajectories; a new one replaces the current one."""
 
     def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
         self.links, self.guard, node, s = links, guard, links.node, links.settings
@@ -50,7 +52,7 @@ class TrajectoryAction:
         self.tolerances = Tolerances((Tolerance(s.path_tolerance),) * n, (goal,) * n, s.max_overrun)
         self.motion: Motion | None = None
         self.trajectory: Trajectory | None = None  # of that motion
-        self.goal, self.client = b"", GoalClient(0.0, 0.0)  # the goal's id, and who asked for it
+        self.goal, self.client = b"", GoalClient(0.0, 0.0)  # the goal's id, and its client
         subscribe(node, UUID, f"{CONTROLLER}/alive", self.on_alive, 10)
         self.received: tuple[Request, Tolerances] | None = None  # the last goal received
         self.accepted: dict[bytes, tuple[Request, Tolerances]] = {}  # goals to execute, by id
@@ -74,15 +76,15 @@ class TrajectoryAction:
 
     @property
     def earliest(self) -> int:
-        """When a path that is given now can begin [ns]."""
+        """Earliest start of a path that is sent now [ns]."""
         return self.links.now() + round(self.links.settings.lead * SECOND)
 
     def on_goal(self, goal: FollowJointTrajectory.Goal) -> GoalResponse:
         """Reject a malformed or oversized goal; the reason is logged, as the answer has none."""
         try:
             check_goal(goal)
-            tolerances = self.tolerances.of_goal(goal)
-            request = requested(self.links.arm, goal.trajectory)
+            tolerances = self.tolerances.with_goal(goal)
+            request = parse_request(self.links.arm, goal.trajectory)
             check_time(request, self.earliest)
         except TrajectoryError as error:
             self.warn("goal rejected", error)
@@ -98,14 +100,14 @@ class TrajectoryAction:
         handle.execute()
 
     def on_cancel(self, _: Any) -> CancelResponse:
-        """Let a goal end that nobody wants any more."""
+        """Accept that the client cancels a goal."""
         self.links.wake()
         return CancelResponse.ACCEPT
 
     def on_alive(self, goal: UUID) -> None:
-        """Whoever asked for a goal still wants it, and goes on saying so."""
+        """Store a keep-alive of the client; from then on it must keep sending them."""
         if goal.uuid.tobytes() == self.goal:
-            self.client.heard, self.client.keep_alive = time.monotonic(), KEEP_ALIVE
+            self.client.last_alive, self.client.keep_alive = time.monotonic(), KEEP_ALIVE
 
     async def on_execute(self, handle: ServerGoalHandle) -> FollowJointTrajectory.Result:
         """Execute a goal that was accepted."""
@@ -125,13 +127,13 @@ class TrajectoryAction:
     def on_message(self, message: JointTrajectory) -> None:
         """Start a trajectory that has no client."""
         try:
-            request = requested(self.links.arm, message)
+            request = parse_request(self.links.arm, message)
         except TrajectoryError as error:
             self.warn("trajectory rejected", error)
             return
-        self.links.node.executor.create_task(self.follow_unasked(request))
+        self.links.node.executor.create_task(self.follow_without_client(request))
 
-    async def follow_unasked(self, request: Request) -> None:
+    async def follow_without_client(self, request: Request) -> None:
         """Follow a trajectory; the log says why it ended, if not by reaching its goal."""
         try:
             await self.follow(request, self.tolerances)
@@ -145,64 +147,66 @@ class TrajectoryAction:
     async def follow(
         self, request: Request, tolerances: Tolerances, handle: ServerGoalHandle | None = None
     ) -> None:
-        """Have the links follow what was asked for until they are there.
+        """Make the links follow a requested trajectory until they reach the goal.
 
         Raises:
-            TrajectoryError: it cannot be begun, or ended before.
+            TrajectoryError: it cannot start, or ended early.
         """
         links = self.links
         try:
             links.check()
-            trajectory = planned(links.arm, request, self.earliest, self.start)
+            trajectory = plan_trajectory(links.arm, request, self.earliest, self.start_state)
             self.guard.check_trajectory(trajectory)
         except (MotionError, GuardError) as error:
             raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
-        motion = self.motion = links.arbiter.take("a trajectory", links.now())
+        motion = self.motion = links.arbiter.start("a trajectory", links.now())
         self.trajectory, motion.plan = trajectory, trajectory.at
         self.goal = handle.goal_id.uuid.tobytes() if handle else b""
         self.client = GoalClient(0.0, time.monotonic())
-        links.wake()  # what it takes the place of ends
+        links.wake()  # the preempted motion ends
         try:
-            await self.keep_on(Following(trajectory, tolerances, self.patience), motion, handle)
+            await self.supervise(
+                TrajectoryMonitor(trajectory, tolerances, self.start_timeout), motion, handle
+            )
         except TrajectoryError:
-            links.rest(motion)
+            links.stop_joints(motion)
             raise
         finally:
-            links.arbiter.leave(motion)
+            links.arbiter.finish(motion)
 
     @property
-    def patience(self) -> float:
-        """Time after its begin in which a link may not have heard of a path [s]."""
+    def start_timeout(self) -> float:
+        """Time after the start of a path within which the links must follow it [s]."""
         return self.links.settings.time_to_live
 
-    async def keep_on(
-        self, following: Following, motion: Motion, handle: ServerGoalHandle | None
+    async def supervise(
+        self, monitor: TrajectoryMonitor, motion: Motion, handle: ServerGoalHandle | None
     ) -> None:
-        """Repeat the commands as long as the links follow, and say where they are."""
+        """Repeat the commands while the links follow, and publish feedback."""
         links = self.links
-        commands = links.give_path(following.trajectory)
+        commands = links.publish_path(monitor.trajectory)
         while True:
             links.send(commands, links.now(), motion)
             await links.ticked
             if handle and handle.is_cancel_requested:
                 raise TrajectoryError(Code.SUCCESSFUL, CANCELLED)
-            seen = bool(links.node.count_clients(ASKING))
-            if handle and (gone := self.client.gone(time.monotonic(), seen)):
-                raise TrajectoryError(Code.INVALID_GOAL, gone)
+            connected = bool(links.node.count_clients(RESULT_SERVICE))
+            if handle and (reason := self.client.lost_reason(time.monotonic(), connected)):
+                raise TrajectoryError(Code.INVALID_GOAL, reason)
             try:
                 links.check(motion)
-                self.guard.check_trajectory(following.trajectory, links.now())
+                self.guard.check_trajectory(monitor.trajectory, links.now())
             except (MotionError, GuardError) as error:
                 raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
             if handle:
-                handle.publish_feedback(self.feedback(following.progress(links.states)))
-            if following.reached(links.states):
+                handle.publish_feedback(self.feedback(monitor.progress(links.states)))
+            if monitor.is_goal_reached(links.states):
                 return
 
-    def start(self, time: int) -> tuple[Floats, Floats]:
-        """Where the arm will be at a time, and how fast: on its trajectory, or at rest."""
+    def start_state(self, time: int) -> tuple[Floats, Floats]:
+        """Return q and qd of the arm at a time: on its trajectory, or after it came to rest."""
         links = self.links
-        if self.trajectory and links.arbiter.has(self.motion, links.now()):
+        if self.trajectory and links.arbiter.is_current(self.motion, links.now()):
             return self.trajectory.at(time)
         states = [links.states[i] for i in links.numbers]
         gains = [link.drive.max_acceleration for link in links.arm.links]
@@ -210,7 +214,7 @@ class TrajectoryAction:
         return np.array(q), np.zeros(links.arm.n)
 
     def feedback(self, progress: Progress) -> FollowJointTrajectory.Feedback:
-        """Where the joints are, as a message."""
+        """Return the progress as a message."""
         since = Duration(seconds=max(0.0, progress.time)).to_msg()
 
         def point(value: Callable[[int], Floats]) -> JointTrajectoryPoint:

@@ -23,9 +23,9 @@ from fss_arm_driver.copley.language import (
     Trajectory,
     Value,
     Variable,
-    get,
+    get_variable,
     parse,
-    put,
+    set_variable,
     trajectory,
 )
 from fss_arm_driver.protocol import Mode
@@ -40,8 +40,15 @@ STATE_VARIABLES = (
     *(Variable.VELOCITY, Variable.CURRENT, Variable.STATUS),
     *(Variable.TRAJECTORY_STATUS, Variable.DESIRED_STATE),
 )
-STATE = put(Variable.DESIRED_STATE, 0).removesuffix(b"0\r")  # start of the commands that set a mode
-SLOW = (Variable.FAULTS, Variable.SUPPLY, Variable.TEMPERATURE, Variable.ABORT_DECELERATION)
+STATE = set_variable(Variable.DESIRED_STATE, 0).removesuffix(
+    b"0\r"
+)  # start of the commands that set a mode
+SLOW_VARIABLES = (
+    Variable.FAULTS,
+    Variable.SUPPLY,
+    Variable.TEMPERATURE,
+    Variable.ABORT_DECELERATION,
+)
 
 
 class Goal(IntEnum):
@@ -93,14 +100,14 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class _Ask:
+class _Query:
     """Line that the drive answers."""
 
     line: bytes
 
 
 @dataclass(frozen=True, slots=True)
-class _Tell:
+class _Send:
     """Line that is not answered, and a pause in which received bytes are discarded [us]."""
 
     line: bytes
@@ -118,7 +125,7 @@ class _ResetError(Exception):
     """
 
 
-Script = Generator[_Ask | _Tell, Reply | None, None]
+Script = Generator[_Query | _Send, Reply | None, None]
 Steer = Callable[[int, int, int], int | None]
 
 
@@ -135,10 +142,10 @@ class Drive:
         self.demand = Demand()
         self.clear_faults = False
         self.reading: Reading | None = None
-        self.slow = dict.fromkeys(SLOW, 0)
+        self.slow = dict.fromkeys(SLOW_VARIABLES, 0)
         self.homings = 0
         self.refusal = ""  # of the present demand, with the drive's error
-        self.let_go = False  # it refused even to hold, and is switched off despite the demand
+        self.switched_off = False  # it refused even to hold, and is switched off despite the demand
         self._done: Demand | None = None  # the last demand that was sent completely
         self._mode = int(Mode.OFF)  # of the drive, as read or acknowledged
         self._referenced = False  # as read; False after a command to home
@@ -146,60 +153,60 @@ class Drive:
         self._fast, self._steer = baud, steer
         self._now = self._until = 0
         self._buffer = b""
-        self._script = self._talk()
+        self._script = self._dialogue()
         self._step = next(self._script)
-        self._said = False
+        self._sent = False
 
     @property
     def referenced(self) -> bool:
         """True if the drive is homed, and no command to home is pending or refused."""
-        begun = self.demand.goal != Goal.HOME or (self.demand == self._done and not self.refusal)
-        return bool(self.reading) and self._referenced and begun
+        sent = self.demand.goal != Goal.HOME or (self.demand == self._done and not self.refusal)
+        return bool(self.reading) and self._referenced and sent
 
     def poll(self, data: bytes, now: int) -> bytes:
         """Process the bytes received until `now` [us]; return the bytes to send, at `baud`."""
         self._now = now
         self._buffer += data
         while True:
-            if not self._said:
-                wait = REPLY_TIME if isinstance(self._step, _Ask) else self._step.pause
-                self._until, self._said, self._buffer = now + wait, True, b""
+            if not self._sent:
+                wait = REPLY_TIME if isinstance(self._step, _Query) else self._step.pause
+                self._until, self._sent, self._buffer = now + wait, True, b""
                 return self._step.line
-            if isinstance(self._step, _Tell):
+            if isinstance(self._step, _Send):
                 if now < self._until:
                     return b""
-                self._go(None)
+                self._resume(None)
             elif b"\r" in self._buffer:
                 line, _, self._buffer = self._buffer.partition(b"\r")
-                self._answer(line)
+                self._process_reply(line)
             elif now > self._until or len(self._buffer) > MAX_LENGTH:
                 self._fail()
             else:
                 return b""
 
-    def _go(self, reply: Reply | None) -> None:
-        self._step, self._said = self._script.send(reply), False
+    def _resume(self, reply: Reply | None) -> None:
+        self._step, self._sent = self._script.send(reply), False
 
     def _fail(self) -> None:
-        self._step, self._said = self._script.throw(_NoAnswerError()), False
+        self._step, self._sent = self._script.throw(_NoAnswerError()), False
 
-    def _answer(self, line: bytes) -> None:
+    def _process_reply(self, line: bytes) -> None:
         try:
             reply = parse(line)
         except LineError:
             self._fail()
         else:
-            self._go(reply)
+            self._resume(reply)
 
     # --- the script ---
 
-    def _talk(self) -> Script:
+    def _dialogue(self) -> Script:
         for baud in cycle((FIRST_BAUD, self._fast)):
             try:
                 yield from self._connect(baud)
                 for turn in count():
-                    yield from self._read(SLOW[turn % len(SLOW)])
-                    yield from self._act()
+                    yield from self._read(SLOW_VARIABLES[turn % len(SLOW_VARIABLES)])
+                    yield from self._apply_demand()
             except (_NoAnswerError, _ResetError):
                 self.reading = None
 
@@ -208,27 +215,27 @@ class Drive:
         self.baud = baud
         self._done = None  # the drive's state is unknown after a loss
         self._mode, self._referenced = Mode.OFF, False
-        yield _Tell(b"\r", LINE_TIME)  # ends an incomplete line in the drive's buffer
-        yield _Ask(get(Variable.STATUS))
+        yield _Send(b"\r", LINE_TIME)  # ends an incomplete line in the drive's buffer
+        yield _Query(get_variable(Variable.STATUS))
         if baud != self._fast:
-            yield _Tell(put(Variable.BAUD, self._fast), SWITCH_TIME)
+            yield _Send(set_variable(Variable.BAUD, self._fast), SWITCH_TIME)
             self.baud = self._fast
-            yield _Ask(get(Variable.STATUS))
+            yield _Query(get_variable(Variable.STATUS))
 
-    def _value(self, variable: Variable) -> Generator[_Ask | _Tell, Reply | None, int]:
+    def _value(self, variable: Variable) -> Generator[_Query | _Send, Reply | None, int]:
         """Read a variable; try again once if the answer is missing or invalid."""
         try:
-            reply = yield _Ask(get(variable))
+            reply = yield _Query(get_variable(variable))
         except _NoAnswerError:
-            yield _Tell(b"\r", LINE_TIME)
-            reply = yield _Ask(get(variable))
+            yield _Send(b"\r", LINE_TIME)
+            reply = yield _Query(get_variable(variable))
         if isinstance(reply, Value):
             return reply.number
-        if isinstance(reply, Error) and variable in SLOW:
+        if isinstance(reply, Error) and variable in SLOW_VARIABLES:
             return 0  # not every drive has it
         raise _NoAnswerError
 
-    def _read(self, slow: Variable) -> Generator[_Ask | _Tell, Reply | None, Reading]:
+    def _read(self, slow: Variable) -> Generator[_Query | _Send, Reply | None, Reading]:
         """Read one round of variables."""
         last = self.reading
         clock, position = yield from self._track()
@@ -251,44 +258,46 @@ class Drive:
         self._referenced = referenced
         return reading
 
-    def _track(self) -> Generator[_Ask | _Tell, Reply | None, tuple[int, int]]:
+    def _track(self) -> Generator[_Query | _Send, Reply | None, tuple[int, int]]:
         """Read the position and its time; update the velocity of a drive that follows a path."""
         position = yield from self._value(Variable.POSITION)
         clock, demand = self._now, self.demand
         speed = self._steer(position, clock, self.reading.velocity if self.reading else 0)
         if speed is not None and demand.goal == Goal.FOLLOW and demand == self._done:
-            done = yield from self._say([put(Variable.COMMANDED_VELOCITY, speed)])
+            done = yield from self._send_commands(
+                [set_variable(Variable.COMMANDED_VELOCITY, speed)]
+            )
             self._done = demand if done else None
         return clock, position
 
-    def _act(self) -> Script:
+    def _apply_demand(self) -> Script:
         """Send the commands that bring the drive to the demand."""
         reading, demand = self.reading, self.demand
         assert reading
         if self.clear_faults and reading.mode == Mode.OFF:
-            yield _Ask(put(Variable.FAULTS, self.slow[Variable.FAULTS]))
+            yield _Query(set_variable(Variable.FAULTS, self.slow[Variable.FAULTS]))
             self.clear_faults = False
         if demand == self._done and (reading.mode == demand.mode or self.refusal):
             return
-        self._done, self.refusal, self.let_go = None, "", False
-        done = yield from self._pursue(demand, demand)
+        self._done, self.refusal, self.switched_off = None, "", False
+        done = yield from self._reach(demand, demand)
         if not done and demand.goal > Goal.HOLD:  # a joint with a refused demand is held,
             yield from self._read(Variable.FAULTS)
-            done = yield from self._pursue(Demand(Goal.HOLD), demand)
-        self.let_go = not done
+            done = yield from self._reach(Demand(Goal.HOLD), demand)
+        self.switched_off = not done
         while not done:  # and a drive that refuses to hold is switched off
             yield from self._read(Variable.FAULTS)
-            done = yield from self._say([put(Variable.DESIRED_STATE, Mode.OFF)])
+            done = yield from self._send_commands([set_variable(Variable.DESIRED_STATE, Mode.OFF)])
         if demand == self.demand:
             self._done = demand
 
-    def _pursue(self, goal: Demand, demand: Demand) -> Generator[_Ask | _Tell, Reply | None, bool]:
+    def _reach(self, goal: Demand, demand: Demand) -> Generator[_Query | _Send, Reply | None, bool]:
         """Bring the drive to a goal while `demand` is unchanged; return False if it refuses."""
         reading = self.reading
         assert reading
         if goal.goal <= Goal.HOLD or reading.mode != goal.mode:
             brake = _brake(reading.mode, self.slow[Variable.ABORT_DECELERATION])
-            if not (yield from self._say(brake)):
+            if not (yield from self._send_commands(brake)):
                 return False
             end = self._now + REST_TIMEOUT
             while reading.mode != Mode.OFF:
@@ -298,12 +307,12 @@ class Drive:
                 too_long = goal.goal == Goal.RELEASE and self._now > end
                 if too_long or abs(reading.velocity) <= MOTION_THRESHOLD:
                     break
-        return (yield from self._say(_program(goal, reading.mode)))
+        return (yield from self._send_commands(_program(goal, reading.mode)))
 
-    def _say(self, lines: list[bytes]) -> Generator[_Ask | _Tell, Reply | None, bool]:
+    def _send_commands(self, lines: list[bytes]) -> Generator[_Query | _Send, Reply | None, bool]:
         """Send commands until one is refused; return True if none was."""
         for line in lines:
-            reply = yield _Ask(line)
+            reply = yield _Query(line)
             if isinstance(reply, Error):
                 self.refusal = self.refusal or f"{line.decode().strip()}: {reply}"
                 return False
@@ -327,9 +336,9 @@ def _brake(mode: int, abort: int) -> list[bytes]:
         return []
     if mode == Mode.POSITION:
         return [trajectory(Trajectory.ABORT)]
-    limit = [put(Variable.DECELERATION_LIMIT, _limit(abort))] if abort else []
-    stop = put(Variable.COMMANDED_VELOCITY, 0)
-    return [*limit, stop, put(Variable.DESIRED_STATE, Mode.VELOCITY)]
+    limit = [set_variable(Variable.DECELERATION_LIMIT, _limit(abort))] if abort else []
+    stop = set_variable(Variable.COMMANDED_VELOCITY, 0)
+    return [*limit, stop, set_variable(Variable.DESIRED_STATE, Mode.VELOCITY)]
 
 
 def _program(demand: Demand, mode: int | None) -> list[bytes]:
@@ -337,14 +346,17 @@ def _program(demand: Demand, mode: int | None) -> list[bytes]:
 
     The mode is set last where the drive would otherwise follow an old set point.
     """
-    state = [] if mode == demand.mode else [put(Variable.DESIRED_STATE, demand.mode)]
+    state = [] if mode == demand.mode else [set_variable(Variable.DESIRED_STATE, demand.mode)]
     acceleration = demand.acceleration
     if demand.goal == Goal.CURRENT:
-        return [put(Variable.COMMANDED_CURRENT, demand.set_point), *state]
+        return [set_variable(Variable.COMMANDED_CURRENT, demand.set_point), *state]
     if demand.goal in (Goal.VELOCITY, Goal.FOLLOW):
         limit = _limit(acceleration)
-        limits = [put(Variable.ACCELERATION_LIMIT, limit), put(Variable.DECELERATION_LIMIT, limit)]
-        speed = put(Variable.COMMANDED_VELOCITY, demand.set_point)
+        limits = [
+            set_variable(Variable.ACCELERATION_LIMIT, limit),
+            set_variable(Variable.DECELERATION_LIMIT, limit),
+        ]
+        speed = set_variable(Variable.COMMANDED_VELOCITY, demand.set_point)
         return [*(limits if acceleration else []), speed, *state]
     if demand.goal == Goal.HOME:
         return [*state, trajectory(Trajectory.HOME)]
@@ -352,10 +364,10 @@ def _program(demand: Demand, mode: int | None) -> list[bytes]:
         gains = Variable.PROFILE_ACCELERATION, Variable.PROFILE_DECELERATION
         return [
             *state,
-            put(Variable.PROFILE_TYPE, 0),
-            put(Variable.TARGET, demand.set_point),
-            put(Variable.PROFILE_VELOCITY, demand.velocity),
-            *(put(gain, acceleration) for gain in gains if acceleration),
+            set_variable(Variable.PROFILE_TYPE, 0),
+            set_variable(Variable.TARGET, demand.set_point),
+            set_variable(Variable.PROFILE_VELOCITY, demand.velocity),
+            *(set_variable(gain, acceleration) for gain in gains if acceleration),
             trajectory(Trajectory.START),
         ]
     return state

@@ -111,19 +111,19 @@ class Error:
 Reply = Ok | Value | Error
 
 
-def get(variable: Variable) -> bytes:
+def get_variable(variable: Variable) -> bytes:
     """Encode the command that reads a variable."""
     return f"g r0x{variable:02x}\r".encode()
 
 
-def put(variable: Variable, number: int) -> bytes:
+def set_variable(variable: Variable, number: int) -> bytes:
     """Encode the command that sets a variable."""
     return f"s r0x{variable:02x} {number}\r".encode()
 
 
-def trajectory(order: Trajectory) -> bytes:
+def trajectory(action: Trajectory) -> bytes:
     """Encode the command to abort, start or home."""
-    return f"t {order:d}\r".encode()
+    return f"t {action:d}\r".encode()
 
 
 def parse(line: bytes) -> Reply:
@@ -142,4 +142,4 @@ def parse(line: bytes) -> Reply:
             return Value(number)
         if kind == b"e" and 0 <= number < 1000:
             return Error(number)
-    raise LineError(f"the drive said {line[:MAX_LENGTH]!r}")
+    raise LineError(f"the drive answered {line[:MAX_LENGTH]!r}")

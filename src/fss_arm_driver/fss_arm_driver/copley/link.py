@@ -4,13 +4,13 @@ from collections import deque
 
 from fss_arm_driver.copley.drive import Demand, Drive, Goal
 from fss_arm_driver.copley.language import Variable
-from fss_arm_driver.faults import blocking
+from fss_arm_driver.faults import blocking_faults
 from fss_arm_driver.protocol import (
     NO_TORQUE,
     Command,
+    LinkCommandFlag,
     LinkState,
     Mode,
-    Order,
     Slow,
     Telemetry,
     encode,
@@ -20,13 +20,13 @@ from fss_arm_driver.protocol import Goal as Intent
 
 PERIOD = 200_000  # of telemetry [us]
 LEAD = 10_000  # half the time a velocity is applied, plus the time to set it [us]
-TAKEN = 1024  # commands remembered: at least those of one round of readings
-SLOW = {
+MAX_ACCEPTED = 1024  # commands remembered: at least those of one round of readings
+SLOW_VARIABLES = {
     Slow.FAULTS: Variable.FAULTS,
     Slow.SUPPLY: Variable.SUPPLY,
     Slow.TEMPERATURE: Variable.TEMPERATURE,
 }
-FIELDS = (*SLOW, Slow.HOMINGS, Slow.REFUSED, Slow.PATH, Slow.SERIAL)
+FIELDS = (*SLOW_VARIABLES, Slow.HOMINGS, Slow.REFUSED, Slow.PATH, Slow.SERIAL)
 GOALS = {
     Mode.OFF: Goal.RELEASE,
     Mode.CURRENT: Goal.CURRENT,
@@ -52,7 +52,7 @@ class DriveLink:
         self.drive = Drive(baud, self._steer)
         self._periods = 0
         self._sequence, self._measured = 0, 0
-        self._taken: deque[tuple[int, int]] = deque(maxlen=TAKEN)  # arrivals and clocks
+        self._accepted: deque[tuple[int, int]] = deque(maxlen=MAX_ACCEPTED)  # arrivals and clocks
 
     def restart(self) -> None:
         """Reset the drive's state, which is unknown after the line was reopened."""
@@ -65,14 +65,14 @@ class DriveLink:
         if self.state.receive(data, clock):
             command = self.state.gate.command
             assert command
-            self._taken.append((clock, command.clock))
-            if command.flags & Order.CLEAR_FAULTS:
+            self._accepted.append((clock, command.clock))
+            if command.flags & LinkCommandFlag.CLEAR_FAULTS:
                 self.drive.clear_faults = True
 
     def poll(self, data: bytes, clock: int) -> tuple[bytes, bytes]:
         """Process bytes from the drive; return bytes for it, and a telemetry frame if due."""
         reading = self.drive.reading
-        if reading is None or blocking(reading.status, 0) or self.drive.let_go:
+        if reading is None or blocking_faults(reading.status, 0) or self.drive.switched_off:
             self.state.drop()
         self.drive.demand = self._demand(clock)
         out = self.drive.poll(data, clock)
@@ -99,7 +99,7 @@ class DriveLink:
         if reading.clock // PERIOD == self._periods:
             return b""
         self._measured, self._periods = reading.clock, reading.clock // PERIOD
-        arrival, echo = self._taken_before(reading.clock)
+        arrival, echo = self._last_accepted(reading.clock)
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         slow = self.state.slow_field(self._sequence, FIELDS)
         known = reading.mode in GOALS
@@ -119,19 +119,19 @@ class DriveLink:
             status=reading.status,
             torque=0,
             torque_age=NO_TORQUE,  # there is no torque converter
-            slow_value=_signed(self._slow(slow), 32),
+            slow_value=_signed(self._slow_value(slow), 32),
         )
         return encode(frame, gate.key)
 
-    def _taken_before(self, clock: int) -> tuple[int, int]:
+    def _last_accepted(self, clock: int) -> tuple[int, int]:
         """Return arrival and clock of the last command accepted until `clock`."""
-        while len(self._taken) > 1 and self._taken[1][0] <= clock:
-            self._taken.popleft()
-        return self._taken[0] if self._taken and self._taken[0][0] <= clock else (clock, 0)
+        while len(self._accepted) > 1 and self._accepted[1][0] <= clock:
+            self._accepted.popleft()
+        return self._accepted[0] if self._accepted and self._accepted[0][0] <= clock else (clock, 0)
 
-    def _slow(self, slow: Slow) -> int:
-        if slow in SLOW:
-            return self.drive.slow[SLOW[slow]]
+    def _slow_value(self, slow: Slow) -> int:
+        if slow in SLOW_VARIABLES:
+            return self.drive.slow[SLOW_VARIABLES[slow]]
         if slow is Slow.PATH:
             return self.state.paths.report
         if slow is Slow.SERIAL:
@@ -140,7 +140,7 @@ class DriveLink:
 
 
 def _commanded(command: Command) -> Demand:
-    if command.flags & Order.HOME:
+    if command.flags & LinkCommandFlag.HOME:
         return Demand(Goal.HOME)
     if command.mode == Mode.POSITION:
         return Demand(Goal.POSITION, command.set_point, command.velocity, command.acceleration)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from serial import Serial
 
 TICK = 0.005  # longest time between two polls of the drive [s]
-AGAIN = 0.5  # between attempts to open the port [s]
+RETRY_INTERVAL = 0.5  # between attempts to open the port [s]
 RELEASE_TIMEOUT = 4.0  # to switch the drive off when the process ends [s]
-DEAF = 3.0  # a drive that has not answered for this long is reported [s]
+ANSWER_TIMEOUT = 3.0  # a drive that has not answered for this long is reported [s]
 
 
 class CopleyTransport:
@@ -33,16 +33,16 @@ class CopleyTransport:
 
     def __init__(self, device: str, baud: int, link: int, key: bytes | None) -> None:
         self.counts: Counter[str] = Counter(connects=1, send_failures=0, drive_refusals=0)
-        self.trouble = ""
+        self.problem = ""
         self._device = device
         self._port: Serial | None = open_port(device, FIRST_BAUD)
         self._link = DriveLink(link, random.randint(1, 0xFFFF), key, baud)
-        self._heard, self._refusal = time.monotonic(), ""
+        self._last_answer, self._refusal = time.monotonic(), ""
         self._commands: deque[bytes] = deque(maxlen=BATCH)
         self._frames: deque[bytes] = deque(maxlen=BATCH)
-        self._came, self._closing = Event(), Event()
-        self._bell, self._ring = socketpair()
-        self._ring.setblocking(False)
+        self._frame_ready, self._closing = Event(), Event()
+        self._wakeup, self._waker = socketpair()
+        self._waker.setblocking(False)
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -52,23 +52,23 @@ class CopleyTransport:
             self.counts["send_failures"] += 1
         self._commands.append(data)
         with suppress(OSError):
-            self._ring.send(b"\0")
+            self._waker.send(b"\0")
 
     def receive(self) -> list[bytes]:
         """Return the telemetry frames made from the drive's answers."""
-        self._came.clear()
+        self._frame_ready.clear()
         return [self._frames.popleft() for _ in range(len(self._frames))]
 
     def wait(self, timeout: float) -> bool:
         """Wait for a frame."""
-        return self._came.wait(timeout)
+        return self._frame_ready.wait(timeout)
 
     def close(self) -> None:
         """Let the joint come to rest, then close the port."""
         self._closing.set()
         self._thread.join()
-        self._bell.close()
-        self._ring.close()
+        self._wakeup.close()
+        self._waker.close()
 
     def _run(self) -> None:
         while not self._closing.is_set():
@@ -77,35 +77,35 @@ class CopleyTransport:
                     self._port = open_port(self._device, FIRST_BAUD)
                     self._link.restart()
                     self.counts["connects"] += 1
-                self._turn(self._port)
+                self._step(self._port)
             except Exception as error:  # of any kind: only this thread monitors the drive
-                self._drop()
+                self._close_port()
                 why = error.strerror or error if isinstance(error, OSError) else repr(error)
-                self.trouble = f"cannot use the port: {why}"
-                self._closing.wait(AGAIN)
-        self._let_go()
-        self._drop()
+                self.problem = f"cannot use the port: {why}"
+                self._closing.wait(RETRY_INTERVAL)
+        self._release()
+        self._close_port()
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         """Bring the joint to rest and switch the drive off, if possible."""
-        begun = time.monotonic_ns() // 1000  # an older reading may precede the last command
+        start = time.monotonic_ns() // 1000  # an older reading may precede the last command
         end = time.monotonic() + RELEASE_TIMEOUT
         with suppress(OSError, ValueError):
-            while self._port and time.monotonic() < min(end, self._heard + DEAF):
+            while self._port and time.monotonic() < min(end, self._last_answer + ANSWER_TIMEOUT):
                 reading = self._link.drive.reading
-                if reading and reading.clock > begun and reading.mode == Mode.OFF:
+                if reading and reading.clock > start and reading.mode == Mode.OFF:
                     break
                 self._link.state.disarm()
-                self._turn(self._port)
+                self._step(self._port)
 
-    def _turn(self, port: "Serial") -> None:
+    def _step(self, port: "Serial") -> None:
         """Wait up to TICK for bytes or commands, and poll the link."""
-        ready = readable([port, self._bell], TICK)
+        ready = readable([port, self._wakeup], TICK)
         data = b""
         if port in ready and not (data := os.read(port.fileno(), 4096)):
             raise ConnectionResetError("the device is gone")
-        if self._bell in ready:
-            self._bell.recv(4096)
+        if self._wakeup in ready:
+            self._wakeup.recv(4096)
         clock = time.monotonic_ns() // 1000
         while self._commands:
             self._link.receive(self._commands.popleft(), clock)
@@ -117,21 +117,21 @@ class CopleyTransport:
             os.write(port.fileno(), out)
         if frame:
             self._frames.append(frame)
-            self._came.set()
-        self._judge(bool(drive.reading), drive.refusal)
+            self._frame_ready.set()
+        self._update_problem(bool(drive.reading), drive.refusal)
 
-    def _judge(self, answers: bool, refusal: str) -> None:
+    def _update_problem(self, answers: bool, refusal: str) -> None:
         """Update the description of the problem."""
         if refusal != self._refusal:
             self.counts["drive_refusals"] += bool(refusal)
         self._refusal = refusal
         now = time.monotonic()
-        self._heard = now if answers else self._heard
-        self.trouble = f"the drive refuses {refusal}" if refusal else ""
-        if now - self._heard > DEAF:
-            self.trouble = "no drive answers, neither at 9600 baud nor at the rate given"
+        self._last_answer = now if answers else self._last_answer
+        self.problem = f"the drive refuses {refusal}" if refusal else ""
+        if now - self._last_answer > ANSWER_TIMEOUT:
+            self.problem = "no drive answers, neither at 9600 baud nor at the rate given"
 
-    def _drop(self) -> None:
+    def _close_port(self) -> None:
         port, self._port = self._port, None
         if port:
             with suppress(OSError):

@@ -23,7 +23,7 @@ VELOCITY_UNIT = 0.1  # [counts/s]
 ACCELERATION_UNIT = 10.0  # [counts/s^2]
 CURRENT_UNIT = 0.01  # [A]
 
-LAST = 1  # flag of a segment: the path ends with it
+LAST_SEGMENT = 1  # flag of a segment: the path ends with it
 MAX_PATH = 0xFFFF  # number of a path
 MAX_INDEX = 0xFFFE  # of a segment
 DURATIONS = 1000, 60_000_000  # of a segment [us]
@@ -50,7 +50,7 @@ class State(IntEnum):
     BROKEN = 32  # the last path was aborted before its last knot
 
 
-class Order(IntEnum):
+class LinkCommandFlag(IntEnum):
     """Flags of a command frame, one bit each."""
 
     ARM = 1  # absent: disarm
@@ -101,7 +101,7 @@ class Command:
     """Command for a link, valid until `expiry` or the next command."""
 
     link: int = unsigned(8)
-    flags: int = unsigned(8)  # Order
+    flags: int = unsigned(8)  # LinkCommandFlag
     boot: int = unsigned(16)  # of the addressed link; 0: not known yet, never with ARM
     sequence: int = unsigned(32)  # counts the frames of one host session, modulo 2^32
     clock: int = unsigned(64)  # the host's stamp, echoed by the link [us]
@@ -118,7 +118,7 @@ class Segment:
     """Segment of a path between two knots: a cubic Hermite polynomial."""
 
     link: int = unsigned(8)
-    flags: int = unsigned(8)  # LAST
+    flags: int = unsigned(8)  # LAST_SEGMENT
     boot: int = unsigned(16)  # of the addressed link
     sequence: int = unsigned(32)  # counts the frames of one host session, modulo 2^32
     clock: int = unsigned(64)  # the host's stamp [us]
@@ -129,7 +129,7 @@ class Segment:
     position: int = signed(32)  # at the start [counts]
     velocity: int = signed(32)  # at the start [0.1 counts/s]
     end_position: int = signed(32)
-    end_velocity: int = signed(32)  # 0 with LAST
+    end_velocity: int = signed(32)  # 0 with LAST_SEGMENT
 
     @property
     def end(self) -> int:
@@ -165,7 +165,7 @@ def _check_telemetry(frame: Telemetry) -> None:
 
 
 def _check_segment(frame: Segment) -> None:
-    _check_head(frame, LAST)
+    _check_head(frame, LAST_SEGMENT)
     if frame.boot == 0 or frame.path == 0:
         raise invalid("boot or path of a segment is 0, expected 1 or more")
     if frame.index > MAX_INDEX:
@@ -173,22 +173,22 @@ def _check_segment(frame: Segment) -> None:
     low, high = DURATIONS
     if not low <= frame.duration <= high:
         raise invalid(f"duration is {frame.duration} us, expected {low} to {high}")
-    if frame.flags & LAST and frame.end_velocity:
+    if frame.flags & LAST_SEGMENT and frame.end_velocity:
         raise invalid(f"end_velocity is {frame.end_velocity} in a last segment, expected 0")
     if frame.end >= 1 << 64:
         raise invalid(f"end is {frame.end} us, beyond 64 bits")
 
 
 def _check_command(frame: Command) -> None:
-    _check_head(frame, sum(Order))
+    _check_head(frame, sum(LinkCommandFlag))
     _check_mode(frame.mode, _MODES[1])
     check_command(frame)
     if frame.velocity < 0 or frame.acceleration < 0:
-        raise invalid(f"profile is {frame.velocity}, {frame.acceleration}, expected none negative")
+        raise invalid(f"profile is {frame.velocity}, {frame.acceleration}, expected both 0 or more")
     if frame.mode == Mode.PATH and not 1 <= frame.set_point <= MAX_PATH:
         raise invalid(f"path is {frame.set_point}, expected 1 to {MAX_PATH}")
-    if frame.flags & Order.HOME and not frame.flags & Order.ARM:
-        raise invalid("flags hold home without arm")
+    if frame.flags & LinkCommandFlag.HOME and not frame.flags & LinkCommandFlag.ARM:
+        raise invalid("flags contain home without arm")
 
 
 def _telemetry_values(frame: Telemetry) -> tuple[int, ...]:

@@ -4,14 +4,16 @@ A `PathFollower` is the link's side: it receives segments and computes velocitie
 counts. Times are in the link's clock [us].
 """
 
-from fss_arm_driver.protocol.frames import LAST, VELOCITY_UNIT, Command, Segment
+from fss_arm_driver.protocol.frames import LAST_SEGMENT, VELOCITY_UNIT, Command, Segment
 from fss_link.protocol.gate import Refused
 
-KEPT = 32  # most segments stored of a path
-FARTHEST = 120_000_000  # longest time by which a segment may start ahead [us]
+MAX_SEGMENTS = 32  # most segments stored of a path
+MAX_LEAD = 120_000_000  # longest time by which a segment may start ahead [us]
 GAIN = 4.0  # of the correction [1/s]
-REACH = 0.25  # largest error of a joint on a path, in time at the path's largest velocity [s]
-REST = 100.0  # a slower joint is at rest [counts/s]
+MAX_ERROR_TIME = (
+    0.25  # largest error of a joint on a path, in time at the path's largest velocity [s]
+)
+REST_VELOCITY = 100.0  # a slower joint is at rest [counts/s]
 
 
 def hermite(
@@ -36,53 +38,53 @@ def newer_path(number: int, than: int) -> bool:
     return 0 < (number - than) & 0xFFFF < 0x8000
 
 
-class HeldPath:
+class StoredPath:
     """Stored segments of one path that have not yet ended."""
 
     def __init__(self, number: int) -> None:
         self.number = number
         self.first = 0  # index of the earliest segment that is still accepted
-        self._held: dict[int, Segment] = {}  # by index
+        self._segments: dict[int, Segment] = {}  # by index
 
     @property
     def missing(self) -> int:
         """Index of the first segment that is not stored."""
         index = self.first
-        while index in self._held:
+        while index in self._segments:
             index += 1
         return index
 
-    def take(self, new: Segment) -> Refused | None:
+    def store(self, new: Segment) -> Refused | None:
         """Store a segment, or return why it is refused."""
-        if not self.first <= new.index < self.first + KEPT:
+        if not self.first <= new.index < self.first + MAX_SEGMENTS:
             return Refused.INDEX
-        for held in self._held.values():
+        for held in self._segments.values():
             early, late = sorted((held, new), key=lambda segment: segment.index)
-            if early.index == late.index and _told(held) != _told(new):
+            if early.index == late.index and _contents(held) != _contents(new):
                 return Refused.CONTRADICTION
-            if early.index < late.index and early.flags & LAST:
+            if early.index < late.index and early.flags & LAST_SEGMENT:
                 return Refused.CONTRADICTION
-            if early.index + 1 == late.index and _told(early)[4:] != _told(late)[1:4]:
+            if early.index + 1 == late.index and _contents(early)[4:] != _contents(late)[1:4]:
                 return Refused.CONTRADICTION
-        self._held.setdefault(new.index, new)
+        self._segments.setdefault(new.index, new)
         return None
 
-    def begun(self, clock: int) -> bool:
+    def has_started(self, clock: int) -> bool:
         """Return True if the first stored segment has started."""
-        return bool(self._held) and clock >= self._held[min(self._held)].begin
+        return bool(self._segments) and clock >= self._segments[min(self._segments)].begin
 
     def at(self, clock: int, lead: int = 0) -> tuple[float, float, bool] | None:
         """Return position [counts], velocity [counts/s] `lead` later, and whether the path ended.
 
         None if no segment is stored for this time. Segments that end before `clock` are deleted.
         """
-        for index in sorted(self._held):
-            segment = self._held[index]
+        for index in sorted(self._segments):
+            segment = self._segments[index]
             if clock < segment.begin:
                 return None
             over = clock >= segment.end
-            if over and not segment.flags & LAST:
-                del self._held[index]
+            if over and not segment.flags & LAST_SEGMENT:
+                del self._segments[index]
                 continue
             self.first = index
             position, _ = at(segment, min(clock, segment.end))
@@ -103,7 +105,7 @@ def at(segment: Segment, clock: int) -> tuple[float, float]:
     )
 
 
-def _told(segment: Segment) -> tuple[int, ...]:
+def _contents(segment: Segment) -> tuple[int, ...]:
     """Return the contents of a segment: whether it is the last, its start, its end."""
     s = segment
     begin, end = (s.begin, s.position, s.velocity), (s.end, s.end_position, s.end_velocity)
@@ -119,8 +121,8 @@ class PathFollower:
 
     def __init__(self) -> None:
         self.following = self.broken = False
-        self._followed: HeldPath | None = None
-        self._next: HeldPath | None = None
+        self._followed: StoredPath | None = None
+        self._next: StoredPath | None = None
         self._last = 0  # number of the path followed last, even if deleted; 0: none
 
     @property
@@ -135,23 +137,23 @@ class PathFollower:
         word = path.number << 16 | path.missing if path else 0
         return (word ^ 1 << 31) - (1 << 31)  # as a signed number of 32 bits
 
-    def take(self, segment: Segment, clock: int) -> Refused | None:
+    def store(self, segment: Segment, clock: int) -> Refused | None:
         """Store a segment received at `clock`, or return why it is refused."""
-        if segment.end <= clock or segment.begin > clock + FARTHEST:
+        if segment.end <= clock or segment.begin > clock + MAX_LEAD:
             return Refused.TIME
         for path in (self._followed, self._next):
             if path and segment.path == path.number:
-                return path.take(segment)
+                return path.store(segment)
         known = self._last, self._next.number if self._next else 0
         if not all(newer_path(segment.path, number) for number in known if number):
             return Refused.PATH
-        path = HeldPath(segment.path)
-        if why := path.take(segment):
+        path = StoredPath(segment.path)
+        if why := path.store(segment):
             return why
         self._next = path
         return None
 
-    def leave(self) -> None:
+    def abandon(self) -> None:
         """Delete the active path, because the link must do something else."""
         self.following, self._followed = False, None
 
@@ -169,19 +171,19 @@ class PathFollower:
         """
         number, fastest = command.set_point, VELOCITY_UNIT * command.velocity
         if self._next and number == self._next.number:
-            if self._next.begun(clock):
+            if self._next.has_started(clock):
                 self._followed, self._next, self._last = self._next, None, number
                 self.following, self.broken = True, False
         elif number != self._last and self._last and not newer_path(number, self._last):
-            self.leave()
+            self.abandon()
         if self._followed is None:
             return None
         point = self._followed.at(clock, lead)
         off = point[0] - position if point else 0.0
-        if point is None or abs(off) > REACH * fastest:
-            self.leave()
+        if point is None or abs(off) > MAX_ERROR_TIME * fastest:
+            self.abandon()
             self.broken = True
             return None
-        if point[2] and abs(velocity) < REST:
+        if point[2] and abs(velocity) < REST_VELOCITY:
             self.following = False
         return max(-fastest, min(point[1] + GAIN * off, fastest))

@@ -6,8 +6,8 @@ from enum import Enum
 from fss_arm_driver.protocol.frames import (
     VELOCITY_UNIT,
     Command,
+    LinkCommandFlag,
     Mode,
-    Order,
     Segment,
     Slow,
     State,
@@ -50,14 +50,14 @@ class LinkState:
 
     def receive(self, data: bytes, clock: int) -> bool:
         """Process received bytes; return True if they were accepted as a command."""
-        command = self.gate.take(data, clock)
+        command = self.gate.accept(data, clock)
         if isinstance(command, Segment):
-            self._keep(command, clock)
+            self._store_segment(command, clock)
         if not isinstance(command, Command):
             return False
-        if command.flags & Order.STOP:
+        if command.flags & LinkCommandFlag.STOP:
             self.armed, self.stopped = False, True
-        elif not command.flags & Order.ARM:
+        elif not command.flags & LinkCommandFlag.ARM:
             self.disarm()
         elif not (self.stopped or self.watchdog_tripped or self._dropped):
             self.armed = self._on = True
@@ -65,12 +65,12 @@ class LinkState:
             self.paths = PathFollower()
         return True
 
-    def _keep(self, segment: Segment, clock: int) -> None:
+    def _store_segment(self, segment: Segment, clock: int) -> None:
         """Store a segment of a path, or refuse it."""
-        self._watch(clock)
-        why = self.paths.take(segment, clock) if self.armed else Refused.DISARMED
+        self._check_watchdog(clock)
+        why = self.paths.store(segment, clock) if self.armed else Refused.DISARMED
         if why:
-            self.gate.refuse(why)
+            self.gate.count_refusal(why)
 
     def disarm(self) -> None:
         """Disarm and clear the latches: the drive brakes, then switches off."""
@@ -84,15 +84,15 @@ class LinkState:
     def goal(self, clock: int) -> Goal:
         """Return the present goal, after a check of the watchdog."""
         command = self.gate.command
-        self._watch(clock)
+        self._check_watchdog(clock)
         if not self.armed:
             self.paths = PathFollower()
         if not (self._on and command):
             return Goal.RELEASE
-        obeys = self.armed and command.expiry >= clock and not command.flags & Order.HOLD
-        if obeys and command.mode == Mode.PATH and not command.flags & Order.HOME:
+        obeys = self.armed and command.expiry >= clock and not command.flags & LinkCommandFlag.HOLD
+        if obeys and command.mode == Mode.PATH and not command.flags & LinkCommandFlag.HOME:
             return Goal.FOLLOW
-        self.paths.leave()
+        self.paths.abandon()
         return Goal.OBEY if obeys else Goal.HOLD
 
     def velocity(self, clock: int, position: float, velocity: float, lead: int = 0) -> int | None:
@@ -109,7 +109,7 @@ class LinkState:
         wanted = self.paths.follow(self.gate.command, clock, position, speed, lead)
         return None if wanted is None else round(wanted / VELOCITY_UNIT)
 
-    def _watch(self, clock: int) -> None:
+    def _check_watchdog(self, clock: int) -> None:
         """Disarm after the watchdog time without a command."""
         if self.armed and clock - self.gate.arrival > self.gate.watchdog:
             self.armed, self.watchdog_tripped = False, True

@@ -3,7 +3,7 @@
 | file | one concern each |
 | --- | --- |
 | `link.py` | `LinkSession`: a link's set points, paths and measurements |
-| `orders.py` | the active set point, until it expires |
+| `active_command.py` | the active set point, until it expires |
 | `paths.py` | the timed paths: which segments to send, which the link has |
 | `progress.py` | the progress of the active command |
 """

@@ -5,14 +5,14 @@ from dataclasses import replace
 from math import nan
 from typing import NamedTuple
 
-from fss_arm_driver.faults import blocking
+from fss_arm_driver.faults import blocking_faults
 from fss_arm_driver.knots import Knot, knots
 from fss_arm_driver.protocol import (
     MAX_PATH,
     NO_TORQUE,
     Command,
+    LinkCommandFlag,
     Mode,
-    Order,
     Segment,
     Slow,
     State,
@@ -21,7 +21,7 @@ from fss_arm_driver.protocol import (
     encode,
 )
 from fss_arm_driver.scale import Scale, SetPoint
-from fss_arm_driver.session.orders import NO_SET_POINT, Orders
+from fss_arm_driver.session.active_command import NO_SET_POINT, ActiveCommand
 from fss_arm_driver.session.paths import Paths, SentPath
 from fss_arm_driver.session.progress import Progress, Status
 from fss_arm_model.description import Link
@@ -30,8 +30,8 @@ from fss_link.session.clock import MICROSECOND, SECOND
 from fss_link.session.session import COUNTS as SHARED_COUNTS
 from fss_link.session.session import Partner, Session
 
-FARTHEST = 120 * SECOND  # longest time ahead at which a path may start
-PATIENCE = 2  # timeout of a link that follows a path [watchdog times]
+MAX_PATH_LEAD = 120 * SECOND  # longest time ahead at which a path may start
+PATH_TIMEOUT_FACTOR = 2  # timeout of a link that follows a path [watchdog times]
 COUNTS = (*SHARED_COUNTS, "segments", "commands_clamped")
 
 
@@ -50,7 +50,7 @@ class Sample(NamedTuple):
         return bool(self.frame.flags & State.REFERENCED)
 
 
-class Reports:
+class LinkRules:
     """Validity rules for telemetry frames, from the joint's limits.
 
     Args:
@@ -60,15 +60,15 @@ class Reports:
     def __init__(self, scale: Scale) -> None:
         self._scale = scale
 
-    def possible(self, frame: Telemetry) -> bool:
+    def is_plausible(self, frame: Telemetry) -> bool:
         """Return True if position, velocity and current are within the link's bounds."""
-        return self._scale.possible(frame)
+        return self._scale.is_plausible(frame)
 
-    def reachable(self, before: Telemetry, frame: Telemetry) -> bool:
+    def is_reachable(self, before: Telemetry, frame: Telemetry) -> bool:
         """Return True if the joint can have moved there since the frame `before`."""
         homed = frame.flags & ~before.flags & State.REFERENCED  # homing resets the position
         turned, period = frame.position - before.position, frame.clock - before.clock
-        return bool(homed) or self._scale.reachable(turned, period)
+        return bool(homed) or self._scale.is_reachable(turned, period)
 
 
 class LinkSession(Session[Telemetry]):
@@ -106,7 +106,7 @@ class LinkSession(Session[Telemetry]):
             number,
             Telemetry,
             decode,
-            Reports(self.scale),
+            LinkRules(self.scale),
             State.STOPPED | State.WATCHDOG,
             Slow.BATTERY,
             Slow.REFUSED,
@@ -114,19 +114,19 @@ class LinkSession(Session[Telemetry]):
         )
         super().__init__(partner, timeout, watchdog, resolution, key, empty, epoch)
         self.counts.update(dict.fromkeys(COUNTS, 0))
-        self._orders = Orders(self.scale, self._timeout)
+        self._active = ActiveCommand(self.scale, self._timeout)
         self._paths = Paths()
         self.breakage = ""  # why the last path was aborted; until another is followed
 
     @property
     def progress(self) -> Progress | None:
         """Progress of the last command."""
-        return self._orders.progress
+        return self._active.progress
 
     @property
     def follows(self) -> bool:
         """True if the link is commanded to follow a path."""
-        return bool(self._orders.path)
+        return bool(self._active.path)
 
     @property
     def path(self) -> int:
@@ -137,27 +137,27 @@ class LinkSession(Session[Telemetry]):
     def faults(self) -> list[str]:
         """Names of the faults that forbid motion."""
         latched = self.slow.get(Slow.FAULTS, 0) & 0xFFFFFFFF
-        names = blocking(self.frame.status, latched) if self.frame else []
-        told = self.slow.get(Slow.SERIAL)
-        if self.frame and self.serial and told and told != self.serial:
+        names = blocking_faults(self.frame.status, latched) if self.frame else []
+        reported = self.slow.get(Slow.SERIAL)
+        if self.frame and self.serial and reported and reported != self.serial:
             names.append(
-                f"serial number {told} came where {self.serial} is expected: mount that link here "
-                f"or change the links in {self._file or 'the description of the arm'}"
+                f"serial number is {reported}, expected {self.serial}: mount that link here or "
+                f"change the links in {self._file or 'the description of the arm'}"
             )
         return names
 
     @property
-    def nameless(self) -> str:
+    def serial_problem(self) -> str:
         """Message if a serial number is expected and the link has reported none, else empty."""
         if not self.serial or self.slow.get(Slow.SERIAL):
             return ""
-        how = "has no" if Slow.SERIAL in self.slow else "has not yet told its"
-        return f"link {self.number} {how} serial number, expected {self.serial}"
+        flag = "has no" if Slow.SERIAL in self.slow else "has not yet reported its"
+        return f"link {self.number} {flag} serial number, expected {self.serial}"
 
     def obstacle(self, now: int) -> str:
         """Return why the link cannot be armed, in words; empty if it can."""
         obstacle = super().obstacle(now)
-        return obstacle or ("" if Slow.SERIAL in self.slow else self.nameless)
+        return obstacle or ("" if Slow.SERIAL in self.slow else self.serial_problem)
 
     @property
     def referenced(self) -> bool:
@@ -169,9 +169,9 @@ class LinkSession(Session[Telemetry]):
         self.disarm()
         self._arming.clear_faults(now)
 
-    def _end(self, why: str) -> None:
+    def _cancel_command(self, why: str) -> None:
         """Cancel the active command and all paths."""
-        self._orders.end(Status.ABORTED, why)
+        self._active.end(Status.ABORTED, why)
         self._paths = Paths()
 
     def set(
@@ -197,7 +197,7 @@ class LinkSession(Session[Telemetry]):
         except CommandError:
             self.counts["commands_refused"] += 1
             raise
-        self._orders.give(set_point, expiry, now)
+        self._active.activate(set_point, expiry, now)
         self.counts["commands_clamped"] += set_point.clamped
 
     def _require_reference(self) -> None:
@@ -230,7 +230,7 @@ class LinkSession(Session[Telemetry]):
         try:
             self.require_armed()
             self._require_reference()
-            self._paths.give(self._path(number, begin, knots(self.scale, time, position, velocity)))
+            self._paths.add(self._path(number, begin, knots(self.scale, time, position, velocity)))
         except CommandError:
             self.counts["commands_refused"] += 1
             raise
@@ -240,9 +240,9 @@ class LinkSession(Session[Telemetry]):
         track, now = self._reception.track, self._now
         if not 1 <= number <= MAX_PATH:
             raise CommandError(f"path is {number}, expected 1 to {MAX_PATH}")
-        if begin > now + FARTHEST:
+        if begin > now + MAX_PATH_LEAD:
             ahead = 1e-9 * (begin - now)
-            raise CommandError(f"path {number} begins {ahead:.1f} s ahead, at most 120 s allowed")
+            raise CommandError(f"path {number} starts {ahead:.1f} s ahead, at most 120 s allowed")
         if (ago := now - begin - knots[-1].time * MICROSECOND) >= 0:
             raise CommandError(f"path {number} ended {1e-9 * ago:.3f} s ago")
         if track is None or track.clock.half_width(now) > self._timeout:
@@ -251,24 +251,24 @@ class LinkSession(Session[Telemetry]):
         begins, rate = clock.to_link(begin), 1.0 / (1.0 + clock.drift)
         return SentPath(self.number, boot, number, begins, rate, knots, now)
 
-    def _patience(self) -> int:
+    def _min_timeout(self) -> int:
         """Return a longer timeout on a path, which the link follows under its own watchdog."""
-        return PATIENCE * self._silence if self.follows else 0
+        return PATH_TIMEOUT_FACTOR * self._silence if self.follows else 0
 
-    def _pass(self, now: int) -> None:
+    def _advance_command(self, now: int) -> None:
         """Advance set point and paths to time `now`."""
-        self._orders.tick(now)
+        self._active.tick(now)
         if track := self._reception.track:
-            self._paths.tick(self._orders.path, track.clock.to_link(now))
+            self._paths.tick(self._active.path, track.clock.to_link(now))
 
     def command(self, now: int) -> bytes:
         """Encode the command frame to send now."""
         self.tick(now)
-        flags, expiry, set_point = self._wanted(now)
+        flags, expiry, set_point = self._next_command(now)
         return encode(
             Command(
-                **self._head(flags, now),
-                expiry=self._by_its_clock(expiry),
+                **self._header(flags, now),
+                expiry=self._to_partner_clock(expiry),
                 mode=set_point.mode,
                 set_point=set_point.value,
                 velocity=set_point.velocity,
@@ -290,13 +290,13 @@ class LinkSession(Session[Telemetry]):
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         return replace(segment, sequence=self._sequence, clock=self._echoes.last_stamp())
 
-    def _wanted(self, now: int) -> tuple[int, int, SetPoint]:
+    def _next_command(self, now: int) -> tuple[int, int, SetPoint]:
         """Return flags, host time of expiry and set point of the next command."""
         frame, flags = self.frame, self._flags(now)
-        if frame is None or flags != Order.ARM:
+        if frame is None or flags != LinkCommandFlag.ARM:
             return flags, 0, NO_SET_POINT
-        how, expiry, set_point = self._orders.wanted(frame.position, now)
-        return flags | how, expiry, set_point
+        flag, expiry, set_point = self._active.next_command(frame.position, now)
+        return flags | flag, expiry, set_point
 
     def feed(self, data: bytes, now: int) -> Sample | None:
         """Process a datagram; return its sample if it is accepted."""
@@ -310,11 +310,11 @@ class LinkSession(Session[Telemetry]):
         The caller can publish the measurement before that update.
         """
         lost = self.lost
-        if (taken := self._take(data, now)) is None:
+        if (accepted := self._accept(data, now)) is None:
             return None
         if lost:  # the link may have been replaced
             self.slow.pop(Slow.SERIAL, None)
-        (frame, stamp), scale = taken, self.scale
+        (frame, stamp), scale = accepted, self.scale
         return Sample(
             frame=frame,
             stamp=stamp,
@@ -325,16 +325,16 @@ class LinkSession(Session[Telemetry]):
 
     def follow(self, sample: Sample) -> None:
         """Update the session from a sample."""
-        self._follow(sample.frame)
+        self._update_state(sample.frame)
 
     def _is_off(self, frame: Telemetry) -> bool:
         """Return True if the drive is off."""
         return frame.mode == Mode.OFF
 
-    def _learn(self, frame: Telemetry, echoed: int | None) -> None:
+    def _update_progress(self, frame: Telemetry, echoed: int | None) -> None:
         """Update the progress of the last command and of the paths."""
-        self._paths.follow(frame, echoed)
-        self._orders.follow(frame, echoed, self._now, self._paths.find(self._orders.path))
+        self._paths.update(frame, echoed)
+        self._active.update(frame, echoed, self._now, self._paths.find(self._active.path))
         if self.progress and self.progress.broken:
             self.breakage = self.progress.reason
         elif frame.flags & State.FOLLOWING:

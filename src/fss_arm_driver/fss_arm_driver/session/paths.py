@@ -8,12 +8,20 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 
 from fss_arm_driver.knots import Knot
-from fss_arm_driver.protocol import KEPT, LAST, Segment, Slow, Telemetry, at, newer_path
+from fss_arm_driver.protocol import (
+    LAST_SEGMENT,
+    MAX_SEGMENTS,
+    Segment,
+    Slow,
+    Telemetry,
+    at,
+    newer_path,
+)
 from fss_link.session import CommandError
 
-HORIZON = 4_000_000  # segments that start later are not sent yet [us]
-MOST = 12  # most segments sent at once
-SAME = 10_000  # largest difference of the start times of one path given twice [us]
+SEND_AHEAD = 4_000_000  # segments that start later are not sent yet [us]
+MAX_SENT = 12  # most segments sent at once
+START_TOLERANCE = 10_000  # largest difference of the start times of one path given twice [us]
 MARGIN = 2  # segments by which the link may lag
 
 
@@ -46,7 +54,7 @@ class SentPath:
         self._link, self._boot = link, boot
 
     @property
-    def begin(self) -> int:
+    def start(self) -> int:
         """Start in the link's clock [us]."""
         return self.clocks[0]
 
@@ -55,7 +63,7 @@ class SentPath:
         """End in the link's clock [us]."""
         return self.clocks[-1]
 
-    def present(self, clock: int) -> int:
+    def segment_index(self, clock: int) -> int:
         """Return the index of the segment at a time; before the start, that of the first."""
         return max(0, bisect_right(self.clocks, clock) - 1)
 
@@ -65,7 +73,7 @@ class SentPath:
         begin, end = self.clocks[index : index + 2]
         return Segment(
             link=self._link,
-            flags=LAST if index + 2 == len(self.knots) else 0,
+            flags=LAST_SEGMENT if index + 2 == len(self.knots) else 0,
             boot=self._boot,
             sequence=0,
             clock=0,
@@ -81,15 +89,15 @@ class SentPath:
 
     def due(self, clock: int) -> Iterator[Segment]:
         """Yield the segments to send now, the most urgent first."""
-        present = self.present(clock)
-        end = min(bisect_left(self.clocks, clock + HORIZON), len(self.clocks) - 1)
-        for index in range(max(present, self.missing), min(end, present + KEPT - MARGIN)):
+        present = self.segment_index(clock)
+        end = min(bisect_left(self.clocks, clock + SEND_AHEAD), len(self.clocks) - 1)
+        for index in range(max(present, self.missing), min(end, present + MAX_SEGMENTS - MARGIN)):
             yield self.segment(index)
 
     def position(self, clock: int) -> float:
         """Return the desired position of the joint at a time [counts]."""
         last = len(self.clocks) - 2
-        segment = self.segment(min(self.present(clock), last))
+        segment = self.segment(min(self.segment_index(clock), last))
         return at(segment, min(max(clock, segment.begin), segment.end))[0]
 
 
@@ -111,9 +119,9 @@ class Paths:
     def check(self, number: int) -> None:
         """Raise CommandError if the path of that number has ended."""
         if self.last and not self.find(number) and not newer_path(number, self.last):
-            raise CommandError(f"path {number} is over: expected one newer than {self.last}")
+            raise CommandError(f"path {number} has ended, expected one newer than {self.last}")
 
-    def give(self, path: SentPath) -> None:
+    def add(self, path: SentPath) -> None:
         """Accept a path as the next one.
 
         Raises:
@@ -126,17 +134,19 @@ class Paths:
             raise CommandError(f"path {path.number} is older than path {self.next.number}")
         if known is None:
             self.next = path
-        elif known.knots != path.knots or abs(known.begin - path.begin) > SAME:
-            raise CommandError(f"path {path.number} was given before, otherwise")
+        elif known.knots != path.knots or abs(known.start - path.start) > START_TOLERANCE:
+            raise CommandError(
+                f"path {path.number} was given before with other knots or another start"
+            )
 
-    def tick(self, ordered: int, clock: int) -> None:
-        """Advance to time `clock`; the link is commanded to follow the path `ordered`, 0: none."""
-        if ordered != self.last and not (ordered and newer_path(ordered, self.last)):
+    def tick(self, commanded: int, clock: int) -> None:
+        """Advance to time `clock`; the link must follow the path `commanded`, 0: none."""
+        if commanded != self.last and not (commanded and newer_path(commanded, self.last)):
             self.followed = None
-        if self.next and ordered == self.next.number and clock >= self.next.begin:
-            self.followed, self.next, self.last = self.next, None, ordered
+        if self.next and commanded == self.next.number and clock >= self.next.start:
+            self.followed, self.next, self.last = self.next, None, commanded
 
-    def follow(self, frame: Telemetry, echoed: int | None) -> None:
+    def update(self, frame: Telemetry, echoed: int | None) -> None:
         """Update which segments the link has, from telemetry.
 
         The frame echoes a command sent at `echoed`.
@@ -147,7 +157,7 @@ class Paths:
             path.missing = word & 0xFFFF
 
     def due(self, clock: int) -> list[Segment]:
-        """Return the segments to send now, at most MOST."""
+        """Return the segments to send now, at most MAX_SENT."""
         paths = [path for path in (self.followed, self.next) if path]
         due = [segment for path in paths for segment in path.due(clock)]
-        return sorted(due, key=lambda segment: segment.begin)[:MOST]
+        return sorted(due, key=lambda segment: segment.begin)[:MAX_SENT]

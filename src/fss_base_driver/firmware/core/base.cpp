@@ -67,8 +67,8 @@ bool Base::take(const uint8_t* data, size_t size, uint64_t now) {
   return true;
 }
 
-// Of each valve what was seen last, as long as it was driven, or not driven, for long enough: pulses
-// may be over by the time that telemetry tells.
+// Stores the last state of each valve's current, once the valve was driven, or not driven, for long
+// enough: a pulse may have ended before the telemetry is sent.
 void Base::watch_currents() {
   const Locked alone(board_);
   const uint8_t currents = board_.currents();

@@ -1,7 +1,7 @@
 // The electronics of the base: commands in, valves and gripper driven, telemetry out.
 // See docs/reference/base_protocol.md, The board.
 //
-// Two callers: `tick`, from a timer's interrupt where there is one, closes what is to be closed and
+// Two callers: `tick`, from a timer's interrupt where there is one, closes valves that are due and
 // samples the gyro; `poll`, from a loop that may be late or hang, does the rest.
 #pragma once
 
@@ -55,8 +55,8 @@ class Base {
 
   Gate gate_;
   BaseCommand command_ = {};
-  Grip grip_ = Grip::Keep;  // told last
-  uint16_t faults_ = 0;     // as last seen: no current (low byte), current that is not asked for
+  Grip grip_ = Grip::Keep;  // last command
+  uint16_t faults_ = 0;     // last seen: no current (low byte), current without a command
   uint64_t due_ = 0;        // the next frame
   uint32_t sequence_ = 0;   // of it
 };

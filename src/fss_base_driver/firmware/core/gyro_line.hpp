@@ -1,6 +1,6 @@
 // A gyro that sends its rate of turn as lines of text, "-12.345678 1": degrees per second with six
 // decimals, and 1 if it is valid. So does KVH's DSP-3000, 100 times a second (its technical manual,
-// chapter 2). Lines have no check sum: one that has lost a byte is told by its form alone.
+// chapter 2). Lines have no checksum: a lost byte is detected only by a line's form.
 #pragma once
 
 #include <stdint.h>

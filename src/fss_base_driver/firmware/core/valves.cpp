@@ -77,7 +77,7 @@ bool Valves::changes_by(uint64_t time) const {
   return false;
 }
 
-// When something changes by itself, at the earliest; later than now. To be asked of an armed board.
+// Earliest time of a change without a command; later than now. Only for an armed board.
 uint64_t Valves::next() const {
   uint64_t last = silent_from_;  // before the change
   if (open_) {
@@ -107,7 +107,7 @@ void Valves::pass(uint64_t time) {
   clock_ = time;
 }
 
-// Closes what must not be open any more.
+// Closes the valves that must not be open any longer.
 void Valves::settle() {
   if (armed_ && clock_ > silent_from_) {
     watchdog_ = true;

@@ -1,8 +1,8 @@
 // The eight valves: which are open, until when, and whether they may be at all.
 // See docs/reference/base_protocol.md, The board.
 //
-// All is integer arithmetic, exact in time: how often it is told the time changes nothing but when
-// it is seen. fss_base_driver.protocol.BoardState is the same table in Python.
+// All arithmetic is integer and exact in time, however often it is called.
+// fss_base_driver.protocol.BoardState is the same table in Python.
 #pragma once
 
 #include <stdint.h>
@@ -27,7 +27,7 @@ class Valves {
   // Lets time pass until `now` [us]; nothing, if that is over. Short: it runs in an interrupt.
   void tick(uint64_t now);
 
-  // Does what a command says that was taken at the present time.
+  // Executes a command accepted at the present time.
   void obey(const BaseCommand& command);
 
   uint64_t clock() const { return clock_; }  // the time that it knows [us]

@@ -1,4 +1,4 @@
-// The Arduino Due with what the base has: valves, gripper, gyro and analogue instruments.
+// The Arduino Due with the base's hardware: valves, gripper, gyro and analogue instruments.
 #pragma once
 
 #include <Arduino.h>
@@ -11,7 +11,7 @@
 
 static const uint32_t kTickRate = 10000;  // of the timer [Hz]: an on time's unit
 
-// Sampled by the timer, 1000 times a second: what the loop samples it samples at no steady rate.
+// Sampled by the timer, 1000 times a second, because the rate of the loop is not steady.
 class AnalogueGyro {
  public:
   void begin() {}

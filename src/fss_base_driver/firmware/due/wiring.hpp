@@ -10,11 +10,11 @@
 static const uint32_t kFirstValvePin = 22;
 static const uint32_t kFirstCurrentPin = 30;  // of the drivers' sense outputs, high with a current
 
-// The gripper's two coils; it stays as it is without either.
+// The gripper's two coils; without current it keeps its state.
 static const int kGripperOpenPin = 38, kGripperClosePin = 39;
 static const int kGripperClosedPin = 40, kGripperHoldsPin = 41;  // switches to ground
 
-// Analogue inputs, 12 bits for 3.3 V, and what full scale means.
+// Analogue inputs, 12 bits for 3.3 V, and their full scale.
 static const int kBatteryPin = A0, kTankPin = A1, kSupplyPin = A2, kTemperaturePin = A3;
 static const int kGyroPin = A4;
 static const int32_t kBatteryFullScale = 200;      // [0.1 V]

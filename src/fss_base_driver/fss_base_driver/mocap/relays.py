@@ -20,7 +20,7 @@ class Relay:
 
     subject: str  # of the poses; empty: the name in the messages, or else the topic's last name
     topic: str
-    lacks: str = "nobody publishes it"  # why it is not relayed yet; empty: it is
+    obstacle: str = "it has no publisher"  # why it is not relayed yet; empty: it is
 
     @property
     def last_name(self) -> str:
@@ -40,7 +40,7 @@ def message_type(names: Iterable[str]) -> Any:
     known = [name for name in names if name.rpartition("/")[2] in READERS]
     if not known:
         have = ", ".join(names)
-        raise RelayError(f"{have} is no type of poses; there are {', '.join(READERS)}")
+        raise RelayError(f"{have} is no type of poses, expected one of {', '.join(READERS)}")
     package, _, kind = known[0].partition("/msg/")
     try:
         return getattr(import_module(f"{package}.msg"), kind)

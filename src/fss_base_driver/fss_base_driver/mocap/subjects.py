@@ -16,7 +16,7 @@ Pose = tuple[float, float, float, float, float, float, float]
 """x, y, z [m], quaternion x, y, z, w."""
 
 SECOND = 1_000_000_000
-MOST = 100  # largest number of subjects; senders may use any number of names
+MAX_SUBJECTS = 100  # largest number of subjects; senders may use any number of names
 NOISE, TURN_NOISE = 0.03, 0.2  # largest jump of an undisturbed pose [m], [rad]
 
 
@@ -33,8 +33,8 @@ class Bounds:
 class Subject:
     """State of one subject."""
 
-    seen: tuple[int, Pose]  # the last pose, with its stamp [ns]
-    believed: tuple[int, Pose]  # the last accepted pose
+    last_pose: tuple[int, Pose]  # the last pose, with its stamp [ns]
+    accepted: tuple[int, Pose]  # the last accepted pose
     arrival: int  # arrival of the last pose [ns]
     jumped: int = 0  # arrival of the pose that last jumped [ns]; 0: it is accepted
     place_of: str = ""  # subject to whose place it jumped
@@ -45,51 +45,50 @@ class Subjects:
     """Filter that decides for each frame which poses to accept.
 
     The stamps limit how far a subject may have moved; they may come from any clock. Ages are
-    measured
-    with times of arrival [ns] in a steady clock.
+    measured with times of arrival [ns] in a steady clock.
     """
 
     def __init__(self, bounds: Bounds) -> None:
         self.bounds = bounds
         self.subjects: dict[str, Subject] = {}
-        self.left_out = 0  # poses of subjects beyond MOST
+        self.ignored = 0  # poses of subjects beyond MAX_SUBJECTS
 
-    def take(self, stamp: int, poses: Mapping[str, Pose], arrival: int) -> dict[str, Pose]:
+    def filter_frame(self, stamp: int, poses: Mapping[str, Pose], arrival: int) -> dict[str, Pose]:
         """Return the accepted poses of a frame."""
-        believed, jumpers = {}, []
+        accepted, jumpers = {}, []
         for name, pose in poses.items():
             if not is_pose(pose):
                 self._count(name, "invalid")
             elif name not in self.subjects:
-                if len(self.subjects) < MOST:
+                if len(self.subjects) < MAX_SUBJECTS:
                     self.subjects[name] = Subject((stamp, pose), (stamp, pose), arrival)
-                    believed[name] = pose
+                    accepted[name] = pose
                 else:
-                    self.left_out += 1
-            elif pose == self.subjects[name].seen[1]:
+                    self.ignored += 1
+            elif pose == self.subjects[name].last_pose[1]:
                 self._count(name, "unchanged")
             else:
                 subject = self.subjects[name]
                 subject.arrival = arrival
-                jumped = not self._is_near(subject.seen, stamp, pose)
-                if self._is_believed(subject, stamp, pose, jumped):
-                    believed[name] = pose
+                jumped = not self._is_near(subject.last_pose, stamp, pose)
+                if self._is_accepted(subject, stamp, pose, jumped):
+                    accepted[name] = pose
                 elif jumped:
                     jumpers.append(name)
-                subject.seen = stamp, pose
+                subject.last_pose = stamp, pose
         for name in jumpers:
-            self.subjects[name].place_of = self._whose_place(name, stamp, poses)
-        for name, pose in believed.items():
-            self.subjects[name].believed = stamp, pose
-            self._count(name, "believed")
-        return believed
+            self.subjects[name].place_of = self._displaced_subject(name, stamp, poses)
+        for name, pose in accepted.items():
+            self.subjects[name].accepted = stamp, pose
+            self._count(name, "accepted")
+        return accepted
 
-    def accept(self) -> None:
+    def accept_all(self) -> None:
         """Accept all subjects at their present poses."""
         for subject in self.subjects.values():
-            subject.believed, subject.jumped, subject.place_of = subject.seen, 0, ""
+            subject.accepted, subject.jumped, subject.place_of = subject.last_pose, 0, ""
 
-    def doubts(self, now: int) -> dict[str, str]:
+    def rejection_reasons(self, now: int) -> dict[str, str]:
         """Return the reason for each subject that is not accepted."""
         return {
             name: f"jumped {(now - s.jumped) / SECOND:.1f} s ago"
@@ -98,15 +97,15 @@ class Subjects:
             if s.jumped
         }
 
-    def silent(self, now: int, timeout: float) -> dict[str, float]:
+    def stale_subjects(self, now: int, timeout: float) -> dict[str, float]:
         """Return the time since the last new pose [s] of each subject beyond the timeout [s]."""
         ages = {name: (now - s.arrival) / SECOND for name, s in self.subjects.items()}
         return {name: age for name, age in ages.items() if age > timeout}
 
-    def _is_believed(self, subject: Subject, stamp: int, pose: Pose, jumped: bool) -> bool:
+    def _is_accepted(self, subject: Subject, stamp: int, pose: Pose, jumped: bool) -> bool:
         if not subject.jumped and not jumped:
             return True
-        if jumped and subject.jumped and self._is_near(subject.believed, stamp, pose):
+        if jumped and subject.jumped and self._is_near(subject.accepted, stamp, pose):
             settled = True
         elif jumped:
             subject.counts["jumped"] += 1
@@ -127,11 +126,11 @@ class Subjects:
             and angle <= TURN_NOISE + self.bounds.turn * elapsed
         )
 
-    def _whose_place(self, name: str, stamp: int, poses: Mapping[str, Pose]) -> str:
+    def _displaced_subject(self, name: str, stamp: int, poses: Mapping[str, Pose]) -> str:
         """Return the subject whose place this one may have taken; empty if there is none."""
         for other, subject in self.subjects.items():
             gone = other not in poses or subject.jumped
-            if other != name and gone and self._is_near(subject.believed, stamp, poses[name]):
+            if other != name and gone and self._is_near(subject.accepted, stamp, poses[name]):
                 return other
         return ""
 

@@ -12,8 +12,8 @@ from fss_link.protocol import Codec, Kind, check_command, check_flags, invalid, 
 BOARD = 0  # number of the board, in the field for a link
 VALVES = 8
 TIME_UNIT = 100  # unit of on-times and of a pulse's age [us]
-LONGEST = 0xFFFF  # largest on-time [TIME_UNIT]
-OLD = 0xFFFF  # age of a pulse that is this old or older
+MAX_ON_TIME = 0xFFFF  # largest on-time [TIME_UNIT]
+MAX_PULSE_AGE = 0xFFFF  # age of a pulse that is this old or older
 NO_ON_TIMES = (0,) * VALVES
 
 
@@ -27,7 +27,7 @@ class BaseState(IntEnum):
     SPENT = 16  # the valves' total time is used up
 
 
-class BaseOrder(IntEnum):
+class BaseCommandFlag(IntEnum):
     """Flags of a command frame, one bit each."""
 
     ARM = 1  # absent: disarm
@@ -42,10 +42,10 @@ class Gripper(IntEnum):
     CLOSE = 2
 
 
-class Hand(IntEnum):
+class GripperFlag(IntEnum):
     """State of the gripper in telemetry, one bit each."""
 
-    TOLD_TO_CLOSE = 1
+    COMMANDED_CLOSED = 1
     CLOSED = 2
     HOLDS = 4
 
@@ -87,7 +87,7 @@ class BaseTelemetry:
     valves: int = unsigned(8)  # bit i: valve i + 1 is open
     gripper: int = unsigned(8)  # Hand
     pulse: int = unsigned(16)  # number of the last started pulse; 0: none since the board started
-    pulse_age: int = unsigned(16)  # time since that pulse started [TIME_UNIT], or OLD
+    pulse_age: int = unsigned(16)  # time since that pulse started [TIME_UNIT], or MAX_PULSE_AGE
     slow_id: int = unsigned(8)  # BaseSlow
     slow_value: int = signed(32)  # of the field `slow_id`
 
@@ -97,7 +97,7 @@ class BaseCommand:
     """Command to the board, valid until `expiry` or the next command."""
 
     link: int = unsigned(8)  # BOARD
-    flags: int = unsigned(8)  # BaseOrder
+    flags: int = unsigned(8)  # BaseCommandFlag
     boot: int = unsigned(16)  # of the addressed board; 0: not known yet, never with ARM
     sequence: int = unsigned(32)  # counts the frames of one host session, modulo 2^32
     clock: int = unsigned(64)  # the host's stamp, echoed by the board [us]
@@ -121,24 +121,24 @@ def _check_telemetry(frame: BaseTelemetry) -> None:
     _check_head(frame, sum(BaseState))
     if frame.boot == 0:
         raise invalid("boot is 0, expected 1 or more")
-    if frame.gripper > sum(Hand):
-        raise invalid(f"gripper is {frame.gripper}, expected 0 to {sum(Hand)}")
+    if frame.gripper > sum(GripperFlag):
+        raise invalid(f"gripper is {frame.gripper}, expected 0 to {sum(GripperFlag)}")
     if frame.slow_id not in _SLOW_IDS:
         raise invalid(f"slow_id is {frame.slow_id}, expected 1 to {max(_SLOW_IDS)}")
 
 
 def _check_command(frame: BaseCommand) -> None:
-    _check_head(frame, sum(BaseOrder))
+    _check_head(frame, sum(BaseCommandFlag))
     check_command(frame)
     times = frame.on_times
-    if len(times) != VALVES or not all(0 <= time <= LONGEST for time in times):
-        raise invalid(f"on_times are {times}, expected {VALVES} from 0 to {LONGEST}")
+    if len(times) != VALVES or not all(0 <= time <= MAX_ON_TIME for time in times):
+        raise invalid(f"on_times are {times}, expected {VALVES} from 0 to {MAX_ON_TIME}")
     if frame.gripper not in _GRIPPER:
         raise invalid(f"gripper is {frame.gripper}, expected 0 to {max(_GRIPPER)}")
     if any(times) and not frame.pulse:
         raise invalid("on_times without a pulse")
-    if not frame.flags & BaseOrder.ARM and (frame.pulse or frame.gripper):
-        raise invalid("a pulse, or an order to the gripper, without arm")
+    if not frame.flags & BaseCommandFlag.ARM and (frame.pulse or frame.gripper):
+        raise invalid("a pulse or a gripper command without arm")
 
 
 _SLOW_IDS = frozenset(BaseSlow)

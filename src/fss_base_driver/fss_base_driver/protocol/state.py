@@ -9,16 +9,16 @@ from typing import NamedTuple, Never
 
 from fss_base_driver.protocol.frames import (
     BOARD,
-    OLD,
+    MAX_PULSE_AGE,
     TIME_UNIT,
     VALVES,
     BaseCommand,
-    BaseOrder,
+    BaseCommandFlag,
     BaseSlow,
     BaseState,
     BaseTelemetry,
     Gripper,
-    Hand,
+    GripperFlag,
     decode,
 )
 from fss_link.protocol import Gate, Language
@@ -70,7 +70,7 @@ class BoardState:
         self.gripper = Gripper.KEEP  # last command to the gripper
         self.left = self.limits.total  # rest of the valves' total time [us]
         self.opened = [0] * VALVES  # total open time of each since the start [us]
-        self._begun = 0  # start of the last pulse
+        self._pulse_start = 0  # start of the last pulse
         self._clock = 0
         self._until = [0] * VALVES  # end of each valve's open time
         self._allowance = [PERCENT * self.limits.allowance] * VALVES  # [us / PERCENT]
@@ -78,13 +78,13 @@ class BoardState:
     def receive(self, data: bytes, clock: int) -> bool:
         """Process received bytes; return True if they were accepted as a command."""
         self.tick(clock)
-        command = self.gate.take(data, clock)
+        command = self.gate.accept(data, clock)
         if not isinstance(command, BaseCommand):
             return False
-        if command.flags & BaseOrder.STOP:
+        if command.flags & BaseCommandFlag.STOP:
             self.stopped = True
             self._disarm()
-        elif not command.flags & BaseOrder.ARM:
+        elif not command.flags & BaseCommandFlag.ARM:
             self.stopped = self.watchdog_tripped = self.limited = self.spent = False
             self.left = self.limits.total
             self._disarm()
@@ -128,6 +128,7 @@ class BoardState:
         gate, command = self.gate, self.gate.command
         slow = list(BaseSlow)[sequence % len(BaseSlow)]
         closes = self.gripper is Gripper.CLOSE
+        age = (clock - self._pulse_start) // TIME_UNIT if self.pulse else MAX_PULSE_AGE
         return BaseTelemetry(
             link=gate.number,
             flags=self.flags(),
@@ -139,16 +140,16 @@ class BoardState:
             gyro_sum=measured.gyro_sum & _MASK,
             gyro_samples=measured.gyro_samples & 0xFFFF,
             valves=self.valves(),
-            gripper=Hand.TOLD_TO_CLOSE * closes
-            | Hand.CLOSED * measured.closed
-            | Hand.HOLDS * measured.holds,
+            gripper=GripperFlag.COMMANDED_CLOSED * closes
+            | GripperFlag.CLOSED * measured.closed
+            | GripperFlag.HOLDS * measured.holds,
             pulse=self.pulse,
-            pulse_age=min((clock - self._begun) // TIME_UNIT, OLD) if self.pulse else OLD,
+            pulse_age=min(age, MAX_PULSE_AGE),
             slow_id=slow,
-            slow_value=_signed(self._slow(slow, measured)),
+            slow_value=_signed(self._slow_value(slow, measured)),
         )
 
-    def _slow(self, slow: BaseSlow, measured: Measured) -> int:
+    def _slow_value(self, slow: BaseSlow, measured: Measured) -> int:
         if slow >= BaseSlow.OPEN_1:
             return self.opened[slow - BaseSlow.OPEN_1] // 1000
         if slow is BaseSlow.LEFT:
@@ -164,7 +165,7 @@ class BoardState:
         if not command.pulse:
             self._close()
         elif command.pulse != self.pulse:
-            self.pulse, self._begun = command.pulse, self._clock
+            self.pulse, self._pulse_start = command.pulse, self._clock
             times = [TIME_UNIT * time for time in command.on_times]
             self.limited |= max(times) > self.limits.longest
             self._until = [self._clock + min(time, self.limits.longest) for time in times]

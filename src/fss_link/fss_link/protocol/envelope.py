@@ -94,7 +94,7 @@ class Head(Protocol):
         """Clock of the sender [us]."""
 
 
-class Heard(Head, Protocol):
+class TelemetryHead(Head, Protocol):
     """Common fields of all telemetry; its flags include StatusFlag."""
 
     @property
@@ -114,7 +114,7 @@ class Heard(Head, Protocol):
         """Value of that slow field."""
 
 
-class Ordered(Head, Protocol):
+class CommandHead(Head, Protocol):
     """Common fields of all commands; their flags include CommandFlag."""
 
     @property
@@ -230,14 +230,14 @@ def check_flags(frame: Head, known: int) -> None:
         raise invalid(f"flags are {frame.flags:#x}, expected only {known:#x}")
 
 
-def check_command(frame: Ordered) -> None:
+def check_command(frame: CommandHead) -> None:
     """Raise FrameError if a common field of commands is not valid."""
     if frame.watchdog == 0:
         raise invalid("watchdog is 0 ms, expected 1 or more")
     if not frame.flags & CommandFlag.ARM:
         return
     if frame.flags & CommandFlag.STOP:
-        raise invalid("flags hold both arm and stop")
+        raise invalid("flags contain both arm and stop")
     if frame.boot == 0:
         raise invalid("boot is 0 in a command that arms")
     if frame.expiry == 0:
@@ -249,6 +249,6 @@ def newer(sequence: int, than: int) -> bool:
     return 0 < (sequence - than) & 0xFFFFFFFF < 0x80000000
 
 
-def spoken(data: bytes) -> tuple[int, int]:
+def version_and_link(data: bytes) -> tuple[int, int]:
     """Return version and link of a frame of any version: 72 bytes that start with the magic."""
     return data[2], data[4]

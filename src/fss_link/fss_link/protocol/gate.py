@@ -5,9 +5,9 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Generic, NamedTuple, TypeVar
 
-from fss_link.protocol.envelope import CommandFlag, FrameError, Head, Ordered, newer
+from fss_link.protocol.envelope import CommandFlag, CommandHead, FrameError, Head, newer
 
-C = TypeVar("C", bound=Ordered)
+C = TypeVar("C", bound=CommandHead)
 S = TypeVar("S", bound=Head)
 
 
@@ -69,38 +69,38 @@ class Gate(Generic[C, S]):
         """Silence after which the link disarms itself [us]."""
         return 1000 * self.command.watchdog if self.command else self._language.watchdog
 
-    def take(self, data: bytes, clock: int) -> C | S | None:
+    def accept(self, data: bytes, clock: int) -> C | S | None:
         """Return the command or segment received at `clock` [us]; None if it is refused."""
-        frame = self._judge(data, clock)
+        frame = self._check(data, clock)
         if isinstance(frame, Refused):
-            self.refuse(frame)
+            self.count_refusal(frame)
             return None
         if isinstance(frame, self._language.command):
-            self._remember(frame, clock)
+            self._store(frame, clock)
         return frame
 
-    def refuse(self, reason: Refused) -> None:
+    def count_refusal(self, reason: Refused) -> None:
         """Count a datagram that is refused."""
         self.refused[reason] += 1
 
-    def _judge(self, data: bytes, clock: int) -> C | S | Refused:
+    def _check(self, data: bytes, clock: int) -> C | S | Refused:
         try:
             frame = self._language.decode(data, self.key)
         except FrameError:
             return Refused.FRAME
         segment = self._language.segment
         if frame.link == self.number and segment and isinstance(frame, segment):
-            return self._segment_obstacle(frame) or frame
+            return self._segment_refusal(frame) or frame
         if frame.link == self.number and isinstance(frame, self._language.command):
-            return self._command_obstacle(frame, clock) or frame
+            return self._command_refusal(frame, clock) or frame
         return Refused.OTHER
 
-    def _segment_obstacle(self, segment: S) -> Refused | None:
+    def _segment_refusal(self, segment: S) -> Refused | None:
         if segment.boot != self.boot:
             return Refused.BOOT
         return Refused.SEQUENCE if self.key and segment.clock <= self._disarming else None
 
-    def _command_obstacle(self, command: C, clock: int) -> Refused | None:
+    def _command_refusal(self, command: C, clock: int) -> Refused | None:
         stop = command.flags & CommandFlag.STOP
         if not stop and command.boot not in (0, self.boot):
             return Refused.BOOT
@@ -108,7 +108,7 @@ class Gate(Generic[C, S]):
             return Refused.SEQUENCE
         return Refused.EXPIRED if command.expiry and command.expiry < clock else None
 
-    def _remember(self, command: C, clock: int) -> None:
+    def _store(self, command: C, clock: int) -> None:
         if self._follows(command, clock):
             self._newest = command.sequence
         self._latest = max(self._latest, command.clock)

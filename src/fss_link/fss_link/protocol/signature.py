@@ -52,7 +52,7 @@ def parse_keys(text: str, name: str = "keys") -> Mapping[int, bytes]:
     return keys
 
 
-def key_of(path: str, number: int, name: str) -> bytes | None:
+def load_key(path: str, number: int, name: str) -> bytes | None:
     """Return the key that signs the frames of a link, by its number; None without a file.
 
     Raises:
@@ -61,7 +61,7 @@ def key_of(path: str, number: int, name: str) -> bytes | None:
     """
     keys = load_keys(path) if path else {}
     if path and number not in keys:
-        raise ValueError(f"keys is {path!r}, which holds no key for {name}")
+        raise ValueError(f"keys is {path!r}, which has no key for {name}")
     return keys.get(number)
 
 
@@ -75,5 +75,7 @@ def load_keys(path: str | Path) -> Mapping[int, bytes]:
     with Path(path).open(encoding="utf-8", errors="replace") as file:
         mode = stat.S_IMODE(Path(path).stat().st_mode)
         if mode & 0o077:
-            raise KeyFileError(f"{path} has mode {mode:o}, expected 600: it is its owner's alone")
+            raise KeyFileError(
+                f"{path} has mode {mode:o}, expected 600: only its owner may have access"
+            )
         return parse_keys(file.read(), str(path))

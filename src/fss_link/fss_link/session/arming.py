@@ -12,7 +12,7 @@ state, so a lost command does no harm. Times are read from the caller's clock, i
 
 from enum import Enum
 
-from fss_link.protocol import CommandFlag, Heard, StatusFlag
+from fss_link.protocol import CommandFlag, StatusFlag, TelemetryHead
 from fss_link.session.clock import SECOND
 
 ARMING_TIMEOUT = 2 * SECOND  # a link that is not armed by then stays disarmed
@@ -71,7 +71,7 @@ class ArmingMachine:
         """Request that the drive clears its latched faults, while disarmed."""
         self._clear_end = now + CLEAR_FAULTS_TIME
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Discard the times that are invalid once the caller's clock was set back."""
         self._clear_end = 0
 
@@ -83,7 +83,7 @@ class ArmingMachine:
         if lost or now - self._disarm_time > RELEASE_TIMEOUT:
             self.releasing = False
 
-    def follow(self, frame: Heard, echoed: int | None, off: bool, faults: list[str]) -> str:
+    def follow(self, frame: TelemetryHead, echoed: int | None, off: bool, faults: list[str]) -> str:
         """Update the state from telemetry; return the reason to disarm, empty if there is none.
 
         Args:
@@ -93,18 +93,18 @@ class ArmingMachine:
             faults: names of the faults that forbid motion.
         """
         armed = bool(frame.flags & StatusFlag.ARMED)
-        trouble = ""
+        reason = ""
         if self.state is Arming.ARMED and not armed:
-            trouble = f"{self._name} has disarmed itself"
+            reason = f"{self._name} has disarmed itself"
         elif self.state is not Arming.DISARMED and faults:
-            trouble = ", ".join(faults)
+            reason = ", ".join(faults)
         elif self.state is Arming.ARMING and armed and echoed and echoed >= self._arm_time:
             self.state = Arming.ARMED
         if self.releasing and off and not armed and echoed and echoed > self._disarm_time:
             self.releasing, self.released = False, True
-        return trouble
+        return reason
 
-    def flags(self, frame: Heard | None, answered: bool, now: int) -> int:
+    def flags(self, frame: TelemetryHead | None, answered: bool, now: int) -> int:
         """Return the flags of the next command.
 
         A command that does not arm clears the link's latches and starts a session.

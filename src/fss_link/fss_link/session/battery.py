@@ -23,7 +23,7 @@ class Battery:
         self._readings: deque[tuple[float, float]] = deque(maxlen=MAX_READINGS)  # [s], [V]
         self._next = 0
 
-    def take(self, voltage: float, now: int) -> None:
+    def add(self, voltage: float, now: int) -> None:
         """Add a reading [V]."""
         self.voltage = voltage
         if now < self._next - READING_INTERVAL:  # the clock was set back

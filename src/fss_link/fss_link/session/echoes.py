@@ -8,7 +8,7 @@ from collections import deque
 from secrets import randbelow
 from typing import NamedTuple
 
-from fss_link.protocol import Heard
+from fss_link.protocol import TelemetryHead
 from fss_link.session.clock import MICROSECOND, SECOND
 
 ECHO_MEMORY = 60 * SECOND  # for which sent commands are remembered
@@ -46,7 +46,7 @@ class Echoes:
         self.answered = -1  # when the last command known to be accepted was sent
         self.crowded = False  # the link refuses many datagrams of other senders
         self._answer = 0  # echo of that command
-        self._begun = 0  # when the first command was sent
+        self._first_sent = 0  # when the first command was sent
         self._clock = 0  # stamp of the last command [us]
         self._ours: dict[int, int] = {}  # sending times, by the low 32 bits of a command's stamp
         self._others: deque[int] = deque(maxlen=2)  # when the link accepted other commands
@@ -59,7 +59,7 @@ class Echoes:
         both use simulated time. With `latest` it is the latest possible one, so that it is later
         than the stamps of other drivers.
         """
-        self._begun = self._begun or now
+        self._first_sent = self._first_sent or now
         self.sent += 1
         day = (now + self._epoch) // MICROSECOND
         least = max(self._clock + 1, day if latest else day - STAMP_SPREAD)
@@ -74,48 +74,48 @@ class Echoes:
         self.sent += 1
         return self._clock
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Discard the sending times, which are invalid once the caller's clock was set back."""
         self._ours.clear()
         self._others.clear()
-        self._begun, self.answered = 0, -1
+        self._first_sent, self.answered = 0, -1
 
-    def sent_at(self, frame: Heard) -> int | None:
+    def sent_at(self, frame: TelemetryHead) -> int | None:
         """Return when the command that a frame echoes was sent; None if it is not ours."""
         if frame.echo == self._answer and self.answered >= 0:  # however long ago
             return self.answered
         return self._ours.get(frame.echo) if frame.echo else None
 
-    def rival(self, now: int) -> bool:
+    def has_other_driver(self, now: int) -> bool:
         """Return True if the link accepts commands of another driver."""
         return len(self._others) == 2 and now - self._others[0] <= 2 * self._timeout
 
-    def hear(self, frame: Heard, now: int) -> None:
+    def update(self, frame: TelemetryHead, now: int) -> None:
         """Update from an accepted frame, or from any frame while the link is lost."""
         if (sent := self.sent_at(frame)) is not None:
             self._answer, self.answered = frame.echo, sent
             self.delay = max(0, now - sent - frame.turnaround * MICROSECOND)
-        elif frame.echo not in (0, self._answer) and self._begun:
-            self._hear_other(frame, now)
+        elif frame.echo not in (0, self._answer) and self._first_sent:
+            self._update_other(frame, now)
         if frame.slow_id == self._refused:
             self._count_refused(frame, sent is not None)
 
-    def _hear_other(self, frame: Heard, now: int) -> None:
+    def _update_other(self, frame: TelemetryHead, now: int) -> None:
         """Handle the echo of a command of another driver or of an earlier session."""
-        taken = now - frame.turnaround * MICROSECOND  # at the latest
-        if taken > self._begun + self._watchdog and now - taken <= self._timeout:
+        accepted = now - frame.turnaround * MICROSECOND  # at the latest
+        if accepted > self._first_sent + self._watchdog and now - accepted <= self._timeout:
             self._others.append(now)
-        elif self._signed and min(now - taken, now - self._begun) > self._watchdog:
+        elif self._signed and min(now - accepted, now - self._first_sent) > self._watchdog:
             # No driver commands the link, yet it refuses ours: it has accepted later stamps.
-            later = self._clock + ((frame.echo - self._clock) & MASK)
-            if later <= (now + self._epoch) // MICROSECOND + MAX_STAMP_LEAD:
-                self._clock = later
+            later_stamp = self._clock + ((frame.echo - self._clock) & MASK)
+            if later_stamp <= (now + self._epoch) // MICROSECOND + MAX_STAMP_LEAD:
+                self._clock = later_stamp
 
-    def _count_refused(self, frame: Heard, taken: bool) -> None:
+    def _count_refused(self, frame: TelemetryHead, accepted: bool) -> None:
         """Compare the refused with the sent datagrams, while the link accepts our commands."""
         then, now = self._refusals, Refusals(frame.boot, frame.slow_value & MASK, self.sent)
-        if not taken or then is None or then.boot != now.boot:
-            self.crowded, self._refusals = False, now if taken else None
+        if not accepted or then is None or then.boot != now.boot:
+            self.crowded, self._refusals = False, now if accepted else None
         elif now.sent - then.sent >= CROWD_COMMANDS:
             self.crowded = 2 * (now.refused - then.refused) > now.sent - then.sent
             self._refusals = now

@@ -4,7 +4,7 @@ from collections import Counter, deque
 from enum import Enum
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from fss_link.protocol import Heard, newer
+from fss_link.protocol import TelemetryHead, newer
 from fss_link.session.clock import MICROSECOND, SECOND, LinkClock
 
 EARLY_TOLERANCE = SECOND // 10  # delays vary: the most by which a frame may seem to be early
@@ -13,17 +13,17 @@ SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
 MAX_CANDIDATES = 16  # more than one, so that noise cannot displace a link that starts
 
 
-T = TypeVar("T", bound=Heard)
-F = TypeVar("F", bound=Heard, contravariant=True)
+T = TypeVar("T", bound=TelemetryHead)
+F = TypeVar("F", bound=TelemetryHead, contravariant=True)
 
 
 class Rules(Protocol[F]):
     """Validity rules for telemetry frames."""
 
-    def possible(self, frame: F) -> bool:
+    def is_plausible(self, frame: F) -> bool:
         """Return True if the frame is plausible by itself."""
 
-    def reachable(self, before: F, frame: F) -> bool:
+    def is_reachable(self, before: F, frame: F) -> bool:
         """Return True if the frame can follow the frame `before`."""
 
 
@@ -69,7 +69,7 @@ class Reception(Generic[T]):
         self, rules: Rules[T], timeout: int, resolution: int, prove: bool, counts: Counter[str]
     ) -> None:
         self.lost = True
-        self.heard = 0  # when a frame was last accepted
+        self.accepted_at = 0  # when a frame was last accepted
         self.track: Track[T] | None = None  # of accepted frames; kept for a while when lost
         self._rules, self._timeout, self._resolution = rules, timeout, resolution
         self._early = timeout if resolution else EARLY_TOLERANCE  # a simulated clock may lag
@@ -78,31 +78,31 @@ class Reception(Generic[T]):
         self._stamp = 0  # of the last sample
         self._echoed = 0  # when the command echoed by the last accepted frame was sent
 
-    def tick(self, now: int, patience: int = 0) -> bool:
+    def tick(self, now: int, min_timeout: int = 0) -> bool:
         """Return True if the link is lost at `now`, but was not before.
 
-        `patience` is the shortest timeout.
+        `min_timeout` is the shortest timeout.
         """
-        lost = not self.lost and now - self.heard > max(self._timeout, patience)
+        lost = not self.lost and now - self.accepted_at > max(self._timeout, min_timeout)
         if lost:
             self.lost = True
             self._counts["lost"] += 1
-        if self.lost and now - self.heard > TRACK_MEMORY:
+        if self.lost and now - self.accepted_at > TRACK_MEMORY:
             self.track = None
         return lost
 
-    def forget(self, now: int) -> None:
+    def reset(self, now: int) -> None:
         """Reset, because the clock was set back."""
         self._counts["lost"] += not self.lost
-        self.lost, self.heard, self.track, self._stamp, self._echoed = True, now, None, 0, 0
+        self.lost, self.accepted_at, self.track, self._stamp, self._echoed = True, now, None, 0, 0
         self._candidates.clear()
 
-    def take(self, frame: T, echoed: int | None, now: int) -> int | None:
+    def accept(self, frame: T, echoed: int | None, now: int) -> int | None:
         """Return the host time of the measurement [ns] if `frame` is accepted, else None.
 
         The frame echoes a command sent at `echoed`.
         """
-        if not self._believes(frame, echoed, now) or self.track is None:
+        if not self._check(frame, echoed, now) or self.track is None:
             return None
         clock = self.track.clock
         if echoed is None:
@@ -114,9 +114,9 @@ class Reception(Generic[T]):
         self._stamp = max(clock.to_host(frame.clock), self._stamp + 1)
         return self._stamp
 
-    def _believes(self, frame: T, echoed: int | None, now: int) -> bool:
+    def _check(self, frame: T, echoed: int | None, now: int) -> bool:
         """Return True if `frame` is accepted; it becomes the track's last frame or a candidate."""
-        if not self._rules.possible(frame):
+        if not self._rules.is_plausible(frame):
             self._counts["impossible"] += 1
             return False
         verdict = self._compare(self.track, frame, now, late=self._timeout)
@@ -144,11 +144,11 @@ class Reception(Generic[T]):
     def _follow(self, verdict: Verdict, frame: T, now: int) -> bool:
         """Accept a frame that follows the track or a candidate; else store it as a candidate."""
         if self.track and verdict is Verdict.FOLLOWS:
-            self._believe(self.track, frame, now)
+            self._accept(self.track, frame, now)
             return True
         for track in self._candidates if self.lost else ():
             if self._compare(track, frame, now, late=self._early) is Verdict.FOLLOWS:
-                self._believe(track, frame, now)
+                self._accept(track, frame, now)
                 return True
         self._counts["candidates"] += 1
         self._candidates.append(Track(frame, LinkClock(frame.clock, now, self._resolution)))
@@ -171,19 +171,19 @@ class Reception(Generic[T]):
         least = max(steps * SHORTEST_PERIOD, (steps - 1) * track.period / 2)
         if period < least or (age < -self._early and self._is_early(track, age, now)):
             return Verdict.JUMP
-        reachable = self._rules.reachable(track.frame, frame)
+        reachable = self._rules.is_reachable(track.frame, frame)
         return Verdict.FOLLOWS if reachable else Verdict.JUMP
 
     def _is_early(self, track: Track[T], age: int, now: int) -> bool:
         """Return True if a frame is early even beyond the clock's uncertainty."""
-        known_to = track.clock.half_width(now)
-        return age < -self._early - (known_to if known_to < self._timeout else 0)
+        uncertainty = track.clock.half_width(now)
+        return age < -self._early - (uncertainty if uncertainty < self._timeout else 0)
 
-    def _believe(self, track: Track[T], frame: T, now: int) -> None:
+    def _accept(self, track: Track[T], frame: T, now: int) -> None:
         self._counts["adopted"] += self.lost
-        self._counts["believed"] += 1
+        self._counts["accepted"] += 1
         self._counts["missed"] += ((frame.sequence - track.frame.sequence) & 0xFFFFFFFF) - 1
         # A silent link may not have counted its frames: its period is estimated again.
         self.track = Track(frame, track.clock) if self.lost else track.then(frame)
         self._candidates.clear()
-        self.heard, self.lost = now, False
+        self.accepted_at, self.lost = now, False

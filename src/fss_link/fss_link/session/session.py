@@ -10,7 +10,15 @@ from collections.abc import Callable
 from math import inf, nan
 from typing import Any, Generic, NamedTuple, TypedDict, TypeVar
 
-from fss_link.protocol import VERSION, CommandFlag, FrameError, Head, Heard, Refusal, spoken
+from fss_link.protocol import (
+    VERSION,
+    CommandFlag,
+    FrameError,
+    Head,
+    Refusal,
+    TelemetryHead,
+    version_and_link,
+)
 from fss_link.session.arming import Arming, ArmingMachine
 from fss_link.session.battery import Battery
 from fss_link.session.clock import SECOND
@@ -20,14 +28,14 @@ from fss_link.session.reception import Reception, Rules
 CLOCK_CORRECTION = SECOND // 10  # a simulated clock set back by less is only corrected
 
 #: Outcomes of telemetry frames other than acceptance.
-TROUBLES = (
+FRAME_PROBLEMS = (
     *(reason.value for reason in Refusal),
     *("foreign", "impossible", "unproven"),
     *("stale", "repeated", "reordered", "candidates", "missed"),
 )
-COUNTS = ("received", "believed", *TROUBLES, "adopted", "lost", "sent", "commands_refused")
+COUNTS = ("received", "accepted", *FRAME_PROBLEMS, "adopted", "lost", "sent", "commands_refused")
 
-T = TypeVar("T", bound=Heard)
+T = TypeVar("T", bound=TelemetryHead)
 
 
 class CommandError(ValueError):
@@ -48,7 +56,7 @@ class Partner(NamedTuple, Generic[T]):
     armed_by: str  # the operator's command that arms it
 
 
-class CommandHead(TypedDict):
+class HeaderFields(TypedDict):
     """Header of all commands."""
 
     link: int
@@ -97,12 +105,12 @@ class Session(ABC, Generic[T]):
         )
         self._echoes = Echoes(epoch, self._timeout, self._silence, signed, partner.refused)
         self._arming = ArmingMachine(partner.name, partner.latches)
-        self.dropped = ""  # why it was last disarmed, unless the operator requested it
+        self.disarm_reason = ""  # why it was last disarmed, unless the operator requested it
         self._version = VERSION  # of this partner's frames, if it is not ours
         self._sequence = 0
         self._now = 0
-        self._still = 0  # how long this process was stalled before `_woke`
-        self._woke = -1  # when this process resumed
+        self._stall_time = 0  # how long this process was stalled before `_resumed`
+        self._resumed = -1  # when this process resumed
 
     # Overridden for each kind of partner.
 
@@ -116,18 +124,18 @@ class Session(ABC, Generic[T]):
         """Return True if everything that must be off when disarmed is off."""
 
     @abstractmethod
-    def _end(self, why: str) -> None:
+    def _cancel_command(self, why: str) -> None:
         """Cancel the active command."""
 
     @abstractmethod
-    def _pass(self, now: int) -> None:
+    def _advance_command(self, now: int) -> None:
         """Advance the active command to time `now`."""
 
     @abstractmethod
-    def _learn(self, frame: T, echoed: int | None) -> None:
+    def _update_progress(self, frame: T, echoed: int | None) -> None:
         """Update the progress of the active command from an accepted frame."""
 
-    def _patience(self) -> int:
+    def _min_timeout(self) -> int:
         """Return the shortest silence after which the partner is lost [ns]."""
         return 0
 
@@ -187,61 +195,63 @@ class Session(ABC, Generic[T]):
 
     def silence(self, now: int) -> float:
         """Return the time since a frame was last accepted [s]; infinite if none ever was."""
-        return 1e-9 * (now - self._reception.heard) if self.counts["believed"] else inf
+        return 1e-9 * (now - self._reception.accepted_at) if self.counts["accepted"] else inf
 
     @property
-    def absence(self) -> str:
-        """Message about how long no frame was received from the partner."""
+    def loss_reason(self) -> str:
+        """Message about why the partner is lost, or how long it has been silent."""
         if self._version != VERSION:
-            return self.dialect
+            return self.version_problem
         if (silence := self.silence(self._now)) == inf:
-            return "not heard yet: is it on, and does no other driver talk to it?"
+            return "nothing received yet: is it switched on, and does no other driver use it?"
         return f"silent for {silence:.1f} s"
 
     @property
-    def dialect(self) -> str:
+    def version_problem(self) -> str:
         """Message if the partner uses another version of the protocol, else empty."""
         if self._version == VERSION:
             return ""
         what = "its firmware" if self._version < VERSION else "this computer's software"
         return (
-            f"{self.partner.name} speaks version {self._version} of the protocol, expected "
+            f"{self.partner.name} uses version {self._version} of the protocol, expected "
             f"{VERSION}: {'flash' if self._version < VERSION else 'update'} {what}"
         )
 
     @property
-    def rival(self) -> str:
+    def other_driver(self) -> str:
         """Message if another driver commands the partner, else empty; this driver then disarms."""
-        rival = self._echoes.rival(self._now)
-        return f"another driver commands {self.partner.name}" if rival else ""
+        other = self._echoes.has_other_driver(self._now)
+        return f"another driver commands {self.partner.name}" if other else ""
 
     @property
-    def strain(self) -> str:
+    def link_problem(self) -> str:
         """Message about a communication problem, else empty: delay, or another sender's frames."""
-        if (way := self._echoes.delay) > self._timeout:
-            most = 1e-9 * self._timeout
-            return f"delay of {1e-9 * way:.2f} s there and back, at most {most:g} s"
+        if (delay := self._echoes.delay) > self._timeout:
+            limit = 1e-9 * self._timeout
+            return f"round trip of {1e-9 * delay:.2f} s, at most {limit:g} s allowed"
         if self._echoes.crowded:
-            return f"{self.partner.name} refuses frames of somebody else: another driver?"
+            return (
+                f"{self.partner.name} refuses frames of another sender: does a second driver run?"
+            )
         return ""
 
     @property
-    def standstill(self) -> str:
+    def stall(self) -> str:
         """Message if this process was last stalled beyond the watchdog time, else empty."""
-        return f"stood still for {1e-9 * self._still:.1f} s" if self._still else ""
+        return f"was stalled for {1e-9 * self._stall_time:.1f} s" if self._stall_time else ""
 
     def obstacle(self, now: int) -> str:
         """Return why the partner cannot be armed, in words; empty if it can."""
         self.tick(now)
         name, echoes = self.partner.name, self._echoes
-        if self.rival:
-            return self.rival
+        if self.other_driver:
+            return self.other_driver
         if echoes.delay > self._timeout:
-            return f"{name}: {self.strain}"
+            return f"{name}: {self.link_problem}"
         if self.lost:
-            return self.dialect or f"{name} is lost: {self.absence}"
-        if echoes.answered < self._woke:
-            return f"{name}: its driver {self.standstill} just now"
+            return self.version_problem or f"{name} is lost: {self.loss_reason}"
+        if echoes.answered < self._resumed:
+            return f"{name}: its driver {self.stall} just now"
         return f"{name} has faults: {', '.join(self.faults)}" if self.faults else ""
 
     def arm(self, now: int) -> None:
@@ -252,7 +262,7 @@ class Session(ABC, Generic[T]):
         """
         if obstacle := self.obstacle(now):
             raise CommandError(obstacle)
-        self.dropped = ""
+        self.disarm_reason = ""
         # A partner that has not yet answered may wait for an earlier driver's watchdog.
         self._arming.arm(now, grace=0 if self._echoes.answered >= 0 else self._silence)
 
@@ -261,20 +271,20 @@ class Session(ABC, Generic[T]):
 
         Once `settled`, `released` is True if the partner has confirmed it; a lost partner cannot.
         """
-        self._end("disarmed")
-        self.dropped = ""
+        self._cancel_command("disarmed")
+        self.disarm_reason = ""
         self._arming.disarm(self._now, self.lost)
 
     def stop(self) -> None:
         """Stop now, until armed again or disarmed; actuators that are off stay off."""
-        self._end("stopped")
+        self._cancel_command("stopped")
         self._arming.stop()
 
     def _drop(self, why: str) -> None:
         """Disarm without the operator's request; a stop stays in effect."""
         if self.arming in (Arming.ARMING, Arming.ARMED):
-            self.dropped = why
-        self._end(why)
+            self.disarm_reason = why
+        self._cancel_command(why)
         self._arming.drop()
 
     def require_armed(self) -> None:
@@ -290,31 +300,31 @@ class Session(ABC, Generic[T]):
         computer slept. The partner was not monitored meanwhile, so it is disarmed.
         """
         if self._now and now - self._now > self._silence:
-            self._still, self._woke = now - self._now, now
-            self._drop(self.standstill)
+            self._stall_time, self._resumed = now - self._now, now
+            self._drop(self.stall)
         if now < self._now - CLOCK_CORRECTION:
-            self._reception.forget(now)
-            self._echoes.forget()
-            self._woke = -1
-            self._arming.forget()
+            self._reception.reset(now)
+            self._echoes.reset()
+            self._resumed = -1
+            self._arming.reset()
             self._drop("the clock was set back")
         self._now = now
-        if self._reception.tick(now, self._patience()):
+        if self._reception.tick(now, self._min_timeout()):
             self._echoes.delay = 0
             self._drop(f"{self.partner.name} is lost")
-        self._pass(now)
+        self._advance_command(now)
         self._arming.tick(now, self._echoes.delay, self.lost)
 
     def _flags(self, now: int) -> int:
         """Return the flags of the next command."""
         return self._arming.flags(self.frame, self._echoes.answered >= 0, now)
 
-    def _head(self, flags: int, now: int) -> CommandHead:
+    def _header(self, flags: int, now: int) -> HeaderFields:
         """Return the header of a command that is sent now."""
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         self.counts["sent"] += 1
         frame = self.frame
-        return CommandHead(
+        return HeaderFields(
             link=self.number,
             flags=flags,
             boot=frame.boot if frame else 0,
@@ -323,38 +333,38 @@ class Session(ABC, Generic[T]):
             watchdog=self._watchdog,
         )
 
-    def _by_its_clock(self, time: int) -> int:
+    def _to_partner_clock(self, time: int) -> int:
         """Convert a host time to the partner's clock [us]; 0: no time, or clock not known."""
         track = self._reception.track
         return track.clock.to_link(time) if track and time else 0
 
-    def _take(self, data: bytes, now: int) -> tuple[T, int] | None:
+    def _accept(self, data: bytes, now: int) -> tuple[T, int] | None:
         """Process a datagram; return the frame and its measurement time [ns] if it is accepted."""
         self.tick(now)
         self.counts["received"] += 1
         if (frame := self._decode(data)) is None:
             return None
         lost, echoed = self.lost, self._echoes.sent_at(frame)
-        stamp = self._reception.take(frame, echoed, now)
+        stamp = self._reception.accept(frame, echoed, now)
         if stamp is not None or lost:
-            self._echoes.hear(frame, now)
+            self._echoes.update(frame, now)
         if stamp is None:
             return None
-        if self.rival:
-            self._drop(self.rival)
+        if self.other_driver:
+            self._drop(self.other_driver)
         if lost:  # a partner that was lost until now must be armed again
             self._drop(f"{self.partner.name} was lost")
         return frame, stamp
 
-    def _follow(self, frame: T) -> None:
+    def _update_state(self, frame: T) -> None:
         """Update slow values, arming and the last command from an accepted frame."""
         if frame.boot != self._boot:
             self._boot, self.slow, self.battery = frame.boot, {}, Battery(self._empty)
         self.slow[frame.slow_id] = frame.slow_value
         if frame.slow_id == self.partner.battery:
-            self.battery.take(0.1 * frame.slow_value, self._now)
+            self.battery.add(0.1 * frame.slow_value, self._now)
         echoed = self._echoes.sent_at(frame)
-        self._learn(frame, echoed)
+        self._update_progress(frame, echoed)
         if why := self._arming.follow(frame, echoed, self._is_off(frame), self.faults):
             self._drop(why)
 
@@ -365,7 +375,7 @@ class Session(ABC, Generic[T]):
         except FrameError as error:
             self.counts[error.reason.value] += 1
             if error.reason is Refusal.VERSION and self.lost:
-                version, link = spoken(data)
+                version, link = version_and_link(data)
                 self._version = version if link == self.number else self._version
             return None
         if not isinstance(frame, self.partner.telemetry) or frame.link != self.number:

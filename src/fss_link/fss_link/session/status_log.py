@@ -6,7 +6,7 @@ from fss_link.protocol import StatusFlag
 from fss_link.session.arming import Arming
 from fss_link.session.session import Session
 
-PATIENCE = 5_000_000_000  # before a partner that never sent a frame is reported [ns]
+ABSENCE_TIMEOUT = 5_000_000_000  # before a partner that never sent a frame is reported [ns]
 
 
 class Line(NamedTuple):
@@ -22,52 +22,56 @@ class StatusLog:
 
     def __init__(self, session: Session[Any]) -> None:
         self._session, self._name = session, session.partner.name
-        self._lost, self._heard = True, 0  # whether it was lost, and when a frame was last accepted
-        self._begun, self._missed = 0, False  # time of the first call, absence reported
+        self._lost = True
+        self._last_accepted = 0  # when a frame was last accepted
+        self._first_call, self._absence_logged = 0, False
         self._arming = Arming.DISARMED
         self._faults: list[str] = []
-        self._tripped, self._still = False, ""
+        self._tripped, self._last_stall = False, ""
 
     def __call__(self, now: int) -> list[Line]:
-        """Return a line for each change, and one after PATIENCE if no frame was ever accepted."""
-        session, lines = self._session, self._standstill()
+        """Return a line for each change, and one if none was accepted for ABSENCE_TIMEOUT."""
+        session, lines = self._session, self._stall_lines()
         if session.lost != self._lost:
-            lines += [self._presence(now)]
+            lines += [self._loss_or_return(now)]
         else:
-            lines += [*([] if lines else self._armed()), *self._watchdog(), *self._troubles()]
-        self._begun = self._begun or now
-        if session.lost and not (self._heard or self._missed) and now > self._begun + PATIENCE:
-            self._missed = True
-            lines.append(Line(session.dialect or f"{self._name} is {session.absence}", bad=True))
+            lines += [] if lines else self._arming_changes()
+            lines += [*self._watchdog(), *self._fault_changes()]
+        self._first_call = self._first_call or now
+        known = self._last_accepted or self._absence_logged
+        if session.lost and not known and now > self._first_call + ABSENCE_TIMEOUT:
+            self._absence_logged = True
+            words = session.version_problem or f"{self._name}: {session.loss_reason}"
+            lines.append(Line(words, bad=True))
         if not session.lost:
-            self._heard = now - round(1e9 * session.silence(now))
+            self._last_accepted = now - round(1e9 * session.silence(now))
         self._lost, self._arming = session.lost, session.arming
         return lines
 
-    def _standstill(self) -> list[Line]:
+    def _stall_lines(self) -> list[Line]:
         """Return a line if the driver itself was stalled."""
-        before, self._still = self._still, self._session.standstill
-        words = f"{self._name} is disarmed: its driver {self._still}"
-        new = self._still and self._still != before
+        before, self._last_stall = self._last_stall, self._session.stall
+        words = f"{self._name} is disarmed: its driver {self._last_stall}"
+        new = self._last_stall and self._last_stall != before
         return [Line(words, bad=True, for_operator=True)] if new else []
 
-    def _presence(self, now: int) -> Line:
+    def _loss_or_return(self, now: int) -> Line:
         """Return a line that the partner is lost, or that it is received (again)."""
         name, session = self._name, self._session
         if session.lost:
             was = f"; it was {self._arming.value}" if self._arming is not Arming.DISARMED else ""
-            return Line(f"{name} is lost: {session.absence}{was}", bad=True, for_operator=True)
-        if not self._heard:
-            return Line(f"{name} is heard, and {session.arming.value}")
-        away = 1e-9 * (now - self._heard)
-        words = f"{name} is heard again, after {away:.1f} s, and {session.arming.value}"
+            return Line(f"{name} is lost: {session.loss_reason}{was}", bad=True, for_operator=True)
+        if not self._last_accepted:
+            return Line(f"{name} is received, and {session.arming.value}")
+        away = 1e-9 * (now - self._last_accepted)
+        words = f"{name} is received again after {away:.1f} s, and {session.arming.value}"
         return Line(words, for_operator=True)
 
-    def _armed(self) -> list[Line]:
+    def _arming_changes(self) -> list[Line]:
         before, state = self._arming, self._session.arming
         if state is before:
             return []
-        why = self._session.dropped
+        why = self._session.disarm_reason
         if state is Arming.DISARMED and before is Arming.ARMING:
             return [Line(f"{self._name} did not arm{': ' * bool(why)}{why}", bad=True)]
         if state is Arming.DISARMED and why:
@@ -82,11 +86,11 @@ class StatusLog:
         """
         frame = self._session.frame
         before, self._tripped = self._tripped, bool(frame and frame.flags & StatusFlag.WATCHDOG)
-        words = f"{self._name}: its watchdog tripped, as it heard no commands"
+        words = f"{self._name}: its watchdog tripped, as it received no commands"
         tripped = self._tripped and not before
         return [Line(words, bad=True, for_operator=True)] if tripped else []
 
-    def _troubles(self) -> list[Line]:
+    def _fault_changes(self) -> list[Line]:
         faults = self._session.faults if self._session.frame else self._faults
         before, self._faults = self._faults, faults
         if new := [fault for fault in faults if fault not in before]:

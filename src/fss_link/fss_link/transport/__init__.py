@@ -49,7 +49,7 @@ def integer_option(
     query = parse_qs(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     text = query.pop(name, [str(default)])[-1]
     if query or parts.fragment:
-        raise ValueError(f"{next(iter(query), parts.fragment)!r} means nothing here")
+        raise ValueError(f"{next(iter(query), parts.fragment)!r} is no option of this URL")
     if name and int(text) not in among:
         raise ValueError(f"{name} is {text}, expected {among[0]} to {among[-1]}")
     return int(text)
@@ -100,7 +100,7 @@ def open_transport(url: str, schemes: Mapping[str, Scheme] = SCHEMES) -> Transpo
     scheme = schemes.get(url.partition(":")[0])
     try:
         if scheme is None:
-            raise ValueError("no such scheme")
+            raise ValueError("unknown scheme")
         return scheme.open(urlsplit(url))
     except OSError as error:
         raise TransportError(f"url {url!r} cannot be opened: {error.strerror or error}") from None

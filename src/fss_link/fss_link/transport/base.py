@@ -40,12 +40,12 @@ def readable(lines: Sequence[Line], timeout: float) -> list[Line]:
 class Transport(Protocol):
     """Transport of frames to and from one link. Only `wait` blocks; nothing raises once open.
 
-    `wait` is called by a separate thread, and reopens a lost connection. `trouble` describes the
-    problem of the connection in words; it is empty if none is known.
+    `wait` is called by a separate thread, and reopens a lost connection. `problem` describes what
+    is wrong with the connection; it is empty if none is known.
     """
 
     counts: Counter[str]
-    trouble: str
+    problem: str
 
     def send(self, data: bytes) -> None:
         """Send a frame; one that cannot be sent is counted and dropped."""

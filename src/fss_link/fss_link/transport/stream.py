@@ -16,9 +16,9 @@ from fss_link.transport.base import BATCH, Line, readable
 if TYPE_CHECKING:
     from serial import Serial
 
-CONNECTING = 1.0  # timeout to open a stream [s]
-UNANSWERED = 2000  # unacknowledged for this long, a TCP connection is dead [ms]
-NOISE = 1000  # bytes without a frame after which they are reported as noise
+CONNECT_TIMEOUT = 1.0  # timeout to open a stream [s]
+ACK_TIMEOUT = 2000  # unacknowledged for this long, a TCP connection is dead [ms]
+MAX_NOISE = 1000  # bytes without a frame after which they are reported as noise
 
 
 class StreamTransport:
@@ -28,17 +28,17 @@ class StreamTransport:
     the number of a closed file descriptor may soon belong to another file.
 
     Args:
-        connect: opens the stream within CONNECTING, or raises OSError.
-        doubt: probable cause if the received bytes are not frames.
+        connect: opens the stream within CONNECT_TIMEOUT, or raises OSError.
+        hint: probable cause if the received bytes are not frames.
     """
 
-    def __init__(self, connect: Callable[[], Line], doubt: str) -> None:
+    def __init__(self, connect: Callable[[], Line], hint: str) -> None:
         self.counts: Counter[str] = Counter(connects=0, send_failures=0, noise_bytes=0)
-        self.trouble = "not connected yet"
-        self._connect, self._doubt = connect, doubt
+        self.problem = "not connected yet"
+        self._connect, self._hint = connect, hint
         self._line: Line | None = None
         self._decoder = StreamDecoder()
-        self._silent = 0  # bytes since the last frame
+        self._noise_bytes = 0  # bytes since the last frame
         self._broken, self._closed = False, Event()
         self._sending = Lock()
 
@@ -49,9 +49,9 @@ class StreamTransport:
             OSError: it cannot be opened.
         """
         self._line, self._broken = self._connect(), False
-        self._decoder, self._silent = StreamDecoder(), 0
+        self._decoder, self._noise_bytes = StreamDecoder(), 0
         self.counts["connects"] += 1
-        self.trouble = ""
+        self.problem = ""
 
     def send(self, data: bytes) -> None:
         """Send a frame. One that does not fit into the system's buffer is truncated and lost."""
@@ -84,11 +84,11 @@ class StreamTransport:
     def wait(self, timeout: float) -> bool:
         """Wait for bytes; reopen the stream if it is lost."""
         if self._line is None or self._broken:
-            self._drop()
+            self._close_line()
             try:
                 self.open()
             except OSError as error:
-                self.trouble = f"cannot connect: {error.strerror or error}"
+                self.problem = f"cannot connect: {error.strerror or error}"
                 self._closed.wait(timeout)
                 return False
         assert self._line
@@ -100,25 +100,25 @@ class StreamTransport:
     def close(self) -> None:
         """Close the stream."""
         self._closed.set()
-        self._drop()
+        self._close_line()
 
     def _decode(self, data: bytes) -> list[bytes]:
         found = self._decoder.feed(data)
         if found:
-            self._silent, self.trouble = 0, ""
+            self._noise_bytes, self.problem = 0, ""
         else:
-            self._silent += len(data)
+            self._noise_bytes += len(data)
             self.counts["noise_bytes"] += len(data)
-        if self._silent > NOISE:
-            self.trouble = f"bytes come that are no frames: {self._doubt}"
+        if self._noise_bytes > MAX_NOISE:
+            self.problem = f"the received bytes are no frames: {self._hint}"
         return found
 
     def _break(self, error: Exception) -> None:
         if self._line and not self._broken:
             self._broken = True
-            self.trouble = f"connection lost: {getattr(error, 'strerror', None) or error}"
+            self.problem = f"connection lost: {getattr(error, 'strerror', None) or error}"
 
-    def _drop(self) -> None:
+    def _close_line(self) -> None:
         with self._sending:
             line, self._line = self._line, None
             if line:
@@ -130,10 +130,10 @@ def tcp(host: str, port: int) -> StreamTransport:
     """Return a transport over TCP to a link that listens; the first `wait` opens it."""
 
     def connect() -> socket.socket:
-        line = socket.create_connection((host, port), CONNECTING)
+        line = socket.create_connection((host, port), CONNECT_TIMEOUT)
         line.setblocking(False)
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNANSWERED)
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, ACK_TIMEOUT)
         return line
 
     return StreamTransport(connect, f"is it a link that listens on port {port}?")
@@ -171,7 +171,7 @@ def open_port(device: str, baud: int) -> "Serial":
             raise OSError("another process has it open") from None
         if number:
             raise OSError(number, os.strerror(number)) from None
-        raise OSError(f"it is no serial port, or has no rate of {baud} baud") from None
+        raise OSError(f"it is no serial port, or does not support {baud} baud") from None
 
 
 def set_rate(port: "Serial", baud: int) -> None:

@@ -12,9 +12,9 @@ from fss_arm_driver.protocol import (
     VELOCITY_UNIT,
     Command,
     Goal,
+    LinkCommandFlag,
     LinkState,
     Mode,
-    Order,
     Slow,
     Telemetry,
     encode,
@@ -80,8 +80,9 @@ class LinkElectronics(LinkState):
         """Accept or reject a received datagram; return True if it was accepted."""
         accepted, command = super().receive(data, clock), self.gate.command
         if accepted and command:
-            self._clearing |= bool(command.flags & Order.CLEAR_FAULTS and self.drive.latched)
-            homing, self._homing = self._homing, bool(self.armed and command.flags & Order.HOME)
+            flags = command.flags
+            self._clearing |= bool(flags & LinkCommandFlag.CLEAR_FAULTS and self.drive.latched)
+            homing, self._homing = self._homing, bool(self.armed and flags & LinkCommandFlag.HOME)
             if self._homing and not homing:
                 self.drive.home()
         return accepted

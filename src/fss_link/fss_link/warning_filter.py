@@ -5,11 +5,14 @@ from collections import defaultdict
 from collections.abc import Callable
 from time import monotonic
 
-FIGURES = re.compile(r"[\d.]+")
-BURST, PAUSE = 10, 10.0  # lines of one kind at once, then one line per PAUSE [s]
+NUMBERS = re.compile(r"[\d.]+")
+BURST_LINES, LINE_INTERVAL = (
+    10,
+    10.0,
+)  # lines of one kind at once, then one line per LINE_INTERVAL [s]
 
 
-class Complaints:
+class WarningFilter:
     """Filter that passes only new warnings.
 
     A warning is not new while its words stay the same; numbers in it may change. A client may be
@@ -22,18 +25,20 @@ class Complaints:
 
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
-        self._words: dict[str, str] = {}  # by kind, without figures
-        self._due: dict[str, float] = defaultdict(float)  # end of the logged lines, one per PAUSE
+        self._words: dict[str, str] = {}  # by kind, without numbers
+        self._due: dict[str, float] = defaultdict(
+            float
+        )  # end of the logged lines, one per LINE_INTERVAL
 
-    def begins(self, kind: str, text: str) -> bool:
+    def is_new(self, kind: str, text: str) -> bool:
         """Return True if a warning of this kind must be logged; an empty text ends the last one."""
-        words = FIGURES.sub("", text)
+        words = NUMBERS.sub("", text)
         before, self._words[kind] = self._words.get(kind, ""), words
         if words in ("", before):
             return False
         now = self._clock()
         due = max(self._due[kind], now)
-        if due > now + PAUSE * (BURST - 1):
+        if due > now + LINE_INTERVAL * (BURST_LINES - 1):
             return False
-        self._due[kind] = due + PAUSE
+        self._due[kind] = due + LINE_INTERVAL
         return True

@@ -20,31 +20,31 @@ from threading import Event, Thread
 from fss_base_driver.mocap.subjects import Pose
 
 PR_SET_PDEATHSIG = 1  # of prctl(2)
-PAUSE = 1.0  # before a restart [s]
-END = "the receiver ended"
+RESTART_INTERVAL = 1.0  # before a restart [s]
+ENDED = "the receiver ended"
 PROGRAM = f"import sys; from {__name__} import main; sys.exit(main())"
 
 
 class Receiver(Thread):
-    """Thread that runs the receiving process and calls `take(arrival, poses)` for each frame.
+    """Thread that runs the receiving process and calls `on_frame(arrival, poses)` for each frame.
 
     Args:
         system: of the library, or its `mock`.
         options: of the system, as OPTION=VALUE.
-        take: called in this thread; `arrival` is the time of day [ns].
-        ended: called with the reason why the process ended, unless it was closed.
+        on_frame: called in this thread; `arrival` is the time of day [ns].
+        on_end: called with the reason why the process ended, unless it was closed.
     """
 
     def __init__(
         self,
         system: str,
         options: Sequence[str],
-        take: Callable[[int, dict[str, Pose]], None],
-        ended: Callable[[str], None],
+        on_frame: Callable[[int, dict[str, Pose]], None],
+        on_end: Callable[[str], None],
     ) -> None:
         super().__init__(daemon=True)
         self.command = [sys.executable, "-c", PROGRAM, system, *options]
-        self.take, self.ended = take, ended
+        self.on_frame, self.on_end = on_frame, on_end
         self.process: subprocess.Popen[str] | None = None
         self.connected = False  # some systems start to connect only after that
         self._closing = Event()
@@ -56,10 +56,10 @@ class Receiver(Thread):
             try:
                 why = self._receive()
             except Exception as error:  # including errors of the callback
-                why = f"{END}: {error}"
+                why = f"{ENDED}: {error}"
             if not self._closing.is_set():
-                self.ended(why)
-            self._closing.wait(PAUSE)
+                self.on_end(why)
+            self._closing.wait(RESTART_INTERVAL)
 
     def _receive(self) -> str:
         """Run the process until it ends; return why it ended."""
@@ -73,20 +73,20 @@ class Receiver(Thread):
             except Exception:
                 process.kill()
                 raise
-        return why or f"{END} with {_in_words(process.returncode)}"
+        return why or f"{ENDED} with {_in_words(process.returncode)}"
 
     def _read(self, process: "subprocess.Popen[str]") -> str:
         """Read frames; return the reason that the process gives for its end, if any."""
         why = ""
         for line in process.stdout or ():
-            said = json.loads(line)
-            if said is None:
+            message = json.loads(line)
+            if message is None:
                 self.connected = True
-            elif isinstance(said, str):
-                why = f"{END}: {said}"
+            elif isinstance(message, str):
+                why = f"{ENDED}: {message}"
             else:
-                arrival, poses = said
-                self.take(arrival, {name: tuple(pose) for name, pose in poses.items()})
+                arrival, poses = message
+                self.on_frame(arrival, {name: tuple(pose) for name, pose in poses.items()})
         return why
 
     def close(self) -> None:

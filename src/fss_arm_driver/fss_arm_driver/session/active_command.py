@@ -5,7 +5,7 @@ no set point, or if the set point pushes a joint at its limit further outward. T
 caller's, in nanoseconds.
 """
 
-from fss_arm_driver.protocol import Mode, Order, Telemetry
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, Telemetry
 from fss_arm_driver.scale import Scale, SetPoint
 from fss_arm_driver.session.paths import SentPath
 from fss_arm_driver.session.progress import Progress, Status
@@ -13,7 +13,7 @@ from fss_arm_driver.session.progress import Progress, Status
 NO_SET_POINT = SetPoint(Mode.OFF, 0, 0, 0, clamped=False)
 
 
-class Orders:
+class ActiveCommand:
     """Active command of an armed link.
 
     Args:
@@ -27,18 +27,18 @@ class Orders:
         self._set_point: SetPoint | None = None  # active
         self._expiry = 0  # of the active set point
 
-    def give(self, set_point: SetPoint, expiry: int, now: int) -> None:
+    def activate(self, set_point: SetPoint, expiry: int, now: int) -> None:
         """Activate a set point until `expiry`."""
         if set_point != self._set_point:
-            self.end(Status.ABORTED, "another command took its place")
+            self.end(Status.ABORTED, "replaced by another command")
             self.progress = Progress(set_point, now, self._scale)
         self._set_point, self._expiry = set_point, expiry
 
     @property
     def path(self) -> int:
         """Number of the active path; 0: none."""
-        order = self._set_point
-        return order.value if order and order.mode == Mode.PATH else 0
+        set_point = self._set_point
+        return set_point.value if set_point and set_point.mode == Mode.PATH else 0
 
     def end(self, status: Status, why: str) -> None:
         """Deactivate the set point, if there is one."""
@@ -49,9 +49,9 @@ class Orders:
     def tick(self, now: int) -> None:
         """Deactivate the set point if it has expired."""
         if self._set_point and now > self._expiry:
-            self.end(Status.TIMED_OUT, "its time to live ended")
+            self.end(Status.TIMED_OUT, "its time to live expired")
 
-    def follow(
+    def update(
         self, frame: Telemetry, echoed: int | None, now: int, path: SentPath | None = None
     ) -> None:
         """Update the progress from telemetry.
@@ -63,16 +63,16 @@ class Orders:
             path: the active path, if any.
         """
         if self._set_point and self.progress:
-            taken = echoed is not None and echoed >= self.progress.given
-            self.progress.follow(frame, taken, now, path)
+            accepted = echoed is not None and echoed >= self.progress.given
+            self.progress.update(frame, accepted, now, path)
             if self.progress.broken:
                 self._set_point = None
 
-    def wanted(self, position: int, now: int) -> tuple[int, int, SetPoint]:
+    def next_command(self, position: int, now: int) -> tuple[int, int, SetPoint]:
         """Return flags besides ARM, expiry and set point of the next command.
 
         `position` is that of the joint [counts].
         """
-        if self._set_point is None or self._scale.outward(self._set_point, position):
-            return Order.HOLD, now + self._timeout, NO_SET_POINT
-        return Order.HOME * self._set_point.home, self._expiry, self._set_point
+        if self._set_point is None or self._scale.pushes_outward(self._set_point, position):
+            return LinkCommandFlag.HOLD, now + self._timeout, NO_SET_POINT
+        return LinkCommandFlag.HOME * self._set_point.home, self._expiry, self._set_point
