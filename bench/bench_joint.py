@@ -227,7 +227,7 @@ class Peer:
         known, size = self.known, len(self.known.names)
         z = known.z(x, 0)
         p, surroundings = z[:-5], z[-5:]
-        every = x[known.own(0).stop :].reshape(-1, 6)
+        every = x[known.session_slice(0).stop :].reshape(-1, 6)
         off = self.rests.tip - tip_in_base(p, self.rests.q)
         found = [(off / self.rests.sigma).ravel()]
         beliefs = np.array([DYNAMIC.momentum_deviation] * 2 + [DYNAMIC.spin_deviation])
@@ -238,18 +238,18 @@ class Peer:
             start = every[len(self.laws) + k]
             poses = self.drift_poses(p, one, start, surroundings)
             found.append(((one.poses - poses) / self.drift_sigma[k]).ravel())
-        found.append(x[known.own(0)] / known.own_deviations(0))
+        found.append(x[known.session_slice(0)] / known.session_deviations(0))
         found.append(known.prior_rows @ (known.guess - x[:size]))
         return np.concatenate(found)
 
     def sparsity(self):
         """Return the sparsity of the Jacobian of the residuals."""
-        first = self.known.own(0).stop
+        first = self.known.session_slice(0).stop
         rest_rows, m = self.rests.tip.size, self.sigma[0].size + 3
         count = len(self.laws)
         drifting = [sigma.size for sigma in self.drift_sigma]
         rows = rest_rows + m * count + sum(drifting) + first - len(self.known.names)
-        rows += len(self.known.believed)
+        rows += len(self.known.prior_indices)
         found = lil_matrix((rows, first + 6 * (count + len(drifting))))
         found[:, :first] = 1
         at = rest_rows
@@ -273,7 +273,7 @@ def compare_with_peer():
     (data,) = sessions(1, share=PEER_SHARE)
     span, _, result, _ = time_ours([data])
     peer, x = Peer(data), result.minimum.x
-    p, session = len(peer.known.names), peer.known.own(0)
+    p, session = len(peer.known.names), peer.known.session_slice(0)
     scale = np.full(len(x), 1e-3)
     scale[:p], scale[session] = np.sqrt(np.diag(result.covariance)), result.session(0)[1]
     start = time.process_time()

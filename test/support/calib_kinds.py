@@ -133,14 +133,14 @@ def play(spin, bed, node, samples, message):
     """Publish samples as fast as the node hears them."""
     spin([bed, node], bed.ready)
     heard, on_sample = [], node.on_sample
-    node.take, take = lambda found: heard.append(1) or take(found), node.take
+    node.add_data, add_data = lambda found: heard.append(1) or add_data(found), node.add_data
     for k, sample in enumerate(samples, 1):
         topic, content = message(sample)
         bed.outputs[topic].publish(content)
         if k % 100 == 0:
             spin([bed, node], lambda n=k: len(heard) >= n - 100, 30.0)
     spin([bed, node], lambda: len(heard) >= len(samples), 60.0)
-    node.take = take
+    node.add_data = add_data
     assert node.on_sample == on_sample
 
 

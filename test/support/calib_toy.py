@@ -16,8 +16,7 @@ from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.messages import common_message
 from fss_arm_calib.outcome import Estimate, make_outcome
-from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_calib.settings import max_data as most_of
+from fss_arm_calib.settings import CalibrationSettings, max_data
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import wrap
 from fss_arm_model.settings import POSITIVE, setting
@@ -29,7 +28,7 @@ class ToySettings(CalibrationSettings):
     """What is known of the headings."""
 
     tip_topic: str = setting("vicon/end_effector/end_effector", "topic of the end effector")
-    max_observations: int = most_of(50, "rests")
+    max_observations: int = max_data(50, "rests")
     heading_deviation: float = setting(0.01, "1 sigma of a heading", unit="rad", check=POSITIVE)
 
 
@@ -64,7 +63,8 @@ def calibrate(observations, arm, s, streams, source):
 
 TOY = Calibration(
     name="toy", about="By how much the first joint is turned.", settings=ToySettings,
-    data=replace(KINEMATIC.data, topic="calibration/toy_rests"), most=lambda s: s.max_observations,
+    data=replace(KINEMATIC.data, topic="calibration/toy_rests"),
+    max_data=lambda s: s.max_observations,
     inputs=KINEMATIC.inputs, finder=KINEMATIC.finder, calibrate=calibrate, message=msg.Calibration,
     to_message=lambda outcome, frame: common_message("toy", outcome, frame),
 )  # fmt: skip

@@ -346,10 +346,10 @@ def _same(_: Heard, __: np.random.Generator) -> None:
     """Nothing is spoilt but what is asked."""
 
 
-MILLIMETRES = Kind("millimetres", _scaled(slice(2, 5), 1e3), r"^position in millimetres\?")
+MILLIMETERS = Kind("millimeters", _scaled(slice(2, 5), 1e3), r"^position in millimeters\?")
 DEGREES = Kind("degrees", _joint(_times(np.degrees(1.0)), every=True), r"^joints in degrees\?")
 SIGN = Kind("one sign", _joint(_times(-1.0)), r"^joint_\d with the wrong sign\?")
-ORDER = Kind("order", _exchange, r"^joint_\d and joint_\d exchanged\?")
+ORDER = Kind("order", _exchange, r"^joint_\d and joint_\d swapped\?")
 SIGNS = Kind("all signs", _joint(_times(-1.0), every=True), r"^all joints with the wrong sign\?")
 MIRRORED = Kind(
     "mirrored", _columns([0, 1, 2, 3, 4, 5, 6], [1, -1, 1, -1, 1, -1, 1]), r"^poses mirrored\?"
@@ -360,9 +360,9 @@ SWAPPED = Kind("swapped", _swap, r"^base and end effector are swapped")
 HOUR_APART = Kind("an hour", _late(3600.0), r"^clock of the joints .*\(an hour\) ahead")
 
 KINEMATIC = [
-    MILLIMETRES,
-    Kind("millimetres, one", _scaled(slice(2, 5), 1e3, "end_effector"),
-         r"^position of end_effector in millimetres\?"),
+    MILLIMETERS,
+    Kind("millimeters, one", _scaled(slice(2, 5), 1e3, "end_effector"),
+         r"^position of end_effector in millimeters\?"),
     DEGREES,
     Kind("degrees, one joint", _joint(_times(np.degrees(1.0))), r"^joint_\d in degrees\?"),
     Kind("counts", _joint(_counts, every=True), r"^joints in counts\?"),
@@ -373,16 +373,16 @@ KINEMATIC = [
     HOUR_APART,
     Kind("since boot", _boot, r"^clock of the joints .* behind .*since"),
     Kind("other names", _renamed, r"^joints named q1, q2"),
-    Kind("seen from the base", _relative, r"^end effector seen from the base already\?"),
-    Kind("taken as equal", _same, r"^links of unlike lengths", {"parametrization": "equal"}),
-    Kind("joints at 0.5 Hz", _rare, r"^joints read every 2 s only"),
-    Kind("never still", _restless, r"^joints never still"),
+    Kind("seen from the base", _relative, r"^end effector already relative to the base\?"),
+    Kind("taken as equal", _same, r"^links of different lengths", {"parametrization": "equal"}),
+    Kind("joints at 0.5 Hz", _rare, r"^joints sampled only every 2 s"),
+    Kind("never still", _restless, r"^joints never at rest"),
 ]  # fmt: skip
 DYNAMIC = [
-    MILLIMETRES, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
+    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
     Kind("one wrapped", _wrap, r"^joint_\d wrapped\?"),
     Kind("gyro in degrees", lambda what, _: what.gyro.__setitem__(
-        (slice(None), 2), np.degrees(what.gyro[:, 2])), r"^gyro in degrees a second\?"),
+        (slice(None), 2), np.degrees(what.gyro[:, 2])), r"^gyro in degrees per second\?"),
 ]  # fmt: skip
 
 

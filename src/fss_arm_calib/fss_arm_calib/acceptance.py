@@ -32,74 +32,87 @@ class Check:
     needed: bool = True  # must be evaluated for a verdict; a failed check always counts
 
 
-def check_limit(name: str, value: float, threshold: float, reason: str, failing: str = "") -> Check:
-    """Return a check that passes if value <= threshold; `failing` explains a failure."""
+def check_limit(
+    name: str, value: float, threshold: float, reason: str, failure_text: str = ""
+) -> Check:
+    """Return a check that passes if value <= threshold; `failure_text` explains a failure."""
     passed = value <= threshold  # False for NaN
-    words = reason if passed or not failing else f"{failing}: {reason}"
+    words = reason if passed or not failure_text else f"{failure_text}: {reason}"
     return Check(name, PASS if passed else FAIL, value, threshold, words)
 
 
 def check_chi_square(
-    name: str, chi_square: float, freedom: float, least: float, failing: str, known_by: float = inf
+    name: str,
+    chi_square: float,
+    freedom: float,
+    min_probability: float,
+    failure_text: str,
+    deviation_freedom: float = inf,
 ) -> Check:
-    """Return a check that fails if residuals this large are less probable than `least`.
+    """Return a check that fails if residuals this large are less probable than `min_probability`.
 
     Args:
         name: name of the check.
         chi_square: sum of the squared residuals, in standard deviations.
         freedom: degrees of freedom of `chi_square`.
-        least: smallest accepted probability.
-        failing: explanation of a failure.
-        known_by: degrees of freedom from which the deviations were estimated; inf: they are known.
+        min_probability: smallest accepted probability.
+        failure_text: explanation of a failure.
+        deviation_freedom: degrees of freedom of the estimated deviations; inf: known deviations.
     """
-    chance = probability(chi_square, freedom, known_by)
+    chance = probability(chi_square, freedom, deviation_freedom)
     facts = (
         f"chi-square {chi_square:.4g} for {freedom:.4g} degrees of freedom, "
-        f"probability {chance:.2g} (at least {least:g})"
+        f"probability {chance:.2g} (at least {min_probability:g})"
     )
-    passed = chance >= least
-    reason = facts if passed else f"{failing}: {facts}"
-    return Check(name, PASS if passed else FAIL, chance, least, reason)
+    passed = chance >= min_probability
+    reason = facts if passed else f"{failure_text}: {facts}"
+    return Check(name, PASS if passed else FAIL, chance, min_probability, reason)
 
 
-def check_fit(chi_square: float, freedom: float, least: float, failing: str, noise: Noise) -> Check:
+def check_fit(
+    chi_square: float, freedom: float, min_probability: float, failure_text: str, noise: Noise
+) -> Check:
     """Check that the residuals agree with the given or estimated deviations."""
-    check = check_chi_square("fit", chi_square, freedom, least, failing)
+    check = check_chi_square("fit", chi_square, freedom, min_probability, failure_text)
     if noise.is_given.all():
         return check
-    return replace(check, reason=f"{check.reason}; errors are {noise} by the residuals")
+    return replace(
+        check, reason=f"{check.reason}; deviations estimated from the residuals: {noise}"
+    )
 
 
 def check_joint_names(streams: Streams, arm: Arm) -> Check:
     """Check that no readings were received of a joint that the arm does not have."""
     unknown = streams.unknown
-    reason = f"{', '.join(unknown)} heard, but {arm.name!r} has {format_count(arm.n, 'joint')}"
+    reason = f"received {', '.join(unknown)}, but {arm.name!r} has {format_count(arm.n, 'joint')}"
     verdict = NOT_EVALUATED if unknown else PASS
     return Check("joints", verdict, arm.n + len(unknown), arm.n, reason if unknown else "")
 
 
-def check_clocks(streams: Streams, most: float) -> Check:
-    """Check that no clock ran back by more than `most` [s], which may have hidden data.
+def check_clocks(streams: Streams, max_jump: float) -> Check:
+    """Check that no clock jumped back by more than `max_jump` [s], which may have hidden data.
 
     Clocks that are too far apart to be aligned are only reported: swapped subjects look the same.
     """
-    name, back = max(streams.set_back.items(), key=lambda item: item[1], default=("", 0.0))
-    reason, bad = "", back > most
+    name, jump = max(streams.set_back.items(), key=lambda item: item[1], default=("", 0.0))
+    reason, bad = "", jump > max_jump
     if bad:
-        reason = f"clock of {name} ran back by {back:.3g} s (at most {most:g})"
+        reason = f"clock of {name} jumped back by {jump:.3g} s (at most {max_jump:g})"
     elif streams.offset_lower_bound:
-        reason = f"by most moves the clocks differ by more than {streams.offset_lower_bound:g} s"
-        reason += ", or the subjects are swapped"
+        reason = (
+            "most moves indicate that the clocks differ by more than "
+            f"{streams.offset_lower_bound:g} s, or the subjects are swapped"
+        )
     verdict = NOT_EVALUATED if reason else PASS
-    return Check("clocks", verdict, back, most, reason, needed=bad)
+    return Check("clocks", verdict, jump, max_jump, reason, needed=bad)
 
 
 def stream_causes(streams: Streams) -> list[Check]:
     """Return possible causes of a verdict in the streams themselves, the most likely one first."""
     words = [*streams.problems]
     if streams.silent and streams.other_names:
-        names, heard = ", ".join(streams.silent), ", ".join(streams.other_names)
-        words.append(f"nothing heard of {names}, but of {heard}: other names?")
+        silent, received = ", ".join(streams.silent), ", ".join(streams.other_names)
+        words.append(f"nothing received from {silent}, but from {received}: wrong names?")
     if differ := frame_mismatch(streams):
         words.append(differ)
     return [cause_check(one) for one in words]
@@ -110,7 +123,7 @@ def frame_mismatch(streams: Streams) -> str:
     if len(set(streams.frames.values())) < 2:
         return ""
     frames = " and ".join(f"{name} in {frame!r}" for name, frame in streams.frames.items())
-    return f"poses in frames that differ: {frames}"
+    return f"poses are in different frames: {frames}"
 
 
 def check_data_amount(
@@ -120,14 +133,18 @@ def check_data_amount(
     if found >= needed:
         return Check(name, PASS, found, needed, reason)
     if streams.silent:
-        reason += f"; nothing heard of {', '.join(streams.silent)}"
+        reason += f"; nothing received from {', '.join(streams.silent)}"
     if rejected := [f"{number} {why}" for why, number in streams.rejected.items() if number]:
         reason += f"; samples rejected: {', '.join(rejected)}"
     return Check(name, NOT_EVALUATED, found, needed, reason)
 
 
 def check_identifiability(
-    undetermined: Sequence[str], missing: int, condition: float, most: float, hint: str = ""
+    undetermined: Sequence[str],
+    missing: int,
+    condition: float,
+    max_condition: float,
+    hint: str = "",
 ) -> Check:
     """Check that the data determine all parameters.
 
@@ -135,28 +152,28 @@ def check_identifiability(
         undetermined: names of the parameters that the data do not determine.
         missing: number of combinations of these that are not determined.
         condition: condition number of the column-scaled regressor.
-        most: largest accepted condition number.
+        max_condition: largest accepted condition number.
         hint: possible cause, appended to the reason.
     """
-    facts = f"condition number {condition:.3g} (at most {most:g})"
+    facts = f"condition number {condition:.3g} (at most {max_condition:g})"
     if not undetermined:
-        return check_limit("determined", condition, most, facts)
-    reason = f"{', '.join(undetermined)} cannot be told apart: "
+        return check_limit("determined", condition, max_condition, facts)
+    reason = f"{', '.join(undetermined)} cannot be determined separately: "
     reason += f"{format_count(missing, 'combination')} undetermined, {facts}{hint}"
-    return Check("determined", NOT_EVALUATED, condition, most, reason)
+    return Check("determined", NOT_EVALUATED, condition, max_condition, reason)
 
 
 def check_convergence(
-    well: bool, iterations: int, last_update: float, most: float = UPDATE_TOLERANCE
+    converged: bool, iterations: int, last_update: float, tolerance: float = UPDATE_TOLERANCE
 ) -> Check:
     """Check that the last update was negligible."""
     words = f"{format_count(iterations, 'iteration')}, last update {last_update:.2g} deviations"
-    words = words if well else f"not converged: {words} (at most {most:g})"
-    return Check("convergence", PASS if well else FAIL, last_update, most, words)
+    words = words if converged else f"not converged: {words} (at most {tolerance:g})"
+    return Check("convergence", PASS if converged else FAIL, last_update, tolerance, words)
 
 
 def check_outliers(
-    errors: Floats, kept: Mask, limit: float, most: int, noun: str, what: str
+    errors: Floats, kept: Mask, limit: float, max_outliers: int, noun: str, error_name: str
 ) -> Check:
     """Check that each datum that was not rejected agrees with the others.
 
@@ -164,39 +181,36 @@ def check_outliers(
         errors: (s,) error of each datum, in its deviations.
         kept: (s,) True if the datum was not rejected.
         limit: largest accepted error.
-        most: number of data that may be rejected.
+        max_outliers: number of data that may be rejected.
         noun: name of a datum.
-        what: name of the error.
+        error_name: name of the error.
     """
-    worst = float(np.max(errors[kept]))
-    words = f"largest {what} {worst:.3g} (at most {limit:g})"
+    largest = float(np.max(errors[kept]))
+    words = f"largest {error_name} {largest:.3g} (at most {limit:g})"
     if rejected := np.flatnonzero(~kept).tolist():
-        words += f", {format_indices(rejected, noun)} rejected (at most {most})"
-    far = [k for k in np.argsort(-errors).tolist() if kept[k] and errors[k] > limit]
-    return check_limit(
-        "outliers", worst, limit, words, f"{format_indices(far, noun)} off" if far else ""
-    )
+        words += f", {format_indices(rejected, noun)} rejected (at most {max_outliers})"
+    outliers = [k for k in np.argsort(-errors).tolist() if kept[k] and errors[k] > limit]
+    failure_text = f"{format_indices(outliers, noun)} inconsistent" if outliers else ""
+    return check_limit("outliers", largest, limit, words, failure_text)
 
 
-def check_redundancy(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
-    """Check that each datum is controlled by the others, so that an error in it would show.
+def check_redundancy(redundancy: Floats, kept: Mask, min_redundancy: float, noun: str) -> Check:
+    """Check that each datum is verified by the others, so that an error in it would show.
 
     Args:
         redundancy: (k,) redundancy of each datum that was kept, see estimation.statistics.
         kept: (s,) True if the datum was not rejected.
-        least: smallest accepted redundancy.
+        min_redundancy: smallest accepted redundancy.
         noun: name of a datum.
     """
     worst = int(np.argmin(redundancy))
-    which, value = (
-        format_indices([int(np.flatnonzero(kept)[worst])], noun),
-        float(redundancy[worst]),
-    )
-    facts = f"redundancy {value:.2g} (at least {least:g})"
-    if value >= least:
-        return Check("redundancy", PASS, value, least, "")
-    reason = f"{which} hardly checked by the others: {facts}"
-    return Check("redundancy", NOT_EVALUATED, value, least, reason)
+    which = format_indices([int(np.flatnonzero(kept)[worst])], noun)
+    value = float(redundancy[worst])
+    facts = f"redundancy {value:.2g} (at least {min_redundancy:g})"
+    if value >= min_redundancy:
+        return Check("redundancy", PASS, value, min_redundancy, "")
+    reason = f"{which} poorly verified by the others: {facts}"
+    return Check("redundancy", NOT_EVALUATED, value, min_redundancy, reason)
 
 
 def cause_check(words: str, verdict: str = FAIL) -> Check:

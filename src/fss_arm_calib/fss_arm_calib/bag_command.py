@@ -21,7 +21,7 @@ def report_outcome(
     options: argparse.Namespace,
     console: Console,
     write: Callable[[str, Outcome[Any, Any]], None] = write_description,
-    written: str = "calibrated description",
+    output_name: str = "calibrated description",
 ) -> None:
     """Print a result and write the requested files.
 
@@ -36,7 +36,7 @@ def report_outcome(
         console.print(f"report written to {page}", soft_wrap=True)
     if options.output and outcome.verdict == PASS:
         write(options.output, outcome)
-        console.print(f"{written} written to {options.output}", soft_wrap=True)
+        console.print(f"{output_name} written to {options.output}", soft_wrap=True)
     elif options.output:
         reason = f"as the verdict is {outcome.verdict}"
         console.print(f"{options.output} not written, {reason}", soft_wrap=True)

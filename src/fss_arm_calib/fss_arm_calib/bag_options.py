@@ -16,17 +16,17 @@ def default_settings(kind: type[Any], namespace: str) -> dict[str, Any]:
     return {f.name: default_in(f, namespace) for f in fields(kind)}
 
 
-def add_output_options(p: argparse.ArgumentParser, written: str) -> None:
+def add_output_options(p: argparse.ArgumentParser, output_name: str) -> None:
     """Add the options that every estimate from bags has: the output files and the namespace."""
-    p.add_argument("--output", metavar="FILE", help=f"write the {written}, if it passes")
     p.add_argument(
-        "--result", metavar="JSON", help="write the result, whatever its verdict; a CSV beside it"
+        "--output", metavar="FILE", help=f"write the {output_name} if the calibration passes"
     )
-    p.add_argument("--report", metavar="DIR", help="write a page to read, and its drawings as PNG")
     p.add_argument(
-        "--truth", metavar="YAML", help="description to compare with, in the report only"
+        "--result", metavar="JSON", help="write the result as JSON and CSV, whatever the verdict"
     )
-    p.add_argument("--namespace", default="", help="of the vehicle, if the bag has several: fss2")
+    p.add_argument("--report", metavar="DIR", help="write an HTML page, and its figures as PNG")
+    p.add_argument("--truth", metavar="YAML", help="true description to compare with in the report")
+    p.add_argument("--namespace", default="", help="namespace of the vehicle, e.g. fss2")
 
 
 def add_settings(

@@ -17,7 +17,7 @@ from fss_arm_model.files import write_text
 from fss_arm_model.settings import Settings
 from fss_arm_model.urdf import urdf
 
-CAUSES = "search for causes"  # a key of Calibration.lacks
+CAUSES = "search for causes"  # a key of Calibration.unavailable
 
 D = TypeVar("D", bound=Datum)
 C = TypeVar("C", bound=Settings)
@@ -71,26 +71,27 @@ class Calibration(Generic[D, C]):
     about: str  # the estimated parameters and the data used
     settings: type[C]
     data: Data[D]
-    most: Callable[[C], int]  # largest number of data in a result
+    max_data: Callable[[C], int]  # largest number of data in a result
     inputs: Callable[[C, int], Sequence[Input]]  # for an arm of n links, in the order of feeding
     finder: Callable[[Arm, C, Sequence[D]], Finder[D]]  # for an arm, given the data already kept
     calibrate: Callable[[Sequence[D], Arm, C, Streams, str], Outcome[D, Any]]
     message: type[Any]
     to_message: Callable[[Outcome[D, Any], str], Any]  # takes the outcome and a frame id
-    numbers: tuple[str, ...] = ()  # message fields to recompute besides the common ones
+    compared_fields: tuple[str, ...] = ()  # message fields to recompute besides the common ones
     frame: str = "fss"  # frame id of the results
     report: Callable[[Outcome[D, Any], Arm | None], Report] = table_report
     output: Callable[[Outcome[D, Any]], str] = lambda outcome: outcome.description
-    written: str = "calibrated description"  # name of the `output`
+    output_name: str = "calibrated description"  # name of the `output`
     has_urdf: bool = True  # `output` is a description; its URDF is written next to it
-    clocks: Callable[[Streams, Any], Check] = lambda heard, s: check_clocks(heard, s.joint_gap)
+    clocks: Callable[[Streams, Any], Check] = lambda streams, s: check_clocks(streams, s.joint_gap)
     stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result is outdated
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
-    lacks: Mapping[str, str] = field(default_factory=dict)  # features not available, with reasons
+    unavailable: Mapping[str, str] = field(default_factory=dict)  # features, with reasons
     measurements: Callable[[Sequence[D], Arm, C], Measurements] | None = (
         None  # for a joint estimate
     )
-    after: Mapping[str, type[Any]] = field(default_factory=dict)  # topics of results to start from
+    #: Topics of the results to start from.
+    prior_results: Mapping[str, type[Any]] = field(default_factory=dict)
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:
         """Return the report of an outcome, with the features that this kind does not have.
@@ -100,10 +101,10 @@ class Calibration(Generic[D, C]):
             truth: simulated arm to compare with.
         """
         report = self.report(outcome, truth)
-        if not self.lacks:
+        if not self.unavailable:
             return report
-        rows = list(self.lacks.items())
-        table = Table("What it does not have", ["", "reason"], rows, words=2)
+        rows = list(self.unavailable.items())
+        table = Table("Not available", ["", "reason"], rows, words=2)
         return replace(report, details=[*report.details, table])
 
     def write(self, path: str, outcome: Outcome[D, Any]) -> None:

@@ -48,75 +48,77 @@ class CalibrationNode(Node):
         self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
         arm = described(s.arm)
         # A kinematic calibration does not replace the masses of this description.
-        self.begun = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
-        self.writes = FileWriter(self.get_logger())
-        kept, self.flags = self.restored()
-        self.data: list[Any] = keep_newest(kept, kind.most(s))
-        self.finder = kind.finder(self.begun.arm, s, kept)
+        self.initial = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
+        self.writer = FileWriter(self.get_logger())
+        restored, self.flags = self.restore_state()
+        self.data: list[Any] = keep_newest(restored, kind.max_data(s))
+        self.finder = kind.finder(self.initial.arm, s, restored)
         try:
-            self.outcome, self.saved = self.solved(), self.flags
+            self.outcome, self.saved = self.solve(), self.flags
             if s.report:
                 require("matplotlib")
                 kind.report_of(self.outcome)  # fail at startup if the report's inputs are missing
             data = kind.data.to_message(self.data, self.frame)
         except (ArithmeticError, LookupError, ValueError) as error:
-            if not kept:
+            if not restored:
                 raise
-            raise StateError(f"{s.state_file}: nothing can be solved from it: {error}") from error
-        self.found = self.create_publisher(type(data), kind.data.topic, LATCHED)
-        self.result = self.create_publisher(kind.message, kind.topic, LATCHED)
-        for one in kind.inputs(s, self.begun.arm.n):
-            take = partial(self.on_sample, one.feed)
+            raise StateError(f"{s.state_file}: the saved data cannot be solved: {error}") from error
+        self.data_publisher = self.create_publisher(type(data), kind.data.topic, LATCHED)
+        self.result_publisher = self.create_publisher(kind.message, kind.topic, LATCHED)
+        for one in kind.inputs(s, self.initial.arm.n):
+            callback = partial(self.on_sample, one.feed)
             if one.latched:
-                subscribe(self, one.message, one.topic, take, LATCHED)
+                subscribe(self, one.message, one.topic, callback, LATCHED)
             else:
-                subscribe_sensor(self, one.message, one.topic, take, keep_all=True)
-        for topic, message in kind.after.items():
+                subscribe_sensor(self, one.message, one.topic, callback, keep_all=True)
+        for topic, message in kind.prior_results.items():
             self.create_subscription(message, topic, partial(self.on_result, topic), LATCHED)
         self.create_service(Trigger, "~/solve", self.on_solve)
         self.create_service(Trigger, "~/forget", self.on_forget)
-        if kept:
-            what = format_count(len(kept), kind.data.noun)
-            self.get_logger().info(f"goes on with {what} of {s.state_file}")
+        if restored:
+            what = format_count(len(restored), kind.data.noun)
+            self.get_logger().info(f"resumed with {what} from {s.state_file}")
             self.publish()
         self.diagnostics = Diagnostics(self, self.health)
 
-    def restored(self) -> tuple[list[Any], Flags]:
+    def restore_state(self) -> tuple[list[Any], Flags]:
         """Return the data and flags that a previous run saved."""
         path, kind = self.settings.state_file, self.kind
-        return restore(path, kind.name, self.begun.arm.n, kind.data.type) if path else ([], Flags())
+        if not path:
+            return [], Flags()
+        return restore(path, kind.name, self.initial.arm.n, kind.data.type)
 
     def on_sample(self, feed: Callable[[Any, Any], Sequence[Any]], message: Any) -> None:
         """Feed a sensor message to the finder."""
-        self.take(feed(self.finder, message))
+        self.add_data(feed(self.finder, message))
 
     def on_result(self, topic: str, message: Any) -> None:
         """Start from the result of another calibration, with its covariance."""
         try:
-            begun = self.begun.with_message(topic, message)
-            if begun.arm.n != self.begun.arm.n:
-                raise ValueError(f"it is for {begun.arm.n} links, expected {self.begun.arm.n}")
+            initial = self.initial.with_message(topic, message)
+            if initial.arm.n != self.initial.arm.n:
+                raise ValueError(f"it is for {initial.arm.n} links, expected {self.initial.arm.n}")
         except ValueError as error:
-            self.get_logger().warning(f"{topic} not taken: {error}")
+            self.get_logger().warning(f"result on {topic} rejected: {error}")
             return
-        if begun.arm != self.begun.arm:
-            self.begun = begun
-            self.get_logger().info(f"begins from {topic}, {calibration_part(message).reason}")
-            self.outcome = self.solved()
+        if initial.arm != self.initial.arm:
+            self.initial = initial
+            self.get_logger().info(f"starting from {topic}: {calibration_part(message).reason}")
+            self.outcome = self.solve()
             self.publish()
 
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Solve from all data received; succeed if the calibration passes."""
         receive_pending(self)
-        if not self.take(self.finder.close()):
-            self.outcome = self.solved()
+        if not self.add_data(self.finder.close()):
+            self.outcome = self.solve()
             self.publish()
         if folder := self.settings.report:
-            self.writes(lambda: write(folder, self.kind.report_of(self.outcome)))
+            self.writer(lambda: write(folder, self.kind.report_of(self.outcome)))
         response.success = self.outcome.verdict == PASS
         response.message = f"{self.outcome.verdict}: {self.outcome.reason}"
-        if self.outcome.verdict == FAIL and CAUSES not in self.kind.lacks:
-            response.message += "; from_bag, on a recording of this, looks for the cause"
+        if self.outcome.verdict == FAIL and CAUSES not in self.kind.unavailable:
+            response.message += "; to find the cause, run from_bag on a recording"
         return response
 
     def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -126,17 +128,17 @@ class CalibrationNode(Node):
         response.message = f"{format_count(len(self.data), self.kind.data.noun)} forgotten"
         self.get_logger().info(response.message)
         self.data, self.flags = [], Flags()
-        self.finder = self.kind.finder(self.begun.arm, self.settings, [])
-        self.outcome = self.solved()
+        self.finder = self.kind.finder(self.initial.arm, self.settings, [])
+        self.outcome = self.solve()
         self.publish()
         return response
 
-    def take(self, found: Sequence[Any]) -> bool:
+    def add_data(self, found: Sequence[Any]) -> bool:
         """Store, save and publish new data and solve again; return False if there are none."""
         if not found:
             return False
-        self.data = keep_newest([*self.data, *found], self.kind.most(self.settings))
-        self.outcome = self.solved()
+        self.data = keep_newest([*self.data, *found], self.kind.max_data(self.settings))
+        self.outcome = self.solve()
         self.publish()
         data = self.kind.data
         for one in found:
@@ -149,29 +151,29 @@ class CalibrationNode(Node):
         """Return the state of the streams, including previous runs."""
         return self.flags.and_then(self.finder.streams())
 
-    def solved(self) -> Outcome[Any, Any]:
+    def solve(self) -> Outcome[Any, Any]:
         """Solve the calibration from all data."""
         found: Outcome[Any, Any] = self.kind.calibrate(
-            self.data, self.begun.arm, self.settings, self.streams(), LIVE
+            self.data, self.initial.arm, self.settings, self.streams(), LIVE
         )
         give_back()
         return found
 
     def publish(self) -> None:
         """Save and publish the data and the calibration; write the output if it passes."""
-        kind, s, self.writes.trouble = self.kind, self.settings, ""
+        kind, s, self.writer.trouble = self.kind, self.settings, ""
         self.save()
-        self.found.publish(kind.data.to_message(self.data, self.frame))
-        self.result.publish(kind.to_message(self.outcome, self.frame))
+        self.data_publisher.publish(kind.data.to_message(self.data, self.frame))
+        self.result_publisher.publish(kind.to_message(self.outcome, self.frame))
         if s.output and self.outcome.verdict == PASS:
-            self.writes(lambda: kind.write(s.output, self.outcome))
+            self.writer(lambda: kind.write(s.output, self.outcome))
 
     def save(self) -> None:
         """Save data and flags for the next run."""
         self.saved = Flags.of(self.streams())
         if path := self.settings.state_file:
-            state = self.kind.name, self.begun.arm.n, self.data, self.saved
-            self.writes(lambda: save(path, *state))
+            state = self.kind.name, self.initial.arm.n, self.data, self.saved
+            self.writer(lambda: save(path, *state))
 
     def health(self) -> Health:
         """Return the state of the node for diagnostics."""
@@ -182,18 +184,18 @@ class CalibrationNode(Node):
         values = {
             f"{kind.data.noun}s": len(self.data),
             "verdict": self.outcome.verdict,
-            "time offset [s]": kind.lacks.get("time offset", streams.offset.value),
+            "time offset [s]": kind.unavailable.get("time offset", streams.offset.value),
             **kind.health(self.finder),
             **{f"rejected: {why}": number for why, number in streams.rejected.items()},
         }
-        if trouble := self.writes.trouble:
+        if trouble := self.writer.trouble:
             return Health(ERROR, trouble, values)
         if streams.silent:
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
         if streams.unknown:
             return Health(WARN, f"the arm has no {', '.join(streams.unknown)}", values)
         if clocks := kind.clocks(streams, self.settings).reason:
-            return Health(WARN, f"{clocks}: {kind.name}/forget begins anew", values)
+            return Health(WARN, f"{clocks}: call {kind.name}/forget to reset", values)
         if stale := kind.stale(self.outcome, streams):
             return Health(WARN, stale, values)
         return Health(OK, format_count(len(self.data), kind.data.noun), values)

@@ -32,7 +32,7 @@ PRECISION_CHECKS = {"precision", "measurable", "redundancy"}
 
 MAX_SEARCH_TIME = 60.0  # limit of the processor time of the search [s]
 
-MAX_POSITION = 20.0  # positions above this are not in metres: no test bed is so large [m]
+MAX_POSITION = 20.0  # positions above this are not in meters: no test bed is that large [m]
 MAX_READING = 3.3  # readings above this are probably not in radians [rad]
 MAX_LENGTH_ERROR, MAX_ANGLE_ERROR = (
     0.05,
@@ -94,7 +94,7 @@ def find_cause(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: R
         away = description_error(outcome)
         if away < nearest:
             residual = 1e3 * outcome.estimate.position_residual
-            best, nearest = f"{one.words} {one.remedy} the residuals are {residual:.2g} mm", away
+            best, nearest = f"{one.words} {one.remedy}, the residuals are {residual:.2g} mm", away
         if away < 1.0:
             break
     return best
@@ -140,7 +140,7 @@ def _name_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
     if len(heard) == arm.n and heard != wanted:
         named = ", ".join(heard)
         tracks = {name: recorded.joints[own] for name, own in zip(wanted, heard, strict=True)}
-        yield f"joints named {named}?", "taken in this order", replace(recorded, joints=tracks)
+        yield f"joints named {named}?", "in this order", replace(recorded, joints=tracks)
 
 
 def _last_number(name: str) -> tuple[int, str]:
@@ -157,7 +157,7 @@ def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
         changed = recorded.with_poses(
             lambda n, t: t._replace(values=t.values * scale) if n in far else t
         )
-        yield f"position{whose} in millimetres?", "with 0.001", changed
+        yield f"position{whose} in millimeters?", "with a factor of 0.001", changed
     wide = {n: _typical_size(track.values[:, :1]) for n, track in recorded.joints.items()}
     turned = [name for name, size in wide.items() if size > MAX_READING]
     if turned:
@@ -166,7 +166,7 @@ def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
         if not all(counts):
             yield (
                 f"{whose} in degrees?",
-                "in radians",
+                "converted to radians",
                 _scale_joints(recorded, turned, radians(1.0)),
             )
         per_count = {
@@ -177,7 +177,7 @@ def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
             changed = recorded
             for name in turned:
                 changed = _scale_joints(changed, [name], per_count.get(name, 1.0))
-            yield f"{whose} in counts?", "in radians", changed
+            yield f"{whose} in counts?", "converted to radians", changed
 
 
 def _typical_size(values: Floats) -> float:
@@ -224,7 +224,7 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, s
             rates=_shift_stamps(recorded.rates, -by) if recorded.rates else None,
         )
         words = f"clock of the joints {describe_clock_error(by)} the subjects'?"
-        yield words, "with it shifted", changed
+        yield words, "with shifted stamps", changed
 
 
 def _stamp_by_receipt(track: Track) -> Track:
@@ -293,22 +293,26 @@ def _pose_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
     if BASE in recorded.poses and TIP in recorded.poses:
         swapped = {BASE: recorded.poses[TIP], TIP: recorded.poses[BASE]}
         yield (
-            "base and end effector are swapped?", "exchanged",
+            "base and end effector are swapped?", "swapped back",
             replace(recorded, poses={**recorded.poses, **swapped}),
         )  # fmt: skip
     if not flat:
         yield (
             "quaternions with w first?",
-            "in the order x, y, z, w",
+            "reordered to x, y, z, w",
             _transform_poses(recorded, _W_FIRST),
         )
-        yield "poses with y up?", "with z up", _transform_poses(recorded, _Y_UP)
-        yield "poses with x up?", "with z up", _transform_poses(recorded, _X_UP)
+        yield "poses with y up?", "rotated to z up", _transform_poses(recorded, _Y_UP)
+        yield "poses with x up?", "rotated to z up", _transform_poses(recorded, _X_UP)
     yield "poses mirrored?", "with y and headings reversed", _transform_poses(recorded, _MIRRORED)
     yield "headings clockwise?", "reversed", _transform_poses(recorded, _CLOCKWISE)
     yield "positions mirrored?", "with y reversed", _transform_poses(recorded, _REVERSED)
     if len(values) > 1:
-        yield "end effector seen from the base already?", "so taken", _tip_from_base(recorded)
+        yield (
+            "end effector already relative to the base?",
+            "transformed to the world frame",
+            _tip_from_base(recorded),
+        )
 
 
 # Source column of each column of a pose (x y z, quaternion x y z w), and its sign.
@@ -348,14 +352,14 @@ def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, s
     jumps = [n for n in names if (np.abs(np.diff(recorded.joints[n].values[:, 0])) > np.pi).any()]
     if jumps:
         changed = recorded.with_joints(lambda n, t: _unwrap_readings(t) if n in jumps else t)
-        yield f"{', '.join(jumps)} wrapped?", "counting turns", changed
+        yield f"{', '.join(jumps)} wrapped?", "unwrapped", changed
     if len(names) > 1:
         yield "all joints with the wrong sign?", "reversed", _scale_joints(recorded, names, -1.0)
     for name in names:
         yield f"{name} with the wrong sign?", "reversed", _scale_joints(recorded, [name], -1.0)
     for a, b in combinations(names, 2):
         tracks = {**recorded.joints, a: recorded.joints[b], b: recorded.joints[a]}
-        yield f"{a} and {b} exchanged?", "changed back", replace(recorded, joints=tracks)
+        yield f"{a} and {b} swapped?", "swapped back", replace(recorded, joints=tracks)
     if len(names) > 2:
         tracks = dict(zip(names, (recorded.joints[n] for n in reversed(names)), strict=True))
         yield "joints counted from the tip?", "in reverse order", replace(recorded, joints=tracks)
@@ -379,11 +383,11 @@ def _setting_errors(
     slow = max(periods, default=0.0)
     if 2.0 * slow > s.joint_gap:
         gap = 3.0 * slow
-        words = f"joints read every {slow:.2g} s only, and joint_gap is {s.joint_gap:g} s?"
-        yield words, f"with {gap:.2g} s", {"joint_gap": gap}
+        words = f"joints sampled only every {slow:.2g} s, but joint_gap is {s.joint_gap:g} s?"
+        yield words, f"with joint_gap {gap:.2g} s", {"joint_gap": gap}
     for times in (5.0, 25.0):
         threshold = times * s.motion_threshold
-        words = f"joints never still within {s.motion_threshold:g} rad?"
+        words = f"joints never at rest within {s.motion_threshold:g} rad?"
         remedy = f"with motion_threshold {threshold:g}"
         yield words, remedy, {"motion_threshold": threshold}
     short = {"settle_time": 0.2, "min_duration": 0.2}
@@ -394,8 +398,8 @@ def _length_errors(
     recorded: Recorded, arm: Arm, s: Any
 ) -> Iterator[tuple[str, str, dict[str, Any]]]:
     if getattr(s, "parametrization", "full") != "full":
-        words = f"links of unlike lengths, and parametrization is {s.parametrization}?"
-        yield words, "with full", {"parametrization": "full"}
+        words = f"links of different lengths, but parametrization is {s.parametrization}?"
+        yield words, "with parametrization full", {"parametrization": "full"}
 
 
 MAKERS: tuple[Maker, ...] = (

@@ -63,7 +63,7 @@ def solve_bag(
         for topic in bags.left_out:
             print(f"from_bag: {topic}", file=sys.stderr)
         inputs = kind.inputs(s, arm.n)
-        found = keep_newest(find_data(bags, finder, inputs, s.horizon, namespace), kind.most(s))
+        found = keep_newest(find_data(bags, finder, inputs, s.horizon, namespace), kind.max_data(s))
         outcome = kind.calibrate(found, arm, s, finder.streams(), describe_source(bags))
         if outcome.verdict == PASS:
             return outcome
@@ -92,7 +92,7 @@ def initial_arm(kinematic: str, arm: str, options: argparse.Namespace, namespace
     given |= {name: getattr(options, name) for name in alike}
     found = solve_bag(kind, kinematic, kind.settings(**given), namespace)
     if found.verdict != PASS:
-        raise ValueError(f"kinematics by {kinematic}: {found.verdict}: {found.reason}")
+        raise ValueError(f"kinematic calibration from {kinematic}: {found.verdict}: {found.reason}")
     return with_kinematics_of(from_yaml(found.description), own)
 
 
@@ -107,7 +107,7 @@ def run_calibration(
     truth = load(options.truth) if options.truth else None
     settings = kind.settings(**{f.name: getattr(options, f.name) for f in fields(kind.settings)})
     arm = None
-    if kind.after and options.kinematic:
+    if kind.prior_results and options.kinematic:
         arm = initial_arm(options.kinematic, settings.arm, options, options.namespace)
     outcome = solve_bag(kind, options.bags, settings, options.namespace, arm)
     report_outcome(
@@ -117,7 +117,7 @@ def run_calibration(
         options,
         console,
         kind.write,
-        kind.written,
+        kind.output_name,
     )
     return outcome
 

@@ -39,19 +39,19 @@ def parser(
     kind = kind or selected_kind(sys.argv)
     if kind is JOINT:
         return _joint_parser()
-    lacks = "".join(f" No {what}: {why}." for what, why in kind.lacks.items())
-    p = Parser("from_bag", description=f"{__doc__} {kind.about}{lacks}", epilog=EPILOG)
+    unavailable = "".join(f" No {what}: {why}." for what, why in kind.unavailable.items())
+    p = Parser("from_bag", description=f"{__doc__} {kind.about}{unavailable}", epilog=EPILOG)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
     one = p.add_mutually_exclusive_group()
     for other in (*KINDS.values(), JOINT):
         if other.name != DEFAULT_KIND:
             about = f"{other.about} See --{other.name} --help"
             one.add_argument(f"--{other.name}", action="store_true", help=about)
-    add_output_options(p, kind.written)
-    if kind.after:
+    add_output_options(p, kind.output_name)
+    if kind.prior_results:
         p.add_argument(
-            "--kinematic", metavar="FROM", help="begin from a kinematic calibration, with its "
-            "covariance: its result as JSON, or a bag to make it from",
+            "--kinematic", metavar="FROM", help="start from a kinematic calibration with its "
+            "covariance: its result as JSON, or a bag to calibrate from",
         )  # fmt: skip
     add_settings(p, kind.settings)
     p.set_defaults(**default_settings(kind.settings, namespace))
@@ -60,12 +60,12 @@ def parser(
 
 def _joint_parser() -> argparse.ArgumentParser:
     p = Parser("from_bag", description=JOINT_DESCRIPTION, epilog=EPILOG)
-    p.add_argument("--joint", action="store_true", help="this estimate")
+    p.add_argument("--joint", action="store_true", help="estimate all parameters jointly")
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags: a session")
     add_output_options(p, "calibrated description")
     p.add_argument(
-        "--params", metavar="YAML", help="settings of kinematic, dynamic and drift, as their nodes "
-        "are given them",
+        "--params", metavar="YAML", help="parameter file with settings of kinematic, dynamic and "
+        "drift, as for their nodes",
     )  # fmt: skip
     add_settings(p, JointSettings)
     return p

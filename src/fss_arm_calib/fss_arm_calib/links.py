@@ -29,14 +29,16 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = Parser("links", description=DESCRIPTION)
     p.add_argument("arm", metavar="ARM", help="file of the arm's description")
-    p.add_argument("--result", metavar="JSON", help="result of a calibration, which has passed")
+    p.add_argument("--result", metavar="JSON", help="result of a calibration that has passed")
     return p
 
 
 def history_entry(found: Mapping[str, Any], place: int) -> dict[str, Any]:
     """Return the entry of a result in the history of the link at a place: values and deviations."""
-    told = zip(found["names"], found["values"], found["deviations"], strict=True)
-    known = {name: [value, deviation] for name, value, deviation in told if deviation is not None}
+    estimates = zip(found["names"], found["values"], found["deviations"], strict=True)
+    known = {
+        name: [value, deviation] for name, value, deviation in estimates if deviation is not None
+    }
     made = found["provenance"]
     return {
         "date": datetime.fromtimestamp(1e-9 * made["end"], UTC).isoformat(" ", "minutes")[:16],

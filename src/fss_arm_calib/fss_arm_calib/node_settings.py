@@ -15,10 +15,10 @@ from fss_arm_model.settings import Settings, setting
 class NodeSettings(Settings):
     """Parameters of a calibration node in addition to the settings of its kind."""
 
-    frame_id: str = setting("", "frame id of the results; empty: that of the kind")
-    state_file: str = setting("", "data are kept here across restarts; empty: nowhere")
+    frame_id: str = setting("", "frame id of the results; empty: the default of the kind")
+    state_file: str = setting("", "file that keeps the data across restarts; empty: none")
     output: str = setting("", "file to write whenever a calibration passes; empty: none")
-    report: str = setting("", "folder to write a report to when asked to solve; empty: none")
+    report: str = setting("", "folder for the report that ~/solve writes; empty: none")
 
 
 def node_settings(name: str, kind: type[Settings]) -> type[Any]:

@@ -66,7 +66,10 @@ def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison
     if outcome.provenance.data_hash != found.provenance.data_hash:
         return None
     message = kind.to_message(outcome, "")
-    sides = [(found, calibration_part(message), COMPUTED_FIELDS), (result, message, kind.numbers)]
+    sides = [
+        (found, calibration_part(message), COMPUTED_FIELDS),
+        (result, message, kind.compared_fields),
+    ]
     difference = max(
         _difference(getattr(then, name), getattr(now, name))
         for then, now, names in sides
@@ -96,7 +99,7 @@ def _reader(bags: Bags, topic: str) -> Callable[[Any], Any]:
     if not extends(about.msgtype, about.definition):
         raise BagError(
             f"{topic}: {about.msgtype} is installed in another version than was recorded; "
-            "`from_bag` calibrates anew from the measurements"
+            "use `from_bag` to calibrate again from the measurements"
         )
     kind = message_class(about.msgtype)
     return lambda message: upgrade(message, kind)
@@ -129,7 +132,9 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
                 raise ValueError(f"a result on {results}: {error}") from None
             if same is None:
                 begin = calibration_part(result).provenance.data_hash[:8]
-                raise BagError(f"a result on {results} lacks its {parts} ({begin}..)")
+                raise BagError(
+                    f"the bag lacks the {parts} of a result on {results} (hash {begin}...)"
+                )
             found.append(same)
     if not found:
         topics = " or ".join(f"{space}{kind.topic}" for kind in kinds)

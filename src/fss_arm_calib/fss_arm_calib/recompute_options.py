@@ -9,5 +9,5 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = Parser("recompute", description=__doc__)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
-    p.add_argument("--namespace", default="", help="of the vehicle, if the bag has several: fss2")
+    p.add_argument("--namespace", default="", help="namespace of the vehicle, e.g. fss2")
     return p

@@ -177,14 +177,14 @@ SYMBOL = re.compile(r"\b(theta|[a-zA-Z])_(BJ1|0_\d+|\d+|[ijkE])\b|(?<=[a-z])\^(-
 def _symbols(text: str) -> str:
     """Format the symbols in HTML with italics, subscripts and powers."""
 
-    def put(found: re.Match[str]) -> str:
+    def format_symbol(found: re.Match[str]) -> str:
         letter, index, power = found.groups()
         if power:
             return f"<sup>{power}</sup>"
         letter = "&theta;" if letter == "theta" else letter
         return f"<i>{letter}</i><sub>{index.replace('_', ',')}</sub>"
 
-    return SYMBOL.sub(put, text)
+    return SYMBOL.sub(format_symbol, text)
 
 
 #: CSS classes of table cells that show a problem: red, or amber if it is weak.

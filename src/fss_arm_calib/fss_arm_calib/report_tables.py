@@ -34,15 +34,15 @@ def make_report(
         details=(check_table(o), *(() if o.solution is None else details), stream_table(o)),
         reasons=o.reasons,
         below=[f"Data of {format_period(o.provenance)}.", NEXT_STEPS[o.verdict]],
-        texts={"Settings": o.provenance.parameters, "Description it began from": to_yaml(o.arm)},
+        texts={"Settings": o.provenance.parameters, "Initial description": to_yaml(o.arm)},
     )
 
 
 #: Recommended next step, by verdict.
 NEXT_STEPS = {
     PASS: "Next: give the calibrated description (output) to the nodes, and keep the bag.",
-    FAIL: "Next: do not use these numbers. The checks below that failed say what to look at.",
-    NOT_EVALUATED: "Next: record what is missing; what there is already counts.",
+    FAIL: "Next: do not use these numbers. See the failed checks below.",
+    NOT_EVALUATED: "Next: record the missing data; the data received count already.",
 }
 
 
@@ -88,7 +88,7 @@ def parameter_table(outcome: Outcome[Any, Any]) -> Table:
 def format_origin(outcome: Outcome[Any, Any]) -> str:
     """Describe software, source and data hash of a result."""
     p = outcome.provenance
-    return f"by {p.software} from {p.source}; SHA-256 of what was solved from {p.data_hash}"
+    return f"by {p.software} from {p.source}; SHA-256 of the data {p.data_hash}"
 
 
 def check_table(outcome: Outcome[Any, Any]) -> Table:
@@ -104,7 +104,7 @@ def check_table(outcome: Outcome[Any, Any]) -> Table:
         for c in outcome.checks
     ]
     head = ["check", "verdict", "reason", "value", "threshold"]
-    return Table("What the verdict is made of", head, rows, words=3)
+    return Table("Checks", head, rows, words=3)
 
 
 def stream_table(outcome: Outcome[Any, Any]) -> Table:
@@ -113,9 +113,9 @@ def stream_table(outcome: Outcome[Any, Any]) -> Table:
     rows: list[Sequence[str]] = [[kind, str(number)] for kind, number in s.rejected.items()]
     if np.isfinite(s.offset.value):
         offset = f"{1e3 * s.offset.value:.2f} ± {1e3 * s.offset.deviation:.2f} ms"
-        rows.append(["joints' stamps less motion capture's", offset])
+        rows.append(["joints' stamps minus motion capture's", offset])
     rows = rows or [["nothing to report", ""]]
-    return Table("Samples rejected, and the clocks", ["what", ""], rows)
+    return Table("Rejected samples and clocks", ["what", ""], rows)
 
 
 def display_name(name: str, estimate: Estimate, words: str = "") -> str:

@@ -18,7 +18,7 @@ class KindSettings(StreamSettings):
         SettingError: a setting is invalid.
     """
 
-    arm: str = setting("", "description YAML to begin from; empty: the paper's arm")
+    arm: str = setting("", "description YAML to start from; empty: the paper's arm")
 
 
 @dataclass(frozen=True)
@@ -33,25 +33,29 @@ class CalibrationSettings(RestSettings, KindSettings):
     base_topic: str = like(Vehicle, "base_topic")
     loss: str = setting(
         SQUARE,
-        f"{SQUARE}, or {HUBER} or {CAUCHY}, which let data far off count less",
+        f"{SQUARE}, or {HUBER} or {CAUCHY}, which reduce the weight of outliers",
         check=one_of(*LOSSES),
     )
     min_probability: float = setting(
-        1e-3, "least chi-square probability of residuals as large as found", check=FRACTION
+        1e-3, "smallest accepted chi-square probability of the residuals", check=FRACTION
     )
     outlier: float = setting(
         5.0, "error of a datum above which it is an outlier", unit="deviations", check=POSITIVE
     )
     max_outliers: int = setting(
-        0, "most outliers to reject; with more, the calibration fails", check=NOT_NEGATIVE
+        0,
+        "largest number of outliers to reject; with more, the calibration fails",
+        check=NOT_NEGATIVE,
     )
     min_redundancy: float = setting(
-        0.0, "least share of a datum's error that the others let show, squared", check=FRACTION
+        0.0,
+        "smallest redundancy: squared share of a datum's error that its residual shows",
+        check=FRACTION,
     )
 
 
 def max_data(default: int, what: str) -> int:
     """Return a setting for the largest number of data in a result."""
-    about = f"most {what} that a result is from, the newest; older ones go"
+    about = f"largest number of {what} in a result; the oldest are dropped"
     found: int = setting(default, about, check=at_least(1))
     return found

@@ -26,7 +26,7 @@ from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
 from fss_arm_model.description_file import from_yaml, save
 
-QUICK = ["millimetres", "one sign", "swapped", "an hour", "other names", "taken as equal"]
+QUICK = ["millimeters", "one sign", "swapped", "an hour", "other names", "taken as equal"]
 KINDS_OF_BAGS = [(False, kind) for kind in KINEMATIC] + [(True, kind) for kind in DYNAMIC]
 
 
@@ -125,7 +125,7 @@ def test_frames_that_differ_are_told_of_a_pass(tmp_path):
     kind = KINDS["kinematic"]
     outcome = solve_bag(kind, write(tmp_path / "own", what), kind.settings(arm=str(description)))
     assert outcome.verdict == PASS
-    words = "poses in frames that differ: fss in 'world' and end_effector in 'vicon'"
+    words = "poses are in different frames: fss in 'world' and end_effector in 'vicon'"
     assert words in outcome.reasons
 
 
@@ -135,7 +135,7 @@ def test_the_verdict_is_printed_as_a_short_list_with_the_cause_first(tmp_path, c
     lines = capsys.readouterr().out.splitlines()
     first = next(k for k, line in enumerate(lines) if line.startswith("fail"))
     assert lines[first] == "fail"
-    assert "exchanged? changed back the residuals are" in lines[first + 1]
+    assert "swapped? swapped back, the residuals are" in lines[first + 1]
     assert sum(line.startswith("  - ") for line in lines) <= 4
 
 

@@ -68,7 +68,7 @@ def test_a_pushed_drift_is_rejected_by_choice(samples):
     pushed = push(drifts[1])
     found = calibrate([drifts[0], pushed, drifts[2]], ARM)
     assert found.verdict == "fail"
-    assert "drift 2 off: largest error" in found.reason
+    assert "drift 2 inconsistent: largest normalized prediction error" in found.reason
     found = calibrate([drifts[0], pushed, drifts[2]], ARM, DriftSettings(max_outliers=1))
     assert found.verdict == "pass", found.reason
     assert found.estimate.weights.tolist() == [1.0, 0.0, 1.0]

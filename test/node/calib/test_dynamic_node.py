@@ -75,7 +75,11 @@ def test_the_command_for_bags(samples, tmp_path, capsys):
         assert words in text
     assert load(output).links[0].b == pytest.approx(0.185, abs=2e-3)
     html = (page / "index.html").read_text()
-    for words in ("Bias by what was assumed", "What these maneuvers see", "hardly seen"):
+    for words in (
+        "Bias due to assumed parameters",
+        "Visibility of combinations of parameters",
+        "hardly seen",
+    ):
         assert words in html
     assert (page / "dynamic_motion.png").read_bytes().startswith(b"\x89PNG")
 

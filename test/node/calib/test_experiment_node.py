@@ -76,7 +76,7 @@ def make_node(**settings):
     node.log = []
     logger = SimpleNamespace(info=node.log.append, warning=node.log.append)
     node.get_logger = lambda: logger
-    node.close = node.mover.destroy  # else it stays in the graph
+    node.close = node.move_client.destroy  # else it stays in the graph
     return node
 
 
@@ -165,7 +165,7 @@ def test_it_keeps_its_move_alive_and_none_before(spin, spin_to_the_end):
     spin([arm, experiment], lambda: len(heard) > 2)
     assert arm.keep_alive == [0.5]
     assert heard[-1] == experiment.goal.result().goal_id
-    experiment.phase = experiment.go
+    experiment.phase = experiment.request_move
     assert spin_to_the_end(arm, experiment) == 0
     ids = [bytes(goal.uuid) for goal in heard]
     assert ids == sorted(ids, key=ids.index)  # no goal's again after the next one's
@@ -174,10 +174,10 @@ def test_it_keeps_its_move_alive_and_none_before(spin, spin_to_the_end):
 def test_after_its_process_stood_still_a_person_must_start_it_again(spin, spin_to_the_end):
     arm, experiment = FakeArm("reach", "silence"), make_node(silence=60.0)
     spin([arm, experiment], lambda: len(arm.goals) == 2)
-    experiment.ticked -= 5.0  # as after SIGSTOP and SIGCONT
+    experiment.last_tick -= 5.0  # as after SIGSTOP and SIGCONT
     words = spin_to_the_end(arm, experiment)
-    assert words.startswith("this program stood still for 5.")
-    assert "after 1 of 3 postures; the next run begins anew, as there is no state_file" in words
+    assert words.startswith("this process was stalled for 5.")
+    assert "after 1 of 3 postures; the next run starts over because state_file is not set" in words
     assert arm.goals == ROWS[:2]
 
 
@@ -190,7 +190,7 @@ def test_an_experiment_that_is_interrupted_says_how_far_it_is(spin, start, tmp_p
     )  # fmt: skip
     spin([arm], lambda: len(arm.goals) == 3, 30.0)
     assert experiment.stop(how) == 130, experiment.output
-    said = f"interrupted after 2 of 13 postures; the next run goes on from {state}\n"
+    said = f"interrupted after 2 of 13 postures; the next run resumes from {state}\n"
     assert experiment.output.endswith(f"-c: {said}")
 
 
@@ -241,7 +241,7 @@ def test_impossible_parameters_are_refused(ros, settings, message):
 
 def test_a_wrong_progress_file_is_named(ros, tmp_path):
     (tmp_path / "progress.json").write_text('{"what": 1}')
-    with pytest.raises(ValueError, match="holds no progress"):
+    with pytest.raises(ValueError, match="does not contain the progress"):
         make_node(state_file=str(tmp_path / "progress.json"))
 
 
@@ -256,8 +256,8 @@ def test_maneuvers_are_made_with_pauses_between(spin_to_the_end, tmp_path):
     (tmp_path / "plan.yaml").write_text(PLAN)
     arm = FakeArm()
     experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), pause=0.3)
-    assert [stop.pause for stop in experiment.stops] == [0.3, 0.0, 0.3, 0.3]
-    assert [stop.duration for stop in experiment.stops] == [0.0, 2.0, 3.0, 1.5]
+    assert [stop.pause for stop in experiment.waypoints] == [0.3, 0.0, 0.3, 0.3]
+    assert [stop.duration for stop in experiment.waypoints] == [0.0, 2.0, 3.0, 1.5]
     assert spin_to_the_end(arm, experiment) == 0
     assert arm.goals == [
         [0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.5, 0.1], [0.0, 0.0, 0.1, 0.0], [0.0, 0.4, 0.1, 0.0],
@@ -298,15 +298,15 @@ def test_maneuvers_end_when_the_goal_is_met_and_fail_if_it_is_not(
     for so_far, verdict, second in ((2, "pass", 0.003), (3, "pass" if met else "fail", 0.001)):
         spin(nodes, lambda n=so_far: len(arm.goals) == n)
         dynamic.conclude(verdict, 0.001, second)
-        spin(nodes, lambda x=second, v=verdict: experiment.reached.startswith(v)
-             and f"{x:.2g} (asked" in experiment.reached.split(", b_2")[1])  # fmt: skip
+        spin(nodes, lambda x=second, v=verdict: experiment.goal_status.startswith(v)
+             and f"{x:.2g} (goal" in experiment.goal_status.split(", b_2")[1])  # fmt: skip
         if so_far == 3:
             dynamic.observe()
     if not met:
         spin(nodes, lambda: len(arm.goals) == 4)
         dynamic.observe()
         dynamic.conclude("fail", 0.001, 0.001, reason="1 outlier")
-    told = "b_1 ± 0.001 (asked 0.002, promised 0.0015), b_2 ± 0.001 (asked 0.002)"
+    told = "b_1 ± 0.001 (goal 0.002, promised 0.0015), b_2 ± 0.001 (goal 0.002)"
     code = spin_to_the_end(*nodes)
     if met:
         assert code == 0
@@ -331,11 +331,11 @@ def test_at_the_end_the_calibration_of_the_last_maneuver_is_waited_for(
         spin(nodes, lambda n=so_far: len(arm.goals) == n)
         dynamic.conclude("not_evaluated", 0.01)
         dynamic.observe()
-    spin(nodes, lambda: experiment.said == "waiting for the calibration")
+    spin(nodes, lambda: experiment.last_log == "waiting for the calibration")
     if told:
         dynamic.conclude("pass", 0.001)
     code = spin_to_the_end(*nodes)
-    assert code == (0 if told else "goal not met: not_evaluated, b_1 ± 0.01 (asked 0.002)")
+    assert code == (0 if told else "goal not met: not_evaluated, b_1 ± 0.01 (goal 0.002)")
 
 
 def test_a_goal_of_what_is_not_estimated_is_refused(spin, spin_to_the_end, tmp_path):
@@ -354,7 +354,7 @@ def test_a_maneuver_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end, tmp_pa
         maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, observation_timeout=60.0
     )
     nodes, gap = (arm, dynamic, experiment), "joint_2 silent for 0.80 s"
-    a, b, c, d = (stop.q.tolist() for stop in experiment.stops)
+    a, b, c, d = (stop.q.tolist() for stop in experiment.waypoints)
     for so_far, reason in (
         ([a, b, c], gap),
         ([a, b, c, b, a, b, c], ""),
@@ -362,13 +362,18 @@ def test_a_maneuver_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end, tmp_pa
     ):
         spin(
             nodes,
-            lambda so_far=so_far: arm.goals == so_far and experiment.phase == experiment.watch,
+            lambda so_far=so_far: (
+                arm.goals == so_far and experiment.phase == experiment.await_observation
+            ),
         )
         dynamic.observe(reason)
     assert spin_to_the_end(*nodes) == 0
     assert arm.goals == [a, b, c, b, a, b, c, d, c, d, c, d, c, d]
-    assert f"posture 3 of 4: {gap}, so going back to repeat it" in experiment.log
-    assert experiment.log[-2:] == ["posture 4 of 4: left", "all 4 postures done"]
+    assert f"posture 3 of 4: {gap}; returning to repeat it" in experiment.log
+    assert experiment.log[-2:] == [
+        "posture 4 of 4: continuing without an observation",
+        "all 4 postures done",
+    ]
 
 
 def test_a_maneuver_that_nobody_tells_of_is_given_up(spin_to_the_end, tmp_path):

@@ -63,11 +63,11 @@ def test_the_arm_is_found_within_what_is_claimed(made, n, capsys):
 def test_what_a_new_user_forgets_is_named(made, tmp_path, capsys):
     folder = made(3, 3)
     assert main([str(folder / "bag")]) == 3  # by the paper's arm
-    assert "nothing heard of joint_4" in " ".join(capsys.readouterr().out.split())
+    assert "nothing received from joint_4" in " ".join(capsys.readouterr().out.split())
     two = drawn(arm(3, 1)).splitlines()[:-1]
     (tmp_path / "two.yaml").write_text("\n".join(two))
     assert main([str(folder / "bag"), "--arm", str(tmp_path / "two.yaml")]) == 3
-    assert "joint_3 heard, but 'drawn' has 2 joints" in " ".join(capsys.readouterr().out.split())
+    assert "received joint_3, but 'drawn' has 2 joints" in " ".join(capsys.readouterr().out.split())
     (tmp_path / "p.yaml").write_text(
         "".join(
             f"{kind}: {{base_topic: vicon/b/b}}\n" for kind in ("kinematic", "dynamic", "drift")

@@ -43,18 +43,18 @@ def test_a_node_begins_from_a_kinematic_result_that_passed(spin, kind):
     publisher.publish(message)
     message.calibration.verdict, message.calibration.description = "pass", to_yaml(FOUND)
     publisher.publish(message)
-    spin([bed, node], lambda: node.begun.arm.known.names)
-    assert node.begun.arm.known == FOUND.known
+    spin([bed, node], lambda: node.initial.arm.known.names)
+    assert node.initial.arm.known == FOUND.known
     spin(
         [bed, node], lambda: bed.results and "covariance" in calibration_part(bed.results[-1]).guess
     )
-    assert from_yaml(calibration_part(bed.results[-1]).guess) == node.begun.arm
+    assert from_yaml(calibration_part(bed.results[-1]).guess) == node.initial.arm
 
 
 def test_a_result_of_another_arm_is_not_taken(spin):
     bed, node = Bed(DYNAMIC), make_node(DYNAMIC)
     publisher = bed.create_publisher(KINDS["kinematic"].message, "calibration/kinematic", LATCHED)
-    message, begun = KINDS["kinematic"].message(), node.begun
+    message, initial = KINDS["kinematic"].message(), node.initial
     warned = []
     node.get_logger().warning = warned.append
     message.calibration.verdict = "pass"
@@ -62,7 +62,7 @@ def test_a_result_of_another_arm_is_not_taken(spin):
     publisher.publish(message)
     spin([bed, node], lambda: warned)
     assert "calibration/kinematic not taken" in warned[0]
-    assert node.begun is begun
+    assert node.initial is initial
 
 
 def test_the_command_begins_from_a_result_or_from_a_bag(bag, tmp_path, capsys):
@@ -114,7 +114,7 @@ def test_a_joint_estimate_of_bags(bag, tmp_path, capsys):
     assert arm.known.names == tuple(found["names"])
     assert found["kind"] == "joint"
     assert abs(arm.links[0].b - 0.185) < 4.0 * found["deviations"][found["names"].index("b_1")]
-    assert "What each session had for its own" in (page / "index.html").read_text()
+    assert "Parameters of each session" in (page / "index.html").read_text()
 
 
 @pytest.mark.parametrize(

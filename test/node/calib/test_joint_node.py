@@ -63,15 +63,17 @@ def others(node, data, spin):
     """The nodes of all other kinds, by kind, each with its data, when they publish no more."""
     found = {kind: node(kind) for kind in JOINT_SOURCES}
     for kind, one in found.items():
-        one.take(data[kind])
+        one.add_data(data[kind])
     results = {one.kind.topic: one for one in found.values()}
 
     def started_from_the_last(one):
         messages = {
             topic: results[topic].kind.to_message(results[topic].outcome, "world")
-            for topic in one.kind.after
+            for topic in one.kind.prior_results
         }
-        return all(one.begun.with_message(*item).arm == one.begun.arm for item in messages.items())
+        return all(
+            one.initial.with_message(*item).arm == one.initial.arm for item in messages.items()
+        )
 
     spin(found.values(), lambda: all(map(started_from_the_last, found.values())))
     return found
@@ -158,7 +160,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
     assert output.with_suffix(".urdf").exists()
     assert {"g_x", "torque"} <= {*result.own}
     text = (page / "index.html").read_text()
-    for words in ("x without dynamic", *JOINT.lacks.values()):
+    for words in ("x without dynamic", *JOINT.unavailable.values()):
         assert words in text
     recorded = Recording(tmp_path / "told")
     for stamp, topic, message in ((1, JOINT.data.topic, session), (2, JOINT.topic, result)):
@@ -186,7 +188,7 @@ def test_what_a_node_forgets_is_forgotten_and_of_one_that_ended_all_is_kept(
     others["dynamic"].on_forget(Trigger.Request(), Trigger.Response())
     spin([joint, *others.values()], lambda: held(joint) == [kept[0], 0, kept[2]])
     assert joint.outcome.verdict != "pass"
-    others["dynamic"].take(data["dynamic"])
+    others["dynamic"].add_data(data["dynamic"])
     spin([joint, *others.values()], lambda: held(joint) == kept)
     assert joint.outcome.verdict == "pass"
 
@@ -218,7 +220,10 @@ def test_one_that_was_killed_goes_on_without_the_nodes(spin, others, node, data,
 def test_the_same_told_again_is_not_solved_again(spin, others, node, data):
     joint, solved = node("joint"), []
     spin([joint, *others.values()], lambda: all_heard(joint, data))
-    joint.take, take = lambda found: solved.append(len(found)) or take(found), joint.take
+    joint.add_data, add_data = (
+        lambda found: solved.append(len(found)) or add_data(found),
+        joint.add_data,
+    )
     others["drift"].publish()
     spin([joint, *others.values()], lambda: len(solved) == 2)  # data and result
     assert solved == [0, 0]
@@ -230,7 +235,7 @@ def test_data_of_another_arm_are_left_out_and_named(spin, others, node, data):
     drifts = [replace(one, q=(*one.q, 0.0)) for one in data["drift"]]
     message, publisher = (
         JOINT_SOURCES["drift"].data.to_message(drifts, "world"),
-        others["drift"].found,
+        others["drift"].data_publisher,
     )
     # Again and again: whatever that node has begun from meanwhile, it publishes its own.
     spin([joint, *others.values()], lambda: publisher.publish(message) or joint.streams().unknown)
@@ -238,7 +243,7 @@ def test_data_of_another_arm_are_left_out_and_named(spin, others, node, data):
     assert held(joint) == numbers(data)
     joint.on_solve(Trigger.Request(), Trigger.Response())
     assert joint.outcome.verdict == "not_evaluated"
-    assert "joint_5 heard, but 'paper' has 4 joints" in joint.outcome.reason
+    assert "received joint_5, but 'paper' has 4 joints" in joint.outcome.reason
 
 
 def test_a_clock_that_ran_back_at_another_node_is_taken_note_of(spin, others, node, data, tmp_path):
@@ -258,11 +263,11 @@ def test_a_clock_that_ran_back_at_another_node_is_taken_note_of(spin, others, no
         lambda: all_heard(joint, data) and joint.data[-1].set_back["kinematic"],
     )
     assert joint.outcome.verdict == "not_evaluated"
-    assert "clock of kinematic ran back by 2" in joint.outcome.reason
-    assert joint.health().message == "a clock ran back: kinematic/forget begins anew"
+    assert "clock of kinematic jumped back by 2" in joint.outcome.reason
+    assert joint.health().message == "a clock jumped back: call kinematic/forget to reset"
     assert not output.exists()
     kinematic.on_forget(Trigger.Request(), Trigger.Response())
-    kinematic.take(data["kinematic"])
+    kinematic.add_data(data["kinematic"])
     spin([joint, *others.values()], lambda: joint.outcome.verdict == "pass")
     assert output.exists()
 
@@ -280,8 +285,8 @@ def test_what_is_not_understood_is_counted(spin, others, node, data):
     message.calibration.provenance.parameters = "{tilt: [1"
     inputs = {one.topic: one.feed for one in JOINT.inputs(joint.settings, 4)}
     joint.on_sample(inputs[drift.kind.topic], message)
-    assert joint.streams().rejected == {"calibration/drift not understood": 1}
-    assert joint.health().values["rejected: calibration/drift not understood"] == 1
+    assert joint.streams().rejected == {"invalid calibration/drift": 1}
+    assert joint.health().values["rejected: invalid calibration/drift"] == 1
     assert all_heard(joint, data)
 
 

@@ -249,7 +249,7 @@ def test_replayed_at_any_rate_the_result_is_that_of_the_bag(spin, samples, tmp_p
     newest = {s.stream: s.t for s in samples}
     spin(node, lambda: all(p.newest == newest[s] for s, p in node.finder.subjects.items()))
     spin(node, lambda: all(j.newest == newest[i] for i, j in enumerate(node.finder.joints, 1)))
-    node.take(node.finder.close())
+    node.add_data(node.finder.close())
     replayed = node.outcome
     assert replayed.provenance.data_hash == offline.provenance.data_hash
     assert np.abs(replayed.values - offline.values).max() < 1e-9

@@ -44,14 +44,14 @@ def test_what_was_made_before_counts_for_the_promise(monday, capsys):
             assert 0.4 * now[f"b_{i}"] < then[f"b_{i}"] < now[f"b_{i}"]
     alone = promised(monday, *SEEN)
     assert all(alone[name] > 2.0 * now[name] for name in ("b_1", "I_1") if name in alone)
-    assert "for a base seen to 0.5 mm and 0.057 degrees" in capsys.readouterr().out
+    assert "assumed errors of a base pose: 0.5 mm and 0.057 degrees" in capsys.readouterr().out
 
 
 def test_the_noise_is_that_of_the_bag(monday, capsys):
     promised(monday)
-    assert "for a base seen to 1 mm and 0.5 degrees" in capsys.readouterr().out
+    assert "assumed errors of a base pose: 1 mm and 0.5 degrees" in capsys.readouterr().out
     promised(monday, "--bag", str(monday / "bags"))
-    words = capsys.readouterr().out.partition("for a base seen to ")[2].split()
+    words = capsys.readouterr().out.partition("assumed errors of a base pose: ")[2].split()
     assert float(words[0]) == pytest.approx(0.5, abs=0.2)  # of ten maneuvers
 
 

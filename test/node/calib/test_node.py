@@ -113,7 +113,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path):
     assert output.with_suffix(".urdf").exists() == kind.has_urdf
     page = (report / "index.html").read_text()
     assert '<span class="pass">' in page
-    for what, why in kind.lacks.items():
+    for what, why in kind.unavailable.items():
         assert what in page
         assert why in page
 
@@ -121,11 +121,11 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path):
 def test_one_that_fails_says_where_its_cause_is_looked_for(kept, made):
     node = kept(made)
     failed = Check("fit", FAIL, 9.0, 1.0, "too large")
-    node.solved = lambda: replace(made.outcome, checks=(failed,))
+    node.solve = lambda: replace(made.outcome, checks=(failed,))
     response = node.on_solve(Trigger.Request(), Trigger.Response())
     assert not response.success
-    looks = "; from_bag, on a recording of this, looks for the cause"
-    assert response.message == "fail: too large" + looks * (CAUSES not in made.kind.lacks)
+    looks = "; to find the cause, run from_bag on a recording"
+    assert response.message == "fail: too large" + looks * (CAUSES not in made.kind.unavailable)
 
 
 def test_each_datum_comes_back_from_its_message(made):
@@ -149,7 +149,7 @@ def test_a_failed_result_is_published_and_not_written_over_a_good_one(kept, made
     good = tmp_path / "good.yaml"
     good.write_text("good")
     node = kept(made, output=str(good), **made.case.asked)
-    node.take(made.outcome.data)
+    node.add_data(made.outcome.data)
     assert node.outcome.verdict == made.case.unmet, node.outcome.reason
     assert node.outcome.description == ""
     assert good.read_text() == "good"
@@ -158,8 +158,8 @@ def test_a_failed_result_is_published_and_not_written_over_a_good_one(kept, made
 def test_a_node_that_was_killed_goes_on(spin, made, tmp_path):
     state, data = tmp_path / "state.json", made.outcome.data
     first = made.node(state_file=str(state))
-    first.take(data[:-1])
-    first.take(data[-1:])
+    first.add_data(data[:-1])
+    first.add_data(data[-1:])
     then = first.outcome
     first.destroy_node()
     bed, second = Bed(made.kind), made.node(state_file=str(state))
@@ -171,14 +171,14 @@ def test_a_node_that_was_killed_goes_on(spin, made, tmp_path):
 
 def test_a_state_file_of_another_kind_or_arm_is_named(kept, made, tmp_path):
     state = tmp_path / "state.json"
-    kept(made, state_file=str(state)).take(made.outcome.data)
+    kept(made, state_file=str(state)).add_data(made.outcome.data)
     saved = json.loads(state.read_text())
     for change, message in (
         ({"kind": "other"}, "kind is 'other', expected "),
         ({"joints": 5}, "joints is 5, expected 4"),
         (
             {"data": [{**one, made.case.lacking: []} for one in saved["data"]]},
-            "nothing can be solved from it",
+            "the saved data cannot be solved",
         ),
     ):
         state.write_text(json.dumps({**saved, **change}))
@@ -193,12 +193,12 @@ def test_what_is_forgotten_is_gone_and_it_begins_anew(spin, made, tmp_path):
     bed, node = Bed(made.kind), made.node(state_file=str(state))
     some = [s for s in made.samples if s.t < made.samples[0].t + 12_000_000_000]
     play(spin, bed, node, some, made.case.module.message)
-    node.take(made.outcome.data)
+    node.add_data(made.outcome.data)
     feed, reading = made.reading(some[-1].t - 10_000_000_000)
     node.on_sample(feed, reading)
-    said = f"(at most {node.settings.joint_gap:g}): {made.kind.name}/forget begins anew"
+    said = f"(at most {node.settings.joint_gap:g}): call {made.kind.name}/forget to reset"
     assert node.health().level == WARN
-    assert f"clock of {made.case.streams}_1 ran back by" in node.health().message
+    assert f"clock of {made.case.streams}_1 jumped back by" in node.health().message
     assert node.health().message.endswith(said)
     assert node.data
     answer = ask(spin, bed, node, bed.forgetter)
@@ -207,7 +207,7 @@ def test_what_is_forgotten_is_gone_and_it_begins_anew(spin, made, tmp_path):
     spin([bed, node], lambda: bed.found() == 0)
     assert json.loads(state.read_text())["data"] == []
     assert node.outcome.verdict == "not_evaluated"
-    node.take(made.outcome.data)
+    node.add_data(made.outcome.data)
     assert node.outcome.verdict == "pass"
     assert "ran back" not in node.health().message
     assert not output.exists()
@@ -223,18 +223,18 @@ def test_a_clock_that_ran_back_is_remembered_across_restarts(kept, made, tmp_pat
         first.on_sample(*made.reading(at))
     first.health()  # as diagnostics ask: no datum needs to come after it
     assert json.loads(state.read_text())["flags"]["set_back"][name] > 10.0
-    first.take(made.outcome.data)
+    first.add_data(made.outcome.data)
     assert first.outcome.verdict == "not_evaluated"
     second = kept(made, **files)
     assert second.data == list(made.outcome.data)
     assert second.outcome.verdict == "not_evaluated"
-    assert f"clock of {name} ran back by" in second.outcome.reason
-    second.take(made.outcome.data[:1])
+    assert f"clock of {name} jumped back by" in second.outcome.reason
+    second.add_data(made.outcome.data[:1])
     assert not output.exists()
     third = kept(made, **files)
     assert third.outcome.verdict == "not_evaluated"
     third.on_forget(None, _Answer())
-    third.take(made.outcome.data)
+    third.add_data(made.outcome.data)
     assert third.outcome.verdict == "pass"
     assert output.exists()
 
@@ -246,10 +246,10 @@ class _Answer:
 def test_older_data_go_and_what_is_rejected_takes_no_place(kept, made):
     most = made.case.count - 1
     node, data = kept(made, **{made.case.most: most}), list(made.outcome.data)
-    node.take(data[:1])
-    node.take(data[1:])
+    node.add_data(data[:1])
+    node.add_data(data[1:])
     assert node.data == data[1:]
-    node.take([replace(data[0], used=False, reason="a gap")] * (most + 2))
+    node.add_data([replace(data[0], used=False, reason="a gap")] * (most + 2))
     assert node.data[:most] == data[1:]
     assert len(node.data) == 2 * most
     settings = replace(made.settings, **{made.case.most: most})
@@ -261,7 +261,7 @@ def test_what_cannot_be_written_is_told_and_nothing_else_is_lost(kept, made, tmp
     out, state = tmp_path / "new" / "out.yaml", tmp_path / "kept" / "state.json"
     node = kept(made, output=str(out), state_file=str(state))
     (tmp_path / "kept").write_text("in the way")
-    node.take(made.outcome.data)
+    node.add_data(made.outcome.data)
     assert out.exists()
     assert node.health().level == ERROR
     assert node.health().message.startswith(f"cannot write {tmp_path}")
@@ -290,17 +290,17 @@ def test_silent_streams_and_unknown_joints_are_named(kept, made):
     reading.name = ["joint_9"]
     node.on_sample(feed, reading)
     assert node.health().message == "the arm has no joint_9"
-    node.take(made.outcome.data)
+    node.add_data(made.outcome.data)
     assert node.outcome.verdict == "not_evaluated"
-    assert "joint_9 heard, but 'paper' has 4 joints" in node.outcome.reason
+    assert "received joint_9, but 'paper' has 4 joints" in node.outcome.reason
 
 
 def test_a_robust_loss_weighs_and_an_outlier_is_rejected_by_choice(kept, made):
     """Each kind but the toy, which is no more than a mean, and one that has none."""
-    if made.kind is TOY or "weight or outlier" in made.kind.lacks:
+    if made.kind is TOY or "weight or outlier" in made.kind.unavailable:
         return
     node = kept(made, loss="huber", max_outliers=1)
-    node.take(made.outcome.data)
+    node.add_data(made.outcome.data)
     e = node.outcome.estimate
     assert len(e.weights) == len(e.errors) == len(e.reasons) == len(e.leverage) == made.case.count
     assert ((e.weights > 0.0) & (e.weights <= 1.0)).all()
@@ -358,7 +358,7 @@ def test_the_command_for_bags(made, tmp_path, capsys):
     given = [f"--{k.replace('_', '-')}={v}" for k, v in made.case.settings.items()]
     assert from_bag([*flag, bag, *given, "--output", str(output), "--report", str(page)]) == 0
     text = capsys.readouterr().out
-    assert f"{made.kind.written} written to {output}" in text
+    assert f"{made.kind.output_name} written to {output}" in text
     assert output.exists()
     if made.kind.has_urdf:
         assert output.with_suffix(".urdf").read_text() == urdf(load(output))
@@ -375,7 +375,7 @@ def test_the_help_tells_what_a_kind_lacks(made, capsys):
     with pytest.raises(SystemExit):
         from_bag([f"--{made.kind.name}", "--help"])
     said = " ".join(capsys.readouterr().out.split())
-    for what, why in made.kind.lacks.items():
+    for what, why in made.kind.unavailable.items():
         assert f"No {what}: {why}." in said
 
 

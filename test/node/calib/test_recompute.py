@@ -124,7 +124,7 @@ def test_what_is_missing_is_named(published, tmp_path, capsys):
     assert main([record(tmp_path / "b", others)]) == 1
     error = capsys.readouterr().err
     assert error.startswith(
-        "recompute: a result on /calibration/kinematic lacks its observations ("
+        "recompute: the bag lacks the observations of a result on /calibration/kinematic ("
     )
     assert error.count("\n") == 1
     assert main(["/nowhere"]) == 1

@@ -148,7 +148,9 @@ def test_expected_deviations_are_those_of_the_solver():
     assert result.values[0] == pytest.approx(0.191, abs=1e-9)
     assert result.minimum.iterations == 0
     model = predicted_problem(ARM, plan, SETTINGS, 5.0)
-    prior = np.diag(np.where(np.isfinite(model.known), model.known, np.inf) ** -2.0)
+    prior = np.diag(
+        np.where(np.isfinite(model.prior_deviations), model.prior_deviations, np.inf) ** -2.0
+    )
     total, p = information(model).sum(axis=0), len(prior)
     covariance = np.linalg.inv(total[:p, :p] + prior)
     assert result.random == pytest.approx(covariance, rel=1e-6)
@@ -228,9 +230,9 @@ def test_a_plan_is_read_back(tmp_path):
     ("text", "message"),
     [
         ("{", "line 2 is .*, expected YAML"),
-        ("hello: 1", "maneuvers is missing, expected rows of kind, q, durations"),
-        ("maneuvers: []", r"maneuvers is \[\], expected rows of kind, q, durations"),
-        ("maneuvers: [{kind: a}]", "maneuvers is .*, expected rows of kind, q, durations"),
+        ("hello: 1", "maneuvers is missing, expected rows of kind, q and durations"),
+        ("maneuvers: []", r"maneuvers is \[\], expected rows of kind, q and durations"),
+        ("maneuvers: [{kind: a}]", "maneuvers is .*, expected rows of kind, q and durations"),
         ("maneuvers: [{kind: a, q: [[0, 0]], durations: []}]", r"maneuver 1 is .*\(w \+ 1, 4\)"),
     ],
 )
@@ -266,7 +268,7 @@ def test_a_goal_is_kept_to_with_as_few_maneuvers_as_it_takes(capsys):
     assert main([*asked[:5], "b_i 0.0001", "--count", "2"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert re.search(
-        r"goal b_i 0.0001: not met by 2 maneuvers: b_\d to .*, .* of it as \w+ is", text
+        r"goal b_i 0.0001: not met by 2 maneuvers: b_\d reaches .*, .* of it because \w+ is", text
     )
 
 
@@ -306,7 +308,7 @@ def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
     output = tmp_path / "plan.yaml"
     assert main(["--count", "2", "--kinds", "single", "--output", str(output)]) == 0
     text = capsys.readouterr().out
-    for words in ("To expect", "± 1 sigma", "b_1", "single", "plan written to"):
+    for words in ("Expected result", "± 1 sigma", "b_1", "single", "plan written to"):
         assert words in text
     assert len(read_plan(output, 4)) == 2
     assert main(["--kinematic", "--count", "8", "--output", str(output)]) == 0

@@ -92,7 +92,7 @@ def test_a_joint_that_is_never_still_is_named(samples):
 def test_names_heard_are_told_beside_those_that_are_not():
     streams = Streams(silent=("joint_1", "joint_2"), other_names=("q1", "q2"))
     outcome = calibrate([], paper_arm(), streams=streams)
-    words = "nothing heard of joint_1, joint_2, but of q1, q2: other names?"
+    words = "nothing received from joint_1, joint_2, but from q1, q2: wrong names?"
     assert outcome.reasons[0] == words
 
 

@@ -174,12 +174,12 @@ def test_held_out_errors_are_those_of_predictions_from_the_others():
     known = replace(known, prior=np.full(8, np.inf))
     noisy = observe(known, ARM.vector(), at_rest(10), np.random.default_rng(6))
     _, error = solve(noisy).checks
-    rest = solve(noisy.only(np.arange(10) != 3))
-    one = replace(noisy.only(np.array([3])), arm=rest.calibrated())
-    linear = one.reduced(one.start, one.to_model)
+    rest = solve(noisy.select(np.arange(10) != 3))
+    one = replace(noisy.select(np.array([3])), arm=rest.calibrated())
+    linear = one.eliminate_states(one.start, one.to_model)
     spread = linear.regressor @ rest.random @ linear.regressor.T + np.eye(len(linear.residuals))
     away = linear.residuals @ np.linalg.solve(spread, linear.residuals)
-    assert np.sqrt(away / one.free[0]) == pytest.approx(error[3], rel=0.02)
+    assert np.sqrt(away / one.freedom_by_maneuver[0]) == pytest.approx(error[3], rel=0.02)
 
 
 def test_a_solution_at_a_bound_says_so():

@@ -107,7 +107,7 @@ def test_all_parameters_together_are_as_uncertain_as_a_dynamic_result_says():
         r = dynamics(maneuvers(truth, 16, rng, acting), arm)
         every = dict(zip(parameter_names(4), values(arm), strict=True))
         every |= dict(zip(r.problem.names, r.values, strict=True))
-        known = r.known
+        known = r.updated_knowledge
         C = np.array(known.covariance)
         found.append(nees(known.names, [every[name] for name in known.names], C, truth))
     assert np.mean(found) == pytest.approx(1.0, abs=0.2)

@@ -93,16 +93,16 @@ def two():
 def test_what_sessions_have_for_their_own_is_found(two):
     _, days, known = two
     result = solve(known)
-    assert known.own_names(0) == (
+    assert known.session_names(0) == (
         *("theta_0_2", "theta_0_3", "theta_0_4", "theta_BJ1"),
         *("g_x", "g_y", "torque", "twist_damping", "drag"),
     )
-    assert known.own_names(1) == known.own_names(0)[4:]
+    assert known.session_names(1) == known.session_names(0)[4:]
     for k, one in enumerate(days):
         found, sigma = result.session(k)
         true = one.acting if k else [*one.moved[1:], one.moved[0], *one.acting]
         assert (np.abs(found - true) < 4.0 * sigma).all()
-        assert (sigma < known.own_deviations(k)).all()
+        assert (sigma < known.session_deviations(k)).all()
     assert (sigma[:2] < 0.1 * SURROUNDINGS[:2]).all()  # drifts tell a table's tilt
 
 

@@ -211,7 +211,7 @@ def test_leverage_and_normalized_residuals_tell_what_they_say():
         assert np.sum(result.leverage) == pytest.approx(8 / 3)
         assert 0.0 < result.leverage.min() < result.leverage.max() < 1.0
         inside.append(result.normalized_residuals**2)
-        outside.append(solve(noisy.only(kept)).predict(noisy.only(~kept))[1] ** 2)
+        outside.append(solve(noisy.select(kept)).predict(noisy.select(~kept))[1] ** 2)
     for squares in (inside, outside):
         assert np.mean(squares) == pytest.approx(3.0, rel=0.08)
         assert np.mean(squares, axis=0) == pytest.approx(np.full(len(squares[0]), 3.0), rel=0.25)

@@ -342,9 +342,9 @@ def test_the_same_however_telemetry_arrives(rig, samples):
         ({"mass_deviation": -1.0}, "mass_deviation is -1.0 kg, expected 0 or more"),
         (
             {"base_com_deviation": 0.0},
-            "estimate has 'com_0', said to be known exactly (its deviation is 0): leave it out",
+            "estimate has 'com_0', known exactly (its deviation is 0): remove it",
         ),
-        ({"inertia_deviation": 0.0, "estimate": "I"}, "estimate has 'I', said to be known"),
+        ({"inertia_deviation": 0.0, "estimate": "I"}, "estimate has 'I', known"),
         ({"min_probability": 1.0}, "min_probability is 1.0, expected 0 or more, and below 1"),
         ({"min_maneuvers": 0}, "min_maneuvers is 0, expected 1 or more"),
         ({"max_outliers": -1}, "max_outliers is -1, expected 0 or more"),

@@ -79,7 +79,7 @@ def test_one_far_off_is_named_though_it_makes_the_noise_larger():
     seen[4] = replace(seen[4], tip=(x + 0.012, y, heading))
     found = calibrate(seen, ARM, SETTINGS)
     assert found.verdict == FAIL
-    assert "observation 5 off" in found.reason
+    assert "observation 5 inconsistent" in found.reason
     assert calibrate(seen, ARM, replace(SETTINGS, max_outliers=1)).verdict == PASS
 
 

@@ -93,7 +93,7 @@ def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
     text = " ".join(" ".join(page.text).split())
     for words in (
         "18.211", "from a <bag>", "more than 5", "held out", "fit",
-        "position_deviation: 0.0177", "What the verdict is made of", "Observations",
+        "position_deviation: 0.0177", "Checks", "Observations",
     ):  # fmt: skip
         assert words in text, words
     for figure in told.figures:
@@ -108,7 +108,7 @@ def test_under_the_verdict_stand_the_date_and_what_to_do_now(tmp_path, count):
     assert re.fullmatch(r"Data of \d{4}-\d\d-\d\d \d\d:\d\d to \d\d:\d\d \S+\.", when)
     page = report.write(tmp_path, told).read_text()
     assert page.index(told.reason[:20]) < page.index(when) < page.index(then) < page.index("<table")
-    assert (told.verdict == "not_evaluated") == then.startswith("Next: record what is missing")
+    assert (told.verdict == "not_evaluated") == then.startswith("Next: record the missing data")
 
 
 def test_what_is_weak_or_wrong_is_marked(tmp_path):
@@ -181,7 +181,7 @@ def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path, monkeypatch)
     monkeypatch.setattr(type(found.solution.result), "prior_share", share)
     assert dynamic_report(found).tables[0].weak == [1, 3]
     for words in (
-        "Bias by what was assumed",
+        "Bias due to assumed parameters",
         "mass_deviation: 0.005",
         "hardly seen",
         "a &lt;bag&gt;",

@@ -47,7 +47,7 @@ def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
         ),
         check_outliers(
             solution.errors, solution.kept, s.outlier, s.max_outliers, "drift",
-            "error of a drift predicted from the others, in its deviations,",
+            "normalized prediction error",
         ),
         check_redundancy(r.cross_checks.redundancy, solution.kept, s.min_redundancy, "drift"),
         check_limit(

@@ -126,10 +126,10 @@ class DriftProblem:
         J, r = np.concatenate(rows), np.concatenate(residuals)
         known = self.prior_deviations
         J[:, known == 0.0] = 0.0
-        believed = np.flatnonzero((known > 0.0) & np.isfinite(known))
+        with_prior = np.flatnonzero((known > 0.0) & np.isfinite(known))
         expected = np.concatenate([np.zeros(5), self.start[5:]])
-        off = (expected - unknowns)[believed] / known[believed]
-        J = np.concatenate([J, np.eye(len(unknowns))[believed] / known[believed, None]])
+        off = (expected - unknowns)[with_prior] / known[with_prior]
+        J = np.concatenate([J, np.eye(len(unknowns))[with_prior] / known[with_prior, None]])
         r = np.concatenate([r, off])
         return Linear(r, J, r @ r)
 

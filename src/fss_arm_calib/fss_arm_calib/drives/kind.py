@@ -96,21 +96,21 @@ DRIVES = Calibration(
         "excitation", Excitation, "calibration/excitations", excitations_message, excitations_of,
         _summary,
     ),
-    most=lambda s: s.max_excitations,
+    max_data=lambda s: s.max_excitations,
     inputs=inputs,
     finder=ExcitationFinder,
     calibrate=calibrate,
     message=msg.DrivesCalibration,
     to_message=to_message,
-    numbers=("moving", "torque_residuals", "current_residuals"),
+    compared_fields=("moving", "torque_residuals", "current_residuals"),
     report=drives_report,
-    lacks={
+    unavailable={
         "time offset": "all data of a link have the same clock; no other stream is used",
         "weight or outlier": "deviations are computed by leaving out blocks of 4 s",
         "unknown joint": "each link of the arm has its own topic",
         CAUSES: "the usual mistakes concern motion capture and joint states, which are not used",
     },
-    after={
+    prior_results={
         "calibration/kinematic": msg.KinematicCalibration,
         "calibration/dynamic": msg.DynamicCalibration,
     },

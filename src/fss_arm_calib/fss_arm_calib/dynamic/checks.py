@@ -51,20 +51,20 @@ def check_number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings
 
 
 def check_gyro(streams: Streams) -> Check:
-    """Check that gyro and motion capture agree on how far the base turns."""
+    """Check that gyro and motion capture agree on the turns of the base."""
     ratio = streams.gyro_ratio
     if isnan(ratio) or abs(ratio - 1.0) <= MAX_GYRO_DIFFERENCE:
         return Check("gyro", PASS, ratio, MAX_GYRO_DIFFERENCE, "")
-    words = f"the gyro turns {ratio:.3g} times as far as motion capture sees"
+    words = f"the gyro measures {ratio:.3g} times the turn that motion capture measures"
     if abs(radians(ratio) - 1.0) <= MAX_GYRO_DIFFERENCE:
-        words = f"gyro in degrees a second? {words}"
+        words = f"gyro in degrees per second? {words}"
     elif abs(ratio + 1.0) <= MAX_GYRO_DIFFERENCE:
         words = f"gyro with the wrong sign? {words}"
     return Check("gyro", FAIL, ratio, MAX_GYRO_DIFFERENCE, words)
 
 
 def check_tips(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[Check]:
-    """Check that the observed end effector agrees with the description; [] if it was not seen.
+    """Check that the observed end effector agrees with the description; [] without its poses.
 
     The base's motion cannot show this, because wrong link lengths are absorbed by the estimated
     centres of mass.
@@ -81,8 +81,8 @@ def check_tips(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[C
     position, heading = assumed_noise(s).deviations
     errors = hypot(2.0 * position, reach * heading)
     limit = hypot(s.max_tip_error, errors)
-    words = f"end effector {distance:.3f} m from where it is described (at most {limit:.3f} m)"
-    failing = "another arm's data, or its kinematics are to be calibrated first"
+    words = f"end effector {distance:.3f} m from its described position (at most {limit:.3f} m)"
+    failing = "another arm's data, or its kinematics must be calibrated first"
     return [hide_pass_reason(check_limit("end_effector", distance, limit, words, failing))]
 
 
@@ -96,7 +96,7 @@ def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
     )  # fmt: skip
     found = []
     if fit.verdict == FAIL and _fits_swapped(solution.nominal.problem, s):
-        found = [cause_check("the end effector is taken for the base")]
+        found = [cause_check("the poses of the base are those of the end effector")]
     return [
         *found,
         _check_identifiability(solution),
@@ -106,7 +106,7 @@ def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
         fit,
         check_outliers(
             solution.errors, solution.kept, s.outlier, s.max_outliers, "maneuver",
-            "error of a maneuver predicted from the others, in its deviations,",
+            "normalized prediction error",
         ),
         check_redundancy(r.redundancy, solution.kept, s.min_redundancy, "maneuver"),
         _check_precision(r, s),
@@ -116,7 +116,7 @@ def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
 def _check_measurable(r: DynamicResult) -> Check:
     """Check that no parameter is at a bound only because of its own errors."""
     names = [name for name in r.at_bound if name in r.beyond_reach]
-    words = f"{', '.join(names)} not measurable from this: give a prior or leave it out"
+    words = f"{', '.join(names)} not measurable with these data: give a prior or do not estimate it"
     verdict = FAIL if names else PASS
     return Check("measurable", verdict, len(names), 0, words if names else "")
 
@@ -124,8 +124,8 @@ def _check_measurable(r: DynamicResult) -> Check:
 def _check_bounds(r: DynamicResult) -> Check:
     """Check that no well-measured parameter is at a bound of what is physically possible."""
     held = [name for name in r.at_bound if name not in r.beyond_reach]
-    words = f"at the bound of what is possible: {', '.join(held)}"
-    words += "; of another arm, or its masses or lengths are others?"
+    words = f"at a physical bound: {', '.join(held)}"
+    words += "; another arm's data, or wrong masses or lengths?"
     return Check("bounds", FAIL if held else PASS, len(held), 0, words if held else "")
 
 
@@ -177,9 +177,11 @@ def _check_precision(r: DynamicResult, s: DynamicSettings) -> Check:
         if deviation / limit > worst:
             worst, at = float(deviation / limit), f"{name} has a deviation of {words}"
     share = f"{100 * s.max_relative:g} % of a described mass or inertia"
-    asked = f"(at most {share}, {s.max_place:g} m)"
-    words = f"{at} {asked}" if at else ""
+    limits = f"(at most {share}, {s.max_place:g} m)"
+    words = f"{at} {limits}" if at else ""
     check = check_limit("precision", worst, 1.0, words, "too uncertain")
     if check.verdict == PASS:
         return check
-    return replace(check, reason=f"{check.reason}: give a prior, leave it out, or measure more")
+    return replace(
+        check, reason=f"{check.reason}: give a prior, do not estimate it, or record more maneuvers"
+    )

@@ -96,7 +96,7 @@ def _random_swing(n: int, rng: np.random.Generator) -> Law:
 
 def prior_scales(result: DynamicResult, knowledge: Knowledge) -> Floats:
     """Return the prior standard deviation of each parameter (p,); a typical one if no prior."""
-    choice, known = result.problem.choice, result.problem.known
+    choice, known = result.problem.choice, result.problem.prior_deviations
     typical = choice.basis.T @ knowledge.deviations(result.problem.arm.n)
     typical = typical / choice.basis.sum(axis=0)
     typical = np.concatenate([typical, known[len(typical) :]])
@@ -154,7 +154,7 @@ def combinations(result: DynamicResult) -> list[Combination]:
     by_x, by_assumed = G @ chosen, G[:, result.assumed]
     through = by_x @ result.influence[:size] - by_assumed
     assumed = problem.assumed[np.ix_(result.assumed, result.assumed)]
-    known = by_x**2 @ np.minimum(problem.known[:size], 1e150) ** 2
+    known = by_x**2 @ np.minimum(problem.prior_deviations[:size], 1e150) ** 2
     before = known + np.einsum("ij,jk,ik->i", by_assumed, assumed, by_assumed)
     now = np.einsum("ij,jk,ik->i", by_x, result.random[:size, :size], by_x)
     now += np.einsum("ij,jk,ik->i", through, assumed, through)

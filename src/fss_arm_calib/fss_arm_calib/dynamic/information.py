@@ -17,8 +17,8 @@ def information(problem: DynamicProblem, unknowns: npt.ArrayLike | None = None) 
         information of several maneuvers is the sum.
     """
     x = problem.start if unknowns is None else np.asarray(unknowns, dtype=float)
-    columns = np.concatenate([problem.to_model, problem.by_unsure], axis=1)
-    Phi = problem.reduced(x, columns).regressor
+    columns = np.concatenate([problem.to_model, problem.uncertain_to_model], axis=1)
+    Phi = problem.eliminate_states(x, columns).regressor
     Phi = Phi.reshape(len(problem.poses), -1, columns.shape[1])
     return np.asarray(np.swapaxes(Phi, 1, 2) @ Phi)
 
@@ -31,7 +31,7 @@ def propagate_covariance(problem: DynamicProblem, total: Floats) -> Floats:
         total: (..., p + c, p + c) information of all observations. It need not be regular by
             itself, only together with the priors.
     """
-    p, rows, S = len(problem.names), problem.prior_rows, problem.unsure
+    p, rows, S = len(problem.names), problem.prior_rows, problem.uncertain
     random = np.linalg.inv(total[..., :p, :p] + rows.T @ rows)
     influence = random @ total[..., :p, p:]
     shared = random @ (rows.T @ problem.prior_with(S)) @ np.swapaxes(influence, -1, -2)

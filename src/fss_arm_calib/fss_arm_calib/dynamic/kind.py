@@ -48,7 +48,7 @@ def to_message(outcome: Outcome[Maneuver, Solution], frame_id: str) -> msg.Dynam
         return message
     r = found.result
     message.random_covariance = flatten(r.random)
-    message.known = flatten(r.problem.known)
+    message.known = flatten(r.problem.prior_deviations)
     message.prior_share = flatten(r.prior_share)
     message.at_bound = list(r.at_bound)
     message.assumed = list(r.assumed_names)
@@ -125,14 +125,14 @@ DYNAMIC = Calibration(
         "maneuver", Maneuver, "calibration/maneuvers", maneuvers_message, maneuvers_from_message,
         lambda one: f"joints {list(one.moved_joints)} moved",
     ),
-    most=lambda s: s.max_maneuvers,
+    max_data=lambda s: s.max_maneuvers,
     inputs=inputs,
     finder=lambda arm, s, _: ManeuverFinder(arm.n, s),
     calibrate=calibrate,
     measurements=measurements,
     message=msg.DynamicCalibration,
     to_message=to_message,
-    numbers=("combination_values", "momenta"),
+    compared_fields=("combination_values", "momenta"),
     report=dynamic_report,
-    after={"calibration/kinematic": msg.KinematicCalibration},
+    prior_results={"calibration/kinematic": msg.KinematicCalibration},
 )  # fmt: skip

@@ -23,7 +23,7 @@ class ManeuverMeasurements:
     @property
     def degrees_of_freedom(self) -> int:
         """Number of coordinates of the poses, less the unknowns without a prior."""
-        return int(self.problem.free.sum())
+        return int(self.problem.freedom_by_maneuver.sum())
 
     def initial_unknowns(self) -> Floats:
         """Return the initial guess: each maneuver starts at rest at its first observed pose."""
@@ -34,12 +34,12 @@ class ManeuverMeasurements:
         problem, size = self.problem, layout.size(self.problem.arm.n)
         states = np.zeros((len(problem.poses), 8))
         states[:, :3] = problem.poses[:, 0]
-        states[:, problem.own] = unknowns.reshape(len(states), -1)
+        states[:, problem.state_unknowns] = unknowns.reshape(len(states), -1)
         states[:, 6:] = z[size : size + 2]
         columns = np.zeros((size + 8, len(z)))
         columns[:size, :size] = np.eye(size)
         columns[-2:, size : size + 2] = np.eye(2)
-        return problem.observed(z[:size], states, columns)
+        return problem.linearize_at(z[:size], states, columns)
 
 
 def measurements(

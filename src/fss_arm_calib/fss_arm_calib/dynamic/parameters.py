@@ -34,52 +34,55 @@ class Knowledge(Settings):
     """
 
     mass_deviation: float = setting(
-        0.005, "1 sigma of a link's mass, as by a scale", unit="kg", check=NOT_NEGATIVE
+        0.005, "1 sigma of a link's mass, as measured with a scale", unit="kg", check=NOT_NEGATIVE
     )
     b_deviation: float = setting(
-        0.02, "1 sigma of a link's centre of mass, as by geometry", unit="m", check=NOT_NEGATIVE
+        0.02,
+        "1 sigma of a link's center of mass, as known from its geometry",
+        unit="m",
+        check=NOT_NEGATIVE,
     )
     inertia_deviation: float = setting(
         0.02, "1 sigma of a link's inertia", unit="kg m^2", check=NOT_NEGATIVE
     )
     base_mass_deviation: float = setting(
-        0.05, "1 sigma of the base's mass, propellant included", unit="kg", check=NOT_NEGATIVE
+        0.05, "1 sigma of the base's mass, including propellant", unit="kg", check=NOT_NEGATIVE
     )
     base_inertia_deviation: float = setting(
         0.025, "1 sigma of the base's inertia", unit="kg m^2", check=NOT_NEGATIVE
     )
     base_com_deviation: float = setting(
-        0.01, "1 sigma of the base's centre of mass, each axis", unit="m", check=NOT_NEGATIVE
+        0.01, "1 sigma of the base's center of mass, each axis", unit="m", check=NOT_NEGATIVE
     )
     length_deviation: float = setting(
         0.0005,
-        "1 sigma of a link's length, unless the description tells",
+        "1 sigma of a link's length, unless the description gives one",
         unit="m",
         check=NOT_NEGATIVE,
     )
     offset_deviation: float = setting(
         radians(0.1),
-        "1 sigma of an encoder's offset, unless the description tells",
+        "1 sigma of an encoder's offset, unless the description gives one",
         unit="rad",
         check=NOT_NEGATIVE,
     )
     mount_deviation: float = setting(
         0.0005,
-        "1 sigma of the first joint's place, each axis, unless the description tells",
+        "1 sigma of the first joint's position, each axis, unless the description gives one",
         unit="m",
         check=NOT_NEGATIVE,
     )
     mount_angle_deviation: float = setting(
         radians(0.1),
-        "1 sigma of the first joint's heading, unless the description tells",
+        "1 sigma of the first joint's heading, unless the description gives one",
         unit="rad",
         check=NOT_NEGATIVE,
     )
 
     told: bool = setting(
         False,
-        "take what the description tells of masses, centres of mass and inertias as known, too: "
-        "right if it is from other data than these",
+        "also use the description's uncertainty of masses, centers of mass and inertias as prior "
+        "knowledge; valid only if it was estimated from other data",
     )
 
     def deviations(self, n: int) -> Floats:
@@ -103,7 +106,7 @@ class Knowledge(Settings):
         C[which, which] = arm.known.covariance_of(parameter_names(arm.n)[which], sigma[which])
         return C
 
-    def believed(self, arm: Arm, words: str) -> npt.NDArray[np.intp]:
+    def prior_indices(self, arm: Arm, words: str) -> npt.NDArray[np.intp]:
         """Return indices (k,) of parameters with a prior: named by words, or covered by `told`."""
         chosen = np.empty(0, dtype=np.intp)
         if words.strip():
@@ -133,7 +136,9 @@ class Choice:
             for name, members in _named_parameters(word, n):
                 column = np.isin(every, members).astype(float)
                 if not column.any():
-                    raise ValueError(f"{setting} has {word!r}, expected words as b_i I_0 or a name")
+                    raise ValueError(
+                        f"{setting} has {word!r}, expected words such as b_i I_0, or a name"
+                    )
                 names.append(name)
                 columns.append(column)
         basis = np.array(columns).reshape(-1, len(every)).T

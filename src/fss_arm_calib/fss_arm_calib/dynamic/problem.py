@@ -64,18 +64,18 @@ class DynamicProblem:
         if count and not np.isfinite(self.sigma[..., 2]).any():
             raise ValueError("no heading is observed")
 
-    def scaled(self, factors: Floats) -> "DynamicProblem":
+    def with_scaled_noise(self, factors: Floats) -> "DynamicProblem":
         """Return the problem with deviations of positions and headings scaled by factors (2,)."""
         return replace(self, sigma=self.sigma * factors[[0, 0, 1]])
 
-    def seeing(self, poses: Floats) -> "DynamicProblem":
+    def with_poses(self, poses: Floats) -> "DynamicProblem":
         """Return the problem with other poses; cached values independent of them are kept."""
         other = replace(self, poses=poses)
         kept = {name: x for name, x in vars(self).items() if name not in ("poses", "start")}
         vars(other).update(kept)
         return other
 
-    def only(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "DynamicProblem":
+    def select(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "DynamicProblem":
         """Return the problem with only some of the maneuvers."""
         path = Path(*(part[which] for part in self.path))
         return replace(self, path=path, poses=self.poses[which], sigma=self.sigma[which])
@@ -91,40 +91,41 @@ class DynamicProblem:
         return tuple(unit(name) for name in self.names)
 
     @cached_property
-    def own(self) -> npt.NDArray[np.intp]:
+    def state_unknowns(self) -> npt.NDArray[np.intp]:
         """Indices (k,), 0 to 5, of initial pose and momentum that are unknowns of each maneuver."""
         seen = np.isfinite(self.sigma).any(axis=(0, 1))
         return np.flatnonzero(np.concatenate([seen, seen & (self.momentum > 0.0)]))
 
     @cached_property
-    def known(self) -> Floats:
+    def prior_deviations(self) -> Floats:
         """Prior standard deviations (p,) of the initial values; inf: no prior."""
         return np.concatenate([self.prior, np.full(len(self.names) - len(self.prior), self.tilt)])
 
     @cached_property
-    def believed(self) -> npt.NDArray[np.intp]:
+    def prior_indices(self) -> npt.NDArray[np.intp]:
         """Indices (k,) of the parameters with a prior."""
-        return np.flatnonzero(np.isfinite(self.known))
+        return np.flatnonzero(np.isfinite(self.prior_deviations))
 
     @cached_property
-    def _pooled(self) -> Floats:
+    def _prior_weights(self) -> Floats:
         """Matrix (k, 5 n + 6): each parameter with a prior as the mean of those that share it."""
         weights = (self.choice.basis / self.choice.basis.sum(axis=0)).T
-        return np.pad(weights, ((0, len(self.names) - len(weights)), (0, 0)))[self.believed]
+        return np.pad(weights, ((0, len(self.names) - len(weights)), (0, 0)))[self.prior_indices]
 
     @cached_property
     def prior_rows(self) -> Floats:
         """Rows (k, p) of the regressor for the priors: the inverse root of their covariance."""
-        C, sigma = self._pooled @ self.assumed @ self._pooled.T, self.known[self.believed]
+        sigma = self.prior_deviations[self.prior_indices]
+        C = self._prior_weights @ self.assumed @ self._prior_weights.T
         C[np.diag_indices(len(C))] = sigma**2
         rows = np.zeros((len(C), len(self.names)))
-        rows[:, self.believed] = np.linalg.inv(np.linalg.cholesky(C))
+        rows[:, self.prior_indices] = np.linalg.inv(np.linalg.cholesky(C))
         return rows
 
     def prior_with(self, assumed: npt.NDArray[np.intp]) -> Floats:
         """Return the whitened covariance (k, c) of the priors' errors with assumed parameters."""
-        between = self._pooled @ self.assumed[:, assumed]
-        return np.asarray(self.prior_rows[:, self.believed] @ between)
+        between = self._prior_weights @ self.assumed[:, assumed]
+        return np.asarray(self.prior_rows[:, self.prior_indices] @ between)
 
     @cached_property
     def guess(self) -> Floats:
@@ -146,7 +147,7 @@ class DynamicProblem:
     def start(self) -> Floats:
         """Initial values of all unknowns: the guess, and each maneuver's first pose, at rest."""
         batch, pose = self.poses.shape[:-3], self.poses[..., 0, :]
-        first = np.concatenate([pose, np.zeros_like(pose)], axis=-1)[..., self.own]
+        first = np.concatenate([pose, np.zeros_like(pose)], axis=-1)[..., self.state_unknowns]
         guess = np.broadcast_to(self.guess, (*batch, self.guess.size))
         return np.concatenate([guess, first.reshape(*batch, -1)], axis=-1)
 
@@ -162,15 +163,15 @@ class DynamicProblem:
         return columns
 
     @cached_property
-    def unsure(self) -> npt.NDArray[np.intp]:
+    def uncertain(self) -> npt.NDArray[np.intp]:
         """Indices (c,) in parameter_names(n) of assumed parameters not known exactly."""
         uncertain = np.diag(self.assumed) > 0.0
         return np.flatnonzero(uncertain & ~self.choice.basis.any(axis=1))
 
     @cached_property
-    def by_unsure(self) -> Floats:
+    def uncertain_to_model(self) -> Floats:
         """Matrix (8 + 6 n + 8, c) from these parameters to Arm.vector() and the state."""
-        return np.pad(to_vector(self.arm.n)[:, self.unsure], ((0, 8), (0, 0)))
+        return np.pad(to_vector(self.arm.n)[:, self.uncertain], ((0, 8), (0, 0)))
 
     @cached_property
     def origin(self) -> Floats:
@@ -188,32 +189,34 @@ class DynamicProblem:
         p = len(self.names)
         states = np.zeros((*self.poses.shape[:-2], 8))
         states[..., :3] = self.poses[..., 0, :]
-        states[..., self.own] = unknowns[..., p:].reshape(*states.shape[:-1], self.own.size)
+        states[..., self.state_unknowns] = unknowns[..., p:].reshape(
+            *states.shape[:-1], self.state_unknowns.size
+        )
         if self.tilt > 0.0:
             states[..., 6:] = unknowns[..., None, p - 2 : p]
         return states
 
-    def predicted(self, unknowns: Floats) -> Floats:
+    def predict(self, unknowns: Floats) -> Floats:
         """Return the predicted poses at the marks, (M, m, 3)."""
         return base_poses(self.vector(unknowns)[..., None, :], self.path, self.states(unknowns))
 
     @cached_property
-    def looked_at(self) -> npt.NDArray[np.intp]:
+    def observed_indices(self) -> npt.NDArray[np.intp]:
         """Indices of those of the 3 m pose coordinates that are observed in any maneuver."""
         return np.flatnonzero(np.isfinite(self.sigma).any(axis=0))
 
     @cached_property
     def weight(self) -> Floats:
         """Weights 1 / sigma of the observed coordinates, (M, rows)."""
-        return 1.0 / self.sigma.reshape(len(self.sigma), -1)[:, self.looked_at]
+        return 1.0 / self.sigma.reshape(len(self.sigma), -1)[:, self.observed_indices]
 
     @cached_property
-    def moving(self) -> npt.NDArray[np.intp]:
+    def prior_momenta(self) -> npt.NDArray[np.intp]:
         """Indices of the momentum components that are unknowns with a prior."""
-        momenta = self.own[self.own >= 3] - 3
+        momenta = self.state_unknowns[self.state_unknowns >= 3] - 3
         return momenta[np.isfinite(self.momentum[momenta])]
 
-    def reduced(self, unknowns: Floats, columns: Floats) -> Linear:
+    def eliminate_states(self, unknowns: Floats, columns: Floats) -> Linear:
         """Linearize the observations and eliminate each maneuver's own unknowns.
 
         Args:
@@ -221,29 +224,32 @@ class DynamicProblem:
             columns: (8 + 6 n + 8, c) matrix from the columns of the regressor to Arm.vector() and
                 the state, as to_model.
         """
-        return self.observed(self.vector(unknowns), self.states(unknowns), columns)
+        return self.linearize_at(self.vector(unknowns), self.states(unknowns), columns)
 
-    def observed(self, vector: Floats, states: Floats, columns: Floats) -> Linear:
-        """Linearize as `reduced` does, at an Arm.vector() and states (M, 8)."""
+    def linearize_at(self, vector: Floats, states: Floats, columns: Floats) -> Linear:
+        """Linearize as `eliminate_states` does, at an Arm.vector() and states (M, 8)."""
         poses, J = base_pose_sensitivities(vector[..., None, :], self.path, states)
         batch = poses.shape[:-2]  # the last of these dimensions is the maneuver
-        rows = J.reshape(*batch, -1, J.shape[-1])[..., self.looked_at, :] * self.weight[..., None]
-        away = (self.poses - poses).reshape(*batch, -1)[..., self.looked_at]
+        rows = (
+            J.reshape(*batch, -1, J.shape[-1])[..., self.observed_indices, :]
+            * self.weight[..., None]
+        )
+        away = (self.poses - poses).reshape(*batch, -1)[..., self.observed_indices]
         r = np.where(self.weight > 0.0, away, 0.0) * self.weight
-        A, B = rows @ columns, rows[..., vector.shape[-1] : -2][..., self.own]
-        if self.moving.size:
-            sigma = self.momentum[self.moving]
-            r = np.concatenate([r, -states[..., 3 + self.moving] / sigma], axis=-1)
+        A, B = rows @ columns, rows[..., vector.shape[-1] : -2][..., self.state_unknowns]
+        if self.prior_momenta.size:
+            sigma = self.momentum[self.prior_momenta]
+            r = np.concatenate([r, -states[..., 3 + self.prior_momenta] / sigma], axis=-1)
             none = np.zeros((*batch, sigma.size, A.shape[-1]))
             A = np.concatenate([A, none], axis=-2)
-            prior = np.eye(6)[3 + self.moving][:, self.own] / sigma[:, None]
+            prior = np.eye(6)[3 + self.prior_momenta][:, self.state_unknowns] / sigma[:, None]
             B = np.concatenate([B, np.broadcast_to(prior, (*batch, *prior.shape))], axis=-2)
         return eliminate(A, B, r)
 
     def linearize(self, unknowns: Floats) -> Linear:
         """Linearize the problem in the p parameters, priors included."""
-        linear = self.reduced(unknowns, self.to_model)
-        if not self.believed.size:
+        linear = self.eliminate_states(unknowns, self.to_model)
+        if not self.prior_indices.size:
             return linear
         batch, rows = linear.regressor.shape[:-2], self.prior_rows
         off = (rows @ (self.guess - unknowns[..., : len(self.guess)])[..., None])[..., 0]
@@ -255,12 +261,12 @@ class DynamicProblem:
         )
 
     @property
-    def free(self) -> npt.NDArray[np.intp]:
+    def freedom_by_maneuver(self) -> npt.NDArray[np.intp]:
         """Number of observations of each maneuver, less its own unknowns, (M,)."""
         seen = np.isfinite(self.sigma).sum(axis=(1, 2))
-        return np.asarray(seen + self.moving.size - self.own.size)
+        return np.asarray(seen + self.prior_momenta.size - self.state_unknowns.size)
 
     @property
     def degrees_of_freedom(self) -> int:
         """Number of observations and priors, less the unknowns."""
-        return int(self.free.sum() + self.believed.size - len(self.names))
+        return int(self.freedom_by_maneuver.sum() + self.prior_indices.size - len(self.names))

@@ -113,8 +113,8 @@ def _parameter_table(outcome: Outcome[Maneuver, Solution], truth: Arm | None) ->
         *["error / sigma"] * known,
     ]  # fmt: skip
     note = (
-        "random: the deviation without the uncertainty of what is assumed; prior: how much of the "
-        "value is from what was known beforehand; amber: that is most of it, or it is at its bound."
+        "random: the deviation without the uncertainty of assumed parameters; prior: share of the "
+        "value from prior knowledge; amber: mostly from prior knowledge, or at its bound."
     )
     weak = [k for k, name in enumerate(e.names) if share[k] > 0.5 or name in e.at_bound]
     return Table("Parameters", head, rows, words=2, note=note, weak=weak)
@@ -127,10 +127,10 @@ def _combination_table(outcome: Outcome[Maneuver, Solution]) -> Table:
     ]
     head = ["combination", "unit", "estimate", "± 1 sigma", "± before"]
     note = (
-        "All that motion depends on when base and kinematics are known: m = sum m_k, "
+        "The motion depends only on these if base and kinematics are known: m = sum m_k, "
         "S_j = m_j g_j + a_j sum m_k, K_j = I_j + m_j g_j² + a_j² sum m_k, k > j."
     )
-    return Table("What motion determines of the links", head, rows, words=2, note=note)
+    return Table("Link parameters that motion determines", head, rows, words=2, note=note)
 
 
 def _residual_table(outcome: Outcome[Maneuver, Solution]) -> Table:
@@ -141,7 +141,7 @@ def _residual_table(outcome: Outcome[Maneuver, Solution]) -> Table:
             format_value(outcome.estimate.heading_residual, "rad"),
         ],
     ]  # fmt: skip
-    head = ["of the base's", "unit", "paper", "here"]
+    head = ["base", "unit", "paper", "this result"]
     return Table("Standard deviation of the residuals", head, rows, words=2)
 
 
@@ -165,9 +165,9 @@ def _direction_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> T
         [one.kind, one.text(outcome.names), format_number(one.gain, ".3g")]
         for one in sorted(found.directions, key=lambda one: one.gain)
     ]
-    note = "By how much the data alone narrow what was known beforehand."
-    head = ["to the data", "combination", "gain"]
-    return Table("What these maneuvers see", head, rows, words=2, note=note)
+    note = "gain: reduction of the prior uncertainty by the data alone."
+    head = ["visibility", "combination", "gain"]
+    return Table("Visibility of combinations of parameters", head, rows, words=2, note=note)
 
 
 def _bias_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
@@ -177,5 +177,9 @@ def _bias_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
         [name, *(format_number(value, "+.2f") for value in row)]
         for name, row in zip(outcome.names, bias, strict=True)
     ]
-    note = "Shift of each value, in its deviations, if an assumed one is 1 sigma higher in truth."
-    return Table("Bias by what was assumed", ["", *found.result.assumed_names], rows, note=note)
+    note = (
+        "Shift of each value, in its deviations, if an assumed parameter is truly 1 sigma higher."
+    )
+    return Table(
+        "Bias due to assumed parameters", ["", *found.result.assumed_names], rows, note=note
+    )

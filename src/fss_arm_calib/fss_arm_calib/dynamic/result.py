@@ -42,7 +42,7 @@ class DynamicResult:
     @property
     def assumed(self) -> npt.NDArray[np.intp]:
         """Indices (c,) in parameter_names(n) of assumed parameters not known exactly."""
-        return self.problem.unsure
+        return self.problem.uncertain
 
     @property
     def assumed_names(self) -> tuple[str, ...]:
@@ -58,7 +58,9 @@ class DynamicResult:
     @cached_property
     def by_assumed(self) -> Floats:
         """Regressor C (rows, c) of the assumed parameters, weighted and reduced as the others."""
-        return self.problem.reduced(self.minimum.x, self.problem.by_unsure).regressor
+        return self.problem.eliminate_states(
+            self.minimum.x, self.problem.uncertain_to_model
+        ).regressor
 
     @cached_property
     def influence(self) -> Floats:
@@ -88,7 +90,7 @@ class DynamicResult:
         )
 
     @property
-    def known(self) -> Known:
+    def updated_knowledge(self) -> Known:
         """Knowledge of all parameters after the calibration, including the assumed ones."""
         basis, every = self.problem.choice.basis, parameter_names(self.problem.arm.n)
         size, assumed = basis.shape[1], self.problem.assumed[np.ix_(self.assumed, self.assumed)]
@@ -159,7 +161,7 @@ class DynamicResult:
     @cached_property
     def residuals(self) -> Floats:
         """Observed minus predicted poses (M, m, 3) [m, m, rad]; NaN where not observed."""
-        away = self.problem.poses - self.problem.predicted(self.minimum.x)
+        away = self.problem.poses - self.problem.predict(self.minimum.x)
         return np.where(np.isfinite(self.problem.sigma), away, np.nan)
 
     @property
@@ -207,7 +209,9 @@ class DynamicResult:
         """
         H, r = self._hat
         squares = (np.swapaxes(r, 1, 2) @ np.linalg.solve(np.eye(H.shape[1]) - H, r)).ravel()
-        return np.trace(H, axis1=1, axis2=2), np.sqrt(squares / np.maximum(self.problem.free, 1))
+        return np.trace(H, axis1=1, axis2=2), np.sqrt(
+            squares / np.maximum(self.problem.freedom_by_maneuver, 1)
+        )
 
     @property
     def residual_sums(self) -> ResidualSums:
@@ -222,7 +226,7 @@ class DynamicResult:
         rows = seen.shape[1]
         hat = np.diagonal(H, axis1=1, axis2=2) + self.minimum.linear.absorbed.reshape(len(seen), -1)
         free = seen - hat[:, :rows]
-        heading = self.problem.looked_at % 3 == 2
+        heading = self.problem.observed_indices % 3 == 2
         kinds = np.array([~heading, heading]).astype(float)
         return ResidualSums(
             kinds @ np.sum(r[:, :rows, 0] ** 2, axis=0), kinds @ np.sum(free, axis=0)
@@ -242,4 +246,4 @@ class DynamicResult:
         arm, basis = self.problem.arm, self.problem.choice.basis
         x = basis @ self.values[: basis.shape[1]]
         found = with_values(arm, np.where(basis.any(axis=1), x, values(arm)))
-        return replace(found, known=self.known)
+        return replace(found, known=self.updated_knowledge)

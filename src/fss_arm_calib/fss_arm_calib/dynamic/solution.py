@@ -73,7 +73,7 @@ def problem_with_priors(
     choice, C = Choice.of(s.estimate, n), s.covariance(arm)
     deviations = np.sqrt(np.diag(C))
     prior = choice.basis.T @ deviations / choice.basis.sum(axis=0)
-    closed = choice.basis[s.believed(arm, s.priors)].any(axis=0)
+    closed = choice.basis[s.prior_indices(arm, s.priors)].any(axis=0)
     return DynamicProblem(
         path, poses, sigma, arm, choice,
         prior=np.where(closed, prior, inf),
@@ -127,7 +127,7 @@ def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
         weights[:] = 0.0
 
         def with_noise(deviations: Floats) -> tuple[DynamicResult, ResidualSums]:
-            those = problem.only(mask).scaled(deviations / largest)
+            those = problem.select(mask).with_scaled_noise(deviations / largest)
             result, weights[mask], errors[:] = solve_robustly(
                 lambda weight: _solve_weighted(those, weight), len(errors), s.loss
             )

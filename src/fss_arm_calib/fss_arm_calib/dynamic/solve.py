@@ -21,7 +21,7 @@ def initial_unknowns(problem: DynamicProblem) -> Floats:
     """
     x = problem.start
     hold = np.zeros((*x.shape[:-1], len(problem.names)))
-    for _ in range(STATE_ITERATIONS if (problem.own >= 3).any() else 0):
+    for _ in range(STATE_ITERATIONS if (problem.state_unknowns >= 3).any() else 0):
         extend = problem.linearize(x).extend
         x = x + extend(hold) if extend else x
     return x
@@ -56,14 +56,14 @@ def solve_all(problem: DynamicProblem, poses: Floats, bounded: bool = True) -> l
     found = []
     for begin in range(0, len(poses), BATCH_SIZE):
         # Derived from the previous batch, so that cached values of the problem are reused.
-        some = problem = problem.seeing(poses[begin : begin + BATCH_SIZE])
+        some = problem = problem.with_poses(poses[begin : begin + BATCH_SIZE])
 
         def linearize(x: Floats, which: Indices, some: DynamicProblem = some) -> Linear:
-            return some.seeing(some.poses[which]).linearize(x)
+            return some.with_poses(some.poses[which]).linearize(x)
 
         bounds = some.bounds if bounded else None
         minima = minimize_all(linearize, initial_unknowns(some), bounds, TOLERANCE)
         for one, minimum in zip(some.poses, minima, strict=True):
-            own = some.seeing(one)
+            own = some.with_poses(one)
             found.append(DynamicResult(own, minimum) if minimum else solve(own, bounded))
     return found

@@ -57,7 +57,7 @@ def candidates(
 
     n, first = arm.n, begin[None]
 
-    def drawn() -> tuple[str, Floats]:
+    def draw() -> tuple[str, Floats]:
         kind = conditions.kinds[rng.integers(len(conditions.kinds))]
         ways = ANGLE_STEP * rng.integers(low, high, (int(rng.integers(1, 4)), n), endpoint=True)
         if kind == SINGLE:
@@ -70,7 +70,7 @@ def candidates(
         return kind, np.concatenate([first, ways])
 
     while left and len(found) < count:
-        some = [drawn() for _ in range(min(left, count - len(found)))]
+        some = [draw() for _ in range(min(left, count - len(found)))]
         left -= len(some)
         found += select_feasible(guard, some, conditions)
     return found
@@ -85,16 +85,16 @@ def select_feasible(
     begins, ends = (np.concatenate([knots[part] for _, knots in some]) for part in MOVE_ENDS)
     way = ends - begins
 
-    def brief(durations: Floats) -> Mask:
+    def is_short(durations: Floats) -> Mask:
         whole = np.add.reduceat(durations, first) + PAUSE * (counts - 1)
         return np.asarray(whole <= conditions.duration)
 
-    far = np.minimum.reduceat(np.abs(way).max(axis=1), first) >= 2.0 * ANGLE_STEP
+    long_moves = np.minimum.reduceat(np.abs(way).max(axis=1), first) >= 2.0 * ANGLE_STEP
     durations = speed_limited_duration(arm, way)
-    worth = np.repeat(far & brief(durations), counts)
+    worth = np.repeat(long_moves & is_short(durations), counts)
     durations[worth] = torque_limited_duration(arm, begins[worth], ends[worth])
     each = zip(some, np.split(durations, first[1:]), strict=True)
-    plan = [Planned(*one, lasts) for one, lasts in compress(each, far & brief(durations))]
+    plan = [Planned(*one, lasts) for one, lasts in compress(each, long_moves & is_short(durations))]
     return list(compress(plan, _are_clear(guard, plan))) if plan else []
 
 
@@ -177,7 +177,7 @@ def design(
     seed: int | tuple[int, ...] = 0,
     tried: int = 200,
     progress: Callable[[int], None] = lambda _: None,
-    enough: Callable[[Sequence[Planned]], bool] = lambda _: False,
+    stop_when: Callable[[Sequence[Planned]], bool] = lambda _: False,
 ) -> list[Planned]:
     """Choose maneuvers, each of which starts where the last one ended.
 
@@ -193,7 +193,7 @@ def design(
         seed: seed of the random candidates.
         tried: number of candidates for each maneuver.
         progress: called with the number of maneuvers found.
-        enough: returns True if a plan suffices; the design then stops.
+        stop_when: returns True if a plan suffices; the design then stops.
 
     Raises:
         NoManeuver: no candidate satisfies the conditions.
@@ -206,7 +206,7 @@ def design(
     plan: list[Planned] = []
     total = information(before).sum(axis=0) if before else np.zeros(())
     elapsed = conditions.rest
-    while len(plan) < count and not (plan and enough(plan)):
+    while len(plan) < count and not (plan and stop_when(plan)):
         options = candidates(arm, place, tried, conditions, rng)
         if not options:
             sides = " x ".join(f"{side:g}" for side in conditions.table)
@@ -253,17 +253,17 @@ def design_for_goal(
     """
     best: list[Planned] = []
 
-    def kept(plan: Sequence[Planned]) -> bool:
+    def promises_goal(plan: Sequence[Planned]) -> bool:
         return meets_goal(expected_result(arm, plan, settings, conditions.rest, before), goal)
 
     for k in range(MAX_PLANS):
         plan = design(
             arm, count, settings, conditions, goal=goal, before=before, seed=(seed, k),
-            progress=progress, enough=kept,
+            progress=progress, stop_when=promises_goal,
         )  # fmt: skip
-        if plan and (kept(plan) or not best):
+        if plan and (promises_goal(plan) or not best):
             best = plan
-            if kept(plan):  # the next plan must be shorter
+            if promises_goal(plan):  # the next plan must be shorter
                 span = conditions.rest + sum(one.length + conditions.rest for one in plan)
                 conditions = replace(conditions, total=span)
     return best
@@ -300,7 +300,7 @@ def _weak_priors(model: DynamicProblem, settings: DynamicSettings) -> Floats:
     """
     basis = model.choice.basis
     typical = basis.T @ settings.deviations(model.arm.n) / basis.sum(axis=0)
-    found = np.zeros(len(model.names) + len(model.unsure))
+    found = np.zeros(len(model.names) + len(model.uncertain))
     found[: len(typical)] = np.where(np.isfinite(model.prior), 0.0, typical**-2.0)
     return np.diag(found)
 

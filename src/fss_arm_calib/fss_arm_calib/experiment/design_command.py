@@ -96,7 +96,7 @@ def expected_table(result: DynamicResult) -> report.Table:
         )
     ]
     head = ["parameter", "unit", "assumed", "± 1 sigma", "random part", "from prior"]
-    return report.Table("To expect", head, rows, words=2)
+    return report.Table("Expected result", head, rows, words=2)
 
 
 def comparison_table(
@@ -140,7 +140,9 @@ def propose_postures(
     _print_tables(
         console,
         report.Table("Postures", ["", "q [deg]"], steps),
-        report.Table("To expect", ["parameter", "unit", "assumed", "± 1 sigma"], rows, words=2),
+        report.Table(
+            "Expected result", ["parameter", "unit", "assumed", "± 1 sigma"], rows, words=2
+        ),
     )
     if options.output:
         given = {"ros__parameters": {"postures": q.ravel().round(6).tolist()}}
@@ -157,7 +159,7 @@ def propose_excitation(
     plan = plan_excitation(arm, conditions.repeats, conditions, options.seed)
     _print_tables(console, plan_table(plan))
     minutes = sum(one.length + conditions.rest for one in plan) / 60.0
-    console.print(f"{len(plan)} maneuvers, {minutes:.1f} min; what they promise is not predicted")
+    console.print(f"{len(plan)} maneuvers, {minutes:.1f} min; their result is not predicted")
     if options.output:
         _write_plan(options.output, plan, console)
 
@@ -221,10 +223,10 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         )
         minutes = sum(one.length + conditions.rest for one in plan) / 60.0
         console.print(f"goal {options.goal}: {words}, in {minutes:.1f} min", soft_wrap=True)
-    seen = assumed_noise(settings).deviations[:2]
+    noise = assumed_noise(settings).deviations[:2]
     console.print(
-        f"for a base seen to {1e3 * seen[0]:.2g} mm and {np.degrees(seen[1]):.2g} degrees, "
-        f"{settings.fresh_rate:g} times a second", soft_wrap=True,
+        f"assumed errors of a base pose: {1e3 * noise[0]:.2g} mm and {np.degrees(noise[1]):.2g} "
+        f"degrees, independent {settings.fresh_rate:g} times per second", soft_wrap=True,
     )  # fmt: skip
     if options.output:
         _write_plan(options.output, plan, console, result)
@@ -241,15 +243,14 @@ def describe_shortfall(
     k = max(
         (names.index(name) for name in goal), key=lambda k: result.deviations[k] / goal[names[k]]
     )
-    words = f"{len(plan)} maneuvers: {names[k]} to {result.deviations[k]:.2g}"
+    words = f"{len(plan)} maneuvers: {names[k]} reaches {result.deviations[k]:.2g}"
     shifts = np.abs(result.bias[k])
     if not len(shifts):
         return words
     j = int(np.argmax(shifts))
     sigma = result.assumed_deviations[j]
-    return (
-        f"{words}, {shifts[j]:.2g} of it as {result.assumed_names[j]} is known to {sigma:.2g} only"
-    )
+    cause = result.assumed_names[j]
+    return f"{words}, {shifts[j]:.2g} of it because {cause} is known only to {sigma:.2g}"
 
 
 def _print_tables(console: Console, *tables: report.Table) -> None:

@@ -80,24 +80,24 @@ class ExperimentNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("experiment", **options)
         s = self.settings = declare(self, ExperimentSettings)
-        self.stops = read_waypoints(s)
+        self.waypoints = read_waypoints(s)
         plan: Any = read_yaml(Path(s.maneuvers)) if s.maneuvers else {}
-        self.promised = plan.get("promised", {})  # deviations, by name
-        self.writes = state.FileWriter(self.get_logger())
+        self.promised_deviations = plan.get("promised", {})  # deviations, by name
+        self.writer = state.FileWriter(self.get_logger())
         self.progress = self.restore()
-        self.progress.done = min(self.progress.done, len(self.stops))  # without repeated rests
-        self.mover = ActionClient(self, MoveArm, "arm/move")
-        self.alive = self.create_publisher(UUID, "arm/move/alive", 10)
-        self.ticked = 0.0  # real time of the last tick [s]
+        self.progress.done = min(self.progress.done, len(self.waypoints))  # without repeated rests
+        self.move_client = ActionClient(self, MoveArm, "arm/move")
+        self.keep_alive_publisher = self.create_publisher(UUID, "arm/move/alive", 10)
+        self.last_tick = 0.0  # real time of the last tick [s]
         self.observed: list[tuple[int, tuple[float, ...]]] = []  # end [ns], readings [rad]
         self.rejected: list[Floats] = []  # readings [rad]
         self.rounds = 0  # repeats of all rejected rests, or of the current maneuver
-        self.observer = False  # True once a calibration node publishes observations
-        self.seen: list[tuple[int, str]] = []  # end [ns] and rejection reason of each maneuver
-        self.departed = 0  # end of the last pause, or start of the experiment [ns]
-        self.reached = ""  # text with the deviations of the goal's parameters
-        self.met = False  # True if the goal is met
-        self.solved = 0  # stamp of the last calibration result: end of its data [ns]
+        self.is_observed = False  # True once a calibration node publishes observations
+        self.maneuvers: list[tuple[int, str]] = []  # end [ns] and rejection reason of each maneuver
+        self.last_departure = 0  # end of the last pause, or start of the experiment [ns]
+        self.goal_status = ""  # text with the deviations of the goal's parameters
+        self.goal_met = False  # True if the goal is met
+        self.result_stamp = 0  # stamp of the last calibration result: end of its data [ns]
         self.way_back: deque[Waypoint] = deque()  # back to the start of a maneuver to repeat
         subscribe(
             self, KinematicObservations, "calibration/observations", self.on_observations, LATCHED
@@ -107,10 +107,10 @@ class ExperimentNode(Node):
             kind = DynamicCalibration if s.maneuvers else KinematicCalibration
             topic = f"calibration/{'dynamic' if s.maneuvers else 'kinematic'}"
             subscribe(self, kind, topic, self.on_result, LATCHED)
-        self.phase: Callable[[int], None] = self.go
+        self.phase: Callable[[int], None] = self.request_move
         self.since = 0  # start of the phase, or last feedback in it [ns]
         self.goal, self.outcome = Future(), Future()
-        self.said = ""
+        self.last_log = ""
         self.create_timer(0.1, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health)
 
@@ -120,16 +120,18 @@ class ExperimentNode(Node):
         try:
             progress = Progress(**state.read(path, {})) if path else Progress()
         except TypeError as error:
-            raise state.StateError(f"{path} holds no progress: {error}") from None
+            raise state.StateError(
+                f"{path} does not contain the progress of an experiment: {error}"
+            ) from None
         if progress.done:
-            self.get_logger().info(f"goes on after {progress.done} postures")
+            self.get_logger().info(f"resuming after {progress.done} postures")
         return progress
 
     def save(self) -> None:
         """Save the progress for a later run."""
         if path := self.settings.state_file:
-            self.writes.trouble = ""
-            self.writes(lambda: state.write(path, asdict(self.progress)))
+            self.writer.trouble = ""
+            self.writer(lambda: state.write(path, asdict(self.progress)))
 
     def on_observations(self, message: KinematicObservations) -> None:
         """Store the observations received."""
@@ -142,89 +144,91 @@ class ExperimentNode(Node):
 
     def on_maneuvers(self, message: Maneuvers) -> None:
         """Store the end and the rejection reason of the maneuvers received."""
-        self.seen = [(stamp_ns(m.end), "" if m.used else m.reason) for m in message.maneuvers]
+        self.maneuvers = [(stamp_ns(m.end), "" if m.used else m.reason) for m in message.maneuvers]
 
     def on_result(self, message: Any) -> None:
         """Compare a calibration result with the goal."""
         result = calibration_part(message)
-        self.solved = stamp_ns(result.header.stamp)
+        self.result_stamp = stamp_ns(result.header.stamp)
         try:
             goal = parse_goal(self.settings.goal, result.names)
         except ValueError as error:
             raise SystemExit(str(error)) from None
         known = dict(zip(result.names, result.deviations, strict=False))
-        self.met = result.verdict == PASS and all(known[k] <= x for k, x in goal.items())
+        promised = self.promised_deviations
+        self.goal_met = result.verdict == PASS and all(known[k] <= x for k, x in goal.items())
         why = f" ({result.reason})" if result.verdict != PASS and result.reason else ""
-        self.reached = f"{result.verdict}{why}, " + ", ".join(
-            f"{name} ± {known[name]:.2g} (asked {asked:.2g}"
-            + (f", promised {self.promised[name]:.2g})" if name in self.promised else ")")
-            for name, asked in goal.items()
+        self.goal_status = f"{result.verdict}{why}, " + ", ".join(
+            f"{name} ± {known[name]:.2g} (goal {limit:.2g}"
+            + (f", promised {promised[name]:.2g})" if name in promised else ")")
+            for name, limit in goal.items()
         )
 
     @property
-    def stop(self) -> Waypoint:
+    def waypoint(self) -> Waypoint:
         """Current stop, which the arm moves to or is at."""
-        return self.way_back[0] if self.way_back else self.stops[self.progress.done]
+        return self.way_back[0] if self.way_back else self.waypoints[self.progress.done]
 
     def tick(self) -> None:
         """Run the current phase, ten times per second."""
-        self.show_life()
+        self.send_keep_alive()
         now = self.now()
         if not now:
             return  # simulated time has not started
         if not self.progress.begun:
             self.progress.begun = now
             self.save()
-        self.departed = self.departed or now
+        self.last_departure = self.last_departure or now
         topic = "maneuvers" if self.settings.maneuvers else "observations"
-        self.observer = self.observer or bool(self.count_publishers(f"calibration/{topic}"))
-        done = f"{self.progress.done} of {len(self.stops)} postures"
-        if self.met and self.at_rest:
-            self.get_logger().info(f"goal met after {done}: {self.reached}")
+        self.is_observed = self.is_observed or bool(self.count_publishers(f"calibration/{topic}"))
+        done = f"{self.progress.done} of {len(self.waypoints)} postures"
+        if self.goal_met and self.at_rest:
+            self.get_logger().info(f"goal met after {done}: {self.goal_status}")
             raise SystemExit(0)
-        if self.progress.done < len(self.stops):
+        if self.progress.done < len(self.waypoints):
             self.phase(now)
-        elif not self.repeat():
-            self.end(now)
+        elif not self.repeat_rejected():
+            self.finish(now)
 
-    def end(self, now: int) -> None:
+    def finish(self, now: int) -> None:
         """Exit after the last posture, with failure if a goal is not met.
 
         If there is a goal, first wait until the calibration has used the last data.
         """
-        s, waited = self.settings, now - self.departed
-        ends = [end for end, _ in self.observed] + [end for end, why in self.seen if not why]
-        behind = self.solved < max(ends, default=0)
+        s, waited = self.settings, now - self.last_departure
+        ends = [end for end, _ in self.observed] + [end for end, why in self.maneuvers if not why]
+        behind = self.result_stamp < max(ends, default=0)
         if s.goal and behind and 0 <= waited < s.observation_timeout * SECOND:
-            self.say("waiting for the calibration")
+            self.log_change("waiting for the calibration")
             return
-        self.get_logger().info(f"all {len(self.stops)} postures done")
-        missed = f"goal not met: {self.reached or 'no calibration told its deviations'}"
+        self.get_logger().info(f"all {len(self.waypoints)} postures done")
+        missed = f"goal not met: {self.goal_status or 'no calibration result received'}"
         raise SystemExit(missed if s.goal else 0)
 
     @property
     def at_rest(self) -> bool:
         """True if neither a move nor a maneuver is in progress."""
-        before = self.stops[self.progress.done - 1] if self.progress.done else None
-        return self.phase == self.go and not self.way_back and (not before or before.pause != 0.0)
+        before = self.waypoints[self.progress.done - 1] if self.progress.done else None
+        moving = self.phase != self.request_move or bool(self.way_back)
+        return not moving and (not before or before.pause != 0.0)
 
-    def show_life(self) -> None:
+    def send_keep_alive(self) -> None:
         """Publish the keep-alive of the current move, or exit if this process was stalled."""
-        before, self.ticked = self.ticked, time.monotonic()
-        if before and (late := self.ticked - before) > MAX_STALL:
+        before, self.last_tick = self.last_tick, time.monotonic()
+        if before and (late := self.last_tick - before) > MAX_STALL:
             left = self.unfinished() or "at the end"
-            raise SystemExit(f"this program stood still for {late:.1f} s, {left}; not going on")
+            raise SystemExit(f"this process was stalled for {late:.1f} s and exits {left}")
         if self.goal.done() and not self.outcome.done():
-            self.alive.publish(self.goal.result().goal_id)
+            self.keep_alive_publisher.publish(self.goal.result().goal_id)
 
     def unfinished(self) -> str:
         """Return the progress as text, or an empty string if all postures are done."""
         done, path = self.progress.done, self.settings.state_file
-        later = f"goes on from {path}" if path else "begins anew, as there is no state_file"
-        words = f"after {done} of {len(self.stops)} postures; the next run {later}"
-        return words if done < len(self.stops) else ""
+        later = f"resumes from {path}" if path else "starts over because state_file is not set"
+        words = f"after {done} of {len(self.waypoints)} postures; the next run {later}"
+        return words if done < len(self.waypoints) else ""
 
-    def repeat(self) -> bool:
+    def repeat_rejected(self) -> bool:
         """Append the postures of rejected rests; return True if there are any.
 
         The verdict of the calibration requires that these rests are repeated.
@@ -239,110 +243,110 @@ class ExperimentNode(Node):
         if not missing or self.rounds >= MAX_REPEATS or self.settings.maneuvers:
             return False
         self.rounds += 1
-        self.stops += [Waypoint(q) for q in missing]
-        self.say(f"repeating rejected rests: {len(missing)}")
+        self.waypoints += [Waypoint(q) for q in missing]
+        self.log_change(f"repeating rejected rests: {len(missing)}")
         return True
 
-    def go(self, now: int) -> None:
+    def request_move(self, now: int) -> None:
         """Request the move to the next posture."""
-        if not self.waited(now, self.settings.retry):
+        if not self.has_elapsed(now, self.settings.retry):
             return
-        if not self.mover.server_is_ready():
-            self.say("waiting for arm/move")
+        if not self.move_client.server_is_ready():
+            self.log_change("waiting for arm/move")
             return
-        q, duration, _ = self.stop
+        q, duration, _ = self.waypoint
         goal = MoveArm.Goal(q=q.tolist(), duration=duration, keep_alive=self.settings.keep_alive)
-        self.goal = self.mover.send_goal_async(goal, feedback_callback=self.on_feedback)
+        self.goal = self.move_client.send_goal_async(goal, feedback_callback=self.on_feedback)
         self.goal.add_done_callback(self.on_answer)
         self.outcome = Future()
-        self.enter(self.move, now)
+        self.enter(self.await_result, now)
 
     def on_answer(self, answer: Future) -> None:
         """Wait for the result if the goal is accepted; retry if it is rejected."""
         if answer is self.goal and answer.result().accepted:
             self.outcome = answer.result().get_result_async()
         elif answer is self.goal:
-            self.say("waiting to move: the goal was rejected; the log of the node arm says why")
-            self.enter(self.go, self.now())
+            self.log_change("waiting to move: the goal was rejected; see the log of the node arm")
+            self.enter(self.request_move, self.now())
 
     def on_feedback(self, _: Any) -> None:
         """Log the current move and reset its timeout."""
-        if self.phase != self.move:
+        if self.phase != self.await_result:
             return
         self.since = self.now()
-        degrees = np.degrees(self.stop.q).round().astype(int)
-        self.say(f"{self.title}: moving to {degrees.tolist()} degrees")
+        degrees = np.degrees(self.waypoint.q).round().astype(int)
+        self.log_change(f"{self.title}: moving to {degrees.tolist()} degrees")
 
-    def move(self, now: int) -> None:
+    def await_result(self, now: int) -> None:
         """Wait for the end of the move."""
         if self.outcome.done():
             result = self.outcome.result().result
             if result.reached:
-                self.enter(self.watch, now)
+                self.enter(self.await_observation, now)
             else:
-                self.say(f"waiting to move: {result.message}")
-                self.enter(self.go, now)
-        elif self.waited(now, self.settings.silence):
-            self.say("the move is lost, asking again")
-            self.enter(self.go, now)
+                self.log_change(f"waiting to move: {result.message}")
+                self.enter(self.request_move, now)
+        elif self.has_elapsed(now, self.settings.silence):
+            self.log_change("no feedback from arm/move: requesting the move again")
+            self.enter(self.request_move, now)
 
-    def watch(self, now: int) -> None:
+    def await_observation(self, now: int) -> None:
         """Wait for the observation."""
-        posture, _, pause = self.stop
+        posture, _, pause = self.waypoint
         if pause >= 0.0:
-            if self.waited(now, pause):
-                self.conclude(now)
+            if self.has_elapsed(now, pause):
+                self.finish_maneuver(now)
         elif any(
             end >= self.progress.begun and np.abs(posture - q).max() <= self.settings.tolerance
             for end, q in self.observed
         ):
-            self.leave("observed")
-        elif self.observer and self.waited(now, self.settings.observation_timeout):
+            self.advance("observed")
+        elif self.is_observed and self.has_elapsed(now, self.settings.observation_timeout):
             self.get_logger().warning(f"{self.title}: not observed")
-            self.leave("left")
-        elif not self.observer and self.waited(now, self.settings.rest):
-            self.leave("done, nobody observes")
+            self.advance("continuing without an observation")
+        elif not self.is_observed and self.has_elapsed(now, self.settings.rest):
+            self.advance("done, no calibration node observes")
 
-    def conclude(self, now: int) -> None:
+    def finish_maneuver(self, now: int) -> None:
         """Continue if the maneuver that ends here was observed; go back if it was rejected."""
-        stop, first = self.stop, self.began
+        stop, first = self.waypoint, self.maneuver_start
         planned = stop.pause > 0.0 and self.progress.done > 0 and not self.way_back
-        reasons = [reason for end, reason in self.seen if end >= self.departed]
-        if not planned or not self.observer or (reasons and not any(reasons)):
-            self.leave("done")
+        reasons = [reason for end, reason in self.maneuvers if end >= self.last_departure]
+        if not planned or not self.is_observed or (reasons and not any(reasons)):
+            self.advance("done")
         elif reasons and self.rounds < MAX_REPEATS:
-            self.say(f"{self.title}: {max(reasons)}, so going back to repeat it")
-            self.way_back = return_waypoints(self.stops[first : self.progress.done + 1])
-            self.rounds, self.progress.done, self.departed = self.rounds + 1, first + 1, now
+            self.log_change(f"{self.title}: {max(reasons)}; returning to repeat it")
+            self.way_back = return_waypoints(self.waypoints[first : self.progress.done + 1])
+            self.rounds, self.progress.done, self.last_departure = self.rounds + 1, first + 1, now
             self.save()
-            self.enter(self.go, 0)
-        elif reasons or self.waited(now, stop.pause + self.settings.observation_timeout):
+            self.enter(self.request_move, 0)
+        elif reasons or self.has_elapsed(now, stop.pause + self.settings.observation_timeout):
             self.get_logger().warning(f"{self.title}: not observed")
-            self.leave("left")
+            self.advance("continuing without an observation")
 
     @property
-    def began(self) -> int:
+    def maneuver_start(self) -> int:
         """Index of the posture where the current maneuver started: the last one with a pause."""
-        return max((k for k in range(self.progress.done) if self.stops[k].pause), default=0)
+        return max((k for k in range(self.progress.done) if self.waypoints[k].pause), default=0)
 
-    def leave(self, how: str) -> None:
+    def advance(self, how: str) -> None:
         """Continue with the next posture."""
-        self.say(f"{self.title}: {how}")
-        if self.stop.pause:
-            self.departed = self.now()
+        self.log_change(f"{self.title}: {how}")
+        if self.waypoint.pause:
+            self.last_departure = self.now()
         if self.way_back:
             self.way_back.popleft()
         else:
-            self.rounds = 0 if self.stop.pause > 0.0 else self.rounds
+            self.rounds = 0 if self.waypoint.pause > 0.0 else self.rounds
             self.progress.done += 1
         self.save()
-        self.enter(self.go, 0)
+        self.enter(self.request_move, 0)
 
     def enter(self, phase: Callable[[int], None], now: int) -> None:
         """Enter a phase; with now = 0, all its waiting times have already passed."""
         self.phase, self.since = phase, now
 
-    def waited(self, now: int, seconds: float) -> bool:
+    def has_elapsed(self, now: int, seconds: float) -> bool:
         """Return True if the phase is older than `seconds`, or if time has jumped back."""
         return not 0 <= now - self.since < seconds * SECOND
 
@@ -353,18 +357,18 @@ class ExperimentNode(Node):
     @property
     def title(self) -> str:
         """Text that names the current posture."""
-        return f"posture {self.progress.done + 1} of {len(self.stops)}"
+        return f"posture {self.progress.done + 1} of {len(self.waypoints)}"
 
-    def say(self, text: str) -> None:
+    def log_change(self, text: str) -> None:
         """Log a text if it differs from the last one."""
-        if text != self.said:
-            self.said = text
+        if text != self.last_log:
+            self.last_log = text
             self.get_logger().info(text)
 
     def health(self) -> Health:
         """Return the status for diagnostics."""
-        trouble, values = self.writes.trouble, {"postures done": self.progress.done}
-        return Health(WARN if trouble else OK, trouble or self.said or "starting", values)
+        trouble, values = self.writer.trouble, {"postures done": self.progress.done}
+        return Health(WARN if trouble else OK, trouble or self.last_log or "starting", values)
 
 
 def read_waypoints(settings: ExperimentSettings) -> list[Waypoint]:

@@ -138,9 +138,11 @@ def plan_to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None =
         }
         for one in plan
     ]
-    head = "# Maneuvers: joint readings, the first is where it begins [rad]; times of moves [s].\n"
-    told = {"promised": {k: float(f"{x:.4g}") for k, x in promised.items()}} if promised else {}
-    given = {"maneuvers": rows, **told}
+    head = "# Maneuvers: joint readings, starting with the first posture [rad]; durations [s].\n"
+    deviations = (
+        {"promised": {k: float(f"{x:.4g}") for k, x in promised.items()}} if promised else {}
+    )
+    given = {"maneuvers": rows, **deviations}
     return head + yaml.safe_dump(given, sort_keys=False, default_flow_style=None)
 
 
@@ -161,12 +163,14 @@ def read_plan(path: str | Path, n: int) -> list[Planned]:
     except (TypeError, KeyError, ValueError):
         plan = []
     if not plan:
-        raise ContentError(f"{path}: maneuvers", rows, "rows of kind, q, durations, as of `design`")
+        raise ContentError(
+            f"{path}: maneuvers", rows, "rows of kind, q and durations, as written by `design`"
+        )
     for k, one in enumerate(plan, 1):
         if one.waypoints.shape != (len(one.durations) + 1, n) or not (one.durations > 0.0).all():
             raise ContentError(
                 f"{path}: maneuver {k}",
                 f"q of {one.waypoints.shape}, {len(one.durations)} durations",
-                f"(w + 1, {n}) and w of them, above 0",
+                f"q of (w + 1, {n}) and w durations above 0",
             )
     return plan

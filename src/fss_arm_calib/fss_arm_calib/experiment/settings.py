@@ -31,12 +31,12 @@ def parse_goal_words(goal: str) -> list[tuple[str, float]]:
     words, found = goal.split(), []
     for name, value in zip_longest(words[::2], words[1::2], fillvalue=""):
         try:
-            asked = float(value)
+            deviation = float(value)
         except ValueError:
-            asked = nan
-        if not asked > 0.0:
+            deviation = nan
+        if not deviation > 0.0:
             raise SettingError(f"goal has {name!r} {value!r}, expected a name and a deviation")
-        found.append((name, asked))
+        found.append((name, deviation))
     return found
 
 
@@ -46,37 +46,43 @@ class ExperimentSettings(Settings):
 
     arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
     postures: tuple[float, ...] = setting(
-        (), "joint readings of each posture, row after row; empty: chosen for the arm",
+        (), "joint readings of each posture, row after row; empty: default postures of the arm",
         unit="rad", check=FINITE,
     )  # fmt: skip
     maneuvers: str = setting(
-        "", "file of maneuvers to make instead, as `design` writes it; empty: postures"
+        "", "plan of maneuvers to execute instead, written by `design`; empty: use postures"
     )
     goal: str = setting(
-        "", "deviations at which to stop sooner, as 'b_i 0.002 I_4 0.001' of calibration/dynamic "
-        "for maneuvers or of calibration/kinematic for postures, in SI units; empty: none",
+        "", "standard deviations at which to stop early, e.g. 'b_i 0.002 I_4 0.001', in SI units; "
+        "of calibration/dynamic for maneuvers, of calibration/kinematic for postures; empty: none",
     )  # fmt: skip
     pause: float = setting(5.2, "rest before and after a maneuver", unit="s", check=POSITIVE)
     tolerance: float = setting(
-        0.0175, "a posture observed this close is the one wanted", unit="rad", check=POSITIVE
+        0.0175,
+        "largest difference between a posture and its observation",
+        unit="rad",
+        check=POSITIVE,
     )
-    rest: float = setting(3.0, "rest at each posture if nobody observes", unit="s", check=POSITIVE)
+    rest: float = setting(
+        3.0, "rest at each posture if no calibration node observes", unit="s", check=POSITIVE
+    )
     observation_timeout: float = setting(
         20.0, "longest wait for an observation", unit="s", check=POSITIVE
     )
     retry: float = setting(
-        1.0, "wait before a move that failed is asked for again", unit="s", check=POSITIVE
+        1.0, "wait before a failed move is requested again", unit="s", check=POSITIVE
     )
-    silence: float = setting(
-        3.0, "a move without feedback for this long is lost", unit="s", check=POSITIVE
-    )
+    silence: float = setting(3.0, "timeout of a move without feedback", unit="s", check=POSITIVE)
     keep_alive: float = setting(
-        0.5, "silence of this node, in real time, that ends its move", unit="s", check=POSITIVE
+        0.5,
+        "timeout of the keep-alive in real time, after which the arm stops",
+        unit="s",
+        check=POSITIVE,
     )
     base_radius: float = like(GuardSettings, "base_radius")
     link_radius: float = like(GuardSettings, "link_radius")
     margin: float = like(GuardSettings, "margin")
-    state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
+    state_file: str = setting("", "file that keeps the progress across restarts; empty: none")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -102,9 +108,9 @@ class Conditions(GuardSettings):
 
     duration: float = setting(8.0, "longest maneuver", unit="s", check=POSITIVE)
     rest: float = setting(5.0, "rest before and after a maneuver", unit="s", check=POSITIVE)
-    repeats: int = setting(3, "most repeats of a closed loop", check=at_least(1))
+    repeats: int = setting(3, "largest number of repeats of a closed loop", check=at_least(1))
     total: float = setting(
-        inf, "most time that all maneuvers and rests take", unit="s",
+        inf, "largest total time of maneuvers and rests", unit="s",
         check=Check("a positive number", lambda value: value > 0.0),
     )  # fmt: skip
     kinds: tuple[str, ...] = setting(KINDS, "kinds of maneuvers", check=one_of(*KINDS))

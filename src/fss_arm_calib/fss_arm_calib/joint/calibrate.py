@@ -117,10 +117,11 @@ class Solution:
     sessions: tuple[str, ...]
     number: tuple[dict[str, int], ...]  # number of data by kind, for each session
 
-    def own(self) -> Iterator[SessionParameter]:
+    def session_parameters(self) -> Iterator[SessionParameter]:
         """Yield the parameters of each session."""
         for k, session in enumerate(self.sessions):
-            names, (values, deviations) = self.result.problem.own_names(k), self.result.session(k)
+            names = self.result.problem.session_names(k)
+            values, deviations = self.result.session(k)
             for name, *numbers in zip(names, values.tolist(), deviations.tolist(), strict=True):
                 yield SessionParameter(session, name, UNITS.get(name) or unit(name), *numbers)
 
@@ -131,7 +132,7 @@ def problem_of(
     s: JointSettings,
     kinds: Kinds,
     settings: Mapping[str, Any],
-    own: Sequence[Mapping[str, Any]] = (),
+    session_settings: Sequence[Mapping[str, Any]] = (),
 ) -> JointProblem:
     """Return the joint problem of the data of all sessions.
 
@@ -141,13 +142,13 @@ def problem_of(
         s: prior knowledge.
         kinds: table of the calibration kinds.
         settings: settings of the kinds.
-        own: settings of each session, if the deviations of observations differ between sessions.
+        session_settings: settings of each session, if deviations differ between sessions.
 
     Raises:
         ValueError: the data do not match the arm.
     """
     sessions = []
-    for data, its in zip(used, own or len(used) * [settings], strict=True):
+    for data, its in zip(used, session_settings or len(used) * [settings], strict=True):
         every = ((name, kinds[name].measurements) for name in data)
         sessions.append({name: make(data[name], arm, its[name]) for name, make in every if make})
     n = arm.n
@@ -156,7 +157,7 @@ def problem_of(
     prior[: 5 * n + 6, : 5 * n + 6] = s.covariance(arm)
     tilt, drifting = settings["dynamic"].tilt_deviation, settings["drift"]
     return JointProblem(
-        arm, sessions, prior, s.believed(arm, s.priors),
+        arm, sessions, prior, s.prior_indices(arm, s.priors),
         surroundings=np.array([
             GRAVITY * tilt, GRAVITY * tilt, drifting.torque_deviation, drifting.twist_deviation,
             drifting.drag_deviation,
@@ -172,8 +173,8 @@ def initial_unknowns(problem: JointProblem, arms: Sequence[Arm]) -> Floats:
     zeros = [*range(4 + n, 3 + 2 * n), 2 * n + 5]
     moved = []
     for k, arm in enumerate(arms):
-        own = np.zeros(len(problem.own_names(k)))
-        if "theta_BJ1" in problem.own_names(k):
+        own = np.zeros(len(problem.session_names(k)))
+        if "theta_BJ1" in problem.session_names(k):
             own[:n] = wrap((values(arm) - values(last))[zeros])
         moved.append(own)
     return problem.start(moved, replace(problem, arm=last).guess)
@@ -218,8 +219,8 @@ def calibrate(
         check_data_amount("data", len(kinds_seen), 1, words, streams),
     ]
     solution = None
-    own = [stage.settings for _, stage in found]
-    problem = problem_of(used, arm, s, kinds, of_kinds, own)
+    session_settings = [stage.settings for _, stage in found]
+    problem = problem_of(used, arm, s, kinds, of_kinds, session_settings)
     estimate = Estimate(problem.names, problem.units, problem.guess)
     if found:
         start = initial_unknowns(problem, [stage.arm for _, stage in found])
@@ -246,7 +247,7 @@ def _end_of(one: Datum) -> int:
 
 
 def _check_session_clocks(sessions: Sequence[Session], of_kinds: Mapping[str, Any]) -> Check:
-    """Check that no clock of any session jumped back by so much that events may be hidden."""
+    """Check that no clock of any session jumped back far enough to hide events."""
     every = (
         check_clocks(streams, of_kinds[kind].joint_gap)
         for session in sessions
@@ -275,7 +276,7 @@ def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
     """Evaluate the checks of a result."""
     m, problem = r.minimum, r.problem
     held = r.at_bound
-    words = f"at the bound of what is possible: {', '.join(held)}" if held else ""
+    words = f"at a physical bound: {', '.join(held)}" if held else ""
     missing = len(r.values) - len(m.basis.s) - len(held)
     each = [
         hide_pass_reason(

@@ -70,7 +70,7 @@ class SessionCollector:
         others = (joints for joints in map(_joint_count, found) if joints != self.n)
         self._joints[kind] = next(others, self.n)
         if self._joints[kind] != self.n:
-            self.reject(f"{kind} of another arm")
+            self.reject(f"{kind} data of another arm")
             return []
         before = getattr(self.gathered, kind)
         now: dict[str, Any] = {kind: tuple(found)}

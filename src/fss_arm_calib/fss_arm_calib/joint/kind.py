@@ -35,7 +35,7 @@ def _data_input(kind: AnyKind) -> Input:
         try:
             found = kind.data.from_message(message)
         except ValueError:
-            gatherer.reject(f"{kind.data.topic} not understood")
+            gatherer.reject(f"invalid {kind.data.topic}")
             return []
         return gatherer.data(kind.name, found)
 
@@ -49,7 +49,7 @@ def _result_input(kind: AnyKind) -> Input:
         try:
             parse_settings(told, kind.settings)
         except (TypeError, ValueError):  # settings of another version
-            gatherer.reject(f"{kind.topic} not understood")
+            gatherer.reject(f"invalid {kind.topic}")
             return []
         clocks = (check for check in found.checks if check.name == "clocks")
         back = max((c.value for c in clocks if c.value > c.threshold), default=0.0)
@@ -83,7 +83,7 @@ def to_message(outcome: JointOutcome, frame_id: str) -> msg.JointCalibration:
     """Convert the outcome to the message that is published."""
     message = msg.JointCalibration(calibration=common_message("joint", outcome, frame_id))
     if found := outcome.solution:
-        own = list(found.own())
+        own = list(found.session_parameters())
         message.sessions = [one.session for one in own]
         message.own = [one.name for one in own]
         message.own_units = [one.unit for one in own]
@@ -130,8 +130,8 @@ def data_counts(gatherer: SessionCollector) -> dict[str, object]:
 def describe_clock_jump(outcome: JointOutcome, _: Streams) -> str:
     """Return a message if a clock jumped back at one of the nodes, else an empty string."""
     back = outcome.data[-1].set_back if outcome.data else {}
-    spoilt = [f"{name}/forget" for name, by in back.items() if by > 0.0]
-    return f"a clock ran back: {', '.join(spoilt)} begins anew" if spoilt else ""
+    services = [f"{name}/forget" for name, jump in back.items() if jump > 0.0]
+    return f"a clock jumped back: call {', '.join(services)} to reset" if services else ""
 
 
 def _summary(one: SessionData) -> str:
@@ -148,21 +148,21 @@ JOINT = Calibration(
         "session", SessionData, "calibration/session", session_message, sessions_from_message,
         _summary,
     ),
-    most=lambda _: 1,
+    max_data=lambda _: 1,
     inputs=inputs,
     finder=lambda arm, _, kept: SessionCollector(arm.n, [*JOINT_SOURCES], kept),
     calibrate=calibrate_session,
     message=msg.JointCalibration,
     to_message=to_message,
-    numbers=("own_values", "own_deviations"),
+    compared_fields=("own_values", "own_deviations"),
     report=joint_report,
     clocks=lambda streams, _: check_clocks(streams, inf),  # no clock of its own: see `stale`
     stale=describe_clock_jump,
     health=data_counts,
-    lacks={
-        "time offset": "each datum allows for what its streams told",
-        "second session": "the nodes tell no days apart; from_bag --joint takes a bag of each, "
-        "with its own zeros, tilt and hose",
-        "data of its own": "it has what kinematic, dynamic and drift hold, and forgets as they do",
+    unavailable={
+        "time offset": "already corrected in the data of each kind",
+        "second session": "the nodes do not separate sessions; give from_bag --joint one bag per "
+        "session, each with its own zeros, tilt and hose",
+        "data of its own": "it uses the current data of kinematic, dynamic and drift",
     },
 )  # fmt: skip

@@ -48,7 +48,7 @@ class LinearizedData(NamedTuple):
 
     kind: str
     linear: Linear  # in z
-    own: slice  # within all unknowns
+    unknowns: slice  # within all unknowns
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class JointProblem:
     arm: Arm  # the initial guess
     sessions: Sequence[Mapping[str, Measurements]]
     prior: Floats  # (p, p) covariance of the guess
-    believed: npt.NDArray[np.intp]  # indices of the parameters that have a prior
+    prior_indices: npt.NDArray[np.intp]  # indices of the parameters that have a prior
     surroundings: Floats  # (5,) deviations of SURROUNDINGS, about 0; 0: no such effect
     zeros: float = 0.0  # deviation of a joint's zero between sessions [rad]; 0: constant zeros
     theta_e: bool = False  # estimate the heading offset of the end effector's subject, too
@@ -102,7 +102,7 @@ class JointProblem:
             T[layout.TIP_ANGLE, -1] = 1.0
         return T
 
-    def own_names(self, session: int) -> tuple[str, ...]:
+    def session_names(self, session: int) -> tuple[str, ...]:
         """Return the names of a session's own parameters: zeros and external effects.
 
         The last session has no zeros of its own.
@@ -112,14 +112,14 @@ class JointProblem:
         acting = zip(SURROUNDINGS, self.surroundings, strict=True)
         return (*moved, *(name for name, sigma in acting if sigma > 0.0))
 
-    def own_deviations(self, session: int) -> Floats:
+    def session_deviations(self, session: int) -> Floats:
         """Return the prior standard deviations of a session's own parameters, about 0."""
         sigma = dict(zip(SURROUNDINGS, self.surroundings.tolist(), strict=True))
-        return np.array([sigma.get(name, self.zeros) for name in self.own_names(session)])
+        return np.array([sigma.get(name, self.zeros) for name in self.session_names(session)])
 
     def by_session(self, session: int) -> Floats:
         """Return the derivative (8 + 6 n + 5, k) of z by a session's own parameters."""
-        names = self.own_names(session)
+        names = self.session_names(session)
         T, every = np.zeros((self._size + len(SURROUNDINGS), len(names))), list(self.names)
         for k, name in enumerate(names):
             if name in SURROUNDINGS:
@@ -133,14 +133,14 @@ class JointProblem:
         """Slices of the unknowns of each session, and of its data by kind, among all unknowns."""
         at, found = len(self.names), []
         for k, session in enumerate(self.sessions):
-            own = slice(at, at := at + len(self.own_names(k)))
+            own = slice(at, at := at + len(self.session_names(k)))
             data = {}
             for kind, measured in session.items():
                 data[kind] = slice(at, at := at + len(measured.initial_unknowns()))
             found.append((own, data))
         return found
 
-    def own(self, session: int) -> slice:
+    def session_slice(self, session: int) -> slice:
         """Return the slice of a session's own parameters among all unknowns."""
         return self._places[session][0]
 
@@ -153,7 +153,7 @@ class JointProblem:
         """
         parts = [self.guess if arm is None else arm]
         for k, session in enumerate(self.sessions):
-            parts.append(moved[k] if moved else np.zeros(len(self.own_names(k))))
+            parts.append(moved[k] if moved else np.zeros(len(self.session_names(k))))
             parts += [measured.initial_unknowns() for measured in session.values()]
         x = np.concatenate(parts)
         for _ in range(DATA_ITERATIONS):
@@ -166,7 +166,7 @@ class JointProblem:
         """Return z, the quantities that a session's data depend on besides their own unknowns."""
         z = self.by_arm @ (x[: len(self.names)] - self.guess)
         z[: self._size] += self.arm.vector()
-        return np.asarray(z + self.by_session(session) @ x[self.own(session)])
+        return np.asarray(z + self.by_session(session) @ x[self.session_slice(session)])
 
     def parts(self, x: Floats, session: int) -> list[LinearizedData]:
         """Linearize a session's data, by kind."""
@@ -181,7 +181,7 @@ class JointProblem:
         self, x: Floats, session: int, parts: Sequence[LinearizedData]
     ) -> tuple[Floats, Floats, Floats]:
         """Return a session's regressors by the arm's and by its own parameters, and residuals."""
-        own, sigma = x[self.own(session)], self.own_deviations(session)
+        own, sigma = x[self.session_slice(session)], self.session_deviations(session)
         R = np.concatenate(
             [*(part.linear.regressor for part in parts), np.zeros((0, len(self.by_arm)))]
         )
@@ -192,9 +192,9 @@ class JointProblem:
     @cached_property
     def prior_rows(self) -> Floats:
         """Rows (k, p) of the regressor for the priors: the inverse root of their covariance."""
-        rows = np.zeros((len(self.believed), len(self.names)))
-        C = self.prior[np.ix_(self.believed, self.believed)]
-        rows[:, self.believed] = np.linalg.inv(np.linalg.cholesky(C)) if len(C) else C
+        rows = np.zeros((len(self.prior_indices), len(self.names)))
+        C = self.prior[np.ix_(self.prior_indices, self.prior_indices)]
+        rows[:, self.prior_indices] = np.linalg.inv(np.linalg.cholesky(C)) if len(C) else C
         return rows
 
     def linearize(self, x: Floats, without: str = "") -> Linear:
@@ -239,7 +239,8 @@ class JointProblem:
         Each of a session's own parameters has a prior, so these cancel.
         """
         every = [one for session in self.sessions for one in session.values()]
-        return sum(one.degrees_of_freedom for one in every) + len(self.believed) - len(self.names)
+        observed = sum(one.degrees_of_freedom for one in every)
+        return observed + len(self.prior_indices) - len(self.names)
 
 
 def _data_step(linear: Linear, dz: Floats) -> Floats:
@@ -287,7 +288,7 @@ class JointResult:
         A, B, _ = problem.rows(x, k, problem.parts(x, k))
         by_arm = np.linalg.lstsq(B, A)[0]
         C = np.linalg.inv(B.T @ B) + by_arm @ self.covariance @ by_arm.T
-        return x[problem.own(k)], np.sqrt(np.diag(C))
+        return x[problem.session_slice(k)], np.sqrt(np.diag(C))
 
     @cached_property
     def fits(self) -> dict[str, tuple[float, int]]:

@@ -49,12 +49,12 @@ def _parameter_table(outcome: Outcome[Any, Solution], found: Solution, truth: Ar
     head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
     head += [f"x without {kind}" for kind in without]
     note = (
-        "x: by how much the deviation grows without data of a kind; -: they alone determine it; "
-        "amber: the guess says as much of it as all data do, or it is at its bound."
+        "x: growth of the deviation without the data of a kind; -: only these data determine it; "
+        "amber: the guess is as informative as all data, or the value is at its bound."
     )
     before = np.full(len(e.names), np.inf)
-    believed = r.problem.believed
-    before[believed] = np.sqrt(np.diag(r.problem.prior)[believed])
+    with_prior = r.problem.prior_indices
+    before[with_prior] = np.sqrt(np.diag(r.problem.prior)[with_prior])
     weak = np.flatnonzero(~(2.0 * e.deviations**2 < before**2)).tolist()
     head += ["off [sigma]"] if truth else []
     return Table("Parameters", head, rows, words=2, note=note, weak=weak)
@@ -67,7 +67,7 @@ def _fit_table(found: Solution) -> Table:
          f"{probability(cost, free):.2g}"]
         for kind, (cost, free) in found.result.fits.items()
     ]  # fmt: skip
-    head = ["kind", "data", "chi-square", "observations less own unknowns", "probability"]
+    head = ["kind", "data", "chi-square", "observations minus own unknowns", "probability"]
     return Table("Residuals by kind of data", head, rows)
 
 
@@ -76,11 +76,11 @@ def _session_table(found: Solution) -> Table:
     rows = [
         [one.session, one.name, display_unit(one.unit), _format_small(one.value, one.unit),
          _format_small(one.deviation, one.unit)]
-        for one in found.own()
+        for one in found.session_parameters()
     ]  # fmt: skip
     head = ["session", "parameter", "unit", "estimate", "± 1 sigma"]
-    note = "zeros of joints against those of the last session"
-    return Table("What each session had for its own", head, rows, words=3, note=note)
+    note = "zeros of joints relative to those of the last session"
+    return Table("Parameters of each session", head, rows, words=3, note=note)
 
 
 def _format_small(value: float, kind: str) -> str:

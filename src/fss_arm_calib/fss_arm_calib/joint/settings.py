@@ -18,19 +18,19 @@ class JointSettings(Knowledge):
     """
 
     ABOUT: ClassVar = (
-        "All parameters of the arm at once, from all rests, maneuvers and drifts that the nodes "
-        "kinematic, dynamic and drift hold, or that are in bags."
+        "All parameters of the arm at once, from the rests, maneuvers and drifts of the nodes "
+        "kinematic, dynamic and drift, or of bags."
     )
 
-    arm: str = setting("", "description YAML to begin from; empty: the paper's arm")
+    arm: str = setting("", "description YAML to start from; empty: the paper's arm")
     priors: str = setting(
         "m_i m_0 I_0 com_0",
-        "words, as b_i I_0, for parameters whose described value counts as an observation",
+        "parameters whose described value counts as an observation, e.g. 'b_i I_0'",
     )
-    theta_e: bool = setting(False, "estimate the end effector subject's heading offset, too")
+    theta_e: bool = setting(False, "also estimate the heading offset of the end effector's subject")
     zero_deviation: float = setting(
         radians(5.0),
-        "1 sigma of how far a joint's zero moves from one session to the next; 0: it does not",
+        "1 sigma of the change of a joint's zero between sessions; 0: no change",
         unit="rad", check=NOT_NEGATIVE,
     )  # fmt: skip
     min_probability: float = like(DynamicSettings, "min_probability")

@@ -224,7 +224,7 @@ def misfit_causes(
 
 def _swap_hint(solution: Solution, s: KinematicSettings) -> str:
     """Return a message if swapped subjects explain the bad fit, else an empty string."""
-    problem = solution.problem.only(solution.kept).with_deviations(solution.noise.largest)
+    problem = solution.problem.select(solution.kept).with_deviations(solution.noise.largest)
     all_swapped = fit(replace(problem, tip=inverse(problem.tip)), max_condition=s.max_condition)
     check = check_chi_square(
         "", all_swapped.chi_square, all_swapped.degrees_of_freedom, s.min_probability, ""

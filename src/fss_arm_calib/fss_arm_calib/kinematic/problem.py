@@ -95,7 +95,7 @@ class KinematicProblem:
             if not 0.0 <= getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
 
-    def only(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "KinematicProblem":
+    def select(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "KinematicProblem":
         """Return the problem with only the chosen observations."""
         return replace(self, q=self.q[chosen], tip=self.tip[chosen])
 

@@ -93,7 +93,7 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
     largest = problem.sigma[1:].tolist()
 
     def solved_only(mask: Mask) -> NoiseSolution[KinematicResult]:
-        those = problem.only(mask)
+        those = problem.select(mask)
 
         def with_noise(deviations: Floats) -> tuple[KinematicResult, ResidualSums | None]:
             weighed = those.with_deviations(deviations)
@@ -114,7 +114,7 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
             worst, others = int(np.argmax(errors)), mask.copy()
             others[np.flatnonzero(mask)[worst]] = False
             without = solved_only(others)
-            there = problem.only(mask & ~others).with_deviations(without.noise.deviations)
+            there = problem.select(mask & ~others).with_deviations(without.noise.deviations)
             off = without.result.predict(there).normalized[0]
             errors[worst] = max(errors[worst], equivalent_error(off, 3.0, without.noise.freedom))
         return found, errors
@@ -145,11 +145,11 @@ def _held_out(
     rest[held_out] = False
     if len(held_out) and np.sum(rest) >= min_observations(problem, s):
         try:
-            without = solve(problem.only(rest), UPDATE_TOLERANCE, max_condition=max_condition)
-            return held_out, without.predict(problem.only(held_out))
+            without = solve(problem.select(rest), UPDATE_TOLERANCE, max_condition=max_condition)
+            return held_out, without.predict(problem.select(held_out))
         except NotIdentifiable:
             pass
-    return held_out[:0], result.predict(problem.only(held_out[:0]))
+    return held_out[:0], result.predict(problem.select(held_out[:0]))
 
 
 def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimate:
