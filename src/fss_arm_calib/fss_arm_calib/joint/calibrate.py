@@ -265,11 +265,11 @@ def _format_counts(used: Sequence[Mapping[str, Sequence[Any]]], kinds: Kinds) ->
 def _settings_yaml(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
     """Write all settings as YAML."""
     kinds = ((name, type(one), one) for name, one in of_kinds.items())
-    told = {
+    settings = {
         name: {f.name: getattr(one, f.name) for f in fields(kind)}
         for name, kind, one in (("joint", JointSettings, s), *kinds)
     }
-    return yaml.safe_dump(told, sort_keys=False)
+    return yaml.safe_dump(settings, sort_keys=False)
 
 
 def evaluate(r: JointResult, s: JointSettings) -> list[Check]:

@@ -45,15 +45,15 @@ def _data_input(kind: AnyKind) -> Input:
 def _result_input(kind: AnyKind) -> Input:
     def feed(gatherer: SessionCollector, message: Any) -> list[SessionData]:
         found = calibration_part(message)
-        told = found.provenance.parameters
+        parameters = found.provenance.parameters
         try:
-            parse_settings(told, kind.settings)
+            parse_settings(parameters, kind.settings)
         except (TypeError, ValueError):  # settings of another version
             gatherer.reject(f"invalid {kind.topic}")
             return []
         clocks = (check for check in found.checks if check.name == "clocks")
         back = max((c.value for c in clocks if c.value > c.threshold), default=0.0)
-        return gatherer.result(kind.name, told, back)
+        return gatherer.result(kind.name, parameters, back)
 
     return Input(kind.topic, kind.message, feed, latched=True)
 
@@ -64,8 +64,8 @@ def calibrate_session(
     """Solve from the data of the nodes, each kind with the settings of its node."""
     one = sessions[-1] if sessions else SessionData()
     of_kinds = {name: kind.settings() for name, kind in JOINT_SOURCES.items()}
-    for name, told in one.settings.items():
-        of_kinds[name] = parse_settings(told, JOINT_SOURCES[name].settings)
+    for name, parameters in one.settings.items():
+        of_kinds[name] = parse_settings(parameters, JOINT_SOURCES[name].settings)
     each = {
         name: replace(streams, set_back={name: one.set_back.get(name, 0.0)})
         for name in JOINT_SOURCES
