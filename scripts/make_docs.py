@@ -11,7 +11,8 @@ from typing import Any, get_type_hints
 
 from fss_arm_model.description import Arm, Base, Drive, Link, TorqueSensor
 from fss_arm_model.settings import meaning
-from fss_arm_ros.program import ABOUT, ALLOW, Command, Program, named
+from fss_arm_ros.common_parameter import ABOUT, ALLOW
+from fss_arm_ros.program import Command, Program, named
 
 ROOT = Path(__file__).resolve().parents[1]
 MESSAGES = ROOT / "src/fss_arm_msgs"

@@ -13,8 +13,7 @@ from contextlib import contextmanager
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
 
-from fss_arm_ros.program import ABOUT as ABOUT
-from fss_arm_ros.program import ALLOW as ALLOW
+from fss_arm_ros.common_parameter import ALLOW
 
 DISCOVERY_TIME = 0.4  # after joining the graph, a process knows it [s]
 RECHECK_DELAY = 0.1  # to a second check, because a claim appears after its node [s]

@@ -23,6 +23,7 @@ from rclpy.parameter import Parameter
 from fss_arm_model.files import read_yaml
 from fss_arm_model.settings import SettingError, converted, default_in, meaning, refuse
 from fss_arm_ros import duplicates
+from fss_arm_ros.common_parameter import ABOUT, ALLOW
 from fss_arm_ros.rclpy_compat import parameter_overrides
 
 Settings = TypeVar("Settings")
@@ -41,9 +42,9 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
         DuplicateError: another node has its name.
     """
     hints = get_type_hints(kind)
-    about = ParameterDescriptor(description=duplicates.ABOUT, read_only=True, dynamic_typing=True)
-    allowed = node.declare_parameter(duplicates.ALLOW, False, about).value
-    allowed = converted(duplicates.ALLOW, allowed, bool)
+    about = ParameterDescriptor(description=ABOUT, read_only=True, dynamic_typing=True)
+    allowed = node.declare_parameter(ALLOW, False, about).value
+    allowed = converted(ALLOW, allowed, bool)
     known = fields(kind)  # type: ignore[arg-type]  # a dataclass each
     names = [f.name for f in known]
     if not live:

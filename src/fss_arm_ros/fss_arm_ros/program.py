@@ -16,10 +16,8 @@ from textwrap import indent
 from typing import Any
 
 from fss_arm_model.settings import meaning
+from fss_arm_ros.common_parameter import ABOUT, ALLOW
 from fss_arm_ros.libraries import required_libraries
-
-ALLOW = "allow_duplicate"
-ABOUT = "start beside a node that has the same name, or offers the same services, in the ROS domain"
 
 
 def named(place: str) -> Any:
