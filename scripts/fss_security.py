@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fss_arm_ros.security import ACCESS, OPERATOR, Access, governance, permissions
+from fss_policies import ACCESS, OPERATOR, Access, governance, permissions
 
 VALIDITY = 3650  # of certificates [days]
 CURVE = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")

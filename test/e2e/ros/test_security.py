@@ -16,7 +16,7 @@ from all_nodes import NODES
 from rclpy.node import Node
 from running import DOMAIN, OWN
 
-from fss_arm_ros.security import ACCESS, COMMON, topics
+from fss_policies import ACCESS, COMMON, topics
 from fss_rehearsal.processes import Nodes
 
 SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"

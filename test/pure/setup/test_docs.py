@@ -140,7 +140,7 @@ def check_node(package, executable, *arguments):
     if not isinstance(found, Program):
         place = found.parser.partition(":")[0] if isinstance(found, Command) else found.__module__
         module = import_module(place)
-        kind = [module.asked(plain)] if hasattr(module, "asked") else []
+        kind = [module.selected_kind(plain)] if hasattr(module, "selected_kind") else []
         module.parser(*kind).parse_args(plain)
         return
     settings = named(found.settings)
