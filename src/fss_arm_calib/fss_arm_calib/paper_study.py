@@ -35,7 +35,7 @@ AT_REST = DynamicSettings(
     estimate="I", priors="", momentum_deviation=0.0, spin_deviation=0.0, tilt_deviation=0.0
 )
 
-BEGIN, END = "<!-- paper_study: begin -->", "<!-- paper_study: end -->"
+START_MARK, END_MARK = "<!-- paper_study: begin -->", "<!-- paper_study: end -->"
 
 
 def tables_2_and_3() -> str:
@@ -173,9 +173,9 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def study() -> str:
     """Return the Markdown of this study."""
     return (
-        f"{BEGIN}\n## Tables 2 and 3: kinematics\n\n{tables_2_and_3()}\n\n"
+        f"{START_MARK}\n## Tables 2 and 3: kinematics\n\n{tables_2_and_3()}\n\n"
         f"## Table 4: dynamics\n\n{table_4()}\n\n"
-        f"Made by `python -m fss_arm_calib.paper_study`.\n{END}"
+        f"Made by `python -m fss_arm_calib.paper_study`.\n{END_MARK}"
     )
 
 
@@ -191,10 +191,10 @@ def main(args: Sequence[str] | None = None) -> int:
     old = (
         output.read_text(encoding="utf-8")
         if output.exists()
-        else f"# The paper, again\n\n{BEGIN}{END}\n"
+        else f"# The paper, again\n\n{START_MARK}{END_MARK}\n"
     )
-    before, rest = old.split(BEGIN) if BEGIN in old else (f"{old}\n", END)
-    output.write_text(f"{before}{text}{rest.split(END)[1]}", encoding="utf-8")
+    before, rest = old.split(START_MARK) if START_MARK in old else (f"{old}\n", END_MARK)
+    output.write_text(f"{before}{text}{rest.split(END_MARK)[1]}", encoding="utf-8")
     print(f"written to {output}")
     return 0
 

@@ -391,7 +391,7 @@ def test_a_maneuver_that_nobody_tells_of_is_given_up(spin_to_the_end, tmp_path):
     ("text", "message"),
     [
         ("{", "plan.yaml: line 2 is .*, expected YAML"),
-        ("maneuvers: [{kind: x, q: [[0, 0]], durations: []}]", "expected .w . 1, 4."),
+        ("maneuvers: [{kind: x, q: [[0, 0]], durations: []}]", "expected q of .w . 1, 4."),
         (PLAN.replace("0.4", "1.6"), "joint 2 at 1.6 rad"),
     ],
 )

@@ -61,7 +61,7 @@ def test_a_result_of_another_arm_is_not_taken(spin):
     message.calibration.description = to_yaml(ARM).replace("links:", "links: [", 1)
     publisher.publish(message)
     spin([bed, node], lambda: warned)
-    assert "calibration/kinematic not taken" in warned[0]
+    assert "result on calibration/kinematic rejected" in warned[0]
     assert node.initial is initial
 
 

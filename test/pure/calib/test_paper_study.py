@@ -5,8 +5,8 @@ import pytest
 
 from fss_arm_calib import paper_study
 from fss_arm_calib.paper_study import (
-    BEGIN,
-    END,
+    END_MARK,
+    START_MARK,
     estimate_as_in_paper,
     expected_of_sixteen,
     relative_deviations,
@@ -44,11 +44,13 @@ def test_what_cuts_the_deviation_to_10_and_to_1_percent():
 
 
 def test_the_study_takes_its_place_in_a_file(tmp_path, monkeypatch):
-    monkeypatch.setattr(paper_study, "study", lambda: f"{BEGIN}\nnew\n{END}")
+    monkeypatch.setattr(paper_study, "study", lambda: f"{START_MARK}\nnew\n{END_MARK}")
     page = tmp_path / "paper.md"
-    page.write_text(f"# Paper\n\nbefore\n\n{BEGIN}\nold\n{END}\n\n## Workspace\n")
+    page.write_text(f"# Paper\n\nbefore\n\n{START_MARK}\nold\n{END_MARK}\n\n## Workspace\n")
     assert paper_study.main(["--output", str(page)]) == 0
-    assert page.read_text() == f"# Paper\n\nbefore\n\n{BEGIN}\nnew\n{END}\n\n## Workspace\n"
+    assert (
+        page.read_text() == f"# Paper\n\nbefore\n\n{START_MARK}\nnew\n{END_MARK}\n\n## Workspace\n"
+    )
     page.write_text("# Paper\n\n## Workspace\n")
     assert paper_study.main(["--output", str(page)]) == 0
     assert page.read_text().startswith("# Paper\n\n## Workspace\n\n")
