@@ -94,12 +94,12 @@ def test_an_experiment_stops_when_its_goal_is_met_and_fails_if_it_is_not(start, 
     operator = Operator()
 
     def experiment(maneuvers, goal):
-        """Its exit code and last words; started anew if a busy machine made it stand still."""
+        """Return its exit code and last line; start it again if the busy machine stalled it."""
         words = " ".join(f"{name} {deviation:.7f}" for name, deviation in goal.items())
         progress = {"state_file": f"{maneuvers}.json"}
         given = parameters(maneuvers=maneuvers, goal=words, **progress, **arm, **clock)
-        said = "stood still"
-        while "stood still" in said:
+        said = "was stalled"
+        while "was stalled" in said:
             program = start("fss_arm_calib.experiment.experiment_node", *given)
 
             def ended(process=program.process):

@@ -36,7 +36,7 @@ def test_swapped_and_replaced_links_are_refused_and_the_others_armed(spin, tmp_p
     def told(client):
         """The answer once the link has reported its serial number."""
         message = ""
-        while not message or "not yet told" in message or "is lost" in message:
+        while not message or "not yet reported" in message or "is lost" in message:
             message = answer(client)
         return message
 
