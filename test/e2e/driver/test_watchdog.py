@@ -201,7 +201,7 @@ def test_two_drivers_of_a_link_do_not_share_it_and_both_say_so(spin, start, url,
     def told():
         assert person.turning()
         said = {place: status.message for place, status in person.health.items()}
-        return "another driver?" in said.get(url, "") and said.get(other) == lost
+        return "does a second driver run?" in said.get(url, "") and said.get(other) == lost
 
     spin(person, told, 30.0)
     assert person.health[url].level == DiagnosticStatus.WARN
@@ -212,7 +212,7 @@ def test_two_drivers_of_a_link_do_not_share_it_and_both_say_so(spin, start, url,
     assert not refused.result().success
     assert "no other driver" in refused.result().message
     assert person.turning()
-    assert first.output.count("another driver?") == 1
+    assert first.output.count("does a second driver run?") == 1
     first.stop(signal.SIGKILL)
     spin(person, lambda: person.health[other].message.startswith("link_1 is disarmed"))
     armed = arming.call_async(SetBool.Request(data=True))
