@@ -27,7 +27,7 @@ def test_hash_equals_the_one_of_the_distribution(msgtype):
 
 def test_the_text_has_comments_and_all_nested_types():
     text = definition("fss_arm_msgs/msg/KinematicObservations").text
-    assert "# Every rest seen so far" in text
+    assert "# All rests since the last reset" in text
     assert "MSG: fss_arm_msgs/KinematicObservation\n" in text
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(text, "fss_arm_msgs/msg/KinematicObservations"))

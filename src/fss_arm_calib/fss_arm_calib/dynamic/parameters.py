@@ -81,7 +81,7 @@ class Knowledge(Settings):
 
     told: bool = setting(
         False,
-        "also use the description's uncertainty of masses, centers of mass and inertias as prior "
+        "whether to use the description's uncertainty of masses, centers of mass and inertias as prior "
         "knowledge; valid only if it was estimated from other data",
     )
 

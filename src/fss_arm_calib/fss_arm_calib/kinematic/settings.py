@@ -39,7 +39,9 @@ class KinematicSettings(CalibrationSettings):
         "use after a drive was switched off and on",
         check=one_of(DESCRIBED, *PARAMETRIZATIONS),
     )
-    theta_e: bool = setting(False, "also estimate the heading offset of the end effector's subject")
+    theta_e: bool = setting(
+        False, "whether to estimate the heading offset of the end effector's subject"
+    )
     position_deviation: float = setting(
         0.0,
         "1 sigma of a position relative to the base, each axis, including the error of the base's "
@@ -91,6 +93,6 @@ class KinematicSettings(CalibrationSettings):
         unit="m", check=POSITIVE,
     )  # fmt: skip
     same_posture: float = setting(
-        radians(1.0), "two postures are the same if no joint differs by more", unit="rad",
+        radians(1.0), "largest difference of a joint between equal postures", unit="rad",
         check=POSITIVE,
     )  # fmt: skip
