@@ -81,7 +81,7 @@ class Knowledge(Settings):
 
     told: bool = setting(
         False,
-        "whether to use the description's uncertainty of masses, centers of mass and inertias as prior "
+        "whether the description's uncertainty of masses, centers of mass and inertias is prior "
         "knowledge; valid only if it was estimated from other data",
     )
 

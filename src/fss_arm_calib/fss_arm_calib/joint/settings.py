@@ -27,9 +27,7 @@ class JointSettings(Knowledge):
         "m_i m_0 I_0 com_0",
         "parameters whose described value counts as an observation, e.g. 'b_i I_0'",
     )
-    theta_e: bool = setting(
-        False, "whether to estimate the heading offset of the end effector's subject"
-    )
+    theta_e: bool = setting(False, "estimate the heading offset of the end effector's subject, too")
     zero_deviation: float = setting(
         radians(5.0),
         "1 sigma of the change of a joint's zero between sessions; 0: no change",

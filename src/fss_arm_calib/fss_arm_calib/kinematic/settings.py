@@ -39,9 +39,7 @@ class KinematicSettings(CalibrationSettings):
         "use after a drive was switched off and on",
         check=one_of(DESCRIBED, *PARAMETRIZATIONS),
     )
-    theta_e: bool = setting(
-        False, "whether to estimate the heading offset of the end effector's subject"
-    )
+    theta_e: bool = setting(False, "estimate the heading offset of the end effector's subject, too")
     position_deviation: float = setting(
         0.0,
         "1 sigma of a position relative to the base, each axis, including the error of the base's "
