@@ -114,7 +114,7 @@ class FogNode(Node):
             return Health(ERROR, f"the gyro is lost: {why}", values)
         if increases[1] or increases[2]:
             return Health(WARN, "some lines are not valid", values)
-        return Health(OK, "the gyro is received", values)
+        return Health(OK, "the gyro sends data", values)
 
     def close(self) -> None:
         """Stop the thread and close the port."""

@@ -229,7 +229,7 @@ def test_each_change_of_state_is_one_line_and_the_worst_are_events(bench, monkey
     transport.talks = False
     until(lambda: "is lost" in said[-1])
     transport.talks = True
-    until(lambda: "received again" in said[-1])
+    until(lambda: "connected again" in said[-1])
     user.stop.publish(Empty())
     until(lambda: said[-1] == "link 1 is stopped")
     arm(user, until, data=False)
@@ -239,7 +239,7 @@ def test_each_change_of_state_is_one_line_and_the_worst_are_events(bench, monkey
     assert [line for line in told[begun:] if "arming" not in line] == [
         "link 1 is armed",
         "link 1 is lost: silent for N s; it was armed",
-        "link 1 is received again after N s, and disarmed",
+        "link 1 is connected again after N s and disarmed",
         "link 1 is stopped",
         "link 1 is disarmed",
     ]

@@ -583,12 +583,12 @@ class LogLines:
 
 def test_each_change_of_state_is_told_once(bench):
     logged = LogLines(bench)
-    assert logged(10) == ["link 1 is received, and disarmed"]
+    assert logged(10) == ["link 1 is connected and disarmed"]
     bench.session.arm(bench.now)
     assert logged(10) == ["link 1 is arming", "link 1 is armed"]
     assert logged(10, up=False) == ["link 1 is lost: silent for 1.2 s; it was armed"]
     assert logged(50, up=False) == []
-    assert logged(10) == ["link 1 is received again after 12.2 s, and disarmed"]
+    assert logged(10) == ["link 1 is connected again after 12.2 s and disarmed"]
     bench.session.arm(bench.now)
     assert logged(10) == ["link 1 is arming", "link 1 is armed"]
     assert logged(slow_id=Slow.FAULTS, slow_value=1 << 9) == [
@@ -606,12 +606,12 @@ def test_a_link_that_was_never_heard_is_told_once(bench):
     assert logged(20, up=False) == []
     words = "link 1: nothing received yet: is it switched on, and does no other driver use it?"
     assert logged(200, up=False) == [words]
-    assert logged(2) == ["link 1 is received, and disarmed"]
+    assert logged(2) == ["link 1 is connected and disarmed"]
 
 
 def test_a_watchdog_that_trips_and_a_link_that_does_not_arm_are_told(armed):
     logged = LogLines(armed)
-    assert logged(5) == ["link 1 is received, and armed"]
+    assert logged(5) == ["link 1 is connected and armed"]
     assert logged(3, down=False, flags=State.WATCHDOG) == [
         "link 1 is disarmed: link 1 has disarmed itself",
         "link 1: its watchdog tripped, as it received no commands",

@@ -62,9 +62,9 @@ class StatusLog:
             was = f"; it was {self._arming.value}" if self._arming is not Arming.DISARMED else ""
             return Line(f"{name} is lost: {session.loss_reason}{was}", bad=True, for_operator=True)
         if not self._last_accepted:
-            return Line(f"{name} is received, and {session.arming.value}")
+            return Line(f"{name} is connected and {session.arming.value}")
         away = 1e-9 * (now - self._last_accepted)
-        words = f"{name} is received again after {away:.1f} s, and {session.arming.value}"
+        words = f"{name} is connected again after {away:.1f} s and {session.arming.value}"
         return Line(words, for_operator=True)
 
     def _arming_changes(self) -> list[Line]:
