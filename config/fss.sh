@@ -4,7 +4,7 @@
 # link_1 if one process hosts all links. Plain sh; paths are relative to the top folder.
 # shellcheck shell=sh
 
-export ROS_DOMAIN_ID=0
+export ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"
 # FSS_NAMESPACE=fss2    # one of several vehicles: docs/how-to/vehicles.md
 # export ROS_STATIC_PEERS="192.168.1.10;192.168.1.20"    # the ground's computer too: docs/how-to/network.md
 arm=config/arm.yaml    # your description; not out/arm.yaml, which the calibration overwrites

@@ -1,7 +1,7 @@
 # Like fss_sim.sh, with the base's board in the test bed, navigation, control and guidance: docs/how-to/guidance.md.
 # shellcheck shell=sh
 
-export ROS_DOMAIN_ID=0
+export ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"
 arm=config/truth.yaml
 
 node record fss_arm_bags record --ros-args -p output:=out/fss_gnc_sim/bags

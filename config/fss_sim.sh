@@ -1,7 +1,7 @@
 # Like fss.sh, with a simulated test bed in place of the links and the VICON receiver.
 # shellcheck shell=sh
 
-export ROS_DOMAIN_ID=0
+export ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"
 arm=config/truth.yaml
 
 node record fss_arm_bags record --ros-args -p output:=out/fss_sim/bags

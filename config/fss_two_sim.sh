@@ -1,7 +1,7 @@
 # Two vehicles in one simulated test bed, each with its own nodes: docs/how-to/vehicles.md.
 # shellcheck shell=sh
 
-export ROS_DOMAIN_ID=0
+export ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"
 arm=config/truth.yaml
 
 FSS_NAMESPACE=    # of all vehicles

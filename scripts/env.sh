@@ -23,7 +23,12 @@ _fss_load() {
     return 1
   fi
   if [ ! -x "$_fss_root/.venv/bin/python" ]; then
-    echo "env.sh: there is no .venv yet; run $_fss_root/scripts/setup.sh" >&2
+    if [ -h "$_fss_root/.venv/bin/python" ]; then
+      echo "env.sh: $(id -un) cannot run $(readlink "$_fss_root/.venv/bin/python"), the Python of" \
+        "$_fss_root/.venv; set up a clone of your own with its scripts/setup.sh" >&2
+    else
+      echo "env.sh: there is no .venv yet; run $_fss_root/scripts/setup.sh" >&2
+    fi
     return 1
   fi
   # A Python that was started from another venv leaves this behind; its libraries would be loaded.

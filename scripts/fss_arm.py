@@ -39,6 +39,7 @@ from fss_arm_ros.command_line import in_words
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, command, sensor, subscribe_sensor
 from fss_arm_ros.rclpy_compat import RCLError
+from fss_arm_ros.run import check_domain
 from fss_base_driver.protocol import BaseState
 
 ANSWER_TIMEOUT = 10.0  # [s]
@@ -455,8 +456,9 @@ def main() -> int:
     """Run; the exit code is 0 if the arm did so, 1 if not, 130 if interrupted before."""
     options, vehicle = parsed()
     try:
+        check_domain()
         rclpy.init()
-    except RCLError as error:
+    except (ValueError, RCLError) as error:
         print(f"fss_arm.sh: {in_words(error).split(', at /')[0]}", file=sys.stderr)
         return 2
     node = Node("fss_arm", namespace=vehicle)

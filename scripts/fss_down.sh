@@ -1,15 +1,19 @@
 #!/bin/sh
 # Disarms the links, then stops all nodes of a configuration, the last one first. The exit code is 0
 # if all links are known to be disarmed, and every node has stopped when requested.
-# usage: fss_down.sh [--vehicle NAME] [CONFIG]     config/fss.sh by default
+# usage: fss_down.sh [--vehicle NAME] [CONFIG]     by default the one that runs
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
 . "$fss_scripts/fss/config.sh"
 help "$@"
 case ${1:-} in --vehicle) vehicle "${2:-}"; shift 2 ;; esac
-read_config "${1:-}"
+read_running_config "${1:-}"
 refuse_systemd stop
+
+# The reader of the output may have gone: nodes are stopped all the same.
+trap '' PIPE
+say() { echo "$*" 2>/dev/null || true; }
 
 send() { ! held "$2" || kill -"$1" "$(cat "$FSS_LOGS/$2")" 2>/dev/null || true; }
 
@@ -57,7 +61,7 @@ stop() {
     fi
     log_event "$1 did not stop and was killed"
   fi
-  echo "$1 has stopped"
+  say "$1 has stopped"
 }
 
 reversed=
@@ -71,7 +75,9 @@ done
 status=0
 each_node drivers
 for space in $driving; do
-  if ! "$fss_scripts/fss_arm.sh" --vehicle "$space" disarm; then
+  if answer=$("$fss_scripts/fss_arm.sh" --vehicle "$space" disarm); then
+    say "$answer"
+  else
     echo "not all links are known to be disarmed: a joint that is on will be held, under power" >&2
     status=1
   fi

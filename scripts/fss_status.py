@@ -32,6 +32,7 @@ from fss_arm_bags.definitions import MEASUREMENTS, NotInstalledError, message_cl
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.run import check_domain
 from fss_arm_ros.subscription_set import subscribe_bytes
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -207,10 +208,11 @@ def nodes(processes: Processes, listener: Listener) -> Table:
         state = processes.state(name) if name in processes.names else "elsewhere"
         shown = f"up {_duration(processes.age(name))}" if state == "up" else state
         status = listener.report(name)
-        word, tone = LEVELS[status.level] if status else ("", "")
         report = escape(status.message) if status else ""
-        if state in LOST and not report:
-            report = escape(processes.last_log_line(name))
+        if state in LOST:  # what reports under this name is another process
+            elsewhere = "another process reports under this name; " if status else ""
+            status, report = None, escape(elsewhere + processes.last_log_line(name))
+        word, tone = LEVELS[status.level] if status else ("", "")
         if state == "up" and not status and name not in processes.mute:
             report = "runs, but no node of this name reports"
         table.add_row(name, _style(shown, STATES.get(state, "")), _style(word, tone), report)
@@ -335,6 +337,11 @@ def main() -> int:
     options = arguments().parse_args()
     processes = Processes(options.logs, options.names, options.mute)
     console = Console(highlight=False)
+    try:
+        check_domain()
+    except ValueError as error:
+        print(f"fss_status.sh: {error}", file=sys.stderr)
+        return 2
     rclpy.init()
     listener, executor = Listener(options.namespace), SingleThreadedExecutor()
     executor.add_node(listener)

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Shows links, nodes, rates, faults and verdicts at a glance.
-# usage: fss_status.sh [--vehicle NAME] [--watch | --wait SECONDS] [CONFIG]     config/fss.sh by default
+# usage: fss_status.sh [--vehicle NAME] [--watch | --wait SECONDS] [CONFIG]     by default the one that runs
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
@@ -13,7 +13,8 @@ case ${1:-} in
   --wait) how="--wait ${2:-}"; shift 2 ;;
   -*) fail "usage: fss_status.sh [--vehicle NAME] [--watch | --wait SECONDS] [CONFIG]" ;;
 esac
-read_config "${1:-}"
+read_running_config "${1:-}"
+[ "${1:-}" ] || is_running || fail "no configuration runs on this computer; scripts/fss_up.sh CONFIG starts one"
 names=
 # Nodes that are not ours need not report on /diagnostics.
 name() { case $2 in fss_*) names="$names $1" ;; *) names="$names --mute $1" ;; esac; }

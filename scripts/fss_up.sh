@@ -28,6 +28,18 @@ start() {
   ) </dev/null >>"$FSS_LOGS/$1.log" 2>&1
 }
 each_node check
+# Two laboratories in one domain would drive each other's links.
+while read -r pid name other; do
+  [ "${other:-$fss_config}" != "$fss_config" ] || continue
+  case " $fss_nodes " in *" $name "*) ;; *) continue ;; esac
+  domain=$(tr '\0' '\n' 2>/dev/null <"/proc/$pid/environ" | sed -n 's/^ROS_DOMAIN_ID=//p') || continue
+  [ "${domain:-0}" != "${ROS_DOMAIN_ID:-0}" ] ||
+    fail "$name of $other runs in ROS domain ${domain:-0} already; stop it with" \
+      "scripts/fss_down.sh $other, or choose another ROS_DOMAIN_ID"
+done <<END
+$(keepers)
+END
+echo "ROS domain ${ROS_DOMAIN_ID:-0}, logs in $FSS_LOGS"
 started=
 for name in $fss_nodes; do
   if held "$name.keep"; then started=; break; fi

@@ -1,7 +1,7 @@
 # Reads a configuration; sourced by the fss scripts, in $fss_scripts.
 # shellcheck shell=sh disable=SC1090,SC1091,SC2034,SC2154
 
-fail() { echo "${0##*/}: $*" >&2; exit 1; }
+fail() { trap - EXIT; echo "${0##*/}: $*" >&2; exit 1; }
 
 # help OPTION...: prints the script's leading comment and exits, if --help or -h is given.
 help() {
@@ -31,8 +31,14 @@ read_config() {
   FSS_STOP_TIMEOUT=10          # for a node to stop [s]
   FSS_NAMESPACE=${FSS_NAMESPACE:-} FSS_NAMESPACE=${FSS_NAMESPACE#/}
   fss_vehicle=$FSS_NAMESPACE fss_nodes='' fss_spaces=''
+  trap 'fail "$fss_config: stopped before its end, by an exit or an error in it"' EXIT
   . "$fss_config"
+  trap - EXIT
   FSS_NAMESPACE=$fss_vehicle
+  case ${ROS_DOMAIN_ID:-0} in
+    *[!0-9]* | ????* | 23[3-9] | 2[4-9]? | [3-9]??)
+      fail "ROS_DOMAIN_ID is '$ROS_DOMAIN_ID', expected a whole number from 0 to 232" ;;
+  esac
   [ "$fss_nodes" ] || fail "$fss_config: has no node${FSS_NAMESPACE:+ in the namespace $FSS_NAMESPACE}"
   case $fss_spaces in *' /'*) ;; *) FSS_NAMESPACE=${fss_spaces#/} ;; esac
   export FSS_NAMESPACE
@@ -97,6 +103,38 @@ log_event() {
   echo "$fss_line" >>"$FSS_EVENTS"
   # In a separate process, so that a terminal that hangs or is closed does no harm.
   [ -z "${FSS_TTY:-}" ] || { printf '\r%s\r\n' "$fss_line" >"$FSS_TTY"; } 2>/dev/null 9>&- &
+}
+
+# keepers: prints for each node that a keeper keeps on this computer, of any workspace that this user
+# can see, the keeper's process id, the node's name and the configuration.
+keepers() {
+  for fss_line in $(grep -lsa '/fss/keep\.sh' /proc/[0-9]*/cmdline); do
+    fss_pid=${fss_line#/proc/} fss_pid=${fss_pid%/cmdline}
+    tr '\0' '\n' 2>/dev/null <"$fss_line" |
+      sed -n "\\#/fss/keep\.sh\$#{n;N;s/\(.*\)\n\(.*\)/$fss_pid \2 \1/p;}"
+  done
+}
+
+# running_configs: prints the configurations with running nodes, one per line.
+running_configs() { keepers | cut -d ' ' -f 3- | sort -u; }
+
+# read_running_config CONFIG: as read_config; without CONFIG, the only one that runs.
+read_running_config() {
+  fss_running=
+  [ "${1:-}" ] || fss_running=$(running_configs)
+  case $fss_running in
+    *"
+"*) fail "several configurations run, name one of: $(echo "$fss_running" | tr '\n' ' ')" ;;
+  esac
+  read_config "${1:-$fss_running}"
+}
+
+# is_running: true if a node of the configuration runs.
+is_running() {
+  for fss_each in $fss_nodes; do
+    ! held "$fss_each.keep" && ! held "$fss_each.node" || return 0
+  done
+  return 1
 }
 
 # refuse_systemd VERB: exits if systemd runs the nodes, as it must then start and stop them.

@@ -3,6 +3,7 @@
 import atexit
 import faulthandler
 import gc
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -18,6 +19,7 @@ from fss_arm_ros.command_line import in_words
 from fss_arm_ros.rclpy_compat import RCLError, UnknownROSArgsError
 from fss_arm_ros.subscription_set import relax_events
 
+MAX_DOMAIN = 232  # the ports of a higher one do not exist
 MAX_SHUTDOWN_TIME = 5.0  # after all nodes are closed [s]
 SWITCH_INTERVAL = 0.0005  # between Python's threads: a stop waits no longer for a computation [s]
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -58,6 +60,10 @@ def run(
         )  # the rest are places in rcl's source
     if plain and not takes:
         return _failed(name, f"{plain[0]!r} is not understood; try --help", 2)
+    try:
+        check_domain()
+    except ValueError as error:
+        return _failed(name, error, 2)
     _tune_process()
     nodes: Sequence[Node] = ()
     executor: SingleThreadedExecutor | None = None
@@ -108,6 +114,21 @@ def run(
         signal.signal(signal.SIGINT, signal.default_int_handler)
     left = [words for node in nodes if (words := getattr(node, "unfinished", str)())]
     return _failed(name, f"interrupted {'; '.join(left)}", 130) if left else 0
+
+
+def check_domain() -> None:
+    """Check the ROS domain of this process's environment.
+
+    rcl would report only what is no number, and the middleware would try ports that do not exist.
+
+    Raises:
+        ValueError: ROS_DOMAIN_ID is not a whole number from 0 to MAX_DOMAIN.
+    """
+    given = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (given.isascii() and given.isdecimal() and int(given) <= MAX_DOMAIN):
+        raise ValueError(
+            f"ROS_DOMAIN_ID is {given!r}, expected a whole number from 0 to {MAX_DOMAIN}"
+        )
 
 
 def _tune_process() -> None:
