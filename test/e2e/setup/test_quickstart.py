@@ -40,7 +40,10 @@ def test_without_hardware(tmp_path):
     ports = OWN.ports(4)
     config = (ROOT / "config/fss_sim.sh").read_text()
     for old, new in (
-        ('ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"', f"ROS_DOMAIN_ID={DOMAIN} FSS_LOGS={tmp_path / 'logs'}"),
+        (
+            'ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"',
+            f"ROS_DOMAIN_ID={DOMAIN} FSS_LOGS={tmp_path / 'logs'}",
+        ),
         ("out/fss_sim", str(tmp_path / "out")),
         ("preset:=paper", f"preset:=paper -p ports:=[{','.join(map(str, ports))}]"),
         (
