@@ -84,6 +84,19 @@ def spin(ros: None) -> Iterator[Callable[..., Any]]:
 
 
 @pytest.fixture
+def keys_file(tmp_path: Path) -> Callable[[dict[int, bytes]], Path]:
+    """keys_file({1: KEY}): a file of the links' keys."""
+
+    def write(keys: dict[int, bytes]) -> Path:
+        path = tmp_path / "keys"
+        path.touch(0o600)
+        path.write_text("".join(f"{link} {key.hex()}\n" for link, key in keys.items()))
+        return path
+
+    return write
+
+
+@pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Program]]:
     """start(module, *args, **env): run a module's main, or MODULE:FUNCTION, as a process."""
     programs: list[Program] = []

@@ -2,6 +2,7 @@
 
 import os
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -32,43 +33,11 @@ from fss_base_driver.protocol import BaseState
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts/fss_arm.py"
 
 
-def tell(what, *options):
-    return subprocess.run(
-        [sys.executable, SCRIPT, what, *options],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-
-
 def start_bed(start):
     """Start a simulated test bed; the urls of its links."""
     ports = [free_port() for _ in range(4)]
     start("fss_sim.testbed_node", "--ros-args", "-p", f"ports:={ports}")
     return [f"udp://127.0.0.1:{port}?bind=0" for port in ports]
-
-
-@pytest.mark.slow
-def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
-    urls = start_bed(start)
-    start("fss_arm_driver.link_node", "--ros-args", "-p", f"urls:={urls}")
-    start("fss_arm_driver.arm_node")
-
-    node, armed = Node("watch"), {}
-    for i in range(1, 5):
-        node.create_subscription(
-            LinkTelemetry, f"link_{i}/telemetry", lambda m: armed.update({m.link: m.armed}), 1
-        )
-    spin(node, lambda: len(armed) == 4, 30.0)
-    assert not any(armed.values())
-
-    said = []
-    # A link that a busy machine kept waiting for too long is disarmed, and wants to be told again.
-    spin(node, lambda: all(armed.values()) or said.append(tell("arm").stdout), 60.0)
-    assert said[-1] == "all 4 links are armed\n"
-    told = tell("stop")
-    assert told.returncode == 0, told.stderr
-    assert re.fullmatch(r"link_1, link_2, link_3, link_4: stopped after \d\.\d\d s\n", told.stdout)
-    spin(node, lambda: not any(armed.values()))
-    assert tell("disarm").returncode == 0
 
 
 def test_nobody_there_is_said_in_one_line(domain):
@@ -78,8 +47,7 @@ def test_nobody_there_is_said_in_one_line(domain):
         ("solve", "no calibration runs"),
     ):
         said += f" in ROS domain {DOMAIN}\n"
-        told = tell(what, "--wait", "1")
-        assert (told.returncode, told.stderr) == (1, said)
+        assert shell(what, "--wait", "1") == (1, "", said)
 
 
 def shell(*words, **env):
@@ -98,14 +66,33 @@ NAME = (
 BAD_NAMES = ("a b", "~", "é", "", "1a", "..", "a/", "a//b", "__x", "a\nb", "-x", "x" * 1000)
 
 
+@pytest.fixture
+def refusal(monkeypatch, capsys):
+    """refusal(*words): the one line in which the program refuses a command line."""
+    parsed = runpy.run_path(str(SCRIPT))["parsed"]
+
+    def refuse(*words):
+        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *words])
+        with pytest.raises(SystemExit) as ended:
+            parsed()
+        out, err = capsys.readouterr()
+        assert (ended.value.code, out, err.count("\n")) == (2, "", 1)
+        return err
+
+    return refuse
+
+
 @pytest.mark.parametrize("name", BAD_NAMES)
-@pytest.mark.parametrize("config", [(), ("config/fss_sim.sh",)])
-def test_a_bad_name_of_a_vehicle_is_refused_in_one_line(domain, name, config):
+def test_a_bad_name_of_a_vehicle_is_refused_in_one_line(refusal, name):
     said = f"fss_arm.sh: argument --vehicle/--namespace: {name!r} is no namespace of a vehicle, "
-    assert shell("--vehicle", name, "stop", *config) == (2, "", said + NAME)
-    assert shell(f"--namespace={name}", "stop", *config) == (2, "", said + NAME)
-    if not config:
-        assert shell("stop", f"--vehicle={name}") == (2, "", said + NAME)
+    assert refusal("stop", f"--vehicle={name}") == said + NAME
+    assert refusal(f"--namespace={name}", "stop") == said + NAME
+
+
+@pytest.mark.parametrize("name", ["a b", "é", "x" * 1000])
+def test_a_bad_name_is_refused_before_the_configuration_is_read(domain, name):
+    said = f"fss_arm.sh: argument --vehicle/--namespace: {name!r} is no namespace of a vehicle, "
+    assert shell("--vehicle", name, "stop", "config/fss_sim.sh") == (2, "", said + NAME)
 
 
 @pytest.mark.parametrize(
@@ -132,11 +119,8 @@ def test_a_bad_name_of_a_vehicle_is_refused_in_one_line(domain, name, config):
         ),
     ],
 )
-def test_a_wrong_command_line_is_refused_in_one_line(domain, words, said):
-    code, out, err = shell(*words)
-    assert (code, out) == (2, "")
-    assert err.startswith(f"fss_arm.sh: {said}")
-    assert err.count("\n") == 1
+def test_a_wrong_command_line_is_refused_in_one_line(refusal, words, said):
+    assert refusal(*words).startswith(f"fss_arm.sh: {said}")
 
 
 def test_a_stop_of_all_vehicles_needs_no_name(domain):

@@ -6,7 +6,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu
-from std_msgs.msg import Bool, Empty, Float64
+from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
@@ -36,7 +36,6 @@ class User(Node):
         self.thrust = self.create_publisher(ThrusterCommand, "thrusters/command", 1)
         self.wrench = self.create_publisher(WrenchStamped, "base/wrench", 1)
         self.grip = self.create_publisher(Bool, "gripper/command", 1)
-        self.stops = {t: self.create_publisher(Empty, t, 10) for t in ("base/stop", "arm/stop")}
         self.arm = self.create_client(SetBool, "base/arm")
         self.find = self.create_client(Trigger, "base/find_gyro_bias")
 
@@ -67,7 +66,7 @@ class Bench:
         self.user = user = User()
         self.until = lambda condition, timeout=10.0: spin([self.node, user], condition, timeout)
         self.until(lambda: user.telemetry and user.health and user.arm.service_is_ready())
-        publishers = (user.thrust, user.wrench, user.grip, *user.stops.values())
+        publishers = user.thrust, user.wrench, user.grip
         self.until(lambda: all(p.get_subscription_count() for p in publishers))
         self.until(lambda: self.node.pulses.get_subscription_count())
         self.until(lambda: not self.node.session.lost)

@@ -1,13 +1,12 @@
 """Damaged copies of bags, and what becomes of each: read, looked at and repaired by `doctor`.
 
-Run by itself it prints tables, also when it is interrupted: damaged_bags.py --count 1000
+Run by itself it prints a table, also when it is interrupted: damaged_bags.py --count 1000
 """
 
 import argparse
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from functools import lru_cache
 from io import StringIO
 from itertools import islice
 from pathlib import Path
@@ -21,12 +20,9 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rclpy.serialization import serialize_message
 from ros_bags import FIRST, START, STEP, joint_state, make_bag, make_killed_bag
-from rosbags.highlevel import anyreader
-from rosbags.rosbag2 import StoragePlugin, Writer, storage_mcap
-from rosbags.typesys import get_types_from_msg
+from rosbags.rosbag2 import StoragePlugin, Writer
 from std_msgs.msg import String
 
-from fss_arm_bags import definitions, inspection, recovery
 from fss_arm_bags.definitions import definition
 from fss_arm_bags.doctor.command import main as doctor
 from fss_arm_bags.reader import BagError, open_bags
@@ -326,27 +322,20 @@ def contents(bag: Path) -> tuple[list[Any], Any, list[str]]:
         return messages, topics, [str(r) for r in bags.recovered]
 
 
-def part_of(some: list[Any], whole: list[Any]) -> bool:
-    """Whether all of some are in the whole, in that order."""
-    rest = iter(whole)
-    return all(any(one == other for other in rest) for one in some)
+def same_but_bytes(messages: list[Any], topics: Any, whole: Any) -> bool:
+    """Return True if only serialized bytes differ from the whole bag, none of them in length."""
+    some, others = ([(*m[:3], len(m[3])) for m in one] for one in (messages, whole[0]))
+    return bool(topics == whole[1] and some == others)
 
 
-def but_bytes(some: list[Any], others: list[Any]) -> bool:
-    """Whether two lists of messages differ in what is serialized only, by no byte in length."""
-    return [(*m[:3], len(m[3])) for m in some] == [(*m[:3], len(m[3])) for m in others]
-
-
-SAME, SAID, FEWER, OTHER = "same", "same, said so", "fewer, said so", "other, said so"
-UNKNOWABLE = "bytes of messages"  # which are under no checksum
-REFUSED, LONG = "refused", "refused at length"
+REPORTED, UNDETECTABLE, REFUSED = "reported", "undetectable", "refused"
 TRACEBACK, HANG, SILENT = "TRACEBACK", "HANG", "SILENT"
-UNSEEN, SEEN, HARMLESS = "UNSEEN", "seen", "unseen, harmless"
-MENDED, MENDED_FEWER, MENDED_OTHER = "mended", "mended, fewer", "mended, other"
+LONG, UNSEEN = "REFUSED AT LENGTH", "UNSEEN"
 WRONG = TRACEBACK, HANG, SILENT, LONG, UNSEEN
 
 
 def attempt(step: Callable[[], str]) -> str:
+    """The result of a step; what it raises is one, too."""
     try:
         with within(PATIENCE):
             return step()
@@ -360,16 +349,16 @@ def attempt(step: Callable[[], str]) -> str:
 
 
 def of_reading(bag: Path, whole: Any, kept: list[float]) -> str:
+    """Result of reading a damaged bag; damage of messages without checksums is undetectable."""
     messages, topics, said = contents(bag)
     kept.append(min(1.0, len(messages) / len(whole[0])))
-    if (messages, topics) == whole[:2]:
-        return SAID if len(said) > len(whole[2]) else SAME
-    if not said:
-        return UNKNOWABLE if topics == whole[1] and but_bytes(messages, whole[0]) else SILENT
-    return FEWER if part_of(messages, whole[0]) else OTHER
+    if len(said) > len(whole[2]) or (said and (messages, topics) != whole[:2]):
+        return REPORTED
+    return UNDETECTABLE if same_but_bytes(messages, topics, whole) else SILENT
 
 
 def doctored(*args: str) -> tuple[int, str]:
+    """The exit code of `doctor`, and what it said."""
     out, err = StringIO(), StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         code = doctor(list(args))
@@ -380,26 +369,22 @@ def doctored(*args: str) -> tuple[int, str]:
 
 
 def of_doctor(bag: Path, whole_said: str, whole_bag: Path) -> str:
+    """Result of `doctor` on a damaged bag."""
     code, said = doctored(str(bag))
     if said == LONG:
         return LONG
-    return UNSEEN if code == 0 and said.replace(str(bag), str(whole_bag)) == whole_said else SEEN
+    unseen = code == 0 and said.replace(str(bag), str(whole_bag)) == whole_said
+    return UNSEEN if unseen else REPORTED
 
 
 def of_repair(bag: Path, whole: Any) -> str:
+    """Result of the repair of a damaged bag."""
     code, said = doctored(str(bag), "--repair")
-    if said == LONG:
-        return LONG
-    if code == 1:
-        return REFUSED
+    if said == LONG or code == 1:
+        return LONG if said == LONG else REFUSED
     messages, topics, after = contents(bag)
-    same = (messages, topics) == whole[:2]
-    if after:
-        return SILENT  # it is not mended
-    if "repaired:" not in said:
-        known = topics != whole[1] or not but_bytes(messages, whole[0])
-        return SAME if same else SILENT if known else UNKNOWABLE
-    return MENDED if same else MENDED_FEWER if part_of(messages, whole[0]) else MENDED_OTHER
+    mended = "repaired:" in said or same_but_bytes(messages, topics, whole)
+    return REPORTED if mended and not after else SILENT
 
 
 class Outcome(NamedTuple):
@@ -438,15 +423,14 @@ class Trial:
             copytree(source, bag)
         damage(case, bag)
         if unharmed(bag, source):
-            return Outcome(SAME, SEEN, SAME)
+            return Outcome(UNDETECTABLE, UNDETECTABLE, UNDETECTABLE)
         kept: list[float] = []
         read = attempt(lambda: of_reading(bag, whole, kept))
         seen = attempt(lambda: of_doctor(bag, self.said[case.bag], source))
         unchecked = case.bag in UNCHECKED or case.damage.startswith("metadata")
-        if seen == UNSEEN and (unchecked or renamed(bag, source)):
-            seen = {SAME: HARMLESS, UNKNOWABLE: UNKNOWABLE}.get(read, seen)
-        mended = attempt(lambda: of_repair(bag, whole))
-        return Outcome(read, seen, mended, sum(kept))
+        if seen == UNSEEN and read == UNDETECTABLE and (unchecked or renamed(bag, source)):
+            seen = UNDETECTABLE
+        return Outcome(read, seen, attempt(lambda: of_repair(bag, whole)), sum(kept))
 
 
 def unharmed(bag: Path, source: Path) -> bool:
@@ -471,49 +455,30 @@ def renamed(bag: Path, source: Path) -> bool:
     return data[:begin] + whole[begin:end] + data[end:] == whole
 
 
-def parse_once() -> None:
-    """Definitions and QoS profiles, which all copies of a bag have in common: twice as fast."""
-    for module in (anyreader, definitions, inspection, recovery):
-        vars(module)["get_types_from_msg"] = lru_cache(1000)(get_types_from_msg)
-    vars(storage_mcap)["parse_qos"] = lru_cache(1000)(storage_mcap.parse_qos)
-
-
 def main() -> int:
+    """Print a table of the results, by kind of damage."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--bags", nargs="+", default=list(BAGS))
     options = parser.parse_args()
-    parse_once()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
-    found: dict[tuple[str, str], list[Outcome]] = {}
+    found: dict[str, list[Outcome]] = {}
     bad = 0
     with TemporaryDirectory() as folder, suppress(KeyboardInterrupt):
         trial = Trial(Path(folder))
-        for case in islice(cases(options.bags, options.first), options.count):
+        for case in islice(cases(BAGS, options.first), options.count):
             outcome = trial.run(case)
-            found.setdefault((case.bag, case.damage), []).append(outcome)
+            found.setdefault(case.damage, []).append(outcome)
             if wrong(outcome):
                 bad += 1
                 print(case, outcome, flush=True)
-    for k, name in enumerate(Outcome._fields[:3]):
-        results = sorted({str(o[k]).split(" ")[0] if wrong(o[k : k + 1]) else o[k]
-                          for outcomes in found.values() for o in outcomes})  # fmt: skip
-        print(f"\n{name:30s}" + "".join(f"{r:>17s}" for r in results))
-        for (bag, kind), outcomes in sorted(found.items()):
-            row = [sum(str(o[k]).startswith(r) if r in WRONG else o[k] == r for o in outcomes)
-                   for r in results]  # fmt: skip
-            print(f"{bag:10s}{kind:20s}" + "".join(f"{n or '':>17}" for n in row))
-    print(f"\n{'messages read of a bag [%]':30s}{'bags':>8s}{'refused':>9s}"
-          f"{'mean':>9s}{'p50':>9s}{'p5':>9s}")  # fmt: skip
-    rows = {f"{bag:10s}{kind}": outcomes for (bag, kind), outcomes in sorted(found.items())}
-    rows["all"] = [outcome for outcomes in found.values() for outcome in outcomes]
-    for name, outcomes in rows.items():
-        kept = 100.0 * np.array([o.kept for o in outcomes])
-        figures = kept.mean(), *np.quantile(kept, [0.5, 0.05])
-        print(f"{name:30s}{len(kept):8d}{sum(o.read == REFUSED for o in outcomes):9d}"
-              + "".join(f"{f:9.1f}" for f in figures))  # fmt: skip
-    print(f"\n{bad} of {len(rows['all'])} bags ended as none should")
+    found["all"] = [outcome for outcomes in found.values() for outcome in outcomes]
+    print("| damage | bags | refused | messages read, mean [%] |")
+    for name, outcomes in sorted(found.items()):
+        refused = sum(outcome.read == REFUSED for outcome in outcomes)
+        kept = np.mean([100.0 * outcome.kept for outcome in outcomes])
+        print(f"| {name} | {len(outcomes)} | {refused} | {kept:.0f} |")
+    print(f"{bad} of {len(found['all'])} bags ended as none should")
     return 1 if bad else 0
 
 

@@ -1,6 +1,7 @@
 """Frames of a link, and damaged ones that look sound."""
 
 import struct
+from dataclasses import replace
 from hashlib import blake2s
 from zlib import crc32
 
@@ -15,6 +16,7 @@ from fss_arm_driver.protocol import (
     Telemetry,
 )
 
+BOOT, SECOND = 7, 1_000_000
 KEY = bytes(range(16))
 SAMPLE = Telemetry(
     link=2, flags=State.ARMED | State.REFERENCED, boot=3, sequence=1000, clock=200_000_000,
@@ -31,6 +33,16 @@ PIECE = Segment(
     link=2, flags=LAST_SEGMENT, boot=3, sequence=78, clock=1_700_000_000_000_001, path=7, index=4,
     begin=202_000_000, duration=2_500_000, position=40000, velocity=38197, end_position=-12000,
     end_velocity=0,
+)  # fmt: skip
+
+
+DISARM = Command(
+    link=2, flags=0, boot=BOOT, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
+    set_point=0, velocity=0, acceleration=0,
+)  # fmt: skip
+MOVE = replace(
+    DISARM, flags=LinkCommandFlag.ARM, sequence=2, expiry=100 * SECOND, mode=Mode.POSITION,
+    set_point=200_000, velocity=381_972, acceleration=7639,
 )  # fmt: skip
 
 

@@ -19,7 +19,10 @@ from fss_arm_driver.protocol import (
     decode,
     encode,
 )
+from fss_arm_driver.session import LinkSession
+from fss_arm_model.description import paper_arm
 from fss_link.protocol import newer
+from fss_link.session import Arming
 
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000
@@ -160,3 +163,49 @@ class FakeTransport(FakeLine):
         if self.talks and now - self.last > 0.8 * SECOND / RATE:
             self.last = now
             self.put(self.link.telemetry(now))
+
+
+class SessionBench:
+    """A session with link 1 and that link, with time."""
+
+    PERIOD = SECOND // 5
+    TURN = 50 * MILLISECOND  # from the command to the measurement
+    DELAY = 2 * MILLISECOND
+
+    def __init__(self, description=None, **options):
+        self.session = LinkSession(1, description or paper_arm().links[0], **options)
+        self.now = 1_700_000_000 * SECOND
+        self.restart(boot=7)
+
+    def restart(self, boot, **options):
+        self.link = FakeLink(boot=boot, born=self.now - SECOND, **options)
+
+    def step(self, up=True, down=True, **changes):
+        """One period: a command down, telemetry up; the sample, if any."""
+        self.now += self.PERIOD - self.TURN - self.DELAY
+        data = self.session.command(self.now)
+        if down:
+            self.link.take(data, self.now + self.DELAY)
+        frame = self.link.telemetry(self.now + self.TURN, **changes)
+        return self.feed(frame if up else b"", self.TURN + self.DELAY)
+
+    def feed(self, data, later=0):
+        self.now += later
+        return self.session.feed(data, self.now)
+
+    def connected(self):
+        while self.step() is None:
+            pass
+        return self
+
+    def arm(self):
+        self.session.arm(self.now)
+        while self.session.arming is Arming.ARMING:
+            self.step()
+
+    def last_command(self):
+        return decode(self.session.command(self.now))
+
+    def set(self, mode, value=0.0, velocity=0.0, acceleration=0.0, time_to_live=1.0):
+        expiry = self.now + round(time_to_live * SECOND)
+        self.session.set(mode, value, velocity, acceleration, expiry, self.now)

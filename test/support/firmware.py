@@ -2,10 +2,13 @@
 
 import fcntl
 import os
+import shutil
 import subprocess
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
+
+import pytest
 
 from fss_arm_driver import protocol
 
@@ -14,6 +17,13 @@ os.environ.setdefault("ASAN_OPTIONS", "detect_leaks=0")
 
 ROOT = Path(__file__).parents[2]
 LINK, BASE = "fss_arm_driver", "fss_base_driver"  # the packages that have firmware
+
+needs_arm = pytest.mark.skipif(
+    not shutil.which("arm-none-eabi-g++"), reason="arm-none-eabi-g++ is not installed"
+)
+needs_emulator = pytest.mark.skipif(
+    not shutil.which("qemu-system-arm"), reason="qemu-system-arm is not installed"
+)
 
 
 def build(target: str, package: str = LINK) -> Path:

@@ -1,19 +1,23 @@
-"""Writes the examples that the Python codec and the firmware's must both agree with.
+"""Writes the examples that the Python codecs and the firmware's must both agree with.
 
-    python test/support/firmware_vectors.py > test/vectors/firmware.txt
+    python test/support/firmware_vectors.py
 
-A line is a request to the firmware's `core_pipe` and, after ` = `, its answer: what
-docs/reference/protocol.md says, by the Python codec.
+A line is a request to the firmware's `core_pipe` or `base_pipe` and, after ` = `, its answer: what
+docs/reference/protocol.md and base_protocol.md say, by the Python codecs.
 """
 
 import random
-from collections.abc import Iterator
-from dataclasses import astuple
+from collections.abc import Iterable, Iterator
+from dataclasses import astuple, replace
 from hashlib import blake2s
-from itertools import islice
+from itertools import chain, islice
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from driver_frames import sealed
 
+from fss_arm_driver import protocol as links
 from fss_arm_driver.protocol import (
     LAST_SEGMENT,
     Command,
@@ -22,30 +26,43 @@ from fss_arm_driver.protocol import (
     Segment,
     Slow,
     Telemetry,
-    decode,
-    encode,
+)
+from fss_base_driver import protocol as board
+from fss_base_driver.protocol import (
+    NO_ON_TIMES,
+    VALVES,
+    BaseCommand,
+    BaseCommandFlag,
+    BaseSlow,
+    BaseTelemetry,
 )
 from fss_link.protocol import FrameError, StreamDecoder, pack
 
 MODES = [mode for mode in Mode if mode is not Mode.PATH]
 KEYS = [None, bytes(range(16)), bytes(range(100, 132))]
+TELEMETRY_KINDS = (b"\x53\x46\x02\x01", b"\x53\x46\x02\x04")
 
 
 def hexed(data: bytes | None) -> str:
-    """Bytes as `core_pipe` reads and writes them."""
+    """Bytes as the pipes read and write them."""
     return data.hex() if data else "-"
 
 
-def verdict(data: bytes, key: bytes | None) -> str:
-    """The answer to `decode`: of a frame as a link reads it, which takes no telemetry."""
-    if len(data) == 72 and data[:4] == b"\x53\x46\x02\x01":
+def field_text(frame: Any) -> str:
+    """The fields of a frame as the pipes have them."""
+    values = (value if isinstance(value, tuple) else (value,) for value in astuple(frame))
+    return " ".join(str(int(value)) for value in chain.from_iterable(values))
+
+
+def verdict(protocol: ModuleType, data: bytes, key: bytes | None) -> str:
+    """The answer to `decode`: of a frame as electronics read it, which take no telemetry."""
+    if len(data) == 72 and data.startswith(TELEMETRY_KINDS):
         return "kind"
     try:
-        frame = decode(data, key)
+        frame = protocol.decode(data, key)
     except FrameError as error:
-        return error.reason.value
-    kind = type(frame).__name__.lower()
-    return " ".join([kind, *(str(int(value)) for value in astuple(frame))])
+        return str(error.reason.value)
+    return f"{type(frame).__name__.lower().removeprefix('base')} {field_text(frame)}"
 
 
 def telemetries(rng: random.Random) -> Iterator[Telemetry]:
@@ -108,6 +125,40 @@ def segments(rng: random.Random) -> Iterator[Segment]:
         )  # fmt: skip
 
 
+def base_telemetries(rng: random.Random) -> Iterator[BaseTelemetry]:
+    """Random ones, with extreme values among them."""
+
+    def pick(bits: int) -> int:
+        high = (1 << bits) - 1
+        return rng.choice([0, high, rng.randint(0, high), rng.randint(0, high)])
+
+    while True:
+        yield BaseTelemetry(
+            link=0, flags=pick(5), boot=pick(16) or 1, sequence=pick(32), clock=pick(64),
+            echo=pick(32), turnaround=pick(32), gyro_sum=pick(32), gyro_samples=pick(16),
+            valves=pick(8), gripper=pick(3), pulse=pick(16), pulse_age=pick(16),
+            slow_id=rng.choice(list(BaseSlow)), slow_value=pick(32) - (1 << 31),
+        )  # fmt: skip
+
+
+def base_commands(rng: random.Random) -> Iterator[BaseCommand]:
+    """Random ones, with extreme values among them."""
+    while True:
+        command = BaseCommand(
+            link=0, flags=rng.choice([0, BaseCommandFlag.STOP, *3 * [BaseCommandFlag.ARM]]),
+            boot=rng.choice([1, 7, 0xFFFF]), sequence=rng.getrandbits(32),
+            clock=rng.choice([0, 1 << 63, rng.getrandbits(64)]),
+            expiry=rng.choice([1, (1 << 64) - 1, rng.getrandbits(50) + 1]),
+            pulse=0, watchdog=rng.choice([1, 500, 0xFFFF]), on_times=NO_ON_TIMES,
+        )  # fmt: skip
+        if command.flags == BaseCommandFlag.ARM:
+            pulse = rng.choice([0, 1, 0xFFFF, rng.getrandbits(16)])
+            times = tuple(rng.choice([0, 1, 0xFFFF, rng.getrandbits(16)]) for _ in range(VALVES))
+            times = times if pulse else NO_ON_TIMES
+            command = replace(command, pulse=pulse, on_times=times, gripper=rng.randrange(3))
+        yield command
+
+
 def damaged(rng: random.Random, data: bytes, key: bytes | None) -> bytes:
     """A frame with some bits or bytes changed, cut or sealed anew."""
     kind = rng.randrange(8)
@@ -122,8 +173,36 @@ def damaged(rng: random.Random, data: bytes, key: bytes | None) -> bytes:
     return sealed(bytes(changed), key if kind < 7 else rng.choice(KEYS))
 
 
+def frame_cases(
+    rng: random.Random,
+    protocol: ModuleType,
+    telemetries: Iterable[Any],
+    orders: Iterable[Any],
+    damages: int,
+    frames: list[bytes],
+) -> Iterator[tuple[str, str]]:
+    """Telemetry to encode, orders to decode, then damaged frames; `frames` collects them all."""
+    for telemetry in telemetries:
+        key = rng.choice(KEYS)
+        frames.append(protocol.encode(telemetry, key))
+        yield f"encode {hexed(key)} {field_text(telemetry)}", frames[-1].hex()
+    for order in orders:
+        key = rng.choice(KEYS)
+        frames.append(protocol.encode(order, key))
+        yield f"decode {hexed(key)} {frames[-1].hex()}", verdict(protocol, frames[-1], key)
+    for _ in range(damages):
+        key = rng.choice(KEYS)
+        data = damaged(rng, rng.choice(frames), key)
+        yield f"decode {hexed(key)} {hexed(data)}", verdict(protocol, data, key)
+
+
+def link_orders(rng: random.Random, count: int) -> Iterator[Command | Segment]:
+    """Return `count` commands and as many segments."""
+    yield from [*islice(commands(rng), count), *islice(segments(rng), count)]
+
+
 def cases(seed: int, count: int) -> Iterator[tuple[str, str]]:
-    """Requests and answers; so many frames of each kind."""
+    """Requests to a link's firmware and their answers, with `count` frames of each kind."""
     rng = random.Random(seed)
     for size in (0, 1, 55, 56, 63, 64, 65, 128, 200):
         data, key = rng.randbytes(size), KEYS[size % 3]
@@ -131,30 +210,32 @@ def cases(seed: int, count: int) -> Iterator[tuple[str, str]]:
         yield f"blake2s {hexed(key)} {hexed(data)} 16", hexed(digest)
     frames = [bytes(72), bytes([255]) * 72]
     frames += [bytes(rng.choice([0, 0, 0, 1, 255]) for _ in range(72)) for _ in range(count)]
-    for telemetry in islice(telemetries(rng), count):
-        key = rng.choice(KEYS)
-        frames.append(encode(telemetry, key))
-        values = " ".join(str(int(value)) for value in astuple(telemetry))
-        yield f"encode {hexed(key)} {values}", frames[-1].hex()
-    orders = [*islice(commands(rng), count), *islice(segments(rng), count)]
-    for order in orders:
-        key = rng.choice(KEYS)
-        frames.append(encode(order, key))
-        yield f"decode {hexed(key)} {frames[-1].hex()}", verdict(frames[-1], key)
-    for _ in range(3 * count):
-        key = rng.choice(KEYS)
-        data = damaged(rng, rng.choice(frames), key)
-        yield f"decode {hexed(key)} {hexed(data)}", verdict(data, key)
+    told = islice(telemetries(rng), count)
+    yield from frame_cases(rng, links, told, link_orders(rng, count), 3 * count, frames)
     for frame in frames:
         yield f"stream {frame.hex()}", pack(frame).hex()
         stream = rng.randbytes(rng.randrange(200)) + pack(frame)[:-1] + pack(frame)
         yield f"unstream {stream.hex()}", hexed(b"".join(StreamDecoder().feed(stream)))
 
 
+def base_cases(seed: int, count: int) -> Iterator[tuple[str, str]]:
+    """Requests to the board's firmware and their answers, with `count` frames of each kind."""
+    rng = random.Random(seed)
+    told, orders = islice(base_telemetries(rng), count), islice(base_commands(rng), count)
+    yield from frame_cases(rng, board, told, orders, 4 * count, [])
+
+
+#: Files of examples, and what writes them.
+VECTORS = {
+    Path(__file__).parents[1] / "vectors/firmware.txt": cases,
+    Path(__file__).parents[1] / "vectors/base_firmware.txt": base_cases,
+}
+
+
 def main() -> None:
-    """Write the file."""
-    for request, answer in cases(seed=1, count=40):
-        print(request, "=", answer)
+    """Write the files."""
+    for file, make in VECTORS.items():
+        file.write_text("".join(f"{asked} = {answer}\n" for asked, answer in make(1, 40)))
 
 
 if __name__ == "__main__":

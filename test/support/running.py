@@ -46,6 +46,11 @@ def wait_until(until: Callable[[], Any], timeout: float, step: Callable[[], Any]
     return got
 
 
+def memory() -> int:
+    """Resident memory of this process [bytes]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+
 class Program:
     """A process of ours under test: its output so far, and how it ended."""
 

@@ -24,11 +24,8 @@ MS = 1000
 
 
 @pytest.fixture
-def keys(tmp_path: Path) -> Path:
-    path = tmp_path / "keys"
-    path.touch(0o600)
-    path.write_text(f"0 {KEY.hex()}\n")
-    return path
+def keys(keys_file) -> Path:
+    return keys_file({0: KEY})
 
 
 @pytest.fixture(params=["--udp 0", "--tcp 0", "--pty", "emulated"])

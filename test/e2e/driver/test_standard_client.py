@@ -1,9 +1,7 @@
 """A program that knows standard messages alone drives the simulated arm, by each standard way."""
 
-import ast
 import signal
 from itertools import chain, repeat
-from pathlib import Path
 from time import monotonic
 
 import numpy as np
@@ -88,15 +86,6 @@ def person(spin, nodes):
     person.client.action.destroy()
 
 
-def test_the_client_knows_nothing_of_this_workspace():
-    names = {
-        (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name).split(".")[0]
-        for node in ast.walk(ast.parse(Path(standard_client.__file__).read_text()))
-        if isinstance(node, (ast.Import, ast.ImportFrom))
-    }
-    assert names == {"control_msgs", "rclpy", "sensor_msgs", "trajectory_msgs"}
-
-
 def test_a_goal_is_reached_with_feedback_whatever_the_order_of_names(person):
     client = person.client
     points = [(1.0, THERE[::-1]), (2.0, np.multiply(1.5, THERE)[::-1]), (3.5, THERE[::-1])]
@@ -120,58 +109,15 @@ def stamped(client, seconds):
     return client.get_clock().now() + Duration(seconds=seconds)
 
 
-def rejected(client):
-    """Goals that a joint trajectory controller rejects, by what is wrong."""
-    good = [(1.0, THERE)]
-    yield "unknown joint", client.goal(good, names=("joint_1", "joint_2", "joint_3", "elbow"))
-    yield "partial", client.goal([(1.0, THERE[:2])], names=JOINTS[:2])
-    yield "twice", client.goal(good, names=("joint_1", "joint_2", "joint_3", "joint_3"))
-    yield "empty", client.goal([])
-    yield "no names", client.goal(good, names=())
-    yield "sizes", client.goal([(1.0, THERE[:3])])
-    yield "times", client.goal([(1.0, THERE), (1.0, HOME)])
-    yield "end velocity", client.goal([(1.0, THERE, THERE)])
-    yield "past", client.goal(good, stamp=stamped(client, -5.0))
-    yield "not a number", client.goal([(1.0, (float("nan"), *THERE[1:]))])
-
-
-def test_goals_that_make_no_sense_are_rejected(person):
-    client = person.client
-    for what, goal in rejected(client):
-        assert not person.after(client.send(goal)).accepted, what
-    assert client.near(dict.fromkeys(JOINTS, 0.0))
-
-
-def test_goals_that_the_arm_cannot_do_are_aborted_with_the_reason(person):
-    client = person.client
-    ended = person.go(client.goal([(0.1, THERE)])).result
-    assert ended.error_code == ENDED.INVALID_GOAL
-    assert "rad/s, expected at most 1" in ended.error_string
-    ended = person.go(client.goal([(9.0, (1.6, *THERE[1:]))])).result
-    assert ended.error_code == ENDED.INVALID_GOAL
-    assert ended.error_string == "joint_1 would be at 1.6000 rad, expected -1.5708 to 1.5708"
+def test_a_goal_for_an_arm_that_is_not_armed_is_aborted_with_the_next_step(person):
     person.enable(False)
-    person.until(lambda: client.resting())
-    ended = person.go(client.goal([(2.0, THERE)])).result
+    person.until(person.client.resting)
+    ended = person.go(person.client.goal([(2.0, THERE)])).result
     assert ended.error_code == ENDED.INVALID_GOAL
     assert "not armed: scripts/fss_arm.sh arm" in ended.error_string
 
 
-def test_tolerances_on_the_way_and_at_the_goal_are_kept(person):
-    client = person.client
-    ended = person.go(client.goal([(2.0, THERE)], path=[("joint_3", 1e-5)]))
-    assert ended.status == GoalStatus.STATUS_ABORTED
-    assert ended.result.error_code == ENDED.PATH_TOLERANCE_VIOLATED
-    assert ended.result.error_string.startswith("joint_3 is off by 0.")
-    person.until(client.resting)
-    ended = person.go(client.goal([(2.0, THERE)], end=[("joint_2", 1e-6)], time=0.3))
-    assert ended.result.error_code == ENDED.GOAL_TOLERANCE_VIOLATED
-    assert ended.result.error_string.startswith("joint_2 is off by 0.")
-    ended = person.go(client.goal([(2.0, HOME)], end=[(j, -1.0) for j in JOINTS]))
-    assert ended.result.error_code == ENDED.SUCCESSFUL
-
-
-def test_a_cancelled_goal_comes_to_rest_and_a_new_one_takes_the_place_of_another(person):
+def test_a_cancelled_goal_comes_to_rest(person):
     client = person.client
     handle = person.after(client.send(client.goal([(4.0, THERE)])))
     person.until(lambda: client.q["joint_1"] > 0.05)
@@ -180,14 +126,6 @@ def test_a_cancelled_goal_comes_to_rest_and_a_new_one_takes_the_place_of_another
     assert ended.status == GoalStatus.STATUS_CANCELED
     person.until(client.resting)
     assert 0.05 < client.q["joint_1"] < 0.2
-    first = person.after(client.send(client.goal([(4.0, THERE)])))
-    person.until(lambda: client.q["joint_1"] > 0.15)
-    second = person.after(client.send(client.goal([(2.0, HOME)])))
-    ended = person.after(first.get_result_async())
-    assert ended.status == GoalStatus.STATUS_ABORTED
-    assert ended.result.error_string == "preempted by a trajectory"
-    ended = person.after(second.get_result_async())
-    assert ended.status == GoalStatus.STATUS_SUCCEEDED
 
 
 def test_the_topic_of_the_controller_moves_the_arm(person):

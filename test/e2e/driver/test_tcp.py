@@ -1,4 +1,4 @@
-"""A link on TCP, the firmware's or the test bed's: connections cut, silent, too many."""
+"""A link on TCP, with its firmware: connections cut, silent, too many."""
 
 import socket
 import subprocess
@@ -9,39 +9,30 @@ from threading import Thread
 
 import pytest
 from firmware import build
-from rclpy.node import Node
 from running import free_port
-from sensor_msgs.msg import JointState
+from turn_person import TurnPerson
 
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_msgs.msg import LinkCommand
-from fss_arm_ros.qos import COMMAND, subscribe_sensor
 from fss_link.transport import readable
 
-LOST, STOPPED = 3.0, 4.0  # [s]
+LOST = 3.0  # [s]
 
 
-@pytest.fixture(params=["fss_link", "testbed"])
-def port(request, start) -> Iterator[int]:
+@pytest.fixture
+def port() -> Iterator[int]:
     """Where link 1 listens."""
     port = free_port()
-    if request.param == "testbed":
-        ports = [port, free_port(), free_port(), free_port()]
-        start("fss_sim.testbed_node", "--ros-args", "-p", "transports:=[tcp]", "-p",
-              f"ports:={ports}")  # fmt: skip
+    with subprocess.Popen([build("fss_link"), "--link", "1", "--tcp", str(port)]) as link:
         yield port
-    else:
-        with subprocess.Popen([build("fss_link"), "--link", "1", "--tcp", str(port)]) as link:
-            yield port
-            link.kill()
+        link.kill()
 
 
 class Cable(Thread):
-    """Passes on what comes at its port. Tugged, it hangs up once; cut, on whoever connects."""
+    """Passes on what comes at its port. Tugged, it hangs up once."""
 
     def __init__(self, to: int) -> None:
         super().__init__(daemon=True)
-        self.to, self.tug, self.cut, self.closing = to, False, False, False
+        self.to, self.tug, self.closing = to, False, False
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.port = self.listener.getsockname()[1]
         self.pairs: dict[socket.socket, socket.socket] = {}
@@ -54,7 +45,7 @@ class Cable(Thread):
                     self.join_ends(line.accept()[0])
                 elif line in self.pairs:
                     self.pass_on(line)
-            if self.cut or self.tug:
+            if self.tug:
                 self.hang_up()
                 self.tug = False
         self.hang_up()
@@ -85,29 +76,6 @@ class Cable(Thread):
         self.join()
 
 
-class Person(Node):
-    """Turns the link, and sees it."""
-
-    def __init__(self) -> None:
-        super().__init__("person")
-        self.joint: JointState | None = None
-        self.commanded = 0.0
-        subscribe_sensor(self, JointState, "joint_states", self.see)
-        self.commands = self.create_publisher(LinkCommand, "link_1/command", COMMAND)
-
-    def see(self, joint: JointState) -> None:
-        self.joint = joint
-
-    def turning(self) -> bool:
-        """Whether it does; told now and again to, slowly."""
-        if time.monotonic() > self.commanded + 0.2:
-            self.commanded = time.monotonic()
-            command = LinkCommand(mode=LinkCommand.POSITION, set_point=1.5, max_velocity=0.1)
-            command.time_to_live = 60.0
-            self.commands.publish(command)
-        return self.joint is not None and self.joint.velocity[0] > 0.05
-
-
 @pytest.fixture
 def cable(port: int) -> Iterator[Cable]:
     with closing(Cable(port)) as made:
@@ -115,14 +83,14 @@ def cable(port: int) -> Iterator[Cable]:
 
 
 @pytest.fixture
-def link(spin, port: int, cable: Cable) -> tuple[LinkNode, Person]:
+def link(spin, port: int, cable: Cable) -> tuple[LinkNode, TurnPerson]:
     """A driver at the other end of the cable, its link armed and turning."""
-    made, person = LinkNode(1, f"tcp://127.0.0.1:{cable.port}"), Person()
+    made, person = LinkNode(1, f"tcp://127.0.0.1:{cable.port}"), TurnPerson(0.1)
     arm(spin, made, person)
     return made, person
 
 
-def arm(spin, link: LinkNode, person: Person) -> None:
+def arm(spin, link: LinkNode, person: TurnPerson) -> None:
     spin([link, person], lambda: not link.session.obstacle(link.now()), 20.0)
     link.session.arm(link.now())
     spin([link, person], lambda: link.session.armed)
@@ -162,31 +130,3 @@ def test_a_connection_that_is_cut_and_comes_again_at_once_stops_nothing(spin, ca
         assert link[0].session.armed
         assert link[1].turning()
     assert link[0].transport.counts["connects"] >= connects + 2
-
-
-def test_one_that_is_cut_for_long_stops_the_link_by_its_watchdog(spin, cable, link):
-    link_node, person = link
-    cable.cut = True
-    spin(link, passed(STOPPED))
-    assert link_node.session.lost
-    cable.cut = False
-    before = person.joint
-    spin(link, lambda: not link_node.session.obstacle(link_node.now()) and person.joint != before)
-    assert not link_node.session.armed
-    assert abs(person.joint.velocity[0]) < 1e-3
-    assert person.joint.position[0] < 0.6  # of the 1.5 that were commanded
-    arm(spin, link_node, person)
-
-
-def test_a_link_whose_process_starts_again_is_found_again(spin):
-    port = free_port()
-    begin = [build("fss_link"), "--link", "1", "--tcp", str(port)]
-    first = subprocess.Popen(begin)
-    link, person = LinkNode(1, f"tcp://127.0.0.1:{port}"), Person()
-    arm(spin, link, person)
-    first.kill()
-    first.wait()
-    spin([link, person], lambda: link.session.lost)
-    with subprocess.Popen(begin) as second:
-        arm(spin, link, person)
-        second.kill()

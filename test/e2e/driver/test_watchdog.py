@@ -1,6 +1,5 @@
 """The driver's node and the firmware's own code: a link left alone stops; one driver has it."""
 
-import json
 import signal
 import subprocess
 import time
@@ -9,19 +8,16 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from firmware import build
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from running import free_port, wait_until
-from sensor_msgs.msg import JointState
+from running import free_port
 from std_srvs.srv import SetBool
+from turn_person import TurnPerson
 
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import State, Telemetry, decode
 from fss_arm_driver.transport import open_transport
-from fss_arm_msgs.msg import LinkCommand
-from fss_arm_ros.qos import COMMAND, subscribe_sensor
 from fss_link.host_clock import HostClock
 
 KEY = bytes(range(16))
@@ -30,31 +26,17 @@ slow = partial(pytest.param, marks=pytest.mark.slow)
 
 
 @pytest.fixture
-def keys(tmp_path: Path) -> Path:
-    path = tmp_path / "keys"
-    path.touch(0o600)
-    path.write_text(f"1 {KEY.hex()}\n")
-    return path
+def keys(keys_file) -> Path:
+    return keys_file({1: KEY})
 
 
 @pytest.fixture
-def url(request, keys, start, tmp_path) -> Iterator[str]:
+def url(request, keys, start) -> Iterator[str]:
     """Where the firmware, as a process, is, or a link of the test bed."""
-    if request.param.startswith("testbed"):
-        kind, port = request.param.split()[1], free_port()
-        device = str(tmp_path / "link_1")
-        ways = {
-            "ports": [port, *(free_port() for _ in range(3))],
-            "keys": keys,
-            "transports": [kind, "udp", "udp", "udp"],
-            "terminals": [device, "", "", ""],
-        }
-        given = [f"{name}:={json.dumps(way, default=str)}" for name, way in ways.items()]
-        start("fss_sim.testbed_node", "--ros-args", *(x for one in given for x in ("-p", one)))
-        forms = {"udp": f"udp://127.0.0.1:{port}?bind={free_port()}",
-                 "tcp": f"tcp://127.0.0.1:{port}", "serial": f"serial://{device}"}  # fmt: skip
-        wait_until(lambda: kind != "serial" or Path(device).exists(), 20.0, lambda: None)
-        yield forms[kind]
+    if request.param == "testbed":
+        ports = [free_port() for _ in range(4)]
+        start("fss_sim.testbed_node", "--ros-args", "-p", f"ports:={ports}", "-p", f"keys:={keys}")
+        yield f"udp://127.0.0.1:{ports[0]}?bind={free_port()}"
         return
     command = [build("fss_link"), "--link", "1", *request.param.split(), "--keys", str(keys)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as link:
@@ -64,44 +46,6 @@ def url(request, keys, start, tmp_path) -> Iterator[str]:
                  "tcp": f"tcp://127.0.0.1:{place}", "serial": f"serial://{place}"}  # fmt: skip
         yield forms[told.split()[3]]
         link.kill()
-
-
-class Person(Node):
-    """Arms a link, turns it, and sees its joint."""
-
-    def __init__(self):
-        super().__init__("person")
-        self.joint, self.positions, self.health = None, [], {}
-        self.commanded = 0.0
-        subscribe_sensor(self, JointState, "joint_states", self.see)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self.look, 10)
-        self.arming = self.create_client(SetBool, "link_1/arm")
-        self.commands = self.create_publisher(LinkCommand, "link_1/command", COMMAND)
-
-    def see(self, joint):
-        self.joint = joint
-        self.positions.append(joint.position[0])
-
-    def look(self, diagnostics):
-        status = diagnostics.status[0]
-        self.health[status.hardware_id] = status
-
-    def turn(self):
-        """To the end of the range, slowly; in force for longer than that takes.
-
-        Now and again: a driver that sends much takes no notice of a few refused datagrams.
-        """
-        if time.monotonic() < self.commanded + 0.2:
-            return
-        self.commanded = time.monotonic()
-        command = LinkCommand(mode=LinkCommand.POSITION, set_point=1.5)
-        command.max_velocity, command.time_to_live = 0.2, 60.0
-        self.commands.publish(command)
-
-    def turning(self):
-        """Whether it does."""
-        self.turn()
-        return self.joint.velocity[0] > 0.15
 
 
 def arguments(url, keys):
@@ -120,12 +64,12 @@ def begin(spin, nodes, person):
 
 @pytest.mark.parametrize(
     "url",
-    ["--udp 0", "--tcp 0", "--pty", "testbed udp", *map(slow, ("testbed tcp", "testbed serial"))],
+    ["--udp 0", "--tcp 0", "--pty", "testbed"],
     indirect=True,
 )
 def test_a_link_whose_driver_was_killed_stops_within_the_watchdog_time(spin, start, url, keys):
     driver = start(*arguments(url, keys))
-    person = Person()
+    person = TurnPerson()
     begin(spin, [person], person)
     driver.stop(signal.SIGKILL)
 
@@ -152,7 +96,7 @@ def test_a_link_whose_driver_was_killed_stops_within_the_watchdog_time(spin, sta
 @pytest.mark.parametrize("url", ["--udp 0", *map(slow, ("--tcp 0", "--pty"))], indirect=True)
 def test_a_driver_that_was_stopped_and_goes_on_moves_nothing(spin, start, url, keys):
     driver = start(*arguments(url, keys))
-    person = Person()
+    person = TurnPerson()
     begin(spin, [person], person)
     driver.process.send_signal(signal.SIGSTOP)
     until = time.monotonic() + 5.0
@@ -176,7 +120,7 @@ def test_a_driver_that_was_stopped_and_goes_on_moves_nothing(spin, start, url, k
 )  # fmt: skip
 def test_a_driver_that_starts_again_with_another_time_has_its_link_in_5_s(spin, url, keys, step):
     parameters = [Parameter("keys", value=str(keys))]
-    first, person = LinkNode(1, url, parameter_overrides=parameters), Person()
+    first, person = LinkNode(1, url, parameter_overrides=parameters), TurnPerson()
     begin(spin, [first, person], person)
     first.close()
     person.joint = None
@@ -189,7 +133,7 @@ def test_a_driver_that_starts_again_with_another_time_has_its_link_in_5_s(spin, 
 
 @pytest.mark.parametrize("url", ["--udp 0"], indirect=True)
 def test_two_drivers_of_a_link_do_not_share_it_and_both_say_so(spin, start, url, keys):
-    first, person = start(*arguments(url, keys)), Person()
+    first, person = start(*arguments(url, keys)), TurnPerson()
     begin(spin, [person], person)
     other = f"{url.partition('=')[0]}={free_port()}"
     start(*arguments(other, keys), "-r", "__ns:=/other")

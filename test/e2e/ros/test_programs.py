@@ -1,6 +1,5 @@
 """Recorder, replay and doctor as processes: killed, out of disk, started again."""
 
-import resource
 import signal
 from collections import Counter
 from functools import partial
@@ -13,7 +12,6 @@ from rclpy.node import Node
 from ros_bags import joint_state, make_bag, number
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import ByteMultiArray
 
 from fss_arm_bags.inspection import is_sound
 from fss_arm_bags.reader import find_bags, open_bags
@@ -127,8 +125,7 @@ def test_a_recorder_that_stands_still_for_a_while_loses_nothing(spin, start, tmp
     assert poses[-1] - poses[0] > 17 * SECOND
 
 
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
-def test_a_recorder_that_is_told_to_stop_leaves_a_whole_bag(spin, start, tmp_path, how):
+def test_a_recorder_that_is_told_to_stop_leaves_a_whole_bag(spin, start, tmp_path):
     node = Node("source")
     out = node.create_publisher(JointState, "joint_states", SENSOR)
     record = start("fss_arm_bags.record_node", "--ros-args", "-p", f"output:={tmp_path / 'bags'}")
@@ -136,41 +133,8 @@ def test_a_recorder_that_is_told_to_stop_leaves_a_whole_bag(spin, start, tmp_pat
     for k in range(100):
         out.publish(joint_state(k))
     assert out.wait_for_all_acked()
-    assert record.stop(how) == 0, record.output
+    assert record.stop() == 0, record.output
     assert all(map(is_sound, find_bags(tmp_path / "bags")))
-
-
-def test_a_recorder_that_the_disk_refuses_says_so_and_keeps_what_it_has(spin, start, tmp_path):
-    node = Node("source")
-    out = node.create_publisher(ByteMultiArray, "bulk", SENSOR)
-    message = ByteMultiArray(data=[b"x"] * 1000)
-    record = start(
-        "fss_arm_bags.record_node",
-        "--ros-args",
-        "-p",
-        f"output:={tmp_path / 'bags'}",
-        "-p",
-        "topics:=[bulk]",
-    )
-    spin(node, out.get_subscription_count, 20.0)
-    # Files of that process end here, as they do at the end of a disk.
-    resource.prlimit(record.process.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
-    node.create_timer(0.005, lambda: out.publish(message))
-    spin(node, lambda: "File too large" in record.output, 20.0)
-    assert record.process.poll() is None
-    assert record.stop() == 1, record.output
-    assert "Traceback" not in record.output
-    with open_bags(tmp_path / "bags") as bags:
-        assert 0 < bags.topics["/bulk"].messages <= 100
-
-
-@pytest.mark.parametrize("module", ["record_node", "replay_node", "doctor.command"])
-def test_help_fits_a_screen(start, module):
-    program = start(f"fss_arm_bags.{module}", "--help")
-    assert program.wait() == 0
-    lines = program.output.splitlines()
-    assert 3 < len(lines) <= 40
-    assert max(map(len, lines)) <= 100
 
 
 @pytest.mark.parametrize(
@@ -215,29 +179,3 @@ def played(told, diagnostics):
     for status in diagnostics.status:
         if status.name == "/replay":
             told[0] = int({v.key: v.value for v in status.values}["played"])
-
-
-def test_replay_holds_on_request_and_ends_when_told(start, spin, tmp_path):
-    bag = make_bag(tmp_path / "bags", 10)
-    player = start(
-        "fss_arm_bags.replay_node",
-        bag,
-        "--hold",
-        "--ros-args",
-        "-p",
-        "rate:=0",
-        "-p",
-        "discovery:=0",
-    )
-    node = Node("late")
-    spin(node, lambda: "holding" in player.output, 20.0)
-    assert player.stop() == 0
-
-
-def test_the_recorder_loads_no_kernels(start):
-    import subprocess
-    import sys
-
-    code = "import sys, fss_arm_bags.record_node; print({'numba', 'scipy'} & sys.modules.keys())"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout.strip() == "set()"

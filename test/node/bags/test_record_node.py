@@ -134,26 +134,6 @@ def test_simulated_time_is_the_time_of_receipt(spin, tmp_path):
     assert sorted(recorded) == [("/data", 100 * 10**9, 2), ("/latched", 100 * 10**9, 3)]
 
 
-def test_an_early_latched_message_is_recorded_with_the_first_clock(spin, tmp_path):
-    node = Node("source")
-    latched = node.create_publisher(Int64, "latched", LATCHED)
-    clock = node.create_publisher(Clock, "/clock", 1)
-    latched.publish(Int64(data=3))
-    record = recorder(tmp_path, use_sim_time=True, topics=["latched"])
-    spin([node, record], lambda: record.early_messages)
-    now = Clock()
-    now.clock.sec = 100
-
-    def latched_is_recorded():
-        clock.publish(now)
-        return record.counts["/latched"]
-
-    spin([node, record], latched_is_recorded)
-    record.close()
-    with open_bags(tmp_path) as bags:
-        assert [(t, m.data) for _, _, t, m in bags.messages()] == [(100 * 10**9, 3)]
-
-
 def test_a_missing_type_is_reported_once(spin, tmp_path, monkeypatch):
     from fss_arm_bags import record_node
     from fss_arm_bags.definitions import NotInstalledError

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty, String
+from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
 
@@ -23,12 +23,8 @@ from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import State
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
-from fss_arm_model.urdf import urdf
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand
-from fss_arm_ros.qos import LATCHED
-
-EXTREMES = (float("nan"), float("inf"), float("-inf"), 1e18, -1e18)
 
 
 def overrides(**parameters):
@@ -122,39 +118,19 @@ def test_too_short_a_duration_becomes_what_the_limits_allow_and_is_said(bench, m
     assert said[-1] == f"a move takes {lasts:.2f} s: its limits do not allow 0.1 s"
 
 
-def test_a_longer_duration_is_kept(bench):
-    bench.enable()
-    begun = bench.arm.links.now()
-    assert bench.move(0.2, 0.1, duration=1.5).result.reached
-    assert 1e-9 * (bench.arm.links.now() - begun) > 0.7  # the fake links need no time to accelerate
-
-
-@pytest.mark.parametrize(
-    ("q", "options", "words"),
-    [
-        ((0.1,), {}, "q has 1 joints, expected 2"),
-        (
-            (0.1, 2.0), {},
-            "q of joint 2 is 2 rad, which is 114.592 deg; expected -90 to 90 deg",
-        ),
-        ((float("nan"), 0.0), {}, "q of joint 1 is nan"),
-        ((0.1, 0.1), {"duration": -1.0}, "duration is -1.0 s, expected 0 to 3600"),
-        ((0.1, 0.1), {"keep_alive": -1.0}, "keep_alive is -1.0 s, expected 0 to 3600"),
-        ((0.1, 0.1), {"keep_alive": 5e-324}, "keep_alive is 5e-324 s, expected 0 or 0.05 or more"),
-        ((), {}, "q has 0 joints, expected 2"),
-        ((0.0,) * 1_000_000, {}, "q has 1000000 joints, expected 2"),
-        *(((0.1, value), {}, f"q of joint 2 is {value:.6g} rad") for value in EXTREMES),
-        *(((0.1, 0.1), {"duration": value}, f"duration is {value} s") for value in EXTREMES),
-        *(((0.1, 0.1), {"keep_alive": value}, f"keep_alive is {value} s") for value in EXTREMES),
-    ],
-)  # fmt: skip
-def test_moves_that_make_no_sense_are_rejected(bench, monkeypatch, q, options, words):
+def test_moves_that_make_no_sense_are_rejected(bench, monkeypatch):
     said = []
     monkeypatch.setattr(bench.arm.get_logger(), "warning", said.append)
     bench.enable()
-    assert not bench.send_goal(*q, **options).accepted
+    for q, options, words in (
+        ((0.1, 2.0), {}, "q of joint 2 is 2 rad, which is 114.592 deg; expected -90 to 90 deg"),
+        ((0.1, 0.1), {"duration": -1.0}, "duration is -1.0 s, expected 0 to 3600"),
+        ((0.1, 0.1), {"keep_alive": -1.0}, "keep_alive is -1.0 s, expected 0 to 3600"),
+        ((0.0,) * 1_000_000, {}, "q has 1000000 joints, expected 2"),
+    ):
+        assert not bench.send_goal(*q, **options).accepted
+        assert any(line.startswith(f"move rejected: {words}") for line in said)
     assert not any(transport.link.speed for transport in bench.transports)
-    assert [line for line in said if line.startswith(f"move rejected: {words}")]
 
 
 def test_a_disarmed_arm_does_not_move_and_says_once_what_to_do(bench, monkeypatch):
@@ -235,19 +211,6 @@ def test_without_drivers_arming_says_whose_are_missing(spin):
     answer = armer.call_async(SetBool.Request(data=True))
     spin([arm, user], answer.done)
     assert answer.result().message == "; ".join(f"link {i} did not answer" for i in (1, 2, 3, 4))
-
-
-def test_who_comes_late_gets_the_arms_description(spin):
-    arm, user, heard = ArmNode(), Node("user"), []
-    user.create_subscription(String, "robot_description", heard.append, LATCHED)
-    spin([arm, user], lambda: heard)
-    assert heard[0].data == urdf(paper_arm())
-
-
-def test_settings_are_checked(start):
-    program = start("fss_arm_driver.arm_node", "--ros-args", "-p", "tolerance:=0.0")
-    assert program.wait() == 1
-    assert program.output.strip().endswith("tolerance is 0.0 rad, expected a positive number")
 
 
 @pytest.mark.parametrize("kind", [ClockType.STEADY_TIME, ClockType.ROS_TIME])

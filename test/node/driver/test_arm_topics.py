@@ -4,7 +4,7 @@ import re
 import time
 from array import array
 from dataclasses import replace
-from math import atan2, cos, inf, nan, sin
+from math import atan2, cos, nan, sin
 from threading import Event
 
 import numpy as np
@@ -268,28 +268,9 @@ def test_what_is_refused_moves_nothing_and_is_counted(bench):
     bench.until(lambda: bench.links.taken)
 
 
-@pytest.mark.parametrize("field", ["position", "velocity", "effort"])
-def test_extreme_numbers_in_a_stream_move_nothing(bench, field):
-    """Each command is refused, by the rule of its type or by the stream, before the next one."""
-
-    def refusals():
-        stream = bench.arm.streams.stream
-        return stream.refused.total() + sum(each.refused for each in validators(bench.arm))
-
-    rows = [(value,) * 4 for value in (nan, inf, -inf, 1e18, -1e18)]
-    for values in (*rows, (), (0.0,) * 3):
-        before = refusals()
-        bench.client.command(**{field: values})
-        bench.until(lambda b=before: refusals() > b)
-    assert not bench.links.taken
-    bench.client.command(**{field: (5e-324,) * 4})  # no different from 0
-    bench.until(lambda: bench.links.taken)
-
-
-@pytest.mark.parametrize("field", ["position", "velocity", "effort"])
-def test_a_stream_of_a_million_numbers_is_refused_unread(bench, field):
+def test_a_stream_of_a_million_numbers_is_refused_unread(bench):
     (validator,) = [v for v in validators(bench.arm) if v.topic == "arm/joint_commands"]
-    message = JointState(name=list(JOINTS), **{field: array("d", bytes(8_000_000))})
+    message = JointState(name=list(JOINTS), position=array("d", bytes(8_000_000)))
     bench.client.stream.publish(message)
     bench.until(lambda: validator.refused)
     assert re.fullmatch(r"it has 80\d{5} bytes, expected at most 65536", validator.reason)

@@ -10,11 +10,11 @@ implementation.
 import random
 from dataclasses import replace
 from math import pi, sin
-from pathlib import Path
 
 import pytest
 from driver_frames import with_crc
 from driver_link import SECOND, FakeLink
+from running import memory
 
 from fss_arm_driver.messages import SampleMessages
 from fss_arm_driver.protocol import decode, encode
@@ -80,11 +80,6 @@ class Judge:
         assert abs(sample.position - position) <= reach
         assert abs(sample.velocity) <= 3.0
         assert abs(sample.position) <= 1.5 * pi
-
-
-def memory():
-    """Resident memory [bytes]."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
 
 
 @pytest.mark.parametrize("datagrams", [30_000, pytest.param(1_000_000, marks=pytest.mark.slow)])

@@ -126,10 +126,6 @@ def test_defaults_tell_vehicles_apart(ros, namespace, topic, prefix):
     node.destroy_node()
 
 
-def test_setting_error_is_a_value_error():
-    assert issubclass(SettingError, ValueError)
-
-
 @pytest.mark.parametrize(
     ("args", "code", "said"),
     [

@@ -1,9 +1,11 @@
 """Behavior of the base's board: table of states, limits, exact times."""
 
+import random
 from dataclasses import replace
 
 import pytest
 from base_board import BOOT, GO, KEY, QUIET, SECOND, STOP, board, numbered, opens
+from driver_frames import sealed
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,14 +14,15 @@ from fss_base_driver.protocol import (
     BaseCommandFlag,
     BaseSlow,
     BaseState,
+    BoardState,
     Gripper,
     GripperFlag,
     Limits,
     Measured,
+    board_gate,
     decode,
     encode,
 )
-from fss_link.protocol import Refused
 
 MS = 1000
 ARM = replace(GO, pulse=0, on_times=VALVES * (0,), expiry=1 << 63)
@@ -179,48 +182,6 @@ def test_the_gripper_stays_as_it_is_but_for_an_order_that_arms(commands, expecte
     assert board(*numbered([QUIET, *commands])).gripper is expected
 
 
-REFUSED = [
-    (replace(GO, sequence=2), Refused.SEQUENCE),
-    (replace(GO, sequence=1), Refused.SEQUENCE),
-    (replace(GO, sequence=0xFFFFFFF0), Refused.SEQUENCE),
-    (replace(GO, sequence=3, boot=BOOT + 1), Refused.BOOT),
-    (replace(GO, sequence=3, expiry=SECOND - 1), Refused.EXPIRED),
-]
-
-
-@pytest.mark.parametrize(("command", "reason"), REFUSED)
-def test_it_refuses_and_changes_nothing(command, reason):
-    state = board(QUIET, ARM)
-    assert not send_command(state, replace(command, pulse=9))
-    assert state.gate.refused == {reason: 1}
-    assert (state.valves(), state.pulse) == (0, 0)
-
-
-def test_it_refuses_what_is_no_command():
-    state = board()
-    own = state.telemetry(SECOND, 0, Measured())
-    assert not state.receive(encode(own), SECOND)
-    assert not state.receive(encode(QUIET)[:-1], SECOND)
-    assert state.gate.refused == {Refused.OTHER: 1, Refused.FRAME: 1}
-
-
-def test_a_stop_is_obeyed_whatever_its_boot_and_sequence():
-    state = board(QUIET, GO)
-    assert send_command(state, replace(STOP, sequence=0, boot=BOOT + 5))
-    assert (state.flags(), state.valves()) == (BaseState.STOPPED, 0)
-
-
-def test_with_a_key_each_command_is_taken_once_and_only_if_signed():
-    state = board(key=KEY)
-    commands = numbered([QUIET, GO, STOP])
-    for command in commands:
-        assert not state.receive(encode(command), SECOND)
-        assert state.receive(encode(command, KEY), SECOND)
-    for command in commands:
-        assert not state.receive(encode(command, KEY), SECOND)
-    assert state.flags() == BaseState.STOPPED
-
-
 def test_telemetry_says_all():
     state = board(QUIET, replace(opens((10, 20, *6 * (0,)), 9), gripper=Gripper.CLOSE))
     measured = Measured((1 << 32) + 5, (1 << 16) + 6, closed=True, holds=True,
@@ -293,3 +254,62 @@ def test_no_valve_is_open_unarmed_or_beyond_its_limits(history, ticks):
         most = TIGHT.allowance + TIGHT.duty / 100 * (clock - SECOND)
         assert max(state.opened) <= most + 1
         assert max(state.remaining()) <= TIGHT.longest
+
+
+# --- whatever comes ------------------------------------------------------------------------------
+
+
+def mutated(rng, pool, key):
+    """Noise, a damaged frame, or one whose fields are anything, signed with the key."""
+    kind = rng.random()
+    if kind < 0.1:
+        return rng.randbytes(rng.choice((0, 5, 71, 72, 72, 73, 200)))
+    data = bytearray(rng.choice(pool))
+    for _ in range(rng.randint(1, 3)):
+        data[rng.randrange(72)] = rng.randrange(256)
+    if kind < 0.3:
+        return bytes(data)
+    if kind < 0.5:
+        data[4:52] = b"\0" + rng.randbytes(47)
+    data[0:4] = b"\x53\x46\x02" + bytes([rng.choice((4, 5, 5, 5))])
+    data[4] = 0
+    return sealed(bytes(data), key)
+
+
+def following(state, order, clock):
+    """The order as the next of a driver whom the board has heard all the time."""
+    gate = state.gate
+    return replace(
+        order,
+        sequence=(gate._newest + 1) & 0xFFFFFFFF,
+        clock=min(gate._latest + 1, (1 << 64) - 1),
+        expiry=clock + 500_000 if order.flags else 0,
+    )
+
+
+@pytest.mark.parametrize("inputs", [30_000, pytest.param(5_000_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("key", [None, KEY])
+def test_whatever_comes_no_valve_is_open_unarmed_and_nothing_is_raised(inputs, key):
+    rng, clock, taken, seen = random.Random(7), SECOND, 0, set()
+    for k in range(inputs):
+        clock += rng.choice((0, 3, 100, 5000, 70_000))
+        if k % 1000 == 0:  # one who has the key may have used up the order of stamps
+            state = BoardState(board_gate(BOOT, key))
+            pool = [encode(QUIET, key), encode(STOP, key)]
+        if k % 50 < 2:  # the driver continues in between
+            order = QUIET if k % 250 == 0 else opens([rng.randrange(3000)] * 8, k % 65535 + 1)
+            data = encode(following(state, order, clock), key)
+            pool = [*pool[-8:], data]
+        else:
+            data = mutated(rng, pool, key)
+        armed, opened = state.armed, list(state.opened)
+        took = state.receive(data, clock)
+        taken += took
+        seen.add(state.flags())
+        assert state.armed or not state.valves()
+        assert armed or state.opened == opened  # none was open in the time that has passed
+        if took:
+            frame = state.telemetry(clock, k, Measured())
+            assert decode(encode(frame, key), key) == frame
+    assert taken > inputs // 100
+    assert len(seen) > 3

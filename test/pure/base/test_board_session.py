@@ -5,7 +5,7 @@ from math import inf, nan
 import pytest
 from base_link import SECOND, FakeBoard
 
-from fss_base_driver.protocol import BaseCommandFlag, BaseState, Gripper, decode
+from fss_base_driver.protocol import BaseState, Gripper
 from fss_base_driver.session import BoardSession
 from fss_link.session import Arming, CommandError
 
@@ -65,7 +65,7 @@ def armed(bench):
 
 def test_nothing_is_opened_unarmed(bench):
     for call in (lambda: bench.thrust(0.1), lambda: bench.session.grip(True, bench.now)):
-        with pytest.raises(CommandError, match="the base's board is disarmed, not armed"):
+        with pytest.raises(CommandError, match=r"not armed: scripts/fss_arm\.sh valves arms it"):
             call()
     bench.step()
     assert bench.last_command().flags == 0
@@ -155,33 +155,6 @@ def test_stop_closes_and_latches_until_armed_anew(armed):
     assert armed.board.valves(armed.now) == 0
 
 
-def test_silence_closes_the_valves_within_the_watchdog(armed):
-    armed.thrust(1.0)
-    armed.step()
-    last = armed.board.clock(armed.board.state.gate.arrival)
-    armed.board.state.tick(armed.board.state.gate.arrival + 500_001)
-    assert last is not None
-    assert armed.board.state.flags() == BaseState.WATCHDOG
-    assert armed.board.state.valves() == 0
-    assert armed.board.state.opened[0] <= 500_001
-    armed.now += SECOND
-    armed.step()  # it detects the stall, and that the board has disarmed itself
-    assert armed.session.arming is Arming.DISARMED
-    assert "was stalled" in armed.session.stall
-
-
-def test_a_lost_board_is_disarmed_when_it_is_heard_again(armed):
-    armed.thrust(0.5)
-    for _ in range(21):
-        armed.step(up=False)
-    assert armed.session.lost
-    assert not armed.session.armed
-    for _ in range(3):
-        armed.step()
-    assert not armed.session.lost
-    assert armed.last_command().flags == 0
-
-
 def test_a_new_driver_counts_on_from_the_boards_pulse(armed):
     armed.thrust(0.1)
     armed.step()
@@ -238,15 +211,3 @@ def test_a_disarm_is_released_once_the_valves_are_closed(armed):
     armed.step()
     armed.step()
     assert armed.session.released
-
-
-def test_signed_frames_work_and_others_are_refused():
-    key = bytes(range(16))
-    bench = Bench(key=key)
-    for _ in range(4):
-        bench.step()
-    bench.arm()
-    unsigned = FakeBoard(7, bench.board.born)
-    assert bench.session.feed(unsigned.telemetry(bench.now), bench.now) is None
-    assert bench.session.counts["signature"] == 1
-    assert decode(bench.session.command(bench.now), key).flags == BaseCommandFlag.ARM

@@ -207,36 +207,6 @@ def test_pieces_of_a_path_made_of_what_was_heard_change_nothing(name):
     assert world.link.paths.following
 
 
-ON_FORGED_PIECES = {
-    "elsewhere": (Refused.CONTRADICTION, {"position": 9000}),
-    "ends elsewhere": (Refused.CONTRADICTION, {"end_position": -9000}),
-    "faster": (Refused.CONTRADICTION, {"end_velocity": 90_000}),
-    "longer": (Refused.CONTRADICTION, {"duration": 2_500_000}),
-    "the last": (Refused.CONTRADICTION, {"flags": 1, "end_velocity": 0}),
-    "of the past": (Refused.TIME, {"begin": 1}),
-    "at once": (Refused.CONTRADICTION, {"begin": 14_000_000}),
-    "far ahead": (Refused.TIME, {"begin": 1 << 60}),
-    "no room": (Refused.INDEX, {"index": 40}),
-    "over": (Refused.INDEX, {"index": 0}),
-    "an older path": (Refused.PATH, {"path": 6}),
-    "a far older path": (Refused.PATH, {"path": 7 - 32767}),
-    "another start": (Refused.BOOT, {"boot": 4}),
-    "another link": (Refused.OTHER, {"link": 2}),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ON_FORGED_PIECES)
-def test_forged_pieces_that_do_not_fit_are_refused_by_a_link_without_a_key(name):
-    world = World(key=None).following()
-    why, changes = ON_FORGED_PIECES[name]
-    held = next(d for p in world.pieces if (d := decode(p)).path == 7 and d.end > world.clock())
-    before = state(world)
-    changes = {k: v & 0xFFFF if k == "path" else v for k, v in changes.items()}
-    assert not world.link.receive(encode(replace(held, **changes)), world.clock())
-    assert world.link.gate.refused == {why: 1}
-    assert state(world) == before
-
-
 @pytest.mark.parametrize("key", [KEY, None])
 def test_pieces_of_a_path_from_before_are_refused_after_a_disarm(key):
     world = World(key=key).following()

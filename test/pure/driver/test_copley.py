@@ -14,13 +14,9 @@ from fss_arm_driver.copley.language import (
     Error,
     LineError,
     Ok,
-    Trajectory,
     Value,
     Variable,
-    get_variable,
     parse,
-    set_variable,
-    trajectory,
 )
 from fss_arm_driver.copley.link import DriveLink
 from fss_arm_driver.protocol import (
@@ -34,7 +30,6 @@ from fss_arm_driver.protocol import (
     decode,
     encode,
 )
-from fss_arm_driver.scale import HOME
 from fss_arm_driver.session import LinkSession
 from fss_arm_driver.transport import open_transport
 from fss_arm_model.description import paper_arm
@@ -46,26 +41,6 @@ MEANT = (1, 3, 4, 5, 9, 10, 11, 14, 15, 16, 18, 19, 20, 21, 22, 25, 27, 31, 32, 
 
 
 # --- the language ---
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        (set_variable(Variable.PROFILE_TYPE, 0), b"s r0xc8 0\r"),
-        (set_variable(Variable.TARGET, 40000), b"s r0xca 40000\r"),
-        (set_variable(Variable.PROFILE_VELOCITY, 70000), b"s r0xcb 70000\r"),
-        (set_variable(Variable.DESIRED_STATE, 21), b"s r0x24 21\r"),
-        (set_variable(Variable.TARGET, -1), b"s r0xca -1\r"),
-        (get_variable(Variable.POSITION), b"g r0x32\r"),
-        (get_variable(Variable.STATUS), b"g r0xa0\r"),
-        (get_variable(Variable.COMMANDED_CURRENT), b"g r0x02\r"),
-        (trajectory(Trajectory.ABORT), b"t 0\r"),
-        (trajectory(Trajectory.START), b"t 1\r"),
-        (trajectory(Trajectory.HOME), b"t 2\r"),
-    ],
-)
-def test_lines_to_the_drive_are_the_guides(line, said):
-    assert line == said
 
 
 @pytest.mark.parametrize(
@@ -172,7 +147,7 @@ def test_each_mode_is_entered_from_rest_and_left_with_a_brake(bench):
     assert bench.demand(Goal.VELOCITY, 5000, 0, 200) == [
         "s r0x36 2", "s r0x37 2", "s r0x2f 5000", "s r0x24 11",
     ]  # fmt: skip
-    assert bench.demand(Goal.VELOCITY, 6000) == ["s r0x2f 6000"]
+    assert bench.demand(Goal.VELOCITY, -6000) == ["s r0x2f -6000"]
     assert bench.demand(Goal.CURRENT, 50) == [
         "s r0x37 300", "s r0x2f 0", "s r0x24 11", "s r0x02 50", "s r0x24 1",
     ]  # fmt: skip
@@ -200,13 +175,6 @@ def test_a_refused_order_ends_the_move_before(bench):
     assert bench.demand(Goal.POSITION, 80000, 70000) == ["s r0xc8 0", "t 0"]
     assert (bench.there.held[0x24], bench.there.velocity) == (21, 0)
     assert "error 15" in bench.here.refusal
-
-
-def test_what_the_drive_will_not_do_at_all_is_switched_off(bench):
-    bench.demand(Goal.VELOCITY, 9000)
-    bench.there.error = 15
-    told = bench.demand(Goal.HOLD)
-    assert told == ["s r0x37 300", "s r0x24 0"]
 
 
 def test_a_demand_made_again_while_braking_is_followed(bench):
@@ -408,18 +376,6 @@ def test_a_path_that_ends_early_or_is_stopped_is_held():
         assert not bench.frames[-1].flags & State.FOLLOWING
 
 
-def test_silence_trips_the_watchdog():
-    bench = LinkBench()
-    bench.run(1.0)
-    bench.arm(mode=Mode.VELOCITY, set_point=5000, expiry=100 * SECOND)
-    bench.run(1.5)
-    assert bench.there.velocity == 5000
-    bench.run(1.0)
-    assert bench.there.velocity == 0
-    assert bench.frames[-1].flags & State.WATCHDOG
-    assert not bench.frames[-1].flags & State.ARMED
-
-
 def test_a_fault_disarms_it():
     bench = LinkBench()
     bench.run(1.0)
@@ -615,8 +571,8 @@ def test_a_drive_on_a_port_is_a_link(rig):
 
 def test_a_drive_on_a_port_follows_a_path(rig):
     rig.arm()
-    begin = time.time_ns() + 10**9
-    rig.session.give_path(3, begin, [0.0, 1.5, 3.0], [0.0, 0.4, 0.1], [0.0, 0.1, 0.0],
+    begin = time.time_ns() + 10**9 // 2
+    rig.session.give_path(3, begin, [0.0, 0.8, 1.6], [0.0, 0.2, 0.1], [0.0, 0.1, 0.0],
                           time.time_ns())  # fmt: skip
     rig.set(Mode.PATH, 3)
     for data in rig.session.segments(time.time_ns()):
@@ -625,7 +581,7 @@ def test_a_drive_on_a_port_follows_a_path(rig):
     assert rig.session.progress.reason == ""
     assert rig.session.scale.position(rig.peer.drive.position) == pytest.approx(0.1, abs=1e-3)
     orders = [line for line in rig.peer.drive.lines if line.startswith("s r0x2f")]
-    assert len(orders) > 3.0 * 50, len(orders)
+    assert len(orders) > 1.6 * 50, len(orders)
 
 
 def test_the_end_of_the_process_switches_off_a_joint_that_does_not_come_to_rest(rig):
@@ -637,57 +593,38 @@ def test_the_end_of_the_process_switches_off_a_joint_that_does_not_come_to_rest(
     assert rig.peer.drive.held[0x24] == 0
 
 
-def test_unplugged_and_plugged_in_again_it_is_found_and_disarmed(rig):
-    rig.arm()
+def pulled(rig, patch):
     rig.end.unplug()
-    rig.until(lambda: rig.session.lost)
     rig.until(lambda: "cannot use the port" in rig.transport.problem)
     rig.end.replug()
-    rig.until(lambda: not rig.session.lost)
-    assert not rig.session.armed
+
+
+def pulled_again_at_once(rig, patch):
+    pulled(rig, patch)
+    gone_while_it_is_set_up(rig, patch)
+
+
+def gone_while_it_is_set_up(rig, patch):
+    rig.peer.drive.switch_on()  # so its rate is raised again
+    patch.setattr(termios, "tcsetattr", go_in_mid_open)
+    said = "cannot use the port: Input/output error"
+    rig.until(lambda: rig.transport.problem == said)
+
+
+def broken(rig, patch):
+    patch.setattr(DriveLink, "poll", lambda *_: {}["nothing"])
+    said = "cannot use the port: KeyError('nothing')"
+    rig.until(lambda: rig.transport.problem == said)
+
+
+@pytest.mark.parametrize("trouble", [pulled, pulled_again_at_once, gone_while_it_is_set_up, broken])
+def test_whatever_goes_wrong_on_the_way_is_said_and_tried_again(rig, monkeypatch, trouble):
+    rig.arm()
+    with monkeypatch.context() as patch:
+        trouble(rig, patch)
+    rig.until(lambda: not rig.session.armed)
+    rig.until(lambda: not rig.session.lost and not rig.transport.problem)
     rig.until(lambda: rig.peer.drive.held[0x24] == 0)
-    rig.arm()
-
-
-@pytest.mark.parametrize("pulled", [True, False])
-def test_an_adapter_that_goes_while_it_is_set_up_is_found_again(rig, monkeypatch, pulled):
-    rig.arm()
-    if pulled:
-        rig.end.unplug()
-        rig.until(lambda: "cannot use the port" in rig.transport.problem)
-        rig.end.replug()
-    else:
-        rig.peer.drive.switch_on()  # so its rate is raised again
-    with monkeypatch.context() as patch:
-        patch.setattr(termios, "tcsetattr", go_in_mid_open)
-        said = "cannot use the port: Input/output error"
-        rig.until(lambda: rig.transport.problem == said)
-    rig.until(lambda: not rig.session.armed)
-    rig.until(lambda: not rig.session.lost and not rig.transport.problem)
-
-
-def test_whatever_goes_wrong_on_the_way_is_said_and_tried_again(rig, monkeypatch):
-    rig.arm()
-    with monkeypatch.context() as patch:
-        patch.setattr(DriveLink, "poll", lambda *_: {}["nothing"])
-        said = "cannot use the port: KeyError('nothing')"
-        rig.until(lambda: rig.transport.problem == said)
-    rig.until(lambda: not rig.session.armed)
-    rig.until(lambda: not rig.session.lost and not rig.transport.problem)
-
-
-def test_power_cycled_it_takes_no_position_until_it_is_homed(rig):
-    rig.arm()
-    rig.peer.drive.switch_on()
-    rig.until(lambda: not rig.session.lost and not rig.session.referenced)
-    assert not rig.session.armed
-    sent = rig.session.counts["sent"]
-    rig.until(lambda: rig.session.counts["sent"] > sent + 1)  # so a command to disarm was sent
-    rig.arm()
-    with pytest.raises(ValueError, match="home it first"):
-        rig.set(Mode.POSITION, 0.1)
-    rig.set(HOME)
-    rig.until(lambda: rig.session.referenced)
 
 
 def test_a_port_without_a_drive_is_said(tmp_path):

@@ -5,7 +5,7 @@ from math import inf, isnan
 from pathlib import Path
 
 import pytest
-from driver_link import SAMPLE, SECOND, FakeLink
+from driver_link import SAMPLE, SECOND, SessionBench
 
 from fss_arm_driver.faults import (
     FAULTS,
@@ -15,9 +15,8 @@ from fss_arm_driver.faults import (
     as_markdown,
     blocking_faults,
 )
-from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, decode
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State
 from fss_arm_driver.scale import HOME, Scale
-from fss_arm_driver.session import LinkSession
 from fss_arm_driver.session.progress import STALL_TIME, START_TIMEOUT, Progress, Status
 from fss_arm_model.description import Drive, paper_arm
 from fss_link.session import Arming, CommandError
@@ -25,7 +24,6 @@ from fss_link.session.battery import Battery
 
 LINK = paper_arm().links[0]
 SCALE = Scale(LINK)
-PERIOD = SECOND // 5
 HALF = round(0.5 * 240_000 / 6.283185307179586)  # [counts]
 
 
@@ -64,41 +62,15 @@ def test_words_for_what_does_not_block():
     ]
 
 
-class Bench:
-    """A session and a link, armed."""
-
-    def __init__(self, description=LINK):
-        self.session = LinkSession(1, description)
-        self.now = 1_700_000_000 * SECOND
-        self.link = FakeLink(boot=7, born=self.now - SECOND)
-        while self.session.lost:
-            self.step()
-        self.arm()
-
-    def arm(self):
-        self.session.arm(self.now)
-        while self.session.arming is Arming.ARMING:
-            self.step()
-
-    def step(self, down=True, **changes):
-        self.now += PERIOD // 2
-        data = self.session.command(self.now)
-        if down:
-            self.link.take(data, self.now)
-        self.now += PERIOD // 2
-        return self.session.feed(self.link.telemetry(self.now, **changes), self.now)
-
-    def last_command(self):
-        return decode(self.session.command(self.now))
-
-    def set(self, mode, value=0.0, time_to_live=1.0):
-        expiry = self.now + round(time_to_live * SECOND)
-        self.session.set(mode, value, 0.0, 0.0, expiry, self.now)
+def armed(description=LINK):
+    bench = SessionBench(description).connected()
+    bench.arm()
+    return bench
 
 
 @pytest.fixture
 def bench():
-    return Bench()
+    return armed()
 
 
 def test_a_fault_disarms_and_forbids_arming_until_it_is_gone(bench):
@@ -146,7 +118,7 @@ def test_a_link_without_reference_is_commanded_no_position_until_homed(bench):
 
 def test_a_current_that_makes_too_much_torque_is_clamped():
     drive = Drive(torque_constant=0.8, max_torque=0.4, max_current=2.25)
-    bench = Bench(replace(LINK, drive=drive))
+    bench = armed(replace(LINK, drive=drive))
     bench.set(Mode.CURRENT, 2.0)
     assert bench.last_command().set_point == 50
     assert bench.session.counts["commands_clamped"] == 1

@@ -5,50 +5,15 @@ from math import inf, isnan, nan, pi
 
 import pytest
 from driver_link import MILLISECOND, SECOND, FakeLink
+from driver_link import SessionBench as Bench
 
 from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, decode, encode
-from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import Drive, TorqueSensor, paper_arm
 from fss_link.session import Arming, CommandError, StatusLog
 
-PERIOD = SECOND // 5
-TURN = 50 * MILLISECOND  # from the command to the measurement
-DELAY = 2 * MILLISECOND
-START = 1_700_000_000 * SECOND
+PERIOD, DELAY = Bench.PERIOD, Bench.DELAY
 LINK = paper_arm().links[0]
 COUNTS_PER_RADIAN = 240_000 / (2 * pi)
-
-
-class Bench:
-    """A session and a link, with time."""
-
-    def __init__(self, description=LINK, **options):
-        self.session = LinkSession(1, description, **options)
-        self.now = START
-        self.restart(boot=7)
-
-    def restart(self, boot, **options):
-        self.link = FakeLink(boot=boot, born=self.now - SECOND, **options)
-
-    def step(self, up=True, down=True, **changes):
-        """One period: a command down, telemetry up; the sample, if any."""
-        self.now += PERIOD - TURN - DELAY
-        data = self.session.command(self.now)
-        if down:
-            self.link.take(data, self.now + DELAY)
-        frame = self.link.telemetry(self.now + TURN, **changes)
-        return self.feed(frame if up else b"", TURN + DELAY)
-
-    def feed(self, data, later=0):
-        self.now += later
-        return self.session.feed(data, self.now)
-
-    def last_command(self):
-        return decode(self.session.command(self.now))
-
-    def set(self, mode, value, velocity=0.0, acceleration=0.0, time_to_live=1.0):
-        expiry = self.now + round(time_to_live * SECOND)
-        self.session.set(mode, value, velocity, acceleration, expiry, self.now)
 
 
 @pytest.fixture
@@ -58,9 +23,7 @@ def bench():
 
 @pytest.fixture
 def connected(bench):
-    while bench.step() is None:
-        pass
-    return bench
+    return bench.connected()
 
 
 @pytest.fixture
@@ -468,7 +431,7 @@ def test_a_stop_latches_until_armed_anew(armed):
     assert armed.last_command().flags == LinkCommandFlag.STOP
     armed.step()
     assert armed.link.flags == State.STOPPED
-    with pytest.raises(CommandError, match="link 1 is stopped, not armed"):
+    with pytest.raises(CommandError, match=r"stopped, not armed: scripts/fss_arm\.sh arm arms it"):
         armed.set(Mode.POSITION, 0.2)
     armed.session.arm(armed.now)
     while not armed.session.armed:

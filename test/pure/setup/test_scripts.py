@@ -49,13 +49,13 @@ def script(path: Path, text: str) -> Path:
     return path
 
 
-def test_shellcheck_finds_nothing() -> None:
+def test_shellcheck_finds_nothing():
     check = run("shellcheck", "-x", *SCRIPTS, cwd=ROOT)
     assert check.returncode == 0, check.stdout
 
 
 @pytest.mark.parametrize("name", [n for n in SCRIPTS if "fss" in n])
-def test_the_scripts_for_the_spacecraft_are_plain_sh(name: str) -> None:
+def test_the_scripts_for_the_spacecraft_are_plain_sh(name):
     assert re.search(r"^#!/bin/sh$|^# shellcheck shell=sh\b", (ROOT / name).read_text(), re.M)
 
 
@@ -74,7 +74,7 @@ SOURCE = f". {ROOT}/scripts/env.sh"
 
 @pytest.mark.parametrize("options", ["", "set -u; ", "set -e; ", "set -eu; "])
 @pytest.mark.parametrize("shell", SHELLS)
-def test_env_leaves_the_shells_options_alone(shell: str, options: str) -> None:
+def test_env_leaves_the_shells_options_alone(shell, options):
     program = f'{options}before=$-; {SOURCE}; echo "<$before> <$->"; set | grep ^_fss || true'
     shown = run(shell, "-c", program, env=BARE, cwd=ROOT)
     assert shown.stderr == ""
@@ -83,7 +83,7 @@ def test_env_leaves_the_shells_options_alone(shell: str, options: str) -> None:
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
+def test_env_gives_the_workspace_to_a_bare_shell(shell):
     names = "ROS_DISTRO ROS_AUTOMATIC_DISCOVERY_RANGE ROS_LOG_DIR FASTRTPS_DEFAULT_PROFILES_FILE"
     program = (
         f"{SOURCE}; {SOURCE}; command -v python; echo $PATH; "
@@ -105,14 +105,14 @@ def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
     assert forgets == "False"  # what it compiles is kept
 
 
-def test_env_keeps_what_the_user_chose() -> None:
+def test_env_keeps_what_the_user_chose():
     chosen = BARE | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOG_DIR": "/mine"}
     names = "$ROS_AUTOMATIC_DISCOVERY_RANGE $ROS_LOG_DIR $FASTRTPS_DEFAULT_PROFILES_FILE"
     shown = run("bash", "-c", f"{SOURCE}; echo {names}", env=chosen)
     assert shown.stdout.split() == ["SUBNET", "/mine", f"{ROOT}/config/fastdds_network.xml"]
 
 
-def test_env_says_in_one_line_what_it_lacks(tmp_path: Path) -> None:
+def test_env_says_in_one_line_what_it_lacks(tmp_path):
     script(tmp_path / "scripts/env.sh", (ROOT / "scripts/env.sh").read_text())
     shown = run("bash", "-c", f"set -u; . {tmp_path}/scripts/env.sh || echo $? $-", env=BARE)
     assert shown.stderr == (f"env.sh: there is no .venv yet; run {tmp_path}/scripts/setup.sh\n")
@@ -132,9 +132,7 @@ def test_env_says_in_one_line_what_it_lacks(tmp_path: Path) -> None:
         ("fss_sim", ["record", "testbed"], ["kinematic", "base_reaction"]),
     ],
 )
-def test_systemd_takes_the_units_of_each_configuration(
-    tmp_path: Path, name: str, first: list[str], last: list[str]
-) -> None:
+def test_systemd_takes_the_units_of_each_configuration(tmp_path, name, first, last):
     written = run("scripts/fss_systemd.sh", tmp_path, f"config/{name}.sh", cwd=ROOT)
     assert written.returncode == 0, written.stderr
     nodes = [*first, *(f"link_{i}" for i in range(1, 5)), "arm", *last]
@@ -150,7 +148,7 @@ def test_systemd_takes_the_units_of_each_configuration(
         assert (verified.returncode, verified.stderr) == (0, "")
 
 
-def test_units_reach_the_nodes_and_leave_the_logs_to_their_user(tmp_path: Path) -> None:
+def test_units_reach_the_nodes_and_leave_the_logs_to_their_user(tmp_path):
     reach = {
         "ROS_DOMAIN_ID": "7",
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
@@ -172,9 +170,7 @@ def test_units_reach_the_nodes_and_leave_the_logs_to_their_user(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("process", "said"), [({"MAINPID": "7"}, "disarm\n"), ({}, "")])
-def test_systemd_disarms_by_the_arm_node_if_there_is_one_left(
-    tmp_path: Path, process: dict[str, str], said: str
-) -> None:
+def test_systemd_disarms_by_the_arm_node_if_there_is_one_left(tmp_path, process, said):
     config = tmp_path / "lab.sh"
     config.write_text(f"FSS_LOGS={tmp_path}/logs\nnode arm p x\nnode b p y\n")
     run("scripts/fss_systemd.sh", tmp_path / "units", config, cwd=ROOT)
@@ -187,7 +183,7 @@ def test_systemd_disarms_by_the_arm_node_if_there_is_one_left(
     assert (stopped.returncode, stopped.stdout, stopped.stderr) == (0, said, "")
 
 
-def test_units_of_two_vehicles_are_told_apart(tmp_path: Path) -> None:
+def test_units_of_two_vehicles_are_told_apart(tmp_path):
     written = run("scripts/fss_systemd.sh", tmp_path, "config/fss_two_sim.sh", cwd=ROOT)
     assert written.returncode == 0, written.stderr
     unit = (tmp_path / "fss_two_sim-fss2-arm.service").read_text()
@@ -223,9 +219,7 @@ def test_a_configuration_that_is_nowhere_is_named(command):
         (None, "no such configuration"),
     ],
 )
-def test_a_wrong_configuration_ends_in_one_line(
-    tmp_path: Path, text: str | None, words: str
-) -> None:
+def test_a_wrong_configuration_ends_in_one_line(tmp_path, text, words):
     config = tmp_path / "lab.sh"
     if text is not None:
         config.write_text(f"FSS_LOGS={tmp_path}/logs\n{text}\n")
@@ -257,9 +251,7 @@ NODES = '. scripts/fss/config.sh; read_config lab.sh; say() { echo "$* in $FSS_N
         ("FSS_NAMESPACE=fss3; node arm p y", "", ["fss3/arm p y in fss3"]),
     ],
 )
-def test_nodes_are_in_the_namespace_of_their_vehicle(
-    tmp_path: Path, config: str, vehicle: str, seen: list[str]
-) -> None:
+def test_nodes_are_in_the_namespace_of_their_vehicle(tmp_path, config, vehicle, seen):
     (tmp_path / "lab.sh").write_text(f"FSS_LOGS={tmp_path}/logs\n{config}\n")
     program = NODES.replace("lab.sh", f"{tmp_path}/lab.sh")
     env = os.environ | {"FSS_NAMESPACE": vehicle}
@@ -279,9 +271,7 @@ def test_nodes_are_in_the_namespace_of_their_vehicle(
         ("FSS_NAMESPACE=a-b; node a p x", "", "FSS_NAMESPACE is 'a-b', expected letters"),
     ],
 )
-def test_a_wrong_namespace_ends_in_one_line(
-    tmp_path: Path, config: str, vehicle: str, words: str
-) -> None:
+def test_a_wrong_namespace_ends_in_one_line(tmp_path, config, vehicle, words):
     (tmp_path / "lab.sh").write_text(f"FSS_LOGS={tmp_path}/logs\n{config}\n")
     option = ["--vehicle", vehicle] if vehicle else []
     shown = run("scripts/fss_up.sh", *option, tmp_path / "lab.sh", cwd=ROOT)
@@ -290,7 +280,7 @@ def test_a_wrong_namespace_ends_in_one_line(
     assert shown.stderr.count("\n") == 1
 
 
-def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_path: Path) -> None:
+def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_path):
     status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
     processes = status["Processes"](tmp_path, ["links", "arm"], ["vicon"])
     ok = DiagnosticStatus(name="arm", level=DiagnosticStatus.OK, message="all is well")
@@ -314,7 +304,7 @@ def shown(status: dict[str, Any], processes: Any, listener: Any) -> list[str]:
     return [line.strip() for line in screen.getvalue().splitlines() if line.strip()]
 
 
-def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path: Path) -> None:
+def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path):
     status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
     kinds = {"/fss2/link_1/telemetry": LinkTelemetry, "/fss2/joint_states": JointState}
     heard = {topic: status["Received"](kind) for topic, kind in kinds.items()}
@@ -331,9 +321,7 @@ def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path: Path) -> None:
     assert row[:5] == ["fss2/link_1", "armed", "-12.3", "-1.20", "16.5"]
 
 
-def test_a_failed_node_says_why_and_events_are_those_of_this_session(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_node_says_why_and_events_are_those_of_this_session(tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "64")
     status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
     (tmp_path / "link.keep").write_text("failed\n")
@@ -348,7 +336,7 @@ def test_a_failed_node_says_why_and_events_are_those_of_this_session(
 
 
 @pytest.mark.parametrize("name", ["up", "down", "status", "systemd"])
-def test_help_is_what_the_script_says_of_itself(name: str) -> None:
+def test_help_is_what_the_script_says_of_itself(name):
     told = run(ROOT / f"scripts/fss_{name}.sh", "--help")
     assert told.returncode == 0
     assert f"usage: fss_{name}.sh" in told.stdout
@@ -377,17 +365,13 @@ def ros2(prefix: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     return lambda *arguments: run(STAND_IN, *arguments, env=env)
 
 
-def test_run_passes_arguments_and_exit_code_on(
-    ros2: Callable[..., subprocess.CompletedProcess[str]],
-) -> None:
+def test_run_passes_arguments_and_exit_code_on(ros2):
     shown = ros2("run", "pkg", "hello", "--ros-args", "-p", "name:=a b", "")
     assert (shown.stdout, shown.returncode) == ("<--ros-args><-p><name:=a b><>", 3)
 
 
 @pytest.mark.parametrize("package", [(), ("pkg",)])
-def test_executables_are_listed(
-    ros2: Callable[..., subprocess.CompletedProcess[str]], package: tuple[str, ...]
-) -> None:
+def test_executables_are_listed(ros2, package):
     shown = ros2("pkg", "executables", *package)
     assert (shown.stdout, shown.returncode) == ("pkg hello\npkg other\n", 0)
 
@@ -407,9 +391,7 @@ def test_executables_are_listed(
         (("pkg", "executables", "pkg", "pkg"), "usage"),
     ],
 )
-def test_what_it_cannot_do_ends_in_one_line(
-    ros2: Callable[..., subprocess.CompletedProcess[str]], arguments: tuple[str, ...], words: str
-) -> None:
+def test_what_it_cannot_do_ends_in_one_line(ros2, arguments, words):
     shown = ros2(*arguments)
     assert shown.returncode != 0
     assert shown.stdout == ""
@@ -417,13 +399,13 @@ def test_what_it_cannot_do_ends_in_one_line(
     assert shown.stderr.count("\n") == 1
 
 
-def test_it_steps_aside_for_the_real_one(tmp_path: Path) -> None:
+def test_it_steps_aside_for_the_real_one(tmp_path):
     real = script(tmp_path / "real/ros2", 'echo "real $*"')
     env = BARE | {"PATH": f"{STAND_IN.parent}:{BARE['PATH']}:{real.parent}"}
     assert run(STAND_IN, "topic", "list", env=env).stdout == "real topic list\n"
 
 
-def test_what_it_runs_it_becomes_whatever_the_real_one_does(tmp_path: Path, prefix: Path) -> None:
+def test_what_it_runs_it_becomes_whatever_the_real_one_does(tmp_path, prefix):
     real = script(tmp_path / "real/ros2", 'echo "real $*"')
     env = {"PATH": f"{real.parent}:{BARE['PATH']}", "AMENT_PREFIX_PATH": str(prefix)}
     script(prefix / "lib/pkg/hello", "echo $$")
@@ -433,7 +415,7 @@ def test_what_it_runs_it_becomes_whatever_the_real_one_does(tmp_path: Path, pref
     assert run(STAND_IN, "run", "--prefix", "x", "pkg", "hello", env=env).stdout.startswith("real ")
 
 
-def test_two_workspaces_stand_ins_do_not_call_each_other(tmp_path: Path) -> None:
+def test_two_workspaces_stand_ins_do_not_call_each_other(tmp_path):
     other = script(tmp_path / "other/ros2", STAND_IN.read_text())
     env = BARE | {"PATH": f"{STAND_IN.parent}:{BARE['PATH']}:{other.parent}"}
     assert run("timeout", "10", other, "topic", "list", env=env).returncode == 1
@@ -470,21 +452,13 @@ def machine(tmp_path: Path) -> Machine:
     return Machine(tmp_path)
 
 
-def test_a_path_with_spaces_is_refused(tmp_path: Path) -> None:
+def test_a_path_with_spaces_is_refused(tmp_path):
     folder = tmp_path / "with space"
     folder.mkdir()
     assert "does not support spaces" in Machine(folder).setup()
 
 
-def test_an_unknown_argument_is_refused(machine: Machine) -> None:
-    assert "usage: scripts/setup.sh" in machine.setup("--fast")
-
-
-def test_another_ros_is_refused(machine: Machine) -> None:
-    assert machine.setup(ROS_DISTRO="humble").startswith("setup: ROS 2 humble is sourced")
-
-
-def test_the_wheels_own_environment_is_no_distribution(tmp_path: Path) -> None:
+def test_the_wheels_own_environment_is_no_distribution(tmp_path):
     """env.sh says that ROS is jazzy, for tools that ask; set-up stays with the wheels."""
     text = (ROOT / "scripts/setup.sh").read_text()
     probe = re.search(r"^DISTRIBUTION='\n(.*?)^'", text, re.M | re.S)
@@ -495,43 +469,33 @@ def test_the_wheels_own_environment_is_no_distribution(tmp_path: Path) -> None:
     assert run("/usr/bin/python3", "-c", probe[1], env=env).returncode == 0
 
 
-def test_another_processor_is_told_of_the_other_way(machine: Machine) -> None:
-    machine.replace("uname", "echo Linux aarch64")
-    assert "source a ROS 2 Jazzy" in machine.setup()
+def test_what_the_set_up_does_not_support_is_refused(machine):
+    assert "usage: scripts/setup.sh" in machine.setup("--fast")
+    assert machine.setup(ROS_DISTRO="humble").startswith("setup: ROS 2 humble is sourced")
 
 
-def test_a_full_disk_is_named(machine: Machine) -> None:
-    machine.replace("df", "echo; echo /dev/x 9 9 102400 9% /")
-    assert "too little disk: 100 MB are free" in machine.setup()
+INSTALL = "install with: sudo apt-get .*--no-install-recommends"
 
 
 @pytest.mark.parametrize(
-    ("command", "words", "package"),
+    ("command", "text", "words"),
     [
-        ("c++", "a C++ compiler", "g++"),
-        ("make", "make", "make"),
-        ("cmake", "CMake 3.20 or later", "cmake"),
+        ("uname", "echo Linux aarch64", "source a ROS 2 Jazzy"),
+        ("df", "echo; echo /dev/x 9 9 102400 9% /", "too little disk: 100 MB are free"),
+        ("c++", "exit 127", rf"^setup: missing: a C\+\+ compiler; {INSTALL} g\+\+$"),
+        ("make", "exit 127", f"^setup: missing: make; {INSTALL} make$"),
+        ("cmake", "exit 127", f"^setup: missing: CMake 3.20 or later; {INSTALL} cmake$"),
+        ("cmake", "echo cmake version 3.9.6", "missing: CMake 3.20 or later"),
     ],
 )
-def test_what_is_missing_is_named_with_the_command_that_installs_it(
-    machine: Machine, command: str, words: str, package: str
-) -> None:
-    machine.replace(command, "exit 127")
+def test_what_a_machine_lacks_is_named_with_the_next_step(machine, command, text, words):
     machine.replace("id", "echo 1000")
     machine.replace("apt-get", "exit 1")
-    line = machine.setup()
-    assert line.startswith(f"setup: missing: {words}; install with: sudo apt-get ")
-    assert line.endswith(f"--no-install-recommends {package}")
+    machine.replace(command, text)
+    assert re.search(words, machine.setup())
 
 
-def test_an_old_cmake_is_as_none(machine: Machine) -> None:
-    machine.replace("cmake", "echo cmake version 3.9.6")
-    machine.replace("id", "echo 1000")
-    machine.replace("apt-get", "exit 1")
-    assert "missing: CMake 3.20 or later" in machine.setup()
-
-
-def test_root_installs_and_says_so(machine: Machine) -> None:
+def test_root_installs_and_says_so(machine):
     machine.replace("make", "exit 127")
     machine.replace("id", "echo 0")
     machine.replace("apt-get", 'echo "$*" >>"$(dirname "$0")/calls"; echo noise; exit 0')
@@ -547,7 +511,7 @@ def test_root_installs_and_says_so(machine: Machine) -> None:
 
 
 @pytest.mark.slow
-def test_no_network_is_named_without_addresses(machine: Machine) -> None:
+def test_no_network_is_named_without_addresses(machine):
     line = machine.setup(
         PIP_INDEX_URL="http://127.0.0.1:9/simple", PIP_RETRIES="1", PIP_FIND_LINKS=""
     )
@@ -557,7 +521,7 @@ def test_no_network_is_named_without_addresses(machine: Machine) -> None:
 
 
 @pytest.mark.slow
-def test_a_missing_wheel_is_named(machine: Machine) -> None:
+def test_a_missing_wheel_is_named(machine):
     line = machine.setup(PIP_NO_INDEX="1", PIP_FIND_LINKS="")
     assert line.startswith("setup: there is no wheel of setuptools==")
     assert "for Python 3.1" in line
