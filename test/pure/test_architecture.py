@@ -110,10 +110,12 @@ ROOMS = {
         "fss_arm_calib.kinds", "fss_arm_calib.dynamic.parameters",
         "fss_arm_calib.dynamic.settings",
     },
-    "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.convert"},
-    "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
+    "fss_gnc.navigation": {
+        "fss_arm_model", "fss_arm_msgs.msg", "fss_arm_ros.convert", "fss_arm_ros.stamps",
+    },
+    "fss_gnc.control": {"fss_arm_model", "fss_gnc.latest", "fss_gnc.reference"},
     "fss_gnc.guidance": {
-        "fss_arm_model", "fss_arm_motion", "fss_gnc.bounds", "fss_gnc.reference",
+        "fss_arm_model", "fss_arm_motion", "fss_gnc.bounds", "fss_gnc.latest", "fss_gnc.reference",
         "fss_arm_msgs.action",
     },
     REGIONS: {"fss_arm_model.description", "fss_arm_model.layout"},

@@ -34,7 +34,8 @@ class Bench(FakeCraft):
         self.planned = self.create_publisher(JointTrajectory, "arm/planned", 1)
         self.create_subscription(WrenchStamped, "base/wrench", self.on_wrench, 10)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_health, 10)
-        self.until(lambda: self.control.base.value and self.control.joints.value is not None)
+        known = self.control.controller
+        self.until(lambda: known.base.value and known.joints.value is not None)
 
     def report(self):
         super().report()

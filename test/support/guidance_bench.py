@@ -33,7 +33,7 @@ class Bench(FakeCraft):
         self.create_subscription(Bool, "gripper/command", self.grips.append, 10)
         self.stops = {n: self.create_publisher(Empty, n, 10) for n in ("base/stop", "arm/stop")}
         self.until(lambda: all(c.server_is_ready() for c in self.clients_.values()))
-        self.until(lambda: self.states and not self.guidance.state_problem())
+        self.until(lambda: self.states and not self.guidance.observe()[1])
 
     def close(self):
         for client in self.clients_.values():

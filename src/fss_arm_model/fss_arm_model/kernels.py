@@ -103,7 +103,7 @@ def kernel(layout: str) -> Callable[[Callable[..., None]], Kernel]:
 
 
 class Helper:
-    """A function that kernels call, in any package; its name starts with an underscore.
+    """A function that kernels call, in any package.
 
     Only kernels call it. Division by zero gives inf, as in numpy, and never raises. For numba it is
     the dispatcher that numba itself would create from the function.

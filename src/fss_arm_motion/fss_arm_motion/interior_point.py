@@ -14,6 +14,7 @@ width of 4 n + 1, start at (k - 1) (2 n + 1) + 1.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,32 +24,52 @@ from fss_arm_motion.transcription import (
     POINTS,
     WEIGHTS,
     Limited,
-    _is_constrained,
-    _rows,
-    _scratch,
-    _turn,
-    _values,
+    is_constrained,
+    make_scratch,
+    total_turn,
+    write_derivatives,
+    write_distances,
 )
 
 _BARRIER_FACTOR = 0.4  # factor of the barrier's weight after a good step
 _MIN_REMAINDER = 0.02  # least share of its distance to a limit that remains after a step
 
 
+class Options(NamedTuple):
+    """Options of the kernel; see `optimized`."""
+
+    momentum: float
+    time_weight: float
+    turn_weight: float
+    smoothness: float
+    turn: float
+    least: float
+    iterations: float
+    tolerance: float
+    floor: float
+
+
 @helper
-def _merit(weights, mu, least, h, room, omegas):  # type: ignore[no-untyped-def]
+def _options(o):  # type: ignore[no-untyped-def]
+    """Return an array (9,) as Options."""
+    return Options(o[0], o[1], o[2], o[3], o[4], o[5], o[6], o[7], o[8])
+
+
+@helper
+def _merit(options, mu, h, room, omegas):  # type: ignore[no-untyped-def]
     """Return the objective with the limits' barrier."""
     n, total = room.shape[2] // 4, 0.0
     for k in range(h.size):
-        if weights[0] > 0.0:
-            total += weights[0] * h[k] - mu * math.log(h[k] - least)
+        if options.time_weight > 0.0:
+            total += options.time_weight * h[k] - mu * math.log(h[k] - options.least)
         for j in range(POINTS):
-            total += 0.5 * weights[1] * WEIGHTS[j] / h.size * omegas[k, j] ** 2
+            total += 0.5 * options.turn_weight * WEIGHTS[j] / h.size * omegas[k, j] ** 2
             for r in range(4 * n + 1):
-                if _is_constrained(r, n, k, j, h.size):
+                if is_constrained(r, n, k, j, h.size):
                     below, above = room[k, j, r, 0], room[k, j, r, 1]
                     total -= mu * math.log(below * above)
                     if r > 3 * n:
-                        total += 0.125 * weights[2] * (below - above) ** 2
+                        total += 0.125 * options.smoothness * (below - above) ** 2
     return total
 
 
@@ -64,31 +85,31 @@ def _add(A, g, first, row, weight, slope):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _assemble(weights, mu, least, h, room, dual, dual_h, omegas, rows, A, g, c):  # type: ignore[no-untyped-def]
+def _assemble(options, mu, h, room, dual, dual_h, omegas, rows, A, g, c):  # type: ignore[no-untyped-def]
     """Write the matrix A, the merit's gradient g and the turn's c."""
-    n, K, timed = room.shape[2] // 4, h.size, weights[0] > 0.0
+    n, K, timed = room.shape[2] // 4, h.size, options.time_weight > 0.0
     A[:], g[:], c[:] = 0.0, 0.0, 0.0
     for k in range(K):
         first, at = (k - 1) * (2 * n + 1) + 1, k * (2 * n + 1)
         A[at, 0] += 0.0 if timed else 1.0
         if timed:
-            g[at] += weights[0] - mu / (h[k] - least)
-            A[at, 0] += dual_h[k] / (h[k] - least)
+            g[at] += options.time_weight - mu / (h[k] - options.least)
+            A[at, 0] += dual_h[k] / (h[k] - options.least)
         for j in range(POINTS):
-            turn, share = rows[k, j, 4 * n + 1], weights[1] * WEIGHTS[j] / K
+            turn, share = rows[k, j, 4 * n + 1], options.turn_weight * WEIGHTS[j] / K
             c[at] += WEIGHTS[j] * omegas[k, j] if timed else 0.0
             for a in range(max(0, -first), min(turn.size, g.size - first)):
                 c[first + a] += h[k] * WEIGHTS[j] * turn[a]
             if share > 0.0:
                 _add(A, g, first, turn, share, share * omegas[k, j])
             for r in range(4 * n + 1):
-                if _is_constrained(r, n, k, j, K):
+                if is_constrained(r, n, k, j, K):
                     below, above = room[k, j, r, 0], room[k, j, r, 1]
                     weight = dual[k, j, r, 0] / below + dual[k, j, r, 1] / above
                     slope = mu / above - mu / below
                     if r > 3 * n:  # accelerations, and their part of the objective
-                        weight += weights[2]
-                        slope += weights[2] * 0.5 * (below - above)
+                        weight += options.smoothness
+                        slope += options.smoothness * 0.5 * (below - above)
                     _add(A, g, first, rows[k, j, r], weight, slope)
 
 
@@ -142,7 +163,7 @@ def _stays_inside(room, trial):  # type: ignore[no-untyped-def]
     for k in range(K):
         for j in range(POINTS):
             for r in range(4 * n + 1):
-                if _is_constrained(r, n, k, j, K):
+                if is_constrained(r, n, k, j, K):
                     own, new = room[k, j, r], trial[k, j, r]
                     if not (new[0] > _MIN_REMAINDER * own[0] and new[1] > _MIN_REMAINDER * own[1]):
                         return False
@@ -158,7 +179,7 @@ def _dualize(mu, dx, rows, room, trial, dual, toward):  # type: ignore[no-untype
         first = (k - 1) * (2 * n + 1) + 1
         for j in range(POINTS):
             for r in range(4 * n + 1):
-                if _is_constrained(r, n, k, j, K):
+                if is_constrained(r, n, k, j, K):
                     moves, row = 0.0, rows[k, j, r]
                     for a in range(max(0, -first), min(row.size, dx.size - first)):
                         moves += row[a] * dx[first + a]
@@ -171,7 +192,7 @@ def _dualize(mu, dx, rows, room, trial, dual, toward):  # type: ignore[no-untype
     for k in range(K):
         for j in range(POINTS):
             for r in range(4 * n + 1):
-                if _is_constrained(r, n, k, j, K):
+                if is_constrained(r, n, k, j, K):
                     for side in range(2):
                         central = mu / trial[k, j, r, side]
                         new = dual[k, j, r, side] + reach * toward[k, j, r, side]
@@ -189,7 +210,7 @@ def _complementarity(h, least, timed, room, dual, dual_h):  # type: ignore[no-un
             count += 1
         for j in range(POINTS):
             for r in range(4 * n + 1):
-                if _is_constrained(r, n, k, j, K):
+                if is_constrained(r, n, k, j, K):
                     for side in range(2):
                         gap += dual[k, j, r, side] * room[k, j, r, side]
                         count += 1
@@ -198,26 +219,26 @@ def _complementarity(h, least, timed, room, dual, dual_h):  # type: ignore[no-un
 
 @kernel("(p),(n,b),(n,l),(r),(u),(o),(s),(m,n),(m,n),(i)->(s),(m,n),(m,n),(i)")
 def _optimize(  # type: ignore[no-untyped-def]
-    p, bounds, limits, rotor, radii, options, h0, q0, qd0, _i, h_out, q_out, qd_out, report,
+    p, bounds, limits, rotor, radii, options_, h0, q0, qd0, _i, h_out, q_out, qd_out, report,
 ):  # fmt: skip
     # Helpers get contiguous arrays: numba takes long to compile them for other arrays.
+    options = _options(options_)
     arm = Limited(
-        p.copy(), rotor.copy(), options[0], bounds.copy(), limits.copy(), radii.copy()
-    )  # fmt: skip
+        p.copy(), rotor.copy(), options.momentum, bounds.copy(), limits.copy(), radii.copy()
+    )
     h, q, qd = h0.copy(), q0.copy(), qd0.copy()
     n, K = bounds.shape[0], h.size
     size, wide = (K - 1) * (2 * n + 1) + 1, 4 * n + 1
-    weights, goal, least = options[1:4].copy(), options[4], options[5]
-    most, tolerance, floor = int(options[6]), options[7], options[8]
-    turning, timed = not math.isnan(goal), weights[0] > 0.0
-    scratch = _scratch(n)
+    goal, least, tolerance = options.turn, options.least, options.tolerance
+    most, turning, timed = int(options.iterations), not math.isnan(goal), options.time_weight > 0.0
+    scratch = make_scratch(n)
     room, trial, dual, toward = np.zeros((4, K, POINTS, wide, 2))
     omegas, x_omegas = np.empty((2, K, POINTS))
     rows = np.empty((K, POINTS, wide + 1, wide))
     A, (g, c, dx, z) = np.empty((size, wide)), np.empty((4, size))
     x_h, x_q, x_qd, dual_h = np.empty(K), np.empty_like(q), np.empty_like(q), np.empty(K)
     report[:] = 0.0
-    if not _values(arm, scratch, h, q, qd, room, omegas) > 0.0:
+    if not write_distances(arm, scratch, h, q, qd, room, omegas) > 0.0:
         report[0], most = -1.0, 0
     gap, count = _complementarity(h, least, timed, room, dual, dual_h)
     time, mark = h.sum(), math.inf  # mark: the cost some iterations ago
@@ -233,8 +254,10 @@ def _optimize(  # type: ignore[no-untyped-def]
         report[0] = iteration + 1.0
         for k in range(K):
             for j in range(POINTS):
-                _rows(arm, scratch, j, h[k], q[k : k + 2], qd[k : k + 2], timed, rows[k, j])
-        _assemble(weights, mu, least, h, room, dual, dual_h, omegas, rows, A, g, c)
+                write_derivatives(
+                    arm, scratch, j, h[k], q[k : k + 2], qd[k : k + 2], timed, rows[k, j]
+                )
+        _assemble(options, mu, h, room, dual, dual_h, omegas, rows, A, g, c)
         A[:, 0] += damping
         _factor(A)
         dx[:] = -g
@@ -243,21 +266,21 @@ def _optimize(  # type: ignore[no-untyped-def]
         if turning:
             z[:] = c
             _solve(A, z)
-            lack = _turn(h, omegas) - goal
+            lack = total_turn(h, omegas) - goal
             price = (lack + (c * dx).sum()) / max((c * z).sum(), 1e-300)
             dx -= price * z
             penalty = max(penalty, 1.5 * abs(price))
         slope = (g * dx).sum() - penalty * abs(lack)
-        before = _merit(weights, mu, least, h, room, omegas) + penalty * abs(lack)
+        before = _merit(options, mu, h, room, omegas) + penalty * abs(lack)
         step, good = 1.0, False
         for _ in range(30):
             good = _step_variables(least if timed else 0.0, step, dx, h, q, qd, x_h, x_q, x_qd)
             if good:
-                _values(arm, scratch, x_h, x_q, x_qd, trial, x_omegas)
+                write_distances(arm, scratch, x_h, x_q, x_qd, trial, x_omegas)
                 good = _stays_inside(room, trial)
             if good:
-                after = _merit(weights, mu, least, x_h, trial, x_omegas)
-                after += penalty * abs(_turn(x_h, x_omegas) - goal) if turning else 0.0
+                after = _merit(options, mu, x_h, trial, x_omegas)
+                after += penalty * abs(total_turn(x_h, x_omegas) - goal) if turning else 0.0
                 good = after <= before + 1e-4 * step * slope + 1e-10
             if good:
                 break
@@ -269,10 +292,10 @@ def _optimize(  # type: ignore[no-untyped-def]
         if timed:
             dual_h[:] = mu / (h - least)
         gap, _ = _complementarity(h, least, timed, room, dual, dual_h)
-        time, residual = h.sum(), abs(_turn(h, omegas) - goal) if turning else 0.0
+        time, residual = h.sum(), abs(total_turn(h, omegas) - goal) if turning else 0.0
         report[1], report[2] = gap, residual
         # Little complementarity is left, and the cost no longer improves.
-        if residual < 1e-5 and time < (1.0 + tolerance) * floor:
+        if residual < 1e-5 and time < (1.0 + tolerance) * options.floor:
             break
         if iteration >= marked + 4:
             cost = time if timed else (omegas * omegas).sum()
@@ -335,9 +358,9 @@ def optimized(
         h, q and qd, and (..., 4): number of iterations, -1 if the initial motion is not within the
         limits; complementarity left [s]; residual of the turn [rad]; the barrier's weight.
     """
-    options = [
-        momentum, time_weight, turn_weight, smoothness, turn, least, iterations, tolerance, floor,
-    ]  # fmt: skip
+    options = Options(
+        momentum, time_weight, turn_weight, smoothness, turn, least, iterations, tolerance, floor
+    )
     asked = p, bounds, limits, rotor, radii, np.array(options), h, q, qd
     # Vectorized code also divides by entries that are not limited; their results are not used.
     with np.errstate(divide="ignore", invalid="ignore"):

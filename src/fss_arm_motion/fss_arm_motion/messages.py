@@ -1,17 +1,24 @@
 """Goals of `arm/execute` as plans, plans as goals of the arm's node, and the bounds of both."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from control_msgs.action import FollowJointTrajectory
 from rclpy.duration import Duration
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from fss_arm_model.kernels import Floats
 from fss_arm_motion import plan_command
-from fss_arm_motion.plan import Plan, PlanError
+from fss_arm_motion.plan import Plan, PlanError, Start
+from fss_arm_motion.plan_file import plan_from_file
 from fss_arm_msgs.action import ExecuteMotion
+from fss_arm_msgs.msg import MotionReport
+from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import to_time
 
 MAX_WORDS, MAX_CHARACTERS = 1000, 10_000  # of a goal of `arm/execute`
@@ -53,6 +60,35 @@ def options_of(kind: str, arguments: Sequence[str]) -> tuple[Any, Any]:
     return plan_command.request_of(options)
 
 
+def planning(goal: ExecuteMotion.Goal, start: Start, tolerance: float) -> Callable[[], Plan]:
+    """Return the function that plans the motion of a goal; it raises ValueError and OSError.
+
+    Args:
+        goal: has either a kind of plan or a file.
+        start: present state.
+        tolerance: maximum distance of a joint from the start of a file's plan [rad].
+
+    Raises:
+        PlanError: the goal is wrong.
+    """
+    if bool(goal.kind) == bool(goal.file):
+        raise PlanError("the goal must have either a kind or a file")
+    make: Callable[[], Plan]
+    if goal.file:
+        make = partial(plan_from_file, Path(goal.file), start, tolerance)
+    else:
+        kind, settings = options_of(goal.kind, goal.arguments)
+        make = partial(kind.plan, start, settings)
+
+    def plan() -> Plan:
+        plan = make()
+        if why := too_long(plan):
+            raise PlanError(why)
+        return plan
+
+    return plan
+
+
 def trajectory(plan: Plan, begin: int) -> FollowJointTrajectory.Goal:
     """Return a plan as a goal of the arm's node that starts at time `begin` [ns]."""
     goal = FollowJointTrajectory.Goal()
@@ -67,3 +103,28 @@ def trajectory(plan: Plan, begin: int) -> FollowJointTrajectory.Goal:
         for t, q, qd in zip(plan.times, plan.q, plan.qd, strict=True)
     ]
     return goal
+
+
+def motion_report(
+    plan: Plan, arguments: Sequence[str], calibrated: Calibrated, start_time: int,
+    measured: tuple[Floats, Floats] | None,
+) -> MotionReport:  # fmt: skip
+    """Return the predicted and measured motion of the base.
+
+    Args:
+        plan: the executed plan.
+        arguments: of its goal.
+        calibrated: the arm.
+        start_time: start of the motion [ns].
+        measured: change and largest deviation of the base's pose, (3,) each; None: unknown.
+    """
+    base, unknown = plan.prediction, np.full(3, np.nan)
+    moved, excursion = measured or (unknown, unknown)
+    report = MotionReport(
+        kind=plan.kind, arguments=list(arguments), arm=calibrated.arm.name, duration=plan.duration,
+        predicted=base.pose[-1] - base.pose[0],
+        predicted_deviation=base.deviation[-1] if calibrated.covariance.any() else unknown,
+        measured=moved, predicted_excursion=base.excursion, measured_excursion=excursion[2],
+    )  # fmt: skip
+    report.header.stamp, report.header.frame_id = to_time(start_time), "world"
+    return report

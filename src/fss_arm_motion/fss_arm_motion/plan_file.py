@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.kernels import Floats
-from fss_arm_motion.plan import Plan, Prediction, Start
+from fss_arm_motion.plan import Plan, PlanError, Prediction, Start, predicted
 
 VERSION = 1
 DIGITS = 9  # significant digits of a written number
@@ -139,3 +139,30 @@ def parsed(source: str | Path) -> Stored:
         part["start"]["momentum"].array(3),
         plan,
     )
+
+
+def plan_from_file(path: Path, start: Start, tolerance: float) -> Plan:
+    """Return a stored plan, with the base's motion predicted from its present state.
+
+    Args:
+        path: of the file.
+        start: present state.
+        tolerance: maximum distance of a joint from the plan's start [rad].
+
+    Raises:
+        OSError: the file cannot be read.
+        ContentError: it is not a valid plan.
+        PlanError: the plan is for another arm, or starts elsewhere.
+    """
+    plan = parsed(path).plan
+    if plan.q.shape[1] != len(start.q):
+        raise PlanError(f"{path} is for {plan.q.shape[1]} joints, the arm has {len(start.q)}")
+    distance = np.abs(plan.q[0] - start.q)
+    if distance.max() > tolerance:
+        i = int(distance.argmax())
+        raise PlanError(
+            f"joint {i + 1} is at {np.degrees(start.q[i]):.2f} deg, {path} starts at "
+            f"{np.degrees(plan.q[0][i]):.2f} deg"
+        )
+    prediction = predicted(start, plan.times, plan.q, plan.qd)
+    return replace(plan, prediction=prediction, notes={}, ended="")

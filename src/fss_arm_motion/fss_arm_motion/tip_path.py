@@ -19,6 +19,7 @@ v_m is 0.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -131,14 +132,24 @@ def _motions(p, floating, momentum, d, e, second, base, tip):  # type: ignore[no
         tip[0, k], tip[1, k], tip[2, k] = u.real, u.imag, omega + turn
 
 
+class FollowOptions(NamedTuple):
+    """Options of the kernel that follows a path."""
+
+    rows: float  # 2: heading free; 3: heading given
+    floating: float  # 0: the base is fixed
+    settling_time: float  # in which an error decays [s]
+    step: float  # [s]
+    tolerance: float  # distance from the way at which the tip counts as lost [m]
+
+
 @helper
 def _law(  # type: ignore[no-untyped-def]
     p, bounds, momentum, options, wish, x, d, e, second, base, tip, C, y, b, z, w, rate,
 ):  # fmt: skip
     """Write the rates (3 + n,) of base and joints at a state x; return the tip's error [m]."""
-    n, rows, settle = bounds.shape[0], int(options[0]), options[2]
+    n, rows, settle = bounds.shape[0], int(options.rows), options.settling_time
     heading = _chain(p, x, d, e)
-    _motions(p, options[1], momentum, d, e, second, base, tip)
+    _motions(p, options.floating, momentum, d, e, second, base, tip)
     place = complex(x[0], x[1])
     for k in range(n + 1):
         place += d[k]
@@ -146,7 +157,7 @@ def _law(  # type: ignore[no-untyped-def]
     speed, free = math.hypot(wish[3], wish[4]), 1.0 - wish[6]
     for k in range(n):
         half = 0.5 * (bounds[k, 1] - bounds[k, 0])
-        z[k] = -options[3] * speed * (x[3 + k] - 0.5 * (bounds[k, 0] + bounds[k, 1])) / half
+        z[k] = -LIMIT_PULL * speed * (x[3 + k] - 0.5 * (bounds[k, 0] + bounds[k, 1])) / half
     y[0] = wish[3] + free * (off.real / settle - tip[0, n])
     y[1] = wish[4] + free * (off.imag / settle - tip[1, n])
     y[2] = wish[5] + free * ((wish[2] - heading) / settle - tip[2, n])
@@ -168,9 +179,9 @@ def _law(  # type: ignore[no-untyped-def]
         for i in range(rows):
             part += C[i, i] / rows
         size /= part**rows
-        if size < options[4]:
+        if size < SINGULAR:
             for i in range(rows):
-                C[i, i] += options[5] * part * (1.0 - max(size, 0.0) / options[4]) ** 2
+                C[i, i] += DAMPING * part * (1.0 - max(size, 0.0) / SINGULAR) ** 2
         _solve(C, b, rows)
         for k in range(n):
             rate[3 + k] = z[k]
@@ -180,7 +191,7 @@ def _law(  # type: ignore[no-untyped-def]
         if turn == 0:
             for k in range(n):
                 room = bounds[k, 1] - x[3 + k] if rate[3 + k] > 0.0 else x[3 + k] - bounds[k, 0]
-                w[k] = min(1.0, max(room, 0.0) / options[8])
+                w[k] = min(1.0, max(room, 0.0) / SLOWING_DISTANCE)
     for i in range(3):
         rate[i] = base[i, n]
     for k in range(n):
@@ -190,16 +201,16 @@ def _law(  # type: ignore[no-untyped-def]
 
 
 @kernel("(p),(n,b),(x),(t),(o),(w,v),(m)->(m,x),(m,x),(t)")
-def _follow_path(p_, bounds_, start, momentum_, options_, way_, _m, states, rates, report):  # type: ignore[no-untyped-def]
-    p, bounds, momentum, options = p_.copy(), bounds_.copy(), momentum_.copy(), options_.copy()
-    way, n = way_.copy(), bounds_.shape[0]
+def _follow_path(p_, bounds_, start, momentum_, o, way_, _m, states, rates, report):  # type: ignore[no-untyped-def]
+    p, bounds, momentum, way = p_.copy(), bounds_.copy(), momentum_.copy(), way_.copy()
+    options, n = FollowOptions(o[0], o[1], o[2], o[3], o[4]), bounds_.shape[0]
     d, e = np.empty((2, n + 1), np.complex128)
     second = np.empty((2, n + 1), np.complex128)
     base, tip = np.empty((2, 3, n + 1))
     C, y, b, z, w = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(n), np.empty(n)
     k1, k2, k3, k4, x, new = np.empty((6, 3 + n))
     x[:] = start
-    h, lost = options[6], options[7]
+    h = options.step
     report[0], report[1], report[2] = 0.0, states.shape[0] - 1.0, 0.0
     for step in range(states.shape[0]):
         wish = way[2 * step]
@@ -207,7 +218,7 @@ def _follow_path(p_, bounds_, start, momentum_, options_, way_, _m, states, rate
             p, bounds, momentum, options, wish, x, d, e, second, base, tip, C, y, b, z, w, k1
         )
         states[step], rates[step] = x, k1
-        if report[0] == 0.0 and wish[6] < 0.5 and off > lost:
+        if report[0] == 0.0 and wish[6] < 0.5 and off > options.tolerance:
             report[0], report[1], report[2] = 2.0, step, off
         for k in range(n):
             out = x[3 + k] < bounds[k, 0] or x[3 + k] > bounds[k, 1]
@@ -281,10 +292,7 @@ def _follow(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return times, states and rates on the way, (m, 3 + n), and how it ended, (3,)."""
     floating = way.frame == WORLD
-    options = np.array(
-        [way.rows, floating, SETTLING_SHARE * lasts, LIMIT_PULL, SINGULAR, DAMPING,
-         lasts / STEPS, tolerance, SLOWING_DISTANCE]
-    )  # fmt: skip
+    options = FollowOptions(way.rows, floating, SETTLING_SHARE * lasts, lasts / STEPS, tolerance)
     begin = np.concatenate([start.pose if floating else np.zeros(3), start.q])
     room, table = np.empty(STEPS + 1), way.table(end, lasts)
     states, rates, report = _follow_path(

@@ -72,7 +72,8 @@ class Scratch(NamedTuple):
 
 
 @helper
-def _scratch(n):  # type: ignore[no-untyped-def]
+def make_scratch(n):  # type: ignore[no-untyped-def]
+    """Return scratch memory for n joints."""
     state, rate, gain, tau, other = np.empty((5, 3 + n))
     work, second = np.empty((3, n + 1), np.complex128), np.empty((2, n + 1), np.complex128)
     return Scratch(state, rate, gain, tau, other, work, second, np.empty(5))
@@ -104,7 +105,7 @@ def _gap(arm, s):  # type: ignore[no-untyped-def]
 
 @kernel("(p),(n),(u)->()")
 def _gaps(p, q_m, radii, out):  # type: ignore[no-untyped-def]
-    scratch, none = _scratch(q_m.size), np.zeros((1, 1))
+    scratch, none = make_scratch(q_m.size), np.zeros((1, 1))
     scratch.state[:3] = 0.0
     scratch.state[3:] = q_m
     out[0] = _gap(Limited(p.copy(), none[0], 0.0, none, none, radii.copy()), scratch)
@@ -133,7 +134,7 @@ def _at(point, h, q, qd, s):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _is_constrained(r, n, k, point, segments):  # type: ignore[no-untyped-def]
+def is_constrained(r, n, k, point, segments):  # type: ignore[no-untyped-def]
     """Return True if quantity r is limited at a point.
 
     Accelerations are largest at a segment's ends; the first and last posture are given.
@@ -151,7 +152,7 @@ def _margin(room, value, low, high):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _values(arm, s, h, q, qd, room, omegas):  # type: ignore[no-untyped-def]
+def write_distances(arm, s, h, q, qd, room, omegas):  # type: ignore[no-untyped-def]
     """Write the distances (K, 5, 4 n + 1, 2) to both limits, and the base's rates (K, 5).
 
     Returns the least distance.
@@ -171,7 +172,7 @@ def _values(arm, s, h, q, qd, room, omegas):  # type: ignore[no-untyped-def]
                 _margin(own[2 * n + 1 + i], s.state[3 + i], arm.bounds[i, 0], arm.bounds[i, 1])
                 _margin(own[3 * n + 1 + i], s.gain[3 + i], -limits[i, 1], limits[i, 1])
             for r in range(4 * n + 1):
-                if _is_constrained(r, n, k, j, h.size):
+                if is_constrained(r, n, k, j, h.size):
                     least = min(least, own[r, 0], own[r, 1])
     return least
 
@@ -186,7 +187,7 @@ def _by_variables(point, order, h, q, qd, i, out):  # type: ignore[no-untyped-de
 
 
 @helper
-def _rows(arm, s, point, h, q, qd, timed, rows):  # type: ignore[no-untyped-def]
+def write_derivatives(arm, s, point, h, q, qd, timed, rows):  # type: ignore[no-untyped-def]
     """Write the derivatives (4 n + 2, 4 n + 1) of limited quantities and of the base's rate.
 
     The derivatives are by a segment's variables, including h if times are free.
@@ -228,7 +229,7 @@ def _rows(arm, s, point, h, q, qd, timed, rows):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _turn(h, omegas):  # type: ignore[no-untyped-def]
+def total_turn(h, omegas):  # type: ignore[no-untyped-def]
     """Return the integral of the base's rate."""
     total = 0.0
     for k in range(h.size):

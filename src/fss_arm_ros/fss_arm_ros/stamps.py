@@ -1,6 +1,6 @@
 """Detection of stamps that jump back: a replay restarts, a clock is set back."""
 
-from fss_arm_ros.convert import SECOND
+from fss_arm_model.units import SECOND
 
 MIN_SAMPLES = 10  # consecutive old samples that prove a jump
 

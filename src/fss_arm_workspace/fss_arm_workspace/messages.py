@@ -1,9 +1,10 @@
 """Conversion of workspaces, maps and ellipsoids to ROS messages, for RViz, Foxglove and bags."""
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Point32, PolygonStamped
@@ -21,7 +22,9 @@ from fss_arm_workspace.analysis import Analysis, AnalysisSettings
 from fss_arm_workspace.manipulability.map import Map
 from fss_arm_workspace.manipulability.measure import FIXED, FLOATING, ellipsoid, jacobian
 from fss_arm_workspace.regions.arcs import Complexes, Floats
+from fss_arm_workspace.regions.virtual import VirtualManipulator
 from fss_arm_workspace.straight_path.paths import Paths
+from fss_arm_workspace.straight_path.redundancy import BASES
 from fss_arm_workspace.straight_path.trace import REASONS
 
 _COLORS = {
@@ -31,6 +34,44 @@ _COLORS = {
     "maximum": (0.15, 0.6, 0.2),
 }
 _LINE_WIDTH = 0.01  # width of lines [m]
+
+
+def topics() -> dict[str, type]:
+    """Return the type of each topic of a WorkspaceNode, by its name without `workspace/`."""
+    kinds: dict[str, type] = {"result": Workspace, "boundary": PolygonStamped}
+    kinds |= {"markers": MarkerArray, "straight_markers": MarkerArray, "ellipsoids": MarkerArray}
+    for base in ("fixed", "floating"):
+        kinds |= {f"map/{base}": OccupancyGrid, f"manipulability/{base}": ManipulabilityMap}
+    for base in map(_topic_name, BASES):
+        kinds |= {f"straight/{base}": PolygonStamped, f"straight_paths/{base}": StraightPaths}
+    return kinds
+
+
+def map_messages(
+    found: Analysis, settings: AnalysisSettings, header: Header
+) -> Iterator[tuple[str, Any]]:
+    """Yield topic and message of each result that depends on the arm alone."""
+    for base, one in found.maps.items():
+        yield f"map/{base}", occupancy_grid(one, header)
+        yield f"manipulability/{base}", map_message(one, base, header)
+    yield "boundary", polygon(found.boundary[0][0], header)
+    yield "markers", workspace_markers(found, header)
+    yield "result", workspace_message(found, settings, header)
+
+
+def path_messages(
+    arm: Arm, found: Mapping[str, Paths], header: Header
+) -> Iterator[tuple[str, Any]]:
+    """Yield topic and message of the straight paths on each base."""
+    for base, paths in found.items():
+        yield f"straight/{_topic_name(base)}", polygon(paths.ends, header)
+        yield f"straight_paths/{_topic_name(base)}", straight_message(paths, base, header)
+    radius = VirtualManipulator(arm).radius
+    yield "straight_markers", straight_markers(arm, found, radius, header)
+
+
+def _topic_name(base: str) -> str:
+    return base.replace(" ", "_")
 
 
 def workspace_message(a: Analysis, settings: AnalysisSettings, header: Header) -> Workspace:

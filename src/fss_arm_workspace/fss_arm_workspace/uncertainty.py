@@ -18,6 +18,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.layout import OFFSET, each
 from fss_arm_workspace.manipulability.climb import climb
+from fss_arm_workspace.manipulability.measure import Kind
 from fss_arm_workspace.manipulability.search import Best
 from fss_arm_workspace.regions.arcs import Complexes, Floats, Region
 from fss_arm_workspace.regions.virtual import virtual_links
@@ -99,7 +100,7 @@ def measure_deviation(
     best: Best,
     points: npt.ArrayLike,
     limits: Floats,
-    kind: npt.ArrayLike,
+    kind: Kind,
     covariance: npt.ArrayLike,
     *,
     of_true_angle: bool = False,
@@ -111,7 +112,7 @@ def measure_deviation(
         best: postures with the largest w, from Search.at(points).
         points: x, y [m].
         limits: lowest and highest joint readings, (n, 2) [rad].
-        kind: kind of measure, see measure.py.
+        kind: kind of measure.
         covariance: covariance of Arm.vector().
         of_true_angle: the limits hold for q + theta_0, and not for the encoder's reading q.
     """

@@ -3,6 +3,7 @@
 from typing import Generic, TypeVar
 
 from fss_arm_model.units import SECOND
+from fss_gnc.reference import Body
 
 T = TypeVar("T")
 
@@ -39,3 +40,9 @@ class Latest(Generic[T]):
         if (age := self.age(now)) > self.max_age:
             return f"{self.name} is {age:.1f} s old"
         return f"{self.name} is stamped {-age:.1f} s in the future" if age < -self.max_age else ""
+
+
+def body_at(topic: Latest[Body], now: int) -> Body | None:
+    """Return the state extrapolated to `now` [ns]; None if there is none that is valid then."""
+    body = topic.valid_value(now)
+    return body and body.extrapolate(topic.age(now))

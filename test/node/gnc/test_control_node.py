@@ -38,7 +38,7 @@ def test_no_wrench_without_a_trajectory(bench):
 def test_wrench_points_to_the_reference_in_the_base_s_axes(bench):
     bench.pose = np.array([0.0, 0.0, np.pi / 2])
     bench.path = at(0.05, 0.0, np.pi / 2)
-    bench.until(lambda: bench.control.base.value.pose[2] > 1.5)
+    bench.until(lambda: bench.control.controller.base.value.pose[2] > 1.5)
     w = bench.acts()
     g = bench.control.settings
     mass = inertia_matrix(ARM.vector(), [0, 0, np.pi / 2, *FOLDED])[0, 0]
@@ -64,7 +64,7 @@ def test_stale_base_state_closes_the_valves(bench):
 def test_stale_joints_are_assumed_at_rest(bench):
     bench.acts()
     bench.silent |= {"arm/joint_states"}
-    bench.until(lambda: "arm/joint_states is " in bench.control.problem)
+    bench.until(lambda: "arm/joint_states is " in bench.control.controller.problem)
     at_rest = bench.acts()
     assert np.isfinite(at_rest).all()
     words = bench.control.health()
@@ -119,7 +119,7 @@ def test_invalid_trajectories_are_ignored(bench):
     for message in (nan, twice, bare, elsewhere, spoiled(bench, joint_names=["target"])):
         bench.trajectory.publish(message)
     bench.stops("base/trajectory is ")
-    assert bench.control.trajectory.value[1].knots[0, 0, 0] == bench.path.knots[0, 0, 0]
+    assert bench.control.controller.trajectory.value[1].knots[0, 0, 0] == bench.path.knots[0, 0, 0]
 
 
 def test_control_continues_after_huge_numbers(bench):
@@ -146,9 +146,11 @@ def test_duplicate_publishers_of_the_base_state_are_reported(bench):
 
 def test_negative_propellant_counts_as_zero(bench):
     bench.propellant = -20.0
-    bench.until(lambda: bench.control.propellant_used > 0.0)
+    bench.until(lambda: bench.control.controller.model.propellant_used > 0.0)
     bench.acts()
-    assert bench.control.control.p[layout.MASS] == pytest.approx(ARM.vector()[layout.MASS] - 0.1)
+    assert bench.control.controller.pose_control.p[layout.MASS] == pytest.approx(
+        ARM.vector()[layout.MASS] - 0.1
+    )
 
 
 def planned(bench, rates):
@@ -186,26 +188,26 @@ def test_model_includes_the_target_and_excludes_used_propellant(bench):
     x, y, heading = tip_pose(p, q)
     bench.target = np.array([x + 0.1, y, heading]), np.zeros(3)
     bench.propellant, bench.holds = 0.04, True
-    bench.until(lambda: bench.control.place is not None)
+    bench.until(lambda: bench.control.controller.model.place is not None)
     bench.acts()
     whole = with_payload(p, Target(), payload_pose(p, q, bench.target[0]))
-    mass = inertia_matrix(bench.control.control.p, q)[0, 0]
+    mass = inertia_matrix(bench.control.controller.pose_control.p, q)[0, 0]
     assert mass == pytest.approx(inertia_matrix(whole, q)[0, 0] - 0.06)
     publisher = bench.create_publisher(MassProperties, "target/mass_properties", 1)
     bench.until(lambda: publisher.get_subscription_count())
     publisher.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
-    bench.until(lambda: bench.control.measured is not None)
+    bench.until(lambda: bench.control.controller.model.measured is not None)
     bench.acts()
     found = with_payload(p, Target(20.0, 0.6), np.array([0.4, 0.05, 0.0]))
     found[layout.MASS] -= 0.06
-    np.testing.assert_allclose(bench.control.control.p, found)
+    np.testing.assert_allclose(bench.control.controller.pose_control.p, found)
     publisher.publish(MassProperties(mass=-1.0, inertia=0.6))
     bench.acts()
-    np.testing.assert_allclose(bench.control.control.p, found)
+    np.testing.assert_allclose(bench.control.controller.pose_control.p, found)
     bench.holds = False
-    bench.until(lambda: bench.control.place is None)
+    bench.until(lambda: bench.control.controller.model.place is None)
     bench.acts()
-    mass = inertia_matrix(bench.control.control.p, q)[0, 0]
+    mass = inertia_matrix(bench.control.controller.pose_control.p, q)[0, 0]
     assert mass == pytest.approx(inertia_matrix(p, q)[0, 0] - 0.06)
 
 

@@ -154,7 +154,7 @@ def follow(bench, message):
     """Publish a reference, and wait until it has become wrenches."""
     before, received = len(bench.wrenches), bench.now()
     bench.trajectory.publish(message)
-    bench.until(lambda: (bench.control.trajectory.stamp or 0) >= received)
+    bench.until(lambda: (bench.control.controller.trajectory.stamp or 0) >= received)
     bench.until(lambda: len(bench.wrenches) > before + 1)
 
 

@@ -17,7 +17,8 @@ from fss_arm_ros.qos import LATCHED
 from fss_gnc import guidance_node
 from fss_gnc.guidance.activity import Commands, Outcome
 from fss_gnc.guidance.budget import Budget
-from fss_gnc.guidance.kinds import BASE, MISSIONS, HoldBase, Kind
+from fss_gnc.guidance.execution import Kind
+from fss_gnc.guidance.kinds import BASE, MISSIONS, HoldBase
 from fss_gnc.reference import Body
 
 HOLD, GO_TO, FOLLOW = BASE
@@ -239,7 +240,7 @@ def before_a_target(bench):
     """The base at rest, arm folded, with a target on the table."""
     bench.pose, bench.q = np.array([-1.0, -1.0, -1.4]), np.array([0.95, 1.3, 1.36, -1.23])
     bench.target = np.zeros(3), np.array([0.0, 0.0, 0.1])
-    bench.until(lambda: bench.guidance.target.value is not None)
+    bench.until(lambda: bench.guidance.measured.target.value is not None)
 
 
 def test_abort_preempts_a_capture(bench):
@@ -278,23 +279,23 @@ def momentum_along_x(craft):
 def test_held_body_is_the_navigation_s_estimate_until_its_release(bench):
     publisher = bench.create_publisher(MassProperties, "target/mass_properties", 1)
     bench.holds = True
-    bench.until(lambda: bench.guidance.holds.value and publisher.get_subscription_count())
+    bench.until(lambda: bench.guidance.measured.holds.value and publisher.get_subscription_count())
     publisher.publish(MassProperties(mass=-1.0, inertia=0.6))  # invalid
     publisher.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
-    bench.until(lambda: bench.guidance.observe(bench.now()).held_body is not None)
-    target, place = bench.guidance.observe(bench.now()).held_body
+    bench.until(lambda: bench.guidance.observe(bench.now())[0].held_body is not None)
+    target, place = bench.guidance.observe(bench.now())[0].held_body
     assert (target.mass, target.inertia, *place) == (20.0, 0.6, 0.4, 0.05, 0.0)
-    budget, obs = Budget(bench.guidance.craft), bench.guidance.observe(bench.now())
+    budget, obs = Budget(bench.guidance.craft), bench.guidance.observe(bench.now())[0]
     budget.update(replace(obs, base=Body(np.zeros(3), np.array([1.0, 0.0, 0.0]))))
     assert budget.momentum[0] == pytest.approx(momentum_along_x(bench.guidance.craft) + 20.0)
     bench.holds = False
-    bench.until(lambda: bench.guidance.observe(bench.now()).held_body is None)
+    bench.until(lambda: bench.guidance.observe(bench.now())[0].held_body is None)
 
 
 def test_open_valve_aborts_a_mission(bench):
     publisher = bench.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
     publisher.publish(ThrusterHealth(stuck_open=[i == 2 for i in range(8)]))
-    bench.until(lambda: bench.guidance.observe(bench.now()).open_valves == (3,))
+    bench.until(lambda: bench.guidance.observe(bench.now())[0].open_valves == (3,))
     bench.holds = True
     handle = bench.begin(DETUMBLE)
     bench.until(lambda: bench.states[-1].phase == "abort" and bench.paths[-1])

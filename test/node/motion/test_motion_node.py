@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 
 from fss_arm_driver.arm.request import MAX_POINTS as ARM_MAX_POINTS
 from fss_arm_driver.move import MAX_DURATION as ARM_MAX_DURATION
-from fss_arm_motion import motion_node
+from fss_arm_motion import messages
 from fss_arm_motion.messages import MAX_CHARACTERS, MAX_DURATION, MAX_POINTS, too_long
 from fss_arm_motion.motion_node import MotionNode
 from fss_arm_msgs.action import ExecuteMotion
@@ -32,7 +32,7 @@ class Bench:
         self.user.create_timer(0.05, self.report)
         self.user.create_subscription(DiagnosticArray, "/diagnostics", self.on_health, 10)
         self.client = ActionClient(self.user, ExecuteMotion, "arm/execute")
-        self.until(lambda: self.client.server_is_ready() and self.motion.joints.t)
+        self.until(lambda: self.client.server_is_ready() and self.motion.measured.t)
 
     def report(self):
         zeros = [0.0] * 4
@@ -74,7 +74,7 @@ def slow_planner(monkeypatch):
         assert release.wait(30.0)
         raise ValueError("there is no plan")
 
-    monkeypatch.setattr(motion_node, "options_of", lambda *_: (SimpleNamespace(plan=plan), None))
+    monkeypatch.setattr(messages, "options_of", lambda *_: (SimpleNamespace(plan=plan), None))
     yield release
     release.set()
 
@@ -82,9 +82,9 @@ def slow_planner(monkeypatch):
 def test_the_node_does_not_wait_for_a_plan(bench, slow_planner):
     handle = bench.send(kind="slow")
     bench.until(lambda: bench.motion.busy)
-    beats, heard = bench.beats, bench.motion.joints.t
+    beats, heard = bench.beats, bench.motion.measured.t
     bench.until(lambda: bench.beats > beats + 3)
-    assert bench.motion.joints.t > heard
+    assert bench.motion.measured.t > heard
     assert handle.status == GoalStatus.STATUS_EXECUTING
     ended = handle.get_result_async()
     slow_planner.set()

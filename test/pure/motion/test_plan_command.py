@@ -1,5 +1,7 @@
 """The command `plan`, and the files it writes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -7,9 +9,9 @@ from numpy.testing import assert_allclose
 from fss_arm_model.description import paper_arm
 from fss_arm_model.files import ContentError
 from fss_arm_motion.kinds import KINDS
-from fss_arm_motion.plan import Start
+from fss_arm_motion.plan import PlanError, Start
 from fss_arm_motion.plan_command import main
-from fss_arm_motion.plan_file import digest, parsed, written
+from fss_arm_motion.plan_file import digest, parsed, plan_from_file, written
 from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 
 
@@ -50,6 +52,19 @@ def test_a_damaged_file_is_refused_in_one_line_that_names_the_entry(was, becomes
     with pytest.raises(ContentError, match=words) as error:
         parsed(given.replace(was, becomes, 1))
     assert "\n" not in str(error.value)
+
+
+def test_a_plan_from_a_file_starts_where_the_arm_is(tmp_path):
+    path = tmp_path / "plan.yaml"
+    path.write_text(text())
+    drifting = Start(paper_arm(), np.array([0.01, 0.0, 0.0, 0.0]), momentum=np.array([1.0, 0, 0]))
+    plan = plan_from_file(path, drifting, 0.02)
+    assert plan.prediction.pose[-1, 0] > parsed(path).plan.prediction.pose[-1, 0]
+    with pytest.raises(PlanError, match=f"joint 1 is at 0.57 deg, {path} starts at 0.00 deg"):
+        plan_from_file(path, drifting, 0.005)
+    arm = replace(paper_arm(), links=paper_arm().links[:3])
+    with pytest.raises(PlanError, match=f"{path} is for 4 joints, the arm has 3"):
+        plan_from_file(path, Start(arm, np.zeros(3)), 0.02)
 
 
 EXAMPLES = {

@@ -1,7 +1,7 @@
 """Posture of largest manipulability with the tip at a given point.
 
 Arguments of all functions: p (..., 8 + 6 n) is Arm.vector(), q_m (..., n) the joint readings [rad],
-limits (..., n, 2) the lowest and highest readings, kind (2,) the kind of measure (measure.py).
+limits (..., n, 2) the lowest and highest readings, kind the kind of measure (measure.py).
 Leading dimensions broadcast. The kernels use the notation of self_motion.py.
 """
 
@@ -12,13 +12,13 @@ import numpy.typing as npt
 
 from fss_arm_model.kernels import Floats, helper, kernel
 from fss_arm_model.kinematics import _dot, checked
-from fss_arm_workspace.manipulability.measure import FIXED, _fixed_jacobian, _square_measure
+from fss_arm_workspace.manipulability.measure import FIXED, Kind, fixed_jacobian, square_measure
 from fss_arm_workspace.manipulability.self_motion import (
-    _MAX_STEP,
-    _move_tip,
-    _self_motions,
-    _solve_joints,
-    _turn_vectors,
+    MAX_STEP,
+    move_tip,
+    self_motions,
+    solve_joints,
+    turn_vectors,
 )
 
 _AT_LIMIT = 1e-7  # distance below which a joint is at its limit [rad]
@@ -33,10 +33,10 @@ def _gradient(p, d, e, kind, d2, e2, J, x, g):  # type: ignore[no-untyped-def]
     x[:] = 0.0
     for k in range(g.size):
         x[k] = step
-        _turn_vectors(d, e, x, 1.0, d2, e2)
-        above = _square_measure(p, d2, e2, kind, J)
-        _turn_vectors(d, e, x, -1.0, d2, e2)
-        g[k] = (above - _square_measure(p, d2, e2, kind, J)) / (2.0 * step)
+        turn_vectors(d, e, x, 1.0, d2, e2)
+        above = square_measure(p, d2, e2, kind, J)
+        turn_vectors(d, e, x, -1.0, d2, e2)
+        g[k] = (above - square_measure(p, d2, e2, kind, J)) / (2.0 * step)
         x[k] = 0.0
 
 
@@ -54,7 +54,7 @@ def _release_joints(limits: Floats, q: Floats, J: Floats, g: Floats, free: Float
         for k in range(free.size):
             a += free[k] * J[0, k] * g[k]
             b += free[k] * J[1, k] * g[k]
-        y = _solve_joints(J, free, a, b)
+        y = solve_joints(J, free, a, b)
         best, largest = -1, _MIN_SLOPE
         for k in range(free.size):
             gain = g[k] - _dot(complex(J[0, k], J[1, k]), y)
@@ -86,15 +86,15 @@ def _curvature(  # type: ignore[no-untyped-def]
                 for k in range(x.size):
                     x[k] = sign * (Z[i, k] if i == j else Z[i, k] + Z[j, k])
                 for _ in range(2):
-                    _turn_vectors(d, e, x, 1.0, d2, e2)
+                    turn_vectors(d, e, x, 1.0, d2, e2)
                     error = tip
                     for k in range(d.size):
                         error -= d2[k]
-                    y = _solve_joints(J, free, error.real, error.imag)
+                    y = solve_joints(J, free, error.real, error.imag)
                     for k in range(x.size):
                         x[k] += free[k] * _dot(complex(J[0, k], J[1, k]), y)
-                _turn_vectors(d, e, x, 1.0, d2, e2)
-                total += _square_measure(p, d2, e2, kind, J2)
+                turn_vectors(d, e, x, 1.0, d2, e2)
+                total += square_measure(p, d2, e2, kind, J2)
             H[i, j] = total / (step * step)
     for i in range(count):
         for j in range(i):
@@ -134,8 +134,8 @@ def _ascent_step(H: Floats, b: Floats, count: int, L: Floats, u: Floats) -> None
 
 
 @kernel("(p),(n,k),(k),(k),(n),()->(n),()")
-def _climb(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-untyped-def]
-    n = start.size
+def _climb(p, limits, kind_, point, start, steps, q_m, w):  # type: ignore[no-untyped-def]
+    n, kind = start.size, Kind(kind_[0], kind_[1])
     d, e, d2, e2 = np.empty((4, n + 1), np.complex128)
     q, trial = np.zeros((2, 3 + n))
     J, J2 = np.empty((2, 3, n))
@@ -143,17 +143,17 @@ def _climb(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-unt
     Z, H, L = np.empty((3, n + 2, n))
     q[3:] = start
     target = complex(point[0], point[1])
-    if not _move_tip(p, limits, target, q, d, e, J, free, movable):
+    if not move_tip(p, limits, target, q, d, e, J, free, movable):
         q_m[:], w[0] = math.nan, math.nan
         return
-    square = _square_measure(p, d, e, kind, J)
+    square = square_measure(p, d, e, kind, J)
     for _ in range(int(steps[0])):
         _gradient(p, d, e, kind, d2, e2, J2, x, g)
-        _fixed_jacobian(d, J)
+        fixed_jacobian(d, J)
         _release_joints(limits, q, J, g, free)
         steepest, longest, blocked = 0.0, 0.0, 0
         while blocked >= 0:  # a joint that the step would move beyond its limit is held
-            count = _self_motions(J, free, Z)
+            count = self_motions(J, free, Z)
             steepest = 0.0
             for i in range(count):
                 b[i] = 0.0
@@ -178,7 +178,7 @@ def _climb(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-unt
                 free[blocked] = 0.0
         if steepest <= _MIN_SLOPE:
             break
-        share = min(1.0, _MAX_STEP / longest)
+        share = min(1.0, MAX_STEP / longest)
         done = True  # unless a step gains, and is too long for convergence
         for attempt in range(12):
             if attempt == 1:  # shorten the step to the first limit
@@ -190,8 +190,8 @@ def _climb(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-unt
                 trial[3 + k] = min(max(q[3 + k] + share * x[k], limits[k, 0]), limits[k, 1])
                 room = min(trial[3 + k] - limits[k, 0], limits[k, 1] - trial[3 + k])
                 movable[k] = 1.0 if room > _AT_LIMIT else 0.0
-            if _move_tip(p, limits, target, trial, d2, e2, J2, free2, movable):
-                trial_square = _square_measure(p, d2, e2, kind, J2)
+            if move_tip(p, limits, target, trial, d2, e2, J2, free2, movable):
+                trial_square = square_measure(p, d2, e2, kind, J2)
                 if trial_square > square:
                     done = attempt == 0 and longest < _CONVERGED
                     square = trial_square
@@ -211,7 +211,7 @@ def climb(
     q_m: npt.ArrayLike,
     point: npt.ArrayLike,
     limits: npt.ArrayLike,
-    kind: npt.ArrayLike = FIXED,
+    kind: Kind = FIXED,
     steps: int = 100,
 ) -> tuple[Floats, Floats]:
     """Find a local maximum of w from posture q_m, with the tip at a point of the base's frame.

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Floats
-from fss_arm_workspace.manipulability.measure import FIXED
+from fss_arm_workspace.manipulability.measure import FIXED, Kind
 from fss_arm_workspace.manipulability.search import Search, pairs
 from fss_arm_workspace.regions.arcs import Region
 from fss_arm_workspace.regions.grid import Grid
@@ -18,7 +18,7 @@ from fss_arm_workspace.regions.grid import Grid
 class Map:
     """Largest manipulability in each cell of a grid; NaN in cells that cannot be reached."""
 
-    kind: Floats  # (2,) kind of measure, see measure.py
+    kind: Kind
     grid: Grid
     region: Region  # fixed vehicle workspace
     w: Floats  # (height, width)
@@ -27,7 +27,7 @@ class Map:
 
 def manipulability_map(
     arm: Arm,
-    kind: npt.ArrayLike = FIXED,
+    kind: Kind = FIXED,
     limits: npt.ArrayLike | None = None,
     *,
     cell: float = 0.01,
@@ -38,7 +38,7 @@ def manipulability_map(
 
     Args:
         arm: the arm.
-        kind: kind of measure, see measure.py.
+        kind: kind of measure.
         limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
         cell: size of a cell [m].
         workers: threads to use.

@@ -4,8 +4,7 @@
 
 J (r, n) are the first r rows of the tip's Jacobian: 2 for its position, 3 for its pose. On a fixed
 base the Jacobian is J_m, on a floating base without momentum the generalized Jacobian J* (Umetani
-and Yoshida 1989). w does not depend on the base's pose. The kind of measure is an array `kind`,
-(2,): 1 if the base floats, else 0; and r.
+and Yoshida 1989). w does not depend on the base's pose.
 """
 
 from typing import NamedTuple
@@ -18,12 +17,20 @@ from fss_arm_model.kernels import Complexes, Floats, helper
 from fss_arm_model.kinematics import tip_jacobian
 from fss_arm_model.momentum import _floating, generalized_jacobian
 
-FIXED, FLOATING = np.array([0.0, 2.0]), np.array([1.0, 2.0])
-FIXED_POSE, FLOATING_POSE = np.array([0.0, 3.0]), np.array([1.0, 3.0])
+
+class Kind(NamedTuple):
+    """Kind of measure; kernels take it as an array (2,)."""
+
+    floating: float  # 1 if the base floats, else 0
+    rows: float  # r
+
+
+FIXED, FLOATING = Kind(0.0, 2.0), Kind(1.0, 2.0)
+FIXED_POSE, FLOATING_POSE = Kind(0.0, 3.0), Kind(1.0, 3.0)
 
 
 @helper
-def _fixed_jacobian(d: Complexes, J: Floats) -> complex:
+def fixed_jacobian(d: Complexes, J: Floats) -> complex:
     """Write J_m (3, n); return the tip's position relative to the base."""
     arm = 0j
     for k in range(d.size - 1, 0, -1):
@@ -33,12 +40,12 @@ def _fixed_jacobian(d: Complexes, J: Floats) -> complex:
 
 
 @helper
-def _square_measure(p: Floats, d: Complexes, e: Complexes, kind: Floats, J: Floats) -> float:
+def square_measure(p: Floats, d: Complexes, e: Complexes, kind: Kind, J: Floats) -> float:
     """Return w^2 = det(J J^T); J (3, n) is scratch."""
-    if kind[0] > 0.0:
+    if kind.floating > 0.0:
         _floating(p, d, e, J)
     else:
-        _fixed_jacobian(d, J)
+        fixed_jacobian(d, J)
     xx = xy = yy = xz = yz = zz = 0.0
     for k in range(J.shape[1]):
         x, y, z = J[0, k], J[1, k], J[2, k]
@@ -49,12 +56,12 @@ def _square_measure(p: Floats, d: Complexes, e: Complexes, kind: Floats, J: Floa
         yz += y * z
         zz += z * z
     plane = xx * yy - xy * xy
-    if kind[1] < 3.0:
+    if kind.rows < 3.0:
         return plane
     return zz * plane - xz * (xz * yy - xy * yz) - yz * (yz * xx - xy * xz)
 
 
-def jacobian(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
+def jacobian(arm: Arm, q_m: npt.ArrayLike, kind: Kind = FIXED) -> Floats:
     """Return J of the kind, in axes of the base's frame, (..., r, n).
 
     Raises:
@@ -62,13 +69,12 @@ def jacobian(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Float
     """
     q_m = np.asarray(q_m, dtype=float)
     q = np.concatenate([np.zeros((*q_m.shape[:-1], 3)), q_m], axis=-1)
-    floating, rows = np.asarray(kind)
     p = arm.vector()
-    J = generalized_jacobian(p, q) if floating else tip_jacobian(p, q)[..., 3:]
-    return J[..., : int(rows), :]
+    J = generalized_jacobian(p, q) if kind.floating else tip_jacobian(p, q)[..., 3:]
+    return J[..., : int(kind.rows), :]
 
 
-def measure(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
+def measure(arm: Arm, q_m: npt.ArrayLike, kind: Kind = FIXED) -> Floats:
     """Return the manipulability w of postures (..., n), (...) [position: m^2, pose: m^2 rad].
 
     Raises:

@@ -11,7 +11,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Complexes, Floats
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_workspace.manipulability.climb import climb
-from fss_arm_workspace.manipulability.measure import FIXED, measure
+from fss_arm_workspace.manipulability.measure import FIXED, Kind, measure
 from fss_arm_workspace.regions.fixed import checked_limits, fixed_workspace
 from fss_arm_workspace.regions.grid import Grid
 
@@ -35,7 +35,7 @@ class Search:
     def __init__(
         self,
         arm: Arm,
-        kind: npt.ArrayLike = FIXED,
+        kind: Kind = FIXED,
         limits: npt.ArrayLike | None = None,
         *,
         spacing: float = 0.04,
@@ -46,7 +46,7 @@ class Search:
 
         Args:
             arm: the arm.
-            kind: kind of measure, see measure.py.
+            kind: kind of measure.
             limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
             spacing: spacing of the coarse grid [m].
             workers: threads to use.
@@ -59,7 +59,7 @@ class Search:
 
         if arm.n < 2:
             raise ValueError(f"the arm has {arm.n} link, expected 2 or more: its w is 0 everywhere")
-        self.arm, self.p, self.kind = arm, arm.vector(), np.asarray(kind, dtype=float)
+        self.arm, self.p, self.kind = arm, arm.vector(), kind
         self.limits, self.workers = checked_limits(arm, limits), workers
         self.region = fixed_workspace(arm, self.limits)
         inner = Grid.around(self.region, spacing).inside(self.region)
@@ -73,7 +73,7 @@ class Search:
         """Return the best postures at points (m, 2) of the base's frame [m]."""
         points = np.asarray(points, dtype=float)
         seeds = [*self.coarse.q[_nearest(self.tree, points, 4)].swapaxes(0, 1)]
-        if self.arm.n <= 3 or self.kind[1] == 3.0:
+        if self.arm.n <= 3 or self.kind.rows == 3.0:
             # A branch can be too small for the grid: also try random postures that reach nearby.
             seeds += [*self.random[_nearest(self.random_tree, points, 8)].swapaxes(0, 1)]
         best = _no_postures(len(points), self.p)

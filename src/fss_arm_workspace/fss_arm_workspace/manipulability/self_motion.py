@@ -9,14 +9,14 @@ import math
 
 from fss_arm_model.kernels import Complexes, Floats, helper
 from fss_arm_model.kinematics import _chain, _dot
-from fss_arm_workspace.manipulability.measure import _fixed_jacobian
+from fss_arm_workspace.manipulability.measure import fixed_jacobian
 
 _TIP_TOLERANCE = 1e-12  # distance below which the tip is at the target [m]
-_MAX_STEP = 0.3  # maximum step of a joint [rad]
+MAX_STEP = 0.3  # maximum step of a joint [rad]
 
 
 @helper
-def _solve_joints(J: Floats, free: Floats, x: float, y: float) -> complex:
+def solve_joints(J: Floats, free: Floats, x: float, y: float) -> complex:
     """Return (J J^T)^-1 (x, y) for J's first two rows and the free joints; 0 if it is singular."""
     xx = xy = yy = 0.0
     for k in range(free.size):
@@ -30,7 +30,7 @@ def _solve_joints(J: Floats, free: Floats, x: float, y: float) -> complex:
 
 
 @helper
-def _move_tip(p, limits, target, q, d, e, J, free, movable):  # type: ignore[no-untyped-def]
+def move_tip(p, limits, target, q, d, e, J, free, movable):  # type: ignore[no-untyped-def]
     """Move the tip to the target by least motion within the limits; return False on failure.
 
     q, d and e are updated. Only joints with 1 in `movable` (n,) move; J (3, n) and free (n,) are
@@ -38,13 +38,13 @@ def _move_tip(p, limits, target, q, d, e, J, free, movable):  # type: ignore[no-
     """
     for _ in range(30):
         _chain(p, q, d, e)
-        error = target - _fixed_jacobian(d, J)
+        error = target - fixed_jacobian(d, J)
         if _dot(error, error) < _TIP_TOLERANCE * _TIP_TOLERANCE:
             return True
         free[:] = movable
         longest, blocked = 0.0, True
         while blocked:  # joints that would leave their limits are held
-            y = _solve_joints(J, free, error.real, error.imag)
+            y = solve_joints(J, free, error.real, error.imag)
             if y == 0j:
                 return False
             longest, blocked = 0.0, False
@@ -54,7 +54,7 @@ def _move_tip(p, limits, target, q, d, e, J, free, movable):  # type: ignore[no-
                 room = limits[k, 1] - q[3 + k] if move > 0.0 else q[3 + k] - limits[k, 0]
                 if move != 0.0 and room <= 0.0:
                     free[k], blocked = 0.0, True
-        y *= min(1.0, _MAX_STEP / longest)
+        y *= min(1.0, MAX_STEP / longest)
         for k in range(free.size):
             move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
             q[3 + k] = min(max(q[3 + k] + move, limits[k, 0]), limits[k, 1])
@@ -62,7 +62,7 @@ def _move_tip(p, limits, target, q, d, e, J, free, movable):  # type: ignore[no-
 
 
 @helper
-def _turn_vectors(
+def turn_vectors(
     d: Complexes, e: Complexes, x: Floats, sign: float, d2: Complexes, e2: Complexes
 ) -> None:
     """Write d2 and e2: d and e after the joints have moved by the small angles sign x (n,)."""
@@ -96,7 +96,7 @@ def _orthonormalize(Z: Floats, count: int) -> float:
 
 
 @helper
-def _self_motions(J: Floats, free: Floats, Z: Floats) -> int:
+def self_motions(J: Floats, free: Floats, Z: Floats) -> int:
     """Write an orthonormal basis of the free joints' self-motions as rows of Z; return their count.
 
     Gram-Schmidt method: first the Jacobian's two rows, then repeatedly the unit vector with the

@@ -26,10 +26,10 @@ from fss_arm_model.settings import (
 )
 from fss_arm_workspace.regions.fixed import checked_limits, joint_limits
 from fss_arm_workspace.straight_path.redundancy import BASES, RULES
-from fss_arm_workspace.straight_path.trace import trace
+from fss_arm_workspace.straight_path.trace import LineOptions, trace
 
 FIXED, FLOATING, ZERO_REACTION = BASES
-MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED, PREFERRED = RULES
+MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED = RULES
 
 GRAZING_RATE_SHARE = 0.5  # peak rate of a grazing path, as share of the stopping rate
 GRAZING_DISTANCE = 5e-3  # from the stop to the singularity of a grazing path, at least [m]
@@ -73,9 +73,6 @@ class Rules(PathSettings):
 
     base: str = setting(FLOATING, "kind of base for straight paths", check=one_of(*BASES))
     step: float = setting(2e-3, "maximum step along a straight path", unit="m", check=POSITIVE)
-    segment: float = setting(
-        0.1, "length of a path segment with constant preferred rates", unit="m", check=POSITIVE
-    )
 
 
 @dataclass(frozen=True)
@@ -127,7 +124,6 @@ def straight_paths(
     direction: npt.ArrayLike,
     rules: Rules | None = None,
     limits: npt.ArrayLike | None = None,
-    preferred: npt.ArrayLike | None = None,
 ) -> Paths:
     """Follow straight lines from a start state (3 + n,) in directions (k,) [rad, world].
 
@@ -137,7 +133,6 @@ def straight_paths(
         direction: direction of each path.
         rules: settings of the paths.
         limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
-        preferred: joint rates of the rule "preferred", (..., c, n) [rad/m], one row a segment.
 
     Raises:
         ValueError: the start lies outside the limits or the table, or shapes do not fit.
@@ -145,8 +140,7 @@ def straight_paths(
     rules = rules or Rules()
     direction = np.atleast_1d(np.asarray(direction, dtype=float))
     start, bounds, tip, options = _prepare(arm, start, direction, rules, limits)
-    wish = np.zeros((1, arm.n)) if preferred is None else preferred
-    last, result = trace(arm.vector(), start, bounds, options, wish)
+    last, result = trace(arm.vector(), start, bounds, options)
     length, reason, peak, remaining = np.moveaxis(result, -1, 0)
     grazes = (peak > GRAZING_RATE_SHARE * rules.stopping_rate) | (remaining > GRAZING_DISTANCE)
     return Paths(start, rules.redundancy, tip, direction, length, reason.astype(int), last, grazes)
@@ -204,8 +198,8 @@ def straight_workspace(
 
 def _prepare(
     arm: Arm, start: npt.ArrayLike, direction: Floats, rules: Rules, limits: npt.ArrayLike | None
-) -> tuple[Floats, Floats, complex, Floats]:
-    """Return start, limits, the tip's start position, and the kernel's options (k, 9).
+) -> tuple[Floats, Floats, complex, LineOptions]:
+    """Return start, limits, the tip's start position, and the options of the lines.
 
     Raises:
         ValueError: the start lies outside the limits or the table, or shapes do not fit.
@@ -228,16 +222,11 @@ def _prepare(
             / direction_vector
         )
     room = np.where(np.abs(direction_vector) > 1e-12, room, inf).min(axis=-1)
-    common = [
-        BASES.index(rules.base),
-        RULES.index(rules.redundancy),
-        rules.gain,
-        rules.stopping_rate,
-        rules.step,
-    ]
-    options = np.empty((len(direction), 9))
-    options[:, :2], options[:, 2:7] = direction_vector, common
-    options[:, 7], options[:, 8] = room, rules.segment
+    dx, dy = direction_vector.T
+    options = LineOptions(
+        dx, dy, BASES.index(rules.base), RULES.index(rules.redundancy), rules.gain,
+        rules.stopping_rate, rules.step, room,
+    )  # fmt: skip
     return start, bounds, complex(x, y), options
 
 

@@ -12,7 +12,6 @@ third row makes the base's angular rate zero. The rule that resolves the redunda
     away from limits      z_i = -gain (q_i - mid_i) / half_i   W = 1          (Liegeois 1977)
     weighted least norm   z = 0                                W_i = 1 + |dH/dq_i| for joints that
                           move from the middle, else 1              (Chan and Dubey 1995)
-    preferred             z given, piecewise constant in s     W = 1
 
     H = sum of (max_i - min_i)^2 / (4 (max_i - q_i) (q_i - min_i))
 """
@@ -22,15 +21,15 @@ import math
 from fss_arm_model.kernels import Complexes, Floats, helper
 from fss_arm_model.kinematics import _chain
 from fss_arm_model.momentum import _floating
-from fss_arm_workspace.manipulability.measure import _fixed_jacobian
+from fss_arm_workspace.manipulability.measure import fixed_jacobian
 
 BASES = ("fixed", "floating", "zero reaction")
-RULES = ("minimum norm", "away from limits", "weighted least norm", "preferred")
+RULES = ("minimum norm", "away from limits", "weighted least norm")
 
 _WEIGHTED_TOLERANCE = (
     1e-3  # distance below which weights almost stop a joint, so that it is at its limit [rad]
 )
-_LIMIT_TOLERANCE = 1e-11  # distance below which a joint is at its limit [rad]
+LIMIT_TOLERANCE = 1e-11  # distance below which a joint is at its limit [rad]
 
 
 @helper
@@ -58,7 +57,7 @@ def _solve(C: Floats, rows: int, y: Floats) -> bool:
 
 
 @helper
-def _least_rates(
+def least_rates(
     A: Floats, rows: int, free: Floats, z: Floats, W: Floats, C: Floats, y: Floats, x: Floats
 ) -> bool:
     """Write the free joints' x with A x = y nearest to z, and multipliers y; False if singular."""
@@ -80,7 +79,7 @@ def _least_rates(
 
 
 @helper
-def _constraint_rows(
+def constraint_rows(
     p: Floats, q: Floats, base: float, d: Complexes, e: Complexes, A: Floats
 ) -> None:
     """Write A (3, n): the tip's two rows, and the base's angular rate per joint rate."""
@@ -90,21 +89,21 @@ def _constraint_rows(
         for k in range(A.shape[1]):
             A[2, k] -= 1.0
     else:
-        _fixed_jacobian(d, A)
+        fixed_jacobian(d, A)
         A[2] = 0.0
 
 
 @helper
 def _weight(low: float, high: float, angle: float) -> float:
     """Return 1 + |dH/dq| of one joint."""
-    room = max(high - angle, _LIMIT_TOLERANCE) * max(angle - low, _LIMIT_TOLERANCE)
+    room = max(high - angle, LIMIT_TOLERANCE) * max(angle - low, LIMIT_TOLERANCE)
     side = (high - low) / (2.0 * room)
     return 1.0 + side * side * abs(2.0 * angle - high - low)
 
 
 @helper
-def _rates(  # type: ignore[no-untyped-def]
-    limits, q, A, rows, rule, gain, preferred, direction, free, z, W, C, y, x,
+def joint_rates(  # type: ignore[no-untyped-def]
+    limits, q, A, rows, rule, gain, direction, free, z, W, C, y, x,
 ):  # fmt: skip
     """Write the free joints' rates x (n,) [rad/m] by the rule; return False if there are none."""
     z[:] = 0.0
@@ -115,12 +114,10 @@ def _rates(  # type: ignore[no-untyped-def]
             z[k] = -gain * (2.0 * angle - high - low) / (high - low)
         elif rule == 2.0:
             W[k] = _weight(low, high, angle)
-        elif rule == 3.0:
-            z[k] = preferred[k]
     # W depends on the rates and they on W; the cost is convex, so few iterations find its minimum.
     for _ in range(2 * x.size):
         y[0], y[1], y[2] = direction.real, direction.imag, 0.0
-        if not _least_rates(A, rows, free, z, W, C, y, x):
+        if not least_rates(A, rows, free, z, W, C, y, x):
             return False
         settled = True
         for k in range(x.size if rule == 2.0 else 0):
@@ -135,9 +132,9 @@ def _rates(  # type: ignore[no-untyped-def]
 
 
 @helper
-def _at_limit(limits: Floats, q: Floats, k: int, rule: float) -> float:
+def at_limit(limits: Floats, q: Floats, k: int, rule: float) -> float:
     """Return -1 or 1 if joint k is at its lowest or highest reading, else 0."""
-    tolerance = _WEIGHTED_TOLERANCE if rule == 2.0 else _LIMIT_TOLERANCE
+    tolerance = _WEIGHTED_TOLERANCE if rule == 2.0 else LIMIT_TOLERANCE
     if q[3 + k] - limits[k, 0] <= tolerance:
         return -1.0
     if limits[k, 1] - q[3 + k] <= tolerance:
@@ -146,8 +143,8 @@ def _at_limit(limits: Floats, q: Floats, k: int, rule: float) -> float:
 
 
 @helper
-def _choose_free_joints(  # type: ignore[no-untyped-def]
-    limits, q, A, rows, options, preferred, direction, free, rates, C, x,
+def choose_free_joints(  # type: ignore[no-untyped-def]
+    limits, q, A, rows, rule, gain, direction, free, rates, C, x,
 ):  # fmt: skip
     """Write which joints are free (n,), and their rates x; return whether rates exist, and a count.
 
@@ -162,13 +159,11 @@ def _choose_free_joints(  # type: ignore[no-untyped-def]
     for _ in range(4 * n):
         if count < rows:
             return False, count
-        if not _rates(
-            limits, q, A, rows, options[3], options[4], preferred, direction, free, z, W, C, y, x
-        ):
+        if not joint_rates(limits, q, A, rows, rule, gain, direction, free, z, W, C, y, x):
             return False, count
         chosen, largest = -1, 0.0
         for k in range(n):
-            out = free[k] * x[k] * _at_limit(limits, q, k, options[3])
+            out = free[k] * x[k] * at_limit(limits, q, k, rule)
             if out > largest:
                 chosen, largest = k, out
         if chosen >= 0:
@@ -180,7 +175,7 @@ def _choose_free_joints(  # type: ignore[no-untyped-def]
             pull = W[k] * z[k]
             for i in range(rows):
                 pull += A[i, k] * y[i]
-            inward = -(1.0 - free[k]) * pull * _at_limit(limits, q, k, options[3])
+            inward = -(1.0 - free[k]) * pull * at_limit(limits, q, k, rule)
             if inward > largest:
                 chosen, largest = k, inward
         if chosen < 0:

@@ -5,7 +5,7 @@ position follows from the centre of mass, which does not move. The set of joints
 constant within a step of the 4th-order Runge-Kutta method; steps end where a joint meets its limit.
 """
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +13,12 @@ import numpy.typing as npt
 from fss_arm_model.kernels import Complexes, Floats, helper, kernel
 from fss_arm_model.kinematics import _chain, _mass, checked
 from fss_arm_workspace.straight_path.redundancy import (
-    _LIMIT_TOLERANCE,
-    _at_limit,
-    _choose_free_joints,
-    _constraint_rows,
-    _least_rates,
-    _rates,
+    LIMIT_TOLERANCE,
+    at_limit,
+    choose_free_joints,
+    constraint_rows,
+    joint_rates,
+    least_rates,
 )
 
 REASONS = (
@@ -36,6 +36,25 @@ _MIN_STEP = 1e-5  # minimum step, unless a joint meets its limit within it [m]
 _LINE_TOLERANCE = 1e-6  # distance below which the tip is on its line [m]
 
 
+class LineOptions(NamedTuple):
+    """Options of a straight path: numbers in the kernel, numbers or arrays (k,) for `trace`."""
+
+    x: Floats | float  # direction in the world, a unit vector, as the next
+    y: Floats | float
+    base: Floats | float  # index in BASES
+    rule: Floats | float  # index in RULES
+    gain: Floats | float  # [rad/m]
+    stopping_rate: Floats | float  # joint rate that counts as a singularity [rad/m]
+    step: Floats | float  # maximum step [m]
+    table_end: Floats | float  # length at which the table ends [m]
+
+
+@helper
+def _line_options(o):  # type: ignore[no-untyped-def]
+    """Return an array (8,) as LineOptions."""
+    return LineOptions(o[0], o[1], o[2], o[3], o[4], o[5], o[6], o[7])
+
+
 @helper
 def _com(p: Floats, d: Complexes, e: Complexes) -> complex:
     """Return the system's centre of mass relative to the base's origin."""
@@ -50,28 +69,27 @@ def _com(p: Floats, d: Complexes, e: Complexes) -> complex:
 
 @helper
 def _integrate_step(  # type: ignore[no-untyped-def]
-    p, limits, options, preferred, direction, free, q, h, d, e, A, C, rates, stage, new,
+    p, limits, options, direction, free, q, h, d, e, A, C, rates, stage, new,
 ):  # fmt: skip
     """Write the state `new` after a distance h: heading and joints by one Runge-Kutta step.
 
     rates (4, n + 3) is scratch. Return False if a stage has no rates, or rates that are too high.
     """
-    base, rule, gain, max_rate = options[2], options[3], options[4], options[5]
-    rows = 3 if base == 2.0 else 2
+    rows = 3 if options.base == 2.0 else 2
     z, W, y, x = rates[0], rates[1], rates[2], rates[3]
     n = x.size - 3
     new[:] = q
     stage[:] = q
     for i in range(4):
-        _constraint_rows(p, stage, base, d, e, A)
-        if not _rates(
-            limits, stage, A, rows, rule, gain, preferred, direction, free,
+        constraint_rows(p, stage, options.base, d, e, A)
+        if not joint_rates(
+            limits, stage, A, rows, options.rule, options.gain, direction, free,
             z[:n], W[:n], C, y, x[:n],
         ):  # fmt: skip
             return False
         turn = 0.0
         for k in range(n):
-            if abs(x[k]) > max_rate:
+            if abs(x[k]) > options.stopping_rate:
                 return False
             turn += A[2, k] * x[k]
         share = h / 6.0 if i in (0, 3) else h / 3.0
@@ -97,7 +115,7 @@ def _correct(  # type: ignore[no-untyped-def]
     n = x.size - 3
     error = 0j
     for corrections in range(4):
-        _constraint_rows(p, q, base, d, e, A)
+        constraint_rows(p, q, base, d, e, A)
         position = origin if base == 0.0 else com - _com(p, d, e)
         q[0], q[1] = position.real, position.imag
         error = tip - position
@@ -108,7 +126,7 @@ def _correct(  # type: ignore[no-untyped-def]
         y[0], y[1], y[2] = error.real, error.imag, 0.0
         if abs(error) < 1e-13 or corrections == 3:
             break
-        if not _least_rates(A, rows, free, z[:n], W[:n], C, y, x[:n]):
+        if not least_rates(A, rows, free, z[:n], W[:n], C, y, x[:n]):
             break
         for k in range(n):
             if abs(x[k]) > _MAX_TURN:
@@ -126,23 +144,22 @@ def _share_to_limit(limits: Floats, free: Floats, q: Floats, new: Floats) -> flo
     for k in range(free.size):
         bound = limits[k, 1] if new[3 + k] > q[3 + k] else limits[k, 0]
         turn, room = abs(new[3 + k] - q[3 + k]), abs(bound - q[3 + k])
-        if free[k] > 0.0 and turn - room > _LIMIT_TOLERANCE:
+        if free[k] > 0.0 and turn - room > LIMIT_TOLERANCE:
             # Vectorized code also computes this for joints at rest; it must not divide by zero.
-            share = min(share, room / max(turn, _LIMIT_TOLERANCE))
+            share = min(share, room / max(turn, LIMIT_TOLERANCE))
     return share
 
 
-@kernel("(p),(n,k),(m),(o),(c,n),(r)->(m),(r)")
+@kernel("(p),(n,k),(m),(o),(r)->(m),(r)")
 def _trace(  # type: ignore[no-untyped-def]
-    p, limits, start, options, preferred, _r, q, result,
+    p, limits, start, options_, _r, q, result,
 ):  # fmt: skip
     n = start.size - 3
     d, e = np.empty((2, n + 1), np.complex128)
     A, C, rates = np.empty((3, n)), np.empty((3, 3)), np.empty((4, n + 3))
     free, stage, new, x = np.empty(n), np.empty(n + 3), np.empty(n + 3), np.zeros(n)
-    direction, base = complex(options[0], options[1]), options[2]
-    max_rate, longest_step, table_end = options[5], options[6], options[7]
-    segment = options[8]
+    options = _line_options(options_)
+    direction, base = complex(options.x, options.y), options.base
     rows = 3 if base == 2.0 else 2
     q[:] = start
     _chain(p, q, d, e)
@@ -154,16 +171,15 @@ def _trace(  # type: ignore[no-untyped-def]
     s, peak, highest, reason, stalled_steps = 0.0, 0.0, 0.0, _TABLE_END, 0
     rate, slope, h = 0.0, 0.0, 0.0
     while True:
-        segment_rates = preferred[min(int(s / segment), preferred.shape[0] - 1)]
-        _constraint_rows(p, q, base, d, e, A)
-        moving, count = _choose_free_joints(
-            limits, q, A, rows, options, segment_rates, direction, free, rates, C, x
-        )
-        if s >= table_end:
+        constraint_rows(p, q, base, d, e, A)
+        moving, count = choose_free_joints(
+            limits, q, A, rows, options.rule, options.gain, direction, free, rates, C, x,
+        )  # fmt: skip
+        if s >= options.table_end:
             break
         at_limits = 0
         for k in range(n):
-            at_limits += int(_at_limit(limits, q, k, options[3]) != 0.0)
+            at_limits += int(at_limit(limits, q, k, options.rule) != 0.0)
         if count < rows <= n:
             reason = _ALL_LIMITS if at_limits >= n - 1 else _ONE_LIMIT
             break
@@ -171,42 +187,26 @@ def _trace(  # type: ignore[no-untyped-def]
         for k in range(n):
             rate = max(rate, abs(x[k]))
         slope = (rate - before) / h if h > 0.0 else 0.0
-        if not moving or rate > max_rate:
+        if not moving or rate > options.stopping_rate:
             reason = _SINGULARITY
             break
         highest = max(highest, rate)
         if rate < 0.5 * highest:
             peak = max(peak, highest)
             highest = rate
-        h = min(longest_step, table_end - s, _MAX_TURN / max(rate, 1e-9))
+        h = min(options.step, options.table_end - s, _MAX_TURN / max(rate, 1e-9))
         if slope > 0.0:  # rates grow towards a singularity
             h = min(h, max(_MAX_GROWTH * rate / slope, _MIN_STEP))
-        if options[3] == 2.0:  # weights of this rule grow as fast as the room to a limit shrinks
+        if options.rule == 2.0:  # weights of this rule grow as fast as the room to a limit shrinks
             for k in range(n):
                 if free[k] == 0.0:
                     continue
                 room = limits[k, 1] - q[3 + k] if x[k] > 0.0 else q[3 + k] - limits[k, 0]
                 h = min(h, max(_MAX_APPROACH * room / max(abs(x[k]), 1e-9), _MIN_STEP))
-        if options[3] == 3.0:
-            h = max(min(h, segment * (math.floor(s / segment) + 1.0) - s), 1e-9)
         accepted = False
         for _ in range(60):  # shorten the step until it ends where the first joint meets its limit
             fits = _integrate_step(
-                p,
-                limits,
-                options,
-                segment_rates,
-                direction,
-                free,
-                q,
-                h,
-                d,
-                e,
-                A,
-                C,
-                rates,
-                stage,
-                new,
+                p, limits, options, direction, free, q, h, d, e, A, C, rates, stage, new
             )
             share = _share_to_limit(limits, free, q, new) if fits else 0.5
             if share == 1.0:
@@ -242,8 +242,7 @@ def trace(
     p: npt.ArrayLike,
     q: npt.ArrayLike,
     limits: npt.ArrayLike,
-    options: npt.ArrayLike,
-    preferred: npt.ArrayLike,
+    options: LineOptions,
 ) -> tuple[Floats, Floats]:
     """Move the tip along straight lines.
 
@@ -251,10 +250,7 @@ def trace(
         p: parameters of the arm.
         q: start states (..., 3 + n); the base's pose is in the world.
         limits: lowest and highest joint readings (..., n, 2) [rad].
-        options: (..., 9) direction x, y (unit vector, world); index in BASES; index in RULES; gain
-            [rad/m]; joint rate that counts as a singularity [rad/m]; longest step [m]; length at
-            which the table ends [m]; length of a segment of z [m].
-        preferred: z of the rule "preferred", (..., c, n) [rad/m], one row a segment.
+        options: of the lines, each a number or an array (...).
 
     Returns:
         The last state (..., 3 + n); and (..., 4): length [m], index in REASONS, highest peak after
@@ -265,4 +261,5 @@ def trace(
         ValueError: shapes do not fit.
     """
     p, q, _ = checked(p, q)
-    return _trace(p, limits, q, options, preferred, np.empty(4))
+    packed = np.stack(np.broadcast_arrays(*options), axis=-1)
+    return _trace(p, limits, q, packed, np.empty(4))

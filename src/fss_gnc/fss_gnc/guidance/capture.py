@@ -21,6 +21,7 @@ from fss_arm_model.planar import wrap
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
 from fss_gnc.guidance.approach import ApproachTrajectory, Planner, Points
+from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import DriftPredictor
 from fss_gnc.guidance.mission_monitor import MissionMonitor
@@ -255,10 +256,11 @@ class Capture:
 
 
 def load_kernels(craft: Craft) -> None:
-    """Load the kernels of the missions in advance, because that takes long."""
+    """Load the kernels of the guidance in advance, because that takes long."""
     p, s, n = craft.arm.vector(), craft.settings, craft.arm.n
     q, zero = np.array([-1.0, -1.0, 0.0, *n * [0.3]]), np.zeros(3 + n)
     target = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
+    Budget(craft).update(Observation(0.0, Body(*target), Body(*target), q[3:], zero[3:]))
     Guard(craft.arm, s)
     next(Planner(p, s).search(q, zero, target, s.lead), None)
     DriftPredictor(p, s).plan_push(q, zero, Body(*target))

@@ -3,29 +3,16 @@
 A new action is a record in KINDS; the node makes its server from it.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from fss_arm_msgs.action import AbortMission, Capture, Detumble, FollowPoses, GoToPose, HoldBase
 from fss_gnc.guidance import abort, capture, detumble
-from fss_gnc.guidance.activity import Activity, Commands, Craft, Observation, Outcome
+from fss_gnc.guidance.activity import Commands, Outcome
 from fss_gnc.guidance.base_motion import PathMotion, follow, go_to, hold
 from fss_gnc.guidance.budget import Budget
+from fss_gnc.guidance.execution import Kind
 
 MAX_REASON = 200  # characters
-
-
-@dataclass(frozen=True)
-class Kind:
-    """Definition of one action of the guidance."""
-
-    name: str
-    action: Any  # its type; its results have a `message`
-    start: Callable[[Craft, Observation, Any], Activity]  # from a goal; may raise ActivityError
-    result: Callable[[Any, Budget, Outcome], dict[str, Any]]  # fields except `message`
-    feedback: Callable[[Any, Commands], dict[str, Any]]
-    preempts: tuple[str, ...] = ()  # prefixes of the names of the actions that it preempts
 
 
 def _motion_result(motion: PathMotion, budget: Budget, outcome: Outcome) -> dict[str, Any]:

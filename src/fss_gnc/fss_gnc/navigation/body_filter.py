@@ -39,9 +39,22 @@ TIME_ONLY, POSE, RATE, HELD_POSE, PUSH = 0.0, 1.0, 2.0, 3.0, 4.0
 INITIAL_SIGMA = 0.1, 0.1, 0.2, 0.01
 
 
+class Variances(NamedTuple):
+    """Noise of the filter's model and measurements."""
+
+    bias_walk: float  # density
+    rate: float
+    position: float
+    heading: float
+    held_position: float
+    held_heading: float
+    kick: float  # in speed
+    angular_kick: float
+
+
 @helper
 def _step(  # type: ignore[no-untyped-def]
-    x0, P0, acceleration, noise, row, gate, errors, x, P, out
+    x0, P0, acceleration, noise, row, gate, variances, x, P, out
 ):  # fmt: skip
     """Predict by dt, then update with a measurement that lies within the gate.
 
@@ -55,16 +68,15 @@ def _step(  # type: ignore[no-untyped-def]
         noise: (3, 3) density of its noise, in the body's axes.
         row: (5,) dt [s], the kind of event, the measurement.
         gate: largest squared normalized innovation.
-        errors: (8,) density of the bias walk; variances of a rate, a measured position and heading,
-            of a held position and heading, of a kick in speed and in turn rate.
+        variances: of noise and measurements.
         x: (7,) state, written.
         P: (7, 7) covariance of the state, written.
         out: (3,) the squared normalized innovation, and 1 if the measurement was used; written.
     """
     dt, kind, z = row[0], row[1], row[2:]
-    position_variance, heading_variance = (
-        (errors[4], errors[5]) if kind == HELD_POSE else (errors[2], errors[3])
-    )
+    position_variance, heading_variance = variances.position, variances.heading
+    if kind == HELD_POSE:
+        position_variance, heading_variance = variances.held_position, variances.held_heading
     middle = x0[2] + 0.5 * dt * x0[5]
     c, s = np.cos(middle), np.sin(middle)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -94,7 +106,7 @@ def _step(  # type: ignore[no-untyped-def]
             P[i, 3 + j] += G[i, j] * dt**2 / 2.0
             P[3 + i, j] += G[i, j] * dt**2 / 2.0
             P[3 + i, 3 + j] += G[i, j] * dt
-    P[6, 6] += errors[0] * dt
+    P[6, 6] += variances.bias_walk * dt
     out[:] = 0.0
     if kind == PUSH:
         for i in range(3):
@@ -111,8 +123,9 @@ def _step(  # type: ignore[no-untyped-def]
                 D[i, j] = P[i, j]
         if kicked:
             for i in range(3):
-                speed_variance = KICK_LEVER**2 * errors[7] if kind == RATE else errors[6]
-                kick = errors[7] if i == 2 else speed_variance
+                kick = variances.angular_kick
+                if i < 2:
+                    kick = KICK_LEVER**2 * kick if kind == RATE else variances.kick
                 D[i, i] += kick * dt * dt
                 D[i, 3 + i] += kick * dt
                 D[3 + i, i] += kick * dt
@@ -121,13 +134,9 @@ def _step(  # type: ignore[no-untyped-def]
             last = 6 if kind == RATE else number  # a gyro rate includes the bias
             first = 5 if kind == RATE else number
             off = z[number]
-            S = (
-                errors[1]
-                if kind == RATE
-                else heading_variance
-                if number == 2
-                else position_variance
-            )
+            S = heading_variance if number == 2 else position_variance
+            if kind == RATE:
+                S = variances.rate
             for i in range(first, last + 1):
                 off -= y[i]
             if number == 2:
@@ -154,15 +163,16 @@ def _step(  # type: ignore[no-untyped-def]
 
 @kernel("(s),(s,s),(f,w),(f,w,w),(e,r),(),(c)->(e,s),(e,s,s),(e,w)")
 def _steps(  # type: ignore[no-untyped-def]
-    x0, P0, acceleration, noise, rows, gate, errors, x, P, out
+    x0, P0, acceleration, noise, rows, gate, v, x, P, out
 ):  # fmt: skip
     """Run one step for each row.
 
     Acceleration and noise have one entry for each row, or one for all rows.
     """
+    variances = Variances(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7])
     for k in range(rows.shape[0]):
         of = min(k, acceleration.shape[0] - 1)
-        known = acceleration[of], noise[of], rows[k], gate[0], errors
+        known = acceleration[of], noise[of], rows[k], gate[0], variances
         if k:
             _step(x[k - 1], P[k - 1], *known, x[k], P[k], out[k])
         else:
@@ -282,7 +292,7 @@ class BodyFilter:
             e.bias_walk, e.rate_error, e.position_error, e.heading_error, HELD_POSITION_ERROR,
             HELD_HEADING_ERROR, e.kick, e.angular_kick,
         )  # fmt: skip
-        self._errors = np.square(deviations)
+        self._variances = Variances(*np.square(deviations).tolist())
 
     @property
     def t(self) -> int:
@@ -443,7 +453,7 @@ class BodyFilter:
         gate: float = GATE_SIGMA**2,
     ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
         found: tuple[Floats, Floats, Floats] = _steps(
-            last.x, last.P, *self.inputs.mean_accelerations(times), rows, gate, self._errors
+            last.x, last.P, *self.inputs.mean_accelerations(times), rows, gate, self._variances
         )
         return found
 

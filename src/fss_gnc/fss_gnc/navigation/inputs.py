@@ -13,6 +13,7 @@ change its rate as it did recently, which is modelled as noise.
 from collections.abc import Sequence
 from itertools import pairwise
 from math import isfinite
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,9 +39,27 @@ MAX_READINGS, MAX_PULSES, MAX_PLAN_POINTS = 64, 64, 16
 UNUSED, NO_END = -np.inf, np.inf  # times [s]
 
 
+class Linearization(NamedTuple):
+    """Point of linearization, and the errors of the joints' motion."""
+
+    t: float  # [s]
+    omega: float  # turn rate of the base [rad/s]
+    rate_error: float  # relative error of a joint's rate
+    change_error: float  # relative error of the change of a joint's rate
+    silent_walk: float  # random walk of the rate of a joint without recent readings
+
+
+class Prediction(NamedTuple):
+    """Limits and errors of the known acceleration."""
+
+    read_until: float  # time until which all joints were read [s]
+    thrust_variance: float  # relative
+    plan_variance: float  # of a planned acceleration, relative to its square
+
+
 @kernel("(p),(n),(n,k),(n,k),(w),(w,w),(c)->(w,w),(w,n),(w),(w,w),(w,w)")
 def _linearize(  # type: ignore[no-untyped-def]
-    p, angles, read_at, rates, leak_wrench, base_noise, control, mobility, by_joint,
+    p, angles, read_at, rates, leak_wrench, base_noise, o, mobility, by_joint,
     bias_acceleration, read_density, unread_density,
 ):  # fmt: skip
     """Return M, B and M (w - h) at a time, and the noise before and after the last readings.
@@ -52,20 +71,19 @@ def _linearize(  # type: ignore[no-untyped-def]
         rates: (n, k) [rad/s].
         leak_wrench: (3,) wrench w of valves that stay open.
         base_noise: (3, 3) density of the noise that does not come from the joints.
-        control: (5,) the time [s], the base's turn rate [rad/s], relative errors of a joint's rate
-            and of its change, random walk of the rate of a joint without recent readings.
+        o: (5,) Linearization.
         mobility: (3, 3) M, written.
         by_joint: (3, n) B, written.
         bias_acceleration: (3,) M (w - h), written.
         read_density: (3, 3) density of the noise until all joints were read, written.
         unread_density: (3, 3) density of the noise after that, written.
     """
-    t, n = control[0], angles.size
+    at_point, n = Linearization(o[0], o[1], o[2], o[3], o[4]), angles.size
     q, qd, tau = np.zeros(3 + n), np.zeros(3 + n), np.zeros(3 + n)
     read_noise, noise_weight = np.empty(n), np.empty(n)
-    qd[2] = control[1]
+    qd[2] = at_point.omega
     for i in range(n):
-        at, age = read_at[i], t - read_at[i, -1]
+        at, age = read_at[i], at_point.t - read_at[i, -1]
         is_recent = age <= JOINT_TIMEOUT
         qd[3 + i] = rates[i, -1] if is_recent else 0.0
         q[3 + i] = angles[i] + qd[3 + i] * (age if is_recent else 0.0)
@@ -73,9 +91,9 @@ def _linearize(  # type: ignore[no-untyped-def]
         for k in range(at.size - 2, at.size):
             if at[k - 1] > UNUSED:
                 change = max(change, (rates[i, k] - rates[i, k - 1]) ** 2 / (at[k] - at[k - 1]))
-        step = 2.0 * (control[2] * qd[3 + i]) ** 2 / PLAN_CORRELATION_TIME  # per reading
-        read_noise[i] = step + control[3] ** 2 * change
-        noise_weight[i] = step + change if is_recent else control[4] ** 2
+        step = 2.0 * (at_point.rate_error * qd[3 + i]) ** 2 / PLAN_CORRELATION_TIME  # per reading
+        read_noise[i] = step + at_point.change_error**2 * change
+        noise_weight[i] = step + change if is_recent else at_point.silent_walk**2
     work, H = np.empty((3, n + 1), np.complex128), np.empty((3 + n, 3 + n))
     _inertia(p, q, work, H)
     _bias(p, q, qd, work, tau)
@@ -94,17 +112,16 @@ def _linearize(  # type: ignore[no-untyped-def]
 def _mean_acceleration(  # type: ignore[no-untyped-def]
     starts, ends, read_at, rates, opened, closed, valves, mobility, by_joint,
     bias_acceleration, read_density, unread_density,
-    planned_at, planned, control, acceleration, noise,
+    planned_at, planned, o, acceleration, noise,
 ):  # fmt: skip
     """Compute the mean acceleration (3,) and noise (3, 3) of the base in an interval, in its axes.
 
-    The newest entries are last; unused times are UNUSED. `control` is the time until which all
-    joints were read, the relative variance of the thrust, and the variance of a planned
-    acceleration relative to its square.
+    The newest entries are last; unused times are UNUSED. `o` (3,) is a Prediction.
     """
+    prediction = Prediction(o[0], o[1], o[2])
     start, end = starts[0], ends[0]
     span = end - start
-    known_noise = unread_density if end > control[0] else read_density
+    known_noise = unread_density if end > prediction.read_until else read_density
     for i in range(3):
         acceleration[i] = bias_acceleration[i]
         for j in range(3):
@@ -125,7 +142,7 @@ def _mean_acceleration(  # type: ignore[no-untyped-def]
                 overlap = min(end, planned_at[k + 1]) - max(start, planned_at[k])
                 if overlap > 0.0:
                     rate_change += planned[k, joint] * overlap
-            noise_weight = control[2] * (rate_change / span) ** 2
+            noise_weight = prediction.plan_variance * (rate_change / span) ** 2
         for i in range(3):
             acceleration[i] += by_joint[i, joint] * rate_change / span
             for j in range(3):
@@ -148,7 +165,7 @@ def _mean_acceleration(  # type: ignore[no-untyped-def]
         acceleration[i] += thrust[i]
     for i in range(3):
         square = thrust[2] ** 2 if i == 2 else thrust[0] ** 2 + thrust[1] ** 2
-        noise[i, i] += control[1] * square
+        noise[i, i] += prediction.thrust_variance * square
 
 
 class KnownInputs:
@@ -170,8 +187,8 @@ class KnownInputs:
             np.full(MAX_PULSES, UNUSED),
             np.full((MAX_PULSES, COUNT), UNUSED),
         )
-        self._control = np.array(
-            [0.0, s.thrust_error**2, s.joint_change_error**2 * PLAN_CORRELATION_TIME]
+        self._prediction = Prediction(
+            0.0, s.thrust_error**2, s.joint_change_error**2 * PLAN_CORRELATION_TIME
         )
         self._origin: int | None = None  # time at which the times in the arrays are zero [ns]
         self._reset_joints(count(np.asarray(p)))
@@ -323,16 +340,18 @@ class KnownInputs:
         """Linearize about the joints' state at t [s], with the base's turn rate omega [rad/s]."""
         self._model_time, self._model_omega, s = t, omega, self.settings
         at = t if t > UNUSED else 0.0
-        control = at, omega, s.joint_rate_error, s.joint_change_error, s.silent_joint_walk
+        point = Linearization(
+            at, omega, s.joint_rate_error, s.joint_change_error, s.silent_joint_walk
+        )
         (
             self.mobility, self._by_joint, self._bias_acceleration, self._read_noise,
             self._unread_noise,
         ) = _linearize(
             self.p, self._angles, self._read_at, self._rates, self._leak_wrench, self._base_noise,
-            control,
+            point,
         )  # fmt: skip
         newest = self._read_at[:, -1].tolist()
-        self._control[0] = min(newest)
+        self._prediction = self._prediction._replace(read_until=min(newest))
         # Time at which the next joint counts as silent.
         recent = (read_at for read_at in newest if at - read_at <= JOINT_TIMEOUT)
         self._next_timeout = min(recent, default=NO_END) + JOINT_TIMEOUT
@@ -351,6 +370,6 @@ class KnownInputs:
             t[:-1], t[1:], self._read_at, self._rates, self._opened, self._closed,
             self._working_valves, self.mobility, self._by_joint, self._bias_acceleration,
             self._read_noise, self._unread_noise, self._planned_at, self._planned_accelerations,
-            self._control,
+            self._prediction,
         )  # fmt: skip
         return found

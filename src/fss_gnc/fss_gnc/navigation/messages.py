@@ -1,4 +1,4 @@
-"""Conversion of an estimated body state to messages."""
+"""Conversion of estimates to messages."""
 
 from math import cos, sin
 
@@ -7,9 +7,13 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from tf2_msgs.msg import TFMessage
 
+from fss_arm_model.thrusters import COUNT
+from fss_arm_msgs.msg import MassProperties, ThrusterHealth
 from fss_arm_ros.convert import to_time
 
 from .body_filter import BodyState
+from .mass_estimator import MassProperties as MassEstimate
+from .valve_faults import Faults
 
 PLANE = (0, 1, 5)  # x, y and heading among the six axes of a covariance
 
@@ -46,3 +50,24 @@ def transform(state: BodyState, world_frame: str, body_frame: str) -> TFMessage:
     one.transform.translation.x, one.transform.translation.y = x, y
     one.transform.rotation.z, one.transform.rotation.w = sin(0.5 * heading), cos(0.5 * heading)
     return TFMessage(transforms=[one])
+
+
+def mass_properties(found: MassEstimate, samples: int, stamp: int, frame_id: str) -> MassProperties:
+    """Return the mass properties of the held body, in the last link's frame, at a time [ns]."""
+    mass, *com, inertia = found.values.tolist()
+    message = MassProperties(
+        mass=mass, com=com, inertia=inertia, covariance=found.covariance.ravel(), samples=samples
+    )
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
+    return message
+
+
+def thruster_health(faults: Faults, stamp: int, frame_id: str) -> ThrusterHealth:
+    """Return which valves do not follow their commands at a time [ns]."""
+    message = ThrusterHealth(
+        stuck_open=[i in faults.open for i in range(COUNT)],
+        stuck_closed=[i in faults.closed for i in range(COUNT)],
+        pushed=faults.unknown_push,
+    )
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
+    return message

@@ -4,7 +4,7 @@ Motion capture may swap the two, and the gripper of one may hold the other.
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from math import expm1, hypot
 
@@ -33,6 +33,9 @@ GRIP_DELAY = SECOND // 2  # longest delay of a grip's message, and settling time
 MAX_EARLIER_SAMPLES = 20  # samples stored before a grip, GRIP_DELAY apart
 MAX_ESTIMATE_GAP = 2 * SECOND  # after a longer gap the impulses of the valves are unknown [ns]
 PLACE_GAIN = 0.05  # of the correction of the held target's place by its measured pose
+
+#: Number of a joint, from 1, q [rad], qd [rad/s] and effort.
+JointReadings = Iterable[tuple[int, float, float, float]]
 
 
 class _TargetInputs(NoInputs):
@@ -107,6 +110,12 @@ class Navigation:
         if self.mass_estimator:
             self.mass_estimator.p = self.p
         self._update_parameters()
+
+    def add_joint_readings(self, t: int, readings: JointReadings) -> None:
+        """Process readings at t [ns]; those of joints that the arm lacks are ignored."""
+        for i, q, qd, _ in readings:
+            if 1 <= i <= self.inputs.n:
+                self.add_joint_reading(i - 1, t, q, qd)
 
     def add_joint_reading(self, i: int, t: int, q: float, qd: float) -> None:
         """Process a reading q [rad], qd [rad/s] of joint i, from 0, at t [ns]."""

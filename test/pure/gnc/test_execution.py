@@ -1,0 +1,116 @@
+"""Execution of an activity: its start, reasons to end, and what is published at the end."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fss_arm_model.description import paper_arm
+from fss_gnc.guidance.activity import ActivityError, Commands, Craft, Observation, Outcome
+from fss_gnc.guidance.execution import Kind, start_activity
+from fss_gnc.guidance.kinds import KINDS
+from fss_gnc.guidance_topics import command_messages, end_messages
+from fss_gnc.reference import Body
+
+CRAFT = Craft(paper_arm())
+AT_REST = Body(np.zeros(3), np.zeros(3))
+GOAL = SimpleNamespace(pose=[0.0] * 3, duration=0.0)
+
+
+class Steps:
+    """An activity that returns given commands, or fails."""
+
+    def __init__(self, *commands, tolerates=False):
+        self.left, self.tolerates_unknown_state, self.cancelled = list(commands), tolerates, ""
+
+    def step(self, obs):
+        if not self.left:
+            raise ActivityError("it has ended")
+        return self.left.pop(0)
+
+    def cancel(self, reason):
+        self.cancelled = reason
+
+
+def execute(*commands, **options):
+    kind = Kind("mission/capture", None, lambda *_: Steps(*commands, **options), None, None)
+    return start_activity(kind, CRAFT, GOAL, observation(), 0)
+
+
+def observation(t=0.0):
+    return Observation(t, AT_REST, None, np.zeros(4), np.zeros(4))
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("running", KINDS, ids=lambda kind: kind.name)
+def test_a_motion_yields_to_all_and_a_mission_to_an_abort_only(kind, running):
+    kind = Kind(kind.name, None, lambda *_: Steps(), None, None, kind.preempts)
+    if running.name.startswith("base/") or kind.name == "mission/abort":
+        assert start_activity(kind, CRAFT, GOAL, observation(), 0, running=running).kind is kind
+        return
+    with pytest.raises(ActivityError, match=f"{running.name} is running, cancel it first"):
+        start_activity(kind, CRAFT, GOAL, observation(), 0, running=running)
+
+
+@pytest.mark.parametrize(("problem", "words"), [("", "no target"), ("base is old", "base is old")])
+def test_an_unknown_state_explains_why_an_activity_does_not_start(problem, words):
+    def start(*_):
+        raise ActivityError("no target")
+
+    kind = Kind("mission/capture", None, start, None, None)
+    with pytest.raises(ActivityError, match=f"^{words}$"):
+        start_activity(kind, CRAFT, GOAL, Observation(0.0), 0, problem=problem)
+
+
+@pytest.mark.parametrize(
+    ("t", "problem", "tolerates", "reason"),
+    [
+        (1.0, "", False, "it has ended"),
+        (-0.1, "", True, "the clock jumped back"),
+        (1.0, "waiting for base/state", False, "waiting for base/state"),
+        (1.0, "waiting for base/state", True, "it has ended"),
+    ],
+)
+def test_it_aborts_with_a_reason(t, problem, tolerates, reason):
+    commands = execute(tolerates=tolerates).step(observation(t), False, problem)
+    assert (commands.phase, commands.outcome) == ("abort", Outcome(False, reason))
+
+
+def test_it_is_cancelled_by_its_activity():
+    execution = execute(Commands("reach"), Commands("brake"))
+    assert execution.step(observation(), False, "").phase == "reach"
+    assert not execution.activity.cancelled
+    assert execution.step(observation(1.0), True, "").phase == "brake"
+    assert execution.activity.cancelled == "cancelled"
+    assert execution.budget.elapsed == 1.0
+
+
+def test_a_new_problem_is_reported_once():
+    execution = execute()
+    found = [
+        (execution.update_problem(Commands("brake", reason=reason)), execution.status)
+        for reason in ("", "near", "near", "far", "")
+    ]
+    name = "mission/capture"
+    assert found == [
+        ("", name), ("brake: near", f"{name}: brake: near"), ("", f"{name}: brake: near"),
+        ("brake: far", f"{name}: brake: far"), ("", name),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.parametrize("coast", [False, True])
+def test_at_the_end_the_valves_close_and_joints_stop_unless_another_follows(moves, coast):
+    execution = execute(Commands("reach", rates=np.full(4, 0.1) if moves else None))
+    commands = execution.step(observation(), False, "")
+    started = dict(command_messages(execution, commands, 0.0, 1.0, 7))
+    assert ("arm/joint_commands" in started) == moves
+    ended = dict(end_messages(execution, Outcome(False, "stopped"), 4, 7, coast=coast))
+    expected = ["base/trajectory"] * coast + ["arm/joint_commands"] * (coast and moves)
+    assert list(ended) == [*expected, "mission/state"]
+    if coast:
+        assert not ended["base/trajectory"].points
+    if coast and moves:
+        assert ended["arm/joint_commands"].velocity.tolist() == [0.0] * 4
+    state = ended["mission/state"]
+    assert (state.mission, state.phase, state.reason) == ("capture", "abort", "stopped")

@@ -1,0 +1,76 @@
+"""The start of a plan from measured states, and the reasons why none can start."""
+
+import numpy as np
+import pytest
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.momentum import momentum
+from fss_arm_motion.measured import Measured, MotionError
+from fss_arm_motion.settings import MotionSettings
+from fss_arm_motion.track import SECOND
+from fss_arm_ros.calibrated import Calibrated
+
+ARM, KNOWN = paper_arm(), Calibrated(paper_arm())
+BEGIN = 1_700_000_000 * SECOND
+Q = (0.1, -0.2, 0.3, -0.4)
+
+
+def measured(seconds=6.0, twist=(0.01, -0.02, 0.03), qd=(0.0,) * 4, base=True):
+    """Return the state after joints and base have been measured at 20 Hz, and the time [ns]."""
+    found, t = Measured(MotionSettings()), BEGIN
+    for k in range(round(20 * seconds) + 1):
+        t = BEGIN + k * SECOND // 20
+        found.add_joints(t, [(i, Q[i - 1], qd[i - 1], 0.0) for i in (3, 1, 4, 2)])
+        if base:
+            found.base.add(t, tuple(0.05 * k * np.array(twist)))
+    return found, t
+
+
+def test_the_start_has_the_momentum_of_the_drifting_base():
+    found, now = measured()
+    assert found.has_base
+    start = found.start(now, KNOWN)
+    pose, twist = 6.0 * np.array([0.01, -0.02, 0.03]), np.array([0.01, -0.02, 0.03])
+    np.testing.assert_allclose(start.q, Q)
+    np.testing.assert_allclose(start.pose, pose, atol=1e-9)
+    expected = momentum(ARM.vector(), [*pose, *Q], [*twist, *np.zeros(4)])
+    np.testing.assert_allclose(start.momentum, expected, atol=1e-9)
+    assert start.state_covariance.shape == (6, 6)
+
+
+def test_a_base_without_poses_is_assumed_at_rest():
+    found, now = measured(base=False)
+    assert not found.has_base
+    start = found.start(now, KNOWN)
+    assert not start.pose.any()
+    assert not start.momentum.any()
+    assert start.state_covariance is None
+
+
+@pytest.mark.parametrize(
+    ("joints", "age", "words"),
+    [
+        (None, 0.0, "arm/joint_states was not received yet: check that arm and all links run"),
+        (4, 1.5, "arm/joint_states is 1.5 s old: check that arm and all links run"),
+        (3, 0.0, "arm/joint_states is 0.0 s old: check that arm and all links run"),
+    ],
+)
+def test_without_the_state_of_all_joints_no_motion_starts(joints, age, words):
+    found = Measured(MotionSettings())
+    if joints:
+        found.add_joints(BEGIN, [(i, 0.0, 0.0, 0.0) for i in range(1, joints + 1)])
+    with pytest.raises(MotionError, match=f"^{words}$"):
+        found.start(BEGIN + round(age * SECOND), KNOWN)
+
+
+def test_no_motion_starts_while_a_joint_moves():
+    found, now = measured(qd=(0.0, 0.005, -0.2, 0.0))
+    with pytest.raises(MotionError, match=r"joint 3 moves at -0.200 rad/s; wait until"):
+        found.start(now, KNOWN)
+
+
+def test_it_has_rested_one_window_after_the_last_motion():
+    found, now = measured(seconds=0.0, qd=(0.2, 0.0, 0.0, 0.0))
+    for seconds, rested in ((0.0, False), (3.9, False), (4.0, True)):
+        found.add_joints(now + round(seconds * SECOND), [(1, 0.0, 0.009, 0.0)])
+        assert found.has_rested is rested
