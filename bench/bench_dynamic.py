@@ -7,9 +7,8 @@ conservation with a tolerance of 1e-8, with the inertia matrix of a compiled ker
 floor of a prediction with sensitivities is the time of its multiplications and additions at the
 core's peak, measured in the same run; the operations per node are counted in base_motion.
 
-Then a Monte Carlo: calibrations of all b and I from headings with different noise, solved together,
-and some of them sequentially. The floor of a calibration is that of its predictions. All times are
-processor times.
+Then a Monte Carlo: calibrations of all b and I from headings with different noise. The floor of a
+calibration is that of its predictions. All times are processor times.
 
     OPENBLAS_NUM_THREADS=1 python bench/bench_dynamic.py [DRAWS]
 """
@@ -27,14 +26,14 @@ from scipy.optimize import least_squares
 
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.problem import DynamicProblem
-from fss_arm_calib.dynamic.solve import solve, solve_all
+from fss_arm_calib.dynamic.solve import solve
 from fss_arm_model import base_motion, dynamics, joint_path
 from fss_arm_model.description import paper_arm
 
 ARM, N = paper_arm(), 4
 NOISE = np.radians(1.54)  # of the base's rotation [rad]
 OPERATIONS_PER_NODE = 93 * (N + 1)
-DRAWS, SEQUENTIAL_DRAWS = 10_000, 200  # of the Monte Carlo; number of them solved sequentially
+DRAWS = 200  # of the Monte Carlo
 PRIOR = {"b": 0.02, "I": 0.02}
 
 
@@ -111,20 +110,13 @@ def monte_carlo(case: DynamicProblem, path: joint_path.Path, draws: int, floor: 
     """Print the time per calibration; `floor` [s] is the floor of one prediction."""
     poses = np.tile(base_motion.base_poses(ARM.vector(), path, np.zeros(8)), (draws, 1, 1, 1))
     poses[:, :, 1, 2] += NOISE * np.random.default_rng(2).standard_normal((draws, 8))
-    solve_all(case, poses[:10])
     start = time.process_time()
-    results = solve_all(case, poses)
+    results = [solve(replace(case, poses=one)) for one in poses]
     each = (time.process_time() - start) / draws
-    start = time.process_time()
-    sequential = [solve(replace(case, poses=one)) for one in poses[:SEQUENTIAL_DRAWS]]
-    single = (time.process_time() - start) / len(sequential)
-    pairs = zip(results, sequential, strict=False)
-    difference = max(np.abs((a.values - b.values) / b.deviations).max() for a, b in pairs)
     floor_each = floor * np.mean([1 + one.minimum.iterations for one in results])
     print(
-        f"{draws} calibrations together: {1e6 * each:.0f} us each, at the core's peak "
-        f"{1e6 * floor_each:.0f} us: {100.0 * floor_each / each:.0f} % of peak; sequentially "
-        f"{1e6 * single:.0f} us each, results differ by {difference:.0e} deviations"
+        f"{draws} calibrations: {1e6 * each:.0f} us each, at the core's peak "
+        f"{1e6 * floor_each:.0f} us: {100.0 * floor_each / each:.0f} % of peak"
     )
 
 

@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.drift.problem import DriftProblem, rigid_body
+from fss_arm_calib.drift.problem import DriftProblem
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import paper_arm
+from fss_arm_model.drifting import single_body
 from fss_arm_model.units import GRAVITY
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
@@ -60,6 +61,6 @@ def problem(found, seed=0, com=0.01, **known):
     """The problem of drifts, each with its centre of mass known to `com` alone, masses exactly."""
     rng = np.random.default_rng(1000 + seed)
     sigma = [np.tile(SIGMA / np.sqrt(FRESH), (len(d.times), 1)) for d in found]
-    bodies = [rigid_body(ARM, d.q) for d in found]
-    bodies = [b._replace(com=b.com + complex(*rng.normal(0.0, com, 2))) for b in bodies]
+    bodies = single_body(ARM.vector(), np.array([d.q for d in found]))
+    bodies[:, 2:] += rng.normal(0.0, com, (len(found), 2))
     return DriftProblem(found, bodies, sigma, **{"com": com, "mass": 0.0, **known})

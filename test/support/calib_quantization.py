@@ -4,7 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.kinematic.problem import KinematicProblem
+from fss_arm_calib.kinematic import model
+from fss_arm_calib.kinematic.problem import KinematicProblem, reading_jacobian
 
 
 def quantization_bound(
@@ -34,6 +35,8 @@ def quantization_bound(
     n, s = problem.arm.n, len(problem.q)
     xi = problem.initial if values is None else np.asarray(values, dtype=float)
     Phi_q = np.zeros((s, 3, s, n))
-    Phi_q[np.arange(s), :, np.arange(s), :] = problem.whiten(problem.reading_jacobian(xi))
-    influence = np.linalg.pinv(problem.regressor(xi)) @ Phi_q.reshape(3 * s, s * n)
+    Phi_q[np.arange(s), :, np.arange(s), :] = model.whiten(
+        problem, reading_jacobian(model.vector(problem, xi), problem.q)
+    )
+    influence = np.linalg.pinv(model.regressor(problem, xi)) @ Phi_q.reshape(3 * s, s * n)
     return half_count * np.sum(np.abs(influence), axis=1)

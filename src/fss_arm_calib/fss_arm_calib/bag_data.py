@@ -9,7 +9,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import Imu, JointState
 
-from fss_arm_bags.bulk import batches, frame_id, spatial_poses, turn_rates
+from fss_arm_bags.bulk import batches, spatial_poses, turn_rates
 from fss_arm_bags.reader import BagError, Bags, digest
 from fss_arm_calib.calibration import Finder, Input
 from fss_arm_calib.outcome import Datum
@@ -66,7 +66,7 @@ def recorded_streams(bags: Bags, inputs: Sequence[Input], namespace: str = "") -
         data[topic].append(message)
         receipts[topic].append(receipt)
     joints: dict[str, list[tuple[int, int, float, float]]] = {}
-    poses, frames, rates = {}, {}, None
+    poses, rates = {}, {}
     for topic, messages in data.items():
         one, heard = topics[topic], np.array(receipts[topic], dtype=np.int64)
         if one.message is JointState:
@@ -79,11 +79,10 @@ def recorded_streams(bags: Bags, inputs: Sequence[Input], namespace: str = "") -
         elif one.message is PoseStamped and messages:
             stamps, numbers = spatial_poses(messages)
             poses[one.subject] = Track(stamps, heard, numbers)
-            frames[one.subject] = frame_id(messages[0])
         elif messages:
             stamps, turns = turn_rates(messages)
-            rates = Track(stamps, heard, turns[:, None])
-    return Recorded({joint: _track(rows) for joint, rows in joints.items()}, poses, rates, frames)
+            rates["gyro"] = Track(stamps, heard, turns[:, None])
+    return Recorded({joint: _track(rows) for joint, rows in joints.items()}, poses, rates)
 
 
 def _track(rows: Sequence[tuple[int, int, float, float]]) -> Track:

@@ -8,6 +8,7 @@ because an arm also fits its mirror image.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from math import inf, radians
 from time import process_time
@@ -34,10 +35,8 @@ MAX_SEARCH_TIME = 60.0  # limit of the processor time of the search [s]
 
 MAX_POSITION = 20.0  # positions above this are not in meters: no test bed is that large [m]
 MAX_READING = 3.3  # readings above this are probably not in radians [rad]
-MAX_LENGTH_ERROR, MAX_ANGLE_ERROR = (
-    0.05,
-    radians(20.0),
-)  # largest expected errors of a description [m, rad]
+#: Largest expected errors of a description, by unit.
+MAX_ERRORS = {"m": 0.05, "rad": radians(20.0)}
 MIN_CLOCK_OFFSET = 0.25  # clock differences below this are ignored [s]
 LAG_STEP = 0.1  # resolution of the lag between clocks [s]
 MAX_TILT = 0.01  # mean x^2 + y^2 of a quaternion above which the subject is not flat
@@ -76,10 +75,8 @@ def explain_failure(
 
 def find_cause(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: Recorded) -> str:
     """Describe the hypothesis that makes the calibration pass; empty if none does."""
-    recorded, until = (
-        recorded.shorten(MAX_LENGTH, JOINT_PERIOD, POSE_PERIOD),
-        process_time() + MAX_SEARCH_TIME,
-    )
+    recorded = recorded.shorten(MAX_LENGTH, JOINT_PERIOD, POSE_PERIOD)
+    until = process_time() + MAX_SEARCH_TIME
     best, nearest = "", inf
     as_it_is = calibrate_under(kind, arm, Hypothesis("", "", recorded, settings))
     if as_it_is and as_it_is.verdict == PASS:
@@ -113,13 +110,12 @@ def calibrate_under(
 
 
 def description_error(outcome: Outcome[Any, Any]) -> float:
-    """Return the largest distance of the estimates from the description, over LENGTH or ANGLE."""
+    """Return the largest distance of the estimates from the description, over MAX_ERRORS."""
     e = outcome.estimate
-    by_unit = {"m": MAX_LENGTH_ERROR, "rad": MAX_ANGLE_ERROR}
     away = [
-        abs(difference(value, initial, unit)) / by_unit[unit]
+        abs(difference(value, initial, unit)) / MAX_ERRORS[unit]
         for value, initial, unit in zip(e.values, e.initial, e.units, strict=True)
-        if unit in by_unit
+        if unit in MAX_ERRORS
     ]
     return max(away, default=0.0)
 
@@ -154,8 +150,8 @@ def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
     if far:
         whose = "" if len(far) == len(largest) else f" of {', '.join(far)}"
         scale = np.array([1e-3] * 3 + [1.0] * 4)
-        changed = recorded.with_poses(
-            lambda n, t: t._replace(values=t.values * scale) if n in far else t
+        changed = recorded.change(
+            poses=lambda n, t: t._replace(values=t.values * scale) if n in far else t
         )
         yield f"position{whose} in millimeters?", "with a factor of 0.001", changed
     wide = {n: _typical_size(track.values[:, :1]) for n, track in recorded.joints.items()}
@@ -164,11 +160,8 @@ def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
         whose = "joints" if len(turned) == len(wide) else ", ".join(turned)
         counts = [_all_integers(recorded.joints[name].values[:, 0]) for name in turned]
         if not all(counts):
-            yield (
-                f"{whose} in degrees?",
-                "converted to radians",
-                _scale_joints(recorded, turned, radians(1.0)),
-            )
+            changed = _scale_joints(recorded, turned, radians(1.0))
+            yield f"{whose} in degrees?", "converted to radians", changed
         per_count = {
             f"joint_{i}": 2.0 * np.pi * link.drive.direction / link.drive.counts_per_turn
             for i, link in enumerate(arm.links, 1)
@@ -190,7 +183,9 @@ def _all_integers(q: Floats) -> bool:
 
 
 def _scale_joints(recorded: Recorded, names: Sequence[str], by: float) -> Recorded:
-    return recorded.with_joints(lambda n, t: t._replace(values=t.values * by) if n in names else t)
+    return recorded.change(
+        joints=lambda n, t: t._replace(values=t.values * by) if n in names else t
+    )
 
 
 def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
@@ -205,11 +200,8 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, s
     right = min(late.values(), key=abs)
     off = {name: by - right for name, by in late.items() if abs(by - right) > MIN_CLOCK_OFFSET}
     if off:
-        changed = replace(
-            recorded,
-            joints={n: _stamp_by_receipt(t) for n, t in recorded.joints.items()},
-            poses={n: _stamp_by_receipt(t) for n, t in recorded.poses.items()},
-            rates=_stamp_by_receipt(recorded.rates) if recorded.rates else None,
+        changed = recorded.change(
+            joints=_stamp_by_receipt, poses=_stamp_by_receipt, rates=_stamp_by_receipt
         )
         every = off.keys() >= recorded.joints.keys()
         whose = [name for name in off if not every or name not in recorded.joints]
@@ -219,15 +211,12 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, s
         yield words, "with the times of receipt", changed
     by = _estimate_lag(recorded)
     if abs(by) > MIN_CLOCK_OFFSET:
-        changed = replace(
-            recorded.with_joints(lambda _, t: _shift_stamps(t, -by)),
-            rates=_shift_stamps(recorded.rates, -by) if recorded.rates else None,
-        )
         words = f"clock of the joints {describe_clock_error(by)} the subjects'?"
-        yield words, "with shifted stamps", changed
+        later = partial(_shift_stamps, by=-by)
+        yield words, "with shifted stamps", recorded.change(joints=later, rates=later)
 
 
-def _stamp_by_receipt(track: Track) -> Track:
+def _stamp_by_receipt(_: str, track: Track) -> Track:
     """Shift the stamps to the receiver's clock; the smallest delay is taken as zero."""
     if not len(track.t):
         return track
@@ -235,39 +224,34 @@ def _stamp_by_receipt(track: Track) -> Track:
     return track._replace(t=track.t + by)
 
 
-def _shift_stamps(track: Track, by: float) -> Track:
+def _shift_stamps(_: str, track: Track, by: float) -> Track:
     return track._replace(t=track.t + round(by * SECOND))
 
 
 def _estimate_lag(recorded: Recorded) -> float:
     """Estimate how much later joints' stamps are than subjects' in motion [s]; 0: not known."""
     base, tip = (recorded.poses.get(name) for name in (BASE, TIP))
-    if base is None or len(base.t) < 10 or any(len(t.t) < 10 for t in recorded.joints.values()):
-        return 0.0
     joints = list(recorded.joints.values())
-    if not joints:
+    if base is None or not joints or min(len(track.t) for track in [base, *joints]) < 10:
         return 0.0
     begins = np.array([min(int(t.t[0]) for t in joints), int(base.t[0])])
     ends = np.array([max(int(t.t[-1]) for t in joints), int(base.t[-1])])
     if np.max(ends - begins) > 2 * MAX_LENGTH * SECOND:
         return 0.0
-    seen = planar_poses(base.values)[:, 2]
-    t = (base.t - begins[1]) / SECOND
-    if tip is not None and len(tip.t) > 10:
-        other = planar_poses(tip.values)[:, 2]
-        seen = np.interp(
-            t, (tip.t - begins[1]) / SECOND, _unwrap_headings(other)
-        ) - _unwrap_headings(seen)
     seconds = (ends - begins) / SECOND
-    there = np.abs(
-        np.diff(np.interp(np.arange(0.0, seconds[1], LAG_STEP), t, _unwrap_headings(seen)))
-    )
-    here = sum(
-        np.abs(np.diff(np.interp(np.arange(0.0, seconds[0], LAG_STEP), at, track.values[:, 0])))
-        for track in joints
-        for at in [(track.t - begins[0]) / SECOND]
-    )
-    here = np.asarray(here)
+
+    def changes(k: int, track: Track, angles: Floats) -> Floats:
+        """Return the size of the changes of angles (m,) at the stamps of a track, in steps."""
+        at = np.arange(0.0, seconds[k], LAG_STEP)
+        return np.abs(np.diff(np.interp(at, (track.t - begins[k]) / SECOND, angles)))
+
+    seen = planar_poses(base.values)[:, 2]
+    if tip is not None and len(tip.t) > 10:
+        t, since = ((track.t - begins[1]) / SECOND for track in (base, tip))
+        other = _unwrap_headings(planar_poses(tip.values)[:, 2])
+        seen = np.interp(t, since, other) - _unwrap_headings(seen)
+    there = changes(1, base, _unwrap_headings(seen))
+    here = np.sum([changes(0, track, track.values[:, 0]) for track in joints], axis=0)
     size = len(here) + len(there)
     found = np.fft.irfft(
         np.fft.rfft(here - here.mean(), size) * np.conj(np.fft.rfft(there - there.mean(), size)),
@@ -296,37 +280,30 @@ def _pose_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
             "base and end effector are swapped?", "swapped back",
             replace(recorded, poses={**recorded.poses, **swapped}),
         )  # fmt: skip
-    if not flat:
-        yield (
-            "quaternions with w first?",
-            "reordered to x, y, z, w",
-            _transform_poses(recorded, _W_FIRST),
-        )
-        yield "poses with y up?", "rotated to z up", _transform_poses(recorded, _Y_UP)
-        yield "poses with x up?", "rotated to z up", _transform_poses(recorded, _X_UP)
-    yield "poses mirrored?", "with y and headings reversed", _transform_poses(recorded, _MIRRORED)
-    yield "headings clockwise?", "reversed", _transform_poses(recorded, _CLOCKWISE)
-    yield "positions mirrored?", "with y reversed", _transform_poses(recorded, _REVERSED)
+    for words, remedy, columns, signs in (() if flat else TILTED_FRAMES) + REVERSED_AXES:
+        turn = partial(_rearrange_columns, columns=columns, signs=signs)
+        yield words, remedy, recorded.change(poses=turn)
     if len(values) > 1:
-        yield (
-            "end effector already relative to the base?",
-            "transformed to the world frame",
-            _tip_from_base(recorded),
-        )
+        words = "end effector already relative to the base?"
+        yield words, "transformed to the world frame", _tip_from_base(recorded)
 
 
-# Source column of each column of a pose (x y z, quaternion x y z w), and its sign.
-_W_FIRST = [0, 1, 2, 4, 5, 6, 3], [1, 1, 1, 1, 1, 1, 1]
-_Y_UP = [0, 2, 1, 3, 5, 4, 6], [1, -1, 1, 1, -1, 1, 1]
-_X_UP = [1, 2, 0, 4, 5, 3, 6], [1, 1, 1, 1, 1, 1, 1]
-_MIRRORED = [0, 1, 2, 3, 4, 5, 6], [1, -1, 1, -1, 1, -1, 1]
-_CLOCKWISE = [0, 1, 2, 3, 4, 5, 6], [1, 1, 1, 1, 1, -1, 1]
-_REVERSED = [0, 1, 2, 3, 4, 5, 6], [1, -1, 1, 1, 1, 1, 1]
+# Error, remedy, and for each column of a pose (x y z, quaternion x y z w) its source and sign.
+AS_RECORDED = [0, 1, 2, 3, 4, 5, 6]
+TILTED_FRAMES = (
+    ("quaternions with w first?", "reordered to x, y, z, w", [0, 1, 2, 4, 5, 6, 3], [1] * 7),
+    ("poses with y up?", "rotated to z up", [0, 2, 1, 3, 5, 4, 6], [1, -1, 1, 1, -1, 1, 1]),
+    ("poses with x up?", "rotated to z up", [1, 2, 0, 4, 5, 3, 6], [1] * 7),
+)
+REVERSED_AXES = (
+    ("poses mirrored?", "with y and headings reversed", AS_RECORDED, [1, -1, 1, -1, 1, -1, 1]),
+    ("headings clockwise?", "reversed", AS_RECORDED, [1, 1, 1, 1, 1, -1, 1]),
+    ("positions mirrored?", "with y reversed", AS_RECORDED, [1, -1, 1, 1, 1, 1, 1]),
+)
 
 
-def _transform_poses(recorded: Recorded, change: tuple[list[int], list[int]]) -> Recorded:
-    columns, signs = change
-    return recorded.with_poses(lambda _, t: t._replace(values=t.values[:, columns] * signs))
+def _rearrange_columns(_: str, track: Track, columns: list[int], signs: list[int]) -> Track:
+    return track._replace(values=track.values[:, columns] * signs)
 
 
 def _tip_from_base(recorded: Recorded) -> Recorded:
@@ -351,7 +328,7 @@ def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, s
     names = [f"joint_{i}" for i in range(1, arm.n + 1) if f"joint_{i}" in recorded.joints]
     jumps = [n for n in names if (np.abs(np.diff(recorded.joints[n].values[:, 0])) > np.pi).any()]
     if jumps:
-        changed = recorded.with_joints(lambda n, t: _unwrap_readings(t) if n in jumps else t)
+        changed = recorded.change(joints=lambda n, t: _unwrap_readings(t) if n in jumps else t)
         yield f"{', '.join(jumps)} wrapped?", "unwrapped", changed
     if len(names) > 1:
         yield "all joints with the wrong sign?", "reversed", _scale_joints(recorded, names, -1.0)
@@ -403,11 +380,6 @@ def _length_errors(
 
 
 MAKERS: tuple[Maker, ...] = (
-    _name_errors,
-    _unit_errors,
-    _length_errors,
-    _clock_errors,
-    _pose_errors,
-    _joint_errors,
-)
+    _name_errors, _unit_errors, _length_errors, _clock_errors, _pose_errors, _joint_errors,
+)  # fmt: skip
 FEW_DATA_MAKERS: tuple[Maker, ...] = (_setting_errors,)  # used only if there are too few data

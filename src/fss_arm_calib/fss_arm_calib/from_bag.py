@@ -110,15 +110,7 @@ def run_calibration(
     if kind.prior_results and options.kinematic:
         arm = initial_arm(options.kinematic, settings.arm, options, options.namespace)
     outcome = solve_bag(kind, options.bags, settings, options.namespace, arm)
-    report_outcome(
-        outcome,
-        kind.report_of(outcome, truth),
-        kind.name,
-        options,
-        console,
-        kind.write,
-        kind.output_name,
-    )
+    report_outcome(outcome, kind.report_of(outcome, truth), kind, options, console)
     return outcome
 
 

@@ -39,7 +39,7 @@ def joints_input(topic: str) -> Input:
         t, readings = stamp_ns(message.header.stamp), list(joint_readings(message))
         if len(readings) < len(message.name):
             own = {f"joint_{i}" for i, *_ in readings}
-            finder.rests.other_names.update(
+            finder.sensors.rests.other_names.update(
                 [name for name in message.name if name not in own][:MAX_LISTED_NAMES]
             )
         return [one for i, q, qd, _ in readings for one in finder.add_reading(i, t, q, qd)]
@@ -54,12 +54,12 @@ def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
     """
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
-        finder.subjects[subject].frame = str(message.header.frame_id)
+        finder.sensors.subjects[subject].frame = str(message.header.frame_id)
         return finder.add_pose(subject, stamp_ns(message.header.stamp), seen_pose(message))
 
     def feed_many(finder: AnyFinder, data: Sequence[bytes]) -> list[Any]:
         if data:
-            finder.subjects[subject].frame = frame_id(data[0])
+            finder.sensors.subjects[subject].frame = frame_id(data[0])
         return finder.add_poses(subject, *poses(data))
 
     return Input(topic, PoseStamped, feed, feed_many, needed, subject)

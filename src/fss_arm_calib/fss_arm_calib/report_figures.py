@@ -7,7 +7,31 @@ import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report import Figure
 from fss_arm_calib.report_tables import format_number
+
+
+def common_figures(
+    outcome: Outcome[Any, Any], kind: str, noun: str, label: str, names: Sequence[str] = ()
+) -> tuple[Figure, Figure]:
+    """Return the figures of all kinds: the influence of each datum, and the correlation matrix.
+
+    Args:
+        outcome: the outcome.
+        kind: kind of calibration.
+        noun: name of a datum.
+        label: name of its error.
+        names: names of the parameters to show, by default their own.
+    """
+    o = outcome
+    return (
+        Figure(f"{kind}_{noun}s", f"Each {noun}", lambda: draw_influence(o, label)),
+        Figure(
+            f"{kind}_correlation",
+            "Correlation of the parameters",
+            lambda: draw_correlation(o.covariance, names or o.names),
+        ),
+    )
 
 
 def draw_correlation(covariance: Floats, labels: Sequence[str]) -> Any:

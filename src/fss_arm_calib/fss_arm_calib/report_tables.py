@@ -1,6 +1,6 @@
 """Tables shared by the reports of all kinds of calibration, and the default report."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -67,22 +67,41 @@ def table_report(outcome: Outcome[Any, Any], truth: Arm | None = None) -> Report
     )
 
 
-def parameter_table(outcome: Outcome[Any, Any]) -> Table:
-    """Return the table of the initial guess and the estimate of each parameter."""
-    e = outcome.estimate
-    rows = [
-        [
-            display_name(name, e),
-            display_unit(unit),
-            *(format_value(value, unit) for value in values),
-        ]
-        for name, unit, *values in zip(
-            e.names, e.units, e.initial, e.values, e.deviations, strict=True
-        )
-    ]
-    return Table(
-        "Parameters", ["parameter", "unit", "guess", "estimate", "± 1 sigma"], rows, words=2
-    )
+def parameter_table(
+    outcome: Outcome[Any, Any],
+    columns: Mapping[str, Floats] | None = None,
+    ratios: Mapping[str, tuple[Floats, str]] | None = None,
+    labels: Mapping[str, str] | None = None,
+    note: str = "",
+    weak: Sequence[int] = (),
+) -> Table:
+    """Return the table of the parameters.
+
+    Args:
+        outcome: the outcome with p parameters.
+        columns: (p,) values in the parameters' units, by head; by default the initial guess, the
+            estimate and its deviation.
+        ratios: (p,) further numbers and their format, by head.
+        labels: names to show in place of others.
+        note: explanation.
+        weak: indices of parameters shown in amber.
+    """
+    e, ratios, labels = outcome.estimate, ratios or {}, labels or {}
+    columns = columns or {"guess": e.initial, "estimate": e.values, "± 1 sigma": e.deviations}
+    rows = []
+    for k, (name, unit) in enumerate(zip(e.names, e.units, strict=True)):
+        row = [display_name(name, e, labels.get(name, "")), display_unit(unit)]
+        row += [format_value(column[k], unit) for column in columns.values()]
+        rows.append(row + [format_number(ratio[k], form) for ratio, form in ratios.values()])
+    head = ["parameter", "unit", *columns, *ratios]
+    return Table("Parameters", head, rows, words=2, note=note, weak=weak)
+
+
+def relative_errors(estimate: Estimate, true: Floats) -> Floats:
+    """Return the errors (p,) of an estimate in its deviations; NaN if not determined."""
+    rows = zip(estimate.values, true, estimate.units, strict=True)
+    off = np.array([difference(value, known, unit) for value, known, unit in rows])
+    return off / mask_undetermined(estimate, estimate.deviations)
 
 
 def format_origin(outcome: Outcome[Any, Any]) -> str:

@@ -12,22 +12,14 @@ FRACTION = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low
 
 @dataclass(frozen=True)
 class KindSettings(StreamSettings):
-    """Settings of every calibration that finds its data in streams.
-
-    Raises:
-        SettingError: a setting is invalid.
-    """
+    """Settings of every calibration that finds its data in streams."""
 
     arm: str = setting("", "description YAML to start from; empty: the paper's arm")
 
 
 @dataclass(frozen=True)
 class CalibrationSettings(RestSettings, KindSettings):
-    """Settings of calibrations that need rests: topics, and criteria that a result must meet.
-
-    Raises:
-        SettingError: a setting is invalid.
-    """
+    """Settings of calibrations that need rests: topics, and criteria that a result must meet."""
 
     joints_topic: str = setting("joint_states", "topic of the readings of joint_1 .. joint_n")
     base_topic: str = like(Vehicle, "base_topic")

@@ -124,7 +124,7 @@ def test_a_frozen_base_does_not_drift(samples, begin):
 def test_a_drift_without_readings_of_a_joint_is_none(samples):
     """Silent through the second of the pieces that the first rest makes."""
     finder = DriftFinder(ARM.n, DriftSettings(max_duration=12.0, min_duration=5.0))
-    pieces = feed(DriftFinder(ARM.n, finder.settings), samples)
+    pieces = feed(DriftFinder(ARM.n, finder.sensors.settings), samples)
     silent = pieces[0].end + SECOND // 4, pieces[1].end
     found = feed(finder, [s for s in samples if s.stream != 2 or not silent[0] < s.t < silent[1]])
     assert [d.end for d in found[:2]] == [pieces[0].end, pieces[2].end]
@@ -136,7 +136,7 @@ def test_a_lost_base_is_waited_for_no_longer_than_the_horizon(samples):
     lost = [s for s in samples if s.stream != "base" or s.t < at(14.0)]
     found = feed(finder, lost, close=False)
     assert len(found) == 1
-    assert len(finder.joints[0].t) < 5 * (2 * 15.0 + 12.0) + 1000 / 4
+    assert len(finder.sensors.joints[0].t) < 5 * (2 * 15.0 + 12.0) + 1000 / 4
 
 
 def test_too_little_is_not_evaluated_and_a_push_fails(samples, bag, capsys):

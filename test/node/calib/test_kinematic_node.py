@@ -247,8 +247,9 @@ def test_replayed_at_any_rate_the_result_is_that_of_the_bag(spin, samples, tmp_p
         spin([player, node], lambda: False, 60.0)
     assert end.value.code == 0
     newest = {s.stream: s.t for s in samples}
-    spin(node, lambda: all(p.newest == newest[s] for s, p in node.finder.subjects.items()))
-    spin(node, lambda: all(j.newest == newest[i] for i, j in enumerate(node.finder.joints, 1)))
+    sensors = node.finder.sensors
+    spin(node, lambda: all(p.newest == newest[s] for s, p in sensors.subjects.items()))
+    spin(node, lambda: all(j.newest == newest[i] for i, j in enumerate(sensors.joints, 1)))
     node.add_data(node.finder.close())
     replayed = node.outcome
     assert replayed.provenance.data_hash == offline.provenance.data_hash

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
-from fss_arm_calib.dynamic.solve import solve, solve_all
+from fss_arm_calib.dynamic.solve import solve
 from fss_arm_model import dynamics
 from fss_arm_model.description import DescriptionError, paper_arm
 from fss_arm_model.joint_path import stack
@@ -194,29 +194,6 @@ def test_a_solution_at_a_bound_says_so():
     free = solve(exact, bounded=False)
     assert free.values[3] == pytest.approx(-0.05, abs=1e-6)
     assert free.at_bound == ()
-
-
-def test_draws_side_by_side_are_what_each_is_alone():
-    """Also those that end at a bound, or where nothing tells two parameters apart."""
-    known, rng = problem(several(12)), np.random.default_rng(8)
-    draws = [observe(known, *draw(known, rng)[1:], rng) for _ in range(5)]
-    heavy_tip = replace(ARM, links=(*ARM.links[:3], replace(ARM.links[3], b=-0.05)))
-    draws.append(observe(known, heavy_tip.vector(), at_rest(12), rng))
-    found = solve_all(known, np.array([one.poses for one in draws]))
-    assert "b_4" in found[-1].at_bound
-    assert () in [result.at_bound for result in found]
-    for one, result in zip(draws, found, strict=True):
-        alone = solve(one)
-        assert result.at_bound == alone.at_bound
-        assert result.minimum.iterations == alone.minimum.iterations
-        # Both are converged to 1e-7 deviations.
-        assert_allclose((result.values - alone.values) / alone.deviations, 0.0, atol=1e-6)
-        assert_allclose(result.covariance, alone.covariance, rtol=1e-5, atol=1e-12)
-        assert result.chi_square == pytest.approx(alone.chi_square, rel=1e-6)
-
-    vague = replace(known, choice=Choice.of("m_i b_i I_i I_0", 4), prior=np.full(13, np.inf))
-    (result,) = solve_all(vague, draws[0].poses[None], bounded=False)
-    assert result.inseparable == solve(replace(vague, poses=draws[0].poses), False).inseparable
 
 
 def test_the_paper_s_fit_is_that_of_scipy_on_an_ode():

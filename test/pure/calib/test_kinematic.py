@@ -8,7 +8,8 @@ from calib_quantization import quantization_bound
 
 from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, SQUARE
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
-from fss_arm_calib.kinematic.problem import EQUAL, FULL, OFFSETS, KinematicProblem
+from fss_arm_calib.kinematic import model
+from fss_arm_calib.kinematic.problem import EQUAL, FULL, OFFSETS, KinematicProblem, reading_jacobian
 from fss_arm_calib.kinematic.solve import NotIdentifiable, solve
 from fss_arm_model.description import Arm, Link, paper_arm
 from fss_arm_model.kinematics import tip_in_base
@@ -125,19 +126,19 @@ def test_zero_lengths_do_where_the_closed_form_has_too_few_postures():
 def test_mirrored_arms_are_recognized_and_folded_back(turned, theta_e):
     """A link of negative length, turned by pi, ends where the true one does."""
     exact = problem(paper_arm(), DEFAULT_POSTURES, FULL, theta_e=theta_e)
-    values = exact.all_parameters(exact.initial)
+    values = model.all_parameters(exact, exact.initial)
     headings = np.cumsum([values[-2], *values[4:7]])
     headings[list(turned)] += np.pi
     values[list(turned)] *= -1.0
     values[4:7], values[-2] = np.diff(headings), headings[0]
     values[-1] -= np.pi * (3 in turned)
-    mirrored = exact.estimated_parameters(values)
-    assert exact.is_mirrored(mirrored)
-    assert np.abs(exact.residuals(mirrored)[:, :2]).max() < 1e-12
-    assert np.abs(exact.unmirror(mirrored) - exact.initial).max() < 1e-12
+    mirrored = model.estimated_parameters(exact, values)
+    assert model.is_mirrored(exact, mirrored)
+    assert np.abs(model.residuals(exact, mirrored)[:, :2]).max() < 1e-12
+    assert np.abs(model.unmirror(exact, mirrored) - exact.initial).max() < 1e-12
     # A last link turned by pi does not fit without a heading offset to turn it back.
     fits = theta_e or 3 not in turned
-    assert (np.abs(exact.residuals(mirrored)[:, 2]).max() < 1e-12) == fits
+    assert (np.abs(model.residuals(exact, mirrored)[:, 2]).max() < 1e-12) == fits
     result = solve(exact, start=mirrored)
     assert np.abs(result.values - exact.initial).max() < 1e-9
 
@@ -375,7 +376,7 @@ def test_what_readings_add_is_the_covariance_of_what_they_move():
     exact = problem(arm_of(3), postures(3, 12), FULL, ripple_deviation=4e-4,
                     eccentricity_deviation=7e-4)  # fmt: skip
     result, xi = solve(exact), exact.initial
-    Phi_q, s = exact.reading_jacobian(xi), len(exact.q)
+    Phi_q, s = reading_jacobian(model.vector(exact, xi), exact.q), len(exact.q)
     apart = exact.q[:, None] - exact.q
     k = 4e-4**2 * np.cos(60 * apart) + 7e-4**2 * np.cos(apart)
     S = np.einsum("kin,kln,ljn->kilj", Phi_q, k, Phi_q)
@@ -384,7 +385,7 @@ def test_what_readings_add_is_the_covariance_of_what_they_move():
     own = S[np.arange(s), :, np.arange(s), :]
     W[np.arange(s), :, np.arange(s), :] = np.linalg.inv(own)
     S, W = S.reshape(3 * s, -1), W.reshape(3 * s, -1)
-    Phi = (replace(exact, ripple_deviation=0.0, eccentricity_deviation=0.0).regressor(xi)
+    Phi = (model.regressor(replace(exact, ripple_deviation=0.0, eccentricity_deviation=0.0), xi)
            * np.tile(exact.sigma, s)[:, None])  # fmt: skip
     gain = np.linalg.solve(Phi.T @ W @ Phi, Phi.T @ W)
     np.testing.assert_allclose(result.covariance, gain @ S @ gain.T, rtol=1e-6, atol=1e-15)

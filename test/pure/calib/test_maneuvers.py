@@ -253,7 +253,7 @@ def test_a_wrong_clock_of_what_may_be_absent_spoils_nothing(rig, stream):
         ended = [s for s in samples if s.stream != stream or s.t < at(end)]
         assert [m.used for m in found] == [True] * 3
         assert found == feed(ManeuverFinder(4, ManeuverSettings(horizon=20.0)), ended)
-        assert max(len(finder.gyro.t), len(finder.tip.t)) < 4000 + 1000
+        assert max(len(finder.sensors.gyro.t), len(finder.sensors.tip.t)) < 4000 + 1000
 
 
 def test_a_motion_without_end_is_followed_no_longer_than_the_horizon():
@@ -265,8 +265,10 @@ def test_a_motion_without_end_is_followed_no_longer_than_the_horizon():
     found = []
     for sample in rig.samples(tip=True):
         found += feed(finder, [sample], close=False)
-        assert len(finder.base.t) < 1700 + 1000  # a look at what may go comes every 1000 samples
-        assert len(finder.joints[0].t) < 250
+        assert (
+            len(finder.sensors.base.t) < 1700 + 1000
+        )  # a look at what may go comes every 1000 samples
+        assert len(finder.sensors.joints[0].t) < 250
     (long,) = found + finder.close()
     assert not long.used
     assert long.reason.endswith("(at most 8: see horizon)")

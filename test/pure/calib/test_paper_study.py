@@ -1,10 +1,9 @@
 """The study of the paper's tables: its figures, and where it is put."""
 
 import numpy as np
+import paper_study
 import pytest
-
-from fss_arm_calib import paper_study
-from fss_arm_calib.paper_study import (
+from paper_study import (
     END_MARK,
     START_MARK,
     estimate_as_in_paper,

@@ -12,12 +12,11 @@ from fss_arm_calib.segments.rests import (
     TIP,
     Observation,
     RestFinder,
-    keep_since_homing,
-    rehomed_joints,
     rejected_without_repeat,
 )
 from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.streams import keep_newest
+from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND
 
@@ -205,10 +204,10 @@ def test_rests_of_a_lost_subject_are_told_and_forgotten(lost):
     finder, found = RestFinder(4, RestSettings(horizon=10.0)), []
     for sample in without(rig.samples(), lost, 4.0, 700.0):
         found += find([sample], close=False, finder=finder)
-        assert len(finder._pending) <= 3
-        assert all(len(poses.t) < 2200 + 1000 for poses in finder.subjects.values())
+        assert len(finder.pending) <= 3
+        assert all(len(poses.t) < 2200 + 1000 for poses in finder.sensors.subjects.values())
     assert [o.used for o in found] == [True] + [False] * 17
-    assert len(finder.joints[0].t) < 500
+    assert len(finder.sensors.joints[0].t) < 500
     assert all("silent for" in o.reason for o in found[1:])
     assert np.abs(np.array([o.q for o in found]) - rig.postures[:18]).max() <= 1e-3
 
@@ -237,8 +236,8 @@ def test_a_subject_that_flickers_makes_no_work():
     for begin in np.arange(0.8, 40.0, 1.5):
         samples = without(samples, {TIP}, begin, begin + 0.4)
     finder, looks = RestFinder(4), []
-    look = finder._observe
-    finder._observe = lambda *rest, **how: looks.append(how) or look(*rest, **how)
+    look = finder.search.observe
+    finder.search.observe = lambda *rest: looks.append(rest) or look(*rest)
     found = find(samples, finder=finder)
     assert [o.used for o in found] == [True] * 3
     assert SECOND < found[0].end - found[0].start < 1.2 * SECOND

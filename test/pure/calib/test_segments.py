@@ -217,7 +217,7 @@ def test_repeated_samples_change_nothing(make, samples):
 def test_a_silent_joint_lets_no_others_pile_up(make, samples):
     finder = make(horizon=5.0)
     feed(finder, [s for s in samples if s.stream != 2], close=False)
-    assert max(len(joint.queue) for joint in finder.joints) <= 26
+    assert max(len(joint.queue) for joint in finder.sensors.joints) <= 26
 
 
 def test_memory_is_bounded(make, rig, samples):
@@ -227,11 +227,11 @@ def test_memory_is_bounded(make, rig, samples):
         shift = lap * round((rig.length + 1.0) * SECOND)
         lap_samples = [s._replace(t=s.t + shift) for s in samples if s.t < at(rig.length - 1.0)]
         feed(finder, [s for s in lap_samples if lap < 3 or s.stream in SUBJECTS], close=False)
-        kept = 2 * 10.0 + finder.settings.max_duration + 22.0
-        for poses in (finder.base, finder.tip, finder.gyro):
+        kept = 2 * 10.0 + finder.sensors.settings.max_duration + 22.0
+        for poses in (finder.sensors.base, finder.sensors.tip, finder.sensors.gyro):
             assert len(poses.t) < 20 * kept + 1000
-        assert len(finder.joints[0].t) < 5 * kept + 1000 / 8
-        assert len(finder._pending) <= 3
+        assert len(finder.sensors.joints[0].t) < 5 * kept + 1000 / 8
+        assert len(finder.pending) <= 3
 
 
 def test_joints_of_another_arm_are_named(make, samples):

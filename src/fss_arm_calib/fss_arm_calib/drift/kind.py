@@ -80,7 +80,7 @@ def drifts_of(message: msg.Drifts) -> list[Drift]:
 
 def rest_status(finder: DriftFinder) -> dict[str, object]:
     """Report the time for which the arm has been at rest."""
-    begin, end = finder.current_rest
+    begin, end = finder.search.current_rest
     return {"arm at rest for [s]": (end - begin) / SECOND}
 
 

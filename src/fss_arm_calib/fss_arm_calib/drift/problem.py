@@ -25,7 +25,6 @@ from fss_arm_calib.estimation.least_squares import (
 from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model import drifting
-from fss_arm_model.description import Arm
 from fss_arm_model.drifting import SURROUNDINGS
 
 NAMES = SURROUNDINGS
@@ -38,20 +37,6 @@ DIFFERENCE_STEPS = np.array(
 )
 ZERO_REDUNDANCY = 1e-9  # redundancy below which one drift alone determines a direction
 TOLERANCE = 1e-4  # largest last update [deviations]; integration errors are smaller
-
-
-class Body(NamedTuple):
-    """Rigid body of base and arm."""
-
-    mass: float  # [kg]
-    inertia: float  # about the centre of mass [kg m^2]
-    com: complex  # in the base's frame [m]
-
-
-def rigid_body(arm: Arm, q: Sequence[float]) -> Body:
-    """Return the rigid body of base and arm at joint readings q."""
-    mass, inertia, *com = drifting.single_body(arm.vector(), q)
-    return Body(mass, inertia, complex(*com))
 
 
 def mean_motion(drift: Drift) -> Floats:
@@ -68,7 +53,7 @@ class DriftProblem:
     """
 
     drifts: Sequence[Drift]
-    bodies: Sequence[Body]
+    bodies: Floats  # (s, 4) base and arm as one body, see drifting.single_body
     sigma: Sequence[Floats]  # (m, 3) standard deviations of each drift's poses
     torque: float = 0.05  # deviation of the hose's torque at rest [N m]
     twist_damping: float = 0.01  # deviation of the hose's resistance to turning [N m s]
@@ -81,7 +66,7 @@ class DriftProblem:
         """Initial values of all unknowns: no external effects, and each drift's mean twist."""
         parts: list[Floats] = [np.zeros(len(NAMES))]
         for drift, body in zip(self.drifts, self.bodies, strict=True):
-            parts += [mean_motion(drift), np.array([body.com.real, body.com.imag])]
+            parts += [mean_motion(drift), body[2:]]
         return np.concatenate(parts)
 
     def motion(self, k: int, shared: Floats, own: Floats) -> tuple[Floats, Floats]:
@@ -93,9 +78,9 @@ class DriftProblem:
             own: (c, 8) the drift's own unknowns.
         """
         body = np.empty((len(own), 4))
-        body[:, :2], body[:, 2:] = self.bodies[k][:2], own[:, 6:]
+        body[:, :2], body[:, 2:] = self.bodies[k, :2], own[:, 6:]
         found = drifting.drift(body, shared, own[:, :6], np.array(self.drifts[k].times))
-        return found[..., :3], self.bodies[k].inertia * (found[:, -1, 3] - own[:, 5])
+        return found[..., :3], self.bodies[k, 1] * (found[:, -1, 3] - own[:, 5])
 
     def derivatives(self, unknowns: Floats) -> list[tuple[Floats, Floats, float, Floats]]:
         """Return poses (m, 3), gain of spin and their derivatives by 13 unknowns, per drift."""
@@ -266,17 +251,17 @@ class DriftResult:
         The angular momentum is about the centre of mass.
         """
         values, deviations = np.empty((2, len(self.problem.drifts), 3))
-        for k, body in enumerate(self.problem.bodies):
+        for k, (mass, inertia, *_) in enumerate(self.problem.bodies.tolist()):
             at = slice(5 + UNKNOWNS_PER_DRIFT * k, 5 + UNKNOWNS_PER_DRIFT * (k + 1))
             _, _, theta, vx, vy, omega, cx, cy = self.minimum.x[at]
             turn = np.exp(1j * theta)
             lever = turn * complex(cx, cy)
-            P = body.mass * (complex(vx, vy) + 1j * omega * lever)
-            values[k] = P.real, P.imag, body.inertia * omega
+            P = mass * (complex(vx, vy) + 1j * omega * lever)
+            values[k] = P.real, P.imag, inertia * omega
             J = np.zeros((3, UNKNOWNS_PER_DRIFT))
             by = [-omega * lever, 1.0, 1j, 1j * lever, 1j * omega * turn, -omega * turn]
-            J[:2, 2:] = body.mass * np.array([np.real(by), np.imag(by)])
-            J[2, 5] = body.inertia
+            J[:2, 2:] = mass * np.array([np.real(by), np.imag(by)])
+            J[2, 5] = inertia
             variance = np.diag(J @ self.scatter[at, at] @ J.T)
             deviations[k] = np.sqrt(variance + (self.problem.mass * values[k]) ** 2)
         return values, deviations

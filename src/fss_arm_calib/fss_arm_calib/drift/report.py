@@ -5,31 +5,21 @@ import numpy as np
 from fss_arm_calib.acceptance import format_count
 from fss_arm_calib.drift.solution import Solution
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report import Figure, Report, Table
-from fss_arm_calib.report_figures import draw_correlation, draw_influence
+from fss_arm_calib.report import Report, Table
+from fss_arm_calib.report_figures import common_figures
 from fss_arm_calib.report_tables import display_name, format_number, make_report
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import Arm
 from fss_arm_model.units import GRAVITY
 
-EXPLANATIONS = (
-    "",
-    "",
-    "of the hose at rest",
-    "resistance to rotation",
-    "resistance to translation",
-)
+#: Texts for the parameters 2 to 4 of the problem.
+EXPLANATIONS = "of the hose at rest", "resistance to rotation", "resistance to translation"
 
 
 def drift_report(outcome: Outcome[Drift, Solution], _: Arm | None = None) -> Report:
     """Report the result of a drift calibration; a description holds none of its parameters."""
     o = outcome
-    figures = (
-        Figure("drift_drifts", "Each drift",
-               lambda: draw_influence(o, "error predicted from others [deviations]")),
-        Figure("drift_correlation", "Correlation of the parameters",
-               lambda: draw_correlation(o.covariance, o.names)),
-    )  # fmt: skip
+    figures = common_figures(o, "drift", "drift", "error predicted from others [deviations]")
     title = f"Drift of {o.arm.name}, {format_count(len(o.used), 'drift')}"
     return make_report(title, o, (_parameters(o), _momenta(o)), figures=figures)
 
@@ -43,8 +33,8 @@ def _parameters(outcome: Outcome[Drift, Solution]) -> Table:
     ]
     acting.append(("mean torque of the hose", "N m", *torque))
     acting += [
-        (display_name(e.names[k], e, EXPLANATIONS[k]), e.units[k], e.values[k], e.deviations[k])
-        for k in (2, 3, 4)
+        (display_name(e.names[k], e, words), e.units[k], e.values[k], e.deviations[k])
+        for k, words in enumerate(EXPLANATIONS, 2)
     ]
     rows = [[name, unit, *_pair(value, sigma)] for name, unit, value, sigma in acting]
     weak = [k for k, (*_, value, sigma) in enumerate(acting) if abs(value) <= 2.0 * sigma]

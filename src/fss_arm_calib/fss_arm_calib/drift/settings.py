@@ -11,11 +11,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
 
 @dataclass(frozen=True)
 class DriftSettings(DriftFinderSettings, CalibrationSettings):
-    """Settings of a drift calibration: detection of drifts, prior knowledge and checks.
-
-    Raises:
-        SettingError: a setting is impossible.
-    """
+    """Settings of a drift calibration: detection of drifts, prior knowledge and checks."""
 
     ABOUT: ClassVar = (
         "Tilt of the table, torque and drag of the hose, from the base's drifts with the arm at "

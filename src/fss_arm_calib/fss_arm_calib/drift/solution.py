@@ -11,7 +11,6 @@ from fss_arm_calib.drift.problem import (
     UNITS,
     DriftProblem,
     DriftResult,
-    rigid_body,
     solve,
 )
 from fss_arm_calib.drift.settings import DriftSettings
@@ -74,8 +73,9 @@ def problem_of(
     drifts: Sequence[Drift], arm: Arm, s: DriftSettings, weights: Floats
 ) -> DriftProblem:
     """Return the drift problem of weighted drifts."""
+    bodies = single_body(arm.vector(), np.array([drift.q for drift in drifts]))
     return DriftProblem(
-        drifts, [rigid_body(arm, drift.q) for drift in drifts], pose_deviations(drifts, s, weights),
+        drifts, bodies, pose_deviations(drifts, s, weights),
         s.torque_deviation, s.twist_deviation, s.drag_deviation, *body_deviations(drifts, arm, s),
     )  # fmt: skip
 
@@ -95,7 +95,7 @@ def solution_of(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> Solution
         result, weights[mask], errors = solve_robustly(weigh, len(some), s.loss)
         return result, errors
 
-    found = reject_outliers(solved, len(drifts), s, 1, "error")
+    found = reject_outliers(solved, len(drifts), s.outlier, s.max_outliers, 1, "error")
     return Solution(found.result, found.mask, weights, found.reasons, found.errors)
 
 

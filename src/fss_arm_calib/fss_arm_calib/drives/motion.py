@@ -17,16 +17,8 @@ import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_model.description import Arm
-from fss_arm_model.dynamics import bias, inertia_matrix
-from fss_arm_model.layout import (
-    LINK_INERTIA,
-    LINK_MASS,
-    MOUNT_ANGLE,
-    OFFSET,
-    com,
-    each,
-    reach,
-)
+from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics
+from fss_arm_model.layout import LINK_MASS, MOUNT_ANGLE, OFFSET, com, each, reach
 
 TRAPEZOID_STEP = 0.2  # approximate time between samples for the trapezoidal rule [s]
 KNOT_SPACING = 0.05  # least time between samples used to interpolate the motion [s]
@@ -155,29 +147,20 @@ def transmitted_loads(arm: Arm, m: ArmMotion) -> tuple[Floats, Floats]:
     H = inertia_matrix(p, state)
     base, coupling = H[:, :3, :3], H[:, :3, 3:]
     twist = -np.linalg.solve(base, coupling @ m.qd[..., None])[..., 0]
-    force = (coupling @ m.qdd[..., None])[..., 0]
-    force += bias(p, state, np.concatenate([twist, m.qd], axis=1))[:, :3]
-    pull = -np.linalg.solve(base, force[..., None])[..., 0]
+    rate = np.concatenate([twist, m.qd], axis=1)
+    push = (coupling @ m.qdd[..., None])[..., 0] + bias(p, state, rate)[:, :3]
+    pull = -np.linalg.solve(base, push[..., None])[..., 0]
+    torque = inverse_dynamics(p, state, rate, np.concatenate([pull, m.qdd], axis=1))[:, 3:]
     offsets = np.concatenate([[p[MOUNT_ANGLE]], each(p, OFFSET)[1:]])
     psi = np.cumsum(np.column_stack([np.zeros(len(m.q)), m.q + offsets]), axis=1)
     turns = np.exp(1j * psi)
-    spins = np.cumsum(np.column_stack([twist[:, 2], m.qd]), axis=1)
+    spins = np.cumsum(rate[:, 2:], axis=1)
     gains = np.cumsum(np.column_stack([pull[:, 2], m.qdd]), axis=1)
     turning = (1j * gains - spins**2) * turns
-    place, acceleration = np.zeros(len(m.q), complex), pull[:, 0] + 1j * pull[:, 1]
-    joints, centres, forces = [], [], []
-    for k in range(arm.n + 1):
-        if k:
-            joints.append(place)
-            centres.append(place + com(p, k) * turns[:, k])
-            forces.append(each(p, LINK_MASS)[k - 1] * (acceleration + com(p, k) * turning[:, k]))
-        place = place + reach(p, k) * turns[:, k]
+    acceleration = pull[:, 0] + 1j * pull[:, 1] + reach(p, 0) * turning[:, 0]
+    forces = []
+    for k in range(1, arm.n + 1):
+        forces.append(each(p, LINK_MASS)[k - 1] * (acceleration + com(p, k) * turning[:, k]))
         acceleration = acceleration + reach(p, k) * turning[:, k]
-    r, c, f = (np.column_stack(part) for part in (joints, centres, forces))
-    spin = each(p, LINK_INERTIA) * gains[:, 1:]
-    torque = np.zeros_like(m.q)
-    for j in range(arm.n):
-        moment = (np.conj(c[:, j:] - r[:, j : j + 1]) * f[:, j:]).imag
-        torque[:, j] = (moment + spin[:, j:]).sum(axis=1)
-    beyond = np.cumsum(f[:, ::-1], axis=1)[:, ::-1]
+    beyond = np.cumsum(np.column_stack(forces)[:, ::-1], axis=1)[:, ::-1]
     return torque, (np.conj(1j * turns[:, 1:]) * beyond).real

@@ -10,11 +10,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
 
 @dataclass(frozen=True)
 class DrivesSettings(ExcitationSettings, KindSettings):
-    """Settings of a calibration of drives: excitations, prior knowledge and criteria.
-
-    Raises:
-        SettingError: a setting is impossible.
-    """
+    """Settings of a calibration of drives: excitations, prior knowledge and criteria."""
 
     ABOUT: ClassVar = (
         "Torque constant, friction and torque sensor of each joint, from its link's telemetry "

@@ -28,9 +28,6 @@ class Knowledge(Settings):
 
     For lengths, angles and the mount, an uncertainty in the description itself replaces these
     values. For all other parameters it does so only if `told` is set.
-
-    Raises:
-        SettingError: a deviation is negative or not finite.
     """
 
     mass_deviation: float = setting(

@@ -42,8 +42,7 @@ class DynamicProblem:
     """
 
     path: Path  # M paths of the joints
-    poses: Floats  # (..., M, m, 3) of the base at the marks [m, m, rad], headings not wrapped;
-    #                leading dimensions are a batch of draws; the unknowns then have them, too
+    poses: Floats  # (M, m, 3) of the base at the marks [m, m, rad], headings not wrapped
     sigma: Floats  # (M, m, 3) standard deviations of the poses; inf: not observed
     arm: Arm  # the initial guess, and the values of assumed parameters
     choice: Choice  # the estimated parameters
@@ -56,10 +55,10 @@ class DynamicProblem:
     def __post_init__(self) -> None:
         count = len(self.path.nodes)
         shape = (count, self.path.marks.shape[-2], 3)
-        for name, given in (("poses", self.poses.shape[-3:]), ("sigma", self.sigma.shape)):
+        for name, given in (("poses", self.poses.shape), ("sigma", self.sigma.shape)):
             if given != shape:
                 raise ValueError(f"{name} has shape {given}, expected {shape}")
-        if not np.isfinite(self.poses[..., np.isfinite(self.sigma)]).all():
+        if not np.isfinite(self.poses[np.isfinite(self.sigma)]).all():
             raise ValueError("a pose is not finite")
         if count and not np.isfinite(self.sigma[..., 2]).any():
             raise ValueError("no heading is observed")
@@ -67,13 +66,6 @@ class DynamicProblem:
     def with_scaled_noise(self, factors: Floats) -> "DynamicProblem":
         """Return the problem with deviations of positions and headings scaled by factors (2,)."""
         return replace(self, sigma=self.sigma * factors[[0, 0, 1]])
-
-    def with_poses(self, poses: Floats) -> "DynamicProblem":
-        """Return the problem with other poses; cached values independent of them are kept."""
-        other = replace(self, poses=poses)
-        kept = {name: x for name, x in vars(self).items() if name not in ("poses", "start")}
-        vars(other).update(kept)
-        return other
 
     def select(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "DynamicProblem":
         """Return the problem with only some of the maneuvers."""
@@ -146,10 +138,9 @@ class DynamicProblem:
     @cached_property
     def start(self) -> Floats:
         """Initial values of all unknowns: the guess, and each maneuver's first pose, at rest."""
-        batch, pose = self.poses.shape[:-3], self.poses[..., 0, :]
-        first = np.concatenate([pose, np.zeros_like(pose)], axis=-1)[..., self.state_unknowns]
-        guess = np.broadcast_to(self.guess, (*batch, self.guess.size))
-        return np.concatenate([guess, first.reshape(*batch, -1)], axis=-1)
+        pose = self.poses[:, 0, :]
+        first = np.concatenate([pose, np.zeros_like(pose)], axis=-1)[:, self.state_unknowns]
+        return np.concatenate([self.guess, first.ravel()])
 
     @cached_property
     def to_model(self) -> Floats:
@@ -182,23 +173,20 @@ class DynamicProblem:
     def vector(self, unknowns: Floats) -> Floats:
         """Return Arm.vector() (8 + 6 n,) with the estimated parameters in place of the guess."""
         size, p = len(self.origin), self.to_model.shape[1]
-        return self.origin + unknowns[..., :p] @ self.to_model[:size].T
+        return self.origin + unknowns[:p] @ self.to_model[:size].T
 
     def states(self, unknowns: Floats) -> Floats:
         """Return the states (M, 8) of base_motion: initial pose and momentum, the table's tilt."""
-        p = len(self.names)
-        states = np.zeros((*self.poses.shape[:-2], 8))
-        states[..., :3] = self.poses[..., 0, :]
-        states[..., self.state_unknowns] = unknowns[..., p:].reshape(
-            *states.shape[:-1], self.state_unknowns.size
-        )
+        p, states = len(self.names), np.zeros((len(self.poses), 8))
+        states[:, :3] = self.poses[:, 0, :]
+        states[:, self.state_unknowns] = unknowns[p:].reshape(len(states), -1)
         if self.tilt > 0.0:
-            states[..., 6:] = unknowns[..., None, p - 2 : p]
+            states[:, 6:] = unknowns[p - 2 : p]
         return states
 
     def predict(self, unknowns: Floats) -> Floats:
         """Return the predicted poses at the marks, (M, m, 3)."""
-        return base_poses(self.vector(unknowns)[..., None, :], self.path, self.states(unknowns))
+        return base_poses(self.vector(unknowns), self.path, self.states(unknowns))
 
     @cached_property
     def observed_indices(self) -> npt.NDArray[np.intp]:
@@ -228,22 +216,18 @@ class DynamicProblem:
 
     def linearize_at(self, vector: Floats, states: Floats, columns: Floats) -> Linear:
         """Linearize as `eliminate_states` does, at an Arm.vector() and states (M, 8)."""
-        poses, J = base_pose_sensitivities(vector[..., None, :], self.path, states)
-        batch = poses.shape[:-2]  # the last of these dimensions is the maneuver
-        rows = (
-            J.reshape(*batch, -1, J.shape[-1])[..., self.observed_indices, :]
-            * self.weight[..., None]
-        )
-        away = (self.poses - poses).reshape(*batch, -1)[..., self.observed_indices]
+        poses, J = base_pose_sensitivities(vector, self.path, states)
+        count = len(poses)
+        rows = J.reshape(count, -1, J.shape[-1])[:, self.observed_indices] * self.weight[..., None]
+        away = (self.poses - poses).reshape(count, -1)[:, self.observed_indices]
         r = np.where(self.weight > 0.0, away, 0.0) * self.weight
-        A, B = rows @ columns, rows[..., vector.shape[-1] : -2][..., self.state_unknowns]
+        A, B = rows @ columns, rows[..., len(vector) : -2][..., self.state_unknowns]
         if self.prior_momenta.size:
             sigma = self.momentum[self.prior_momenta]
-            r = np.concatenate([r, -states[..., 3 + self.prior_momenta] / sigma], axis=-1)
-            none = np.zeros((*batch, sigma.size, A.shape[-1]))
-            A = np.concatenate([A, none], axis=-2)
+            r = np.concatenate([r, -states[:, 3 + self.prior_momenta] / sigma], axis=-1)
+            A = np.pad(A, ((0, 0), (0, sigma.size), (0, 0)))
             prior = np.eye(6)[3 + self.prior_momenta][:, self.state_unknowns] / sigma[:, None]
-            B = np.concatenate([B, np.broadcast_to(prior, (*batch, *prior.shape))], axis=-2)
+            B = np.concatenate([B, np.broadcast_to(prior, (count, *prior.shape))], axis=-2)
         return eliminate(A, B, r)
 
     def linearize(self, unknowns: Floats) -> Linear:
@@ -251,13 +235,11 @@ class DynamicProblem:
         linear = self.eliminate_states(unknowns, self.to_model)
         if not self.prior_indices.size:
             return linear
-        batch, rows = linear.regressor.shape[:-2], self.prior_rows
-        off = (rows @ (self.guess - unknowns[..., : len(self.guess)])[..., None])[..., 0]
-        rows = np.broadcast_to(rows, (*batch, *rows.shape))
+        off = self.prior_rows @ (self.guess - unknowns[: len(self.guess)])
         return linear._replace(
-            residuals=np.concatenate([linear.residuals, off], axis=-1),
-            regressor=np.concatenate([linear.regressor, rows], axis=-2),
-            cost=linear.cost + np.sum(off**2, axis=-1),
+            residuals=np.concatenate([linear.residuals, off]),
+            regressor=np.concatenate([linear.regressor, self.prior_rows]),
+            cost=linear.cost + np.sum(off**2),
         )
 
     @property

@@ -11,15 +11,14 @@ from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure, Report, Table
-from fss_arm_calib.report_figures import draw_correlation, draw_influence
+from fss_arm_calib.report_figures import common_figures
 from fss_arm_calib.report_tables import (
-    difference,
-    display_name,
-    display_unit,
     format_number,
     format_value,
     make_report,
     mask_undetermined,
+    parameter_table,
+    relative_errors,
 )
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
@@ -35,16 +34,7 @@ def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = Non
     figures = (
         Figure("dynamic_motion", "Base motion, predicted and measured", lambda: draw_motion(o)),
         Figure("dynamic_residuals", "Residuals of the base's poses", lambda: draw_residuals(o)),
-        Figure(
-            "dynamic_maneuvers",
-            "Each maneuver",
-            lambda: draw_influence(o, "error predicted from others [deviations]"),
-        ),
-        Figure(
-            "dynamic_correlation",
-            "Correlation of the parameters",
-            lambda: draw_correlation(o.covariance, o.names),
-        ),
+        *common_figures(o, "dynamic", "maneuver", "error predicted from others [deviations]"),
     )
     tables = (_parameter_table(o, truth), _combination_table(o), _residual_table(o))
     details = (
@@ -85,39 +75,30 @@ def _read_promised(plan: str) -> Mapping[str, float]:
 
 def _parameter_table(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Table:
     """Tabulate the parameters beside the paper's Table 4 and, if known, the true values."""
-    e, p, known = outcome.estimate, len(outcome.names), truth is not None
-    paper = np.full(p, np.nan)
-    if outcome.arm.n == paper_arm().n:
-        paper = _parameter_values(paper_arm(), e.names)
-    true = np.full(p, np.nan) if truth is None else _parameter_values(truth, e.names)
+    e, paper = outcome.estimate, paper_arm()
     r = outcome.solution.result if outcome.solution else None
-    sigma = mask_undetermined(e, e.deviations)
-    random = mask_undetermined(e, np.sqrt(np.diag(r.random)) if r else sigma)
-    share = mask_undetermined(e, r.prior_share if r else sigma)
-    plan = outcome.settings.plan
-    given = _read_promised(plan) if plan else {}
-    promised = np.array([given.get(name, np.nan) for name in e.names])
-    rows = []
-    for k, (name, unit) in enumerate(zip(e.names, e.units, strict=True)):
-        columns = [paper, e.initial, *[true] * known, e.values, *[promised] * bool(plan)]
-        columns += [e.deviations, random]
-        row = [display_name(name, e), display_unit(unit)]
-        row += [format_value(column[k], unit) for column in columns]
-        row.append(format_number(100.0 * share[k], ".0f"))
-        if known:
-            row.append(format_number(difference(e.values[k], true[k], unit) / sigma[k], "+.2f"))
-        rows.append(row)
-    head = [
-        "parameter", "unit", "Table 4", "guess", *["truth"] * known, "estimate",
-        *["promised ±"] * bool(plan), "± 1 sigma", "random", "prior [%]",
-        *["error / sigma"] * known,
-    ]  # fmt: skip
+    share = mask_undetermined(e, r.prior_share if r else e.deviations)
+    columns = {
+        "Table 4": _parameter_values(paper, e.names)
+        * (1.0 if outcome.arm.n == paper.n else np.nan),
+        "guess": e.initial,
+        **({"truth": _parameter_values(truth, e.names)} if truth else {}),
+        "estimate": e.values,
+    }
+    if plan := outcome.settings.plan:
+        promised = _read_promised(plan)
+        columns["promised ±"] = np.array([promised.get(name, np.nan) for name in e.names])
+    columns["± 1 sigma"] = e.deviations
+    columns["random"] = mask_undetermined(e, np.sqrt(np.diag(r.random)) if r else e.deviations)
+    ratios = {"prior [%]": (100.0 * share, ".0f")}
+    if truth:
+        ratios["error / sigma"] = relative_errors(e, columns["truth"]), "+.2f"
     note = (
         "random: the deviation without the uncertainty of assumed parameters; prior: share of the "
         "value from prior knowledge; amber: mostly from prior knowledge, or at its bound."
     )
     weak = [k for k, name in enumerate(e.names) if share[k] > 0.5 or name in e.at_bound]
-    return Table("Parameters", head, rows, words=2, note=note, weak=weak)
+    return parameter_table(outcome, columns, ratios, note=note, weak=weak)
 
 
 def _combination_table(outcome: Outcome[Maneuver, Solution]) -> Table:

@@ -23,11 +23,7 @@ POSE, HEADING = "pose", "heading"
 
 @dataclass(frozen=True)
 class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
-    """Settings of a dynamic calibration: prior knowledge, estimated parameters and checks.
-
-    Raises:
-        SettingError: a setting is impossible.
-    """
+    """Settings of a dynamic calibration: prior knowledge, estimated parameters and checks."""
 
     ABOUT: ClassVar = (
         "Masses, centers of mass and inertias, from the reaction of the base to maneuvers."

@@ -137,7 +137,7 @@ def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
         found = solve_with_noise(s, with_noise, seen)
         return found, errors
 
-    found = reject_outliers(solved, size, s, s.min_maneuvers, "error")
+    found = reject_outliers(solved, size, s.outlier, s.max_outliers, s.min_maneuvers, "error")
     result, noise, first = found.result
     leverage = np.zeros(size)
     leverage[found.mask] = result.checks[0]

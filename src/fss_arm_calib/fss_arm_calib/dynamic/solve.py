@@ -4,11 +4,9 @@ import numpy as np
 
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
-from fss_arm_calib.estimation.least_squares import Floats, Indices, Linear, minimize, minimize_all
+from fss_arm_calib.estimation.least_squares import Floats, minimize
 
 TOLERANCE = 1e-7  # largest last update [deviations]
-
-BATCH_SIZE = 128  # draws solved in one batch, limited by the processor's caches
 
 STATE_ITERATIONS = 2  # first iterations, of only the maneuvers' own unknowns
 
@@ -20,7 +18,7 @@ def initial_unknowns(problem: DynamicProblem) -> Floats:
     first step of the parameters would diverge. So the maneuvers' own unknowns are updated first.
     """
     x = problem.start
-    hold = np.zeros((*x.shape[:-1], len(problem.names)))
+    hold = np.zeros(len(problem.names))
     for _ in range(STATE_ITERATIONS if (problem.state_unknowns >= 3).any() else 0):
         extend = problem.linearize(x).extend
         x = x + extend(hold) if extend else x
@@ -49,21 +47,3 @@ def solve(
             tolerance,
         ),
     )
-
-
-def solve_all(problem: DynamicProblem, poses: Floats, bounded: bool = True) -> list[DynamicResult]:
-    """Solve as `solve` does for N draws of the poses, (N, M, m, 3), as in a Monte Carlo study."""
-    found = []
-    for begin in range(0, len(poses), BATCH_SIZE):
-        # Derived from the previous batch, so that cached values of the problem are reused.
-        some = problem = problem.with_poses(poses[begin : begin + BATCH_SIZE])
-
-        def linearize(x: Floats, which: Indices, some: DynamicProblem = some) -> Linear:
-            return some.with_poses(some.poses[which]).linearize(x)
-
-        bounds = some.bounds if bounded else None
-        minima = minimize_all(linearize, initial_unknowns(some), bounds, TOLERANCE)
-        for one, minimum in zip(some.poses, minima, strict=True):
-            own = some.with_poses(one)
-            found.append(DynamicResult(own, minimum) if minimum else solve(own, bounded))
-    return found

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Indices = npt.NDArray[np.intp]
 
 
 class Loss(NamedTuple):
@@ -74,7 +73,9 @@ class Decomposition(NamedTuple):
     @classmethod
     def of(cls, Phi: Floats, max_condition: float = MAX_CONDITION) -> "Decomposition":
         """Decompose a regressor (m, p); a column of zeros belongs to a parameter that is fixed."""
-        scale, U, s, Vt = _scaled_svd(Phi)
+        norms = np.sqrt(np.einsum("ij,ij->j", Phi, Phi))
+        scale = np.where(norms > 0.0, norms, 1.0)
+        U, s, Vt = np.linalg.svd(Phi / scale, full_matrices=False)
         keep = s * max_condition > s[0]
         condition = s[0] / s[-1] if len(s) == len(scale) and s[-1] > 0.0 else inf
         return cls(scale, U[:, keep], s[keep], Vt[keep], float(condition))
@@ -94,7 +95,7 @@ class Decomposition(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """Problem linearized at x: residuals - regressor @ dx; leading dimensions are a batch."""
+    """Problem linearized at x: residuals - regressor @ dx."""
 
     residuals: Floats  # (m,)
     regressor: Floats  # (m, p)
@@ -168,62 +169,6 @@ def minimize(
     return Minimum(x, linear, basis, at_bound, iteration, update, converged)
 
 
-def minimize_all(
-    linearize: Callable[[Floats, Indices], Linear],
-    start: Floats,
-    bounds: tuple[Floats, Floats] | None = None,
-    tolerance: float = 1e-9,
-) -> list[Minimum | None]:
-    """Minimize N problems in parallel with plain Gauss-Newton steps.
-
-    The result is None for problems that these steps do not solve: where a step goes uphill or
-    crosses a bound, or where parameters are inseparable. Solve these with `minimize`.
-
-    Args:
-        linearize: linearizes a batch of problems at x (batch, unknowns), given their indices.
-        start: (N, unknowns), otherwise as in `minimize`.
-        bounds: as in `minimize`.
-        tolerance: as in `minimize`.
-    """
-    minima: list[Minimum | None] = [None] * len(start)
-    which, x, linear = np.arange(len(start)), start, linearize(start, np.arange(len(start)))
-    p = linear.regressor.shape[-1]
-    low, high = bounds if bounds else (np.full(p, -inf), np.full(p, inf))
-    downhill = np.full(len(start), True)
-    for iteration in range(MAX_ITERATIONS + 1):
-        with np.errstate(all="ignore"):  # problems with inseparable parameters
-            scale, U, s, Vt = _scaled_svd(linear.regressor)
-            roots = np.swapaxes(Vt, 1, 2) / s[:, None] / scale[..., None]
-            step = _multiply(roots, _multiply(np.swapaxes(U, 1, 2), linear.residuals))
-            condition, deviations = s[:, 0] / s[:, -1], np.sqrt(np.sum(roots**2, axis=2))
-            sizes = np.abs(step)
-            update, x_next = np.max(sizes / deviations, axis=1), x[:, :p] + step
-            solvable = downhill & (s.shape[1] == p) & (condition < MAX_CONDITION)
-            solvable &= ((x_next >= low) & (x_next <= high)).all(axis=1)
-        done = solvable & ((update < tolerance) | (sizes.max(axis=1) < ROUNDING_ERROR))
-        for k in np.flatnonzero(done):
-            r, Phi, cost, _, absorbed = linear
-            one = Linear(r[k], Phi[k], cost[k], absorbed=absorbed[k])
-            basis = Decomposition(scale[k], U[k], s[k], Vt[k], float(condition[k]))
-            free = np.zeros(p, dtype=bool)
-            minima[which[k]] = Minimum(x[k], one, basis, free, iteration, float(update[k]), True)
-        active = solvable & ~done
-        if not active.any():
-            break
-        x = (x + linear.extend(step) if linear.extend else x_next)[active]
-        which, cost, short = which[active], linear.cost[active], update[active] < UNCHECKED_STEP
-        linear = linearize(x, which)
-        downhill = short | (linear.cost <= cost)
-    return minima
-
-
-def _scaled_svd(Phi: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the column norms of Phi (..., m, p), 1 if zero, and U, s, Vt of the scaled Phi."""
-    norms = np.sqrt(np.einsum("...ij,...ij->...j", Phi, Phi))
-    scale = np.where(norms > 0.0, norms, 1.0)
-    return scale, *np.linalg.svd(Phi / scale[..., None, :], full_matrices=False)
-
-
 def _largest_update(step: Floats, basis: Decomposition) -> float:
     """Return the largest component of a step, in the parameter's deviations."""
     deviations = np.sqrt(np.diag(basis.covariance()))
@@ -249,39 +194,30 @@ def _step(
         fixed = np.where(crossing, np.clip(x + step, low, high) - x, fixed)
 
 
-def _multiply(A: Floats, x: Floats) -> Floats:
-    """Multiply matrices (..., m, p) by vectors (..., p)."""
-    return np.asarray((A @ x[..., None])[..., 0])
-
-
 def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
     """Eliminate the own unknowns of each block of rows; the p shared parameters remain.
-
-    Dimensions before the blocks are those of a batch.
 
     With B = Q R of a block, its rows are projected: r - Q Q' r and A - Q Q' A. For a step dx of the
     shared parameters, the step of the block's own unknowns is R^-1 Q' (r - A dx).
 
     Args:
-        A: (..., blocks, rows, p) regressors of the shared parameters.
-        B: (..., blocks, rows, k) regressors of each block's own unknowns, of full rank; k may be 0.
-        r: (..., blocks, rows) residuals.
+        A: (blocks, rows, p) regressors of the shared parameters.
+        B: (blocks, rows, k) regressors of each block's own unknowns, of full rank; k may be 0.
+        r: (blocks, rows) residuals.
     """
     Q, R = np.linalg.qr(B)
     rows = np.concatenate([A, r[..., None]], axis=-1)
     components = np.swapaxes(Q, -1, -2) @ rows
     projected = rows - Q @ components
     solution = np.linalg.solve(R, components)
-    batch, count = r.shape[:-2], r.shape[-2] * r.shape[-1]
 
     def extend(dx: Floats) -> Floats:
-        own = solution[..., -1] - _multiply(solution[..., :-1], dx[..., None, :])
-        return np.concatenate([dx, own.reshape(*batch, R.shape[-1] * R.shape[-3])], axis=-1)
+        return np.concatenate([dx, (solution[..., -1] - solution[..., :-1] @ dx).ravel()])
 
     return Linear(
-        residuals=projected[..., -1].reshape(*batch, count),
-        regressor=projected[..., :-1].reshape(*batch, count, A.shape[-1]),
-        cost=np.sum(r**2, axis=(-2, -1)),
+        residuals=projected[..., -1].ravel(),
+        regressor=projected[..., :-1].reshape(r.size, A.shape[-1]),
+        cost=np.asarray(np.sum(r**2)),
         extend=extend,
-        absorbed=np.sum(Q**2, axis=-1).reshape(*batch, count),
+        absorbed=np.sum(Q**2, axis=-1).ravel(),
     )

@@ -1,25 +1,13 @@
 """Solutions that reject data which contradict the others, or give them less weight."""
 
 from collections.abc import Callable
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE, Floats, Mask
 
 REWEIGHTINGS = 20  # number of iterations with a robust loss
-
-
-class OutlierSettings(Protocol):
-    """Settings for outliers."""
-
-    @property
-    def outlier(self) -> float:
-        """Error above which a datum is an outlier, in its deviations."""
-
-    @property
-    def max_outliers(self) -> int:
-        """Largest number of data to reject."""
 
 
 R = TypeVar("R")
@@ -37,7 +25,8 @@ class OutlierSolution(NamedTuple, Generic[R]):
 def reject_outliers(
     solve: Callable[[Mask], tuple[R, Floats]],
     size: int,
-    limits: OutlierSettings,
+    limit: float,
+    max_outliers: int,
     min_count: int,
     error_name: str,
 ) -> OutlierSolution[R]:
@@ -46,7 +35,8 @@ def reject_outliers(
     Args:
         solve: takes a mask (size,) of data; returns the result and the errors of these data.
         size: number of data.
-        limits: definition of an outlier, and how many may be rejected.
+        limit: error above which a datum is an outlier, in its deviations.
+        max_outliers: largest number of data to reject.
         min_count: number of data that must remain.
         error_name: name of the error, for the reasons.
     """
@@ -55,11 +45,11 @@ def reject_outliers(
         result, errors[mask] = solve(mask)
         worst = int(np.argmax(np.where(mask, errors, 0.0)))
         length, rejected = float(errors[worst]), int(np.sum(~mask))
-        can_reject = rejected < limits.max_outliers and size - rejected > min_count
-        if length <= limits.outlier or not can_reject:
+        can_reject = rejected < max_outliers and size - rejected > min_count
+        if length <= limit or not can_reject:
             return OutlierSolution(result, mask, tuple(reasons), errors)
         mask[worst] = False
-        reasons[worst] = f"{error_name} {length:.3g}, more than {limits.outlier:g}"
+        reasons[worst] = f"{error_name} {length:.3g}, more than {limit:g}"
 
 
 def solve_robustly(

@@ -14,6 +14,7 @@ from fss_arm_calib.bag_data import describe_source, find_data, topic_name
 from fss_arm_calib.bag_options import default_settings
 from fss_arm_calib.calibration import Input
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
+from fss_arm_calib.joint.kind import JOINT
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import JOINT_SOURCES
@@ -91,5 +92,5 @@ def estimate_from_bags(options: argparse.Namespace, console: Console) -> Outcome
     )
     sources = ", ".join(source for _, source in read)
     outcome = calibrate([one for one, _ in read], arm, s, JOINT_SOURCES, settings, sources)
-    report_outcome(outcome, joint_report(outcome, truth), "joint", options, console)
+    report_outcome(outcome, joint_report(outcome, truth), JOINT, options, console)
     return outcome

@@ -9,13 +9,11 @@ from fss_arm_calib.joint.calibrate import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Report, Table
 from fss_arm_calib.report_tables import (
-    display_name,
     display_unit,
-    format_number,
-    format_value,
     make_report,
     mask_undetermined,
     parameter_table,
+    relative_errors,
 )
 from fss_arm_model.description import Arm
 from fss_arm_model.parameters import values
@@ -34,20 +32,11 @@ def joint_report(outcome: Outcome[Any, Solution], truth: Arm | None = None) -> R
 def _parameter_table(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | None) -> Table:
     """Tabulate guess, estimate, and by how much the deviation grows without a kind of data."""
     r, e = found.result, outcome.estimate
-    without = r.without
     sigma = mask_undetermined(e, e.deviations)
-    grown = [x / sigma for x in without.values()]
-    rows = []
-    for k, name in enumerate(e.names):
-        row = [display_name(name, e), display_unit(e.units[k])]
-        row += [format_value(x[k], e.units[k]) for x in (e.initial, e.values, e.deviations)]
-        row += [format_number(x[k], ".2f") for x in grown]
-        if truth:
-            true = np.array([*values(truth), truth.theta_E])[k]
-            row.append(format_number((e.values[k] - true) / sigma[k], "+.1f"))
-        rows.append(row)
-    head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
-    head += [f"x without {kind}" for kind in without]
+    ratios = {f"x without {kind}": (x / sigma, ".2f") for kind, x in r.without.items()}
+    if truth:
+        true = np.array([*values(truth), truth.theta_E])[: len(e.names)]
+        ratios["off [sigma]"] = relative_errors(e, true), "+.1f"
     note = (
         "x: growth of the deviation without the data of a kind; -: only these data determine it; "
         "amber: the guess is as informative as all data, or the value is at its bound."
@@ -56,8 +45,7 @@ def _parameter_table(outcome: Outcome[Any, Solution], found: Solution, truth: Ar
     with_prior = r.problem.prior_indices
     before[with_prior] = np.sqrt(np.diag(r.problem.prior)[with_prior])
     weak = np.flatnonzero(~(2.0 * e.deviations**2 < before**2)).tolist()
-    head += ["off [sigma]"] if truth else []
-    return Table("Parameters", head, rows, words=2, note=note, weak=weak)
+    return parameter_table(outcome, ratios=ratios, note=note, weak=weak)
 
 
 def _fit_table(found: Solution) -> Table:

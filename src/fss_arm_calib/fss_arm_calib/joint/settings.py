@@ -11,11 +11,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, like, setting
 
 @dataclass(frozen=True)
 class JointSettings(Knowledge):
-    """Settings of a joint estimate: prior knowledge and criteria.
-
-    Raises:
-        SettingError: a setting is impossible.
-    """
+    """Settings of a joint estimate: prior knowledge and criteria."""
 
     ABOUT: ClassVar = (
         "All parameters of the arm at once, from the rests, maneuvers and drifts of the nodes "

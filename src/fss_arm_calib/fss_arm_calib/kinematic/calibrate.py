@@ -14,8 +14,9 @@ from fss_arm_calib.kinematic.solution import (
     solution_of,
 )
 from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
-from fss_arm_calib.segments.rests import Observation, keep_since_homing
+from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_calib.segments.telemetry import keep_since_homing
 from fss_arm_model.description import Arm
 
 

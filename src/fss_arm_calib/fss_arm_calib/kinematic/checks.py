@@ -25,18 +25,15 @@ from fss_arm_calib.acceptance import (
 )
 from fss_arm_calib.estimation.least_squares import CAUCHY, Floats, Mask
 from fss_arm_calib.estimation.statistics import probability, redundancy
+from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import EQUAL_LENGTH_TOLERANCE, FULL, KinematicProblem
 from fss_arm_calib.kinematic.result import KinematicResult
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import RELAXED_MAX_CONDITION, Solution, min_observations
 from fss_arm_calib.kinematic.solve import fit
-from fss_arm_calib.segments.rests import (
-    Observation,
-    keep_since_homing,
-    rehomed_joints,
-    rejected_without_repeat,
-)
+from fss_arm_calib.segments.rests import Observation, rejected_without_repeat
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
 from fss_arm_model.description import DescriptionError
 from fss_arm_model.planar import inverse
 
@@ -86,7 +83,9 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
     try:
         r.calibrated()
     except DescriptionError as error:
-        least = float(np.min(solution.problem.all_parameters(r.values)[: solution.problem.arm.n]))
+        least = float(
+            np.min(model.all_parameters(solution.problem, r.values)[: solution.problem.arm.n])
+        )
         checks.append(Check("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
     residuals = check_fit(
         solution.nominal.chi_square, solution.nominal.degrees_of_freedom, s.min_probability,
@@ -122,7 +121,7 @@ def _check_lengths(solution: Solution, s: KinematicSettings) -> Check:
     """
     problem = solution.problem
     described = np.array([link.a for link in problem.arm.links])
-    lengths = problem.all_parameters(solution.result.values)[: len(described)]
+    lengths = model.all_parameters(problem, solution.result.values)[: len(described)]
     k = int(np.argmax(np.abs(lengths - described)))
     change = float(abs(lengths[k] - described[k]))
     words = f"a_{k + 1} is {lengths[k]:.4f} m, {described[k]:.4f} m in the description"
@@ -175,7 +174,7 @@ def _check_redundancy(solution: Solution, s: KinematicSettings) -> Check:
     computed for the angles alone, which is larger.
     """
     r = solution.result
-    regressor = r.problem.linearize(r.values).regressor
+    regressor = model.linearize(r.problem, r.values).regressor
     check = check_redundancy(_redundancy(regressor), solution.kept, s.min_redundancy, "observation")
     if check.verdict == PASS:
         return check

@@ -17,8 +17,10 @@ from fss_arm_calib.messages import (
     telemetry_inputs,
 )
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.segments.rests import BASE, TIP, Observation, RestFinder, rehomed_joints
+from fss_arm_calib.segments.poses import BASE, TIP
+from fss_arm_calib.segments.rests import Observation, RestFinder
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_calib.segments.telemetry import rehomed_joints
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import (
     KinematicCalibration,

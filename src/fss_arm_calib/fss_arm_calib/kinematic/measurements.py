@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats, Linear
+from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import problem_of
@@ -37,8 +38,8 @@ class RestMeasurements:
         J = np.zeros((*problem.tip.shape, len(z)))
         J[..., layout.kinematic_index(n)] = tip_regressor(p, problem.q)
         J[:, 2, layout.TIP_ANGLE] = 1.0
-        r = problem.whiten_residuals(problem.pose_errors(p)).ravel()
-        rows = problem.whiten(J).reshape(len(r), len(z))
+        r = model.whiten_residuals(problem, model.pose_errors(problem, p)).ravel()
+        rows = model.whiten(problem, J).reshape(len(r), len(z))
         return Linear(r, rows, r @ r, lambda dz: dz)
 
 

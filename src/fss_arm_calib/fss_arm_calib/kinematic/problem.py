@@ -36,11 +36,10 @@ from math import hypot, inf
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE, Floats, Linear
+from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE, Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.kinematics import tip_in_base, tip_regressor
+from fss_arm_model.kinematics import tip_regressor
 from fss_arm_model.layout import TIP_ANGLE, kinematic_index, kinematic_names
-from fss_arm_model.planar import wrap
 
 FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
 PARAMETRIZATIONS = (FULL, EQUAL, OFFSETS)
@@ -137,30 +136,24 @@ class KinematicProblem:
         return basis
 
     @cached_property
-    def _index(self) -> npt.NDArray[np.intp]:
+    def index(self) -> npt.NDArray[np.intp]:
+        """Indices (2n+3,) of all parameters in Arm.vector()."""
         return np.append(kinematic_index(self.arm.n), TIP_ANGLE)
 
     @cached_property
-    def _guess(self) -> Floats:
+    def guess(self) -> Floats:
+        """Parameters (8 + 6n,) of `arm`, Arm.vector()."""
         return self.arm.vector()
 
     @cached_property
     def fixed(self) -> Floats:
         """Values from `arm` of the parameters not estimated, (2n+3,); 0 for the estimated ones."""
-        return np.where(self.basis.any(axis=1), 0.0, self._guess[self._index])
-
-    def estimated_parameters(self, values: Floats) -> Floats:
-        """Return the p estimated parameters of (2n+3,) values; shared lengths are averaged."""
-        return np.asarray(np.linalg.lstsq(self.basis, values)[0])
+        return np.where(self.basis.any(axis=1), 0.0, self.guess[self.index])
 
     @property
     def initial(self) -> Floats:
         """Initial guess of the p parameters, from `arm`."""
-        return self.estimated_parameters(self._guess[self._index])
-
-    def all_parameters(self, xi: Floats) -> Floats:
-        """Return all parameters (2n+3,) in the order of all_names."""
-        return self.fixed + self.basis @ xi
+        return np.asarray(np.linalg.lstsq(self.basis, self.guess[self.index])[0])
 
     @property
     def sigma(self) -> Floats:
@@ -173,55 +166,6 @@ class KinematicProblem:
         return hypot(self.ripple_deviation, self.eccentricity_deviation)
 
     @cached_property
-    def _whitening(self) -> Floats:
-        """Inverse roots (s, 3, 3) of the observations' covariances, evaluated at the guess."""
-        by_reading = self.reading_deviation * self.reading_jacobian(self.initial)
-        covariance = np.diag(self.sigma**2) + by_reading @ np.swapaxes(by_reading, 1, 2)
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-
-    def whiten(self, x: Floats) -> Floats:
-        """Whiten quantities of the poses, (s, 3, c), so that their errors have unit covariance."""
-        if self.reading_deviation == 0.0:
-            return x / self.sigma[:, None]
-        return self._whitening @ x
-
-    def reading_jacobian(self, xi: Floats) -> Floats:
-        """Return Phi_q (s, 3, n), the derivative of the poses with respect to the readings.
-
-        It equals the derivative with respect to the joints' offsets.
-        """
-        n = self.arm.n
-        Phi = tip_regressor(self.vector(xi), self.q)
-        return Phi[..., [2 * n + 1, *range(n, 2 * n - 1)]]
-
-    def vector(self, xi: Floats) -> Floats:
-        """Return the model's parameters with xi in place of the guess, (8 + 6n,)."""
-        vector = self._guess.copy()
-        vector[self._index] = self.all_parameters(xi)
-        return vector
-
-    def residuals(self, xi: Floats) -> Floats:
-        """Return observed minus predicted poses (Eq. 2), (s, 3) [m, m, rad], headings wrapped."""
-        return self.pose_errors(self.vector(xi))
-
-    def pose_errors(self, p: Floats) -> Floats:
-        """Return observed minus predicted poses for the arm parameters p = Arm.vector()."""
-        away = self.tip - tip_in_base(p, self.q)
-        away[:, 2] = wrap(away[:, 2])
-        return away
-
-    def regressor(self, xi: Floats) -> Floats:
-        """Return Phi_k (Eq. 5), with rows weighted by the root of W, (3s, p)."""
-        return self._whitened_regressor(xi, self.basis)
-
-    def _whitened_regressor(self, xi: Floats, basis: Floats) -> Floats:
-        """Return the whitened regressor (3s, c) for combinations (2n+3, c) of all parameters."""
-        Phi = tip_regressor(self.vector(xi), self.q)
-        by_theta_E = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(self.q), 3, 1))
-        Phi = np.concatenate([Phi, by_theta_E], axis=-1) @ basis
-        return self.whiten(Phi).reshape(3 * len(self.q), basis.shape[1])
-
-    @cached_property
     def fixed_covariance(self) -> Floats:
         """Covariance (2n+3, 2n+3) of parameters not estimated, from the description; else 0."""
         C = self.arm.known.covariance_of(self.all_names, np.zeros(len(self.all_names)))
@@ -229,69 +173,20 @@ class KinematicProblem:
         C[estimated] = C[:, estimated] = 0.0
         return C
 
-    def whiten_residuals(self, residuals: Floats) -> Floats:
-        """Return the whitened residuals (s, 3)."""
-        return self.whiten(residuals[..., None])[..., 0]
+    @cached_property
+    def whitening(self) -> Floats:
+        """Inverse roots (s, 3, 3) of the observations' covariances, evaluated at the guess."""
+        p = self.guess.copy()
+        p[self.index] = self.fixed + self.basis @ self.initial
+        by_reading = self.reading_deviation * reading_jacobian(p, self.q)
+        covariance = np.diag(self.sigma**2) + by_reading @ np.swapaxes(by_reading, 1, 2)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
-    def repeated_error_covariance(self, xi: Floats, P: Floats) -> Floats:
-        """Return what repeated reading errors add to the covariance P of xi, (p, p)."""
-        if self.reading_deviation == 0.0:
-            return np.zeros_like(P)
-        apart = self.q[:, None] - self.q
-        K = self.ripple_deviation**2 * np.cos(RIPPLE_PERIODS * apart)
-        K += self.eccentricity_deviation**2 * np.cos(apart)
-        K[np.diag_indices(len(self.q))] = 0.0
-        Phi_q = self.whiten(self.reading_jacobian(xi))
-        Phi_k = self.regressor(xi).reshape(*self.q.shape[:1], 3, -1)
-        G = self.weights(xi)[:, None, None] * np.einsum("kip,kij->kjp", Phi_k, Phi_q)
-        return np.asarray(P @ np.einsum("kjp,klj,ljr->pr", G, K, G) @ P)
 
-    def squared_distances(self, xi: Floats) -> Floats:
-        """Return d_k^2, the squared length of each whitened residual, (s,)."""
-        return np.asarray(np.sum(self.whiten_residuals(self.residuals(xi)) ** 2, axis=1))
+def reading_jacobian(p: Floats, q: Floats) -> Floats:
+    """Return Phi_q (s, 3, n), the derivative of the poses with respect to the readings q (s, n).
 
-    def influence(self, xi: Floats, P: Floats) -> Floats:
-        """Return the shift (p, 2n+3) of the estimate per error (true - assumed) of a parameter."""
-        weights = np.repeat(self.weights(xi), 3)[:, None]
-        return (
-            P
-            @ (weights * self.regressor(xi)).T
-            @ self._whitened_regressor(xi, np.eye(len(self.basis)))
-        )
-
-    def cost(self, xi: Floats) -> float:
-        """Return the cost that the iteration minimizes, sum_k rho(d_k^2)."""
-        return float(np.sum(LOSSES[self.loss].cost(self.squared_distances(xi))))
-
-    def weights(self, xi: Floats) -> Floats:
-        """Return the weights rho'(d_k^2), (s,)."""
-        return LOSSES[self.loss].weight(self.squared_distances(xi))
-
-    def linearize(self, xi: Floats) -> Linear:
-        """Return the weighted problem, linearized at xi."""
-        distances = self.squared_distances(xi)
-        root = np.repeat(np.sqrt(LOSSES[self.loss].weight(distances)), 3)
-        return Linear(
-            residuals=root * self.whiten_residuals(self.residuals(xi)).ravel(),
-            regressor=root[:, None] * self.regressor(xi),
-            cost=LOSSES[self.loss].cost(distances).sum(),
-        )
-
-    def is_mirrored(self, xi: Floats) -> bool:
-        """Return True if a length is negative."""
-        return bool((self.all_parameters(xi)[: self.arm.n] < 0.0).any())
-
-    def unmirror(self, xi: Floats) -> Floats:
-        """Return the mirror image without negative lengths: such a link is turned by pi.
-
-        The position of the end effector does not change. Its heading changes only if the last
-        link is turned and theta_E is not estimated, so that it cannot compensate.
-        """
-        n = self.arm.n
-        values = self.all_parameters(xi)
-        turned = np.pi * (values[:n] < 0.0)
-        headings = np.cumsum([values[-2], *values[n : 2 * n - 1]]) + turned
-        values[:n] = np.abs(values[:n])
-        values[n : 2 * n - 1] = wrap(np.diff(headings))
-        values[-2:] = wrap([headings[0], values[-1] - turned[-1]])
-        return self.estimated_parameters(values)
+    It equals the derivative with respect to the joints' offsets. p is Arm.vector().
+    """
+    n = q.shape[1]
+    return tip_regressor(p, q)[..., [2 * n + 1, *range(n, 2 * n - 1)]]

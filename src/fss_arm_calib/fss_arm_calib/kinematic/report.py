@@ -1,6 +1,6 @@
 """Report of a kinematic calibration."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,13 +15,13 @@ from fss_arm_calib.kinematic.figures import (
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure, Report, Table
-from fss_arm_calib.report_figures import draw_correlation, draw_influence
+from fss_arm_calib.report_figures import common_figures
 from fss_arm_calib.report_tables import (
-    difference,
     display_unit,
-    format_number,
     format_value,
     make_report,
+    parameter_table,
+    relative_errors,
 )
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.description import Arm, paper_arm
@@ -31,49 +31,37 @@ from fss_arm_model.layout import kinematic_index, kinematic_names
 def kinematic_report(outcome: Outcome[Observation, Solution], truth: Arm | None = None) -> Report:
     """Report the result of a kinematic calibration, beside the true values if known."""
     o = outcome
-    labels = [_label(name, o.arm.n) for name in o.names]
-    figures = (
-        Figure("kinematic_postures", "Postures and residuals", lambda: postures(o)),
-        Figure(
-            "kinematic_correlation",
-            "Correlation of the parameters",
-            lambda: draw_correlation(o.covariance, labels),
-        ),
-        Figure(
-            "kinematic_observations",
-            "Each observation",
-            lambda: draw_influence(o, "normalized residual [deviations]"),
-        ),
-    )
-    title, tables = f"Kinematic calibration of {o.arm.name}", (_parameters(o, truth), _residuals(o))
+    labels = {"a": f"a_1 .. a_{o.arm.n - 1}"}
+    each, correlation = common_figures(
+        o, "kinematic", "observation", "normalized residual [deviations]",
+        [labels.get(name, name) for name in o.names],
+    )  # fmt: skip
+    drawn = Figure("kinematic_postures", "Postures and residuals", lambda: postures(o))
+    tables = (_parameters(o, truth, labels), _residuals(o))
     details = (_observations(o),) if o.solution else ()
-    return make_report(title, o, tables, details, figures)
+    title = f"Kinematic calibration of {o.arm.name}"
+    return make_report(title, o, tables, details, (drawn, correlation, each))
 
 
-def _parameters(outcome: Outcome[Observation, Solution], truth: Arm | None) -> Table:
+def _parameters(
+    outcome: Outcome[Observation, Solution], truth: Arm | None, labels: Mapping[str, str]
+) -> Table:
     """Tabulate the parameters beside the paper's Tables 2-3 and, if known, the true values."""
-    e, n, p = outcome.estimate, outcome.arm.n, len(outcome.names)
-    paper = _values(paper_arm(), e.names) if n == paper_arm().n else np.full(p, np.nan)
-    true = np.full(p, np.nan) if truth is None else _values(truth, e.names)
-    known = truth is not None
-    rows = []
-    for k, (name, unit) in enumerate(zip(e.names, e.units, strict=True)):
-        columns = [paper, e.initial, *[true] * known, e.values, e.deviations]
-        row = [_label(name, n), display_unit(unit)]
-        row += [format_value(column[k], unit) for column in columns]
-        if known:
-            row.append(
-                format_number(difference(e.values[k], true[k], unit) / e.deviations[k], "+.2f")
-            )
-        rows.append(row)
-    head = ["parameter", "unit", "Tables 2-3", "guess", *["truth"] * known, "estimate", "± 1 sigma"]
-    head += ["error / sigma"] * known
+    e, paper = outcome.estimate, paper_arm()
+    columns = {
+        "Tables 2-3": _values(paper, e.names) * (1.0 if outcome.arm.n == paper.n else np.nan),
+        "guess": e.initial,
+        **({"truth": _values(truth, e.names)} if truth else {}),
+        "estimate": e.values,
+        "± 1 sigma": e.deviations,
+    }
+    ratios = {"error / sigma": (relative_errors(e, columns["truth"]), "+.2f")} if truth else {}
     note, weak = "", list[int]()
     if found := outcome.solution:
         note = "amber: more than three times as uncertain as the end effector in one observation."
         one = dict(zip(("m", "rad"), found.noise.deviations, strict=True))
         weak = [k for k, unit in enumerate(e.units) if not e.deviations[k] < 3 * one[unit]]
-    return Table("Parameters", head, rows, words=2, note=note, weak=weak)
+    return parameter_table(outcome, columns, ratios, labels, note, weak)
 
 
 def _residuals(outcome: Outcome[Observation, Solution]) -> Table:
@@ -130,7 +118,3 @@ def _values(arm: Arm, names: Sequence[str]) -> Floats:
     known["a"] = float(np.mean(values[: max(arm.n - 1, 1)]))
     known["theta_E"] = arm.theta_E
     return np.array([known.get(name, np.nan) for name in names])
-
-
-def _label(name: str, n: int) -> str:
-    return f"a_1 .. a_{n - 1}" if name == "a" else name

@@ -9,6 +9,7 @@ import numpy as np
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.estimation.noise import ResidualSums
 from fss_arm_calib.estimation.statistics import root_mean_square
+from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_model.description import Arm
 
@@ -64,7 +65,7 @@ class KinematicResult:
 
     def _prediction_covariance(self, problem: KinematicProblem, covariance: Floats) -> Floats:
         """Return the whitened covariance (s, 3, 3) of predictions due to the parameters."""
-        Phi = problem.regressor(self.values).reshape(-1, 3, len(self.values))
+        Phi = model.regressor(problem, self.values).reshape(-1, 3, len(self.values))
         return np.asarray(Phi @ covariance @ np.swapaxes(Phi, 1, 2))
 
     @property
@@ -75,7 +76,7 @@ class KinematicResult:
         hat = np.diagonal(
             self._prediction_covariance(self.problem, self.weighted), axis1=1, axis2=2
         )
-        squares = self.weights[:, None] * self.problem.whiten_residuals(self.residuals) ** 2
+        squares = self.weights[:, None] * model.whiten_residuals(self.problem, self.residuals) ** 2
         freedom = self.weights[:, None] * (1.0 - self.weights[:, None] * hat)
         parts = [np.array([np.sum(x[:, :2]), np.sum(x[:, 2])]) for x in (squares, freedom)]
         return ResidualSums(*parts)
@@ -100,12 +101,12 @@ class KinematicResult:
         freedom.
         """
         hat = self.weights[:, None, None] * self._prediction_covariance(self.problem, self.weighted)
-        return _mahalanobis(self.problem.whiten_residuals(self.residuals), np.eye(3) - hat)
+        return _mahalanobis(model.whiten_residuals(self.problem, self.residuals), np.eye(3) - hat)
 
     def predict(self, problem: KinematicProblem) -> Prediction:
         """Predict observations that were not used for the estimate."""
-        residuals = problem.residuals(self.values)
-        z, Phi = problem.whiten_residuals(residuals), problem.regressor(self.values)
+        residuals = model.residuals(problem, self.values)
+        z, Phi = model.whiten_residuals(problem, residuals), model.regressor(problem, self.values)
         # z' (1 + Phi C Phi')^-1 z, by the matrix inversion lemma
         v, C = Phi.T @ z.ravel(), self.covariance
         chi_square = float(
@@ -124,9 +125,11 @@ class KinematicResult:
             DescriptionError: a length is not positive.
         """
         problem, arm = self.problem, self.problem.arm
-        *values, theta_E = problem.all_parameters(self.values).tolist()
+        *values, theta_E = model.all_parameters(problem, self.values).tolist()
         cross = (
-            problem.basis @ problem.influence(self.values, self.weighted) @ problem.fixed_covariance
+            problem.basis
+            @ model.influence(problem, self.values, self.weighted)
+            @ problem.fixed_covariance
         )
         C = (
             problem.basis @ self.covariance @ problem.basis.T

@@ -20,11 +20,7 @@ from fss_arm_model.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class KinematicSettings(CalibrationSettings):
-    """Settings of a kinematic calibration: estimated parameters and checks.
-
-    Raises:
-        SettingError: a setting is impossible.
-    """
+    """Settings of a kinematic calibration: estimated parameters and checks."""
 
     ABOUT: ClassVar = (
         "Lengths, joint offsets and the mount, from poses of the end effector while the arm rests."

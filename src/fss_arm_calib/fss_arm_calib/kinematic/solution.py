@@ -17,6 +17,7 @@ from fss_arm_calib.estimation.noise import (
 )
 from fss_arm_calib.estimation.outliers import reject_outliers
 from fss_arm_calib.estimation.statistics import equivalent_error
+from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import (
     DESCRIBED,
     EQUAL,
@@ -120,7 +121,12 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
         return found, errors
 
     found = reject_outliers(
-        solved, len(problem.q), s, min_observations(problem, s), "normalized residual"
+        solved,
+        len(problem.q),
+        s.outlier,
+        s.max_outliers,
+        min_observations(problem, s),
+        "normalized residual",
     )
     result, noise, first = found.result
     problem = problem.with_deviations(noise.deviations)
@@ -166,7 +172,7 @@ def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimat
     return Estimate(
         names, units, initial, r.values, r.covariance,
         undetermined=r.undetermined,
-        residuals=problem.residuals(r.values),
+        residuals=model.residuals(problem, r.values),
         weights=weights,
         leverage=leverage,
         errors=solution.errors,

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.estimation.least_squares import Floats, Minimum, minimize
+from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_calib.kinematic.result import KinematicResult
 from fss_arm_model.planar import wrap
@@ -71,8 +72,8 @@ def fit(
     def iterate(xi: Floats) -> Minimum:
         fits.append(
             minimize(
-                problem.linearize,
-                problem.unmirror(xi),
+                lambda x: model.linearize(problem, x),
+                model.unmirror(problem, xi),
                 tolerance=tolerance,
                 max_iterations=MAX_ITERATIONS,
                 max_condition=max_condition,
@@ -80,9 +81,9 @@ def fit(
         )
         return fits[-1]
 
-    for xi in sorted(starts, key=problem.cost):
+    for xi in sorted(starts, key=lambda xi: model.cost(problem, xi)):
         fit = iterate(xi)
-        if problem.is_mirrored(fit.x):
+        if model.is_mirrored(problem, fit.x):
             fit = iterate(fit.x)
         if fit.converged and fit.cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
             break  # any better minimum would be better only by chance
@@ -90,18 +91,18 @@ def fit(
     missing = len(best.x) - len(best.basis.s)
     lost = best.basis.undetermined() > MAX_UNDETERMINED_SHARE
     angles = np.array(problem.units) == "rad"
-    weights, P = problem.weights(best.x), best.basis.covariance()
-    G = problem.influence(best.x, P)
+    weights, P = model.weights(problem, best.x), best.basis.covariance()
+    G = model.influence(problem, best.x, P)
     return KinematicResult(
         problem=problem,
         values=np.where(angles, wrap(best.x), best.x),
         covariance=P
-        + problem.repeated_error_covariance(best.x, P)
+        + model.repeated_error_covariance(problem, best.x, P)
         + G @ problem.fixed_covariance @ G.T,
         weighted=P,
-        residuals=problem.residuals(best.x),
+        residuals=model.residuals(problem, best.x),
         weights=weights,
-        chi_square=float(weights @ problem.squared_distances(best.x)),
+        chi_square=float(weights @ model.squared_distances(problem, best.x)),
         condition_number=best.basis.condition,
         iterations=best.iterations,
         last_update=best.last_update,
@@ -122,7 +123,7 @@ def _linear_start(problem: KinematicProblem, xi: Floats) -> Floats:
     Lengths and mount that the observations do not determine keep their values in xi.
     """
     n = problem.arm.n
-    values = problem.all_parameters(xi)
+    values = model.all_parameters(problem, xi)
     headings = np.cumsum([values[-2], *values[n : 2 * n - 1]])
     ones = np.ones(len(problem.q))
     columns = np.column_stack([_link_phasors(problem) * np.exp(1j * headings), ones, 1j * ones])
@@ -157,7 +158,7 @@ def _closed_form_start(problem: KinematicProblem) -> list[Floats]:
     seen = np.exp(1j * (problem.tip[:, 2] - headings[-1])) / turns[:, -1]
     mount = [z[0].real, z[0].imag, headings[0], np.angle(np.mean(seen))]
     return [
-        problem.estimated_parameters(
-            np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount])
+        model.estimated_parameters(
+            problem, np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount])
         )
     ]

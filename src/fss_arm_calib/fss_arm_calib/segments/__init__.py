@@ -4,7 +4,8 @@
 |---|---|
 | when a joint counts as at rest | `fss_arm_model.stillness` |
 | how joints are merged by stamp, and when all of them rest | `joints.py` |
-| when all streams have passed a moment; clocks; forgetting | `finder.py` |
+| the steps from samples to a segment | `finder.py` |
+| when all streams have passed a moment; clocks; forgetting | `sensors.py` |
 | what of a rest becomes an observation | `rests.py` |
 | what of two rests becomes a maneuver | `maneuvers.py` |
 | what of a rest becomes a drift | `drifts.py` |

@@ -13,6 +13,7 @@ from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.joints import Rest
 from fss_arm_calib.segments.poses import FROZEN, average_bins
 from fss_arm_calib.segments.samples import SECOND
+from fss_arm_calib.segments.sensors import Sensors
 from fss_arm_calib.segments.settings import DriftFinderSettings
 
 MIN_POSES = 10  # number of averaged poses needed for a drift
@@ -40,50 +41,51 @@ class Interval(NamedTuple):
     end: int
 
 
-class DriftFinder(Finder[Interval, Drift]):
-    """Finder of drifts in the samples of n joints and the base."""
+class DriftSearch:
+    """Search for drifts: rests of the arm in which the base is seen."""
 
-    settings: DriftFinderSettings
-
-    def __init__(self, n: int, settings: DriftFinderSettings | None = None) -> None:
-        super().__init__(n, settings or DriftFinderSettings())
+    def __init__(self, sensors: Sensors, averaging_time: float) -> None:
+        self.sensors = sensors
+        self.averaging_time = averaging_time  # of a pose [s]
         self._queued_until = -1  # end of the last interval that became a candidate [ns]
 
     @property
     def current_rest(self) -> Interval:
         """Present rest of the arm, up to the time that all joints confirm."""
-        begin = max(self._queued_until, self.rests.begin)
-        return Interval(begin, max(begin, self.rests.end))
+        begin = max(self._queued_until, self.sensors.rests.begin)
+        return Interval(begin, max(begin, self.sensors.rests.end))
 
-    def _process_reading(self, ended_rest: Rest | None) -> None:
+    def candidates(self, ended_rest: Rest | None) -> list[Interval]:
+        """Return a rest that has ended, or the present one if it is long enough to split."""
         begin, end = self.current_rest
         if ended_rest:
-            self._queue_candidate(max(self._queued_until, ended_rest.begin), ended_rest.end)
-        elif end - begin >= self.max_duration:
-            self._queue_candidate(begin, end)
+            return self._select(max(self._queued_until, ended_rest.begin), ended_rest.end)
+        return self._select(begin, end) if end - begin >= self.sensors.max_duration else []
 
-    def _queue_candidate(self, begin: int, end: int) -> None:
-        """Queue an interval at rest as a candidate if it is long enough."""
+    def current_candidate(self, closing: bool) -> Interval | None:
+        """Return the present rest if no samples follow."""
+        return next(iter(self._select(*self.current_rest)), None) if closing else None
+
+    def _select(self, begin: int, end: int) -> list[Interval]:
+        """Return an interval at rest as a candidate if it is long enough."""
         self._queued_until = max(self._queued_until, end)
-        if end - begin >= self.min_duration:
-            self._pending.append(Interval(begin, end))
+        return [Interval(begin, end)] if end - begin >= self.sensors.min_duration else []
 
-    def _collect(self, closing: bool = False) -> list[Drift]:
-        if closing:
-            self._queue_candidate(*self.current_rest)
-        return super()._collect(closing)
+    def align(self, candidate: Interval) -> None:
+        """Leave the clocks as they are: the offset does not matter at rest."""
 
-    def _segment(self, candidate: Interval, closing: bool) -> Drift | None:
+    def observe(self, candidate: Interval, closing: bool) -> Drift | None:
         """Return the drift in a rest; None if readings of a joint or enough poses are missing."""
-        begin, end = candidate.begin + self.settle_time, candidate.end
-        readings = [joint.samples_within(begin, end)[1] for joint in self.joints]
+        base, end = self.sensors.base, candidate.end
+        begin = candidate.begin + self.sensors.settle_time
+        readings = [joint.samples_within(begin, end)[1] for joint in self.sensors.joints]
         if not all(map(len, readings)):
             return None
         # The pose of a floating base never stays exactly the same: the receiver repeated it.
-        self.base.rejected[FROZEN] += self.base.count_frozen(begin, end, begin - 1)
-        t, poses = self.base.samples_within(begin, end, begin - 1)
+        base.rejected[FROZEN] += base.count_frozen(begin, end, begin - 1)
+        t, poses = base.samples_within(begin, end, begin - 1)
         poses[:, 2] = np.unwrap(poses[:, 2])
-        rows = list(average_bins(t, poses, begin, end, self.settings.bin, begin))
+        rows = list(average_bins(t, poses, begin, end, self.averaging_time, begin))
         if len(rows) < MIN_POSES:
             return None
         times, means, frames, seconds = zip(*rows, strict=True)
@@ -91,5 +93,17 @@ class DriftFinder(Finder[Interval, Drift]):
         start = begin + round(times[0] * SECOND)
         return Drift(start, end, q, tuple(at - times[0] for at in times), means, frames, seconds)
 
-    def _oldest_needed(self) -> int:
-        return self._pending[0].begin if self._pending else self.current_rest.begin
+    def oldest_needed(self, next_candidate: Interval | None) -> int:
+        """Return the start of the next candidate, or else of the present rest [ns]."""
+        return (next_candidate or self.current_rest).begin
+
+
+class DriftFinder(Finder[Interval, Drift]):
+    """Finder of drifts in the samples of n joints and the base."""
+
+    search: DriftSearch
+
+    def __init__(self, n: int, settings: DriftFinderSettings | None = None) -> None:
+        s = settings or DriftFinderSettings()
+        sensors = Sensors(n, s)
+        super().__init__(sensors, DriftSearch(sensors, s.bin))

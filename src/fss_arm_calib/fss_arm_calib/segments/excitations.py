@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_calib.segments.samples import SECOND, Gap, Stream, find_silences
+from fss_arm_calib.segments.sensors import count_rejected
 from fss_arm_calib.segments.settings import ExcitationSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
@@ -132,12 +133,7 @@ class ExcitationFinder:
         """Return the state of the streams."""
         return Streams(
             silent=tuple(one.name for one in self.links if one.newest < 0),
-            rejected={
-                f"{one.name} {why}": number
-                for one in self.links
-                for why, number in sorted(one.rejected.items())
-                if number
-            },
+            rejected=count_rejected(self.links),
             set_back={one.name: one.set_back / SECOND for one in self.links},
         )
 
@@ -195,13 +191,8 @@ def _combine_frames(rows: Sequence[tuple[int, Frame]]) -> Frames:
     """Combine successive frames of a link."""
     frames = [frame for _, frame in rows]
     homings = [frame.homings for frame in frames if frame.homings]
+    measured = (tuple(values) for values in zip(*(frame[:5] for frame in frames), strict=True))
     return Frames(
-        boot=frames[-1].boot if frames else 0,
-        homings=homings[-1] if homings else 0,
-        stamps=tuple(t for t, _ in rows),
-        position=tuple(frame.position for frame in frames),
-        velocity=tuple(frame.velocity for frame in frames),
-        current=tuple(frame.current for frame in frames),
-        torque=tuple(frame.torque for frame in frames),
-        torque_age=tuple(frame.torque_age for frame in frames),
-    )
+        frames[-1].boot if frames else 0, homings[-1] if homings else 0,
+        tuple(t for t, _ in rows), *(measured if frames else [()] * 5),
+    )  # fmt: skip

@@ -1,12 +1,15 @@
 """Turn rates of the base by stamp, and its rotation while no camera sees it."""
 
 from array import array
+from math import nan
 
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.samples import MAX_VALUE, OUT_OF_RANGE, SECOND, Stamps, Stream
 from fss_arm_model.planar import wrap
+
+MIN_ROTATION_SQUARES = 1.0  # sum of squared base angles needed for a ratio of rotations [rad^2]
 
 
 class Gyro(Stream):
@@ -16,6 +19,7 @@ class Gyro(Stream):
         super().__init__(name, horizon)
         self.rate = array("d")
         self.columns.append((self.rate, 1))
+        self._rotations = np.zeros(2)  # sums of gyro * motion capture and motion capture^2 [rad^2]
 
     def append(self, t: int, rate: float) -> None:
         """Append a rate [rad/s]."""
@@ -45,6 +49,18 @@ class Gyro(Stream):
             return None
         steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t) / SECOND
         return t, np.concatenate([[0.0], np.cumsum(steps)])
+
+    def compare(self, rotation: tuple[Stamps, Floats], t: Stamps, psi: Floats) -> None:
+        """Update the ratio with a rotation by `angles` and by motion capture, psi (k,) at t."""
+        angle = np.interp(t - t[0], rotation[0] - t[0], rotation[1])
+        a, p = angle - np.mean(angle), psi - np.mean(psi)
+        self._rotations += [float(a @ p), float(p @ p)]
+
+    @property
+    def ratio(self) -> float:
+        """Ratio of the base's rotation by the gyro to that by motion capture; NaN: not known."""
+        products, squares = self._rotations
+        return products / squares if squares > MIN_ROTATION_SQUARES else nan
 
     def unwrap(self, t: Stamps, heading: Floats, step: int, gap: int) -> Floats | tuple[int, int]:
         """Unwrap headings (k,); the rates give the turns between poses that are far apart.

@@ -65,6 +65,7 @@ class Rest(NamedTuple):
     last_motion: int  # last time before the rest at which some joint was moving; -1: not known
     low: tuple[float, ...]  # smallest reading of each joint, including dropped readings [rad]
     high: tuple[float, ...]
+    has_ended: bool = True  # False: the arm has not moved yet
 
     @property
     def q(self) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ follow.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf, nan, pi
+from math import inf, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -26,13 +26,12 @@ from fss_arm_calib.segments.alignment import estimate_offset
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.joints import Joint, Rest
 from fss_arm_calib.segments.poses import BASE, FROZEN, average_bins, mean_pose, relative_poses
-from fss_arm_calib.segments.samples import SECOND, Gap, Stamps
+from fss_arm_calib.segments.samples import SECOND, Gap
+from fss_arm_calib.segments.sensors import Sensors
 from fss_arm_calib.segments.settings import ManeuverSettings
-from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.joint_path import Path, path, sampled
 
 POSE_AVERAGING_TIME = SECOND // 10  # averaging time of a pose of the base during the motion [ns]
-MIN_ROTATION_SQUARES = 1.0  # sum of squared base angles needed for a gyro ratio [rad^2]
 
 
 @dataclass(frozen=True)
@@ -97,61 +96,60 @@ class Motion(NamedTuple):
         return self.after.end
 
 
-class ManeuverFinder(Finder[Motion, Maneuver]):
-    """Finder of maneuvers in the samples of n joints, the base and its gyro.
+class ManeuverSearch:
+    """Search for maneuvers: motions of the arm between two rests."""
 
-    The gyro is optional: it is needed only where the base was not seen for long. Also optional are
-    the end effector, which only identifies the arm, and the links' telemetry.
-    """
-
-    settings: ManeuverSettings
-
-    def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
-        s = settings or ManeuverSettings()
-        super().__init__(n, s, search=0.5)
-        self._set_offset(s.time_offset)
-        self._rotations = np.zeros(2)  # sums of gyro * motion capture and motion capture^2 [rad^2]
+    def __init__(self, sensors: Sensors, settings: ManeuverSettings) -> None:
+        self.sensors, self.settings = sensors, settings
         self._rest_before: Rest | None = None  # the rest before the next maneuver
 
-    def _process_reading(self, ended_rest: Rest | None) -> None:
-        if ended_rest and self._window_length(ended_rest) >= self.min_duration:
-            self._queue_candidate(ended_rest)
-            self._rest_before = ended_rest
+    def candidates(self, ended_rest: Rest | None) -> list[Motion]:
+        """Return the motion before a rest that has ended, if it was long enough."""
+        if not ended_rest or self._window_length(ended_rest) < self.sensors.min_duration:
+            return []
+        motion, self._rest_before = self._motion_before(ended_rest), ended_rest
+        return [motion] if motion else []
+
+    def current_candidate(self, closing: bool) -> Motion | None:
+        """Return the motion before the present rest if the window after it is complete."""
+        rests = self.sensors.rests
+        if closing:
+            return next(iter(self.candidates(rests.current_rest())), None)
+        usable = rests.end - rests.begin - self.sensors.settle_time
+        if not self._rest_before or usable < 2 * self.sensors.max_duration:
+            return None
+        if motion := self._motion_before(rests.current_rest()):
+            self._rest_before = None
+        return motion
 
     def _window_length(self, rest: Rest) -> int:
         """Return the longest window at each end of a rest [ns]."""
-        return min(self.max_duration, (rest.end - rest.begin - self.settle_time) // 2)
+        s = self.sensors
+        return min(s.max_duration, (rest.end - rest.begin - s.settle_time) // 2)
 
-    def _queue_candidate(self, rest: Rest) -> bool:
-        """Queue the maneuver that ends with a rest; return False if there is no new one."""
+    def _motion_before(self, rest: Rest) -> Motion | None:
+        """Return the motion that ends with a rest; None if there is no new one."""
         before = self._rest_before
         if not before or rest.begin <= before.end:
-            return False
-        settled = rest.begin + self.settle_time
+            return None
+        settled = rest.begin + self.sensors.settle_time
         departure = Window(before.end - self._window_length(before), before.end, before.last_motion)
         arrival = Window(settled, settled + self._window_length(rest), rest.last_motion)
-        self._pending.append(Motion(departure, arrival))
-        return True
+        return Motion(departure, arrival)
 
-    def _collect(self, closing: bool = False) -> list[Maneuver]:
-        usable = self.rests.end - self.rests.begin - self.settle_time
-        full = self._rest_before and usable >= 2 * self.max_duration
-        if closing:
-            self._process_reading(self.rests.current_rest())
-        elif full and self._queue_candidate(self.rests.current_rest()):
-            self._rest_before = None  # a long rest need not end: the window after is complete
-        return super()._collect(closing)
+    def align(self, candidate: Motion) -> None:
+        """Leave the clocks as they are: a maneuver that is used aligns them for the next ones."""
 
-    def _segment(self, candidate: Motion, closing: bool) -> Maneuver | None:
+    def observe(self, candidate: Motion, closing: bool) -> Maneuver | None:
         """Return the maneuver between two rests; None if no joint moved far enough."""
-        start, end = candidate.before.begin, candidate.end
-        if end - start > self.horizon:  # its first samples are dropped already
+        s, start, end = self.sensors, candidate.before.begin, candidate.end
+        if end - start > s.horizon:  # its first samples are dropped already
             duration, limit = (end - start) / SECOND, self.settings.horizon
-            empty = ((),) * len(self.joints)
+            empty = ((),) * len(s.joints)
             reason = f"maneuver takes {duration:.0f} s (at most {limit:g}: see horizon)"
             return Maneuver(start, end, empty, empty, empty, used=False, reason=reason)
-        series = [joint_path(joint, *candidate, self.motion_threshold) for joint in self.joints]
-        gaps = [gap for joint in self.joints for gap in self._joint_gaps(joint, candidate)]
+        series = [joint_path(joint, *candidate, s.motion_threshold) for joint in s.joints]
+        gaps = [gap for joint in s.joints for gap in self._joint_gaps(joint, candidate)]
         travel = max(float(np.ptp(q)) if len(q) else 0.0 for _, q, _ in series)
         if not gaps and travel < self.settings.min_travel:
             return None
@@ -162,24 +160,25 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         gaps += self._frozen_windows(candidate)
         if reason := str(gaps[0]) if gaps else self._rejection_reason(maneuver):
             return replace(maneuver, used=False, reason=reason)
-        tip = relative_poses(self.base, self.tip, start, candidate.before.end)[1]
+        tip = relative_poses(s.base, s.tip, start, candidate.before.end)[1]
         if len(tip) > 1:
             maneuver = replace(maneuver, tip=tuple(mean_pose(tip).tolist()))
         maneuver = replace(
-            self._average_poses(maneuver, candidate), time_offset=self.base.lag / SECOND
+            self._average_poses(maneuver, candidate), time_offset=s.base.lag / SECOND
         )
         self._align_clocks(start, end)
         return maneuver
 
     def _joint_gaps(self, joint: Joint, motion: Motion) -> list[Gap]:
         """Return the gaps in a joint's readings that hide its motion."""
+        s = self.sensors
         start, end = motion.before.begin, motion.end
         t, q, _ = joint.samples_within(start, end)
         if not len(q):
             return [Gap(start, end, joint.name)]
-        moving = np.concatenate([[True], np.abs(np.diff(q)) > self.motion_threshold, [True]])
+        moving = np.concatenate([[True], np.abs(np.diff(q)) > s.motion_threshold, [True]])
         t = np.concatenate([[start], t, [end]])
-        before_gaps = np.flatnonzero((np.diff(t) > self.joint_gap) & moving)
+        before_gaps = np.flatnonzero((np.diff(t) > s.joint_gap) & moving)
         gaps = [Gap(int(t[k]), int(t[k + 1]), joint.name) for k in before_gaps]
         # A joint at rest may be silent for `joint_gap`, which may be longer than a window.
         empty = [w for w in motion if not len(joint.samples_within(w.begin, w.end)[0])]
@@ -187,30 +186,32 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
 
     def _frozen_windows(self, motion: Motion) -> list[Gap]:
         """Return the windows with frozen poses: unchanged since before the arm came to rest."""
-        gaps = []
+        gaps, base = [], self.sensors.base
         for window in motion:
-            if number := self.base.count_frozen(*window):
-                self.base.rejected[FROZEN] += number
+            if number := base.count_frozen(*window):
+                base.rejected[FROZEN] += number
                 gaps.append(Gap(window.begin, window.end, BASE, FROZEN))
         return gaps
 
     def _rejection_reason(self, maneuver: Maneuver) -> str:
         """Return a reason from the telemetry to reject a maneuver; empty if there is none."""
+        s = self.sensors
         span = maneuver.start, maneuver.end
-        for i, (joint, link) in enumerate(zip(self.joints, self.links, strict=True), 1):
+        for i, (joint, link) in enumerate(zip(s.joints, s.links, strict=True), 1):
             if link.was_homed(*span):
                 return f"{joint.name} homed or restarted"
             readings = (joint.samples_within(*part)[1] for part in link.disarmed_intervals(*span))
             travel = max((float(np.ptp(q)) for q in readings if len(q)), default=0.0)
-            if i in maneuver.moved_joints and travel > self.motion_threshold:
+            if i in maneuver.moved_joints and travel > s.motion_threshold:
                 return f"{joint.name} moved while disarmed"
         return ""
 
     def _average_poses(self, maneuver: Maneuver, motion: Motion) -> Maneuver:
         """Return the maneuver with the base's poses, averaged over bins."""
-        t, poses = self.base.samples_within(maneuver.start, maneuver.end)
+        s = self.sensors
+        t, poses = s.base.samples_within(maneuver.start, maneuver.end)
         step = round(pi / self.settings.max_base_turn * SECOND)
-        heading = self.gyro.unwrap(t, poses[:, 2], step, self.vicon_gap)
+        heading = s.gyro.unwrap(t, poses[:, 2], step, s.vicon_gap)
         if isinstance(heading, tuple):
             return replace(maneuver, used=False, reason=f"{Gap(*heading, BASE)}, without a gyro")
         poses[:, 2], rows = heading, []
@@ -232,34 +233,38 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
 
     def _align_clocks(self, begin: int, end: int) -> None:
         """Update the clocks' offset from the rotation of the base."""
-        rotation = self.gyro.angles(begin, end, self.vicon_gap)
-        if rotation is None or self.base.gaps(begin, end, self.vicon_gap):
+        s = self.sensors
+        rotation = s.gyro.angles(begin, end, s.vicon_gap)
+        if rotation is None or s.base.gaps(begin, end, s.vicon_gap):
             return
-        t, poses = self.base.samples_around(begin, end)
-        self._compare_rotations(rotation, t, np.unwrap(poses[:, 2]))
-        search = self.alignment.search
+        t, poses = s.base.samples_around(begin, end)
+        psi = np.unwrap(poses[:, 2])
+        s.gyro.compare(rotation, t, psi)
+        search = s.alignment.search
         ends = np.array([search, (end - begin) / SECOND - search])
         gyro, stamps = (rotation[0] - begin) / SECOND, (t - begin) / SECOND
-        psi = np.unwrap(poses[:, 2])
         offset = estimate_offset(ends, [(gyro, rotation[1])], stamps, psi, search)
         if offset.deviation < inf:
-            self._update_offset(replace(offset, value=offset.value + self.base.lag / SECOND))
+            s.update_offset(replace(offset, value=offset.value + s.base.lag / SECOND))
 
-    def _compare_rotations(self, rotation: tuple[Stamps, Floats], t: Stamps, psi: Floats) -> None:
-        """Update the ratio of the base's rotation by the gyro to that by motion capture."""
-        angle = np.interp(t - t[0], rotation[0] - t[0], rotation[1])
-        a, p = angle - np.mean(angle), psi - np.mean(psi)
-        self._rotations += [float(a @ p), float(p @ p)]
+    def oldest_needed(self, next_candidate: Motion | None) -> int:
+        """Return the start of the window before the next maneuver, with a margin [ns]."""
+        rest = next_candidate.before if next_candidate else self._rest_before or self.sensors.rests
+        return rest.end - 2 * self.sensors.max_duration - SECOND
 
-    def streams(self) -> Streams:
-        """Return the state of the streams, with the gyro ratio."""
-        products, squares = self._rotations
-        ratio = products / squares if squares > MIN_ROTATION_SQUARES else nan
-        return replace(super().streams(), gyro_ratio=ratio)
 
-    def _oldest_needed(self) -> int:
-        rest = self._pending[0].before if self._pending else self._rest_before or self.rests
-        return rest.end - 2 * self.max_duration - SECOND
+class ManeuverFinder(Finder[Motion, Maneuver]):
+    """Finder of maneuvers in the samples of n joints, the base and its gyro.
+
+    The gyro is optional: it is needed only where the base was not seen for long. Also optional are
+    the end effector, which only identifies the arm, and the links' telemetry.
+    """
+
+    def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
+        s = settings or ManeuverSettings()
+        sensors = Sensors(n, s, search=0.5)
+        sensors.set_offset(s.time_offset)
+        super().__init__(sensors, ManeuverSearch(sensors, s))
 
 
 def joint_path(

@@ -40,39 +40,38 @@ class Recorded:
 
     joints: Mapping[str, Track]  # by any recorded name: readings [rad] and rates [rad/s]
     poses: Mapping[str, Track]  # by subject: x, y, z [m], quaternion x, y, z, w
-    rates: Track | None = None  # turn rates of the base [rad/s]
-    frames: Mapping[str, str] = field(default_factory=dict)  # frame id of each subject
+    rates: Mapping[str, Track] = field(default_factory=dict)  # turn rates of the base [rad/s]
 
     @property
     def tracks(self) -> list[Track]:
         """List of all streams."""
-        return [*self.joints.values(), *self.poses.values(), *([self.rates] if self.rates else [])]
+        return [*self.joints.values(), *self.poses.values(), *self.rates.values()]
+
+    def change(self, **changes: Callable[[str, Track], Track]) -> "Recorded":
+        """Return the recording with modified `joints`, `poses` or `rates`, by a function of each.
+
+        The function takes the name of a stream and the stream.
+        """
+        changed = {
+            part: {name: change(name, track) for name, track in getattr(self, part).items()}
+            for part, change in changes.items()
+        }
+        return replace(self, **changed)
 
     def shorten(self, duration: float, joints: float, poses: float) -> "Recorded":
         """Return the last `duration` [s], thinned to periods of `joints` and `poses` [s]."""
         ends = [int(track.receipt[-1]) for track in self.tracks if len(track.t)]
         begin = max(ends, default=0) - round(duration * SECOND)
-        return replace(
-            self,
-            joints={
-                n: track.received_since(begin).thin(joints) for n, track in self.joints.items()
-            },
-            poses={n: track.received_since(begin).thin(poses) for n, track in self.poses.items()},
-            rates=self.rates.received_since(begin).thin(poses) if self.rates else None,
+        return self.change(
+            joints=lambda _, track: track.received_since(begin).thin(joints),
+            poses=lambda _, track: track.received_since(begin).thin(poses),
+            rates=lambda _, track: track.received_since(begin).thin(poses),
         )
-
-    def with_joints(self, change: Callable[[str, Track], Track]) -> "Recorded":
-        """Return the recording with modified readings."""
-        return replace(self, joints={name: change(name, t) for name, t in self.joints.items()})
-
-    def with_poses(self, change: Callable[[str, Track], Track]) -> "Recorded":
-        """Return the recording with modified poses."""
-        return replace(self, poses={name: change(name, t) for name, t in self.poses.items()})
 
     def replay(self, finder: Finder[Any, Any]) -> Sequence[Any]:
         """Replay the streams to a finder and return the segments that it finds."""
         planar = {name: planar_poses(track.values) for name, track in self.poses.items()}
-        names = {f"joint_{i}": i for i in range(1, len(finder.joints) + 1)}
+        names = {f"joint_{i}": i for i in range(1, len(finder.sensors.joints) + 1)}
         times = [int(t) for one in self.tracks if len(one.t) for t in one.receipt[[0, -1]]]
         found: list[Any] = []
         for begin in range(min(times, default=0), max(times, default=-1) + 1, CHUNK_DURATION):
@@ -84,9 +83,9 @@ class Recorded:
             for name, track in self.poses.items():
                 chunk = _chunk(track, begin)
                 found += finder.add_poses(name, track.t[chunk], planar[name][chunk])
-            if self.rates:
-                chunk = _chunk(self.rates, begin)
-                found += finder.add_rates(self.rates.t[chunk], self.rates.values[chunk, 0])
+            for track in self.rates.values():
+                chunk = _chunk(track, begin)
+                found += finder.add_rates(track.t[chunk], track.values[chunk, 0])
         return found + finder.close()
 
 

@@ -25,19 +25,9 @@ from fss_arm_calib.segments.poses import (
     relative_poses,
 )
 from fss_arm_calib.segments.samples import SECOND, Gap, parts_outside
+from fss_arm_calib.segments.sensors import Sensors
 from fss_arm_calib.segments.settings import RestSettings
-from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
 from fss_arm_model.planar import wrap
-
-__all__ = [
-    "BASE",
-    "TIP",
-    "Observation",
-    "RestFinder",
-    "keep_since_homing",
-    "rehomed_joints",
-    "rejected_without_repeat",
-]
 
 MAX_JUMP_SHARE = 0.1  # largest share of a rest's poses that are rejected as jumps
 
@@ -75,6 +65,163 @@ def rejected_without_repeat(
     ]
 
 
+def average_rest(s: Sensors, rest: Rest, begin: int, end: int) -> Observation:
+    """Average an interval of a rest that has no gaps."""
+    readings = [joint.samples_within(begin, end)[1] for joint in s.joints]
+    for joint, q in zip(s.joints, readings, strict=True):
+        if not len(q):
+            return reject_rest(s, rest, f"no reading of {joint.name}")
+    poses = relative_poses(s.base, s.tip, begin, end, rest.last_motion)[1]
+    if len(poses) < 2:
+        return reject_rest(s, rest, "fewer than 2 pairs of poses")
+    consistent = near_median(poses)
+    s.tip.rejected[JUMP] += int(np.sum(~consistent))
+    if np.mean(consistent) < 1.0 - MAX_JUMP_SHARE:
+        return reject_rest(s, rest, "poses contradict each other")
+    poses = poses[consistent]
+    mean = mean_pose(poses)
+    errors = poses - mean
+    errors[:, 2] = wrap(errors[:, 2])
+    boots, homings = s.references(end)
+    return Observation(
+        start=begin,
+        end=end,
+        q=tuple(float(q.mean()) for q in readings),
+        tip=tuple(mean.tolist()),
+        scatter=tuple(np.sqrt(np.sum(errors**2, axis=0) / (len(errors) - 1)).tolist()),
+        joint_samples=min(map(len, readings)),
+        vicon_frames=len(poses),
+        time_offset=s.base.lag / SECOND,
+        boots=boots,
+        homings=homings,
+    )
+
+
+def reject_rest(s: Sensors, rest: Rest, reason: str) -> Observation:
+    """Return a rest as an observation that is not used."""
+    boots, homings = s.references(rest.end)
+    return Observation(
+        rest.begin, rest.end, rest.q, boots=boots, homings=homings, used=False, reason=reason
+    )
+
+
+class RestSearch:
+    """Search for observations: intervals at rest without a gap in any stream.
+
+    The present rest is observed as soon as it contains an interval of full length.
+    """
+
+    def __init__(self, sensors: Sensors, resting_at: Sequence[float] | None) -> None:
+        self.sensors = sensors
+        self._is_observed = False  # True if the current rest has been observed
+        self._last_gap_end = 0  # end of the last known gap in the current rest [ns]
+        self._aligned_rest = 0  # start of the last rest for which the clocks were aligned [ns]
+        self._resting_at = resting_at
+
+    def candidates(self, ended_rest: Rest | None) -> list[Rest]:
+        """Return a rest that has ended, unless it has been observed."""
+        if not ended_rest:
+            return []
+        rest = self._remaining_rest(ended_rest)
+        self._is_observed, self._resting_at, self._last_gap_end = False, None, 0
+        return [rest] if rest else []
+
+    def _remaining_rest(self, rest: Rest) -> Rest | None:
+        """Return the rest without the time to settle; None if it is too short or observed already.
+
+        If a joint was silent before it moved, the rest extends to the motion.
+        """
+        s, q = self.sensors, self._resting_at
+        if self._is_observed or (q is not None and rest.matches(q, 2.0 * s.motion_threshold)):
+            return None
+        end = rest.moved_at if rest.moved_at - rest.end > s.joint_gap else rest.end
+        begin = rest.begin + s.settle_time
+        return rest._replace(begin=begin, end=end) if rest.end > begin else None
+
+    def current_candidate(self, closing: bool) -> Rest | None:
+        """Return the present rest if it is long enough, or if closing."""
+        s, rests = self.sensors, self.sensors.rests
+        begin = rests.begin + s.settle_time
+        too_short = rests.end - begin < s.min_duration and not closing
+        if too_short or (self._is_observed and self._aligned_rest == begin):
+            return None
+        self._align_clocks(begin, rests.end)
+        # Cheap test, without arrays, whether the rest can contain an interval of full length.
+        until = min(s.received_until, rests.end)
+        if not closing and until - max(begin, self._last_gap_end) < s.max_duration:
+            return None
+        rest = self._remaining_rest(rests.current_rest(rests.newest if closing else -1))
+        if not rest:
+            return None
+        return rest._replace(end=rest.end if closing else until, has_ended=False)
+
+    def align(self, candidate: Rest) -> None:
+        """Update the offset between the clocks from the move before a rest."""
+        self._align_clocks(candidate.begin, candidate.end)
+
+    def _align_clocks(self, begin: int, end: int) -> None:
+        """Update the clocks' offset from the move before a rest that all streams have passed."""
+        s, required = self.sensors, begin + self.sensors.min_duration
+        if self._aligned_rest == begin or min(end, s.poses_received_until) < required:
+            return
+        self._aligned_rest = begin
+        move = find_last_move(s.joints, begin - s.settle_time, s.motion_threshold)
+        if not move:
+            return
+        search = round(s.alignment.search * SECOND)
+        first, last = move[0] - search, max(move[1] + search, required)
+        if any(poses.gaps(first, last, s.vicon_gap) for poses in s.needed_poses):
+            return
+        t, poses = relative_poses(s.base, s.tip, first, last)
+        q = [joint.samples_within(first, required)[:2] for joint in s.joints]
+        if len(t) < 2 or any(len(stamps) < 3 for stamps, _ in q):
+            return
+        ends = np.array([0.0, (move[1] - move[0]) / SECOND])
+        paths = [((stamps - move[0]) / SECOND, readings) for stamps, readings in q]
+        frames, psi = (t - s.base.lag - move[0]) / SECOND, np.unwrap(poses[:, 2])
+        s.update_offset(estimate_offset(ends, paths, frames, psi, s.alignment.search))
+
+    def observe(self, candidate: Rest, closing: bool) -> Observation | None:
+        """Return the observation of a rest; None if it is too short, or can still become longer."""
+        s, end, is_over = self.sensors, candidate.end, closing or candidate.has_ended
+        # A stream that has not started is no gap. Samples older than the horizon may be dropped.
+        started = max(poses.first_stamp + poses.lag for poses in s.needed_poses)
+        begin = max(candidate.begin, started, end - s.horizon - s.max_duration)
+        if end - begin < s.min_duration or any(p.first_stamp < 0 for p in s.needed_poses):
+            return None
+        gaps = [gap for joint in s.joints for gap in joint.gaps(begin, end, s.joint_gap)]
+        timed_out = [p for p in s.needed_poses if p.received_until < end and not closing]
+        gaps += [Gap(poses.received_until, end, poses.name) for poses in timed_out]
+        for poses in s.needed_poses:
+            gaps += poses.gaps(begin, end, s.vicon_gap, candidate.last_motion)
+        pieces = parts_outside(begin, end, gaps)
+        whole = [(a, a + s.max_duration) for a, b in pieces if b - a >= s.max_duration]
+        if not whole and is_over:
+            best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0, 0))
+            whole = [best] if best[1] - best[0] >= s.min_duration else []
+        if not whole and not is_over:
+            self._last_gap_end = max(gap.end for gap in gaps) if gaps else begin
+            return None
+        for poses in s.needed_poses:
+            poses.rejected[FROZEN] += poses.count_frozen(begin, end, candidate.last_motion)
+        self._is_observed = self._is_observed or not candidate.has_ended
+        if whole:
+            return average_rest(s, candidate, *whole[0])
+        # Do not report gaps beyond the rest: samples there may be dropped, or not received yet.
+        inside = [gap._replace(start=max(gap.start, begin), end=min(gap.end, end)) for gap in gaps]
+        longest = max(inside, key=lambda gap: gap.end - gap.start)
+        return reject_rest(s, candidate, str(longest))
+
+    def oldest_needed(self, next_candidate: Rest | None) -> int:
+        """Return a time before the move that aligns the clocks for the next rest [ns]."""
+        rests = self.sensors.rests
+        since = next_candidate.begin if next_candidate else rests.end
+        if not self._is_observed:
+            since = min(since, rests.begin)
+        search = self.sensors.alignment.search
+        return since - round((MAX_MOVE_DURATION + 2.0 * search) * SECOND)
+
+
 class RestFinder(Finder[Rest, Observation]):
     """Finder of observations in the samples of n joints and two subjects.
 
@@ -85,8 +232,6 @@ class RestFinder(Finder[Rest, Observation]):
             has not moved since, it is not observed again.
     """
 
-    needed = (BASE, TIP)
-
     def __init__(
         self,
         n: int,
@@ -94,165 +239,5 @@ class RestFinder(Finder[Rest, Observation]):
         resting_at: Sequence[float] | None = None,
     ) -> None:
         s = settings or RestSettings()
-        super().__init__(n, s, search=s.settle_time + s.min_duration)
-        self._is_observed = False  # True if the current rest has been observed
-        self._last_gap_end = 0  # end of the last known gap in the current rest [ns]
-        self._aligned_rest = 0  # start of the last rest for which the clocks were aligned [ns]
-        self._resting_at = resting_at
-
-    def _process_reading(self, ended_rest: Rest | None) -> None:
-        if ended_rest:
-            if not self._is_observed_already(ended_rest) and (
-                rest := self._remove_settling(ended_rest)
-            ):
-                self._pending.append(rest)
-            self._is_observed, self._resting_at, self._last_gap_end = False, None, 0
-
-    def _is_observed_already(self, rest: Rest) -> bool:
-        """Return True if the current rest needs no further observation."""
-        q = self._resting_at
-        return self._is_observed or (q is not None and rest.matches(q, 2.0 * self.motion_threshold))
-
-    def _remove_settling(self, rest: Rest) -> Rest | None:
-        """Return the rest without the time to settle, or None if it is too short.
-
-        If a joint was silent before it moved, the rest extends to the motion.
-        """
-        end = rest.moved_at if rest.moved_at - rest.end > self.joint_gap else rest.end
-        begin = rest.begin + self.settle_time
-        return rest._replace(begin=begin, end=end) if rest.end > begin else None
-
-    def _collect(self, closing: bool = False) -> list[Observation]:
-        found = super()._collect(closing)
-        if not self._pending and (observation := self._observe_current_rest(closing)):
-            self._is_observed = True
-            found.append(observation)
-        return found
-
-    def _observe_current_rest(self, closing: bool) -> Observation | None:
-        """Return the observation of the current rest if it is long enough, or if closing."""
-        begin = self.rests.begin + self.settle_time
-        too_short = self.rests.end - begin < self.min_duration and not closing
-        if too_short or (self._is_observed and self._aligned_rest == begin):
-            return None
-        self._align_clocks(begin, self.rests.end)
-        # Cheap test, without arrays, whether the rest can contain an interval of full length.
-        until = min(self._received_until, self.rests.end)
-        if not closing and until - max(begin, self._last_gap_end) < self.max_duration:
-            return None
-        rest = self.rests.current_rest(self.rests.newest if closing else -1)
-        settled = None if self._is_observed_already(rest) else self._remove_settling(rest)
-        if not settled:
-            return None
-        return self._observe(settled if closing else settled._replace(end=until), is_over=closing)
-
-    def _is_complete(self, candidate: Rest) -> bool:
-        if not super()._is_complete(candidate):
-            return False
-        self._align_clocks(candidate.begin, candidate.end)
-        return super()._is_complete(candidate)  # with the new offset
-
-    def _segment(self, candidate: Rest, closing: bool) -> Observation | None:
-        self._align_clocks(candidate.begin, candidate.end)
-        timed_out = [p for p in self._needed_poses if p.received_until < candidate.end]
-        missing = [Gap(p.received_until, candidate.end, p.name) for p in timed_out if not closing]
-        return self._observe(candidate, is_over=True, missing=missing)
-
-    def _align_clocks(self, begin: int, end: int) -> None:
-        """Update the clocks' offset from the move before a rest that all streams have passed."""
-        required = begin + self.min_duration
-        if self._aligned_rest == begin or min(end, self._poses_received_until) < required:
-            return
-        self._aligned_rest = begin
-        move = find_last_move(self.joints, begin - self.settle_time, self.motion_threshold)
-        if not move:
-            return
-        search = round(self.alignment.search * SECOND)
-        first, last = move[0] - search, max(move[1] + search, required)
-        if any(poses.gaps(first, last, self.vicon_gap) for poses in self._needed_poses):
-            return
-        t, poses = relative_poses(self.base, self.tip, first, last)
-        q = [joint.samples_within(first, required)[:2] for joint in self.joints]
-        if len(t) < 2 or any(len(stamps) < 3 for stamps, _ in q):
-            return
-        ends = np.array([0.0, (move[1] - move[0]) / SECOND])
-        paths = [((stamps - move[0]) / SECOND, readings) for stamps, readings in q]
-        frames, psi = (t - self.base.lag - move[0]) / SECOND, np.unwrap(poses[:, 2])
-        self._update_offset(estimate_offset(ends, paths, frames, psi, self.alignment.search))
-
-    def _observe(
-        self, rest: Rest, is_over: bool, missing: Sequence[Gap] = ()
-    ) -> Observation | None:
-        """Return the observation of a rest; None if it is too short, or can still become longer."""
-        # A stream that has not started is no gap. Samples older than the horizon may be dropped.
-        started = max(poses.first_stamp + poses.lag for poses in self._needed_poses)
-        begin = max(rest.begin, started, rest.end - self.horizon - self.max_duration)
-        if rest.end - begin < self.min_duration or any(
-            p.first_stamp < 0 for p in self._needed_poses
-        ):
-            return None
-        gaps = [g for joint in self.joints for g in joint.gaps(begin, rest.end, self.joint_gap)]
-        gaps += [gap for gap in missing if gap.end > begin]
-        for poses in self._needed_poses:
-            gaps += poses.gaps(begin, rest.end, self.vicon_gap, rest.last_motion)
-        pieces = parts_outside(begin, rest.end, gaps)
-        whole = [(a, a + self.max_duration) for a, b in pieces if b - a >= self.max_duration]
-        if not whole and is_over:
-            best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0, 0))
-            whole = [best] if best[1] - best[0] >= self.min_duration else []
-        if not whole and not is_over:
-            self._last_gap_end = max(gap.end for gap in gaps) if gaps else begin
-            return None
-        for poses in self._needed_poses:
-            poses.rejected[FROZEN] += poses.count_frozen(begin, rest.end, rest.last_motion)
-        if whole:
-            return self._average(rest, *whole[0])
-        # Do not report gaps beyond the rest: samples there may be dropped, or not received yet.
-        inside = [
-            gap._replace(start=max(gap.start, begin), end=min(gap.end, rest.end)) for gap in gaps
-        ]
-        return self._reject(rest, str(max(inside, key=lambda gap: gap.end - gap.start)))
-
-    def _average(self, rest: Rest, begin: int, end: int) -> Observation:
-        """Average an interval of a rest that has no gaps."""
-        readings = [joint.samples_within(begin, end)[1] for joint in self.joints]
-        for joint, q in zip(self.joints, readings, strict=True):
-            if not len(q):
-                return self._reject(rest, f"no reading of {joint.name}")
-        poses = relative_poses(self.base, self.tip, begin, end, rest.last_motion)[1]
-        if len(poses) < 2:
-            return self._reject(rest, "fewer than 2 pairs of poses")
-        consistent = near_median(poses)
-        self.tip.rejected[JUMP] += int(np.sum(~consistent))
-        if np.mean(consistent) < 1.0 - MAX_JUMP_SHARE:
-            return self._reject(rest, "poses contradict each other")
-        poses = poses[consistent]
-        mean = mean_pose(poses)
-        errors = poses - mean
-        errors[:, 2] = wrap(errors[:, 2])
-        boots, homings = self._references(end)
-        return Observation(
-            start=begin,
-            end=end,
-            q=tuple(float(q.mean()) for q in readings),
-            tip=tuple(mean.tolist()),
-            scatter=tuple(np.sqrt(np.sum(errors**2, axis=0) / (len(errors) - 1)).tolist()),
-            joint_samples=min(map(len, readings)),
-            vicon_frames=len(poses),
-            time_offset=self.base.lag / SECOND,
-            boots=boots,
-            homings=homings,
-        )
-
-    def _reject(self, rest: Rest, reason: str) -> Observation:
-        boots, homings = self._references(rest.end)
-        return Observation(
-            rest.begin, rest.end, rest.q, boots=boots, homings=homings, used=False, reason=reason
-        )
-
-    def _oldest_needed(self) -> int:
-        since = self._pending[0].begin if self._pending else self.rests.end
-        if not self._is_observed:
-            since = min(since, self.rests.begin)
-        # The move before a rest is needed to align the clocks.
-        return since - round((MAX_MOVE_DURATION + 2.0 * self.alignment.search) * SECOND)
+        sensors = Sensors(n, s, (BASE, TIP), search=s.settle_time + s.min_duration)
+        super().__init__(sensors, RestSearch(sensors, resting_at))

@@ -7,11 +7,7 @@ from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError,
 
 @dataclass(frozen=True)
 class StreamSettings(Settings):
-    """Settings for the gaps and lags of streams.
-
-    Raises:
-        SettingError: a setting is invalid.
-    """
+    """Settings for the gaps and lags of streams."""
 
     joint_gap: float = setting(
         1.0,
@@ -26,11 +22,7 @@ class StreamSettings(Settings):
 
 @dataclass(frozen=True)
 class RestSettings(StreamSettings):
-    """Settings that define a rest.
-
-    Raises:
-        SettingError: a setting is invalid.
-    """
+    """Settings that define a rest."""
 
     motion_threshold: float = setting(
         1e-3, "largest change of a joint's reading at rest", unit="rad", check=POSITIVE
@@ -65,11 +57,7 @@ class RestSettings(StreamSettings):
 
 @dataclass(frozen=True)
 class ManeuverSettings(RestSettings):
-    """Settings that define a maneuver.
-
-    Raises:
-        SettingError: a setting is invalid.
-    """
+    """Settings that define a maneuver."""
 
     max_duration: float = setting(
         2.0, "longest window before and after a maneuver, at most half of the rest",
@@ -115,11 +103,7 @@ class ManeuverSettings(RestSettings):
 
 @dataclass(frozen=True)
 class DriftFinderSettings(RestSettings):
-    """Settings that define a drift.
-
-    Raises:
-        SettingError: a setting is invalid.
-    """
+    """Settings that define a drift."""
 
     min_duration: float = setting(
         20.0, "shortest rest of the arm that is a drift", unit="s", check=POSITIVE
@@ -135,11 +119,7 @@ class DriftFinderSettings(RestSettings):
 
 @dataclass(frozen=True)
 class ExcitationSettings(StreamSettings):
-    """Settings that define an excitation.
-
-    Raises:
-        SettingError: a setting is invalid.
-    """
+    """Settings that define an excitation."""
 
     joint_gap: float = setting(
         1.0,

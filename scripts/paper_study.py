@@ -1,4 +1,4 @@
-"""`python -m fss_arm_calib.paper_study`: reproduction of the paper's Tables 2-4 on simulated data.
+"""`python scripts/paper_study.py`: reproduction of the paper's Tables 2-4 on simulated data.
 
 Prints Markdown, or writes it between its markers in docs/explanation/paper.md. It shows the results
 of this software for data with the paper's noise, and how reliable such results are.
@@ -175,7 +175,7 @@ def study() -> str:
     return (
         f"{START_MARK}\n## Tables 2 and 3: kinematics\n\n{tables_2_and_3()}\n\n"
         f"## Table 4: dynamics\n\n{table_4()}\n\n"
-        f"Made by `python -m fss_arm_calib.paper_study`.\n{END_MARK}"
+        f"Made by `python scripts/paper_study.py`.\n{END_MARK}"
     )
 
 
