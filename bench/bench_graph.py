@@ -25,7 +25,7 @@ BASE_POSES = [-1.0, -0.6, 0.0], [1.0, 0.6, 3.14159]  # of two vehicles [m, m, ra
 MODULES = {
     "testbed": "fss_sim.testbed_node",
     "link": "fss_arm_driver.link_node",
-    "kinematic": "fss_arm_calib.calibration_node:kinematic",
+    "kinematic": "fss_arm_calib.programs:kinematic",
     "record": "fss_arm_bags.record_node",
 }
 

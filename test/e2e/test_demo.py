@@ -118,7 +118,7 @@ def results(out, topic=TOPICS[0]):
 def replayed_is_offline(bag, start, spin):
     """Replayed into a node or solved without any, bags in a row give the same."""
     offline = solve_bag(KINEMATIC, bag, KinematicSettings(arm=str(ROOT / "config/cad.yaml")))
-    node = "fss_arm_calib.calibration_node:kinematic"
+    node = "fss_arm_calib.programs:kinematic"
     start(node, "--ros-args", "-p", f"arm:={ROOT / 'config/cad.yaml'}")
     replay = start(
         "fss_arm_bags.replay_node", bag, "--ros-args", "-p", "rate:=0.0",

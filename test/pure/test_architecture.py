@@ -75,8 +75,8 @@ WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift", "
 SHARED = [
     f"fss_arm_calib.{room}"
     for room in (
-        *("estimation", "segments", "acceptance", "calibration", "messages", "outcome", "report"),
-        *("report_figures", "report_tables", "settings"),
+        *("estimation", "segments", "acceptance", "calibration", "codec", "messages", "outcome"),
+        *("report", "report_figures", "report_tables", "settings"),
     )
 ]
 FROM_BAGS = {f"fss_arm_calib.bag_{room}" for room in ("command", "data", "options")}
@@ -129,6 +129,7 @@ ROOMS = {
 EDGES = {
     *(
         "settings",
+        "codec",
         "messages",
         "health",
         "kind",

@@ -113,8 +113,7 @@ class Bed(Node):
             for one in kind.inputs(kind.settings(), n)
         }
         self.data, self.results = [], []
-        data = type(kind.data.to_message([], ""))
-        self.create_subscription(data, kind.data.topic, self.data.append, LATCHED)
+        self.create_subscription(kind.data.message, kind.data.topic, self.data.append, LATCHED)
         self.create_subscription(kind.message, kind.topic, self.results.append, LATCHED)
         self.solver = self.create_client(Trigger, f"{kind.name}/solve")
         self.forgetter = self.create_client(Trigger, f"{kind.name}/forget")

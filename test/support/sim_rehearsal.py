@@ -12,8 +12,8 @@ import numpy as np
 
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.experiment.experiment_node import maneuver_waypoints
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
+from fss_arm_calib.experiment.waypoints import maneuver_waypoints
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder

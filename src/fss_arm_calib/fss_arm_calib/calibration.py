@@ -44,6 +44,7 @@ class Input:
     needed: bool = True  # a bag must have this topic
     subject: str = ""  # motion-capture subject of the poses
     latched: bool = False  # a late subscriber receives the last message
+    rule: Any = None  # validation.Rule of a latched topic's messages; None: that of their type
 
     @property
     def type(self) -> str:
@@ -56,11 +57,18 @@ class Data(Generic[D]):
     """Data of a kind of calibration, as stored and published."""
 
     noun: str  # name of a datum
-    type: type[D]  # a dataclass
     topic: str
+    message: type[Any]  # ROS message class
+    type: type[D]  # a dataclass
     to_message: Callable[[Sequence[D], str], Any]  # takes the data and a frame id
     from_message: Callable[[Any], list[D]]
     summary: Callable[[D], str] = lambda _: ""  # log text of a datum that is used
+    rule: Any = None  # validation.Rule of the messages; None: that of their type
+
+    def describe(self, one: D, number: int) -> str:
+        """Return the log text of a datum, which is the one with this number."""
+        what = self.summary(one) if one.used else f"not used: {one.reason}"
+        return f"{self.noun} {number}: {what}"
 
 
 @dataclass(frozen=True)
@@ -106,6 +114,22 @@ class Calibration(Generic[D, C]):
         rows = list(self.unavailable.items())
         table = Table("Not available", ["", "reason"], rows, words=2)
         return replace(report, details=[*report.details, table])
+
+    def problem(self, outcome: Outcome[D, Any], streams: Streams, settings: C) -> str:
+        """Return why no valid result can be expected from live streams; empty if nothing is known.
+
+        Args:
+            outcome: the latest outcome.
+            streams: state of the streams.
+            settings: settings of the node.
+        """
+        if streams.silent:
+            return f"waiting for {', '.join(streams.silent)}"
+        if streams.unknown:
+            return f"the arm has no {', '.join(streams.unknown)}"
+        if clocks := self.clocks(streams, settings).reason:
+            return f"{clocks}: call {self.name}/forget to reset"
+        return self.stale(outcome, streams)
 
     def write(self, path: str, outcome: Outcome[D, Any]) -> None:
         """Write the output of a calibration that has passed.

@@ -1,6 +1,5 @@
 """Node for any kind of calibration: finds its data in live or replayed topics and solves."""
 
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -14,7 +13,6 @@ from fss_arm_calib.calibration import CAUSES, Calibration
 from fss_arm_calib.messages import calibration_part
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
-from fss_arm_calib.programs import drift, drives, dynamic, joint, kinematic
 from fss_arm_calib.report import write
 from fss_arm_calib.segments.streams import Streams, keep_newest
 from fss_arm_calib.state import FileWriter, Flags, StateError, restore, save
@@ -42,15 +40,14 @@ class CalibrationNode(Node):
 
     def __init__(self, kind: Calibration[Any, Any], **options: Any) -> None:
         super().__init__(kind.name, **options)
-        self.kind = kind
+        self.kind, self.writer = kind, FileWriter(self.get_logger())
         s = self.settings = declare(self, node_settings(kind.name, kind.settings))
         base = default_in(BASE, self.get_namespace())
         self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
         arm = described(s.arm)
         # A kinematic calibration does not replace the masses of this description.
         self.initial = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
-        self.writer = FileWriter(self.get_logger())
-        restored, self.flags = self.restore_state()
+        restored, self.flags = restore(s.state_file, kind.name, arm.n, kind.data.type)
         self.data: list[Any] = keep_newest(restored, kind.max_data(s))
         self.finder = kind.finder(self.initial.arm, s, restored)
         try:
@@ -58,19 +55,19 @@ class CalibrationNode(Node):
             if s.report:
                 require("matplotlib")
                 kind.report_of(self.outcome)  # fail at startup if the report's inputs are missing
-            data = kind.data.to_message(self.data, self.frame)
+            kind.data.to_message(self.data, self.frame)
         except (ArithmeticError, LookupError, ValueError) as error:
             if not restored:
                 raise
             raise StateError(f"{s.state_file}: the saved data cannot be solved: {error}") from error
-        self.data_publisher = self.create_publisher(type(data), kind.data.topic, LATCHED)
+        self.data_publisher = self.create_publisher(kind.data.message, kind.data.topic, LATCHED)
         self.result_publisher = self.create_publisher(kind.message, kind.topic, LATCHED)
         for one in kind.inputs(s, self.initial.arm.n):
-            callback = partial(self.on_sample, one.feed)
+            source = self, one.message, one.topic, partial(self.on_sample, one.feed)
             if one.latched:
-                subscribe(self, one.message, one.topic, callback, LATCHED)
+                subscribe(*source, LATCHED, one.rule)
             else:
-                subscribe_sensor(self, one.message, one.topic, callback, keep_all=True)
+                subscribe_sensor(*source, keep_all=True)
         for topic, message in kind.prior_results.items():
             self.create_subscription(message, topic, partial(self.on_result, topic), LATCHED)
         self.create_service(Trigger, "~/solve", self.on_solve)
@@ -81,13 +78,6 @@ class CalibrationNode(Node):
             self.publish()
         self.diagnostics = Diagnostics(self, self.health)
 
-    def restore_state(self) -> tuple[list[Any], Flags]:
-        """Return the data and flags that a previous run saved."""
-        path, kind = self.settings.state_file, self.kind
-        if not path:
-            return [], Flags()
-        return restore(path, kind.name, self.initial.arm.n, kind.data.type)
-
     def on_sample(self, feed: Callable[[Any, Any], Sequence[Any]], message: Any) -> None:
         """Feed a sensor message to the finder."""
         self.add_data(feed(self.finder, message))
@@ -95,9 +85,7 @@ class CalibrationNode(Node):
     def on_result(self, topic: str, message: Any) -> None:
         """Start from the result of another calibration, with its covariance."""
         try:
-            initial = self.initial.with_message(topic, message)
-            if initial.arm.n != self.initial.arm.n:
-                raise ValueError(f"it is for {initial.arm.n} links, expected {self.initial.arm.n}")
+            initial = self.initial.of_same_links(topic, message)
         except ValueError as error:
             self.get_logger().warning(f"result on {topic} rejected: {error}")
             return
@@ -124,9 +112,9 @@ class CalibrationNode(Node):
     def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Drop all data received, also in the state file, and reset the state of the streams."""
         receive_pending(self)
-        response.success = True
-        response.message = f"{format_count(len(self.data), self.kind.data.noun)} forgotten"
-        self.get_logger().info(response.message)
+        words = f"{format_count(len(self.data), self.kind.data.noun)} forgotten"
+        response.success, response.message = True, words
+        self.get_logger().info(words)
         self.data, self.flags = [], Flags()
         self.finder = self.kind.finder(self.initial.arm, self.settings, [])
         self.outcome = self.solve()
@@ -135,17 +123,14 @@ class CalibrationNode(Node):
 
     def add_data(self, found: Sequence[Any]) -> bool:
         """Store, save and publish new data and solve again; return False if there are none."""
-        if not found:
-            return False
-        self.data = keep_newest([*self.data, *found], self.kind.max_data(self.settings))
-        self.outcome = self.solve()
-        self.publish()
-        data = self.kind.data
-        for one in found:
-            what = data.summary(one) if one.used else f"not used: {one.reason}"
-            self.get_logger().info(f"{data.noun} {len(self.data)}: {what}")
-        self.get_logger().info(f"{self.outcome.verdict}: {self.outcome.reason}")
-        return True
+        if found:
+            self.data = keep_newest([*self.data, *found], self.kind.max_data(self.settings))
+            self.outcome = self.solve()
+            self.publish()
+            lines = [self.kind.data.describe(one, len(self.data)) for one in found]
+            for line in (*lines, f"{self.outcome.verdict}: {self.outcome.reason}"):
+                self.get_logger().info(line)
+        return bool(found)
 
     def streams(self) -> Streams:
         """Return the state of the streams, including previous runs."""
@@ -172,8 +157,8 @@ class CalibrationNode(Node):
         """Save data and flags for the next run."""
         self.saved = Flags.of(self.streams())
         if path := self.settings.state_file:
-            state = self.kind.name, self.initial.arm.n, self.data, self.saved
-            self.writer(lambda: save(path, *state))
+            name, n = self.kind.name, self.initial.arm.n
+            self.writer(partial(save, path, name, n, self.data, self.saved))
 
     def health(self) -> Health:
         """Return the state of the node for diagnostics."""
@@ -188,22 +173,8 @@ class CalibrationNode(Node):
             **kind.health(self.finder),
             **{f"rejected: {why}": number for why, number in streams.rejected.items()},
         }
-        if trouble := self.writer.trouble:
-            return Health(ERROR, trouble, values)
-        if streams.silent:
-            return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
-        if streams.unknown:
-            return Health(WARN, f"the arm has no {', '.join(streams.unknown)}", values)
-        if clocks := kind.clocks(streams, self.settings).reason:
-            return Health(WARN, f"{clocks}: call {kind.name}/forget to reset", values)
-        if stale := kind.stale(self.outcome, streams):
-            return Health(WARN, stale, values)
+        if self.writer.trouble:
+            return Health(ERROR, self.writer.trouble, values)
+        if problem := kind.problem(self.outcome, streams, self.settings):
+            return Health(WARN, problem, values)
         return Health(OK, format_count(len(self.data), kind.data.noun), values)
-
-
-if __name__ == "__main__":
-    programs = {
-        "kinematic": kinematic, "dynamic": dynamic, "drift": drift, "drives": drives,
-        "joint": joint,
-    }  # fmt: skip
-    sys.exit(programs[sys.argv.pop(1)]())

@@ -1,27 +1,24 @@
-"""Conversion between calibrations and ROS messages.
+"""Inputs of finders from ROS messages, and the message that all results share.
 
 Messages are read by attribute, so that those of rclpy and of rosbags both work.
 """
 
 from collections.abc import Sequence
-from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_bags.bulk import frame_id, poses, turn_rates
 from fss_arm_calib.calibration import Input
+from fss_arm_calib.codec import encode
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.outcome import Provenance as Origin
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_model.description_file import to_yaml
 from fss_arm_msgs.msg import Calibration, Check, LinkTelemetry, Provenance
 from fss_arm_ros.convert import joint_readings, seen_pose, stamp_ns, to_time
 
 AnyFinder = Finder[Any, Any]
-M = TypeVar("M", bound=Any)
 
 MAX_LISTED_NAMES = 20  # most unknown joint names that are reported of a message
 
@@ -91,83 +88,22 @@ def telemetry_inputs(n: int) -> list[Input]:
 
 def common_message(kind: str, outcome: Outcome[Any, Any], frame_id: str) -> Calibration:
     """Return the message with the part of an outcome that all kinds of calibration share."""
-    e, streams = outcome.estimate, outcome.streams
-    message = Calibration(
-        kind=kind,
-        verdict=outcome.verdict,
-        reason=outcome.reason,
-        checks=[
-            Check(
-                name=check.name,
-                verdict=check.verdict,
-                value=float(check.value),
-                threshold=float(check.threshold),
-                reason=check.reason,
-            )
-            for check in outcome.checks
-        ],
-        provenance=provenance_message(outcome.provenance),
-        names=list(e.names),
-        units=list(e.units),
-        values=flatten(e.values),
-        initial=flatten(e.initial),
-        deviations=flatten(e.deviations),
-        covariance=flatten(e.covariance),
-        undetermined=list(e.undetermined),
-        residuals=flatten(e.residuals),
-        weights=flatten(e.weights),
-        leverage=flatten(e.leverage),
-        errors=flatten(e.errors),
-        reasons=list(e.reasons),
-        position_residual=e.position_residual,
-        heading_residual=e.heading_residual,
-        chi_square=e.chi_square,
-        degrees_of_freedom=e.degrees_of_freedom,
-        condition_number=e.condition_number,
-        iterations=e.iterations,
-        last_update=e.last_update,
-        used=outcome.accepted,
-        left_out=outcome.left_out,
-        rejected_kinds=list(streams.rejected),
-        rejected=list(streams.rejected.values()),
-        time_offset=streams.offset.value,
-        time_offset_deviation=streams.offset.deviation,
-        arm=outcome.arm.name,
-        guess=to_yaml(outcome.arm),
-        description=outcome.description,
-    )
-    message.header.stamp = to_time(outcome.provenance.end)
-    message.header.frame_id = frame_id
+    streams = outcome.streams
+    message = encode(outcome.estimate, Calibration)
+    message.header.stamp, message.header.frame_id = to_time(outcome.provenance.end), frame_id
+    message.kind, message.verdict, message.reason = kind, outcome.verdict, outcome.reason
+    message.checks = [encode(check, Check) for check in outcome.checks]
+    message.provenance = encode(outcome.provenance, Provenance)
+    message.used, message.left_out = outcome.accepted, outcome.left_out
+    message.rejected_kinds = list(streams.rejected)
+    message.rejected = list(streams.rejected.values())
+    message.time_offset = streams.offset.value
+    message.time_offset_deviation = streams.offset.deviation
+    message.arm, message.guess = outcome.arm.name, to_yaml(outcome.arm)
+    message.description = outcome.description
     return message
-
-
-def provenance_message(origin: Origin) -> Provenance:
-    """Return the message with the provenance of a result."""
-    known = {f.name: getattr(origin, f.name) for f in fields(origin)}
-    return Provenance(**{k: to_time(v) if k in ("begin", "end") else v for k, v in known.items()})
 
 
 def calibration_part(message: Any) -> Any:
     """Return the Calibration in a message of any kind; some kinds publish only a Calibration."""
     return getattr(message, "calibration", message)
-
-
-def set_header(message: M, ones: Sequence[Any], frame_id: str) -> M:
-    """Return the message of the data `ones` with its header; the stamp is the last one's end."""
-    message.header.frame_id = frame_id
-    message.header.stamp = ones[-1].end if ones else to_time(0)
-    return message
-
-
-def flatten(values: Any) -> list[Any]:
-    """Convert an array, or a tuple that may contain tuples, to a flat list for a message."""
-    if isinstance(values, np.ndarray):
-        return list(values.ravel().tolist())
-    return [
-        x for value in values for x in (flatten(value) if isinstance(value, tuple) else [value])
-    ]
-
-
-def reshape_rows(numbers: Any, width: int) -> tuple[tuple[float, ...], ...]:
-    """Convert the numbers of a message to rows of a width."""
-    return tuple(map(tuple, np.reshape(numbers, (-1, width)).astype(float).tolist()))

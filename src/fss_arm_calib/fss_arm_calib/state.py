@@ -104,7 +104,7 @@ def restore(path: str | Path, kind: str, joints: int, datum: type[D]) -> tuple[l
     """Restore the data and flags of a calibration; both are empty if there is no file.
 
     Args:
-        path: path of the file.
+        path: path of the file; empty: none.
         kind: kind of calibration that the file must be of.
         joints: number of joints of the arm that the file must be of.
         datum: dataclass of the data.
@@ -113,7 +113,7 @@ def restore(path: str | Path, kind: str, joints: int, datum: type[D]) -> tuple[l
         StateError: the file has other contents.
         OSError: the file cannot be read.
     """
-    saved = read(path, None)
+    saved = read(path, None) if path else None
     if saved is None:
         return [], Flags()
     try:

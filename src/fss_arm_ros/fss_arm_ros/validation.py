@@ -1,9 +1,10 @@
 """Validation of messages before a node's callbacks receive them.
 
-Any process on the network may publish anything. RULES declares for each type of message what its
-subscribers rely on: size, numbers that may be missing, arrays of equal length. For all types,
-numbers are finite and small enough for arithmetic, and times are after 1970. Other messages are
-rejected, counted in diagnostics and logged, at most once per LOG_PERIOD.
+Any process on the network may publish anything. A rule declares what the subscribers of a type of
+message rely on: size, numbers that may be missing, arrays of equal length. RULES has those of types
+that several packages receive; a subscriber gives the rule of another type. For all types, numbers
+are finite and small enough for arithmetic, and times are after 1970. Other messages are rejected,
+counted in diagnostics and logged, at most once per LOG_PERIOD.
 """
 
 import time
@@ -49,59 +50,19 @@ def _is_pose(message: Any) -> str:
     return ""
 
 
-def _is_observation(one: Any) -> str:
-    """Check that a datum in use has all values that the solver needs."""
-    return _certain(one, "q", "tip")
-
-
-def _is_maneuver(one: Any) -> str:
-    knots, marks = sum(one.samples), len(one.marks)
-    joints = dict.fromkeys(("times", "q", "qd"), knots)
-    why = _sized(one, **joints, frames=marks, seconds=marks, poses=3 * marks)
-    return why or _certain(one, "times", "q", "marks", "poses", "seconds")
-
-
-def _is_drift(one: Any) -> str:
-    marks = len(one.times)
-    why = _sized(one, frames=marks, seconds=marks, poses=3 * marks)
-    return why or _certain(one, "q", "times", "poses", "seconds")
-
-
-def _sized(message: Any, **lengths: int) -> str:
-    for name, expected in lengths.items():
-        if (count := len(getattr(message, name))) != expected:
-            return f"{name} has {count} elements, expected {expected}"
-    return ""
-
-
-def _certain(datum: Any, *names: str) -> str:
-    for name in names:
-        if datum.used and not all(map(isfinite, getattr(datum, name))):
-            return f"{name} is not finite, but is to be used"
-    return ""
-
-
 RESULT = Rule(ANY_FIELD, size=1_000_000)
-DATA = Rule(ANY_FIELD, size=10_000_000)  # hundreds of maneuvers of many links
 ESTIMATES = ("names", "units", "values", "initial", "deviations")
 
 RULES = {
     "fss_arm_msgs/BaseReaction": Rule(ANY_FIELD),
     "fss_arm_msgs/BaseTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
     "fss_arm_msgs/Calibration": Rule(ANY_FIELD, (ESTIMATES,), (("covariance", "names"),)),
-    "fss_arm_msgs/DriftCalibration": RESULT,
-    "fss_arm_msgs/Drift": Rule(ANY_FIELD, also=(_is_drift,)),
-    "fss_arm_msgs/Drifts": DATA,
     "fss_arm_msgs/DynamicCalibration": RESULT,
     "fss_arm_msgs/GripperState": Rule(ANY_FIELD),
     "fss_arm_msgs/KinematicCalibration": RESULT,
-    "fss_arm_msgs/KinematicObservation": Rule(ANY_FIELD, also=(_is_observation,)),
-    "fss_arm_msgs/KinematicObservations": DATA,
     "fss_arm_msgs/LinkCommand": Rule(ANY_FIELD),  # drivers reject with a reason
     "fss_arm_msgs/LinkPath": Rule(ANY_FIELD, size=1_600_000),  # as long as a path may be
     "fss_arm_msgs/LinkTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
-    "fss_arm_msgs/Maneuver": Rule(ANY_FIELD, also=(_is_maneuver,)),
-    "fss_arm_msgs/Maneuvers": DATA,
     "fss_arm_msgs/MissionState": Rule(ANY_FIELD),
     "fss_arm_msgs/ThrusterCommand": Rule(ANY_FIELD),
     "geometry_msgs/PoseStamped": Rule(ANY_FIELD),  # zero or NaN if the subject is occluded
@@ -118,18 +79,23 @@ RULES = {
 }
 
 
+def type_name(kind: type) -> str:
+    """Return the name of a type of message, as in RULES."""
+    return f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
+
+
 @cache
-def check(kind: type, may_lack: bool = False) -> Check:
+def check(kind: type, rule: Rule | None = None, may_lack: bool = False) -> Check:
     """Return a function that returns the reason to reject a message, or an empty string.
 
     Args:
         kind: of message.
+        rule: of the message; None: that of its type. Messages in it have the rule of their type.
         may_lack: any number may be NaN or infinite.
     """
     if kind.__name__ == "Time" and kind.__module__.startswith("builtin_interfaces"):
         return _time
-    name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
-    rule = RULES.get(name, Rule())
+    rule = rule or RULES.get(type_name(kind), Rule())
     rule = rule._replace(unknown=ANY_FIELD) if may_lack else rule
     checks = [*_lengths(rule), *_numbers(kind, rule), *_members(kind, rule), *rule.also]
 
@@ -210,7 +176,7 @@ def _members(kind: Any, rule: Rule) -> Iterator[Check]:
         inner = getattr(slot, "value_type", slot)  # of an array's elements
         if hasattr(inner, "namespaces"):
             module = import_module(".".join(inner.namespaces))
-            one = check(getattr(module, inner.name), _may_lack(rule, name))
+            one = check(getattr(module, inner.name), may_lack=_may_lack(rule, name))
             yield _member(name, one, inner is not slot)
 
 
@@ -231,13 +197,13 @@ class Validator:
         node: the subscriber.
         kind: message type.
         topic: topic name.
+        rule: of the messages; None: that of their type.
     """
 
-    def __init__(self, node: Node, kind: type, topic: str) -> None:
+    def __init__(self, node: Node, kind: type, topic: str, rule: Rule | None = None) -> None:
         self._node, self.kind, self.topic = node, kind, topic
-        self._check, self.refused, self.reason = check(kind), 0, ""
-        self._name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
-        self.most = RULES.get(self._name, Rule()).size
+        self._check, self.refused, self.reason = check(kind, rule), 0, ""
+        self.most = (rule or RULES.get(type_name(kind), Rule())).size
         self._logged = -LOG_PERIOD
         vars(node).setdefault(VALIDATORS, []).append(self)
 
@@ -258,7 +224,7 @@ class Validator:
         try:
             message = deserialize_message(data, self.kind)
         except RuntimeError:  # raised by rclpy's extension for bytes of another type
-            self.refuse(f"its {len(data)} bytes are no {self._name}")
+            self.refuse(f"its {len(data)} bytes are no {type_name(self.kind)}")
             return None
         return message if self.accepts(message) else None
 
@@ -283,13 +249,14 @@ def refusals(node: Node) -> dict[str, int]:
 
 def subscribe(
     node: Node, kind: type, topic: str, callback: Callable[[Any], None],
-    qos: QoSProfile | int, **options: Any,
+    qos: QoSProfile | int, rule: Rule | None = None, **options: Any,
 ) -> Any:  # fmt: skip
-    """Create a subscription whose callback gets only messages that the rule of their type allows.
+    """Create a subscription whose callback gets only messages that a rule allows.
 
-    Options as of `Node.create_subscription`. To destroy it, call `unsubscribe`.
+    The rule is that of their type if None is given. Options as of `Node.create_subscription`. To
+    destroy it, call `unsubscribe`.
     """
-    validator = Validator(node, kind, topic)
+    validator = Validator(node, kind, topic, rule)
 
     def receive(data: bytes) -> None:
         message = validator.message(data)

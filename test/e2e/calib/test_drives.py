@@ -30,7 +30,7 @@ def test_drives_by_the_node_are_those_of_the_bag(start, spin, tmp_path):
     halves = [one for one in samples if one.t < middle], [one for one in samples if one.t >= middle]
     for k, half in enumerate(halves):  # in the second by another process
         bag = CASE.module.record(tmp_path / f"half_{k}", half)
-        calibration = start("fss_arm_calib.calibration_node:drives", *given(settings))
+        calibration = start("fss_arm_calib.programs:drives", *given(settings))
         topics = [f"link_{i}/telemetry" for i in range(1, 5)]
         replay = start(
             "fss_arm_bags.replay_node", bag,

@@ -90,7 +90,7 @@ def test_an_experiment_stops_when_its_goal_is_met_and_fails_if_it_is_not(start, 
     patience = {"timeout": 4.0, "watchdog": 4.0}  # with a busy machine
     start("fss_arm_driver.link_node", *parameters(urls=urls, **patience, **clock))
     start("fss_arm_driver.arm_node", *parameters(time_to_live=2.0, **arm, **clock))
-    start("fss_arm_calib.calibration_node:dynamic", *parameters(**SEEN, **arm, **clock))
+    start("fss_arm_calib.programs:dynamic", *parameters(**SEEN, **arm, **clock))
     operator = Operator()
 
     def experiment(maneuvers, goal):

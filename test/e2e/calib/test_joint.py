@@ -32,7 +32,7 @@ def bag(tmp_path_factory):
 @pytest.mark.slow
 def test_a_joint_estimate_by_the_nodes_is_that_of_the_bag(bag, start, spin, tmp_path):
     for kind, settings in CLOSELY.items():
-        start(f"fss_arm_calib.calibration_node:{kind}", *given(settings))
+        start(f"fss_arm_calib.programs:{kind}", *given(settings))
     inputs = [one.topic for kind in KINDS.values() for one in kind.inputs(kind.settings(), 4)]
     wait_for = [topic for topic in inputs if topic in TYPES]  # of each node
     replay = start(
@@ -45,13 +45,13 @@ def test_a_joint_estimate_by_the_nodes_is_that_of_the_bag(bag, start, spin, tmp_
     node.create_subscription(JointCalibration, "calibration/joint", got.append, LATCHED)
 
     settings = {"max_relative": 2.0, "state_file": tmp_path / "state.json"}
-    first = start("fss_arm_calib.calibration_node:joint", *given(settings))
+    first = start("fss_arm_calib.programs:joint", *given(settings))
     all_of_it = "10 observations, 9 maneuvers, 10 drifts of 1 session"
     spin(node, lambda: got and all_of_it in got[-1].calibration.reason, 120.0)
     first.process.kill()
     first.process.wait()
     got.clear()
-    start("fss_arm_calib.calibration_node:joint", *given(settings))
+    start("fss_arm_calib.programs:joint", *given(settings))
     found = spin(node, lambda: got and got[-1].calibration, 60.0)
     assert found.verdict == "pass", found.reason
 

@@ -37,7 +37,7 @@ def test_the_result_is_that_of_the_bag(bag, start, spin, rate):
     assert len(offline.data) == 8
 
     given = [word for k, v in PRECISE.items() for word in ("-p", f"{k}:={v}")]
-    start("fss_arm_calib.calibration_node:dynamic", "--ros-args", *given)
+    start("fss_arm_calib.programs:dynamic", "--ros-args", *given)
     node, got, told = Node("asks"), [], []
     node.create_subscription(DynamicCalibration, "calibration/dynamic", got.append, LATCHED)
     node.create_subscription(Maneuvers, "calibration/maneuvers", told.append, LATCHED)

@@ -123,7 +123,7 @@ def test_the_experiment_ends_well_under_faults(graph, start, spin):
     clock = {"use_sim_time": True}
     start("fss_arm_driver.arm_node", *parameters(**clock))
     start(
-        "fss_arm_calib.calibration_node:kinematic",
+        "fss_arm_calib.programs:kinematic",
         *parameters(arm=ROOT / "config/cad.yaml", **clock),
     )
     experiment = start("fss_arm_calib.experiment.experiment_node", *parameters(**clock))

@@ -13,6 +13,7 @@ from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
 from fss_arm_calib.experiment.experiment_node import ExperimentNode
+from fss_arm_calib.experiment.sequencer import Phase
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import (
     Calibration,
@@ -23,6 +24,7 @@ from fss_arm_msgs.msg import (
     Maneuvers,
 )
 from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.validation import refusals
 
 POSTURES = [0.1, 0.2, 0.3, 0.4, -0.5, 0.0, 0.5, 0.1, 0.9, -0.9, 0.0, 0.2]
 ROWS = np.reshape(POSTURES, (-1, 4)).tolist()
@@ -105,7 +107,7 @@ def test_it_waits_for_the_observation_of_the_posture(spin, spin_to_the_end):
     nodes = arm, observer, experiment
     spin(nodes, lambda: len(arm.goals) == 1)
     observer.observe([9.0, 9.0, 9.0, 9.0])  # not this one
-    spin(nodes, lambda: len(experiment.observed) == 1)
+    spin(nodes, lambda: len(experiment.sequencer.rests) == 1)
     assert len(arm.goals) == 1
     observer.observe(ROWS[0])
     spin(nodes, lambda: len(arm.goals) == 2)
@@ -165,7 +167,7 @@ def test_it_keeps_its_move_alive_and_none_before(spin, spin_to_the_end):
     spin([arm, experiment], lambda: len(heard) > 2)
     assert arm.keep_alive == [0.5]
     assert heard[-1] == experiment.goal.result().goal_id
-    experiment.phase = experiment.request_move
+    experiment.sequencer.phase = Phase.REQUEST
     assert spin_to_the_end(arm, experiment) == 0
     ids = [bytes(goal.uuid) for goal in heard]
     assert ids == sorted(ids, key=ids.index)  # no goal's again after the next one's
@@ -209,13 +211,13 @@ def test_an_arm_that_dies_and_returns(spin, spin_to_the_end):
 def test_an_experiment_that_was_killed_goes_on(spin, spin_to_the_end, tmp_path):
     state = str(tmp_path / "progress.json")
     arm, first = FakeArm(), make_node(state_file=state)
-    spin([arm, first], lambda: first.progress.done == 2)
-    begun = first.progress.begun
+    spin([arm, first], lambda: first.sequencer.progress.done == 2)
+    begun = first.sequencer.progress.begun
     first.executor.remove_node(first)
     first.destroy_node()
     arm.goals.clear()
     second = make_node(state_file=state)
-    assert second.progress.begun == begun
+    assert second.sequencer.progress.begun == begun
     assert spin_to_the_end(arm, second) == 0
     assert arm.goals[-1:] == ROWS[2:]
     assert json.loads((tmp_path / "progress.json").read_text())["done"] == 3
@@ -256,8 +258,8 @@ def test_maneuvers_are_made_with_pauses_between(spin_to_the_end, tmp_path):
     (tmp_path / "plan.yaml").write_text(PLAN)
     arm = FakeArm()
     experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), pause=0.3)
-    assert [stop.pause for stop in experiment.waypoints] == [0.3, 0.0, 0.3, 0.3]
-    assert [stop.duration for stop in experiment.waypoints] == [0.0, 2.0, 3.0, 1.5]
+    assert [stop.pause for stop in experiment.sequencer.waypoints] == [0.3, 0.0, 0.3, 0.3]
+    assert [stop.duration for stop in experiment.sequencer.waypoints] == [0.0, 2.0, 3.0, 1.5]
     assert spin_to_the_end(arm, experiment) == 0
     assert arm.goals == [
         [0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.5, 0.1], [0.0, 0.0, 0.1, 0.0], [0.0, 0.4, 0.1, 0.0],
@@ -294,12 +296,12 @@ def test_maneuvers_end_when_the_goal_is_met_and_fail_if_it_is_not(
     (tmp_path / "plan.yaml").write_text(PLAN + "promised: {b_1: 0.0015}\n")
     arm, dynamic = FakeArm(), FakeDynamic()
     experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, goal="b_i 0.002")
-    nodes = (arm, dynamic, experiment)
+    nodes, sequencer = (arm, dynamic, experiment), experiment.sequencer
     for so_far, verdict, second in ((2, "pass", 0.003), (3, "pass" if met else "fail", 0.001)):
         spin(nodes, lambda n=so_far: len(arm.goals) == n)
         dynamic.conclude(verdict, 0.001, second)
-        spin(nodes, lambda x=second, v=verdict: experiment.goal_status.startswith(v)
-             and f"{x:.2g} (goal" in experiment.goal_status.split(", b_2")[1])  # fmt: skip
+        spin(nodes, lambda x=second, v=verdict: sequencer.goal_status.startswith(v)
+             and f"{x:.2g} (goal" in sequencer.goal_status.split(", b_2")[1])  # fmt: skip
         if so_far == 3:
             dynamic.observe()
     if not met:
@@ -331,7 +333,7 @@ def test_at_the_end_the_calibration_of_the_last_maneuver_is_waited_for(
         spin(nodes, lambda n=so_far: len(arm.goals) == n)
         dynamic.conclude("not_evaluated", 0.01)
         dynamic.observe()
-    spin(nodes, lambda: experiment.last_log == "waiting for the calibration")
+    spin(nodes, lambda: experiment.sequencer.status == "waiting for the calibration")
     if told:
         dynamic.conclude("pass", 0.001)
     code = spin_to_the_end(*nodes)
@@ -354,7 +356,7 @@ def test_a_maneuver_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end, tmp_pa
         maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, observation_timeout=60.0
     )
     nodes, gap = (arm, dynamic, experiment), "joint_2 silent for 0.80 s"
-    a, b, c, d = (stop.q.tolist() for stop in experiment.waypoints)
+    a, b, c, d = (stop.q.tolist() for stop in experiment.sequencer.waypoints)
     for so_far, reason in (
         ([a, b, c], gap),
         ([a, b, c, b, a, b, c], ""),
@@ -363,7 +365,7 @@ def test_a_maneuver_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end, tmp_pa
         spin(
             nodes,
             lambda so_far=so_far: (
-                arm.goals == so_far and experiment.phase == experiment.await_observation
+                arm.goals == so_far and experiment.sequencer.phase is Phase.OBSERVE
             ),
         )
         dynamic.observe(reason)
@@ -374,6 +376,18 @@ def test_a_maneuver_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end, tmp_pa
         "posture 4 of 4: continuing without an observation",
         "all 4 postures done",
     ]
+
+
+def test_maneuvers_and_rests_that_contradict_themselves_are_refused(spin):
+    observer, dynamic, experiment = FakeObserver(), FakeDynamic(), make_node()
+    observer.observe([np.nan] * 4)
+    dynamic.message.maneuvers.append(Maneuver(samples=[1], used=True))
+    dynamic.observe()
+    topics = "calibration/observations", "calibration/maneuvers"
+    expected = {f"refused on {topic}": 1 for topic in topics}
+    spin([observer, dynamic, experiment], lambda: refusals(experiment) == expected)
+    assert not experiment.sequencer.rests
+    assert not experiment.sequencer.maneuvers
 
 
 def test_a_maneuver_that_nobody_tells_of_is_given_up(spin_to_the_end, tmp_path):

@@ -12,7 +12,7 @@ from fss_arm_bags.recorder import Recording
 from fss_arm_calib.dynamic.kind import DYNAMIC as DYNAMIC_KIND
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
-from fss_arm_calib.kinematic.kind import observations_message, observations_of, to_message
+from fss_arm_calib.kinematic.kind import KINEMATIC as KINEMATIC_KIND
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.recompute import main
@@ -40,8 +40,8 @@ def published():
     found = []
     for count in range(1, len(rests) + 1):
         result = calibrate(rests[:count], ARM, SETTINGS)
-        observations = observations_message(rests[:count], "fss")
-        found.append((observations, to_message(result, "fss")))
+        observations = KINEMATIC_KIND.data.to_message(rests[:count], "fss")
+        found.append((observations, KINEMATIC_KIND.to_message(result, "fss")))
     return found
 
 
@@ -67,11 +67,11 @@ def test_every_result_follows_from_its_observations(published, tmp_path, capsys)
 
 def test_a_result_may_end_before_the_last_observation_used(published, tmp_path, capsys):
     """What follows was observed with other zeros of the joints than the last rest."""
-    rests = [replace(o, boots=4 * (3,)) for o in observations_of(published[-1][0])]
+    rests = [replace(o, boots=4 * (3,)) for o in KINEMATIC_KIND.data.from_message(published[-1][0])]
     told = [replace(o, homings=4 * (2 if k in (4, 5, 13) else 1,)) for k, o in enumerate(rests)]
     told[13] = replace(told[13], used=False)
     result = calibrate(told, ARM, SETTINGS)
-    pair = observations_message(told, "fss"), to_message(result, "fss")
+    pair = KINEMATIC_KIND.data.to_message(told, "fss"), KINEMATIC_KIND.to_message(result, "fss")
     assert main([record(tmp_path, [pair])]) == 0
     assert capsys.readouterr().out.startswith("2 observations, not_evaluated: the same")
 

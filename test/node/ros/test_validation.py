@@ -14,20 +14,10 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
-from fss_arm_msgs.msg import (
-    Calibration,
-    Drift,
-    Drifts,
-    KinematicCalibration,
-    KinematicObservation,
-    KinematicObservations,
-    LinkTelemetry,
-    Maneuver,
-    Maneuvers,
-)
+from fss_arm_msgs.msg import Calibration, KinematicCalibration, LinkTelemetry
 from fss_arm_ros.diagnostics import WARN, Diagnostics, Health
 from fss_arm_ros.sources import duplicate_publishers
-from fss_arm_ros.validation import Validator, check, refusals, subscribe
+from fss_arm_ros.validation import Rule, Validator, check, refusals, subscribe
 
 
 def odometry(**numbers):
@@ -54,21 +44,6 @@ def calibration(**fields):
     return KinematicCalibration(calibration=Calibration(**fields))
 
 
-def rests(tip, used=True):
-    one = KinematicObservation(q=[0.0], tip=tip, used=used)
-    return KinematicObservations(observations=[one])
-
-
-def maneuvers(**fields):
-    one = {"samples": [1, 1], "times": [0.0, 0.0], "q": [0.0, 0.1], "qd": [nan, nan], "used": True}
-    return Maneuvers(maneuvers=[Maneuver(**{**one, **fields})])
-
-
-def drifts(**fields):
-    one = {"times": [0.0], "poses": [0.0, 0.0, 0.0], "frames": [5], "seconds": [0.5]}
-    return Drifts(drifts=[Drift(**{**one, **fields})])
-
-
 @pytest.mark.parametrize(
     ("message", "why"),
     [
@@ -87,20 +62,25 @@ def drifts(**fields):
         (calibration(names=["a"], deviations=[inf], covariance=[nan]), ""),
         (calibration(names=["a"], covariance=[1.0, 0.0]), "covariance has 2 elements, expected 1"),
         (calibration(names=["a"], values=[1.0, 2.0]), "values has 2 elements, expected 1"),
-        (rests([nan, nan, nan], used=False), ""),
-        (rests([nan, nan, nan]), "tip is not finite, but is to be used"),
-        (maneuvers(), ""),
-        (maneuvers(samples=[1, 2]), "times has 2 elements, expected 3"),
-        (maneuvers(marks=[0.5]), "frames has 0 elements, expected 1"),
-        (maneuvers(q=[0.0, nan]), "q is not finite, but is to be used"),
-        (drifts(), ""),
-        (drifts(poses=[0.0, 0.0]), "poses has 2 elements, expected 3"),
     ],
 )
 def test_what_is_let_in(message, why):
     found = check(type(message))(message)
     assert why in found
     assert bool(why) == bool(found)
+
+
+def test_a_subscriber_gives_a_rule_of_its_own(spin):
+    node, received = Node("listener"), []
+    rule = Rule(also=(lambda message: "" if message.name == ["joint_1"] else "another joint",))
+    subscribe(node, JointState, "joint_states", received.append, 10, rule)
+    publisher = node.create_publisher(JointState, "joint_states", 10)
+    spin(node, publisher.get_subscription_count)
+    for name, position in (("joint_2", 0.0), ("joint_1", nan), ("joint_1", 1.0)):
+        publisher.publish(JointState(name=[name], position=[position]))
+    spin(node, lambda: received)
+    assert received[0].position[0] == 1.0
+    assert refusals(node) == {"refused on joint_states": 2}
 
 
 def test_a_node_counts_what_it_refuses_and_goes_on(spin):

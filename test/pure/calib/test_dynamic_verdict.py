@@ -9,7 +9,7 @@ from calib_float import ARM, Float, feed, postures
 
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
 from fss_arm_calib.dynamic.calibrate import calibrate
-from fss_arm_calib.dynamic.kind import maneuvers_from_message, maneuvers_message, to_message
+from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.outcome import parse_settings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
@@ -68,7 +68,7 @@ def test_the_description_says_where_it_is_from(good):
 
 def test_others_take_what_passed(good):
     """The description with its covariance, without the table's tilt."""
-    known = Calibrated(ARM).with_message("calibration/dynamic", to_message(good, "fss"))
+    known = Calibrated(ARM).with_message("calibration/dynamic", DYNAMIC.to_message(good, "fss"))
     assert known.arm == from_yaml(good.description)
     deviations = np.sqrt(np.diag(known.covariance))
     i = BASE_SIZE + LINK_SIZE + 3  # I_2
@@ -85,20 +85,23 @@ def test_what_can_be_told_is_told(good):
     assert set(r.assumed_names) >= {"m_0", "a_1", "m_4"}
     assert r.bias.shape == (len(good.names), len(r.assumed_names))
     assert r.prior_share[0] == 0.0 < r.prior_share[8] < 1.0
-    message = to_message(good, "fss")
+    message = DYNAMIC.to_message(good, "fss")
     assert list(message.combinations) == [c.name for c in found.combinations]
     assert list(message.bias) == r.bias.ravel().tolist()
 
 
 def test_every_number_can_be_recomputed_from_what_is_published(maneuvers, good):
     """By the messages alone, through their fields."""
-    published, result = maneuvers_message(maneuvers, "fss"), to_message(good, "fss").calibration
+    published, result = (
+        DYNAMIC.data.to_message(maneuvers, "fss"),
+        DYNAMIC.to_message(good, "fss").calibration,
+    )
     again = calibrate(
-        maneuvers_from_message(published),
+        DYNAMIC.data.from_message(published),
         from_yaml(result.guess),
         parse_settings(result.provenance.parameters, DynamicSettings),
     )
-    assert maneuvers_from_message(published) == maneuvers
+    assert DYNAMIC.data.from_message(published) == maneuvers
     assert np.array_equal(again.values, result.values)
     assert np.array_equal(again.covariance.ravel(), result.covariance)
     assert again.provenance.data_hash == result.provenance.data_hash
@@ -112,7 +115,7 @@ def test_too_few_maneuvers_are_not_evaluated_and_have_no_numbers(maneuvers, coun
     assert f"{count} maneuvers (at least 6); nothing received from fss" in few.reason
     assert np.isnan(few.values).all()
     assert few.description == ""
-    to_message(few, "fss")
+    DYNAMIC.to_message(few, "fss")
 
 
 def test_rejected_maneuvers_are_counted(maneuvers):

@@ -9,7 +9,7 @@ import pytest
 from calib_drives import Sample, excitation, excitations, fly, heard, message
 
 from fss_arm_calib.drives.calibrate import Telemetry, calibrate
-from fss_arm_calib.drives.kind import DRIVES, excitations_message, excitations_of
+from fss_arm_calib.drives.kind import DRIVES
 from fss_arm_calib.drives.problem import Windows, _collect_turning
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.segments.excitations import BLOCK, TOO_LATE, ExcitationFinder, Frame
@@ -158,7 +158,7 @@ def test_topics_and_messages_keep_every_number():
     numbers = [one._replace(value=one.value._replace(velocity=float(int(FAST)) * (one.stream == 1)))
                for one in samples]  # fmt: skip
     assert found == find(numbers)
-    assert excitations_of(excitations_message(found, "fss")) == found
+    assert DRIVES.data.from_message(DRIVES.data.to_message(found, "fss")) == found
 
 
 @pytest.fixture(scope="module")

@@ -1,27 +1,20 @@
 """Drift calibration as a calibration kind: topics, messages and record."""
 
-from collections.abc import Sequence
 from math import nan
 
-from fss_arm_calib.calibration import Calibration, Data, Input
+from fss_arm_calib.calibration import Calibration, Input
+from fss_arm_calib.codec import fieldwise_data, flatten
 from fss_arm_calib.drift.calibrate import calibrate, parameters
 from fss_arm_calib.drift.measurements import measurements
 from fss_arm_calib.drift.report import drift_report
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.drift.solution import Solution
-from fss_arm_calib.messages import (
-    common_message,
-    flatten,
-    joints_input,
-    poses_input,
-    reshape_rows,
-    set_header,
-)
+from fss_arm_calib.messages import common_message, joints_input, poses_input
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.drifts import Drift, DriftFinder
 from fss_arm_calib.segments.poses import BASE
 from fss_arm_msgs import msg
-from fss_arm_ros.convert import SECOND, stamp_ns, to_time
+from fss_arm_ros.convert import SECOND
 
 
 def inputs(s: DriftSettings, _: int) -> list[Input]:
@@ -41,43 +34,6 @@ def to_message(outcome: Outcome[Drift, Solution], frame_id: str) -> msg.DriftCal
     return message
 
 
-def drifts_message(drifts: Sequence[Drift], frame_id: str) -> msg.Drifts:
-    """Convert all drifts to the message that is published."""
-    ones = [
-        msg.Drift(
-            start=to_time(one.start),
-            end=to_time(one.end),
-            q=list(one.q),
-            times=list(one.times),
-            poses=flatten(one.poses),
-            frames=list(one.frames),
-            seconds=list(one.seconds),
-            used=one.used,
-            reason=one.reason,
-        )
-        for one in drifts
-    ]
-    return set_header(msg.Drifts(drifts=ones), ones, frame_id)
-
-
-def drifts_of(message: msg.Drifts) -> list[Drift]:
-    """Return the drifts in a message."""
-    return [
-        Drift(
-            start=stamp_ns(one.start),
-            end=stamp_ns(one.end),
-            q=tuple(map(float, one.q)),
-            times=tuple(map(float, one.times)),
-            poses=reshape_rows(one.poses, 3),
-            frames=tuple(map(int, one.frames)),
-            seconds=tuple(map(float, one.seconds)),
-            used=bool(one.used),
-            reason=one.reason,
-        )
-        for one in message.drifts
-    ]
-
-
 def rest_status(finder: DriftFinder) -> dict[str, object]:
     """Report the time for which the arm has been at rest."""
     begin, end = finder.search.current_rest
@@ -88,9 +44,10 @@ DRIFT = Calibration(
     name="drift",
     about=DriftSettings.ABOUT,
     settings=DriftSettings,
-    data=Data(
-        "drift", Drift, "calibration/drifts", drifts_message, drifts_of,
+    data=fieldwise_data(
+        "drift", Drift, "calibration/drifts", msg.Drifts,
         lambda one: f"of {one.times[-1]:.0f} s",
+        pose_times="times", needed=("q", "times", "poses", "seconds"),
     ),
     max_data=lambda s: s.max_drifts,
     inputs=inputs,

@@ -18,6 +18,7 @@ from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import to_time
+from fss_arm_ros.validation import RESULT
 
 AnyKind = Calibration[Any, Any]
 JointOutcome = Outcome[SessionData, Solution]
@@ -39,7 +40,7 @@ def _data_input(kind: AnyKind) -> Input:
             return []
         return gatherer.data(kind.name, found)
 
-    return Input(kind.data.topic, type(kind.data.to_message([], "")), feed, latched=True)
+    return Input(kind.data.topic, kind.data.message, feed, latched=True, rule=kind.data.rule)
 
 
 def _result_input(kind: AnyKind) -> Input:
@@ -55,7 +56,7 @@ def _result_input(kind: AnyKind) -> Input:
         back = max((c.value for c in clocks if c.value > c.threshold), default=0.0)
         return gatherer.result(kind.name, parameters, back)
 
-    return Input(kind.topic, kind.message, feed, latched=True)
+    return Input(kind.topic, kind.message, feed, latched=True, rule=RESULT)
 
 
 def calibrate_session(
@@ -145,8 +146,8 @@ JOINT = Calibration(
     about=JointSettings.ABOUT,
     settings=JointSettings,
     data=Data(
-        "session", SessionData, "calibration/session", session_message, sessions_from_message,
-        _summary,
+        "session", "calibration/session", msg.CalibrationSession, SessionData, session_message,
+        sessions_from_message, _summary,
     ),
     max_data=lambda _: 1,
     inputs=inputs,
