@@ -136,6 +136,7 @@ EDGES = {
         "kinds",
         "from_bag",
         "from_bag_options",
+        "check_command",
         "design_command",
     ),
     *("plan_command", "recompute", "programs", "from_bags", "bag_command", "bag_data"),

@@ -68,7 +68,7 @@ class Bench:
         self.until(lambda: user.telemetry and user.health and user.arm.service_is_ready())
         publishers = user.thrust, user.wrench, user.grip
         self.until(lambda: all(p.get_subscription_count() for p in publishers))
-        self.until(lambda: self.node.pulses.get_subscription_count())
+        self.until(lambda: self.node.outputs["thrusters/pulses"].get_subscription_count())
         self.until(lambda: not self.node.session.lost)
 
     def call(self, client, request, timeout=10.0):

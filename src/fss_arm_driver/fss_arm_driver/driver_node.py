@@ -4,7 +4,7 @@ import sys
 
 from rclpy.node import Node
 
-from fss_arm_driver import link_node
+from fss_arm_driver import links_node
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.programs import driver as main
 from fss_arm_driver.settings import DriverSettings
@@ -16,7 +16,7 @@ def make_nodes() -> list[Node]:
     The arm's commands are not published on link_<i>/command, but each link still receives those
     of other publishers from there.
     """
-    links = link_node.make_nodes(DriverSettings)
+    links = links_node.make_nodes(DriverSettings)
     local = {link.settings.link: link.on_command for link in links}
     return [*links, ArmNode(DriverSettings, local)]
 

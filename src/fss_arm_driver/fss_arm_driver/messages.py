@@ -1,5 +1,6 @@
-"""Conversion of a link's session to messages."""
+"""Conversion between a link's session and messages."""
 
+from collections.abc import Iterator, Mapping
 from math import nan
 from typing import Any
 
@@ -7,12 +8,13 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import BatteryState, JointState
 
 from fss_arm_driver.faults import active_faults
-from fss_arm_driver.protocol import NO_TORQUE, Slow, State
-from fss_arm_driver.session import LinkSession, Progress, Sample, Status
-from fss_arm_msgs.msg import CommandStatus, LinkTelemetry
+from fss_arm_driver.protocol import NO_TORQUE, Slow
+from fss_arm_driver.session import LinkSession, Report, Sample
+from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import SECOND, to_time
 from fss_link.health import SessionHealth
-from fss_link.transport import Transport
+from fss_link.messages import battery_state, set_telemetry
+from fss_link.session import CommandError
 
 MILLISECOND = 1_000_000  # [ns]
 #: Fields that a LinkTelemetry copies from the frame; below, those sent in turn.
@@ -22,11 +24,7 @@ REPORTED = (
 )
 UNREPORTED = Slow.TEMPERATURE, Slow.PATH, Slow.SERIAL  # handled separately
 SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s not in UNREPORTED)
-LATCHED_WORDS = {
-    State.STOPPED: "the link is stopped",
-    State.WATCHDOG: "its watchdog tripped",
-    State.BROKEN: "its last path was aborted",
-}
+MAX_TIME_TO_LIVE = 3600.0  # of a command [s]
 
 
 class SampleMessages:
@@ -56,58 +54,45 @@ class SampleMessages:
         """Return all raw values that the link reported, and the session's state."""
         message, frame, session = self._telemetry, sample.frame, self.session
         _set(message.header.stamp, sample.stamp)
-        for name in REPORTED:
-            setattr(message, name, getattr(frame, name))
-        for field, name in SLOW_NAMES:
-            setattr(message, name, session.slow.get(field, 0) & 0xFFFFFFFF)
+        set_telemetry(message, frame, session, now, REPORTED, SLOW_NAMES)
         message.path = session.path
         message.temperature = session.slow.get(Slow.TEMPERATURE, 0)
-        message.clock_deviation = session.deviation(now)
-        message.round_trip = session.round_trip
-        message.armed = session.armed
         has_torque = frame.torque_age < NO_TORQUE
         _set(message.torque_stamp, (sample.stamp - frame.torque_age * MILLISECOND) * has_torque)
         return message
 
     def battery(self, sample: Sample) -> BatteryState:
-        """Return the state of the link's battery, of which only the voltage is known."""
-        message = BatteryState(
-            voltage=self.session.battery.voltage, temperature=nan, current=nan, charge=nan,
-            capacity=nan, design_capacity=nan, percentage=nan, present=True,
-            location=self._telemetry.header.frame_id,
-        )  # fmt: skip
-        _set(message.header.stamp, sample.stamp)
-        message.header.frame_id = message.location
-        return message
+        """Return the state of the link's battery."""
+        voltage, frame_id = self.session.battery.voltage, self._telemetry.header.frame_id
+        return battery_state(sample.stamp, voltage, frame_id)
 
 
 def _set(stamp: Time, ns: int) -> None:
     stamp.sec, stamp.nanosec = divmod(ns, SECOND)
 
 
-def command_status(progress: Progress, given: int, now: int) -> CommandStatus:
-    """Return the progress of a command as a message."""
-    message = CommandStatus(status=int(progress.status), reason=progress.reason)
-    message.header.stamp, message.given = to_time(now), to_time(given)
+def command_status(report: Report, now: int) -> CommandStatus:
+    """Return a report as a message; `now` is the time of day [ns]."""
+    message = CommandStatus(status=int(report.status), reason=report.reason)
+    message.header.stamp, message.given = to_time(now), to_time(report.given)
     return message
 
 
-def command_refused(reason: str, given: int, now: int) -> CommandStatus:
-    """Return the status of a refused command as a message."""
-    message = CommandStatus(status=int(Status.REFUSED), reason=reason)
-    message.header.stamp, message.given = to_time(now), to_time(given)
-    return message
+def command_values(message: LinkCommand, given: int) -> tuple[int, float, float, float, int]:
+    """Return mode, value, largest velocity and acceleration, and expiry, for `LinkSession.set`.
 
+    Args:
+        message: the command.
+        given: when it was given, in the session's clock [ns].
 
-def describe_state(session: LinkSession) -> str:
-    """Return the link's state in words."""
-    flags = session.frame.flags if session.frame else 0
-    words = [text for latch, text in LATCHED_WORDS.items() if flags & latch]
-    words += session.faults
-    if session.frame and not session.referenced:
-        words.append("not referenced")
-    state = f"link_{session.number} is {session.arming.value}"
-    return f"{state}: {', '.join(words)}" if words else state
+    Raises:
+        CommandError: its time to live is not valid.
+    """
+    if not 0.0 < (lives := message.time_to_live) <= MAX_TIME_TO_LIVE:
+        raise CommandError(f"time_to_live is {lives} s, expected above 0")
+    value = message.path if message.mode == LinkCommand.PATH else message.set_point
+    expiry = given + round(lives * SECOND)
+    return message.mode, value, message.max_velocity, message.max_acceleration, expiry
 
 
 class LinkHealth(SessionHealth):
@@ -116,16 +101,10 @@ class LinkHealth(SessionHealth):
     session: LinkSession
     firmware = Slow.FIRMWARE
 
-    def __init__(self, session: LinkSession, transport: Transport, signed: bool) -> None:
-        super().__init__(f"link_{session.number}", session, transport, signed)
-
-    def describe_state(self) -> str:
-        """Return the link's state in words."""
-        return describe_state(self.session)
-
-    def extra_warning(self) -> str:
-        """Return a warning if the link has not reported an expected serial number."""
-        return self.session.serial_problem
+    def warnings(self, increase: Mapping[str, int]) -> Iterator[str]:
+        """Yield warnings; the first is that an expected serial number was not reported."""
+        yield self.session.serial_problem
+        yield from super().warnings(increase)
 
     def is_healthy(self) -> bool:
         """Return True if the link's positions are valid."""

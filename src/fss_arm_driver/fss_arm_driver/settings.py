@@ -8,6 +8,9 @@ from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
 from fss_arm_model.vehicle import Vehicle
 from fss_link.protocol import load_key
+from fss_link.session import SECOND
+
+PATH_RATE = 10.0  # rate of commands below which it is doubled on a path [1/s]
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,11 @@ class LinkSettings(Settings):
                 f"watchdog is {self.watchdog} s, expected more than the {1.0 / self.rate:g} s "
                 f"from one command to the next (rate {self.rate})"
             )
+
+    def command_period(self, on_path: bool) -> int:
+        """Return the period of repeated commands [ns]."""
+        period = round(SECOND / self.rate)
+        return period // 2 if on_path and self.rate < PATH_RATE else period
 
     def link_description(self) -> Link:
         """Return the link's description from its arm's file.

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+from collections.abc import Sequence
 
 from fss_arm_model.thrusters import COUNT
 from fss_arm_model.vehicle import Vehicle
@@ -59,3 +60,15 @@ def parser() -> argparse.ArgumentParser:
         "--output", default="base_check.yaml", help="file to write (default: base_check.yaml)"
     )
     return p
+
+
+def parse(args: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options of a command line (default sys.argv); exit if one is out of range."""
+    command = parser()
+    given = command.parse_args(args)
+    for name in ("thrust", "lever", "on_time", "before", "after", "tolerance"):
+        if not 0.0 < getattr(given, name) < 60.0:
+            command.error(f"--{name.replace('_', '-')} is {getattr(given, name)}, expected above 0")
+    if not set(given.valves or [1]) <= set(range(1, COUNT + 1)):
+        command.error(f"--valves is {given.valves}, expected 1 to {COUNT}")
+    return given

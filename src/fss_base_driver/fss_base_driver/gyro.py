@@ -43,14 +43,21 @@ class GyroSums:
         return MeanRate((then + stamp) // 2, difference / samples, samples)
 
 
-class BiasError(ValueError):
-    """Failure to find the bias; the message says why."""
+class Bias(NamedTuple):
+    """Rate that the gyro reports at rest."""
+
+    rate: float  # [rad/s]
+    deviation: float  # 1 sigma, from the scatter [rad/s]
+
+    def __str__(self) -> str:
+        return f"gyro.bias is {self.rate:.3g} rad/s, +- {self.deviation:.1g}"
 
 
 class BiasSearch:
     """Search for the bias: mean rate over a time in which the base is at rest.
 
-    A steady rotation looks like a bias. The operator must make sure that the base is held.
+    It ends with the bias, or with the reason why there is none. A steady rotation looks like a
+    bias: the operator must make sure that the base is held.
 
     Args:
         duration: averaging time [s].
@@ -59,30 +66,38 @@ class BiasSearch:
     """
 
     def __init__(self, duration: float, scatter: float, largest: float) -> None:
+        self.outcome: Bias | str | None = None  # None: the search continues
         self._duration, self._scatter, self._largest = duration, scatter, largest
         self._rates: list[tuple[float, int]] = []
-        self._begin = self._end = 0
+        self._begin = 0
 
-    def add(self, stamp: int, rate: float, samples: int, valves: int) -> tuple[float, float] | None:
-        """Add a frame's mean rate, without bias correction [rad/s].
+    def add(self, stamp: int, rate: float, samples: int, valves: int) -> None:
+        """Add a frame's mean rate, without bias correction [rad/s], while the search continues.
 
-        Returns:
-            Bias and its standard deviation, from the scatter [rad/s]; None until the time is over.
-
-        Raises:
-            BiasError: a valve is open, or the base turns.
+        Args:
+            stamp: of the rate [ns].
+            rate: mean of the frame.
+            samples: their number.
+            valves: bits of the open ones.
         """
-        if valves:
-            raise BiasError("a valve is open")
-        self._begin, self._end = self._begin or stamp, stamp
-        self._rates.append((rate, samples))
-        if self._end - self._begin < 1e9 * self._duration:
-            return None
+        if self.outcome is None:
+            self._begin = self._begin or stamp
+            self._rates.append((rate, samples))
+            if valves:
+                self.outcome = "a valve is open"
+            elif stamp - self._begin >= 1e9 * self._duration:
+                self.outcome = self._evaluate()
+
+    def fail(self, why: str) -> None:
+        """End the search without a bias, unless it has ended."""
+        self.outcome = self.outcome or why
+
+    def _evaluate(self) -> Bias | str:
         total = sum(n for _, n in self._rates)
         mean = sum(n * value for value, n in self._rates) / total
         scatter = sqrt(sum(n * (value - mean) ** 2 for value, n in self._rates) / total)
         if scatter > self._scatter:
-            raise BiasError(f"the base moves: rates scatter by {scatter:.2g} rad/s")
+            return f"the base moves: rates scatter by {scatter:.2g} rad/s"
         if abs(mean) > self._largest:
-            raise BiasError(f"the base turns: {mean:.2g} rad/s, a bias is below {self._largest:g}")
-        return mean, scatter / sqrt(len(self._rates))
+            return f"the base turns: {mean:.2g} rad/s, a bias is below {self._largest:g}"
+        return Bias(mean, scatter / sqrt(len(self._rates)))

@@ -1,19 +1,22 @@
-"""Conversion of the state of the board's session to messages."""
+"""Conversion of what the board and motion capture report to messages."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from math import nan
 from typing import Any
 
+from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu
 from std_msgs.msg import Float64
 
 from fss_arm_model.thrusters import gas_mass
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
 from fss_arm_ros.convert import to_time
+from fss_base_driver.mocap import Pose
 from fss_base_driver.protocol import VALVES, BaseSlow, BaseState, GripperFlag
 from fss_base_driver.session import BoardSample, BoardSession
+from fss_base_driver.settings import BaseSettings
 from fss_link.health import SessionHealth
-from fss_link.transport import Transport
+from fss_link.messages import battery_state, set_telemetry
 
 ZERO_CELSIUS = 273.15  # [K]
 KILOPASCAL = 1e3  # [Pa]
@@ -27,27 +30,46 @@ SLOW_NAMES = tuple(
     for s in BaseSlow
     if s is not BaseSlow.TEMPERATURE and s < BaseSlow.OPEN_1
 )
-FLAG_WORDS = {
-    BaseState.STOPPED: "it is stopped",
-    BaseState.WATCHDOG: "its watchdog tripped",
-    BaseState.SPENT: "its valves' total time is used up",
-    BaseState.LIMITED: "a valve was closed by a limit",
+#: Types of the messages that a node `base` publishes, by topic.
+TOPICS = {
+    "thrusters/pulses": ThrusterCommand,
+    "base/telemetry": BaseTelemetry,
+    "gripper/state": GripperState,
+    "base/battery": BatteryState,
+    "base/pressure": FluidPressure,
+    "base/propellant": Float64,
 }
+
+
+def frame_messages(
+    sample: BoardSample, session: BoardSession, now: int, settings: BaseSettings
+) -> Iterator[tuple[str, Any]]:
+    """Yield the topics and messages with what a frame has, except the gyro's rate.
+
+    Args:
+        sample: the frame, with the time of day of its measurement.
+        session: its session.
+        now: the time [ns].
+        settings: frames of reference, and the tank's volume.
+    """
+    stamp, frame, prefix = sample.stamp, sample.frame, settings.frame_prefix
+    yield "base/telemetry", telemetry(sample, session, now, settings.base_frame)
+    yield "gripper/state", gripper_state(sample, f"{prefix}end_effector")
+    if frame.slow_id == BaseSlow.BATTERY:
+        yield "base/battery", battery_state(stamp, session.battery.voltage, f"{prefix}base")
+    if frame.slow_id == BaseSlow.TANK:
+        yield "base/pressure", pressure(stamp, frame.slow_value, f"{prefix}tank")
+        if left := propellant(session.slow, settings.tank_volume):
+            yield "base/propellant", left
 
 
 def telemetry(sample: BoardSample, session: BoardSession, now: int, frame_id: str) -> BaseTelemetry:
     """Return all that the board reported, raw, with the state of the session."""
     message, slow = BaseTelemetry(), session.slow
     message.header.stamp, message.header.frame_id = to_time(sample.stamp), frame_id
-    for name in REPORTED:
-        setattr(message, name, getattr(sample.frame, name))
-    for field, name in SLOW_NAMES:
-        setattr(message, name, slow.get(field, 0) & 0xFFFFFFFF)
+    set_telemetry(message, sample.frame, session, now, REPORTED, SLOW_NAMES)
     message.temperature = slow.get(BaseSlow.TEMPERATURE, 0)
     message.open = [slow.get(BaseSlow.OPEN_1 + i, 0) & 0xFFFFFFFF for i in range(VALVES)]
-    message.clock_deviation = session.deviation(now)
-    message.round_trip = session.round_trip
-    message.armed = session.armed
     return message
 
 
@@ -58,6 +80,15 @@ def imu(stamp: int, rate: float, deviation: float, frame_id: str) -> Imu:
     message.orientation_covariance[0] = message.linear_acceleration_covariance[0] = -1.0
     message.angular_velocity.z = rate
     message.angular_velocity_covariance[8] = deviation**2
+    return message
+
+
+def pose_stamped(stamp: int, frame_id: str, pose: Pose) -> PoseStamped:
+    """Return a pose in space: x, y, z [m], quaternion x, y, z, w."""
+    message = PoseStamped()
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
+    at, turn = message.pose.position, message.pose.orientation
+    at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w = pose
     return message
 
 
@@ -86,16 +117,6 @@ def pressure(stamp: int, kilopascals: int, frame_id: str) -> FluidPressure:
     return message
 
 
-def battery(stamp: int, voltage: float, frame_id: str) -> BatteryState:
-    """Return the state of the board's battery, of which only the voltage is known."""
-    message = BatteryState(
-        voltage=voltage, temperature=nan, current=nan, charge=nan, capacity=nan,
-        design_capacity=nan, percentage=nan, present=True, location=frame_id,
-    )  # fmt: skip
-    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
-    return message
-
-
 def propellant(slow: dict[int, int], volume: float) -> Float64 | None:
     """Return the remaining mass of gas [kg], once pressure and temperature are known."""
     if not {BaseSlow.TANK, BaseSlow.TEMPERATURE} <= slow.keys():
@@ -106,54 +127,28 @@ def propellant(slow: dict[int, int], volume: float) -> Float64 | None:
     return Float64(data=gas_mass(KILOPASCAL * slow[BaseSlow.TANK], volume, kelvins))
 
 
-def faulty_valves(slow: dict[int, int]) -> list[str]:
-    """Return the valves whose current does not match their command."""
-    bits = slow.get(BaseSlow.FAULTS, 0)
-    dead = [f"valve {i + 1} draws no current" for i in range(VALVES) if bits >> i & 1]
-    live = [
-        f"valve {i + 1} draws current without a command" for i in range(VALVES) if bits >> i + 8 & 1
-    ]
-    return dead + live
-
-
-def describe_state(session: BoardSession) -> str:
-    """Return the board's state as text."""
-    flags = session.frame.flags if session.frame else 0
-    words = [text for flag, text in FLAG_WORDS.items() if flags & flag]
-    words += faulty_valves(session.slow)
-    state = f"{session.partner.name} is {session.arming.value}"
-    return f"{state}: {', '.join(words)}" if words else state
-
-
 class BoardHealth(SessionHealth):
     """Health of the board since the last report."""
 
     session: BoardSession
     firmware = BaseSlow.FIRMWARE
 
-    def __init__(self, session: BoardSession, transport: Transport, signed: bool) -> None:
-        super().__init__(session.partner.name, session, transport, signed)
-
-    def describe_state(self) -> str:
-        """Return the board's state as text."""
-        return describe_state(self.session)
-
-    def _warnings(self, grown: Mapping[str, int]) -> Iterator[str]:
-        """Yield warnings, the most serious first."""
-        yield from super()._warnings(grown)
-        if grown["wrenches_clipped"]:
+    def warnings(self, increase: Mapping[str, int]) -> Iterator[str]:
+        """Yield warnings; the last is that the valves cannot produce the wrench."""
+        yield from super().warnings(increase)
+        if increase["wrenches_clipped"]:
             yield "base/wrench exceeds the thrust of the valves"
 
     def is_healthy(self) -> bool:
         """Return True if nothing is latched and the currents of all valves match their commands."""
         flagged = self.session.frame and self.session.frame.flags & ~BaseState.ARMED
-        return not flagged and not faulty_valves(self.session.slow)
+        return not flagged and not self.session.remarks
 
     def values(self) -> dict[str, Any]:
         """Return the values reported by the board's instruments."""
         slow = self.session.slow
         return {
-            "valves' faults": ", ".join(faulty_valves(slow)) or "none",
+            "valves' faults": ", ".join(self.session.remarks) or "none",
             "valves' time left [s]": 1e-3 * slow.get(BaseSlow.LEFT, 0),
             "tank [kPa]": slow.get(BaseSlow.TANK, "not reported"),
             "supply [kPa]": 0.1 * slow[BaseSlow.SUPPLY] if BaseSlow.SUPPLY in slow else nan,

@@ -15,28 +15,20 @@ from rclpy.validate_topic_name import validate_topic_name
 from std_srvs.srv import Trigger
 
 from fss_arm_model.settings import SettingError
-from fss_arm_ros.convert import SECOND, stamp_ns, to_time
+from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.libraries import require
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
 from fss_arm_ros.rclpy_compat import RCLError
-from fss_base_driver.mocap import (
-    MAX_SUBJECTS,
-    Bounds,
-    Pose,
-    Receiver,
-    Relay,
-    RelayError,
-    Subjects,
-    message_type,
-    named_poses,
-)
+from fss_base_driver.messages import pose_stamped
+from fss_base_driver.mocap import Bounds, Pose, Receiver, Reception, Relay, RelayError, Subjects
+from fss_base_driver.mocap.reception import describe_problems
+from fss_base_driver.mocap.relays import describe_waiting, message_type, named_poses
 from fss_base_driver.programs import mocap as main
 from fss_base_driver.settings import MocapSettings
 
 STAMPS = {True: "stamped by the relayed header", False: "stamped by arrival"}
-CHOOSE_SUBJECTS = "list the required ones in the parameter subjects"
 
 
 class MocapNode(Node):
@@ -52,24 +44,17 @@ class MocapNode(Node):
             self.poses[name] = self.new_publisher(name)
         self.relays = [Relay(relay.rpartition("=")[0], self.topic_of(relay)) for relay in s.relays]
         self.lock = Lock()  # frames arrive in a separate thread
-        self.frames, self.last_frame, self.by_header = 0, time.monotonic_ns(), False
-        self.empty = False  # the last frame had no subject
-        self.problem = self.last_log = ""  # why the receiver ended, and the last log line
+        self.reception = Reception(s.source(), time.monotonic_ns())
+        self.by_header, self.last_log = False, ""  # the last message had a stamp; last log line
         self.create_service(Trigger, "mocap/accept", self.on_accept)
         self.create_timer(0.5, self.look_for_relays, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health, s.host)
         self.receiver: Receiver | None = None
         if s.system:
             require("motioncapture")  # the receiving process imports it
-            self.get_logger().info(f"waiting for {self.source}")
+            self.get_logger().info(f"waiting for {s.source()}")
             host = [f"hostname={s.host}"] if s.host else []
             self.receiver = Receiver(s.system, [*host, *s.options], self.on_frame, self.on_end)
-
-    @property
-    def source(self) -> str:
-        """Source of the poses as text."""
-        s = self.settings
-        return " at ".join(filter(None, (s.system, s.host))) or ", ".join(s.relays)
 
     def on_frame(self, arrival: int, poses: dict[str, Pose]) -> None:
         """Publish a frame of the system."""
@@ -89,10 +74,8 @@ class MocapNode(Node):
         """Publish the accepted poses of a frame."""
         wanted = {n: p for n, p in poses.items() if not self.places or n in self.places}
         with self.lock:
-            self.frames, arrival = self.frames + 1, time.monotonic_ns()
-            self.empty = not poses  # as of a VRPN server that is not running
-            if poses:
-                self.last_frame, self.problem, self.last_log = arrival, "", ""
+            self.reception.add(len(poses), arrival := time.monotonic_ns())
+            self.last_log = "" if poses else self.last_log
             for name, pose in self.subjects.filter_frame(stamp, wanted, arrival).items():
                 self.publish(name, stamp, pose)
 
@@ -104,12 +87,7 @@ class MocapNode(Node):
             except SettingError:
                 self.poses[name] = None
         if publisher := self.poses[name]:
-            message = PoseStamped()
-            message.header.stamp = to_time(stamp)
-            message.header.frame_id = self.settings.frame_id
-            at, turn = message.pose.position, message.pose.orientation
-            at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w = pose
-            publisher.publish(message)
+            publisher.publish(pose_stamped(stamp, self.settings.frame_id, pose))
 
     def new_publisher(self, name: str) -> Publisher:
         """Return a publisher of a subject's poses.
@@ -153,7 +131,7 @@ class MocapNode(Node):
 
     def on_end(self, why: str) -> None:
         """Store and log why the receiving process has ended."""
-        self.problem = why
+        self.reception.failure = why
         self.log_once(why)
 
     def log_once(self, why: str) -> None:
@@ -173,48 +151,22 @@ class MocapNode(Node):
 
     def health(self) -> Health:
         """Return the health for diagnostics."""
-        now, timeout = time.monotonic_ns(), self.settings.timeout
+        now, timeout, reception = time.monotonic_ns(), self.settings.timeout, self.reception
+        waiting = describe_waiting(self.relays)
         with self.lock:
-            silence = (now - self.last_frame) / SECOND
-            words = self.describe_problems(now)
+            invalid = [name for name, publisher in self.poses.items() if publisher is None]
+            silence = reception.silence(now)
+            words = describe_problems(self.subjects, self.places, invalid, now, timeout) + waiting
             counts = {name: dict(s.counts) for name, s in self.subjects.subjects.items()}
-        values = {"frames": self.frames, "time": STAMPS[self.by_header], **counts}
-        if why := self.problem or (self.loss_reason() if silence > timeout else ""):
+        values = {"frames": reception.frames, "time": STAMPS[self.by_header], **counts}
+        why = reception.failure
+        if not why and silence > timeout:
+            connected = self.receiver.connected if self.receiver else None
+            why = reception.loss_reason(connected, waiting)
+        if why:
             self.log_once(why)
             return Health(ERROR, f"{why} ({silence:.1f} s)", values)
         return Health(WARN if words else OK, "; ".join(words) or "receiving", values)
-
-    def loss_reason(self) -> str:
-        """Return why no frames arrive, as text."""
-        if self.receiver and not self.receiver.connected:
-            return f"waiting for {self.source}: it does not answer"
-        if self.empty:
-            return f"no subject in the frames of {self.source}"
-        if not self.receiver and (waiting_relays := self.waiting_relays()):
-            return f"waiting for {'; '.join(waiting_relays)}"
-        return f"no frame {'any more' if self.frames else 'yet'} from {self.source}"
-
-    def waiting_relays(self) -> list[str]:
-        """Return the topics that cannot be relayed yet, with reasons."""
-        return [f"{relay.topic}: {relay.obstacle}" for relay in self.relays if relay.obstacle]
-
-    def describe_problems(self, now: int) -> list[str]:
-        """Return the problems with subjects and relays as text."""
-        subjects, known = self.subjects, self.subjects.subjects
-        words = [f"{name} {why}" for name, why in subjects.rejection_reasons(now).items()]
-        silent = subjects.stale_subjects(now, self.settings.timeout).items()
-        words += [f"{name} has no new pose for {age:.1f} s" for name, age in silent]
-        words += [f"{name} was not seen yet" for name in self.places if name not in known]
-        invalid_names = [name for name, publisher in self.poses.items() if publisher is None]
-        words += [
-            f"{name!r} is no valid topic name: rename it, or {CHOOSE_SUBJECTS}"
-            for name in invalid_names
-        ]
-        if subjects.ignored:
-            words.append(
-                f"more than {MAX_SUBJECTS} subjects: the rest is ignored; {CHOOSE_SUBJECTS}"
-            )
-        return words + self.waiting_relays()
 
     def close(self) -> None:
         """Stop the receiving process."""

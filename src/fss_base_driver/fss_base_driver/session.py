@@ -28,6 +28,12 @@ from fss_link.session import SECOND, CommandError, Partner, Session
 NAME = "the base's board"
 UNIT = 1000 * TIME_UNIT  # of on-times [ns]
 MAX_START_DELAY = SECOND // 10  # largest delay of a pulse's start by repetition [ns]
+FLAG_WORDS: dict[int, str] = {
+    BaseState.STOPPED: "it is stopped",
+    BaseState.WATCHDOG: "its watchdog tripped",
+    BaseState.SPENT: "its valves' total time is used up",
+    BaseState.LIMITED: "a valve was closed by a limit",
+}
 LATCHES = BaseState.STOPPED | BaseState.WATCHDOG | BaseState.SPENT
 
 
@@ -93,15 +99,35 @@ class BoardSession(Session[BaseTelemetry]):
         epoch: int = 0,
     ) -> None:
         partner = Partner(
-            NAME, BOARD, BaseTelemetry, decode, Unrestricted(), LATCHES, BaseSlow.BATTERY,
-            BaseSlow.REFUSED, "scripts/fss_arm.sh valves",
-        )  # fmt: skip
+            name=NAME,
+            label=NAME,
+            number=BOARD,
+            telemetry=BaseTelemetry,
+            decode=decode,
+            rules=Unrestricted(),
+            latches=LATCHES,
+            battery=BaseSlow.BATTERY,
+            refused=BaseSlow.REFUSED,
+            armed_by="scripts/fss_arm.sh valves",
+            unconfirmed="does not confirm that its valves are closed",
+            threat="open the valves",
+            flag_words=FLAG_WORDS,
+        )
         super().__init__(partner, timeout, watchdog, resolution, key, empty, epoch)
-        self.pulse = NO_PULSE  # active pulse
+        self.counts["wrenches_clipped"] = 0
+        self.pulse = self._reported = NO_PULSE  # active pulse, and that of the last report
         self._lifetime, self._longest = round(1e9 * lifetime), longest
         self._number = 0  # of the last pulse
         self._grip = Gripper.KEEP  # requested, and not confirmed yet
         self._grip_time = 0  # time of that request
+
+    @property
+    def remarks(self) -> list[str]:
+        """Valves whose current does not match their command."""
+        bits = self.slow.get(BaseSlow.FAULTS, 0)
+        dead = [f"valve {i + 1} draws no current" for i in range(VALVES) if bits >> i & 1]
+        live = [i + 1 for i in range(VALVES) if bits >> i + 8 & 1]
+        return [*dead, *(f"valve {valve} draws current without a command" for valve in live)]
 
     def thrust(self, on_times: Sequence[float], given: int, now: int) -> None:
         """Open the valves for these times [s], requested at `given`; all 0 closes them.
@@ -118,7 +144,7 @@ class BoardSession(Session[BaseTelemetry]):
             self.pulse = NO_PULSE
             return
         self._number = self._number % 0xFFFF + 1
-        ends = now + UNIT * max(times) + MAX_START_DELAY + self._echoes.delay
+        ends = now + UNIT * max(times) + MAX_START_DELAY + self.echoes.delay
         expiry = max(given + self._lifetime, ends)
         self.pulse = Pulse(self._number, times, now, expiry)
 
@@ -130,6 +156,19 @@ class BoardSession(Session[BaseTelemetry]):
                 f"on times are {list(times)}, expected {VALVES} from 0 to {self._longest:g} s"
             )
         return tuple(round(1e9 * time / UNIT) for time in times)
+
+    def take_pulse_change(self, now: int) -> list[float] | None:
+        """Return the on-times of the valves [s] if the pulse has changed since the last call.
+
+        They are 0 if the last pulse was ended early, at time `now`. None: no change, or the pulse
+        has ended by itself.
+        """
+        last, self._reported = self._reported, self.pulse
+        if self.pulse.number == last.number:
+            return None
+        if self.pulse.number:
+            return [1e-6 * TIME_UNIT * time for time in self.pulse.on_times]
+        return VALVES * [0.0] if now < last.given + last.longest else None
 
     def grip(self, close: bool, now: int) -> None:
         """Close the gripper, or open it.
@@ -144,41 +183,41 @@ class BoardSession(Session[BaseTelemetry]):
     def command(self, now: int) -> bytes:
         """Return the frame to send now."""
         self.tick(now)
-        flags, expiry, pulse, grip = self._flags(now), 0, NO_PULSE, Gripper.KEEP
+        flags, expiry, pulse, grip = self.command_flags(now), 0, NO_PULSE, Gripper.KEEP
         if flags == BaseCommandFlag.ARM:
             pulse, grip = self.pulse, self._grip
-            expiry = pulse.expiry if pulse.number else now + self._timeout
+            expiry = pulse.expiry if pulse.number else now + self.timeout
         return encode(
             BaseCommand(
-                **self._header(flags, now),
-                expiry=self._to_partner_clock(expiry),
+                **self.command_header(flags, now),
+                expiry=self.to_partner_clock(expiry),
                 pulse=pulse.number,
                 on_times=pulse.on_times,
                 gripper=grip,
             ),
-            self._key,
+            self.key,
         )
 
     def feed(self, data: bytes, now: int) -> BoardSample | None:
         """Process a datagram; return its frame if it is accepted."""
-        if accepted := self._accept(data, now):
-            self._update_state(accepted[0])
+        if accepted := self.accept(data, now):
+            self.update_state(accepted[0])
         return BoardSample(*accepted) if accepted else None
 
-    def _is_off(self, frame: BaseTelemetry) -> bool:
+    def is_off(self, frame: BaseTelemetry) -> bool:
         """Return True if all valves are closed."""
         return not frame.valves
 
-    def _cancel_command(self, why: str) -> None:
+    def cancel_command(self, why: str) -> None:
         """Drop the active pulse and the command to the gripper."""
         self.pulse, self._grip = NO_PULSE, Gripper.KEEP
 
-    def _advance_command(self, now: int) -> None:
+    def advance_command(self, now: int) -> None:
         """Drop the active pulse when it has expired."""
         if now > self.pulse.expiry:
             self.pulse = NO_PULSE
 
-    def _update_progress(self, frame: BaseTelemetry, echoed: int | None) -> None:
+    def update_progress(self, frame: BaseTelemetry, echoed: int | None) -> None:
         """Synchronize the pulse number with the board, and check for the gripper's confirmation."""
         if not self.armed:
             self._number = frame.pulse

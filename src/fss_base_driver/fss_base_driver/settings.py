@@ -22,6 +22,7 @@ from fss_base_driver.dsp3000 import BAUD
 from fss_base_driver.protocol import BOARD, VALVES
 from fss_link.protocol import load_key
 
+MAX_OVERLOAD = 1000.0  # largest component of a wrench, as multiple of the total thrust
 SYSTEMS = ("vicon", "vrpn", "optitrack", "qualisys", "mock")
 
 
@@ -82,6 +83,10 @@ class MocapSettings(Settings):
         for option in self.options:
             if "=" not in option:
                 raise SettingError(f"options holds {option!r}, expected OPTION=VALUE")
+
+    def source(self) -> str:
+        """Return the source of the poses, in words."""
+        return " at ".join(filter(None, (self.system, self.host))) or ", ".join(self.relays)
 
     def places(self) -> dict[str, str]:
         """Return the topic after the prefix for each named subject; empty if all are wanted."""
@@ -194,6 +199,10 @@ class BaseSettings(Settings):
         if self.layout:
             return np.reshape(self.layout, (VALVES, 3))
         return layout(self.thrust, self.lever)
+
+    def max_wrench(self) -> float:
+        """Return the largest accepted component of a wrench [N, N m]."""
+        return MAX_OVERLOAD * float(np.hypot(*self.valves()[:, :2].T).sum())
 
     def key(self) -> bytes | None:
         """Return the key for the signatures of frames, if any.

@@ -16,23 +16,16 @@ class SessionHealth(ABC):
     """Health of a partner since the last call; subclasses add values of their kind of partner.
 
     Args:
-        name: of the partner, in words.
-        session: with it.
+        session: with the partner.
         transport: to it.
         signed: whether frames are signed.
     """
 
     firmware: int  # slow field of its version
 
-    def __init__(
-        self, name: str, session: Session[Any], transport: Transport, signed: bool
-    ) -> None:
-        self.name, self.session, self.transport, self.signed = name, session, transport, signed
+    def __init__(self, session: Session[Any], transport: Transport, signed: bool) -> None:
+        self.session, self.transport, self.signed = session, transport, signed
         self.counts, self.last_time = dict(session.counts), 0
-
-    @abstractmethod
-    def describe_state(self) -> str:
-        """Return the partner's state in words."""
 
     @abstractmethod
     def values(self) -> Mapping[str, Any]:
@@ -42,9 +35,16 @@ class SessionHealth(ABC):
     def is_healthy(self) -> bool:
         """Return True if the words describe nothing to warn of."""
 
-    def extra_warning(self) -> str:
-        """Return a further warning in words; empty: none."""
-        return ""
+    def warnings(self, increase: Mapping[str, int]) -> Iterator[str]:
+        """Yield warnings, the most severe first; an empty one is none.
+
+        `increase` is that of each count since the last call.
+        """
+        yield self.session.link_problem
+        if (left := self.session.battery.time_left()) < BATTERY_WARNING_TIME:
+            yield f"the battery lasts {left / 60.0:.0f} min"
+        if any(increase[name] for name in FRAME_PROBLEMS):
+            yield "frames were lost or rejected"
 
     def __call__(self, now: int, more: Mapping[str, Any] | None = None) -> Health:
         """Return the diagnostic status at time `now` [ns], with the values of `more` added."""
@@ -67,22 +67,13 @@ class SessionHealth(ABC):
                 or session.link_problem
                 or session.loss_reason
             )
-            return Health(ERROR, f"{self.name} is lost{': ' * bool(why)}{why}", values)
-        words = self.describe_state()
+            return Health(ERROR, f"{session.partner.label} is lost{': ' * bool(why)}{why}", values)
+        words = session.describe_state()
         if session.other_driver or session.faults:
             return Health(ERROR, session.other_driver or words, values)
-        if warning := next(filter(None, self._warnings(increase)), ""):
+        if warning := next(filter(None, self.warnings(increase)), ""):
             return Health(WARN, f"{words}; {warning}", values)
         return Health(OK if self.is_healthy() else WARN, words, values)
-
-    def _warnings(self, increase: Mapping[str, int]) -> Iterator[str]:
-        """Yield warnings, the most severe first; an empty one is none."""
-        yield self.extra_warning()
-        yield self.session.link_problem
-        if (left := self.session.battery.time_left()) < BATTERY_WARNING_TIME:
-            yield f"the battery lasts {left / 60.0:.0f} min"
-        if any(increase[name] for name in FRAME_PROBLEMS):
-            yield "frames were lost or rejected"
 
     def _common(self, increase: Mapping[str, int], seconds: float, now: int) -> dict[str, Any]:
         session, firmware = self.session, self.session.slow.get(self.firmware, 0)

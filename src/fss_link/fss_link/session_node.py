@@ -18,9 +18,11 @@ from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.timer_clock import timer_clock
+from fss_link.health import SessionHealth
 from fss_link.host_clock import HostClock
+from fss_link.pacer import Pacer
 from fss_link.receiver import Receiver
-from fss_link.session import Arming, CommandError, Session, StatusLog
+from fss_link.session import CommandError, Session, StatusLog
 from fss_link.transport import Transport, is_exposed
 from fss_link.warning_filter import WarningFilter
 
@@ -35,65 +37,50 @@ class SessionNode(Node):
 
     Args:
         name: of the node.
-        kind: of its settings, which have `url`, `keys` and `rate`.
+        kind: of its settings, which have `url`, `keys`, `rate` and `max_rate`.
         clock: by default the computer's; tests may pass another.
         live: whether the node has parameters that may be set while it runs.
     """
 
     session: Session[Any]
-    unconfirmed: str  # words for a partner that does not confirm disarming
 
     def __init__(
-        self,
-        name: str,
-        kind: type,
-        *,
-        clock: HostClock | None = None,
-        live: bool = False,
+        self, name: str, kind: type, *, clock: HostClock | None = None, live: bool = False,
         **options: Any,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(name, **options)
         self.settings: Any = declare(self, kind, live=live)
         simulated = self.get_parameter("use_sim_time").value
-        if simulated:
-            clock = HostClock(self.simulated_now, self.simulated_now)
         self.resolution = SIMULATED_STEP if simulated else 0.0
-        self.clock = clock or HostClock()
+        now = self.simulated_now
+        self.clock = HostClock(now, now) if simulated else clock or HostClock()
         self.now = self.clock.now
-        self.lock = RLock()
-        self.warnings = WarningFilter()
+        self.lock, self.warnings = RLock(), WarningFilter()
         self.waiting: list[Future] = []  # for the partner to arm, or to disarm
 
     def simulated_now(self) -> int:
         """Return the time of /clock [ns]; 0 before its first message."""
         return int(self.get_clock().now().nanoseconds)
 
-    def connect(self, session: Session[Any], transport: Transport, threat: str) -> None:
-        """Store the session and the transport to the partner.
-
-        Args:
-            session: of this kind of node.
-            transport: to the partner.
-            threat: what an attacker can do to a partner whose frames are not signed, in words.
-        """
-        self.session, self.transport = session, transport
-        self.name = session.partner.name  # in answers
-        self.status_log = StatusLog(session)
+    def connect(self, session: Session[Any], transport: Transport) -> None:
+        """Store the session and the transport to the partner; warn if others can command it."""
+        self.session, self.transport, self.status_log = session, transport, StatusLog(session)
+        self.pacer = Pacer(self.settings.max_rate)
         # An initial problem is not logged.
         self.warnings.is_new("connection", self.connection_problem())
         if is_exposed(self.settings.url, self.settings.keys):
             self.get_logger().warning(
                 f"{self.settings.url}: frames are not signed, so any computer on this network can "
-                f"{threat}; see docs/how-to/security.md"
+                f"{session.partner.threat}; see docs/how-to/security.md"
             )
 
-    def start_communication(self, service: str) -> None:
-        """Start the communication; `service` arms and disarms."""
+    def start_communication(self, service: str, health: type[SessionHealth]) -> None:
+        """Start the communication; `service` arms and disarms, `health` is for diagnostics."""
         group = ReentrantCallbackGroup()  # other callbacks run while the response waits
         self.create_service(SetBool, service, self.on_arm, callback_group=group)
-        self.steady = self.create_timer(
-            1.0 / self.settings.rate, self.send, clock=timer_clock(self)
-        )
+        period = 1.0 / self.settings.rate
+        self.steady = self.create_timer(period, self.send, clock=timer_clock(self))
+        self.session_health = health(self.session, self.transport, bool(self.settings.keys))
         self.diagnostics = Diagnostics(self, self.health, self.settings.url)
         self.wakeup = self.create_guard_condition(self.answer_requests)
         self.receiver = Receiver(self.transport, self.process_datagrams, self.wakeup)
@@ -103,16 +90,8 @@ class SessionNode(Node):
         """Publish the contents of a datagram."""
 
     @abstractmethod
-    def transmit(self) -> None:
-        """Send the current command."""
-
-    @abstractmethod
-    def describe_state(self) -> str:
-        """Return the partner's state in words."""
-
-    @abstractmethod
-    def health(self) -> Health:
-        """Return the status for diagnostics."""
+    def complete_command(self, now: int) -> None:
+        """Send and publish what belongs to the command that is sent at `now`."""
 
     def has_pending_answers(self) -> bool:
         """Return True if there is a request to answer or a status to report."""
@@ -132,6 +111,15 @@ class SessionNode(Node):
         if self.has_pending_answers():
             self.wakeup.trigger()
 
+    def transmit(self) -> None:
+        """Send the current command; the next one follows a period later."""
+        with self.lock:
+            now = self.now()
+            self.transport.send(self.session.command(now))
+            self.pacer.sent(now)
+            self.complete_command(now)
+            self.steady.reset()
+
     def send(self) -> None:
         """Send the current command, answer earlier requests, and log changes."""
         self.transmit()
@@ -143,9 +131,14 @@ class SessionNode(Node):
         with self.lock:
             lines = self.status_log(self.now())
         report(self, lines)
-        self.warn("connection", self.connection_problem())
-        self.warn("other driver", self.session.other_driver)
-        self.warn("link", self.session.link_problem)
+        problems = {"connection": self.connection_problem(), **self.session.problems}
+        for kind, text in problems.items():
+            self.warn(kind, text)
+
+    def health(self) -> Health:
+        """Return the status for diagnostics."""
+        with self.lock:
+            return self.session_health(self.now())
 
     def connection_problem(self) -> str:
         """Return the problem of the connection to the partner, in words; empty: none."""
@@ -168,20 +161,10 @@ class SessionNode(Node):
             self.waiting.append(settled := Future())
             self.send()
             await settled
-            response.success, response.message = self.outcome(request.data)
+            response.success, response.message = self.session.describe_outcome(request.data)
         except CommandError as error:
             response.success, response.message = False, str(error)
         return response
-
-    def outcome(self, arm: bool) -> tuple[bool, str]:
-        """Return whether the partner has armed or disarmed, and its state in words."""
-        session = self.session
-        done = session.armed if arm else session.released
-        if done or arm or session.arming is not Arming.DISARMED:
-            words = self.describe_state(), "" if done else session.link_problem
-            return done, "; ".join(filter(None, words))
-        how = "is lost" if session.lost else self.unconfirmed
-        return False, f"{self.name} {how}: disarming requested, not confirmed"
 
     def answer_requests(self) -> None:
         """Answer requests to arm or disarm that have succeeded or failed."""

@@ -203,8 +203,8 @@ def test_the_librarys_mock_and_only_the_subjects_asked_for(spin):
     )
     spin([node, user], lambda: user.heard["fss"], 30.0)
     assert numbers(user.heard["fss"][0]) == (1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    frames = node.frames
-    spin([node, user], lambda: node.frames > frames + 20)
+    frames = node.reception.frames
+    spin([node, user], lambda: node.reception.frames > frames + 20)
     assert len(user.heard["fss"]) == 1  # it never moves, as if occluded
     assert node.poses.keys() == {"fss"}
 

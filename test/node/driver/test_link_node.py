@@ -21,7 +21,7 @@ from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
-from fss_arm_driver import link_node
+from fss_arm_driver import links_node
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State
 from fss_arm_model.description import paper_arm
@@ -494,7 +494,7 @@ def test_frames_of_somebody_else_are_shown_and_logged_once(bench, monkeypatch):
     node, user, _, until = bench
     said, sent = [], node.session.counts["sent"]
     monkeypatch.setattr(node.get_logger(), "warning", said.append)
-    node.session._echoes.crowded = True
+    node.session.echoes.crowded = True
     until(lambda: "; link 1 refuses frames of another sender" in user.health[-1].status[0].message)
     assert user.level() == DiagnosticStatus.WARN
     until(lambda: node.session.counts["sent"] > sent + 10)
@@ -568,7 +568,7 @@ def test_the_process_stays_in_the_graph_from_its_first_node_on(spin, monkeypatch
 
     monkeypatch.setattr(Node, "__init__", on_make)
     monkeypatch.setattr(Node, "destroy_node", on_destroy)
-    monkeypatch.setattr(link_node, "LinkNode", lambda *_, **__: alive.append(1) or 1)
-    assert link_node.make_nodes() == [1]
+    monkeypatch.setattr(links_node, "LinkNode", lambda *_, **__: alive.append(1) or 1)
+    assert links_node.make_nodes() == [1]
     assert left == [1, 1]
     assert alive == [1]

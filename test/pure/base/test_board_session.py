@@ -211,3 +211,42 @@ def test_a_disarm_is_released_once_the_valves_are_closed(armed):
     armed.step()
     armed.step()
     assert armed.session.released
+
+
+def test_a_pulse_is_reported_as_it_starts_and_when_it_is_ended_early(armed):
+    session = armed.session
+    armed.thrust(0.1)
+    begin = armed.now
+    assert session.take_pulse_change(begin) == pytest.approx([0.1, *7 * [0.0]])
+    assert session.take_pulse_change(begin) is None
+    armed.thrust()
+    assert session.take_pulse_change(begin + SECOND // 10 - 1) == 8 * [0.0]
+    assert session.take_pulse_change(begin + SECOND // 10 - 1) is None
+    armed.thrust(0.1)
+    assert session.take_pulse_change(begin)
+    armed.thrust()
+    assert session.take_pulse_change(begin + SECOND // 10) is None  # ended by itself
+
+
+def test_state_and_outcome_of_arming_are_put_in_words(bench):
+    session, board = bench.session, "the base's board"
+    assert session.describe_state() == f"{board} is disarmed"
+    session.arm(bench.now)
+    assert session.describe_outcome(True) == (False, f"{board} is arming")
+    bench.arm()
+    assert session.describe_outcome(True) == (True, f"{board} is armed")
+    session.disarm()
+    unconfirmed = f"{board} does not confirm that its valves are closed: disarming requested"
+    assert session.describe_outcome(False) == (False, f"{unconfirmed}, not confirmed")
+    for _ in range(5):
+        bench.step()
+    assert session.describe_outcome(False) == (True, f"{board} is disarmed")
+    session.stop()
+    bench.step()
+    bench.step()
+    assert session.describe_state() == f"{board} is stopped: it is stopped"
+    for _ in range(25):
+        bench.step(up=False)
+    session.disarm()
+    lost = f"{board} is lost: disarming requested, not confirmed"
+    assert session.describe_outcome(False) == (False, lost)

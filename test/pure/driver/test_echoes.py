@@ -96,7 +96,7 @@ def test_single_strange_echoes_and_the_echo_of_an_old_command_are_no_driver():
     world.run(80.0)
     world.arm(session)
     old = decode(world.commands[0]).clock & 0xFFFFFFFF  # no longer remembered
-    echoes = session._echoes
+    echoes = session.echoes
     for frame in map(decode, world.heard[-20:]):
         strange = type(frame)(**{**fields_of(frame), "echo": old, "turnaround": 75_000_000})
         echoes.update(strange, world.now)

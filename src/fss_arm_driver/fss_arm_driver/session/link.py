@@ -31,6 +31,11 @@ from fss_link.session.session import COUNTS as SHARED_COUNTS
 from fss_link.session.session import Partner, Session
 
 MAX_PATH_LEAD = 120 * SECOND  # longest time ahead at which a path may start
+LATCHED_WORDS: dict[int, str] = {
+    State.STOPPED: "the link is stopped",
+    State.WATCHDOG: "its watchdog tripped",
+    State.BROKEN: "its last path was aborted",
+}
 PATH_TIMEOUT_FACTOR = 2  # timeout of a link that follows a path [watchdog times]
 COUNTS = (*SHARED_COUNTS, "segments", "commands_clamped")
 
@@ -102,19 +107,23 @@ class LinkSession(Session[Telemetry]):
         self.serial, self._file = description.serial, file
         self.scale = Scale(description)
         partner = Partner(
-            f"link {number}",
-            number,
-            Telemetry,
-            decode,
-            LinkRules(self.scale),
-            State.STOPPED | State.WATCHDOG,
-            Slow.BATTERY,
-            Slow.REFUSED,
-            "scripts/fss_arm.sh arm",
+            name=f"link {number}",
+            label=f"link_{number}",
+            number=number,
+            telemetry=Telemetry,
+            decode=decode,
+            rules=LinkRules(self.scale),
+            latches=State.STOPPED | State.WATCHDOG,
+            battery=Slow.BATTERY,
+            refused=Slow.REFUSED,
+            armed_by="scripts/fss_arm.sh arm",
+            unconfirmed="does not confirm that it is off",
+            threat="move the link",
+            flag_words=LATCHED_WORDS,
         )
         super().__init__(partner, timeout, watchdog, resolution, key, empty, epoch)
         self.counts.update(dict.fromkeys(COUNTS, 0))
-        self._active = ActiveCommand(self.scale, self._timeout)
+        self._active = ActiveCommand(self.scale, self.timeout)
         self._paths = Paths()
         self.breakage = ""  # why the last path was aborted; until another is followed
 
@@ -147,6 +156,16 @@ class LinkSession(Session[Telemetry]):
         return names
 
     @property
+    def problems(self) -> dict[str, str]:
+        """Problems to warn of, by kind."""
+        return {**super().problems, "path": self.breakage}
+
+    @property
+    def remarks(self) -> list[str]:
+        """Remark that positions are not valid, if so."""
+        return ["not referenced"] if self.frame and not self.referenced else []
+
+    @property
     def serial_problem(self) -> str:
         """Message if a serial number is expected and the link has reported none, else empty."""
         if not self.serial or self.slow.get(Slow.SERIAL):
@@ -167,9 +186,9 @@ class LinkSession(Session[Telemetry]):
     def clear_faults(self, now: int) -> None:
         """Disarm, and request that the drive clears its latched faults."""
         self.disarm()
-        self._arming.clear_faults(now)
+        self.arming_machine.clear_faults(now)
 
-    def _cancel_command(self, why: str) -> None:
+    def cancel_command(self, why: str) -> None:
         """Cancel the active command and all paths."""
         self._active.end(Status.ABORTED, why)
         self._paths = Paths()
@@ -237,7 +256,7 @@ class LinkSession(Session[Telemetry]):
 
     def _path(self, number: int, begin: int, knots: Sequence[Knot]) -> SentPath:
         """Convert a path to the link's clock, by the present clock estimate."""
-        track, now = self._reception.track, self._now
+        track, now = self.reception.track, self.now
         if not 1 <= number <= MAX_PATH:
             raise CommandError(f"path is {number}, expected 1 to {MAX_PATH}")
         if begin > now + MAX_PATH_LEAD:
@@ -245,20 +264,20 @@ class LinkSession(Session[Telemetry]):
             raise CommandError(f"path {number} starts {ahead:.1f} s ahead, at most 120 s allowed")
         if (ago := now - begin - knots[-1].time * MICROSECOND) >= 0:
             raise CommandError(f"path {number} ended {1e-9 * ago:.3f} s ago")
-        if track is None or track.clock.half_width(now) > self._timeout:
+        if track is None or track.clock.half_width(now) > self.timeout:
             raise CommandError(f"the clock of link {self.number} is not known yet")
         boot, clock = track.frame.boot, track.clock
         begins, rate = clock.to_link(begin), 1.0 / (1.0 + clock.drift)
         return SentPath(self.number, boot, number, begins, rate, knots, now)
 
-    def _min_timeout(self) -> int:
+    def min_timeout(self) -> int:
         """Return a longer timeout on a path, which the link follows under its own watchdog."""
-        return PATH_TIMEOUT_FACTOR * self._silence if self.follows else 0
+        return PATH_TIMEOUT_FACTOR * self.watchdog_time if self.follows else 0
 
-    def _advance_command(self, now: int) -> None:
+    def advance_command(self, now: int) -> None:
         """Advance set point and paths to time `now`."""
         self._active.tick(now)
-        if track := self._reception.track:
+        if track := self.reception.track:
             self._paths.tick(self._active.path, track.clock.to_link(now))
 
     def command(self, now: int) -> bytes:
@@ -267,32 +286,32 @@ class LinkSession(Session[Telemetry]):
         flags, expiry, set_point = self._next_command(now)
         return encode(
             Command(
-                **self._header(flags, now),
-                expiry=self._to_partner_clock(expiry),
+                **self.command_header(flags, now),
+                expiry=self.to_partner_clock(expiry),
                 mode=set_point.mode,
                 set_point=set_point.value,
                 velocity=set_point.velocity,
                 acceleration=set_point.acceleration,
             ),
-            self._key,
+            self.key,
         )
 
     def segments(self, now: int) -> list[bytes]:
         """Encode the path segments to send now, after a command."""
-        track = self._reception.track
+        track = self.reception.track
         if not (self.armed and track):
             return []
         due = self._paths.due(track.clock.to_link(now))
         self.counts["segments"] += len(due)
-        return [encode(segment, self._key) for segment in map(self._stamped, due)]
+        return [encode(segment, self.key) for segment in map(self._stamped, due)]
 
     def _stamped(self, segment: Segment) -> Segment:
-        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        return replace(segment, sequence=self._sequence, clock=self._echoes.last_stamp())
+        self.sequence = (self.sequence + 1) & 0xFFFFFFFF
+        return replace(segment, sequence=self.sequence, clock=self.echoes.last_stamp())
 
     def _next_command(self, now: int) -> tuple[int, int, SetPoint]:
         """Return flags, host time of expiry and set point of the next command."""
-        frame, flags = self.frame, self._flags(now)
+        frame, flags = self.frame, self.command_flags(now)
         if frame is None or flags != LinkCommandFlag.ARM:
             return flags, 0, NO_SET_POINT
         flag, expiry, set_point = self._active.next_command(frame.position, now)
@@ -310,7 +329,7 @@ class LinkSession(Session[Telemetry]):
         The caller can publish the measurement before that update.
         """
         lost = self.lost
-        if (accepted := self._accept(data, now)) is None:
+        if (accepted := self.accept(data, now)) is None:
             return None
         if lost:  # the link may have been replaced
             self.slow.pop(Slow.SERIAL, None)
@@ -325,16 +344,16 @@ class LinkSession(Session[Telemetry]):
 
     def follow(self, sample: Sample) -> None:
         """Update the session from a sample."""
-        self._update_state(sample.frame)
+        self.update_state(sample.frame)
 
-    def _is_off(self, frame: Telemetry) -> bool:
+    def is_off(self, frame: Telemetry) -> bool:
         """Return True if the drive is off."""
         return frame.mode == Mode.OFF
 
-    def _update_progress(self, frame: Telemetry, echoed: int | None) -> None:
+    def update_progress(self, frame: Telemetry, echoed: int | None) -> None:
         """Update the progress of the last command and of the paths."""
         self._paths.update(frame, echoed)
-        self._active.update(frame, echoed, self._now, self._paths.find(self._active.path))
+        self._active.update(frame, echoed, self.now, self._paths.find(self._active.path))
         if self.progress and self.progress.broken:
             self.breakage = self.progress.reason
         elif frame.flags & State.FOLLOWING:

@@ -28,6 +28,11 @@ class Relay:
         return self.topic.rpartition("/")[2]
 
 
+def describe_waiting(relays: Iterable[Relay]) -> list[str]:
+    """Return the topics that cannot be relayed yet, with reasons."""
+    return [f"{relay.topic}: {relay.obstacle}" for relay in relays if relay.obstacle]
+
+
 def message_type(names: Iterable[str]) -> Any:
     """Return the class of the first of a topic's types that holds poses.
 

@@ -6,7 +6,7 @@ or stopped. All times are the caller's, in integer nanoseconds.
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import inf, nan
 from typing import Any, Generic, NamedTuple, TypedDict, TypeVar
 
@@ -45,7 +45,8 @@ class CommandError(ValueError):
 class Partner(NamedTuple, Generic[T]):
     """Partner of a session: a link or the base's board."""
 
-    name: str  # in words
+    name: str  # in the log and in errors
+    label: str  # in answers and diagnostics
     number: int  # in its frames
     telemetry: type[T]
     decode: Callable[[bytes, bytes | None], Head]
@@ -54,6 +55,9 @@ class Partner(NamedTuple, Generic[T]):
     battery: int  # slow field of its battery's voltage [0.1 V]
     refused: int  # slow field of the number of datagrams that it refused
     armed_by: str  # the operator's command that arms it
+    unconfirmed: str  # words for one that does not confirm disarming
+    threat: str  # what an attacker can do to one whose frames are not signed, in words
+    flag_words: Mapping[int, str]  # meaning of the telemetry flags to report
 
 
 class HeaderFields(TypedDict):
@@ -91,24 +95,24 @@ class Session(ABC, Generic[T]):
         empty: float,
         epoch: int,
     ) -> None:
-        self.partner, self.number, self._key = partner, partner.number, key
+        self.partner, self.number, self.key = partner, partner.number, key
         self.counts = Counter(dict.fromkeys(COUNTS, 0))
         self.slow: dict[int, int] = {}  # the last report of each slow field
         self.battery, self._empty = Battery(empty), empty
         self._boot = 0  # of the last accepted partner
-        self._timeout = round(timeout * SECOND)
+        self.timeout = round(timeout * SECOND)  # [ns]
         self._watchdog = round(watchdog * 1000)  # [ms]
-        self._silence = self._watchdog * SECOND // 1000  # the same [ns]
+        self.watchdog_time = self._watchdog * SECOND // 1000  # the same [ns]
         signed = key is not None
-        self._reception = Reception(
-            partner.rules, self._timeout, round(resolution * SECOND), signed, self.counts
+        self.reception = Reception(
+            partner.rules, self.timeout, round(resolution * SECOND), signed, self.counts
         )
-        self._echoes = Echoes(epoch, self._timeout, self._silence, signed, partner.refused)
-        self._arming = ArmingMachine(partner.name, partner.latches)
+        self.echoes = Echoes(epoch, self.timeout, self.watchdog_time, signed, partner.refused)
+        self.arming_machine = ArmingMachine(partner.name, partner.latches)
         self.disarm_reason = ""  # why it was last disarmed, unless the operator requested it
         self._version = VERSION  # of this partner's frames, if it is not ours
-        self._sequence = 0
-        self._now = 0
+        self.sequence = 0
+        self.now = 0  # time of the last call [ns]
         self._stall_time = 0  # how long this process was stalled before `_resumed`
         self._resumed = -1  # when this process resumed
 
@@ -119,35 +123,44 @@ class Session(ABC, Generic[T]):
         """Names of the faults that forbid motion."""
         return []
 
+    @property
+    def remarks(self) -> list[str]:
+        """Further words about the partner's state."""
+        return []
+
     @abstractmethod
-    def _is_off(self, frame: T) -> bool:
+    def command(self, now: int) -> bytes:
+        """Return the command frame to send now."""
+
+    @abstractmethod
+    def is_off(self, frame: T) -> bool:
         """Return True if everything that must be off when disarmed is off."""
 
     @abstractmethod
-    def _cancel_command(self, why: str) -> None:
+    def cancel_command(self, why: str) -> None:
         """Cancel the active command."""
 
     @abstractmethod
-    def _advance_command(self, now: int) -> None:
+    def advance_command(self, now: int) -> None:
         """Advance the active command to time `now`."""
 
     @abstractmethod
-    def _update_progress(self, frame: T, echoed: int | None) -> None:
+    def update_progress(self, frame: T, echoed: int | None) -> None:
         """Update the progress of the active command from an accepted frame."""
 
-    def _min_timeout(self) -> int:
+    def min_timeout(self) -> int:
         """Return the shortest silence after which the partner is lost [ns]."""
         return 0
 
     @property
     def arming(self) -> Arming:
         """State requested of the partner, with the progress of arming."""
-        return self._arming.state
+        return self.arming_machine.state
 
     @property
     def released(self) -> bool:
         """True if the partner has confirmed that it is off since it was disarmed."""
-        return self._arming.released
+        return self.arming_machine.released
 
     @property
     def armed(self) -> bool:
@@ -157,52 +170,69 @@ class Session(ABC, Generic[T]):
     @property
     def settled(self) -> bool:
         """True if the last request to arm or disarm has succeeded or failed."""
-        return self.arming is not Arming.ARMING and not self._arming.releasing
+        return self.arming is not Arming.ARMING and not self.arming_machine.releasing
+
+    def describe_state(self) -> str:
+        """Return the partner's state in words."""
+        flags = self.frame.flags if self.frame else 0
+        words = [text for flag, text in self.partner.flag_words.items() if flags & flag]
+        words += [*self.faults, *self.remarks]
+        state = f"{self.partner.label} is {self.arming.value}"
+        return f"{state}: {', '.join(words)}" if words else state
+
+    def describe_outcome(self, arm: bool) -> tuple[bool, str]:
+        """Return whether the request to arm or disarm has succeeded, and the state in words."""
+        done = self.armed if arm else self.released
+        if done or arm or self.arming is not Arming.DISARMED:
+            words = self.describe_state(), "" if done else self.link_problem
+            return done, "; ".join(filter(None, words))
+        how = "is lost" if self.lost else self.partner.unconfirmed
+        return False, f"{self.partner.label} {how}: disarming requested, not confirmed"
 
     @property
     def lost(self) -> bool:
         """True if no frame was accepted within the timeout, or ever."""
-        return self._reception.lost
+        return self.reception.lost
 
     @property
     def frame(self) -> T | None:
         """Last accepted frame; None while the partner is lost."""
-        track = self._reception.track
+        track = self.reception.track
         return track.frame if track and not self.lost else None
 
     @property
     def round_trip(self) -> float:
         """Round trip of the exchange that the clock estimate is based on [s], or NaN."""
-        track = self._reception.track
+        track = self.reception.track
         return track.clock.round_trip if track else nan
 
     def deviation(self, now: int) -> float:
         """Return the standard deviation of a stamp [s]; infinite before a round trip."""
-        track = self._reception.track
+        track = self.reception.track
         return track.clock.deviation(now) if track else inf
 
     @property
     def offset(self) -> float:
         """Host's clock minus the partner's [s]."""
-        track = self._reception.track
+        track = self.reception.track
         return 1e-9 * track.clock.offset(track.frame.clock) if track else nan
 
     @property
     def drift(self) -> float:
         """Relative rate by which the host's clock is faster than the partner's."""
-        track = self._reception.track
+        track = self.reception.track
         return track.clock.drift if track else nan
 
     def silence(self, now: int) -> float:
         """Return the time since a frame was last accepted [s]; infinite if none ever was."""
-        return 1e-9 * (now - self._reception.accepted_at) if self.counts["accepted"] else inf
+        return 1e-9 * (now - self.reception.accepted_at) if self.counts["accepted"] else inf
 
     @property
     def loss_reason(self) -> str:
         """Message about why the partner is lost, or how long it has been silent."""
         if self._version != VERSION:
             return self.version_problem
-        if (silence := self.silence(self._now)) == inf:
+        if (silence := self.silence(self.now)) == inf:
             return "nothing received yet: is it switched on, and does no other driver use it?"
         return f"silent for {silence:.1f} s"
 
@@ -220,20 +250,25 @@ class Session(ABC, Generic[T]):
     @property
     def other_driver(self) -> str:
         """Message if another driver commands the partner, else empty; this driver then disarms."""
-        other = self._echoes.has_other_driver(self._now)
+        other = self.echoes.has_other_driver(self.now)
         return f"another driver commands {self.partner.name}" if other else ""
 
     @property
     def link_problem(self) -> str:
         """Message about a communication problem, else empty: delay, or another sender's frames."""
-        if (delay := self._echoes.delay) > self._timeout:
-            limit = 1e-9 * self._timeout
+        if (delay := self.echoes.delay) > self.timeout:
+            limit = 1e-9 * self.timeout
             return f"round trip of {1e-9 * delay:.2f} s, at most {limit:g} s allowed"
-        if self._echoes.crowded:
+        if self.echoes.crowded:
             return (
                 f"{self.partner.name} refuses frames of another sender: does a second driver run?"
             )
         return ""
+
+    @property
+    def problems(self) -> dict[str, str]:
+        """Problems to warn of when they start, by kind; an empty one is none."""
+        return {"other driver": self.other_driver, "link": self.link_problem}
 
     @property
     def stall(self) -> str:
@@ -243,10 +278,10 @@ class Session(ABC, Generic[T]):
     def obstacle(self, now: int) -> str:
         """Return why the partner cannot be armed, in words; empty if it can."""
         self.tick(now)
-        name, echoes = self.partner.name, self._echoes
+        name, echoes = self.partner.name, self.echoes
         if self.other_driver:
             return self.other_driver
-        if echoes.delay > self._timeout:
+        if echoes.delay > self.timeout:
             return f"{name}: {self.link_problem}"
         if self.lost:
             return self.version_problem or f"{name} is lost: {self.loss_reason}"
@@ -264,28 +299,28 @@ class Session(ABC, Generic[T]):
             raise CommandError(obstacle)
         self.disarm_reason = ""
         # A partner that has not yet answered may wait for an earlier driver's watchdog.
-        self._arming.arm(now, grace=0 if self._echoes.answered >= 0 else self._silence)
+        self.arming_machine.arm(now, grace=0 if self.echoes.answered >= 0 else self.watchdog_time)
 
     def disarm(self) -> None:
         """Switch the actuators off, also after a stop.
 
         Once `settled`, `released` is True if the partner has confirmed it; a lost partner cannot.
         """
-        self._cancel_command("disarmed")
+        self.cancel_command("disarmed")
         self.disarm_reason = ""
-        self._arming.disarm(self._now, self.lost)
+        self.arming_machine.disarm(self.now, self.lost)
 
     def stop(self) -> None:
         """Stop now, until armed again or disarmed; actuators that are off stay off."""
-        self._cancel_command("stopped")
-        self._arming.stop()
+        self.cancel_command("stopped")
+        self.arming_machine.stop()
 
     def _drop(self, why: str) -> None:
         """Disarm without the operator's request; a stop stays in effect."""
         if self.arming in (Arming.ARMING, Arming.ARMED):
             self.disarm_reason = why
-        self._cancel_command(why)
-        self._arming.drop()
+        self.cancel_command(why)
+        self.arming_machine.drop()
 
     def require_armed(self) -> None:
         """Raise CommandError if the partner is not armed."""
@@ -299,55 +334,55 @@ class Session(ABC, Generic[T]):
         If this was not called for longer than the watchdog time, the process was stalled or the
         computer slept. The partner was not monitored meanwhile, so it is disarmed.
         """
-        if self._now and now - self._now > self._silence:
-            self._stall_time, self._resumed = now - self._now, now
+        if self.now and now - self.now > self.watchdog_time:
+            self._stall_time, self._resumed = now - self.now, now
             self._drop(self.stall)
-        if now < self._now - CLOCK_CORRECTION:
-            self._reception.reset(now)
-            self._echoes.reset()
+        if now < self.now - CLOCK_CORRECTION:
+            self.reception.reset(now)
+            self.echoes.reset()
             self._resumed = -1
-            self._arming.reset()
+            self.arming_machine.reset()
             self._drop("the clock was set back")
-        self._now = now
-        if self._reception.tick(now, self._min_timeout()):
-            self._echoes.delay = 0
+        self.now = now
+        if self.reception.tick(now, self.min_timeout()):
+            self.echoes.delay = 0
             self._drop(f"{self.partner.name} is lost")
-        self._advance_command(now)
-        self._arming.tick(now, self._echoes.delay, self.lost)
+        self.advance_command(now)
+        self.arming_machine.tick(now, self.echoes.delay, self.lost)
 
-    def _flags(self, now: int) -> int:
+    def command_flags(self, now: int) -> int:
         """Return the flags of the next command."""
-        return self._arming.flags(self.frame, self._echoes.answered >= 0, now)
+        return self.arming_machine.flags(self.frame, self.echoes.answered >= 0, now)
 
-    def _header(self, flags: int, now: int) -> HeaderFields:
+    def command_header(self, flags: int, now: int) -> HeaderFields:
         """Return the header of a command that is sent now."""
-        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        self.sequence = (self.sequence + 1) & 0xFFFFFFFF
         self.counts["sent"] += 1
         frame = self.frame
         return HeaderFields(
             link=self.number,
             flags=flags,
             boot=frame.boot if frame else 0,
-            sequence=self._sequence,
-            clock=self._echoes.stamp(now, latest=bool(flags & CommandFlag.STOP)),
+            sequence=self.sequence,
+            clock=self.echoes.stamp(now, latest=bool(flags & CommandFlag.STOP)),
             watchdog=self._watchdog,
         )
 
-    def _to_partner_clock(self, time: int) -> int:
+    def to_partner_clock(self, time: int) -> int:
         """Convert a host time to the partner's clock [us]; 0: no time, or clock not known."""
-        track = self._reception.track
+        track = self.reception.track
         return track.clock.to_link(time) if track and time else 0
 
-    def _accept(self, data: bytes, now: int) -> tuple[T, int] | None:
+    def accept(self, data: bytes, now: int) -> tuple[T, int] | None:
         """Process a datagram; return the frame and its measurement time [ns] if it is accepted."""
         self.tick(now)
         self.counts["received"] += 1
         if (frame := self._decode(data)) is None:
             return None
-        lost, echoed = self.lost, self._echoes.sent_at(frame)
-        stamp = self._reception.accept(frame, echoed, now)
+        lost, echoed = self.lost, self.echoes.sent_at(frame)
+        stamp = self.reception.accept(frame, echoed, now)
         if stamp is not None or lost:
-            self._echoes.update(frame, now)
+            self.echoes.update(frame, now)
         if stamp is None:
             return None
         if self.other_driver:
@@ -356,22 +391,22 @@ class Session(ABC, Generic[T]):
             self._drop(f"{self.partner.name} was lost")
         return frame, stamp
 
-    def _update_state(self, frame: T) -> None:
+    def update_state(self, frame: T) -> None:
         """Update slow values, arming and the last command from an accepted frame."""
         if frame.boot != self._boot:
             self._boot, self.slow, self.battery = frame.boot, {}, Battery(self._empty)
         self.slow[frame.slow_id] = frame.slow_value
         if frame.slow_id == self.partner.battery:
-            self.battery.add(0.1 * frame.slow_value, self._now)
-        echoed = self._echoes.sent_at(frame)
-        self._update_progress(frame, echoed)
-        if why := self._arming.follow(frame, echoed, self._is_off(frame), self.faults):
+            self.battery.add(0.1 * frame.slow_value, self.now)
+        echoed = self.echoes.sent_at(frame)
+        self.update_progress(frame, echoed)
+        if why := self.arming_machine.follow(frame, echoed, self.is_off(frame), self.faults):
             self._drop(why)
 
     def _decode(self, data: bytes) -> T | None:
         """Decode this partner's telemetry; count other data and return None."""
         try:
-            frame: Any = self.partner.decode(data, self._key)
+            frame: Any = self.partner.decode(data, self.key)
         except FrameError as error:
             self.counts[error.reason.value] += 1
             if error.reason is Refusal.VERSION and self.lost:
