@@ -105,18 +105,18 @@ log_event() {
   [ -z "${FSS_TTY:-}" ] || { printf '\r%s\r\n' "$fss_line" >"$FSS_TTY"; } 2>/dev/null 9>&- &
 }
 
-# keepers: prints for each node that a keeper keeps on this computer, of any workspace that this user
-# can see, the keeper's process id, the node's name and the configuration.
+# keepers [KEEPER]: prints for each node that a keeper keeps on this computer, for any workspace or by
+# the script KEEPER, the keeper's process id, the node's name and the configuration.
 keepers() {
   for fss_line in $(grep -lsa '/fss/keep\.sh' /proc/[0-9]*/cmdline); do
     fss_pid=${fss_line#/proc/} fss_pid=${fss_pid%/cmdline}
     tr '\0' '\n' 2>/dev/null <"$fss_line" |
-      sed -n "\\#/fss/keep\.sh\$#{n;N;s/\(.*\)\n\(.*\)/$fss_pid \2 \1/p;}"
+      sed -n "\\#^${1:-.*/fss/keep\.sh}\$#{n;N;s/\(.*\)\n\(.*\)/$fss_pid \2 \1/p;}"
   done
 }
 
-# running_configs: prints the configurations with running nodes, one per line.
-running_configs() { keepers | cut -d ' ' -f 3- | sort -u; }
+# running_configs: prints this workspace's configurations with running nodes, one per line.
+running_configs() { keepers "$fss_scripts/fss/keep.sh" | cut -d ' ' -f 3- | sort -u; }
 
 # read_running_config CONFIG: as read_config; without CONFIG, the only one that runs.
 read_running_config() {

@@ -282,3 +282,76 @@ def test_a_ros2_that_stays_as_the_parent_of_what_it_runs_is_not_stopped_in_its_p
     down = lab.run("down")
     assert (down.returncode, down.stdout) == (0, "a has stopped\n")
     assert not Path(f"/proc/{pid}").exists()
+
+
+def wrong_up(laboratory, text, **env):
+    """Run fss_up.sh with a configuration that it must refuse; return its line."""
+    lab = laboratory()
+    lab.config.write_text(text)
+    run = subprocess.run(
+        [SCRIPTS / "fss_up.sh", lab.config], capture_output=True, text=True, check=False,
+        timeout=60, stdin=subprocess.DEVNULL, env=os.environ | env,
+    )  # fmt: skip
+    assert run.returncode == 1, run.stdout
+    (line,) = run.stderr.splitlines()
+    return line
+
+
+def test_a_configuration_that_exits_is_refused(laboratory):
+    line = wrong_up(laboratory, "exit 0\nnode record fss_arm_bags record\n")
+    assert "lab.sh: stopped before its end" in line
+
+
+@pytest.mark.parametrize("domain", ["abc", "-1", "233", "99999"])
+def test_a_wrong_domain_is_refused(laboratory, domain):
+    line = wrong_up(laboratory, "node record fss_arm_bags record\n", ROS_DOMAIN_ID=domain)
+    assert f"ROS_DOMAIN_ID is '{domain}', expected a whole number from 0 to 232" in line
+
+
+def test_two_laboratories_do_not_share_a_domain(laboratory, tmp_path):
+    node = f"node record fss_arm_bags record --ros-args -p output:={tmp_path / 'bags'}"
+    first = laboratory(node)
+    assert first.run("up").stdout.startswith(f"ROS domain {DOMAIN}, logs in {first.logs}\n")
+    other = tmp_path / "other.sh"
+    other.write_text(first.config.read_text().replace(str(first.logs), str(tmp_path / "logs_2")))
+    up = subprocess.run(
+        [SCRIPTS / "fss_up.sh", other], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert up.returncode == 1
+    assert f"scripts/fss_down.sh {first.config}" in up.stderr
+    assert first.pid("record")
+
+
+def test_nodes_stop_though_nobody_reads_the_output(laboratory, tmp_path):
+    lab = laboratory(
+        *(
+            f"node record_{k} fss_arm_bags record --ros-args -r __node:=record_{k} "
+            f"-p output:={tmp_path / f'bags_{k}'}"
+            for k in (1, 2)
+        )
+    )
+    lab.run("up")
+    reading, writing = os.pipe()
+    os.close(reading)
+    down = subprocess.run(
+        [SCRIPTS / "fss_down.sh", lab.config], stdout=writing, check=False, timeout=60
+    )
+    os.close(writing)
+    assert down.returncode == 0
+    assert not lab.pid("record_1")
+    assert not lab.pid("record_2")
+
+
+@pytest.mark.slow
+def test_without_a_name_the_running_configuration_is_meant(laboratory, tmp_path):
+    lab = laboratory(f"node record fss_arm_bags record --ros-args -p output:={tmp_path / 'bags'}")
+
+    def run(script):
+        return subprocess.run(
+            [SCRIPTS / f"fss_{script}.sh"], capture_output=True, text=True, check=False, timeout=60
+        )
+
+    assert "no configuration runs on this computer" in run("status").stderr
+    lab.run("up")
+    assert re.search(r"record +up", run("status").stdout)
+    assert run("down").stdout == "record has stopped\n"
