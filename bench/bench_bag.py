@@ -23,9 +23,9 @@ from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import paper_arm
 from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.units import SECOND
 from fss_arm_ros.qos import SENSOR
 
-SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
 REST, MOVE = 18.0, 2.0  # [s]
 JOINTS = "/joint_states"

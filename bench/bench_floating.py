@@ -32,6 +32,7 @@ from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_model.description_file import from_yaml, load
 from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.units import SECOND
 from fss_arm_msgs.msg import BaseReaction
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import SENSOR
@@ -42,7 +43,6 @@ BENT = [-50.0, 55.0, 45.0, 40.0]  # [deg]
 LINE = [0.5 * np.cos(3.7), 0.5 * np.sin(3.7)]  # [m]
 LONG_TIMEOUTS = {"timeout": 4.0, "watchdog": 6.0}  # for a busy computer
 SETTLING_TIME = 1.0  # after a motion [s]
-SECOND = 1_000_000_000
 
 
 class Flight(Person):

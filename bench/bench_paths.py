@@ -22,7 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
-from driver_path import SECOND, PathBed, path_at, spread
+from driver_path import PathBed, path_at, spread
+
+from fss_arm_model.units import SECOND
 
 TIMES = [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
 DEGREE = 57.29577951308232

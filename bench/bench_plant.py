@@ -35,9 +35,10 @@ from fss_sim.plant.bed import Bed
 from fss_sim.plant.contact import Contact
 from fss_sim.plant.drives import MODE_CURRENT, MODE_VELOCITY
 from fss_sim.plant.joints import PRESETS
-from fss_sim.plant.plant import Demand, Plant, Vehicle, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper, PassiveTarget
+from fss_sim.plant.vehicle import Demand, Vehicle, World
 
 STEPS, RUNS = 5000, 15
 WIDE = Surroundings(table=(40.0, 40.0))  # the border is far away

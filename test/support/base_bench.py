@@ -1,6 +1,6 @@
 """The node `base` with a fake board, and a user of its topics and services."""
 
-from base_link import SECOND, FakeBoardTransport
+from base_link import FakeBoardTransport
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -9,6 +9,7 @@ from sensor_msgs.msg import BatteryState, FluidPressure, Imu
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
+from fss_arm_model.units import SECOND
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
 from fss_arm_ros.convert import to_time
 from fss_base_driver.base_node import BaseNode

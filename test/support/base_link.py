@@ -2,8 +2,9 @@
 
 import time
 
-from driver_link import SECOND, FakeLine
+from driver_link import FakeLine
 
+from fss_arm_model.units import SECOND
 from fss_base_driver.protocol import BaseSlow, BoardState, Measured, board_gate, decode, encode
 
 RATE = 20.0  # of telemetry [1/s]

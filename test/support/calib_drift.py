@@ -9,8 +9,9 @@ from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import paper_arm
 from fss_arm_model.drifting import single_body
 from fss_arm_model.units import GRAVITY
-from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.vehicle import Demand, World
 
 ARM = paper_arm()
 TILT = (8e-5, -5e-5)  # [rad]

@@ -20,7 +20,8 @@ from fss_sim.link.instruments import Instruments, make_instruments
 from fss_sim.noise import PRESETS as NOISES
 from fss_sim.plant.joints import PRESETS as JOINTS
 from fss_sim.plant.joints import link_normals, outboard_momentum
-from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.plant import Plant
+from fss_sim.plant.vehicle import Demand, World
 
 FRAME = 0.01  # [s]
 PRESET = "laboratory"

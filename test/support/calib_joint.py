@@ -23,10 +23,9 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.layout import kinematic_index
 from fss_arm_model.parameters import parameter_names, values, with_values
 from fss_arm_model.planar import wrap
-from fss_arm_model.units import GRAVITY
+from fss_arm_model.units import GRAVITY, SECOND
 
 ARM = paper_arm()
-SECOND = 10**9
 BIN, FRAMES = 0.5, 50
 LOOK = 0.1  # of a pose on the base's way [s]
 PERIOD = 0.2  # of telemetry [s]

@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem, reading_jacobian
+from fss_arm_model.arrays import Floats
 
 
 def quantization_bound(

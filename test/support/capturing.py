@@ -8,6 +8,7 @@ import numpy as np
 from fss_arm_model.clearance import gaps, links_and_base, sizes, with_edge, with_target
 from fss_arm_model.description import paper_arm
 from fss_arm_model.momentum import momentum
+from fss_arm_model.units import SECOND
 from fss_base_driver.allocation import Allocation
 from fss_gnc.control import PoseControl
 from fss_gnc.guidance.activity import ActivityError, Body, Commands, Craft, Observation, Outcome
@@ -17,8 +18,9 @@ from fss_gnc.navigation.navigation import Navigation
 from fss_sim.noise import PRESETS
 from fss_sim.plant.contact import Contact
 from fss_sim.plant.drives import MODE_OFF, MODE_VELOCITY
-from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.target import Gripper
+from fss_sim.plant.vehicle import Demand, World
 from fss_sim.sensors import RATE, Sensors
 
 PERIOD = 0.1  # of guidance and control [s]
@@ -27,7 +29,6 @@ LOOK = 4  # frames from one look of the navigation to the next
 TOLD = 5  # frames from one reading of the joints to the next
 HEARD, LATE = 4, 10  # frames until a reading is heard, and until a command is obeyed
 AFTER = 30.0  # for which it is looked at what comes of a failure [s]
-SECOND = 1_000_000_000
 DEPTH = 0.04  # that the gripper may reach into the target's disc: its own reach, and a little [m]
 POSTURE = 0.95, 1.3, 1.36, -1.23
 SETTINGS = MissionSettings()

@@ -21,10 +21,10 @@ from fss_arm_driver.protocol import (
 )
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_link.protocol import newer
 from fss_link.session import Arming
 
-SECOND = 1_000_000_000
 MILLISECOND = 1_000_000
 RATE = 20.0  # of telemetry [1/s]: faster than a real link, for short tests
 SAMPLE = Telemetry(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from random import Random
 
-SECOND = 1_000_000_000
+from fss_arm_model.units import SECOND
 
 
 @dataclass

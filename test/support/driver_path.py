@@ -7,12 +7,13 @@ from random import Random
 from fss_arm_driver.protocol import Mode, State, hermite
 from fss_arm_driver.session import LinkSession, Status
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_link.session import Arming
 from fss_sim.noise import PRESETS
 from fss_sim.testbed import FRAME, Testbed
 from fss_sim.testbed import State as BedState
 
-MILLISECOND, SECOND = 1_000_000, 1_000_000_000
+MILLISECOND = 1_000_000
 EPOCH = 1_700_000_000 * SECOND  # of the sessions' clock at the test bed's first frame
 BEAT = SECOND // 10  # half the period of the commands, as in the link node
 

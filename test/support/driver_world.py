@@ -6,11 +6,11 @@ from functools import partial
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_link.session import Arming
 from fss_sim.link.electronics import LinkElectronics
-from fss_sim.plant.plant import Motion
+from fss_sim.plant.vehicle import Motion
 
-SECOND = 1_000_000_000
 PERIOD = SECOND // 5
 DATE = 1_700_000_000 * SECOND  # the time of day when the tests' clock is 0
 WATCHDOG = 2.0

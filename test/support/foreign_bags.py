@@ -17,8 +17,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from fss_arm_model.description import Arm, Base, Link
 from fss_arm_model.description_file import save
+from fss_arm_model.units import SECOND
 
-SECOND = 1_000_000_000
 START = 1_750_000_000 * SECOND
 STORE = get_typestore(Stores.ROS2_JAZZY)
 COUNTS = 240_000

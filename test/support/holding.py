@@ -5,18 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_base_driver.allocation import Allocation
 from fss_gnc.control import PoseControl, PoseGains
 from fss_gnc.navigation import Navigation
 from fss_gnc.reference import Reference
 from fss_sim.noise import PRESETS
 from fss_sim.plant.drives import MODE_VELOCITY
-from fss_sim.plant.plant import Demand, Plant
+from fss_sim.plant.plant import Plant
+from fss_sim.plant.vehicle import Demand
 from fss_sim.sensors import RATE, Sensors
 
 PERIOD = 0.1  # of the control [s]
 READING = 0.2  # from one of a joint to the next [s]
-SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from fss_arm_bags.recorder import Recording
+from fss_arm_model.units import SECOND
 from fss_arm_msgs.msg import KinematicCalibration
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
 
-SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
 STEP = SECOND // 100
 

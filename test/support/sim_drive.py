@@ -7,9 +7,10 @@ from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow
 from fss_arm_driver.scale import HOME
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_link.session import Arming, CommandError
 from fss_sim.noise import PRESETS
-from fss_sim.testbed import SECOND, State, Testbed
+from fss_sim.testbed import State, Testbed
 
 Q = (0.0, 0.0, 0.0, -0.4, -0.2, 0.3, 0.1)
 BEGIN = State(frame=0, boots=1, rests=0, q=Q, qd=(0.0,) * 7, boot_offset=0)

@@ -22,14 +22,15 @@ from fss_arm_driver.move import plan
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description_file import load
 from fss_arm_model.layout import kinematic_index
+from fss_arm_model.units import SECOND
 from fss_link.session import Arming, CommandError
 from fss_sim import testbed
 from fss_sim.faults import read_script
 from fss_sim.noise import PRESETS
 from fss_sim.plant.joints import PRESETS as JOINTS
-from fss_sim.plant.plant import World
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.testbed import SECOND, State
+from fss_sim.plant.vehicle import World
+from fss_sim.testbed import State
 from fss_sim.vicon import Vicon
 
 COMMANDS = 20  # frames from one command to the next

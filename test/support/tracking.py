@@ -6,18 +6,19 @@ import numpy as np
 
 from fss_arm_model.description_file import load
 from fss_arm_model.held import Target
+from fss_arm_model.units import SECOND
 from fss_gnc.navigation import Navigation
 from fss_gnc.navigation.body_filter import POSE
 from fss_gnc.navigation.body_filter import RATE as TURN_RATE
 from fss_sim.link.instruments import Encoder
 from fss_sim.noise import PRESETS
 from fss_sim.plant.drives import MODE_VELOCITY
-from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.vehicle import Demand, World
 from fss_sim.sensors import RATE, Sensors, compose
 from fss_sim.vicon import BASE, TARGET, TIP, Room, Vicon
 
-SECOND = 1_000_000_000
 FRAME = SECOND // RATE
 READ = 20  # frames from one reading of a joint to its next
 PLANNED = 5  # frames from one telling of the plan to the next

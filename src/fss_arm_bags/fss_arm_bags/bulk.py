@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_ros.convert import SECOND, TURN_RATE
 
 LITTLE_ENDIAN = b"\1"  # second byte of a message whose numbers have the low byte first
@@ -29,7 +30,7 @@ class Poses(NamedTuple):
     """Planar poses of k messages."""
 
     stamp: Stamps  # (k,) [ns]
-    pose: npt.NDArray[np.float64]  # (k, 3) x [m], y [m], heading [rad]; NaN: occluded
+    pose: Floats  # (k, 3) x [m], y [m], heading [rad]; NaN: occluded
 
 
 def poses(messages: Sequence[bytes]) -> Poses:
@@ -42,7 +43,7 @@ def poses(messages: Sequence[bytes]) -> Poses:
     return Poses(stamp, project_to_plane(numbers))
 
 
-def spatial_poses(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:
+def spatial_poses(messages: Sequence[bytes]) -> tuple[Stamps, Floats]:
     """Return stamps [ns], positions [m] and quaternions x, y, z, w in geometry_msgs/PoseStamped.
 
     Returns:
@@ -60,7 +61,7 @@ def frame_id(message: bytes) -> str:
     return message[16 : 16 + size].rstrip(b"\0").decode(errors="replace")
 
 
-def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:
+def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, Floats]:
     """Return stamps [ns] and turn rates about z [rad/s] in serialized sensor_msgs/Imu, (k,) each.
 
     Raises:
@@ -70,9 +71,7 @@ def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float6
     return stamp, numbers[:, TURN_RATE]
 
 
-def _decode(
-    messages: Sequence[bytes], count: int, kind: str
-) -> tuple[Stamps, npt.NDArray[np.float64]]:
+def _decode(messages: Sequence[bytes], count: int, kind: str) -> tuple[Stamps, Floats]:
     """Return the stamps and the numbers that follow the header, (k,) and (k, count)."""
     groups = groupby(messages, key=_layout)
     parts = [_decode_group(list(group), count, kind) for _, group in groups]
@@ -86,9 +85,7 @@ def _layout(message: bytes) -> bytes:
     return b"%d" % len(message) + message[1:2] + message[12:16]
 
 
-def _decode_group(
-    messages: list[bytes], count: int, kind: str
-) -> tuple[Stamps, npt.NDArray[np.float64]]:
+def _decode_group(messages: list[bytes], count: int, kind: str) -> tuple[Stamps, Floats]:
     size = len(messages[0])
     little = messages[0][1:2] == LITTLE_ENDIAN
     id_length = int.from_bytes(messages[0][12:16], "little" if little else "big")
@@ -105,7 +102,7 @@ def _decode_group(
     return time[:, 0] * SECOND + time[:, 1], numbers
 
 
-def project_to_plane(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def project_to_plane(numbers: Floats) -> Floats:
     """Project poses x, y, z [m] and quaternion x, y, z, w, (k, 7), as `planar_pose` does.
 
     Returns:

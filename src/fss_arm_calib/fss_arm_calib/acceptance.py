@@ -6,10 +6,11 @@ from math import inf, nan
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.estimation.noise import Noise
 from fss_arm_calib.estimation.statistics import probability
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 
 PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"

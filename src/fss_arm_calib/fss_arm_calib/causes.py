@@ -18,13 +18,14 @@ import numpy as np
 
 from fss_arm_calib.acceptance import CAUSE, PASS, cause_check
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_tables import difference
 from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_calib.segments.recorded import Recorded, Track, planar_poses
-from fss_arm_calib.segments.samples import MAX_VALUE, SECOND, describe_clock_error
+from fss_arm_calib.segments.samples import MAX_VALUE, describe_clock_error
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.units import SECOND
 
 MAX_LENGTH = 900.0  # length of the last part of the recording that is used [s]
 JOINT_PERIOD, POSE_PERIOD = 0.05, 0.02  # sample periods to which the data are thinned [s]

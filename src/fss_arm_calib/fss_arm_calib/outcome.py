@@ -20,8 +20,8 @@ from fss_arm_calib.acceptance import (
     frame_mismatch,
     stream_causes,
 )
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.files import ContentError

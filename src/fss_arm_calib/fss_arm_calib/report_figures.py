@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure
 from fss_arm_calib.report_tables import format_number
+from fss_arm_model.arrays import Floats
 
 
 def common_figures(

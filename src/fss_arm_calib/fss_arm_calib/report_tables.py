@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, format_count
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Estimate, Outcome, Provenance
 from fss_arm_calib.report import Figure, Report, Table
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.planar import wrap

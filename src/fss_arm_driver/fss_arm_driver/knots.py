@@ -5,13 +5,11 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fss_arm_driver.protocol import MAX_INDEX, hermite
 from fss_arm_driver.scale import Scale
+from fss_arm_model.arrays import Floats
 from fss_link.session import CommandError
-
-Floats = npt.NDArray[np.float64]
 
 MIN_INTERVAL, MAX_INTERVAL = (
     2000,

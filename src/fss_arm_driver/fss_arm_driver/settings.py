@@ -6,9 +6,9 @@ from fss_arm_model.description import Arm, Link
 from fss_arm_model.description_file import described
 from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
+from fss_arm_model.units import SECOND
 from fss_arm_model.vehicle import Vehicle
 from fss_link.protocol import load_key
-from fss_link.session import SECOND
 
 PATH_RATE = 10.0  # rate of commands below which it is doubled on a path [1/s]
 

@@ -15,10 +15,10 @@ from fss_arm_driver.faults import active_faults
 from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State
 from fss_arm_driver.session import LinkSession, Sample
 from fss_arm_model.description import Link
+from fss_arm_model.units import SECOND
 from fss_link.session import RELEASE_TIMEOUT, Arming, CommandError
 from fss_link.transport import Transport
 
-SECOND = 1_000_000_000  # [ns]
 PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"
 COMPLETE = "complete"  # name of the last finding, of tests that ended early
 

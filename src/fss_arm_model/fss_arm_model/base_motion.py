@@ -21,10 +21,11 @@ import numpy as np
 import numpy.typing as npt
 
 from . import layout
-from .centroidal import _scaled
+from .arrays import Floats
+from .centroidal import scaled
 from .joint_path import Path
-from .kernels import Floats, helper, inlined, kernel
-from .kinematics import _THREE, _com, _dot, _mass, _moment, _reach
+from .kernels import helper, inlined, kernel
+from .kinematics import SIZE_THREE, body_com, body_inertia, body_mass, body_reach, dot
 
 #: Columns of base_pose_sensitivities that follow those of Arm.vector().
 STATE_NAMES = ("x", "y", "theta", "p_x", "p_y", "L", "g_x", "g_y")
@@ -53,10 +54,10 @@ def _inertias(p, delta, sigma, K):  # type: ignore[no-untyped-def]
     """
     M = 0.0
     for k in range(K.size - 1, -1, -1):
-        d, e = _reach(p, k), _com(p, k)
-        m = _mass(p, k)
+        d, e = body_reach(p, k), body_com(p, k)
+        m = body_mass(p, k)
         delta[k], sigma[k] = d, M * d + m * e
-        K[k] = _moment(p, k) + m * _dot(e, e) + M * _dot(d, d)
+        K[k] = body_inertia(p, k) + m * dot(e, e) + M * dot(d, d)
         M += m
     angle = p[layout.MOUNT_ANGLE]
     for k in range(1, K.size):
@@ -222,18 +223,18 @@ def _chain_rule(p, delta, M, gM, Gs, Gd, gK, sigma, out):  # type: ignore[no-unt
         spin += _cross_dot(Gs[k], sigma[k]) + _cross_dot(Gd[k], delta[k])
     out[layout.MOUNT_ANGLE], out[layout.TIP_ANGLE] = spin, 0.0
     for k in range(gK.size):
-        m = _mass(p, k)
+        m = body_mass(p, k)
         beyond -= m
-        d, e = _reach(p, k), _com(p, k)
+        d, e = body_reach(p, k), body_com(p, k)
         by_s, by_d = Gs[k], Gd[k]
         if k > 0:  # from the frame at reading 0 to the link's own frame
             a = p[layout.LINK_SIZE * k + layout.LENGTH]
             back = complex(delta[k].real / a, -delta[k].imag / a)
             by_s, by_d = by_s * back, by_d * back
-        by_mass = gM + behind + _dot(by_s, e) + gK[k] * _dot(e, e)
-        by_e = _scaled(m, by_s) + _scaled(2.0 * m * gK[k], e)
-        behind += _dot(by_s, d) + gK[k] * _dot(d, d)
-        by_d += _scaled(beyond, by_s) + _scaled(2.0 * beyond * gK[k], d)
+        by_mass = gM + behind + dot(by_s, e) + gK[k] * dot(e, e)
+        by_e = scaled(m, by_s) + scaled(2.0 * m * gK[k], e)
+        behind += dot(by_s, d) + gK[k] * dot(d, d)
+        by_d += scaled(beyond, by_s) + scaled(2.0 * beyond * gK[k], d)
         if k == 0:
             out[layout.MASS], out[layout.INERTIA] = by_mass, gK[0]
             out[layout.COM_X], out[layout.COM_Y] = by_e.real, by_e.imag
@@ -305,10 +306,10 @@ def _base_pose_sensitivities(p, state, nodes, marks, _t, _x, poses, J):  # type:
                 if k > 0:
                     first = complex(marks[0, 2 * k - 2], marks[0, 2 * k - 1])
                     now = complex(marks[i, 2 * k - 2], marks[i, 2 * k - 1])
-                c = _scaled(per_mass, start * first - turn * now)
+                c = scaled(per_mass, start * first - turn * now)
                 own = complex(c.real, -c.imag) if axis == 0 else complex(c.imag, c.real)
-                by_s[k] = own + _scaled(by_heading, Gs[k])
-                by_d[k] = _scaled(by_heading, Gd[k])
+                by_s[k] = own + scaled(by_heading, Gs[k])
+                by_d[k] = scaled(by_heading, Gd[k])
                 by_K[k] = by_heading * gK[k]
             gM = (by_M.real if axis == 0 else by_M.imag) + by_heading * g[0]
             _chain_rule(p, delta, M, gM, by_s, by_d, by_K, sigma, J[i, axis])
@@ -351,7 +352,7 @@ def base_poses(p: npt.ArrayLike, path: Path, state: npt.ArrayLike) -> Floats:
         ValueError: shapes do not fit.
     """
     p, state = _checked(p, path, state)
-    return _base_poses(p, state, *path, _THREE)
+    return _base_poses(p, state, *path, SIZE_THREE)
 
 
 def base_pose_sensitivities(
@@ -369,4 +370,4 @@ def base_pose_sensitivities(
     """
     p, state = _checked(p, path, state)
     columns = np.empty(p.shape[-1] + len(STATE_NAMES))
-    return _base_pose_sensitivities(p, state, *path, _THREE, columns)
+    return _base_pose_sensitivities(p, state, *path, SIZE_THREE, columns)

@@ -12,9 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+from .arrays import Floats
 from .extents import Extents
-from .kernels import Floats, helper, kernel
-from .kinematics import _chain, _cross, _dot, checked
+from .kernels import helper, kernel
+from .kinematics import checked, cross, dot, write_chain
 
 GRIPPER, TARGET, EDGE = 1, 2, 3
 
@@ -51,32 +52,32 @@ def body_name(body: int, n: int) -> str:
 
 
 @helper
-def _point_distance(a, d, x):  # type: ignore[no-untyped-def]
+def point_distance(a, d, x):  # type: ignore[no-untyped-def]
     """Return the distance of the point x from the segment a to a + d."""
-    share = min(max(_dot(d, x - a) / _dot(d, d), 0.0), 1.0)
+    share = min(max(dot(d, x - a) / dot(d, d), 0.0), 1.0)
     return abs(x - a - share * d)
 
 
 @helper
-def _segment_distance(a, d, b, e):  # type: ignore[no-untyped-def]
+def segment_distance(a, d, b, e):  # type: ignore[no-untyped-def]
     """Return the distance of the segments a to a + d and b to b + e; 0 where they cross."""
-    sides = _cross(d, b - a) * _cross(d, b + e - a), _cross(e, a - b) * _cross(e, a + d - b)
+    sides = cross(d, b - a) * cross(d, b + e - a), cross(e, a - b) * cross(e, a + d - b)
     if sides[0] < 0.0 and sides[1] < 0.0:
         return 0.0
-    ends = min(_point_distance(a, d, b), _point_distance(a, d, b + e))
-    return min(ends, _point_distance(b, e, a), _point_distance(b, e, a + d))
+    ends = min(point_distance(a, d, b), point_distance(a, d, b + e))
+    return min(ends, point_distance(b, e, a), point_distance(b, e, a + d))
 
 
 @helper
-def _gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
+def body_gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
     """Return the gap between two bodies, i < j [m], with base, pivots and tip at r (n + 2,)."""
     n = r.size - 2
     last = r[n + 1] - r[n]
     if j <= n:
         if i == 0:
             reach = sizes[BASE_RADIUS] + sizes[LINK_RADIUS]
-            return _point_distance(r[j], r[j + 1] - r[j], r[0]) - reach
-        apart = _segment_distance(r[i], r[i + 1] - r[i], r[j], r[j + 1] - r[j])
+            return point_distance(r[j], r[j + 1] - r[j], r[0]) - reach
+        apart = segment_distance(r[i], r[i + 1] - r[i], r[j], r[j + 1] - r[j])
         return apart - 2.0 * sizes[LINK_RADIUS]
     radius = sizes[BASE_RADIUS] if i == 0 else sizes[LINK_RADIUS]
     if j == n + EDGE:
@@ -86,9 +87,9 @@ def _gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
     if i == 0:
         return abs(target - r[0]) - radius - sizes[TARGET_RADIUS]
     if i == n + GRIPPER:
-        return _point_distance(r[n + 1], -(share + 1e-9) * last, target) - sizes[TARGET_RADIUS]
+        return point_distance(r[n + 1], -(share + 1e-9) * last, target) - sizes[TARGET_RADIUS]
     share = (1.0 - share) * last if i == n else r[i + 1] - r[i]
-    return _point_distance(r[i], share, target) - radius - sizes[TARGET_RADIUS]
+    return point_distance(r[i], share, target) - radius - sizes[TARGET_RADIUS]
 
 
 @helper
@@ -103,11 +104,11 @@ def _pivots(q, d, r):  # type: ignore[no-untyped-def]
 def _gaps(p, q, pairs, sizes, target, out):  # type: ignore[no-untyped-def]
     d, e = np.empty((2, q.size - 2), np.complex128)
     r = np.empty(q.size - 1, np.complex128)
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     _pivots(q, d, r)
     for k in range(out.size):
         i, j = int(pairs[k, 0]), int(pairs[k, 1])
-        out[k] = _gap(i, j, r, complex(target[0], target[1]), sizes)
+        out[k] = body_gap(i, j, r, complex(target[0], target[1]), sizes)
 
 
 def gaps(

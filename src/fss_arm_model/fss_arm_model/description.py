@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from .arrays import Floats
 from .files import ContentError
 
 MAX_LINKS = 12
@@ -240,7 +241,7 @@ class Base:
     def __post_init__(self) -> None:
         _check(self)
 
-    def vector(self) -> npt.NDArray[np.float64]:
+    def vector(self) -> Floats:
         """Return the parameters of a base without an arm, (8,), as the start of Arm.vector()."""
         return np.array([self.mass, self.inertia, *self.com, *self.mount, 0.0])
 
@@ -269,13 +270,11 @@ class Known:
             raise DescriptionError("covariance", self.covariance, expected)
 
     @classmethod
-    def of(cls, names: Sequence[str], covariance: npt.NDArray[np.float64]) -> "Known":
+    def of(cls, names: Sequence[str], covariance: Floats) -> "Known":
         """Return an object with a covariance (p, p), made symmetric."""
         return cls(tuple(names), (0.5 * (covariance + covariance.T)).tolist())
 
-    def covariance_of(
-        self, names: Sequence[str], deviations: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.float64]:
+    def covariance_of(self, names: Sequence[str], deviations: Floats) -> Floats:
         """Return the covariance (p, p) of parameters; unknown ones use their deviations (p,)."""
         C = np.diag(np.square(deviations))
         known = [k for k, name in enumerate(names) if name in self.names]
@@ -285,7 +284,7 @@ class Known:
             C[np.ix_(known, known)] = np.array(self.covariance)[np.ix_(index, index)]
         return C
 
-    def updated(self, names: Sequence[str], covariance: npt.NDArray[np.float64]) -> "Known":
+    def updated(self, names: Sequence[str], covariance: Floats) -> "Known":
         """Return a copy with a new covariance (p, p) of `names`, independent of all others."""
         others = [name for name in self.names if name not in names]
         others_covariance = self.covariance_of(others, np.zeros(len(others)))
@@ -328,7 +327,7 @@ class Arm:
         """Number of links."""
         return len(self.links)
 
-    def vector(self) -> npt.NDArray[np.float64]:
+    def vector(self) -> Floats:
         """Return the parameters that the kernels take, (8 + 6 n,).
 
         m_0, I_0, com_x, com_y, x_BJ1, y_BJ1, theta_BJ1, theta_E, then for each link

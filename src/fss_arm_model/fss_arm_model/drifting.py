@@ -14,8 +14,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from .arrays import Floats
 from .dynamics import inertia_matrix
-from .kernels import Floats, helper, kernel
+from .kernels import helper, kernel
 from .momentum import system_com
 
 SURROUNDINGS = ("g_x", "g_y", "torque", "twist_damping", "drag")

@@ -17,22 +17,23 @@ as scratch memory.
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import Complexes, Floats, helper, kernel
-from .kinematics import _chain, _cross, _dot, _mass, _moment, checked
+from .arrays import Complexes, Floats
+from .kernels import helper, kernel
+from .kinematics import body_inertia, body_mass, checked, cross, dot, write_chain
 
 
 @helper
-def _join(
+def join_bodies(
     p: Floats, k: int, d: Complexes, e: Complexes, M: float, S: complex, K: float
 ) -> tuple[float, complex, float]:
     """Return mass, first and second moment about pivot k of bodies k .. n, from k + 1 .. n."""
-    m = _mass(p, k)
-    K += 2.0 * _dot(d[k], S) + M * _dot(d[k], d[k]) + _moment(p, k) + m * _dot(e[k], e[k])
+    m = body_mass(p, k)
+    K += 2.0 * dot(d[k], S) + M * dot(d[k], d[k]) + body_inertia(p, k) + m * dot(e[k], e[k])
     return M + m, S + M * d[k] + m * e[k], K
 
 
 @helper
-def _inertia(p: Floats, q: Floats, work: Complexes, H: Floats) -> None:
+def write_inertia(p: Floats, q: Floats, work: Complexes, H: Floats) -> None:
     """Write H (3 + n, 3 + n), by composite bodies.
 
     Bodies k .. n turn as one about pivot k, with first moment S_k and second moment K_k about it:
@@ -40,17 +41,17 @@ def _inertia(p: Floats, q: Floats, work: Complexes, H: Floats) -> None:
         H_kk = K_k,  H_ik = K_k + (r_k - r_i) . S_k,  H_xy,k = i S_k,  H_xy,xy = M_0
     """
     d, e = work[0], work[1]
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     M, S, K = 0.0, 0j, 0.0
     for k in range(d.size - 1, -1, -1):
-        M, S, K = _join(p, k, d, e, M, S, K)
+        M, S, K = join_bodies(p, k, d, e, M, S, K)
         H[0, 2 + k] = H[2 + k, 0] = -S.imag
         H[1, 2 + k] = H[2 + k, 1] = S.real
         H[2 + k, 2 + k] = K
         reach = 0j
         for i in range(k - 1, -1, -1):
             reach += d[i]
-            H[2 + i, 2 + k] = H[2 + k, 2 + i] = K + _dot(reach, S)
+            H[2 + i, 2 + k] = H[2 + k, 2 + i] = K + dot(reach, S)
     H[0, 0] = H[1, 1] = M
     H[0, 1] = H[1, 0] = 0.0
 
@@ -65,26 +66,26 @@ def _inverse(p: Floats, q: Floats, qd: Floats, qdd: Floats, work: Complexes, tau
         T_k = T_{k+1} + d_k x F_{k+1} + e_k x f_k + I_k alpha_k
     """
     d, e, f = work[0], work[1], work[2]
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     a = complex(qdd[0], qdd[1])
     omega = alpha = 0.0
     for k in range(d.size):
         omega += qd[2 + k]
         alpha += qdd[2 + k]
         turn = complex(-omega * omega, alpha)
-        f[k] = _mass(p, k) * (a + turn * e[k])
+        f[k] = body_mass(p, k) * (a + turn * e[k])
         a += turn * d[k]
-        tau[2 + k] = _moment(p, k) * alpha
+        tau[2 + k] = body_inertia(p, k) * alpha
     F, T = 0j, 0.0
     for k in range(d.size - 1, -1, -1):
-        T += _cross(d[k], F) + _cross(e[k], f[k]) + tau[2 + k]
+        T += cross(d[k], F) + cross(e[k], f[k]) + tau[2 + k]
         F += f[k]
         tau[2 + k] = T
     tau[0], tau[1] = F.real, F.imag
 
 
 @helper
-def _bias(p: Floats, q: Floats, qd: Floats, work: Complexes, h: Floats) -> None:
+def write_bias(p: Floats, q: Floats, qd: Floats, work: Complexes, h: Floats) -> None:
     """Write h (3 + n,): the forces that keep every coordinate from accelerating."""
     h[:] = 0.0
     _inverse(p, q, qd, h, work, h)
@@ -103,7 +104,7 @@ def _forward(p: Floats, q: Floats, qd: Floats, tau: Floats, work: Complexes, qdd
     from the tip to the base, and accelerations back.
     """
     d, e, w = work[0], work[1], work[2]
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     omega = 0.0
     for k in range(d.size):
         omega += qd[2 + k]
@@ -112,12 +113,12 @@ def _forward(p: Floats, q: Floats, qd: Floats, tau: Floats, work: Complexes, qdd
     b = 0j
     beyond = 0.0  # torque of the next joint, which acts on link k with opposite sign
     for k in range(d.size - 1, -1, -1):
-        m, spin = _mass(p, k), qdd[2 + k]
+        m, spin = body_mass(p, k), qdd[2 + k]
         b -= spin * complex(xx * d[k].real + xy * d[k].imag, xy * d[k].real + yy * d[k].imag)
         Nd = complex(xy * d[k].real - xx * d[k].imag, yy * d[k].real - xy * d[k].imag)  # N (i d)
         u = 1j * m * e[k] + Nd
-        K = _moment(p, k) + m * _dot(e[k], e[k]) + _cross(d[k], Nd)
-        s = (tau[2 + k] - beyond - _cross(d[k], b)) / K
+        K = body_inertia(p, k) + m * dot(e[k], e[k]) + cross(d[k], Nd)
+        s = (tau[2 + k] - beyond - cross(d[k], b)) / K
         beyond = tau[2 + k]
         w[k], qdd[2 + k] = u / K, s
         b += u * s - spin * m * e[k]
@@ -130,7 +131,7 @@ def _forward(p: Floats, q: Floats, qd: Floats, tau: Floats, work: Complexes, qdd
     omega = before = 0.0
     for k in range(d.size):
         omega += qd[2 + k]
-        alpha = qdd[2 + k] - _dot(w[k], a)
+        alpha = qdd[2 + k] - dot(w[k], a)
         a += complex(-omega * omega, alpha) * d[k]
         qdd[2 + k] = alpha - before
         before = alpha
@@ -138,12 +139,12 @@ def _forward(p: Floats, q: Floats, qd: Floats, tau: Floats, work: Complexes, qdd
 
 @kernel("(p),(m)->(m,m)")
 def _inertia_matrix(p: Floats, q: Floats, H: Floats) -> None:
-    _inertia(p, q, np.empty((3, q.size - 2), np.complex128), H)
+    write_inertia(p, q, np.empty((3, q.size - 2), np.complex128), H)
 
 
 @kernel("(p),(m),(m)->(m)")
 def _bias_forces(p: Floats, q: Floats, qd: Floats, h: Floats) -> None:
-    _bias(p, q, qd, np.empty((3, q.size - 2), np.complex128), h)
+    write_bias(p, q, qd, np.empty((3, q.size - 2), np.complex128), h)
 
 
 @kernel("(p),(m),(m),(m)->(m)")
@@ -159,12 +160,12 @@ def _forward_dynamics(p: Floats, q: Floats, qd: Floats, tau: Floats, qdd: Floats
 @kernel("(p),(m),(m)->()")
 def _kinetic_energy(p: Floats, q: Floats, qd: Floats, out: Floats) -> None:
     d, e = np.empty((2, q.size - 2), np.complex128)
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     v, omega, energy = complex(qd[0], qd[1]), 0.0, 0.0
     for k in range(d.size):
         omega += qd[2 + k]
         c = v + 1j * omega * e[k]
-        energy += 0.5 * (_mass(p, k) * _dot(c, c) + _moment(p, k) * omega * omega)
+        energy += 0.5 * (body_mass(p, k) * dot(c, c) + body_inertia(p, k) * omega * omega)
         v += 1j * omega * d[k]
     out[0] = energy
 

@@ -15,13 +15,14 @@ tau_k.
 import numpy as np
 import numpy.typing as npt
 
-from .dynamics import _join
-from .kernels import Floats, helper, kernel
-from .kinematics import _chain, _cross, _dot, _mass, _moment, checked
+from .arrays import Floats
+from .dynamics import join_bodies
+from .kernels import helper, kernel
+from .kinematics import body_inertia, body_mass, checked, cross, dot, write_chain
 
 
 @helper
-def _geometry(p, state, work, second):  # type: ignore[no-untyped-def]
+def write_geometry(p, state, work, second):  # type: ignore[no-untyped-def]
     """Write d, e, S_k and K_k at the joints of a state (3 + n,); set its base to the origin.
 
     Returns:
@@ -29,20 +30,20 @@ def _geometry(p, state, work, second):  # type: ignore[no-untyped-def]
     """
     d, e = work[0], work[1]
     state[0] = state[1] = state[2] = 0.0
-    _chain(p, state, d, e)
+    write_chain(p, state, d, e)
     M, S, K = 0.0, 0j, 0.0
     for k in range(d.size - 1, -1, -1):
-        M, S, K = _join(p, k, d, e, M, S, K)
+        M, S, K = join_bodies(p, k, d, e, M, S, K)
         second[0, k], second[1, k] = S, complex(K, 0.0)
-    return M, S / M, K - _dot(S, S) / M
+    return M, S / M, K - dot(S, S) / M
 
 
 @helper
-def _free_torques(p, rotor, L, geometry, rate, gain, work, second, tau):  # type: ignore[no-untyped-def]
+def write_free_torques(p, rotor, L, geometry, rate, gain, work, second, tau):  # type: ignore[no-untyped-def]
     """Write tau (3 + n,), with the first three 0; return the base's angular rate.
 
     rate and gain (3 + n,) contain the joints' part; the base's part is overwritten. work (3, n + 1)
-    and second (2, n + 1) come from _geometry.
+    and second (2, n + 1) come from write_geometry.
     """
     M, com, about_com = geometry
     d, e, f = work[0], work[1], work[2]
@@ -52,7 +53,7 @@ def _free_torques(p, rotor, L, geometry, rate, gain, work, second, tau):  # type
     omega = L
     for k in range(1, n + 1):
         r += d[k - 1]
-        omega -= (second[1, k].real + _dot(r - com, second[0, k])) * rate[2 + k]
+        omega -= (second[1, k].real + dot(r - com, second[0, k])) * rate[2 + k]
         spun += rate[2 + k]
         sped += gain[2 + k]
     omega = (omega - rotor[1] * spun) / about_com
@@ -63,22 +64,22 @@ def _free_torques(p, rotor, L, geometry, rate, gain, work, second, tau):  # type
         turning += rate[2 + k]
         alpha += gain[2 + k]
         turn = complex(-turning * turning, alpha)
-        f[k] = _mass(p, k) * (a + turn * e[k])
+        f[k] = body_mass(p, k) * (a + turn * e[k])
         a += turn * d[k]
-        tau[2 + k] = _moment(p, k) * alpha
+        tau[2 + k] = body_inertia(p, k) * alpha
     F, T = 0j, 0.0
     for k in range(n, -1, -1):
-        T += _cross(d[k], F) + _cross(e[k], f[k]) + tau[2 + k]
+        T += cross(d[k], F) + cross(e[k], f[k]) + tau[2 + k]
         F += f[k]
         tau[2 + k] = T
     # effect of the base's acceleration
-    alpha = -(T + rotor[1] * sped - _cross(com, F)) / about_com
+    alpha = -(T + rotor[1] * sped - cross(com, F)) / about_com
     a = -F / M - 1j * alpha * com
     r, before = 0j, alpha
     for k in range(1, n + 1):
         r += d[k - 1]
-        tau[2 + k] += _dot(1j * second[0, k], a)
-        tau[2 + k] += (second[1, k].real + _dot(r, second[0, k])) * alpha
+        tau[2 + k] += dot(1j * second[0, k], a)
+        tau[2 + k] += (second[1, k].real + dot(r, second[0, k])) * alpha
         sped -= gain[2 + k]
         tau[2 + k] += rotor[0] * gain[2 + k] + rotor[1] * (before + sped)
         before += gain[2 + k]
@@ -92,8 +93,8 @@ def _torques(p, q_m, qd_m, qdd_m, L, rotor, tau_m, omega):  # type: ignore[no-un
     state, rate, gain, tau = np.empty((4, 3 + n))
     work, second = np.empty((3, n + 1), np.complex128), np.empty((2, n + 1), np.complex128)
     state[3:], rate[3:], gain[3:] = q_m, qd_m, qdd_m
-    geometry = _geometry(p, state, work, second)
-    omega[0] = _free_torques(p, rotor, L[0], geometry, rate, gain, work, second, tau)
+    geometry = write_geometry(p, state, work, second)
+    omega[0] = write_free_torques(p, rotor, L[0], geometry, rate, gain, work, second, tau)
     tau_m[:] = tau[3:]
 
 

@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from . import layout
+from .arrays import Floats
 from .dynamics import inertia_matrix
 from .kinematics import tip_jacobian, tip_pose
 from .momentum import momentum, system_com
 from .settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

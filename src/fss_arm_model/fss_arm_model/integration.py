@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .centroidal import _advance_rotation
+from .centroidal import advance_rotation
 from .kernels import helper, inlined
 
 STEP = 0.001  # step of the classical method, and period of a drive [s]
@@ -18,7 +18,7 @@ STEP = 0.001  # step of the classical method, and period of a drive [s]
 @inlined
 def _accept(bodies, x, z, begin):  # type: ignore[no-untyped-def]
     """Accept x as the new state."""
-    _advance_rotation(bodies, begin, z, x, begin)
+    advance_rotation(bodies, begin, z, x, begin)
     for r in range(2):
         for i in range(z.shape[1]):
             z[r, i] = x[r, i]
@@ -34,7 +34,7 @@ def classical(derivative: Callable[..., None]) -> Callable[..., None]:
             for i in range(N):
                 x[r, i], total[r, i] = z[r, i], 0.0
         for stage in range(4):
-            _advance_rotation(bodies, begin, z, x, turned)
+            advance_rotation(bodies, begin, z, x, turned)
             derivative(bodies, forces, turned, x, work, dx)
             weight = step / 6 if stage == 0 or stage == 3 else step / 3
             substep = step if stage == 2 else step / 2
@@ -86,7 +86,7 @@ def controlled(derivative: Callable[..., None]) -> Callable[..., int]:
                         x[r, i] = z[r, i]
                         for j in range(s):
                             x[r, i] += step * STAGES[s - 1, j] * k[j, r, i]
-                _advance_rotation(bodies, begin, z, x, turned)
+                advance_rotation(bodies, begin, z, x, turned)
                 derivative(bodies, forces, turned, x, work, k[s])
             worst = 1e-300
             for r in range(2):

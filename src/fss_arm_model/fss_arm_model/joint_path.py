@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .layout import Floats
+from .arrays import Floats
 
 _DIGITS = 12.0 * math.log(10.0)  # accuracy of a panel's quadrature
 

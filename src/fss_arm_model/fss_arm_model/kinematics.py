@@ -18,41 +18,44 @@ import numpy as np
 import numpy.typing as npt
 
 from . import layout
-from .kernels import Complexes, Floats, helper, kernel
+from .arrays import Complexes, Floats
+from .kernels import helper, kernel
 from .layout import LENGTH, LINK_SIZE, MOUNT_ANGLE, OFFSET, TIP_ANGLE
 
-_mass, _moment = helper(layout.mass), helper(layout.inertia)
-_reach, _com = helper(layout.reach), helper(layout.com)
+body_mass, body_inertia = helper(layout.mass), helper(layout.inertia)
+body_reach, body_com = helper(layout.reach), helper(layout.com)
 
 
 @helper
-def _dot(a: complex, b: complex) -> float:
+def dot(a: complex, b: complex) -> float:
+    """Return the scalar product of two plane vectors."""
     return a.real * b.real + a.imag * b.imag
 
 
 @helper
-def _cross(a: complex, b: complex) -> float:
+def cross(a: complex, b: complex) -> float:
+    """Return the z component of the vector product of two plane vectors."""
     return a.real * b.imag - a.imag * b.real
 
 
 @helper
-def _chain(p: Floats, q: Floats, d: Complexes, e: Complexes) -> float:
+def write_chain(p: Floats, q: Floats, d: Complexes, e: Complexes) -> float:
     """Write d and e of every body, complex (n + 1,); return the tip's heading."""
     heading = q[2]
     turn = complex(math.cos(heading), math.sin(heading))
-    d[0], e[0] = _reach(p, 0) * turn, _com(p, 0) * turn
+    d[0], e[0] = body_reach(p, 0) * turn, body_com(p, 0) * turn
     heading += p[MOUNT_ANGLE]
     for k in range(1, q.size - 2):
         heading += p[LINK_SIZE * k + OFFSET] + q[2 + k]
         turn = complex(math.cos(heading), math.sin(heading))
-        d[k], e[k] = p[LINK_SIZE * k + LENGTH] * turn, _com(p, k) * turn
+        d[k], e[k] = p[LINK_SIZE * k + LENGTH] * turn, body_com(p, k) * turn
     return heading + p[TIP_ANGLE]
 
 
 @kernel("(p),(m),(j),(w)->(j,w)")
 def _joint_positions(p: Floats, q: Floats, _j: Floats, _w: Floats, out: Floats) -> None:
     d, e = np.empty((2, q.size - 2), np.complex128)
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     r = complex(q[0], q[1])
     for k in range(d.size):
         r += d[k]
@@ -62,7 +65,7 @@ def _joint_positions(p: Floats, q: Floats, _j: Floats, _w: Floats, out: Floats) 
 @kernel("(p),(m),(j),(w)->(j,w)")
 def _com_positions(p: Floats, q: Floats, _j: Floats, _w: Floats, out: Floats) -> None:
     d, e = np.empty((2, q.size - 2), np.complex128)
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     r = complex(q[0], q[1])
     for k in range(d.size):
         c = r + e[k]
@@ -73,7 +76,7 @@ def _com_positions(p: Floats, q: Floats, _j: Floats, _w: Floats, out: Floats) ->
 @kernel("(p),(m),(t)->(t)")
 def _tip_pose(p: Floats, q: Floats, _t: Floats, out: Floats) -> None:
     d, e = np.empty((2, q.size - 2), np.complex128)
-    out[2] = _chain(p, q, d, e)
+    out[2] = write_chain(p, q, d, e)
     tip = complex(q[0], q[1])
     for k in range(d.size):
         tip += d[k]
@@ -83,7 +86,7 @@ def _tip_pose(p: Floats, q: Floats, _t: Floats, out: Floats) -> None:
 @kernel("(p),(m),(t)->(t,m)")
 def _tip_jacobian(p: Floats, q: Floats, _t: Floats, J: Floats) -> None:
     d, e = np.empty((2, q.size - 2), np.complex128)
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     J[:, 0], J[:, 1], J[2, 2:] = 0.0, 0.0, 1.0
     J[0, 0] = J[1, 1] = 1.0
     arm = 0j  # from pivot k to the tip
@@ -96,7 +99,7 @@ def _tip_jacobian(p: Floats, q: Floats, _t: Floats, J: Floats) -> None:
 def _tip_regressor(p: Floats, q: Floats, _t: Floats, _x: Floats, Phi: Floats) -> None:
     n = q.size - 3
     d, e = np.empty((2, n + 1), np.complex128)
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     Phi[:] = 0.0
     arm = 0j
     for k in range(n, 0, -1):
@@ -108,7 +111,8 @@ def _tip_regressor(p: Floats, q: Floats, _t: Floats, _x: Floats, Phi: Floats) ->
     Phi[0, 2 * n - 1] = Phi[1, 2 * n] = 1.0
 
 
-_TWO, _THREE = np.empty(2), np.empty(3)  # give kernels the sizes of outputs that no input has
+# They give kernels the sizes of outputs that no input has.
+SIZE_TWO, SIZE_THREE = np.empty(2), np.empty(3)
 
 
 def checked(p: npt.ArrayLike, q: npt.ArrayLike) -> tuple[Floats, Floats, int]:
@@ -141,7 +145,7 @@ def joint_positions(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
         ValueError: shapes do not fit.
     """
     p, q, n = checked(p, q)
-    return _joint_positions(p, q, np.empty(n + 1), _TWO)
+    return _joint_positions(p, q, np.empty(n + 1), SIZE_TWO)
 
 
 def com_positions(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
@@ -154,7 +158,7 @@ def com_positions(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
         ValueError: shapes do not fit.
     """
     p, q, n = checked(p, q)
-    return _com_positions(p, q, np.empty(n + 1), _TWO)
+    return _com_positions(p, q, np.empty(n + 1), SIZE_TWO)
 
 
 def tip_pose(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
@@ -164,7 +168,7 @@ def tip_pose(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
         ValueError: shapes do not fit.
     """
     p, q, _ = checked(p, q)
-    return _tip_pose(p, q, _THREE)
+    return _tip_pose(p, q, SIZE_THREE)
 
 
 def tip_jacobian(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
@@ -177,7 +181,7 @@ def tip_jacobian(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
         ValueError: shapes do not fit.
     """
     p, q, _ = checked(p, q)
-    return _tip_jacobian(p, q, _THREE)
+    return _tip_jacobian(p, q, SIZE_THREE)
 
 
 def tip_in_base(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
@@ -201,4 +205,4 @@ def tip_regressor(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
         ValueError: shapes do not fit.
     """
     p, q, n = checked(p, _with_base_at_origin(q_m))
-    return _tip_regressor(p, q, _THREE, np.empty(2 * n + 2))
+    return _tip_regressor(p, q, SIZE_THREE, np.empty(2 * n + 2))

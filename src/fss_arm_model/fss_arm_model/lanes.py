@@ -15,9 +15,9 @@ import math
 
 import numpy as np
 
-from .centroidal import _scaled
+from .centroidal import scaled
 from .kernels import helper, inlined
-from .kinematics import _com, _dot, _mass, _moment, _reach
+from .kinematics import body_com, body_inertia, body_mass, body_reach, dot
 from .layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
 
 # Rows of a body's constants: D - b, M b, diagonal of the inertia, and the joints' terms beside it.
@@ -40,18 +40,18 @@ def _constants(p, rotor, bodies, mass):  # type: ignore[no-untyped-def]
     for j in range(mass.size):
         M = 0.0
         for k in range(bodies.shape[0]):
-            M += _mass(p[j], k)
+            M += body_mass(p[j], k)
         mass[j] = beyond = M
         for k in range(bodies.shape[0]):
-            m = _mass(p[j], k)
+            m = body_mass(p[j], k)
             beyond -= m
-            D, E = _reach(p[j], k), _com(p[j], k)
-            T = _scaled(m, E) + _scaled(beyond, D)
-            S = D - _scaled(1.0 / M, T)
+            D, E = body_reach(p[j], k), body_com(p[j], k)
+            T = scaled(m, E) + scaled(beyond, D)
+            S = D - scaled(1.0 / M, T)
             bodies[k, SX, j], bodies[k, SY, j] = S.real, S.imag
             bodies[k, TX, j], bodies[k, TY, j] = T.real, T.imag
-            about_pivot = _moment(p[j], k) + m * _dot(E, E) + beyond * _dot(D, D)
-            bodies[k, DIAGONAL, j] = about_pivot - _dot(T, T) / M
+            about_pivot = body_inertia(p[j], k) + m * dot(E, E) + beyond * dot(D, D)
+            bodies[k, DIAGONAL, j] = about_pivot - dot(T, T) / M
             bodies[k, OFF_DIAGONAL, j] = 0.0
         for k in range(1, bodies.shape[0]):
             bodies[k - 1, DIAGONAL, j] += rotor[0] - 2.0 * rotor[1]
@@ -99,7 +99,7 @@ def _origin(lanes, bodies, mass, u, y, v, r):  # type: ignore[no-untyped-def]
 
 @inlined
 def _rate(lanes, bodies, mass, around, u, v, tau, work, sums, a):  # type: ignore[no-untyped-def]
-    """Write a (2 + m, lanes), as centroidal._rate does.
+    """Write a (2 + m, lanes), as centroidal.write_rate does.
 
     tau (2 + m, lanes) is the force on the base's origin and the torques on the bodies; around (5,)
     has the external effects that `rollout` describes.
@@ -171,7 +171,7 @@ def _rate(lanes, bodies, mass, around, u, v, tau, work, sums, a):  # type: ignor
 
 
 @inlined
-def _roll(lanes, p, q0, qd0, tau, rotor, around, step, q, qd):  # type: ignore[no-untyped-def]
+def roll_lanes(lanes, p, q0, qd0, tau, rotor, around, step, q, qd):  # type: ignore[no-untyped-def]
     """Write the states q, qd (lanes, steps, 3 + n) after each step, by the classical method."""
     m, N = q0.shape[1] - 2, q0.shape[1]
     bodies, mass = np.empty((m, CONSTANTS, lanes)), np.empty(lanes)

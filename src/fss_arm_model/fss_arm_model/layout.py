@@ -12,7 +12,7 @@ link k; vectors in the plane are complex numbers, in their body's own frame [m].
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from fss_arm_model.arrays import Floats
 
 BASE_SIZE, LINK_SIZE = 8, 6
 MASS, INERTIA, COM_X, COM_Y, MOUNT_X, MOUNT_Y, MOUNT_ANGLE, TIP_ANGLE = range(BASE_SIZE)

@@ -14,8 +14,9 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
+from .arrays import Floats
 from .description import Arm
-from .layout import BASE_SIZE, LINK_SIZE, Floats, kinematic_index, kinematic_names
+from .layout import BASE_SIZE, LINK_SIZE, kinematic_index, kinematic_names
 
 
 def parameter_names(n: int) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from fss_arm_model.arrays import Floats
 
 
 def wrap(angle: npt.ArrayLike) -> Floats:

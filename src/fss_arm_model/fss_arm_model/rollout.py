@@ -6,10 +6,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
+from .arrays import Floats
 from .integration import STEP
-from .kernels import Floats, kernel
+from .kernels import kernel
 from .kinematics import checked
-from .lanes import _roll
+from .lanes import roll_lanes
 
 LANES = 16  # two rows of the widest vectors, so that one is computed while the other waits
 LAYOUT = "(l,p),(l,m),(l,m),(l,t,m),(r),(a),()->(l,t,m),(l,t,m)"
@@ -19,12 +20,12 @@ FREE = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 @kernel(LAYOUT)
 def _rollout(p, q0, qd0, tau, rotor, around, step, q, qd):  # type: ignore[no-untyped-def]
-    _roll(1, p, q0, qd0, tau, rotor, around, step, q, qd)
+    roll_lanes(1, p, q0, qd0, tau, rotor, around, step, q, qd)
 
 
 @kernel(LAYOUT)
 def _rollouts(p, q0, qd0, tau, rotor, around, step, q, qd):  # type: ignore[no-untyped-def]
-    _roll(LANES, p, q0, qd0, tau, rotor, around, step, q, qd)
+    roll_lanes(LANES, p, q0, qd0, tau, rotor, around, step, q, qd)
 
 
 def rollout(

@@ -1,9 +1,8 @@
 """The base's cold-gas thrusters: their forces, and the mass of gas in a tank."""
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from fss_arm_model.arrays import Floats
 
 COUNT = 8
 CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the square, in the base's axes

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_model.kernels import Floats
+from fss_arm_model.arrays import Floats
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_motion.limits import KINDS
 from fss_arm_motion.plan import Plan, PlanError, Start, predicted, probed

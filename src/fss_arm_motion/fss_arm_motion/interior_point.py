@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.kernels import Floats, helper, kernel
+from fss_arm_model.arrays import Floats
+from fss_arm_model.kernels import helper, kernel
 from fss_arm_motion.transcription import (
     POINTS,
     WEIGHTS,

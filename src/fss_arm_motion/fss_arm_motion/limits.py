@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.free_floating import free_torques
 from fss_arm_model.guard.settings import GuardSettings
-from fss_arm_model.kernels import Floats
 from fss_arm_model.settings import (
     NOT_NEGATIVE,
     POSITIVE,

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fss_arm_model.kernels import Floats
+from fss_arm_model.arrays import Floats
 from fss_arm_model.momentum import momentum
 from fss_arm_model.units import SECOND
 from fss_arm_motion.plan import Start

@@ -12,7 +12,7 @@ from control_msgs.action import FollowJointTrajectory
 from rclpy.duration import Duration
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from fss_arm_model.kernels import Floats
+from fss_arm_model.arrays import Floats
 from fss_arm_motion import plan_command
 from fss_arm_motion.plan import Plan, PlanError, Start
 from fss_arm_motion.plan_file import plan_from_file

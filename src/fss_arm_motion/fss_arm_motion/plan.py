@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from fss_arm_model import clearance, layout
+from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_pose_sensitivities
 from fss_arm_model.clearance import body_name, links_and_base, sizes
 from fss_arm_model.description import Arm
 from fss_arm_model.extents import Extents
 from fss_arm_model.joint_path import path, sampled
-from fss_arm_model.kernels import Floats
 from fss_arm_model.momentum import momentum
 from fss_arm_motion.limits import KINDS, Limits
 from fss_arm_motion.transcription import gaps

@@ -10,10 +10,10 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 
 from fss_arm_model import layout
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_model.files import write_text
-from fss_arm_model.kernels import Floats
 from fss_arm_model.settings import meaning
 from fss_arm_motion.figures import draw, title
 from fss_arm_motion.kinds import KINDS, Kind

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.files import ContentError, read_yaml
-from fss_arm_model.kernels import Floats
 from fss_arm_motion.plan import Plan, PlanError, Prediction, Start, predicted
 
 VERSION = 1

@@ -11,8 +11,8 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.joint_path import sampled
-from fss_arm_model.kernels import Floats
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, setting
 from fss_arm_motion.interior_point import optimized
 from fss_arm_motion.plan import Plan, PlanError, Start, finished, probed, stretch_to_limits

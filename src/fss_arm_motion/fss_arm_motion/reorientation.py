@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.joint_path import path, sampled
-from fss_arm_model.kernels import Floats
 from fss_arm_model.momentum import generalized_jacobian
 from fss_arm_model.settings import Check, Settings, at_least, setting
 from fss_arm_motion.plan import Plan, PlanError, Start, finished, stretch_to_limits

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fss_arm_model.kernels import Floats
+from fss_arm_model.arrays import Floats
 from fss_arm_motion.plan import PlanError, Start
 
 Path = Callable[[Floats], tuple[Floats, Floats, Floats]]

@@ -23,9 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_model.dynamics import _join
-from fss_arm_model.kernels import Floats, helper, kernel
-from fss_arm_model.kinematics import _chain, _dot, tip_in_base, tip_pose
+from fss_arm_model.arrays import Floats
+from fss_arm_model.dynamics import join_bodies
+from fss_arm_model.kernels import helper, kernel
+from fss_arm_model.kinematics import dot, tip_in_base, tip_pose, write_chain
 from fss_arm_model.settings import (
     FINITE,
     NOT_NEGATIVE,
@@ -112,15 +113,15 @@ def _motions(p, floating, momentum, d, e, second, base, tip):  # type: ignore[no
     n = d.size - 1
     M, S, K, reach = 0.0, 0j, 0.0, 0j
     for k in range(n, -1, -1):
-        M, S, K = _join(p, k, d, e, M, S, K)
+        M, S, K = join_bodies(p, k, d, e, M, S, K)
         second[0, k], second[1, k] = S, complex(K, 0.0)
         reach += d[k]
     com = S / M
-    moment, r = K - _dot(com, S), 0j
+    moment, r = K - dot(com, S), 0j
     for k in range(n + 1):
         if k < n:
             r += d[k]
-            omega = -(second[1, k + 1].real + _dot(r - com, second[0, k + 1])) / moment
+            omega = -(second[1, k + 1].real + dot(r - com, second[0, k + 1])) / moment
             v, turn = -1j * (omega * com + second[0, k + 1] / M), 1.0
         else:
             omega = momentum[2] / moment
@@ -148,7 +149,7 @@ def _law(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Write the rates (3 + n,) of base and joints at a state x; return the tip's error [m]."""
     n, rows, settle = bounds.shape[0], int(options.rows), options.settling_time
-    heading = _chain(p, x, d, e)
+    heading = write_chain(p, x, d, e)
     _motions(p, options.floating, momentum, d, e, second, base, tip)
     place = complex(x[0], x[1])
     for k in range(n + 1):

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_model.kernels import Floats
+from fss_arm_model.arrays import Floats
+from fss_arm_model.units import SECOND
 
-SECOND = 1_000_000_000
 MAX_HISTORY = 900 * SECOND  # [ns]
 BLOCKS = 8  # number of blocks of rows; errors of block means are independent, those of rows are not
 

@@ -23,10 +23,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.clearance import _point_distance, _segment_distance
-from fss_arm_model.free_floating import _free_torques, _geometry
-from fss_arm_model.kernels import Complexes, Floats, helper, kernel
-from fss_arm_model.kinematics import _chain
+from fss_arm_model.arrays import Complexes, Floats
+from fss_arm_model.clearance import point_distance, segment_distance
+from fss_arm_model.free_floating import write_free_torques, write_geometry
+from fss_arm_model.kernels import helper, kernel
+from fss_arm_model.kinematics import write_chain
 
 POINTS = 5  # Lobatto points of a segment
 _PLACES = 0.5 + 0.5 * np.array([-1.0, -math.sqrt(3.0 / 7.0), 0.0, math.sqrt(3.0 / 7.0), 1.0])
@@ -82,7 +83,7 @@ def make_scratch(n):  # type: ignore[no-untyped-def]
 @helper
 def _torques(arm, s, geometry, tau):  # type: ignore[no-untyped-def]
     """Write the torques at the scratch's state; return the base's rate."""
-    return _free_torques(
+    return write_free_torques(
         arm.p, arm.rotor, arm.momentum, geometry, s.rate, s.gain, s.work, s.second, tau
     )
 
@@ -91,14 +92,14 @@ def _torques(arm, s, geometry, tau):  # type: ignore[no-untyped-def]
 def _gap(arm, s):  # type: ignore[no-untyped-def]
     """Return the least gap between bodies that are not neighbours, at the scratch's state."""
     d, radii = s.work[0], arm.radii
-    _chain(arm.p, s.state, d, s.work[1])
+    write_chain(arm.p, s.state, d, s.work[1])
     least, a = _NO_GAP, d[0]
     for i in range(2, d.size):
         a += d[i - 1]  # start of link i
-        least = min(least, _point_distance(a, d[i], 0j) - radii[0] - radii[1])
+        least = min(least, point_distance(a, d[i], 0j) - radii[0] - radii[1])
         b = d[0]
         for j in range(1, i - 1):
-            least = min(least, _segment_distance(a, d[i], b, d[j]) - 2.0 * radii[1])
+            least = min(least, segment_distance(a, d[i], b, d[j]) - 2.0 * radii[1])
             b += d[j]
     return least
 
@@ -161,7 +162,7 @@ def write_distances(arm, s, h, q, qd, room, omegas):  # type: ignore[no-untyped-
     for k in range(h.size):
         for j in range(POINTS):
             _at(j, h[k], q[k : k + 2], qd[k : k + 2], s)
-            geometry = _geometry(arm.p, s.state, s.work, s.second)
+            geometry = write_geometry(arm.p, s.state, s.work, s.second)
             omegas[k, j] = _torques(arm, s, geometry, s.tau)
             own = room[k, j]
             _margin(own[n], _gap(arm, s), arm.radii[2], 2.0 * _NO_GAP)
@@ -194,7 +195,7 @@ def write_derivatives(arm, s, point, h, q, qd, timed, rows):  # type: ignore[no-
     """
     n, part = q.shape[1], s.part
     _at(point, h, q, qd, s)
-    geometry = _geometry(arm.p, s.state, s.work, s.second)
+    geometry = write_geometry(arm.p, s.state, s.work, s.second)
     omega, gap = _torques(arm, s, geometry, s.tau), _gap(arm, s)
     rows[:] = 0.0
     for order in (1, 2, 0):  # orders that do not change the geometry come first
@@ -204,7 +205,7 @@ def write_derivatives(arm, s, point, h, q, qd, timed, rows):  # type: ignore[no-
         for i in range(n):
             moved[3 + i] += size
             if order == 0:
-                geometry = _geometry(arm.p, s.state, s.work, s.second)
+                geometry = write_geometry(arm.p, s.state, s.work, s.second)
             ahead = _torques(arm, s, geometry, s.other)
             nearer = _gap(arm, s) - gap if order == 0 else 0.0
             moved[3 + i] -= size

@@ -21,9 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.kernels import Floats, helper, kernel
-from fss_arm_model.kinematics import _chain
-from fss_arm_model.momentum import _floating
+from fss_arm_model.arrays import Floats
+from fss_arm_model.kernels import helper, kernel
+from fss_arm_model.kinematics import write_chain
+from fss_arm_model.momentum import write_floating_jacobian
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
 from fss_arm_motion.plan import Plan, PlanError, Start, finished
 from fss_arm_motion.point_to_point import PointToPoint, point_to_point
@@ -71,8 +72,8 @@ class ZeroReaction(Settings):
 @helper
 def _slope(p, u, q, d, e, J, x):  # type: ignore[no-untyped-def]
     """Write the part of u that does not turn the base, normalized; return its former length."""
-    _chain(p, q, d, e)
-    _floating(p, d, e, J)
+    write_chain(p, q, d, e)
+    write_floating_jacobian(p, d, e, J)
     along = size = 0.0
     for k in range(u.size):
         G = J[2, k] - 1.0

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import from_yaml
 from fss_arm_model.layout import BASE_SIZE, LINK_SIZE, kinematic_index, kinematic_names
-
-Floats = npt.NDArray[np.float64]
 
 TOPICS = {
     "calibration/kinematic": "fss_arm_msgs/msg/KinematicCalibration",

@@ -3,11 +3,10 @@
 import sys
 from collections import defaultdict
 from functools import partial
-from math import inf, isfinite, nan
+from math import isfinite
 from time import monotonic
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -23,7 +22,6 @@ from fss_arm_ros.convert import (
     joint_readings,
     seen_pose,
     stamp_ns,
-    to_time,
 )
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
@@ -33,19 +31,14 @@ from fss_arm_ros.validation import subscribe
 from fss_gnc.navigation import BodyFilter
 from fss_gnc.navigation.messages import odometry, transform
 
-from .base_reaction import BaseReaction, Reaction
+from .base_reaction import BaseReaction
+from .messages import reaction_message
 from .programs import base_reaction as main
 from .settings import BaseReactionSettings
 
 #: Topics of calibrations. The time_offset of a kinematic result is that of the joints, that of a
 #: dynamic result is that of joints and gyro.
 KINEMATIC, DYNAMIC = "calibration/kinematic", "calibration/dynamic"
-
-# Fields common to a Reaction and its message.
-VECTORS = (
-    *("predicted", "predicted_deviation", "measured", "measured_deviation", "twist"),
-    *("momentum", "momentum_deviation", "momentum_drift", "force", "q", "com"),
-)
 
 
 class BaseReactionNode(Node):
@@ -84,7 +77,6 @@ class BaseReactionNode(Node):
         self.filter = BodyFilter(self.settings)
         self.reaction = BaseReaction(self.calibrated.arm, self.calibrated.covariance, self.settings)
         self.pose: tuple[float, float, float] | None = None  # last pose received
-        self.thrust_end = -inf  # end of the last thruster pulse [ns]
 
     def check_stamp(self, topic: str, message: Any) -> int:
         """Return a message's stamp [ns]; if a topic's stamps jump back, reset the node."""
@@ -103,7 +95,7 @@ class BaseReactionNode(Node):
         for i, q, qd, effort in joint_readings(message):
             if 1 <= i <= self.calibrated.arm.n and isfinite(q) and isfinite(qd):
                 self.reaction.add_reading(i - 1, t, q, qd, effort)
-        self.advance()
+        self.publish_reactions()
 
     def on_pose(self, message: PoseStamped) -> None:
         """Add a pose of the base; count occluded and repeated ones."""
@@ -125,10 +117,7 @@ class BaseReactionNode(Node):
 
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Store when thrusters fire: a prediction from the joints does not include them."""
-        longest = max(message.on_time)
-        if all(map(isfinite, message.on_time)) and longest > 0.0:  # else the board rejects it
-            until = stamp_ns(message.header.stamp) + round(longest * SECOND)
-            self.thrust_end = max(self.thrust_end, until)
+        self.reaction.add_thrust(stamp_ns(message.header.stamp), message.on_time)
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Use a calibration that passed for predictions, from the next rest on."""
@@ -153,23 +142,12 @@ class BaseReactionNode(Node):
             self.state_publisher.publish(odometry(state, *frames))
             self.transform_publisher.publish(transform(state, *frames))
 
-    def advance(self) -> None:
+    def publish_reactions(self) -> None:
         """Publish the reaction at `rate`, up to the last time that is known."""
-        until, period = self.reaction.last_known_time(), int(SECOND / self.settings.rate)
-        if until - self.reaction.t > SECOND:
-            self.publish_reaction(until)
-        while self.reaction.t + period <= until:
-            self.publish_reaction(self.reaction.t + period)
-
-    def publish_reaction(self, t: int) -> None:
-        """Publish the reaction at t."""
-        reaction = self.reaction.advance(t)
-        if reaction:
+        for reaction in self.reaction.due(int(SECOND / self.settings.rate)):
             self.last_published = monotonic()
-            message = to_message(reaction, self.calibrated.arm.name, self.settings.world_frame)
-            drift_start = reaction.anchor - round(self.settings.max_drift_duration * SECOND)
-            if self.thrust_end > drift_start:  # the difference is not due to the arm alone
-                message.difference = np.full(3, nan)
+            frame = self.settings.world_frame
+            message = reaction_message(reaction, self.calibrated.arm.name, frame)
             self.reaction_publisher.publish(message)
 
     def health(self) -> Health:
@@ -187,21 +165,6 @@ class BaseReactionNode(Node):
         if silence > 2.0:
             return Health(WARN, f"no joint or base data for {silence:.1f} s{late}", values)
         return Health(OK, f"predicting with {self.calibrated.arm.name}", values)
-
-
-def to_message(reaction: Reaction, arm: str, world_frame: str) -> BaseReactionMessage:
-    """Convert a reaction to a message."""
-    message = BaseReactionMessage(
-        arm=arm,
-        anchor=to_time(reaction.anchor),
-        difference=(reaction.measured - reaction.predicted).tolist(),
-        kinetic_energy=reaction.kinetic_energy,
-        torque=reaction.torque,
-        torque_measured=reaction.torque_measured,
-        **{name: getattr(reaction, name).tolist() for name in VECTORS},
-    )
-    message.header.stamp, message.header.frame_id = to_time(reaction.t), world_frame
-    return message
 
 
 if __name__ == "__main__":

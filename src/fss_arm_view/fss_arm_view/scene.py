@@ -16,11 +16,11 @@ import numpy.typing as npt
 import rerun as rr
 import rerun.blueprint as rrb
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import com_positions, joint_positions, tip_jacobian
 from fss_arm_model.momentum import generalized_jacobian
 
-Floats = npt.NDArray[np.float64]
 Drawing = tuple[str, Any]  # an entity, and an archetype or several
 Color = tuple[int, int, int]
 
@@ -146,6 +146,24 @@ def legend_entry(k: int, text: str, color: Color) -> Drawing:
         flip_y([position]), colors=color, radii=0.001, labels=[text], show_labels=True
     )
     return f"table/legend/{k}", label
+
+
+class Legend:
+    """Names that the legend shows."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Keep only the names of the static scene."""
+        self.names = [name for name, _ in LEGEND]
+
+    def add(self, name: str, color: Color) -> Drawing | None:
+        """Add a name and draw it; return None if the legend shows it already."""
+        if name in self.names:
+            return None
+        self.names.append(name)
+        return legend_entry(len(self.names) - 1, name, color)
 
 
 class Lines(NamedTuple):

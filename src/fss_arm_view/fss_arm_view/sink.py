@@ -93,31 +93,18 @@ class Sink:
 class VehicleSink:
     """Sink for one of several vehicles: its entities are placed below its name."""
 
-    def __init__(self, sink: "Sink | VehicleSink", name: str) -> None:
+    def __init__(self, sink: Sink, name: str) -> None:
         self.sink, self.name = sink, name
-        self.counts: Counter[str] = sink.counts
-
-    @property
-    def stream(self) -> rr.RecordingStream:
-        """Recording stream that all vehicles share."""
-        return self.sink.stream
-
-    @stream.setter
-    def stream(self, stream: rr.RecordingStream) -> None:
-        self.sink.stream = stream
 
     def due(self, entity: str) -> bool:
         """Return True if the vehicle's entity may be drawn now, as Sink.due."""
         return self.sink.due(f"{self.name} {entity}")
 
     def enqueue(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
-        """Queue drawings of the vehicle, as Sink.put."""
+        """Queue drawings of the vehicle, as Sink.enqueue."""
         return self.sink.enqueue(
             t, [(self._vehicle_entity(entity), drawn) for entity, drawn in drawings]
         )
-
-    def close(self) -> None:
-        """Do nothing: the owner of the shared sink closes it."""
 
     def _vehicle_entity(self, entity: str) -> str:
         kind, _, rest = entity.partition("/")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.settings import at_least, setting
@@ -14,7 +15,7 @@ from fss_arm_workspace.manipulability.climb import climb
 from fss_arm_workspace.manipulability.map import Map, manipulability_map
 from fss_arm_workspace.manipulability.measure import FIXED, FLOATING, jacobian
 from fss_arm_workspace.manipulability.search import Best
-from fss_arm_workspace.regions.arcs import Complexes, Floats, Region
+from fss_arm_workspace.regions.arcs import Region
 from fss_arm_workspace.regions.fixed import fixed_workspace, joint_limits
 from fss_arm_workspace.regions.virtual import VirtualManipulator
 from fss_arm_workspace.straight_path.paths import (

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.momentum import system_com
 from fss_arm_workspace.analysis import Analysis
 from fss_arm_workspace.manipulability.measure import FIXED, FLOATING, ellipsoid, jacobian, measure
-from fss_arm_workspace.regions.arcs import Floats
 from fss_arm_workspace.straight_path.paths import Paths
 from fss_arm_workspace.straight_path.trace import REASONS
 

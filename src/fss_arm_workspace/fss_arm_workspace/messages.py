@@ -12,6 +12,7 @@ from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.kinematics import tip_in_base
@@ -21,7 +22,6 @@ from fss_arm_workspace import __version__
 from fss_arm_workspace.analysis import Analysis, AnalysisSettings
 from fss_arm_workspace.manipulability.map import Map
 from fss_arm_workspace.manipulability.measure import FIXED, FLOATING, ellipsoid, jacobian
-from fss_arm_workspace.regions.arcs import Complexes, Floats
 from fss_arm_workspace.regions.virtual import VirtualManipulator
 from fss_arm_workspace.straight_path.paths import Paths
 from fss_arm_workspace.straight_path.redundancy import BASES

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_model.kernels import Floats
+from fss_arm_model.arrays import Floats
 from fss_arm_ros.calibrated import Calibrated
 
 

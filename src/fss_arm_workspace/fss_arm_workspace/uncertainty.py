@@ -14,13 +14,14 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.layout import OFFSET, each
 from fss_arm_workspace.manipulability.climb import climb
 from fss_arm_workspace.manipulability.measure import Kind
 from fss_arm_workspace.manipulability.search import Best
-from fss_arm_workspace.regions.arcs import Complexes, Floats, Region
+from fss_arm_workspace.regions.arcs import Region
 from fss_arm_workspace.regions.virtual import virtual_links
 
 _PARAMETER_STEP = 1e-6  # step of a parameter for central differences

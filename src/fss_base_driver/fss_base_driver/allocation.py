@@ -17,7 +17,7 @@ from collections.abc import Collection
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from fss_arm_model.arrays import Floats
 
 PROPELLANT_WEIGHT = 1e-3  # kappa, relative to the strongest valve's force
 CLIPPING_TOLERANCE = 0.01  # smallest clipped force, relative to the strongest valve's force

@@ -1,7 +1,8 @@
 """Time of a command by its stamp; commands without one, or with a wrong one, are refused."""
 
+from fss_arm_model.units import SECOND
 from fss_link.host_clock import HostClock
-from fss_link.session import SECOND, CommandError
+from fss_link.session import CommandError
 
 MAX_STAMP_LEAD = 0.5  # largest lead of a stamp over the clock [s]
 

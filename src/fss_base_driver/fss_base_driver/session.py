@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import NamedTuple
 
+from fss_arm_model.units import SECOND
 from fss_base_driver.protocol import (
     BOARD,
     NO_ON_TIMES,
@@ -23,7 +24,7 @@ from fss_base_driver.protocol import (
     decode,
     encode,
 )
-from fss_link.session import SECOND, CommandError, Partner, Session
+from fss_link.session import CommandError, Partner, Session
 
 NAME = "the base's board"
 UNIT = 1000 * TIME_UNIT  # of on-times [ns]

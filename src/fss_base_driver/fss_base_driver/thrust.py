@@ -19,10 +19,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix
-
-Floats = npt.NDArray[np.float64]
 
 MIN_POSES = 20  # least number of poses before a pulse, and after it
 

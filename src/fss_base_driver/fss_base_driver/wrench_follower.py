@@ -3,12 +3,12 @@
 from collections.abc import Collection
 from typing import Any
 
+from fss_arm_model.units import SECOND
 from fss_base_driver.allocation import Allocation
 from fss_base_driver.protocol import VALVES
 from fss_base_driver.session import BoardSession
 from fss_base_driver.settings import BaseSettings
 from fss_base_driver.wrench import planar_wrench
-from fss_link.session import SECOND
 
 
 class WrenchFollower:

@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.units import SECOND
-from fss_gnc.reference import Floats, Path
+from fss_gnc.reference import Path
 
 MAX_HEADING = 1000.0  # [rad], 159 turns; headings are wrapped
 MAX_DURATION = 86_400.0  # [s], one day

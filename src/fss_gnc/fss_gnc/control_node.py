@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description_file import described
 from fss_arm_msgs.msg import GripperState, MassProperties
 from fss_arm_ros.convert import stamp_ns, to_time
@@ -29,7 +30,6 @@ from fss_gnc.control.base_control import BaseControl
 from fss_gnc.control.settings import ControlSettings
 from fss_gnc.latest import Latest
 from fss_gnc.programs import control as main
-from fss_gnc.reference import Floats
 
 
 class ControlNode(Node):

@@ -10,11 +10,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from fss_arm_model.arrays import Floats
 from fss_arm_msgs.msg import GripperState, MassProperties, MissionState, ThrusterHealth
 from fss_arm_ros.convert import stamp_ns, to_time
 from fss_arm_ros.qos import COMMAND, LATCHED, command
 from fss_gnc import messages
-from fss_gnc.guidance.activity import Commands, Craft, Floats, Outcome
+from fss_gnc.guidance.activity import Commands, Craft, Outcome
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.execution import Execution
 from fss_gnc.guidance.measurements import Measurements

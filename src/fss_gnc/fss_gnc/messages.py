@@ -8,11 +8,12 @@ from geometry_msgs.msg import Quaternion, Transform, Twist, Vector3
 from rclpy.duration import Duration
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.held import Target
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
 from fss_gnc import bounds
-from fss_gnc.reference import Body, Floats, Path
+from fss_gnc.reference import Body, Path
 
 BASE, WORLD = "fss", "world"  # name of the one "joint" of a base trajectory, and its frame
 HEIGHT_RANGE = (-10.0, 10.0)  # allowed heights of a base's origin, ignored by control [m]

@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.planar import wrap
-
-Floats = npt.NDArray[np.float64]
 
 SEGMENT_STEPS = 8  # samples per segment between two knots when a whole path is checked
 

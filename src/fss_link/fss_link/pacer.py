@@ -1,6 +1,6 @@
 """Rate limit for messages at irregular times. Times are the caller's, in nanoseconds."""
 
-SECOND = 1_000_000_000  # [ns]
+from fss_arm_model.units import SECOND
 
 
 class Pacer:

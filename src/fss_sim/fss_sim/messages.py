@@ -12,8 +12,8 @@ from sensor_msgs.msg import Imu
 
 from fss_arm_msgs.msg import GripperState, SimTruth
 from fss_arm_ros.convert import SECOND, TURN_RATE, pose_stamped, to_time
-from fss_sim.plant.bed import Clearance
-from fss_sim.plant.plant import Vehicle
+from fss_sim.plant.bed import Bed, Clearance
+from fss_sim.plant.vehicle import Vehicle
 from fss_sim.sensors import SubjectReading
 
 STAMP = 4  # offset of the stamp, after CDR's encapsulation header [bytes]
@@ -97,13 +97,17 @@ class SerializedClock(SerializedMessage):
 
 
 def truth_message(
-    stamp: int, frame_id: str, plant: Vehicle, frame: int = 0, markers: Sequence[int] = (0, 0, 0)
+    stamp: int,
+    frame_id: str,
+    bed: Bed,
+    plant: Vehicle,
+    frame: int = 0,
+    markers: Sequence[int] = (0, 0, 0),
 ) -> SimTruth:
     """Return a vehicle's true state, with the audit of its table and VICON's frame number."""
-    bed = plant.bed
     audit, error = bed.audit, bed.imbalance.tolist()
     pose, twist = (bed.targets[0].state if bed.targets else np.zeros((2, 3))).tolist()
-    nearby = clearances(plant)
+    nearby = clearances(bed, plant)
     gaps = [pair.gap for pair in nearby]
     message = SimTruth(
         q=plant.q.tolist(),
@@ -133,12 +137,12 @@ def truth_message(
     return message
 
 
-def clearances(plant: Vehicle) -> list[Clearance]:
+def clearances(bed: Bed, plant: Vehicle) -> list[Clearance]:
     """Return the gaps of all pairs of parts of which at least one belongs to the vehicle.
 
     Neighbouring parts of a chain and the table's edge are excluded.
     """
-    prefix, gaps = f"{plant.name} " if plant.name else "", plant.bed.clearances()
+    prefix, gaps = f"{plant.name} " if plant.name else "", bed.clearances()
     return [
         c
         for c in gaps
@@ -146,9 +150,9 @@ def clearances(plant: Vehicle) -> list[Clearance]:
     ]
 
 
-def gripper_state(stamp: int, frame_id: str, plant: Vehicle) -> GripperState:
+def gripper_state(stamp: int, frame_id: str, bed: Bed, plant: Vehicle) -> GripperState:
     """Return the state of the gripper as its sensors measure it."""
-    approach = plant.approach
+    _, approach = bed.within_reach(plant)
     message = GripperState(
         closed=plant.closed,
         holds=plant.holds,

@@ -3,7 +3,8 @@
 from enum import IntEnum
 
 import numpy as np
-import numpy.typing as npt
+
+from fss_arm_model.arrays import Floats
 
 BLOCK = 256  # number of frames whose random numbers are drawn together
 
@@ -22,10 +23,10 @@ class RandomNumbers:
         self._block = -1
         self._normal = self._uniform = np.empty((0, 0))
 
-    def normal(self, frame: int) -> npt.NDArray[np.float64]:
+    def normal(self, frame: int) -> Floats:
         """Return normal numbers of mean 0 and standard deviation 1, (width,)."""
         self._draw(frame // BLOCK)
-        row: npt.NDArray[np.float64] = self._normal[frame % BLOCK]
+        row: Floats = self._normal[frame % BLOCK]
         return row
 
     def uniform(self, frame: int) -> list[float]:

@@ -11,8 +11,8 @@ from operator import add
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.units import SECOND
 from fss_sim.faults import GyroFaults, SubjectFaults
 from fss_sim.noise import Noise
@@ -126,7 +126,7 @@ class Sensors:
         base: Pose,
         tip: Pose,
         rate: float,
-        qd: npt.NDArray[np.float64],
+        qd: Floats,
         base_faults: SubjectFaults = NO_SUBJECT_FAULTS,
         tip_faults: SubjectFaults = NO_SUBJECT_FAULTS,
         gyro_faults: GyroFaults = NO_GYRO_FAULTS,
@@ -191,7 +191,7 @@ class Sensors:
         jitter = self.noise.vicon_jitter * abs(float(self._jitter.normal(frame)[0]))
         return round(SECOND * max(1.0 / RATE - jitter, 0.0))
 
-    def _count_rests(self, qd: npt.NDArray[np.float64]) -> None:
+    def _count_rests(self, qd: Floats) -> None:
         """Count rests; a rest ends with the next motion, and then a new error is drawn."""
         if np.abs(qd).max() <= MOVING_SPEED:
             self._resting_frames += 1
@@ -214,7 +214,7 @@ def _with_marker_error(pose: Pose | None, result: MarkerResult) -> Pose | None:
     return (*map(add, pose, result.error),) if pose and result.visible else None
 
 
-def _pose(values: npt.NDArray[np.float64]) -> Pose:
+def _pose(values: Floats) -> Pose:
     x, y, heading = values.tolist()
     return x, y, heading
 

@@ -32,10 +32,10 @@ from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant.contact import Contact
 from fss_sim.plant.joints import PRESETS as JOINTS
 from fss_sim.plant.joints import Joints
-from fss_sim.plant.plant import World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
 from fss_sim.plant.thrusters import Propulsion
+from fss_sim.plant.vehicle import World
 from fss_sim.sensors import RATE
 from fss_sim.testbed import State
 from fss_sim.vicon import Room, Vicon

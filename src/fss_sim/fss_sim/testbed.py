@@ -13,8 +13,8 @@ from secrets import randbelow
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, Base
 from fss_arm_model.extents import Extents
 from fss_arm_model.files import ContentError, read_yaml, short, write_text
@@ -28,8 +28,9 @@ from fss_sim.link.radio import RadioChannel, Station
 from fss_sim.noise import Noise
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.joints import link_normals, outboard_momentum
-from fss_sim.plant.plant import Floats, Motion, Plant, Vehicle, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.target import PassiveTarget
+from fss_sim.plant.vehicle import Motion, Vehicle, World
 from fss_sim.sensors import RATE, Readings, Sensors, compose
 from fss_sim.vicon import BASE, NOT_VISIBLE, TARGET, TIP, MarkerResult, Pose, Room, Vicon
 
@@ -130,7 +131,8 @@ class Testbed:
         script: fault script.
         world: parameters of the plant, except those of the arm.
         board_rate: telemetry rate of the base's board [frames/s]; 0: no board.
-        plant: the vehicle, if it shares the table with others (`place_on_table`).
+        bed: table that several vehicles share (`place_on_table`); None: a table of its own.
+        number: index of this vehicle on that table.
         power: parameters of batteries and loads.
         radio_channel: shared by all vehicles; None: no radio, so that only faults delay datagrams.
         vicon: cameras of the table; None: cameras of its own, if the noise model has markers.
@@ -149,18 +151,21 @@ class Testbed:
         script: Sequence[Event] = (),
         world: World | None = None,
         board_rate: float = 0.0,
-        plant: Vehicle | None = None,
+        bed: Bed | None = None,
+        number: int = 0,
         power: Power | None = None,
         radio_channel: RadioChannel | None = None,
         vicon: Vicon | None = None,
     ) -> None:
         self._target = np.reshape(state.target, (2, 3))  # as given
-        self.plant = plant or Plant(
-            arm, state.q, state.qd, world, self._target, state.holds, state.propellant
+        self.bed = (
+            bed
+            or Plant(arm, state.q, state.qd, world, self._target, state.holds, state.propellant).bed
         )
+        self.plant = self.bed.vehicles[number]
         links = arm.links if isinstance(arm, Arm) else ()
         self.sensors, self.radio_channel = Sensors(noise, seed, state.rests), radio_channel
-        kinds = [*self.subjects, *(TARGET for _ in self.plant.bed.targets)]
+        kinds = [*self.subjects, *(TARGET for _ in self.bed.targets)]
         own_vicon = Vicon(noise, Room(), seed, kinds) if noise.markers else None
         self.vicon = vicon or own_vicon
         self.marker_results: dict[int, MarkerResult] = {}  # of the last picture, by kind of subject
@@ -223,7 +228,7 @@ class Testbed:
         self._motions = self._measured_motions()
         self.frame += 1
         plant, of = self.plant, self.faults
-        rate, target = float(plant.qd[2]), self.target[0].tolist() if plant.bed.targets else None
+        rate, target = float(plant.qd[2]), self.target[0].tolist() if self.bed.targets else None
         # Without an arm the pose of the tip is not used. Rests are detected by the motion of the
         # drives, as links can still oscillate on their gears while the drives are at rest.
         tip = plant.tip if plant.n else (0.0, 0.0, 0.0)
@@ -268,7 +273,7 @@ class Testbed:
     @property
     def target(self) -> Floats:
         """Pose and twist of the target, (2, 3); those of the initial state if there is none."""
-        targets = self.plant.bed.targets
+        targets = self.bed.targets
         return targets[0].state if targets else self._target
 
     def charge(self) -> None:
@@ -292,7 +297,7 @@ class Testbed:
         across = np.sum(forces * link_normals(self.plant.p, self.plant.q), axis=1).tolist()
         return [m._replace(shear=f) for m, f in zip(motions, across, strict=True)]
 
-    def _link_momenta(self) -> npt.NDArray[np.float64]:
+    def _link_momenta(self) -> Floats:
         """Return the linear momentum of all links beyond each joint, (n, 2) [N s]."""
         return outboard_momentum(self.plant.p, self.plant.q, self.plant.qd)
 
@@ -314,16 +319,14 @@ class Testbed:
         """Return the state to save."""
         plant = self.plant
         q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, self.target))
-        holds = any(one.holder is plant for one in plant.bed.targets)
-        used = plant.thrusters.propellant_used
         return State(
-            self.frame, self._boots, self.sensors.rests, q, qd, target, holds, used,
-            self._boot_offset,
+            self.frame, self._boots, self.sensors.rests, q, qd, target, plant.payload is not None,
+            plant.thrusters.propellant_used, self._boot_offset,
         )  # fmt: skip
 
 
-def place_on_table(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:
-    """Put vehicles on one table in their states, with the target of the first vehicle's world.
+def place_on_table(vehicles: Sequence[Vehicle], states: Sequence[State]) -> Bed:
+    """Return a table with vehicles in their states and the target of the first vehicle's world.
 
     Only one vehicle can hold the target: the first one whose state says so. Other grips are open.
     """
@@ -337,7 +340,7 @@ def place_on_table(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None
     for one in holders[:1]:
         one.closed = True
         one.attach(targets[0])
-    Bed(vehicles, targets, world.contact, world.tolerance)
+    return Bed(vehicles, targets, world.contact, world.tolerance)
 
 
 def step(vehicles: Sequence[Testbed]) -> list[Report]:
@@ -346,7 +349,7 @@ def step(vehicles: Sequence[Testbed]) -> list[Report]:
     faults_changed = [one.apply_commands() for one in vehicles]
     if first.radio_channel:
         first.radio_channel.interference = max(one.faults.radio.interference for one in vehicles)
-    first.plant.bed.advance(1.0 / RATE)
+    first.bed.advance(1.0 / RATE)
     if first.vicon:
         take_picture(first.vicon, vehicles)
     return [one.observe(of) for one, of in zip(vehicles, faults_changed, strict=True)]
@@ -354,7 +357,7 @@ def step(vehicles: Sequence[Testbed]) -> list[Report]:
 
 def take_picture(vicon: Vicon, vehicles: Sequence[Testbed]) -> None:
     """Take one picture of all vehicles of a table, and give each vehicle its results."""
-    first, targets = vehicles[0], vehicles[0].plant.bed.targets
+    first, targets = vehicles[0], vehicles[0].bed.targets
     subjects = [one.subjects for one in vehicles]
     poses = [pose for its in subjects for pose in its.values()]
     poses += [(*one.state[0].tolist(),) for one in targets]

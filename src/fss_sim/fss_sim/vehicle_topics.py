@@ -15,6 +15,7 @@ from std_msgs.msg import Bool
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
 from fss_arm_ros.convert import to_time
+from fss_arm_ros.diagnostics import OK, WARN, Health
 from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
 from fss_arm_ros.validation import subscribe
 from fss_link.protocol import load_keys
@@ -27,7 +28,8 @@ from fss_sim.messages import (
     gripper_state,
     truth_message,
 )
-from fss_sim.plant.plant import Vehicle
+from fss_sim.plant.bed import Bed
+from fss_sim.plant.vehicle import Vehicle
 from fss_sim.sensors import RATE, Readings
 from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import Report, State, Testbed
@@ -102,13 +104,14 @@ class VehicleTopics:
 
     def start(
         self,
-        plant: Vehicle | None,
+        bed: Bed | None,
+        number: int,
         state: State,
         seed: int,
         radio_channel: RadioChannel | None = None,
         vicon: Vicon | None = None,
     ) -> None:
-        """Create electronics and sensors of a vehicle in this state; None: the only one."""
+        """Create electronics and sensors of vehicle `number` of a bed; None: the only one."""
         settings = self.settings
         self.testbed = Testbed(
             self.arm,
@@ -122,7 +125,8 @@ class VehicleTopics:
             read_script(self.script),
             settings.world(),
             settings.board_rate if self.board_wire else 0.0,
-            plant,
+            bed,
+            number,
             settings.power(),
             radio_channel,
             vicon,
@@ -147,7 +151,7 @@ class VehicleTopics:
 
     def publish(self, stamp: int, readings: Readings) -> None:
         """Publish the readings of the sensors."""
-        settings, plant = self.settings, self.testbed.plant
+        settings, testbed = self.settings, self.testbed
         publishers = (
             (self.base, readings.base),
             (self.tip, readings.tip),
@@ -158,17 +162,17 @@ class VehicleTopics:
                 publisher.publish(self.pose_message.serialize(stamp, reading))
         if readings.rate is not None and self.board_wire is None:
             self.gyro.publish(self.gyro_message.serialize(stamp, readings.rate))
-        if self.testbed.frame % round(RATE / settings.truth_rate) == 0:
-            bed = self.testbed
-            default_count = NOT_VISIBLE.markers if bed.vicon else MIN_MARKERS
-            counts = {kind: result.markers for kind, result in bed.marker_results.items()}
+        if testbed.frame % round(RATE / settings.truth_rate) == 0:
+            bed, plant = testbed.bed, testbed.plant
+            default_count = NOT_VISIBLE.markers if testbed.vicon else MIN_MARKERS
+            counts = {kind: result.markers for kind, result in testbed.marker_results.items()}
             markers = [counts.get(kind, default_count) for kind in SUBJECTS]
             self.truth.publish(
-                truth_message(stamp, settings.world_frame, plant, bed.frame, markers)
+                truth_message(stamp, settings.world_frame, bed, plant, testbed.frame, markers)
             )
             if self.gripper:
                 frame_id = f"{settings.frame_prefix}end_effector"
-                self.gripper.publish(gripper_state(stamp, frame_id, plant))
+                self.gripper.publish(gripper_state(stamp, frame_id, bed, plant))
 
     def receive(self, delay: int) -> Iterator[int]:
         """Pass datagrams on, as received `delay` ns after the last frame; yield each one's link."""
@@ -216,19 +220,29 @@ class VehicleTopics:
             message.value.append(value)
         self.faults.publish(message)
 
+    def health(self, default: str = "") -> Health:
+        """Return the status of the vehicle; `default` is the message if there is no problem."""
+        problems = [self.save_error] if self.save_error else []
+        if self.is_touching():
+            problems += ["bodies touch each other or the table's border"]
+        if not self.testbed.plant.thrusters.floats:
+            problems += ["no air in the bearings: the vehicle rubs on the table"]
+        return Health(WARN if problems else OK, ", ".join(problems) or default, self.values())
+
     def is_touching(self) -> bool:
         """Return True if its bodies touch each other or the table's border."""
         return min(self.gap(), self.testbed.plant.edge_clearance) < TOUCHING_GAP
 
     def gap(self) -> float:
         """Return the least gap between two bodies [m]."""
-        return min((pair.gap for pair in clearances(self.testbed.plant)), default=inf)
+        bed, plant = self.testbed.bed, self.testbed.plant
+        return min((pair.gap for pair in clearances(bed, plant)), default=inf)
 
     def values(self) -> dict[str, Any]:
         """Return the diagnostic values of the vehicle."""
-        plant = self.testbed.plant
+        plant, imbalance = self.testbed.plant, self.testbed.bed.imbalance
         values: dict[str, Any] = {
-            "largest error of momentum and energy [N s, N m s, J]": abs(plant.bed.imbalance).max(),
+            "largest error of momentum and energy [N s, N m s, J]": abs(imbalance).max(),
             "gap between bodies [m]": self.gap(),
             "gap to the table's edge [m]": plant.edge_clearance,
             "propellant used [kg]": plant.thrusters.propellant_used,
@@ -257,12 +271,19 @@ class VehicleTopics:
             if self.save_error != before:
                 self.node.get_logger().error(self.save_error)
 
+    def reset(self) -> State:
+        """Reset the connections; return the state given by the parameters, at the present boot."""
+        for wire in self.all_wires():
+            wire.reset()
+        state = self.settings.state_from_parameters(self.n)
+        return replace(state, boot_offset=self.testbed.boot)
+
+    def close(self) -> None:
+        """Save the state and close the connections."""
+        self.save()
+        for wire in self.all_wires():
+            wire.close()
+
     def all_wires(self) -> list[Any]:
         """Return the connections of links and board."""
         return [*self.wires, *([self.board_wire] if self.board_wire else [])]
-
-
-def align_frames(states: list[State]) -> list[State]:
-    """Return the states with the same frame, the latest of all."""
-    frame = max(state.frame for state in states)
-    return [replace(state, frame=frame) for state in states]

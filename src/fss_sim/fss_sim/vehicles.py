@@ -1,6 +1,7 @@
 """Reader of the vehicles file: for each vehicle, the settings that differ from the test bed's."""
 
 import re
+from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
 from itertools import combinations
 from math import dist
@@ -50,6 +51,15 @@ def read_vehicles(bed: TestbedSettings) -> dict[str, TestbedSettings]:
                 f"{file}: {one} and {other} start in the same place: change base of one of them"
             )
     return settings
+
+
+def check_keys(keys: Mapping[str, Collection[bytes]]) -> None:
+    """Raise SettingError if links of two vehicles, by name, would accept each other's commands."""
+    for one, other in combinations(keys, 2):
+        if set(keys[one]) & set(keys[other]):
+            raise SettingError(
+                f"{one} and {other} have a key in common: give each vehicle its own keys"
+            )
 
 
 def _vehicle_settings(bed: TestbedSettings, name: str, k: int, values: Any) -> TestbedSettings:

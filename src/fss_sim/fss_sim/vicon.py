@@ -19,10 +19,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.clearance import _point_distance, _segment_distance
+from fss_arm_model.arrays import Floats
+from fss_arm_model.clearance import point_distance, segment_distance
 from fss_arm_model.extents import Extents
-from fss_arm_model.kernels import Floats, kernel
-from fss_arm_model.kinematics import _cross, joint_positions
+from fss_arm_model.kernels import kernel
+from fss_arm_model.kinematics import cross, joint_positions
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
 from fss_sim.noise import Noise
 from fss_sim.random_numbers import RandomNumbers, Stream, random_generator
@@ -242,9 +243,9 @@ def _observe_markers(  # type: ignore[no-untyped-def]
                 a = complex(bodies[b, 0], bodies[b, 1])
                 along = complex(bodies[b, 2], bodies[b, 3]) - a
                 if abs(along) > 1e-9:
-                    apart = _segment_distance(at[k], share * sight, a, along)
+                    apart = segment_distance(at[k], share * sight, a, along)
                 else:
-                    apart = _point_distance(at[k], share * sight, a)
+                    apart = point_distance(at[k], share * sight, a)
                 free = free and apart > bodies[b, 4]
             camera_count += free
         ok[k] = camera_count >= MIN_CAMERAS
@@ -267,7 +268,7 @@ def _observe_markers(  # type: ignore[no-untyped-def]
         moment = square = 0.0
         for k in range(count):
             if ok[k] and owners[k] == s:
-                moment += _cross(at[k] - middle, off[k])
+                moment += cross(at[k] - middle, off[k])
                 square += abs(at[k] - middle) ** 2
         turned = moment / square if square > 0.0 else 0.0
         error = mean + 1j * turned * (complex(poses[s, 0], poses[s, 1]) - middle)

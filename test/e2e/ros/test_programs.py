@@ -19,7 +19,7 @@ from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
 from fss_sim.testbed import FRAME
-from fss_sim.testbed_node import FRAMES_PER_CLOCK
+from fss_sim.timeline import FRAMES_PER_CLOCK
 
 RATES = {
     "vicon/fss/fss": (PoseStamped, 100),

@@ -95,7 +95,7 @@ def test_late_subscribers_get_latched_topics(spin, tmp_path):
         recording.write("/robot_description", START + k, serialize_message(String(data=f"arm {k}")))
     recording.close()
     player = replay(tmp_path, rate=0.0, hold=True)
-    spin(player, lambda: player.state == "holding")
+    spin(player, lambda: player.playback.state == "holding")
     node, got = Node("late"), []
     everything = player.players["/robot_description"]
     node.create_subscription(
@@ -132,8 +132,8 @@ def test_commands_are_not_played(spin, tmp_path):
     recording.write("/calibration/text", START, serialize_message(String(data="pass")))
     recording.close()
     player = replay(tmp_path, rate=0.0, hold=True)
-    spin(player, lambda: player.state == "holding")
-    assert player.played == 1
+    spin(player, lambda: player.playback.state == "holding")
+    assert player.playback.played == 1
     assert player.count_publishers("/arm/stop") == 0
     assert player.count_publishers("/calibration/text") == 0
     assert player.count_publishers("/recorded/calibration/text") == 1
@@ -158,7 +158,7 @@ def test_a_topic_named_twice_waits_for_two_subscribers(spin, tmp_path):
     spin([player, early], publisher.get_subscription_count)
     player.steps = map(ticks.append, player.steps)
     spin([player, early], lambda: len(ticks) > 20)
-    assert player.played == 0
+    assert player.playback.played == 0
     late = subscribe("late")
     assert exit_code(spin, [player, early, late]) == 0
     spin([early, late], lambda: all(len(got) == 100 for got in received.values()))
@@ -226,7 +226,7 @@ def test_another_publisher_stops_the_replay(spin, tmp_path):
     player = replay(make_bag(tmp_path, 10), discovery=10.0)
     reason = exit_code(spin, [player, node])
     assert reason == "/joint_states is also published by link_1: stop it, or choose other topics"
-    assert player.played == 0
+    assert player.playback.played == 0
 
 
 def test_messages_of_the_first_version_are_upgraded(spin, tmp_path):

@@ -6,7 +6,7 @@ from math import inf, isnan, nan
 
 import pytest
 from base_bench import Bench, User
-from base_link import GYRO_RATE, SECOND, FakeBoard, FakeBoardTransport
+from base_link import GYRO_RATE, FakeBoard, FakeBoardTransport
 from diagnostic_msgs.msg import DiagnosticStatus
 from driver_wire import ENDS
 from rclpy.parameter import Parameter
@@ -15,6 +15,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool, Trigger
 
+from fss_arm_model.units import SECOND
 from fss_arm_msgs.msg import ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED

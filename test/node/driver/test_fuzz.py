@@ -13,13 +13,14 @@ from math import pi, sin
 
 import pytest
 from driver_frames import with_crc
-from driver_link import SECOND, FakeLink
+from driver_link import FakeLink
 from running import memory
 
 from fss_arm_driver.messages import SampleMessages
 from fss_arm_driver.protocol import decode, encode
 from fss_arm_driver.session import COUNTS, LinkSession
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 
 FRAME_INTERVAL = 20  # datagrams from one true frame to the next
 PERIOD = SECOND // 5

@@ -10,7 +10,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from driver_link import RATE, SECOND, FakeTransport
+from driver_link import RATE, FakeTransport
 from driver_wire import ENDS
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -26,6 +26,7 @@ from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
+from fss_arm_model.units import SECOND
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
 from fss_link.host_clock import HostClock

@@ -15,7 +15,8 @@ from fss_arm_msgs.msg import GripperState, SimTruth, ThrusterCommand
 from fss_arm_ros.convert import planar_pose
 from fss_arm_ros.qos import COMMAND, sensor
 from fss_sim import messages, settings, testbed_node
-from fss_sim.plant.plant import Plant, World
+from fss_sim.plant.plant import Plant
+from fss_sim.plant.vehicle import World
 
 STEPPED = {"ports": [0, 0, 0, 0], "keep_clock": True, "speed": 20.0, "preset": "ideal"}
 
@@ -120,8 +121,8 @@ def test_an_invalid_command_opens_no_valve(spin, operator):
 
 
 def test_the_truth_survives_its_serialization():
-    bed = Plant(paper_arm(), np.linspace(0.1, 0.7, 7), np.ones(7), World(target=Target()))
-    message = messages.truth_message(1_500_000_000, "world", bed)
+    plant = Plant(paper_arm(), np.linspace(0.1, 0.7, 7), np.ones(7), World(target=Target()))
+    message = messages.truth_message(1_500_000_000, "world", plant.bed, plant)
     assert deserialize_message(serialize_message(message), SimTruth) == message
 
 

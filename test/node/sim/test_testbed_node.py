@@ -17,11 +17,10 @@ from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Command, LinkCommandFlag, Mode, Telemetry, decode, encode
 from fss_arm_msgs.msg import SimFaults, SimTruth
 from fss_arm_msgs.srv import ResetTestbed, StepTime
-from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
+from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_sim import testbed_node
-from fss_sim.pace import ClockPace
-from fss_sim.testbed import FRAME, State
+from fss_sim.testbed import State
 
 REAL_TIME_TOPICS = {"/diagnostics", "/rosout", "/parameter_events"}
 
@@ -280,32 +279,6 @@ def test_invalid_transports_are_rejected(ros, given, error):
         testbed(**given)
 
 
-def test_datagrams_received_during_a_stall_are_not_processed_early(ros, monkeypatch):
-    clock, received = [0], []
-    with closing(testbed()) as bed:
-        bed.ticker.close()
-        start_frame = bed.testbed.frame
-        bed.pace = ClockPace(
-            lambda: clock[0], start_frame, max_behind=SECOND, max_ahead=30 * SECOND
-        )
-        make = bed.make_frames
-
-        def stall(count):
-            make(count)
-            clock[0] = 3 * SECOND
-
-        clock[0] = 2 * FRAME
-        monkeypatch.setattr(bed, "make_frames", stall)
-        monkeypatch.setattr(
-            bed, "receive", lambda: received.append(bed.testbed.frame - start_frame)
-        )
-        bed.tick()
-        assert not received
-        while not received:
-            bed.tick()
-    assert received == [300]
-
-
 def test_truth_has_vicons_frame_number_and_marker_counts(spin, listener):
     truths = []
     listener.create_subscription(SimTruth, "sim/truth", truths.append, sensor())
@@ -324,7 +297,7 @@ def test_it_resumes_from_its_state_file(spin, listener, tmp_path):
     second = testbed(state_file=path, keep_clock=True)
     assert second.testbed.boot == first.testbed.boot % 65535 + 1
     np.testing.assert_allclose(second.testbed.plant.q[3:], [0.1, 0.2, 0.3, 0.4], atol=1e-6)
-    assert second.stamp() > last
+    assert second.timeline.stamp() > last
     second.close()
     second.destroy_node()
 
@@ -350,7 +323,8 @@ def test_each_boot_number_is_saved_before_it_is_sent_and_none_repeats(spin, call
 def test_an_unwritable_state_is_logged_and_the_ports_are_closed(ros, tmp_path, capfd):
     (tmp_path / "full").write_text("in the way")
     bed = testbed(state_file=str(tmp_path / "full" / "state.json"))
-    ports = [int(wire.address.split()[-1]) for wire in bed.all_wires()]
+    wires = [wire for vehicle in bed.vehicles for wire in vehicle.all_wires()]
+    ports = [int(wire.address.split()[-1]) for wire in wires]
     bed.close()
     assert capfd.readouterr().err.count(f"cannot write {tmp_path}/full/state.json: ") == 1
     bed.destroy_node()

@@ -114,7 +114,7 @@ def test_vehicles_share_a_table_and_a_target(spin, bed):
     target_poses = []
     operator.create_subscription(PoseStamped, "/vicon/target/target", target_poses.append, sensor())
     spin([node, operator], lambda: len(truths) == 2 and target_poses)
-    assert len({id(vehicle.testbed.plant.bed) for vehicle in node.vehicles}) == 1
+    assert len({id(vehicle.testbed.bed) for vehicle in node.vehicles}) == 1
     np.testing.assert_allclose(planar_pose(target_poses[-1].pose), pose, atol=0.01)
     assert operator.count_publishers("/vicon/target/target") == 1
     for message in truths.values():

@@ -65,7 +65,8 @@ def recorded_text(node, file):
 def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
     file = tmp_path / "view.rrd"
     node = view(mode="file", file=str(file))
-    vehicles = [ViewNode(node, namespace=name) for name in ("fss1", "fss2")]
+    added = [node.add_vehicle(name) for name in ("fss1", "fss2")]
+    nodes, vehicles = [node, *added], node.vehicles
     source, topics = Node("source"), []
     for name in ("fss1", "fss2"):
         topics.append(source.create_publisher(PoseStamped, f"/vicon/{name}/{name}", SENSOR))
@@ -73,9 +74,7 @@ def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
     stop = source.create_publisher(Empty, "/fss2/arm/stop", 10)
     logged, log_event = [], vehicles[1].log_event
     vehicles[1].log_event = lambda *event: (logged.append(event), log_event(*event))
-    spin(
-        [node, *vehicles, source], lambda: all(t.get_subscription_count() for t in [*topics, stop])
-    )
+    spin([*nodes, source], lambda: all(t.get_subscription_count() for t in [*topics, stop]))
     for k, topic in enumerate(topics):
         message = pose_stamped(BEGIN, "world", (float(k), 0.0, 0.0))
         if k % 2:
@@ -83,11 +82,9 @@ def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
             message.header.stamp = to_time(BEGIN)
         topic.publish(message)
     stop.publish(Empty())
-    spin([node, *vehicles], lambda: all(one.q[1] == 0.1 and one.stamps for one in vehicles))
-    spin(
-        [node, *vehicles], lambda: all({"base", "joints"} <= one.stamps.keys() for one in vehicles)
-    )
-    spin([node, *vehicles], lambda: logged)
+    spin(nodes, lambda: all(one.scene.q[1] == 0.1 for one in vehicles))
+    spin(nodes, lambda: all({"base", "joints"} <= one.stamps.keys() for one in vehicles))
+    spin(nodes, lambda: logged)
     shown = recorded_text(node, file)
     for name in ("fss1", "fss2"):
         assert f"/table/{name}/arm" in shown
@@ -130,10 +127,10 @@ def test_published_messages_are_shown(spin, flight, tmp_path):
         KinematicCalibration(calibration=Calibration(verdict="fail", reason="too few"))
     )
     bench.play(400)
-    spin([node, bench], lambda: node.losses.get(2))
-    spin([node, bench], lambda: {"thrusters", "target"} <= set(node.legend))
-    spin([node, bench], lambda: node.t >= BEGIN + 390_000_000 and node.sink.counts["shown"] >= 12)
-    assert node.losses[2] == pytest.approx(0.05 * 2 / 3)
+    spin([node, bench], lambda: node.own.losses[2].share)
+    spin([node, bench], lambda: {"thrusters", "target"} <= set(node.legend.names))
+    end = BEGIN + 390_000_000
+    spin([node, bench], lambda: node.own.t >= end and node.sink.counts["shown"] >= 12)
     assert node.health().level == OK
     shown = recorded_text(node, file)
     for entity in ("/table/arm", "/plot/angle/link_1", "/plot/loss/link_2"):
@@ -144,7 +141,7 @@ def test_published_messages_are_shown(spin, flight, tmp_path):
 
 
 def capture_drawings(node):
-    """Return a dictionary that receives the newest drawing of each entity."""
+    """Return a dictionary that receives the newest drawing of each entity of a node."""
     drawn = {}
     node.sink.enqueue = lambda t, drawings: drawn.update(dict(drawings))
     return drawn
@@ -152,30 +149,30 @@ def capture_drawings(node):
 
 def test_a_mission_s_phase_path_and_zone_are_shown_while_published(ros, tmp_path):
     node = view(mode="file", file=str(tmp_path / "view.rrd"), rate=1e9)
-    drawn = capture_drawings(node)
+    drawn, topics = capture_drawings(node), node.own
 
     def strips(seconds):
         t = BEGIN + int(seconds * SECOND)
-        node.on_base(pose_stamped(t, "world", (0.1 * seconds, 0.0, 0.0)))
-        node.on_target(pose_stamped(t, "world", (1.0, 1.0, 0.0)))
+        topics.on_base(pose_stamped(t, "world", (0.1 * seconds, 0.0, 0.0)))
+        topics.on_target(pose_stamped(t, "world", (1.0, 1.0, 0.0)))
         return [len(drawn[what][0].strips) for what in ("table/arm", "table/target")]
 
     plain = strips(0.0)
     path = [0.5, 0.0, 0.0, 1.0, 0.5, 1.0]
-    node.on_mission(MissionState(mission="capture", phase="approach", path=path, keep_out=0.6))
+    topics.on_mission(MissionState(mission="capture", phase="approach", path=path, keep_out=0.6))
     route, zone = 2, 1  # from the base over two poses; about the target
     assert strips(0.1) == [plain[0] + route, plain[1] + zone]
-    assert node.mission == "capture: approach"
-    assert "path planned" in node.legend
-    node.on_mission(MissionState(mission="capture", phase="abort", reason="base lost"))
-    assert node.mission == "capture: abort, base lost"
+    assert topics.scene.mission.text == "capture: approach"
+    assert "path planned" in node.legend.names
+    topics.on_mission(MissionState(mission="capture", phase="abort", reason="base lost"))
+    assert topics.scene.mission.text == "capture: abort, base lost"
     assert strips(0.2) == [plain[0] + route, plain[1]]
     assert strips(3.0) == plain
-    assert node.mission == ""
+    assert topics.scene.mission.text == ""
     assert drawn["table/base_path"]
     trajectory = MultiDOFJointTrajectory()
     trajectory.points = [MultiDOFJointTrajectoryPoint(transforms=[Transform()]) for _ in range(3)]
-    node.on_trajectory(trajectory)
+    topics.on_trajectory(trajectory)
     assert strips(3.1)[0] == plain[0] + 3
     node.close()
     node.destroy_node()
@@ -188,17 +185,17 @@ def test_events_are_drawn_at_the_time_of_the_last_measurement(ros, tmp_path, mea
     node.sink.enqueue = lambda t, drawings: drawn.append((t, drawings[0][0]))
     if measured == "joints":
         stamp = to_time(5 * SECOND)
-        node.on_joints(JointState(header=Header(stamp=stamp), name=["joint_1"], position=[0.1]))
+        node.own.on_joints(JointState(header=Header(stamp=stamp), name=["joint_1"], position=[0.1]))
     else:
-        node.on_base(pose_stamped(5 * SECOND, "world", (0.0, 0.0, 0.0)))
+        node.own.on_base(pose_stamped(5 * SECOND, "world", (0.0, 0.0, 0.0)))
     today = Header(stamp=to_time(1_800_000_000 * SECOND), frame_id="fss")
     node.on_diagnostics(DiagnosticArray(header=today, status=[DiagnosticStatus(name="replay")]))
-    node.on_stop(Empty())
-    node.on_calibration(
+    node.own.on_stop(Empty())
+    node.own.on_calibration(
         "calibration/kinematic", KinematicCalibration(calibration=Calibration(header=today))
     )
     line = Marker(header=today, type=Marker.LINE_STRIP, points=[Point(), Point(x=1.0)])
-    node.on_outlines("workspace/markers", MarkerArray(markers=[line]))
+    node.own.on_outlines("workspace/markers", MarkerArray(markers=[line]))
     assert [what for _, what in drawn].count("log") == 3
     assert {t for t, what in drawn if "legend" not in what} == {5 * SECOND}
     node.close()
@@ -208,22 +205,23 @@ def test_events_are_drawn_at_the_time_of_the_last_measurement(ros, tmp_path, mea
 def test_a_backward_jump_of_stamps_starts_a_new_recording(ros, tmp_path):
     """Otherwise the viewer would stay at the newest drawing; latched outlines are drawn again."""
     node = view(mode="file", file=str(tmp_path / "view.rrd"), rate=1e9)
+    topics, drawn = node.own, node.own.scene
     line = Marker(ns="reach", type=Marker.LINE_STRIP, points=[Point(), Point(x=1.0)])
-    node.on_outlines("workspace/markers", MarkerArray(markers=[line]))
-    node.on_stop(Empty())
+    topics.on_outlines("workspace/markers", MarkerArray(markers=[line]))
+    topics.on_stop(Empty())
     for begin in (100, 0):
         for k in range(30):
             t = begin * SECOND + k * SECOND // 100
-            node.on_base(pose_stamped(t, "world", (0.0, 0.0, 0.0)))
-            node.on_tip(pose_stamped(t, "world", (begin + 0.1 * k, 0.0, 0.0)))
+            topics.on_base(pose_stamped(t, "world", (0.0, 0.0, 0.0)))
+            topics.on_tip(pose_stamped(t, "world", (begin + 0.1 * k, 0.0, 0.0)))
         if begin:
-            node.on_reaction(BaseReaction(header=Header(stamp=to_time(t))))
-            node.on_thrust(ThrusterCommand(on_time=[9.0] * 8))
-    assert node.trails["tip_path"]
-    assert max(x for x, _ in node.trails["tip_path"]) < 10.0
-    assert not node.trails["com_path"]
-    assert node.difference is None
-    assert not any(node.valves_until)
+            topics.on_reaction(BaseReaction(header=Header(stamp=to_time(t))))
+            topics.on_thrust(ThrusterCommand(on_time=[9.0] * 8))
+    assert drawn.trails["tip_path"]
+    assert max(x for x, _ in drawn.trails["tip_path"]) < 10.0
+    assert not drawn.trails["com_path"]
+    assert drawn.difference is None
+    assert not any(drawn.plumes_until)
     first, second = (recorded_text(node, tmp_path / name) for name in ("view.rrd", "view_1.rrd"))
     assert "arm/stop" in first
     assert "arm/stop" not in second
@@ -245,7 +243,7 @@ def test_the_workspace_is_drawn_in_its_frame(spin, flight, tmp_path):
     bench.play(400)
     boundaries = {"fixed vehicle workspace", "maximum reachable workspace"}
     boundaries |= {f"straight paths, {base}" for base in ("fixed", "floating", "zero reaction")}
-    spin(nodes, lambda: boundaries <= set(node.legend), 60.0)
+    spin(nodes, lambda: boundaries <= set(node.legend.names), 60.0)
     shown = recorded_text(node, file)
     assert "/table/fss/fixed_vehicle_workspace" in shown
     assert "straight paths, zero reaction" in shown  # in the legend
@@ -371,7 +369,7 @@ def test_a_recorded_mission_is_replayed_with_its_phases(spin, tmp_path):
     )
     wait = [Parameter("wait_for", value=["vicon/fss/fss", "recorded/mission/state"])]
     replay = ReplayNode(str(recording.path), parameter_overrides=wait)
-    spin([node, replay], lambda: node.mission == "capture: reach")
+    spin([node, replay], lambda: node.own.scene.mission.text == "capture: reach")
     replay.close()
     drawn = recorded_text(node, file)
     assert "capture: approach" in drawn

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ros_bags import FIRST, SECOND, START, make_bag
+from ros_bags import FIRST, START, make_bag
 from rosbags.interfaces import Qos
 
 from fss_arm_bags.definitions import definition
@@ -10,6 +10,7 @@ from fss_arm_bags.doctor.command import main as doctor
 from fss_arm_bags.doctor.health import Stream, findings, remark, streams
 from fss_arm_bags.reader import Topic, open_bags
 from fss_arm_bags.recorder import bag_qos
+from fss_arm_model.units import SECOND
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
 
 JOINTS = "sensor_msgs/msg/JointState"

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import StreamReader, breakup_chunk
 from rclpy.serialization import serialize_message
-from ros_bags import SECOND, START, STEP, fill, joint_state, make_bag, make_killed_bag, states
+from ros_bags import START, STEP, fill, joint_state, make_bag, make_killed_bag, states
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
@@ -27,6 +27,7 @@ from fss_arm_bags.inspection import is_sound
 from fss_arm_bags.integrity import examine
 from fss_arm_bags.reader import BagError, digest, find_bags, open_bags
 from fss_arm_bags.recorder import Limits, Recording, bag_qos, next_bag
+from fss_arm_model.units import SECOND
 from fss_arm_ros.qos import SENSOR
 
 

@@ -3,8 +3,9 @@
 from math import inf, nan
 
 import pytest
-from base_link import SECOND, FakeBoard
+from base_link import FakeBoard
 
+from fss_arm_model.units import SECOND
 from fss_base_driver.protocol import BaseState, Gripper
 from fss_base_driver.session import BoardSession
 from fss_link.session import Arming, CommandError

@@ -2,11 +2,11 @@
 
 import pytest
 
+from fss_arm_model.units import SECOND
 from fss_base_driver.command_time import command_time
 from fss_link.host_clock import HostClock
 from fss_link.session import CommandError
 
-SECOND = 1_000_000_000
 START_TIME, OFFSET = 50 * SECOND, 1_700_000_000 * SECOND
 CLOCK = HostClock(lambda: START_TIME, lambda: START_TIME + OFFSET)
 

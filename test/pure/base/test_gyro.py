@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from base_board import SAMPLE
 
+from fss_arm_model.units import SECOND
 from fss_base_driver.gyro import Bias, BiasSearch, GyroSums
 
-MS, SECOND = 1_000_000, 1_000_000_000
+MS = 1_000_000
 
 
 def frames(counts, per_frame=5, begin=(0, 0)):

@@ -2,11 +2,11 @@
 
 import pytest
 
+from fss_arm_model.units import SECOND
 from fss_base_driver.mocap import Bounds, Reception, Relay, Subjects
 from fss_base_driver.mocap.reception import describe_problems
 from fss_base_driver.mocap.relays import describe_waiting
 
-SECOND = 1_000_000_000
 UPRIGHT = 0.0, 0.0, 0.0, 1.0
 WAITING = ["/a: it has no publisher"]
 

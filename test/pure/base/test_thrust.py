@@ -10,8 +10,9 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.thrusters import layout
 from fss_base_driver.thrust import Body, Thrust, TrackError, estimate, valve_order, verdict
 from fss_sim.noise import PRESETS
-from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.vehicle import Demand, World
 from fss_sim.sensors import RATE, Sensors
 
 VALVES = layout(0.16, 0.11)

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fss_arm_model.units import SECOND
 from fss_base_driver.protocol import VALVES
 from fss_base_driver.settings import BaseSettings, ValveSettings
 from fss_base_driver.stuck_valves import describe_stuck_valves, stuck_valves
 from fss_base_driver.wrench_follower import WrenchFollower
 from fss_link.session import CommandError
 
-SECOND = 1_000_000_000
 START = 100 * SECOND
 SETTINGS = BaseSettings()  # a period of 0.1 s, a lifetime of 0.3 s
 

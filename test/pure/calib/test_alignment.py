@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from calib_rig import ARM, POSTURES, SECOND, Rig
+from calib_rig import ARM, POSTURES, Rig
 
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.segments.alignment import (
@@ -15,6 +15,7 @@ from fss_arm_calib.segments.alignment import (
 from fss_arm_calib.segments.joints import Rests
 from fss_arm_calib.segments.rests import RestFinder
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.units import SECOND
 
 SPEED, ACCELERATION = 0.5, 1.0
 

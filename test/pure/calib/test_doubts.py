@@ -9,9 +9,10 @@ from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.rests import BASE, TIP, RestFinder
-from fss_arm_calib.segments.samples import SECOND, describe_clock_error
+from fss_arm_calib.segments.samples import describe_clock_error
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 
 JOINTS = "joint_1, joint_2, joint_3, joint_4"
 

@@ -13,9 +13,9 @@ from fss_arm_calib.drives.kind import DRIVES
 from fss_arm_calib.drives.problem import Windows, _collect_turning
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.segments.excitations import BLOCK, TOO_LATE, ExcitationFinder, Frame
-from fss_arm_calib.segments.samples import SECOND
 from fss_arm_calib.segments.settings import ExcitationSettings
 from fss_arm_model.description_file import described
+from fss_arm_model.units import SECOND
 
 ARM = described("truth")
 START = 1_700_000_000 * SECOND  # a multiple of BLOCK

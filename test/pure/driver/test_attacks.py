@@ -16,13 +16,13 @@ from driver_frames import with_crc
 from fss_arm_driver.protocol import LinkCommandFlag, Mode, State, decode, encode
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_link.protocol import Refused
 from fss_link.session import Arming
 from fss_sim.link.electronics import LinkElectronics
-from fss_sim.plant.plant import Motion
+from fss_sim.plant.vehicle import Motion
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
-SECOND = 1_000_000_000
 PERIOD, DELAY = SECOND // 5, SECOND // 500
 START = 1_700_000_000 * SECOND
 LINK = paper_arm().links[0]

@@ -11,7 +11,7 @@ from fss_arm_driver.protocol import Mode
 from fss_arm_driver.trials import FAIL, NOT_TRIED, PASS, Rig
 from fss_arm_model.description import Drive, TorqueSensor, paper_arm
 from fss_sim.link.electronics import LinkElectronics
-from fss_sim.plant.plant import Motion
+from fss_sim.plant.vehicle import Motion
 
 LINK = paper_arm().links[0]
 INERTIA = 0.3  # [kg m^2]

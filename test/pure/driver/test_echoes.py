@@ -1,10 +1,11 @@
 """Echoes: two drivers of one link, the order of signed commands, delay, stalls."""
 
 import pytest
-from driver_world import DATE, LINK, PERIOD, SECOND, WATCHDOG, World
+from driver_world import DATE, LINK, PERIOD, WATCHDOG, World
 
 from fss_arm_driver.protocol import LinkCommandFlag, Mode, State, decode
 from fss_arm_driver.session import LinkSession
+from fss_arm_model.units import SECOND
 from fss_link.session import Arming, CommandError
 from fss_link.session.echoes import MAX_STAMP_LEAD, STAMP_SPREAD
 from fss_sim.link.electronics import LinkElectronics

@@ -5,7 +5,7 @@ from math import inf, isnan
 from pathlib import Path
 
 import pytest
-from driver_link import SAMPLE, SECOND, SessionBench
+from driver_link import SAMPLE, SessionBench
 
 from fss_arm_driver.faults import (
     FAULTS,
@@ -19,6 +19,7 @@ from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State
 from fss_arm_driver.scale import HOME, Scale
 from fss_arm_driver.session.progress import STALL_TIME, START_TIMEOUT, Progress, Status
 from fss_arm_model.description import Drive, paper_arm
+from fss_arm_model.units import SECOND
 from fss_link.session import Arming, CommandError
 from fss_link.session.battery import Battery
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 from math import pi
 
 import pytest
-from driver_frames import BOOT, DISARM, KEY, MOVE, SECOND
+from driver_frames import BOOT, DISARM, KEY, MOVE
 from firmware import Core, FirmwareLink, needs_arm, needs_emulator
 
 from fss_arm_driver.faults import FAULTS, Word
@@ -28,8 +28,9 @@ from fss_arm_driver.protocol import (
 from fss_arm_driver.protocol.path import PathFollower
 from fss_arm_driver.session import LinkSession, Status
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_sim.link.electronics import LinkElectronics
-from fss_sim.plant.plant import Motion
+from fss_sim.plant.vehicle import Motion
 
 
 @pytest.fixture(scope="module")

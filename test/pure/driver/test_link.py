@@ -4,11 +4,12 @@ from dataclasses import replace
 from math import inf, isnan, nan, pi
 
 import pytest
-from driver_link import MILLISECOND, SECOND, FakeLink
+from driver_link import MILLISECOND, FakeLink
 from driver_link import SessionBench as Bench
 
 from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, decode, encode
 from fss_arm_model.description import Drive, TorqueSensor, paper_arm
+from fss_arm_model.units import SECOND
 from fss_link.session import Arming, CommandError, StatusLog
 
 PERIOD, DELAY = Bench.PERIOD, Bench.DELAY

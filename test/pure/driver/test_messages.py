@@ -5,10 +5,9 @@ from math import inf, nan
 import pytest
 
 from fss_arm_driver.messages import command_values
+from fss_arm_model.units import SECOND
 from fss_arm_msgs.msg import LinkCommand
 from fss_link.session import CommandError
-
-SECOND = 1_000_000_000
 
 
 def test_a_set_point_or_a_path_expires_after_its_time_to_live():

@@ -9,11 +9,12 @@ from random import Random
 
 import pytest
 from driver_network import Network
-from driver_world import SECOND, World
+from driver_world import World
 
 from fss_arm_driver.protocol import LinkCommandFlag, Mode
+from fss_arm_model.units import SECOND
 from fss_link.session import CommandError
-from fss_sim.plant.plant import Motion
+from fss_sim.plant.vehicle import Motion
 
 TIMEOUT = SECOND
 KEY = bytes(range(16))

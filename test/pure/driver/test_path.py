@@ -7,7 +7,7 @@ from math import inf, nan
 
 import numpy as np
 import pytest
-from driver_path import SECOND, PathBed, path_at, spread
+from driver_path import PathBed, path_at, spread
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
@@ -28,6 +28,7 @@ from fss_arm_driver.protocol import (
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.session import Status
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_arm_msgs.msg import LinkPath
 from fss_arm_ros.validation import RULES
 from fss_link.protocol import Refused

@@ -6,9 +6,10 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.arm.arbiter import Arbiter
-from fss_arm_driver.arm.stream import MAX_LEAD, SECOND, SetPoint, Stream, StreamError
+from fss_arm_driver.arm.stream import MAX_LEAD, SetPoint, Stream, StreamError
 from fss_arm_driver.protocol import Mode
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 
 START_TIME = 1_000 * SECOND
 

@@ -22,7 +22,6 @@ from trajectory_msgs.msg import (
 from fss_arm_driver.arm.request import (
     MAX_MAGNITUDE,
     MAX_POINTS,
-    SECOND,
     Code,
     Request,
     TrajectoryError,
@@ -40,6 +39,7 @@ from fss_arm_driver.arm.trajectory import (
 )
 from fss_arm_driver.arm.trajectory_monitor import TrajectoryMonitor
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_arm_ros import validation
 
 ARM = paper_arm()

@@ -11,7 +11,8 @@ from fss_gnc.control import PoseControl
 from fss_gnc.navigation import KnownInputs
 from fss_gnc.reference import Reference
 from fss_sim.plant.drives import MODE_POSITION
-from fss_sim.plant.plant import Demand, Plant
+from fss_sim.plant.plant import Plant
+from fss_sim.plant.vehicle import Demand
 
 POSTURES = np.vstack([np.zeros(4), default_postures(paper_arm())])
 

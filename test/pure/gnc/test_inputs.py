@@ -5,12 +5,13 @@ import pytest
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.units import SECOND
 from fss_gnc.navigation import EstimatorSettings, KnownInputs, Navigation
 from fss_gnc.navigation.body_filter import HISTORY_LENGTH
 
 P = paper_arm().vector()
 Q = (0.1, 0.2, 0.3, 0.4)
-MS, SECOND = 1_000_000, 1_000_000_000
+MS = 1_000_000
 
 
 def test_joints_and_valves_are_stored_over_the_history_of_the_filter():

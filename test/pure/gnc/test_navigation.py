@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tracking import SECOND, nees, track
+from tracking import nees, track
 
 from fss_arm_model.description_file import load
+from fss_arm_model.units import SECOND
 from fss_gnc.navigation import EstimatorSettings, Navigation
 from fss_gnc.navigation.settings import TargetErrors
 from fss_sim.noise import PRESETS, VICON

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from fss_arm_model.units import SECOND
 from fss_gnc.control.planned import PlannedRates
 from fss_gnc.latest import Latest
 
-SECOND = 1_000_000_000
 PLAN_TIMES = np.arange(0.0, 0.6, 0.1)
 
 

@@ -5,10 +5,10 @@ from math import inf, isnan, sqrt
 
 import pytest
 
+from fss_arm_model.units import SECOND
 from fss_link.host_clock import HostClock
 from fss_link.session.clock import LinkClock
 
-SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND  # host time at which the link's clock is 0
 
 

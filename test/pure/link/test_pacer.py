@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from fss_link.pacer import SECOND, Pacer
+from fss_arm_model.units import SECOND
+from fss_link.pacer import Pacer
 
 INTERVAL = SECOND // 50
 

@@ -25,7 +25,8 @@ from fss_arm_model.guard.sweep import ALLOWED_DECREASE
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import momentum
 from fss_sim.plant.drives import MODE_VELOCITY
-from fss_sim.plant.plant import Demand, Plant
+from fss_sim.plant.plant import Plant
+from fss_sim.plant.vehicle import Demand
 
 BED = GuardSettings()
 FOLDED = np.radians([0.0, 85.0, 85.0, 85.0])

@@ -19,7 +19,8 @@ from fss_arm_motion.reorientation import Reorientation, reorientation
 from fss_arm_motion.tip_path import TipPath, tip_path
 from fss_arm_motion.zero_reaction import ZeroReaction, zero_reaction
 from fss_sim.plant.drives import MODE_VELOCITY
-from fss_sim.plant.plant import Demand, Plant
+from fss_sim.plant.plant import Plant
+from fss_sim.plant.vehicle import Demand
 
 SHARE = 0.01  # 1 sigma of masses, inertias and centres of mass
 PERIOD, GAIN = 0.02, 4.0  # of a link [s], [1/s]

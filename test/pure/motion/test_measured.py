@@ -5,9 +5,9 @@ import pytest
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.momentum import momentum
+from fss_arm_model.units import SECOND
 from fss_arm_motion.measured import Measured, MotionError
 from fss_arm_motion.settings import MotionSettings
-from fss_arm_motion.track import SECOND
 from fss_arm_ros.calibrated import Calibrated
 
 ARM, KNOWN = paper_arm(), Calibrated(paper_arm())

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from fss_arm_motion.track import SECOND, Track
+from fss_arm_model.units import SECOND
+from fss_arm_motion.track import Track
 
 
 def track(rng, twist, seconds=4.0, begin=1_700_000_000 * SECOND, noise=3e-4):

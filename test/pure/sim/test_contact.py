@@ -14,10 +14,11 @@ from fss_arm_model.kinematics import joint_positions, tip_pose
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.contact import GAP, NORMAL_X, Contact, impulses
 from fss_sim.plant.drives import MODE_CURRENT, MODE_VELOCITY
-from fss_sim.plant.joints import PRESETS
-from fss_sim.plant.plant import Demand, Joints, Plant, Vehicle, World
+from fss_sim.plant.joints import PRESETS, Joints
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper, PassiveTarget
+from fss_sim.plant.vehicle import Demand, Vehicle, World
 
 WIDE = Surroundings(table=(40.0, 40.0))
 FREE = Joints(0.0026, viscous=0.0, coulomb=0.0, stop_stiffness=0.0, stop_damping=0.0)

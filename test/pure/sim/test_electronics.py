@@ -10,7 +10,7 @@ from fss_arm_driver.protocol import Command, LinkCommandFlag, Mode, Slow, State,
 from fss_arm_model.description import Drive, Link, TorqueSensor
 from fss_link.protocol import Refused
 from fss_sim.link.electronics import LinkElectronics
-from fss_sim.plant.plant import Motion
+from fss_sim.plant.vehicle import Motion
 
 LINK = Link(
     a=0.38, theta_0=0.0, mass=2.88, inertia=0.034, b=0.19,

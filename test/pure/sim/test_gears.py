@@ -18,9 +18,10 @@ from fss_sim import settings as of_testbed
 from fss_sim.noise import PRESETS as NOISE
 from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_VELOCITY, STIFFNESS
 from fss_sim.plant.joints import PRESETS, Joints, link_normals, outboard_momentum
-from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
+from fss_sim.plant.vehicle import Demand, World
 
 WIDE = Surroundings(table=(20.0, 20.0))
 REAL = PRESETS["laboratory"]

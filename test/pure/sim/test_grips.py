@@ -11,9 +11,10 @@ from fss_arm_model.kinematics import tip_pose
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.contact import Contact
 from fss_sim.plant.drives import MODE_CURRENT, MODE_VELOCITY
-from fss_sim.plant.plant import Demand, Plant, Vehicle, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper, PassiveTarget
+from fss_sim.plant.vehicle import Demand, Vehicle, World
 
 WIDE = Surroundings(table=(40.0, 40.0))
 PAPER = paper_arm()
@@ -160,12 +161,12 @@ def test_two_arms_hold_one_target_within_a_micron():
     first.closed = False  # the other one holds it alone
     bed.advance(0.01)
     assert first.held is None
-    assert target.holder is other
+    assert other.payload is target
     np.testing.assert_allclose(in_tip_frame(other, target.q), places[1], rtol=0, atol=1e-6)
     other.closed = False
     for _ in range(20):
         bed.advance(0.01)
-    assert target.holder is None
+    assert target.is_free
     np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
 
 

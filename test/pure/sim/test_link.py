@@ -9,7 +9,7 @@ from fss_sim import testbed
 from fss_sim.faults import Event, LinkFaults
 from fss_sim.link.link import Link
 from fss_sim.noise import PRESETS, Noise
-from fss_sim.plant.plant import Motion
+from fss_sim.plant.vehicle import Motion
 from fss_sim.testbed import FRAME, State
 
 REST = Motion(q=0.5, qd=0.0, current=0.25, torque=0.2)

@@ -2,10 +2,9 @@
 
 import pytest
 
+from fss_arm_model.units import SECOND
 from fss_sim.pace import ClockPace
 from fss_sim.testbed import FRAME
-
-SECOND = 1_000_000_000
 
 
 class ManualClock:

@@ -10,8 +10,9 @@ from fss_arm_model.dynamics import forward_dynamics, kinetic_energy
 from fss_arm_model.momentum import system_com
 from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_VELOCITY
 from fss_sim.plant.joints import Joints
-from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.vehicle import Demand, World
 
 COUNT = 2 * np.pi / 240_000  # [rad]
 POSTURES = [(0.3, -0.2, 0.4, 0.1), (-1.4, 1.4, -1.3, 1.4), (1.5, -1.5, 1.5, 0.0)]

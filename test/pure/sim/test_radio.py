@@ -14,8 +14,8 @@ from fss_sim.faults import Event, LinkFaults
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.radio import HEADERS, Radio, RadioChannel
 from fss_sim.noise import PRESETS
-from fss_sim.plant.plant import Vehicle, World
 from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.vehicle import Vehicle, World
 from fss_sim.testbed import State
 
 WIDE = World(surroundings=Surroundings(table=(20.0, 20.0)))
@@ -146,10 +146,12 @@ def test_vehicles_of_a_table_share_the_radio_channel():
     channel, arm = RadioChannel(CLEAN, "1, 1"), paper_arm()
     states = [replace(START, q=(x, *START.q[1:3], *4 * (0.0,))) for x in (-5.0, 5.0)]
     plants = [Vehicle(arm, s.q, s.qd, WIDE, name=n) for n, s in zip("ab", states, strict=True)]
-    testbed.place_on_table(plants, states)
+    bed = testbed.place_on_table(plants, states)
     beds = [
-        testbed.Testbed(arm, PRESETS["ideal"], 1, state, 20.0, plant=plant, radio_channel=channel)
-        for state, plant in zip(states, plants, strict=True)
+        testbed.Testbed(
+            arm, PRESETS["ideal"], 1, state, 20.0, bed=bed, number=k, radio_channel=channel
+        )
+        for k, state in enumerate(states)
     ]
     for _ in range(300):
         testbed.step(beds)

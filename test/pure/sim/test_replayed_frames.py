@@ -17,13 +17,14 @@ from fss_arm_driver import protocol
 from fss_arm_driver.protocol import State as Flags
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_base_driver import protocol as base_protocol
 from fss_base_driver.session import BoardSession
 from fss_sim import settings, testbed
 from fss_sim.testbed import State
 
 KEYS = {0: bytes(range(16)), 2: bytes(range(1, 17))}
-SECOND, PERIOD = 1_000_000_000, 50_000_000
+PERIOD = 50_000_000
 EPOCH = 1_700_000_000 * SECOND
 RESTARTS = 100
 TIMEOUT, OUTAGE = 0.5, 6 * SECOND // 10  # [s], [ns]

@@ -7,9 +7,11 @@ from model_arms import random_arm
 from fss_arm_model.description import paper_arm
 from fss_arm_model.held import Approach, Target
 from fss_arm_model.kinematics import tip_pose
-from fss_sim.plant.plant import Joints, Plant, World
+from fss_sim.plant.joints import Joints
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
+from fss_sim.plant.vehicle import World
 
 SURROUNDINGS = Surroundings(table=(20.0, 20.0))
 WIDE_GRIPPER = Gripper(reach=0.05, angle=3.2, speed=10.0)

@@ -14,7 +14,7 @@ from fss_sim.faults import Event, GyroFaults, SubjectFaults
 from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant.joints import PRESETS as JOINTS
 from fss_sim.plant.joints import outboard_momentum
-from fss_sim.plant.plant import World
+from fss_sim.plant.vehicle import World
 from fss_sim.sensors import NO_SUBJECT_FAULTS, RATE, Sensors, compose
 from fss_sim.testbed import OUTAGE_FRAMES, State, StateError
 

@@ -6,9 +6,10 @@ import pytest
 from fss_arm_model.description import paper_arm
 from fss_arm_model.thrusters import layout
 from fss_sim.plant.drives import MODE_POSITION
-from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.thrusters import Propulsion, Thrusters
+from fss_sim.plant.vehicle import Demand, World
 
 PROPULSION = Propulsion()
 FLOW = 0.16 / (34.0 * 9.81)  # [kg/s]

@@ -10,7 +10,7 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_sim import testbed
 from fss_sim.noise import PRESETS, Noise
-from fss_sim.plant.plant import Vehicle, World
+from fss_sim.plant.vehicle import Vehicle, World
 from fss_sim.sensors import RATE, Sensors, compose
 from fss_sim.testbed import FRAME, State
 from fss_sim.vicon import BASE, TARGET, TIP, Room, RoomError, Vicon
@@ -225,11 +225,11 @@ def make_beds_on_one_table(noise, room, *vehicles):
         states.append(State(0, 1, 0, (*pose, *n * (0.0,)), (3 + n) * (0.0,)))
         plants.append(Vehicle(made, states[-1].q, states[-1].qd, World(), name=name))
         kinds += [BASE, TIP] if n else [BASE]
-    testbed.place_on_table(plants, states)
+    bed = testbed.place_on_table(plants, states)
     vicon = Vicon(noise, room, 1, kinds)
     return [
-        testbed.Testbed(made, noise, 1, state, plant=plant, vicon=vicon)
-        for (made, _), state, plant in zip(vehicles, states, plants, strict=True)
+        testbed.Testbed(made, noise, 1, state, bed=bed, number=k, vicon=vicon)
+        for k, ((made, _), state) in enumerate(zip(vehicles, states, strict=True))
     ]
 
 

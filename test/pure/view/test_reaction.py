@@ -10,7 +10,7 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import load
 from fss_arm_model.dynamics import bias, inertia_matrix
 from fss_arm_model.layout import kinematic_index
-from fss_arm_model.units import GRAVITY
+from fss_arm_model.units import GRAVITY, SECOND
 from fss_arm_ros.calibrated import vector_covariance
 from fss_arm_view.base_reaction import BaseReaction
 from fss_arm_view.settings import ReactionSettings
@@ -180,3 +180,27 @@ def test_poses_at_a_single_time_give_no_drift():
         )
     reaction.resting_since = 0
     assert reaction.advance(5_000_000_000) is None
+
+
+@pytest.mark.parametrize(
+    ("fired", "lasts", "known"),
+    [(-10.0, 0.2, True), (2.6, 0.2, False), (2.6, np.inf, True), (2.6, 0.0, True)],
+)
+def test_the_difference_is_unknown_after_thrusters_fired(flight, fired, lasts, known):
+    reaction = BaseReaction(paper_arm())
+    reaction.add_thrust(int(fired * SECOND), [0.0, lasts])
+    last = simulate(reaction, flight, 2)[-1]
+    assert np.isfinite(last.difference).all() == known
+    if known:
+        np.testing.assert_array_equal(last.difference, last.measured - last.predicted)
+
+
+def test_reactions_are_due_in_equal_steps_and_gaps_are_skipped(monkeypatch):
+    reaction, known = BaseReaction(paper_arm()), [SECOND // 4]
+    monkeypatch.setattr(reaction, "last_known_time", lambda: known[0])
+    monkeypatch.setattr(reaction, "advance", lambda t: setattr(reaction, "t", t) or t)
+    period = SECOND // 10
+    assert list(reaction.due(period)) == [period - 1, 2 * period - 1]
+    assert list(reaction.due(period)) == []
+    known[0] = 5 * SECOND
+    assert list(reaction.due(period)) == [5 * SECOND]

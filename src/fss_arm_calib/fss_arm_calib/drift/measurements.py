@@ -8,9 +8,10 @@ import numpy as np
 from fss_arm_calib.drift.problem import DIFFERENCE_STEPS, mean_motion
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.drift.solution import pose_deviations
-from fss_arm_calib.estimation.least_squares import Floats, Linear, eliminate
+from fss_arm_calib.estimation.least_squares import Linear, eliminate
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model import layout
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.drifting import drift, single_body, single_body_sensitivities
 

@@ -16,7 +16,6 @@ import numpy as np
 from fss_arm_calib.estimation.least_squares import (
     MAX_UNDETERMINED_SHARE,
     Decomposition,
-    Floats,
     Linear,
     Mask,
     Minimum,
@@ -25,6 +24,7 @@ from fss_arm_calib.estimation.least_squares import (
 from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model import drifting
+from fss_arm_model.arrays import Floats
 from fss_arm_model.drifting import SURROUNDINGS
 
 NAMES = SURROUNDINGS

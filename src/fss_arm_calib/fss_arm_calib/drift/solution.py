@@ -14,12 +14,13 @@ from fss_arm_calib.drift.problem import (
     solve,
 )
 from fss_arm_calib.drift.settings import DriftSettings
-from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.estimation.outliers import reject_outliers, solve_robustly
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.poses import count_independent
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.drifting import single_body, single_body_sensitivities
 from fss_arm_model.parameters import parameter_names, to_vector

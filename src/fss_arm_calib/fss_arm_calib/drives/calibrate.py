@@ -16,12 +16,12 @@ from fss_arm_calib.acceptance import (
 from fss_arm_calib.drives.motion import Samples
 from fss_arm_calib.drives.problem import COULOMB, GAIN, KT, NAMES, VISCOUS, ZERO, Drive, solve
 from fss_arm_calib.drives.settings import DrivesSettings
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import LIVE, Estimate, Outcome, make_outcome
 from fss_arm_calib.segments.excitations import Excitation
 from fss_arm_calib.segments.samples import Stamps
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import keep_since_homing
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, Link
 
 REQUIRED = ("torque_constant", "torque_gain", "viscous", "coulomb")

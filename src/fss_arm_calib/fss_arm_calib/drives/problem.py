@@ -36,7 +36,7 @@ import numpy as np
 
 from fss_arm_calib.drives.motion import Motion, Samples, transmitted_loads
 from fss_arm_calib.drives.settings import DrivesSettings
-from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix
 

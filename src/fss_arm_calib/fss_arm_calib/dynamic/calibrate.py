@@ -9,10 +9,10 @@ from fss_arm_calib.acceptance import PASS, check_clocks, check_joint_names
 from fss_arm_calib.dynamic import checks
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution, estimate_of, problem_of, solution_of
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 
 

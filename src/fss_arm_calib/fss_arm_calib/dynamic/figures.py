@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.dynamic.solution import Solution
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_figures import empty_figure
 from fss_arm_calib.segments.maneuvers import Maneuver
+from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_poses
 
 DRAWN_POSES = 100  # number of predicted poses drawn for a maneuver

@@ -16,7 +16,7 @@ import numpy as np
 from fss_arm_calib.dynamic.information import information
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.result import DynamicResult
-from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_pose_sensitivities
 from fss_arm_model.description import Arm
 from fss_arm_model.joint_path import Law, path, stack

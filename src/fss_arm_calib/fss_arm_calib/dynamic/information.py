@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.dynamic.problem import DynamicProblem
-from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_model.arrays import Floats
 
 
 def information(problem: DynamicProblem, unknowns: npt.ArrayLike | None = None) -> Floats:

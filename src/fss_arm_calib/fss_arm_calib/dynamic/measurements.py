@@ -8,9 +8,10 @@ import numpy as np
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import problem_of
-from fss_arm_calib.estimation.least_squares import Floats, Linear
+from fss_arm_calib.estimation.least_squares import Linear
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model import layout
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from fss_arm_calib.dynamic.figures import draw_motion, draw_residuals
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.solution import Solution
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure, Report, Table
 from fss_arm_calib.report_figures import common_figures
@@ -21,6 +20,7 @@ from fss_arm_calib.report_tables import (
     relative_errors,
 )
 from fss_arm_calib.segments.maneuvers import Maneuver
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.parameters import values

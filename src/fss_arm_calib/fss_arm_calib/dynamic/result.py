@@ -12,12 +12,12 @@ from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.estimation.least_squares import (
     MAX_UNDETERMINED_SHARE,
     Decomposition,
-    Floats,
     Mask,
     Minimum,
 )
 from fss_arm_calib.estimation.noise import ResidualSums
 from fss_arm_calib.estimation.statistics import redundancy
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, Known
 from fss_arm_model.parameters import parameter_names, values, with_values
 

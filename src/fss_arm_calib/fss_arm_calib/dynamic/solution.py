@@ -13,7 +13,7 @@ from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solve import solve
-from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.estimation.noise import (
     Noise,
     NoiseSolution,
@@ -26,6 +26,7 @@ from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.poses import count_independent
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.joint_path import Path, stack
 from fss_arm_model.units import GRAVITY

@@ -4,7 +4,8 @@ import numpy as np
 
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
-from fss_arm_calib.estimation.least_squares import Floats, minimize
+from fss_arm_calib.estimation.least_squares import minimize
+from fss_arm_model.arrays import Floats
 
 TOLERANCE = 1e-7  # largest last update [deviations]
 

@@ -6,7 +6,8 @@ not depend on which of these parameters are estimated.
 
 from typing import Protocol
 
-from fss_arm_calib.estimation.least_squares import Floats, Linear
+from fss_arm_calib.estimation.least_squares import Linear
+from fss_arm_model.arrays import Floats
 
 
 class Measurements(Protocol):

@@ -4,7 +4,7 @@ from math import inf, isinf, nan
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_model.arrays import Floats
 
 
 def root_mean_square(values: Floats) -> float:

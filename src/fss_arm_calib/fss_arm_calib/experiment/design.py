@@ -22,7 +22,7 @@ from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import pose_deviations, problem_with_priors
 from fss_arm_calib.dynamic.solve import solve
-from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.experiment.planned import (
     PAUSE,
     NoManeuver,
@@ -32,6 +32,7 @@ from fss_arm_calib.experiment.planned import (
     torque_limited_duration,
 )
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions, parse_goal_words
+from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Arm
 from fss_arm_model.guard.guard import Guard, GuardError

@@ -8,9 +8,9 @@ the links at different phases.
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.planned import NoManeuver, Planned, torque_limited_duration
 from fss_arm_calib.experiment.settings import JOINT
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.guard.settings import GuardSettings

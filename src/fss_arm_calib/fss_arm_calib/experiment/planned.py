@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.free_floating import free_torques

@@ -4,8 +4,8 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, POSITION_DEVIATION
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.guard.settings import GuardSettings

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fss_arm_calib.acceptance import PASS
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.design import parse_goal
 from fss_arm_calib.experiment.settings import ExperimentSettings
 from fss_arm_calib.experiment.waypoints import Waypoint, return_waypoints
+from fss_arm_model.arrays import Floats
 from fss_arm_model.units import SECOND
 
 MAX_REPEATS = 3  # largest number of repeats of the rejected rests, or of a maneuver

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.planned import Planned, read_plan
 from fss_arm_calib.experiment.postures import default_postures
 from fss_arm_calib.experiment.settings import ExperimentSettings
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_model.guard.guard import Guard, GuardError

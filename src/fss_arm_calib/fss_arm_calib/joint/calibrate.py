@@ -23,12 +23,13 @@ from fss_arm_calib.acceptance import (
     hide_pass_reason,
 )
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.estimation.least_squares import MAX_CONDITION, Floats
+from fss_arm_calib.estimation.least_squares import MAX_CONDITION
 from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, make_outcome
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import rehomed_joints
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import from_yaml
 from fss_arm_model.parameters import unit, values

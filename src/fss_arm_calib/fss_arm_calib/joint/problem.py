@@ -27,7 +27,6 @@ import numpy.typing as npt
 from fss_arm_calib.estimation.least_squares import (
     MAX_UNDETERMINED_SHARE,
     Decomposition,
-    Floats,
     Linear,
     Minimum,
     eliminate,
@@ -35,6 +34,7 @@ from fss_arm_calib.estimation.least_squares import (
 )
 from fss_arm_calib.estimation.measurements import Measurements
 from fss_arm_model import layout
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.drifting import SURROUNDINGS
 from fss_arm_model.parameters import bounds, parameter_names, to_vector, unit, values, with_values

@@ -23,7 +23,7 @@ from fss_arm_calib.acceptance import (
     format_count,
     format_indices,
 )
-from fss_arm_calib.estimation.least_squares import CAUCHY, Floats, Mask
+from fss_arm_calib.estimation.least_squares import CAUCHY, Mask
 from fss_arm_calib.estimation.statistics import probability, redundancy
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import EQUAL_LENGTH_TOLERANCE, FULL, KinematicProblem
@@ -34,6 +34,7 @@ from fss_arm_calib.kinematic.solve import fit
 from fss_arm_calib.segments.rests import Observation, rejected_without_repeat
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import DescriptionError
 from fss_arm_model.planar import inverse
 

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.estimation.noise import assumed_noise
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_figures import empty_figure
 from fss_arm_calib.segments.rests import Observation
+from fss_arm_model.arrays import Floats
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.layout import kinematic_index, kinematic_names
 

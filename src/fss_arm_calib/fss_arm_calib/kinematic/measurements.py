@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats, Linear
+from fss_arm_calib.estimation.least_squares import Linear
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import problem_of
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model import layout
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_regressor
 

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.estimation.noise import assumed_noise
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic.figures import (
@@ -24,6 +23,7 @@ from fss_arm_calib.report_tables import (
     relative_errors,
 )
 from fss_arm_calib.segments.rests import Observation
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.layout import kinematic_index, kinematic_names
 

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.estimation.noise import ResidualSums
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 
 

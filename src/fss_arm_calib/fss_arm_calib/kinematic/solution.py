@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.acceptance import UPDATE_TOLERANCE
-from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.estimation.noise import (
     Noise,
     NoiseSolution,
@@ -30,6 +30,7 @@ from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solve import NotIdentifiable, fit, solve
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.rests import Observation
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 
 #: Limit of the condition number for solutions with estimated deviations. Whether all parameters are

@@ -5,10 +5,11 @@ from itertools import compress
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import Floats, Minimum, minimize
+from fss_arm_calib.estimation.least_squares import Minimum, minimize
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_calib.kinematic.result import KinematicResult
+from fss_arm_model.arrays import Floats
 from fss_arm_model.planar import wrap
 
 #: A parameter is reported if its share in the undetermined directions is larger.

@@ -18,9 +18,9 @@ from math import inf, isfinite, nan, sqrt
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.joints import Joint
-from fss_arm_calib.segments.samples import SECOND
+from fss_arm_model.arrays import Floats
+from fss_arm_model.units import SECOND
 
 MAX_MOVE_DURATION = 20.0  # of a longer move, only the last part is used [s]
 MIN_ROTATION = 0.1  # moves that turn the end effector less are ignored [rad]

@@ -12,9 +12,9 @@ import numpy as np
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.joints import Rest
 from fss_arm_calib.segments.poses import FROZEN, average_bins
-from fss_arm_calib.segments.samples import SECOND
 from fss_arm_calib.segments.sensors import Sensors
 from fss_arm_calib.segments.settings import DriftFinderSettings
+from fss_arm_model.units import SECOND
 
 MIN_POSES = 10  # number of averaged poses needed for a drift
 

@@ -14,11 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.segments.samples import SECOND, Gap, Stream, find_silences
+from fss_arm_calib.segments.samples import Gap, Stream, find_silences
 from fss_arm_calib.segments.sensors import count_rejected
 from fss_arm_calib.segments.settings import ExcitationSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
+from fss_arm_model.units import SECOND
 
 BLOCK = 4 * SECOND  # [ns]
 BATCH_SIZE = 15  # excitations returned at once while the arm moves; each return triggers a solve

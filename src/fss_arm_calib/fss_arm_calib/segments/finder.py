@@ -16,11 +16,11 @@ from collections.abc import Sequence
 from math import nan
 from typing import Generic, Protocol, TypeVar
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.joints import Rest
 from fss_arm_calib.segments.samples import Stamps
 from fss_arm_calib.segments.sensors import Sensors
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.arrays import Floats
 
 CLEANUP_INTERVAL = 1000  # samples between two removals of old data
 

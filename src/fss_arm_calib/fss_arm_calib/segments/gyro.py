@@ -5,9 +5,10 @@ from math import nan
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.segments.samples import MAX_VALUE, OUT_OF_RANGE, SECOND, Stamps, Stream
+from fss_arm_calib.segments.samples import MAX_VALUE, OUT_OF_RANGE, Stamps, Stream
+from fss_arm_model.arrays import Floats
 from fss_arm_model.planar import wrap
+from fss_arm_model.units import SECOND
 
 MIN_ROTATION_SQUARES = 1.0  # sum of squared base angles needed for a ratio of rotations [rad^2]
 

@@ -13,17 +13,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.samples import (
     MAX_VALUE,
     OUT_OF_RANGE,
-    SECOND,
     Gap,
     Stamps,
     Stream,
     find_silences,
 )
+from fss_arm_model.arrays import Floats
 from fss_arm_model.planar import wrap
+from fss_arm_model.units import SECOND
 
 BASE, TIP = "fss", "end_effector"  # the two subjects, as the motion capture system names them
 

@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.finder import Finder
-from fss_arm_calib.segments.samples import SECOND, Stamps
+from fss_arm_calib.segments.samples import Stamps
+from fss_arm_model.arrays import Floats
+from fss_arm_model.units import SECOND
 
 CHUNK_DURATION = 10 * SECOND  # length of the chunks in which streams are replayed in turn [ns]
 

@@ -24,10 +24,11 @@ from fss_arm_calib.segments.poses import (
     near_median,
     relative_poses,
 )
-from fss_arm_calib.segments.samples import SECOND, Gap, parts_outside
+from fss_arm_calib.segments.samples import Gap, parts_outside
 from fss_arm_calib.segments.sensors import Sensors
 from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_model.planar import wrap
+from fss_arm_model.units import SECOND
 
 MAX_JUMP_SHARE = 0.1  # largest share of a rest's poses that are rejected as jumps
 

@@ -16,13 +16,13 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
-from fss_arm_driver.arm.request import Floats
 from fss_arm_driver.arm.state import LinkState
 from fss_arm_driver.arm.stream import SetPoint
 from fss_arm_driver.arm.trajectory import Trajectory
 from fss_arm_driver.move import Profile
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.settings import ArmSettings
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.guard.guard import Guard
 from fss_arm_ros.convert import SECOND, planar_pose, seen_pose, stamp_ns

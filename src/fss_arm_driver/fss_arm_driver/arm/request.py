@@ -12,14 +12,12 @@ from reprlib import repr as short
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from fss_arm_driver.move import MAX_DURATION
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.units import SECOND
 
-Floats = npt.NDArray[np.float64]
-
-SECOND = 1_000_000_000  # [ns]
 MAX_POINTS = 10_000
 MAX_MAGNITUDE = 1e12  # of any number, as in other messages
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 from fss_arm_driver.protocol import NO_TORQUE, State
 from fss_arm_driver.scale import Scale
+from fss_arm_model.units import SECOND
 
 PATH_SHIFT = 16  # of the path's number in LinkTelemetry.path
-SECOND = 1_000_000_000  # [ns]
 
 
 @dataclass(frozen=True)

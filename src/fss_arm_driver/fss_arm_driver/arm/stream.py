@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from fss_arm_driver.protocol import Mode
 from fss_arm_model.description import Arm
+from fss_arm_model.units import SECOND
 
-SECOND = 1_000_000_000  # [ns]
 MAX_LEAD = SECOND // 10  # largest lead of a stamp, as computers' clocks differ [ns]
 FIELDS = {"position": Mode.POSITION, "velocity": Mode.VELOCITY, "effort": Mode.CURRENT}
 

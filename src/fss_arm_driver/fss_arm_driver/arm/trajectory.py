@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_driver.arm.request import SECOND, Code, Floats, Request, TrajectoryError
+from fss_arm_driver.arm.request import Code, Request, TrajectoryError
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.units import SECOND
 
 MIN_SEGMENT, MAX_SEGMENT = 0.002, 59.0  # between knots, as a LinkPath has them [s]
 MAX_AHEAD = 119.0  # largest time until a path starts; a link allows 120 s [s]

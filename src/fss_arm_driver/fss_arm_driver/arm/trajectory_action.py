@@ -16,18 +16,12 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_driver.arm.arbiter import Motion
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
-from fss_arm_driver.arm.request import (
-    Code,
-    Floats,
-    Request,
-    TrajectoryError,
-    check_goal,
-    parse_request,
-)
+from fss_arm_driver.arm.request import Code, Request, TrajectoryError, check_goal, parse_request
 from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
 from fss_arm_driver.arm.trajectory import Trajectory, check_time, plan_trajectory
 from fss_arm_driver.arm.trajectory_monitor import Progress, TrajectoryMonitor
 from fss_arm_driver.liveness import GoalClient
+from fss_arm_model.arrays import Floats
 from fss_arm_model.guard.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.goal_thread import GoalThread

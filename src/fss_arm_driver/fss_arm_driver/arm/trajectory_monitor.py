@@ -6,10 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_driver.arm.request import SECOND, Code, Floats, TrajectoryError
+from fss_arm_driver.arm.request import Code, TrajectoryError
 from fss_arm_driver.arm.state import LinkState
 from fss_arm_driver.arm.tolerance import Tolerances
 from fss_arm_driver.arm.trajectory import Trajectory
+from fss_arm_model.arrays import Floats
+from fss_arm_model.units import SECOND
 
 END_MARGIN = SECOND // 10  # before the end, when a link may have arrived already [ns]
 

@@ -25,8 +25,9 @@ from fss_arm_driver.session.active_command import NO_SET_POINT, ActiveCommand
 from fss_arm_driver.session.paths import Paths, SentPath
 from fss_arm_driver.session.progress import Progress, Status
 from fss_arm_model.description import Link
+from fss_arm_model.units import SECOND
 from fss_link.session import CommandError
-from fss_link.session.clock import MICROSECOND, SECOND
+from fss_link.session.clock import MICROSECOND
 from fss_link.session.session import COUNTS as SHARED_COUNTS
 from fss_link.session.session import Partner, Session
 

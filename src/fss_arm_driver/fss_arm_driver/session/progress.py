@@ -6,7 +6,7 @@ from fss_arm_driver.faults import IN_MOTION
 from fss_arm_driver.protocol import MAX_ERROR_TIME, Mode, State, Telemetry
 from fss_arm_driver.scale import Scale, SetPoint
 from fss_arm_driver.session.paths import SentPath
-from fss_link.session.clock import SECOND
+from fss_arm_model.units import SECOND
 
 START_TIMEOUT = 2 * SECOND  # within which a link must accept a command and start to move
 STALL_TIME = SECOND  # a joint at rest away from its goal this long has stalled

@@ -13,11 +13,11 @@ from math import degrees, inf
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.clearance import body_name, gaps, links_and_base, sizes, with_edge, with_target
 from fss_arm_model.description import Arm
 from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.guard.sweep import contacts, sweep
-from fss_arm_model.kernels import Floats
 
 SELF, EDGE, TARGET = "self", "edge", "target"
 MIN_KNOT_SPACING = 1e-6  # closer knots are merged [s]

@@ -26,10 +26,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.centroidal import _bodies, _scaled, _set
-from fss_arm_model.clearance import EDGE, _gap
-from fss_arm_model.kernels import Floats, helper, kernel
-from fss_arm_model.kinematics import _moment
+from fss_arm_model.arrays import Floats
+from fss_arm_model.centroidal import make_bodies, scaled, turn_body
+from fss_arm_model.clearance import EDGE, body_gap
+from fss_arm_model.kernels import helper, kernel
+from fss_arm_model.kinematics import body_inertia
 from fss_arm_model.layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
 
 ALLOWED_DECREASE = (
@@ -73,12 +74,12 @@ def _turn_bodies(bodies, angle, rate, turned, w, N):  # type: ignore[no-untyped-
     """Turn the bodies in the base frame; write their rates and n_k. Return I and sum n_k w_k."""
     p, m = bodies.p, w.size
     heading, w[0] = 0.0, 0.0
-    _set(bodies, turned, 0, 1.0 + 0.0j)
+    turn_body(bodies, turned, 0, 1.0 + 0.0j)
     for k in range(1, m):
         mount = p[MOUNT_ANGLE] if k == 1 else 0.0
         heading += p[LINK_SIZE * k + OFFSET] + angle[k - 1] + mount
         w[k] = w[k - 1] + rate[k - 1]
-        _set(bodies, turned, k, complex(math.cos(heading), math.sin(heading)))
+        turn_body(bodies, turned, k, complex(math.cos(heading), math.sin(heading)))
     before, after = 0j, 0j
     for k in range(m):
         after += turned[2, k]
@@ -100,11 +101,11 @@ def _positions(bodies, turned, com, heading, r):  # type: ignore[no-untyped-def]
     turn = complex(math.cos(heading), math.sin(heading))
     at = 0j
     for k in range(turned.shape[1]):
-        at -= _scaled(1.0 / bodies.mass, turned[2, k])
+        at -= scaled(1.0 / bodies.mass, turned[2, k])
     away = turn * at
     r[0] = com + away
     for k in range(turned.shape[1]):
-        at += turned[1, k] + _scaled(1.0 / bodies.mass, turned[2, k])
+        at += turned[1, k] + scaled(1.0 / bodies.mass, turned[2, k])
         r[k + 1] = com + turn * at
     return away
 
@@ -205,7 +206,7 @@ def _safe_step(h, near, pairs, best, limit, motion, floats, inertia, moment, L, 
 @kernel("(p),(b),(k),(k,n),(k,n),(g,f),(s),(c),(o)->(o),(n)")
 def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # type: ignore[no-untyped-def]
     n, knots, floats = q.shape[1], times.size, not math.isnan(base[0])
-    bodies = _bodies(p.copy(), np.zeros(2))
+    bodies = make_bodies(p.copy(), np.zeros(2))
     turned = np.empty((3, n + 1), np.complex128)
     r = np.empty(n + 2, np.complex128)
     angle, rate = np.empty((2, n))
@@ -216,8 +217,8 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
     at, chase = complex(target[0], target[1]), complex(target[2], target[3])
     own = 0.0
     for k in range(n + 1):
-        length[k] = abs(bodies.arms[0, k] + _scaled(1.0 / bodies.mass, bodies.arms[1, k]))
-        own += _moment(p, k)
+        length[k] = abs(bodies.arms[0, k] + scaled(1.0 / bodies.mass, bodies.arms[1, k]))
+        own += body_inertia(p, k)
         arms[0, k], arms[1, k] = abs(bodies.arms[0, k]), abs(bodies.arms[1, k])
         arms[2, k] = arms[1, k] / bodies.mass
 
@@ -232,7 +233,7 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
             turn = complex(math.cos(heading), math.sin(heading))
             L, velocity = inertia * base[5] + moment, complex(base[3], base[4])
             for k in range(n + 1):
-                velocity += 1j * _scaled((base[5] + w[k]) / bodies.mass, turn * turned[2, k])
+                velocity += 1j * scaled((base[5] + w[k]) / bodies.mass, turn * turned[2, k])
     motion = Motion(w, alpha, N, length, arms, abs(velocity), own, abs(chase))
 
     t, segment, worst, contact = times[0], 0, np.inf, False
@@ -247,7 +248,7 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
         step = min(rest, max(CHECK_STEP, (times[knots - 1] - found[1]) / 500.0))
         if contact:  # continue, to find the least distance
             k = int(found[3])
-            gap = _gap(int(pairs[k, 0]), int(pairs[k, 1]), r, now, sizes)
+            gap = body_gap(int(pairs[k, 0]), int(pairs[k, 1]), r, now, sizes)
             if gap < found[2]:
                 found[2] = gap
                 where[:] = angle
@@ -263,7 +264,7 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
                 if not all_due and due[k] > t + h:
                     continue
                 a, b, margin = int(pairs[k, 0]), int(pairs[k, 1]), pairs[k, 2]
-                gap = _gap(a, b, r, now, sizes)
+                gap = body_gap(a, b, r, now, sizes)
                 if best[k] == -np.inf:
                     start[k] = gap
                 best[k] = max(best[k], gap)

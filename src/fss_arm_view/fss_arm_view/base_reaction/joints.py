@@ -5,13 +5,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.joint_path import Law, Path, path, sampled
 
 MAX_OLD_READINGS = 64  # kept beyond those requested, so that lists are rarely shortened
-
-Floats = npt.NDArray[np.float64]
 
 
 class Joint:

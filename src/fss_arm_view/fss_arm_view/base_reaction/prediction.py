@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_pose_sensitivities
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.momentum import momentum, system_com
@@ -12,8 +12,6 @@ from fss_arm_model.units import GRAVITY
 from fss_gnc.navigation import SensorErrors
 
 from .joints import JointMotion
-
-Floats = npt.NDArray[np.float64]
 
 
 class Anchor(NamedTuple):

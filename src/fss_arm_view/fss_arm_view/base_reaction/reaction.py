@@ -2,25 +2,25 @@
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import inf, isfinite
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics, kinetic_energy
 from fss_arm_model.momentum import momentum, system_com
+from fss_arm_model.units import SECOND
 from fss_gnc.navigation import BodyState
 
 from ..settings import ReactionSettings
 from .joints import Joint, JointMotion, joint_motion
 from .prediction import Anchor, Prediction, fit_drift
 
-Floats = npt.NDArray[np.float64]
-
-_SECOND = 1_000_000_000  # [ns]
-_MAX_HISTORY = 5 * _SECOND  # of measured base states
-_MAX_GAP = 60 * _SECOND  # longer gaps without complete data end a prediction
+_MAX_HISTORY = 5 * SECOND  # of measured base states
+_MAX_GAP = 60 * SECOND  # longer gaps without complete data end a prediction
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,12 @@ class Reaction:
     torque_measured: float  # link 1's sensor [N m]
     q: Floats  # (n,) joint readings [rad]
     com: Floats  # (2,) centre of mass of the system [m]
+    is_disturbed: bool  # True if thrusters have fired since the start of the prediction's fit
+
+    @property
+    def difference(self) -> Floats:
+        """Measured minus predicted pose, (3,); NaN if it is not due to the arm alone."""
+        return np.full(3, np.nan) if self.is_disturbed else self.measured - self.predicted
 
 
 class BaseReaction:
@@ -61,11 +67,12 @@ class BaseReaction:
     ) -> None:
         self.settings = settings or ReactionSettings()
         self.tilt = np.array(self.settings.tilt)
-        self.half_step = int(self.settings.half_difference * _SECOND)
+        self.half_step = int(self.settings.half_difference * SECOND)
         self.joints = [Joint() for _ in range(arm.n)]
         self.base_states: deque[BodyState] = deque()
         self.momenta: deque[tuple[float, Floats]] = deque()
         self.t = -1
+        self.thrust_end = -inf  # end of the last thruster pulse [ns]
         self.resting_since = -1
         self.candidate: Anchor | None = None
         self.set_arm(arm, covariance)
@@ -91,6 +98,14 @@ class BaseReaction:
         while self.base_states[0].t < state.t - _MAX_HISTORY:
             self.base_states.popleft()
 
+    def add_thrust(self, t: int, on_times: Sequence[float]) -> None:
+        """Store when thrusters fire, from t [ns] on for times [s]: predictions do not include it.
+
+        A command with a time that is not finite is ignored, as the board rejects it.
+        """
+        if all(map(isfinite, on_times)) and max(on_times) > 0.0:
+            self.thrust_end = max(self.thrust_end, t + round(max(on_times) * SECOND))
+
     def is_moving(self) -> bool:
         """Return True if a joint moves, according to the newest readings."""
         return any(j.qd and abs(j.qd[-1]) > self.settings.motion_threshold for j in self.joints)
@@ -102,6 +117,15 @@ class BaseReaction:
         return min(
             min(joint.t[-1] for joint in self.joints) - self.half_step, self.base_states[-1].t
         )
+
+    def due(self, period: int) -> Iterator[Reaction]:
+        """Yield the reaction every `period` [ns] up to the last known time; skip gaps over 1 s."""
+        until = self.last_known_time()
+        if until - self.t > SECOND:
+            times = [until]
+        else:
+            times = list(range(self.t + period, until + 1, period))
+        yield from filter(None, map(self.advance, times))
 
     def advance(self, t: int) -> Reaction | None:
         """Return the reaction at t [ns], which must increase and not exceed known_until().
@@ -129,7 +153,7 @@ class BaseReaction:
         motion = joint_motion(self.joints, min(t, self.prediction.t), self.half_step)
         self.prediction.advance(t, motion)
         for joint in self.joints:
-            joint.drop_before(t - max(_SECOND, self.half_step))
+            joint.drop_before(t - max(SECOND, self.half_step))
         return self._compute(measured, motion, self.prediction)
 
     def _interpolate_base(self, t: int) -> BodyState | None:
@@ -145,9 +169,9 @@ class BaseReaction:
     def _fit_drift(self, t: int) -> Anchor | None:
         """Return the fit of the base's drift since the arm rests; None: the drift is too short."""
         s = self.settings
-        start = max(self.resting_since, t - int(s.max_drift_duration * _SECOND))
+        start = max(self.resting_since, t - int(s.max_drift_duration * SECOND))
         drift = [state for state in self.base_states if start <= state.t <= t]
-        if len({state.t for state in drift}) < 3 or t - start < s.min_drift_duration * _SECOND:
+        if len({state.t for state in drift}) < 3 or t - start < s.min_drift_duration * SECOND:
             return None
         times = np.array([(state.t - t) * 1e-9 for state in drift])
         q = np.array([joint.q[joint.last_index(t)] for joint in self.joints])
@@ -168,6 +192,7 @@ class BaseReaction:
         base = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ qdd + h[:3])
         tau = inverse_dynamics(p, state, rate, np.concatenate([base, qdd]))
         first = self.joints[0]
+        fit_start = prediction.anchor.t - round(s.max_drift_duration * SECOND)
         return Reaction(
             t,
             prediction.anchor.t,
@@ -185,6 +210,7 @@ class BaseReaction:
             first.effort[first.last_index(t)],
             q[1],
             system_com(p, state),
+            self.thrust_end > fit_start,
         )
 
     def _momentum_slope(self, now: float, P: Floats) -> Floats:

@@ -10,8 +10,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.kernels import Floats, helper, kernel
-from fss_arm_model.kinematics import _dot, checked
+from fss_arm_model.arrays import Floats
+from fss_arm_model.kernels import helper, kernel
+from fss_arm_model.kinematics import checked, dot
 from fss_arm_workspace.manipulability.measure import FIXED, Kind, fixed_jacobian, square_measure
 from fss_arm_workspace.manipulability.self_motion import (
     MAX_STEP,
@@ -57,7 +58,7 @@ def _release_joints(limits: Floats, q: Floats, J: Floats, g: Floats, free: Float
         y = solve_joints(J, free, a, b)
         best, largest = -1, _MIN_SLOPE
         for k in range(free.size):
-            gain = g[k] - _dot(complex(J[0, k], J[1, k]), y)
+            gain = g[k] - dot(complex(J[0, k], J[1, k]), y)
             if limits[k, 1] - q[3 + k] <= _AT_LIMIT:
                 gain = -gain
             if free[k] == 0.0 and gain > largest:
@@ -92,7 +93,7 @@ def _curvature(  # type: ignore[no-untyped-def]
                         error -= d2[k]
                     y = solve_joints(J, free, error.real, error.imag)
                     for k in range(x.size):
-                        x[k] += free[k] * _dot(complex(J[0, k], J[1, k]), y)
+                        x[k] += free[k] * dot(complex(J[0, k], J[1, k]), y)
                 turn_vectors(d, e, x, 1.0, d2, e2)
                 total += square_measure(p, d2, e2, kind, J2)
             H[i, j] = total / (step * step)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.kernels import Floats
 from fss_arm_workspace.manipulability.measure import FIXED, Kind
 from fss_arm_workspace.manipulability.search import Search, pairs
 from fss_arm_workspace.regions.arcs import Region

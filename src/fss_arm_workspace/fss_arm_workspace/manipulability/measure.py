@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.kernels import Complexes, Floats, helper
+from fss_arm_model.kernels import helper
 from fss_arm_model.kinematics import tip_jacobian
-from fss_arm_model.momentum import _floating, generalized_jacobian
+from fss_arm_model.momentum import generalized_jacobian, write_floating_jacobian
 
 
 class Kind(NamedTuple):
@@ -43,7 +44,7 @@ def fixed_jacobian(d: Complexes, J: Floats) -> complex:
 def square_measure(p: Floats, d: Complexes, e: Complexes, kind: Kind, J: Floats) -> float:
     """Return w^2 = det(J J^T); J (3, n) is scratch."""
     if kind.floating > 0.0:
-        _floating(p, d, e, J)
+        write_floating_jacobian(p, d, e, J)
     else:
         fixed_jacobian(d, J)
     xx = xy = yy = xz = yz = zz = 0.0

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.kernels import Complexes, Floats
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_workspace.manipulability.climb import climb
 from fss_arm_workspace.manipulability.measure import FIXED, Kind, measure

@@ -7,8 +7,9 @@ only turned, and no trigonometric function is needed.
 
 import math
 
-from fss_arm_model.kernels import Complexes, Floats, helper
-from fss_arm_model.kinematics import _chain, _dot
+from fss_arm_model.arrays import Complexes, Floats
+from fss_arm_model.kernels import helper
+from fss_arm_model.kinematics import dot, write_chain
 from fss_arm_workspace.manipulability.measure import fixed_jacobian
 
 _TIP_TOLERANCE = 1e-12  # distance below which the tip is at the target [m]
@@ -37,9 +38,9 @@ def move_tip(p, limits, target, q, d, e, J, free, movable):  # type: ignore[no-u
     scratch.
     """
     for _ in range(30):
-        _chain(p, q, d, e)
+        write_chain(p, q, d, e)
         error = target - fixed_jacobian(d, J)
-        if _dot(error, error) < _TIP_TOLERANCE * _TIP_TOLERANCE:
+        if dot(error, error) < _TIP_TOLERANCE * _TIP_TOLERANCE:
             return True
         free[:] = movable
         longest, blocked = 0.0, True
@@ -49,14 +50,14 @@ def move_tip(p, limits, target, q, d, e, J, free, movable):  # type: ignore[no-u
                 return False
             longest, blocked = 0.0, False
             for k in range(free.size):
-                move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
+                move = free[k] * dot(complex(J[0, k], J[1, k]), y)
                 longest = max(longest, abs(move))
                 room = limits[k, 1] - q[3 + k] if move > 0.0 else q[3 + k] - limits[k, 0]
                 if move != 0.0 and room <= 0.0:
                     free[k], blocked = 0.0, True
         y *= min(1.0, MAX_STEP / longest)
         for k in range(free.size):
-            move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
+            move = free[k] * dot(complex(J[0, k], J[1, k]), y)
             q[3 + k] = min(max(q[3 + k] + move, limits[k, 0]), limits[k, 1])
     return False
 

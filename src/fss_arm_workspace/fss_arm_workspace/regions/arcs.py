@@ -12,8 +12,8 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
+from fss_arm_model.arrays import Complexes, Floats
+
 Inside = Callable[[Complexes], npt.NDArray[np.bool_]]
 
 TOLERANCE = 1e-9  # two points, circles or arcs closer than this are the same [m]

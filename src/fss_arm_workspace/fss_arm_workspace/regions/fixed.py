@@ -18,17 +18,9 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.description import Arm
-from fss_arm_workspace.regions.arcs import (
-    TOLERANCE,
-    Arcs,
-    Complexes,
-    Floats,
-    Region,
-    concatenate,
-    crossings,
-    enclose,
-)
+from fss_arm_workspace.regions.arcs import TOLERANCE, Arcs, Region, concatenate, crossings, enclose
 
 FULL_TURN = 2.0 * pi
 

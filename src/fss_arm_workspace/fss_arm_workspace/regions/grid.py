@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fss_arm_workspace.regions.arcs import Complexes, Region
+from fss_arm_model.arrays import Complexes
+from fss_arm_workspace.regions.arcs import Region
 
 
 @dataclass(frozen=True)

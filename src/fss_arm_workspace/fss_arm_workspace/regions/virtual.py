@@ -17,6 +17,7 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.layout import (
     COM_X,
@@ -30,7 +31,7 @@ from fss_arm_model.layout import (
     G,
     each,
 )
-from fss_arm_workspace.regions.arcs import Complexes, Floats, Region
+from fss_arm_workspace.regions.arcs import Region
 from fss_arm_workspace.regions.fixed import chain_workspace, checked_limits
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.settings import (
     FINITE,

@@ -18,9 +18,10 @@ third row makes the base's angular rate zero. The rule that resolves the redunda
 
 import math
 
-from fss_arm_model.kernels import Complexes, Floats, helper
-from fss_arm_model.kinematics import _chain
-from fss_arm_model.momentum import _floating
+from fss_arm_model.arrays import Complexes, Floats
+from fss_arm_model.kernels import helper
+from fss_arm_model.kinematics import write_chain
+from fss_arm_model.momentum import write_floating_jacobian
 from fss_arm_workspace.manipulability.measure import fixed_jacobian
 
 BASES = ("fixed", "floating", "zero reaction")
@@ -83,9 +84,9 @@ def constraint_rows(
     p: Floats, q: Floats, base: float, d: Complexes, e: Complexes, A: Floats
 ) -> None:
     """Write A (3, n): the tip's two rows, and the base's angular rate per joint rate."""
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     if base > 0.0:
-        _floating(p, d, e, A)
+        write_floating_jacobian(p, d, e, A)
         for k in range(A.shape[1]):
             A[2, k] -= 1.0
     else:

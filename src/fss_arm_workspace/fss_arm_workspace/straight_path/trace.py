@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.kernels import Complexes, Floats, helper, kernel
-from fss_arm_model.kinematics import _chain, _mass, checked
+from fss_arm_model.arrays import Complexes, Floats
+from fss_arm_model.kernels import helper, kernel
+from fss_arm_model.kinematics import body_mass, checked, write_chain
 from fss_arm_workspace.straight_path.redundancy import (
     LIMIT_TOLERANCE,
     at_limit,
@@ -60,7 +61,7 @@ def _com(p: Floats, d: Complexes, e: Complexes) -> complex:
     """Return the system's centre of mass relative to the base's origin."""
     M, S, r = 0.0, 0j, 0j
     for k in range(d.size):
-        m = _mass(p, k)
+        m = body_mass(p, k)
         M += m
         S += m * (r + e[k])
         r += d[k]
@@ -162,7 +163,7 @@ def _trace(  # type: ignore[no-untyped-def]
     direction, base = complex(options.x, options.y), options.base
     rows = 3 if base == 2.0 else 2
     q[:] = start
-    _chain(p, q, d, e)
+    write_chain(p, q, d, e)
     origin = complex(q[0], q[1])
     com = origin + _com(p, d, e)
     tip = origin

@@ -2,7 +2,8 @@
 
 from collections.abc import Collection, Sequence
 
-from fss_base_driver.mocap.subjects import MAX_SUBJECTS, SECOND, Subjects
+from fss_arm_model.units import SECOND
+from fss_base_driver.mocap.subjects import MAX_SUBJECTS, Subjects
 
 CHOOSE_SUBJECTS = "list the required ones in the parameter subjects"
 

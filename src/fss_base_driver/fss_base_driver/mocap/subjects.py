@@ -12,10 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import acos, dist, isfinite
 
+from fss_arm_model.units import SECOND
+
 Pose = tuple[float, float, float, float, float, float, float]
 """x, y, z [m], quaternion x, y, z, w."""
 
-SECOND = 1_000_000_000
 MAX_SUBJECTS = 100  # largest number of subjects; senders may use any number of names
 NOISE, TURN_NOISE = 0.03, 0.2  # largest jump of an undisturbed pose [m], [rad]
 

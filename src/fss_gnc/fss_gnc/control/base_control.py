@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.held import Target
 from fss_arm_model.units import SECOND
@@ -10,7 +11,7 @@ from fss_gnc.control.planned import PlannedRates
 from fss_gnc.control.pose import PoseControl
 from fss_gnc.control.settings import ControlSettings
 from fss_gnc.latest import Latest, body_at
-from fss_gnc.reference import Body, Floats, Path, Reference
+from fss_gnc.reference import Body, Path, Reference
 
 
 class BaseControl:

@@ -1,9 +1,9 @@
 """Present mass and inertia of base and arm: with a held body, and without the used gas."""
 
 from fss_arm_model import layout
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.held import Target, payload_pose, with_payload
-from fss_gnc.reference import Floats
 
 
 class CraftModel:

@@ -11,11 +11,10 @@ reacted to whatever the joints have done since.
 """
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from fss_arm_model.arrays import Floats
+from fss_arm_model.units import SECOND
 
-SECOND = 1_000_000_000
 MAX_EXTRAPOLATION = 1.0  # time before or after a plan's times at which it is ignored [s]
 
 

@@ -18,12 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix, inverse_dynamics
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
 from fss_gnc.reference import Reference, pose_error
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

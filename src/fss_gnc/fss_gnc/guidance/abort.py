@@ -17,16 +17,14 @@ from the valves no longer holding the base.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.held import payload_pose, with_payload
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
 from fss_gnc.guidance.base_motion import min_duration
 from fss_gnc.guidance.drift import Drift, DriftPredictor
 from fss_gnc.guidance.stopping import braking, joint_stop_time
 from fss_gnc.reference import Body, Path, Reference, pose_error
-
-Floats = npt.NDArray[np.float64]
 
 SAFE_DRIFT_TIME = 3.0  # time with a safe drift and joints at rest before the abort ends [s]
 UNKNOWN_STATE_TIMEOUT = 30.0  # longest time without a known base [s]

@@ -9,15 +9,14 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.held import Target
 from fss_arm_model.settings import SettingError
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Body, Path
 
-Floats = npt.NDArray[np.float64]
 HeldBody = tuple[Target, Floats]  # a body and its place (3,) in the last link's frame (held.py)
 
 

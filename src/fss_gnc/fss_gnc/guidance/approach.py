@@ -27,15 +27,13 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model import layout
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
 from fss_arm_model.dynamics import inverse_dynamics
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import system_com
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.mission_settings import MissionSettings
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 
 class Points(NamedTuple):

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_gnc import bounds
-from fss_gnc.guidance.activity import ActivityError, Commands, Craft, Floats, Observation, Outcome
+from fss_gnc.guidance.activity import ActivityError, Commands, Craft, Observation, Outcome
 from fss_gnc.guidance.free_space import FreeSpace
 from fss_gnc.guidance.settings import GuidanceSettings
 from fss_gnc.reference import Body, Path, Reference, pose_error

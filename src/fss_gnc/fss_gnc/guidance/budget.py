@@ -4,10 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
 from fss_arm_model.held import with_payload
 from fss_arm_model.momentum import momentum
-from fss_gnc.guidance.activity import Craft, Floats, Observation
+from fss_gnc.guidance.activity import Craft, Observation
 
 
 def _nan_vector() -> Floats:

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from itertools import islice
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.held import Approach, approach, combined_momentum
 from fss_arm_model.planar import wrap
@@ -28,8 +28,6 @@ from fss_gnc.guidance.mission_monitor import MissionMonitor
 from fss_gnc.guidance.reach import Reach
 from fss_gnc.guidance.stopping import braking, joint_stop_time
 from fss_gnc.reference import Body, Path, pose_error
-
-Floats = npt.NDArray[np.float64]
 
 REFERENCE_TIMES = np.linspace(0.0, 2.0, 9)  # of the published reference, from now on [s]
 SETTLING_TIME = 3.0  # time with everything known and joints at rest before the search starts [s]

@@ -5,16 +5,14 @@ measured then comes from a leaking valve, and not from a wrong mass of the held 
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.held import payload_pose, with_payload
 from fss_gnc.guidance.abort import Abort, JointStop
 from fss_gnc.guidance.activity import Commands, Craft, HeldBody, Observation, Outcome
 from fss_gnc.guidance.mission_monitor import MissionMonitor
 from fss_gnc.guidance.stopping import braking
 from fss_gnc.reference import Path
-
-Floats = npt.NDArray[np.float64]
 
 JOINT_REST_RATE = 0.01  # rate of a joint below which the base is slowed down [rad/s]
 REST_TIME = 2.0  # time for which everything must be at rest [s]

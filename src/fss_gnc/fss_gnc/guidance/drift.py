@@ -3,16 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fss_arm_model import layout
+from fss_arm_model.arrays import Floats
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
 from fss_gnc.guidance.approach import RigidCraft, propagate_coast
 from fss_gnc.guidance.free_space import held_gap
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Body
-
-Floats = npt.NDArray[np.float64]
 
 SAMPLE_COUNT = 16  # per drift
 DIRECTION_COUNT = 16

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.clearance import body_name, gaps, sizes, with_edge, with_target
 from fss_arm_model.extents import Extents
 from fss_arm_model.held import payload_pose, payload_positions
-from fss_gnc.guidance.activity import ActivityError, Craft, Floats, Observation
+from fss_gnc.guidance.activity import ActivityError, Craft, Observation
 from fss_gnc.reference import Path
 
 SHRINK_TOLERANCE = 1e-3  # allowed decrease of a gap that is too small already [m]

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.units import SECOND
-from fss_gnc.guidance.activity import Floats, HeldBody, Observation
+from fss_gnc.guidance.activity import HeldBody, Observation
 from fss_gnc.latest import Latest, body_at
 from fss_gnc.reference import Body
 

@@ -13,16 +13,14 @@ N = 1 - J*' (..)^-1 J*, is used to keep the joints away from their limits.
 from math import pi
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import generalized_jacobian, momentum, system_com
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.mission_settings import MissionSettings
-
-Floats = npt.NDArray[np.float64]
 
 ROW_WEIGHTS = np.array([1.0, 1.0, 0.1])  # of the twist's rows [1, 1, m]
 DAMPING = 1e-3  # lambda^2 [m^2]

@@ -3,14 +3,13 @@
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.dynamics import inverse_dynamics
 from fss_arm_model.free_floating import free_torques
 from fss_arm_model.momentum import momentum
 from fss_gnc.guidance.approach import valve_load
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Path
-
-Floats = npt.NDArray[np.float64]
 
 MIN_DURATION, MAX_DURATION = 0.5, 120.0  # bounds of the time to come to rest [s]
 

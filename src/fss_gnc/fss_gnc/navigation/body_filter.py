@@ -17,13 +17,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from fss_arm_model.kernels import Floats, helper, kernel
+from fss_arm_model.arrays import Floats
+from fss_arm_model.kernels import helper, kernel
+from fss_arm_model.units import SECOND
 
 from .settings import Bounds, SensorErrors
 
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
-SECOND = 1_000_000_000
 MAX_GAP = 60 * SECOND  # longest gap between measurements; after it the old state is obsolete
 MAX_WORLD_DISTANCE = 1e4  # largest plausible distance of a body from the world's origin [m]
 HISTORY_LENGTH = 1_000_000_000  # length of the stored history [ns]

@@ -3,8 +3,10 @@
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from fss_arm_model.units import SECOND
+
 from .body_filter import POSE, RATE
-from .navigation import SECOND, Navigation
+from .navigation import Navigation
 from .tracked_body import TrackedBody
 from .valve_faults import Faults
 

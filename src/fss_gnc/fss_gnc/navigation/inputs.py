@@ -18,15 +18,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.dynamics import _bias, _inertia
-from fss_arm_model.kernels import Floats, kernel
+from fss_arm_model.arrays import Floats
+from fss_arm_model.dynamics import write_bias, write_inertia
+from fss_arm_model.kernels import kernel
 from fss_arm_model.layout import count
 from fss_arm_model.thrusters import COUNT, layout
+from fss_arm_model.units import SECOND
 
 from .settings import EstimatorSettings
 from .valve_faults import Faults
 
-SECOND = 1_000_000_000
 JOINT_TIMEOUT = 0.5  # after this time without a reading, a joint's motion is unknown [s]
 PLAN_CORRELATION_TIME = 0.2  # of a joint's deviation from its plan [s]
 MIN_RATE_CHANGE = 1e-4  # smaller changes of a joint's rate do not affect the base [rad/s]
@@ -95,8 +96,8 @@ def _linearize(  # type: ignore[no-untyped-def]
         read_noise[i] = step + at_point.change_error**2 * change
         noise_weight[i] = step + change if is_recent else at_point.silent_walk**2
     work, H = np.empty((3, n + 1), np.complex128), np.empty((3 + n, 3 + n))
-    _inertia(p, q, work, H)
-    _bias(p, q, qd, work, tau)
+    write_inertia(p, q, work, H)
+    write_bias(p, q, qd, work, tau)
     M = np.linalg.inv(H[:3, :3])
     B = -M @ np.ascontiguousarray(H[:3, 3:])
     mobility[:], by_joint[:], bias_acceleration[:] = M, B, M @ (leak_wrench - tau[:3])

@@ -29,9 +29,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_model import layout
+from fss_arm_model.arrays import Floats
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.held import Target
-from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
 

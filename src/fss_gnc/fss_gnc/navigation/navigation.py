@@ -11,12 +11,13 @@ from math import expm1, hypot
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.held import Target, payload_pose, payload_state, with_payload
-from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
 from fss_arm_model.planar import wrap
 from fss_arm_model.thrusters import COUNT
+from fss_arm_model.units import SECOND
 
 from .body_filter import GATE_SIGMA, BodyFilter, BodyState, NoInputs, Pose
 from .inputs import KnownInputs
@@ -24,7 +25,6 @@ from .mass_estimator import SPACING, FreeBody, MassErrors, MassEstimator, MassPr
 from .settings import EstimatorSettings, TargetErrors
 from .valve_faults import Faults, Moment, ValveFaults
 
-SECOND = 1_000_000_000
 TIP_POSE_TOLERANCE = 0.05, 0.15  # of a pose that counts as the end effector's [m], [rad]
 MAX_POSE_GAP = SECOND // 5  # longest time without a pose before the arm's is used [ns]
 GRIP_SIGMA = 0.05, 0.1  # change of twists by a grip or a release, 1 sigma [m/s], [rad/s]

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.kernels import Floats
 
 from .mass_estimator import Sample
 

@@ -12,8 +12,8 @@ state, so a lost command does no harm. Times are read from the caller's clock, i
 
 from enum import Enum
 
+from fss_arm_model.units import SECOND
 from fss_link.protocol import CommandFlag, StatusFlag, TelemetryHead
-from fss_link.session.clock import SECOND
 
 ARMING_TIMEOUT = 2 * SECOND  # a link that is not armed by then stays disarmed
 RELEASE_TIMEOUT = 4 * SECOND  # by then the drive is off, even if the joint still moves

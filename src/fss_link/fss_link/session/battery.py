@@ -3,7 +3,7 @@
 from collections import deque
 from math import inf, nan
 
-from fss_link.session.clock import SECOND
+from fss_arm_model.units import SECOND
 
 READING_INTERVAL = 10 * SECOND  # between stored readings
 MAX_READINGS = 180  # stored: half an hour

@@ -23,7 +23,9 @@ from dataclasses import dataclass
 from math import inf, nan, sqrt
 from statistics import median_low
 
-MICROSECOND, SECOND = 1000, 1_000_000_000  # [ns]
+from fss_arm_model.units import SECOND
+
+MICROSECOND = 1000  # [ns]
 MAX_ROUND_TRIP = SECOND  # longer round trips are ignored
 DRIFT = 1e-4 / sqrt(3.0)  # of a link's oscillator against the host's, 1 sigma
 SLOT = 1_000_000  # one interval is stored for each slot, the narrowest [us]

@@ -8,8 +8,9 @@ from collections import deque
 from secrets import randbelow
 from typing import NamedTuple
 
+from fss_arm_model.units import SECOND
 from fss_link.protocol import TelemetryHead
-from fss_link.session.clock import MICROSECOND, SECOND
+from fss_link.session.clock import MICROSECOND
 
 ECHO_MEMORY = 60 * SECOND  # for which sent commands are remembered
 STAMP_SPREAD = 100_000  # a stamp lies at most this long before its command [us]

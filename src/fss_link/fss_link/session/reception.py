@@ -4,8 +4,9 @@ from collections import Counter, deque
 from enum import Enum
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
+from fss_arm_model.units import SECOND
 from fss_link.protocol import TelemetryHead, newer
-from fss_link.session.clock import MICROSECOND, SECOND, LinkClock
+from fss_link.session.clock import MICROSECOND, LinkClock
 
 EARLY_TOLERANCE = SECOND // 10  # delays vary: the most by which a frame may seem to be early
 TRACK_MEMORY = 60 * SECOND  # for which a lost link and its clock are remembered

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from math import inf, nan
 from typing import Any, Generic, NamedTuple, TypedDict, TypeVar
 
+from fss_arm_model.units import SECOND
 from fss_link.protocol import (
     VERSION,
     CommandFlag,
@@ -21,7 +22,6 @@ from fss_link.protocol import (
 )
 from fss_link.session.arming import Arming, ArmingMachine
 from fss_link.session.battery import Battery
-from fss_link.session.clock import SECOND
 from fss_link.session.echoes import Echoes
 from fss_link.session.reception import Reception, Rules
 

@@ -17,7 +17,7 @@ from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.power import BROWN_OUT_VOLTAGE, RECOVERY_VOLTAGE, Battery, Power
 from fss_sim.link.radio import Station
 from fss_sim.noise import Noise
-from fss_sim.plant.plant import Vehicle
+from fss_sim.plant.vehicle import Vehicle
 
 # It is switched on at most this long before the test bed starts [us].
 MAX_INITIAL_UPTIME = 10_000_000

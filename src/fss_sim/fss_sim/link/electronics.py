@@ -24,7 +24,7 @@ from fss_arm_model.description import Link
 from fss_sim.link.instruments import Instruments, make_instruments
 from fss_sim.link.power import Battery
 from fss_sim.link.servo import REST_SPEED, ServoDrive
-from fss_sim.plant.plant import Demand, Motion
+from fss_sim.plant.vehicle import Demand, Motion
 
 RELEASE_TIMEOUT = 3_000_000  # a joint to be released is released by then even if it moves [us]
 

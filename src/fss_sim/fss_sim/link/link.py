@@ -12,7 +12,7 @@ from fss_sim.link.power import Power, Supply
 from fss_sim.link.radio import Station
 from fss_sim.link.servo import MODE_OFF, ServoDrive
 from fss_sim.noise import Noise
-from fss_sim.plant.plant import Demand, Motion
+from fss_sim.plant.vehicle import Demand, Motion
 
 # A link is switched on at most this long before the test bed starts [us].
 MAX_INITIAL_UPTIME = 10_000_000

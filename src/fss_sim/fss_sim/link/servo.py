@@ -18,7 +18,7 @@ from fss_arm_model.description import Link
 from fss_sim.faults import NO_DRIVE_FAULTS, DriveFaults
 from fss_sim.link.instruments import Encoder
 from fss_sim.link.power import AMBIENT, OUTPUT_VOLTAGE, Load
-from fss_sim.plant.plant import Demand, Motion
+from fss_sim.plant.vehicle import Demand, Motion
 
 # Modes of a demand.
 MODE_OFF, MODE_CURRENT, MODE_VELOCITY, MODE_POSITION = 0, 1, 11, 21

@@ -14,22 +14,20 @@ which conserves momentum. The work of the impulses enters the energy audit.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.held import Approach, Target, approach
 from fss_arm_model.integration import STEP
-from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
 from fss_sim.plant.contact import FEATURES, GAP, Contact, Scene
 from fss_sim.plant.impact import GAP_TOLERANCE, Impact
 from fss_sim.plant.target import PassiveTarget, velocity_after_capture
+from fss_sim.plant.vehicle import Vehicle
 from fss_sim.plant.weld import Weld
-
-if TYPE_CHECKING:
-    from fss_sim.plant.plant import Vehicle
 
 # Parts can touch in one step within this gap plus their motion in two steps [m].
 CONTACT_RANGE = 5e-3
@@ -77,7 +75,7 @@ class Bed:
 
     def __init__(
         self,
-        vehicles: Sequence["Vehicle"],
+        vehicles: Sequence[Vehicle],
         targets: Sequence[PassiveTarget] = (),
         contact: Contact | None = None,
         tolerance: float = 0.0,
@@ -87,8 +85,6 @@ class Bed:
         self.contact_impulses: dict[tuple[str, str], float] = {}  # in the last `advance` [N s]
         self._welds: list[Weld] = []
         self._contact_work = 0.0  # energy change by contacts and captures [J]
-        for vehicle in self.vehicles:
-            vehicle.bed = self
         self._rebuild_scene()
         self._advance_chains(0)
         self._initial_balance = self.audit.balance
@@ -102,7 +98,7 @@ class Bed:
         while self.step < start + steps:
             self._advance_watched(start + steps - self.step)
         for vehicle in self.vehicles:
-            vehicle.use_gas(start, steps)
+            vehicle.end_steps(steps)
 
     @property
     def audit(self) -> Audit:
@@ -135,7 +131,7 @@ class Bed:
         least = int(np.argmin(gaps))
         return Clearance(*self._scene.names[least], float(gaps[least]))
 
-    def within_reach(self, vehicle: "Vehicle") -> "tuple[Vehicle | PassiveTarget | None, Approach]":
+    def within_reach(self, vehicle: Vehicle) -> tuple[Vehicle | PassiveTarget | None, Approach]:
         """Return the thing that the vehicle holds, or else the nearest to its gripper.
 
         The second value is the approach to it: distance, angle and speed.
@@ -160,7 +156,7 @@ class Bed:
 
     # Grips
 
-    def _use_gripper(self, vehicle: "Vehicle") -> None:
+    def _use_gripper(self, vehicle: Vehicle) -> None:
         """Move the fingers as commanded; to close, they wait until a fixture is within reach."""
         fingers, gripper = vehicle.fingers, vehicle.world.gripper
         if not vehicle.closed:
@@ -183,10 +179,10 @@ class Bed:
         else:
             fingers.missed = True
 
-    def _grip(self, vehicle: "Vehicle", thing: "Vehicle | PassiveTarget") -> None:
+    def _grip(self, vehicle: Vehicle, thing: Vehicle | PassiveTarget) -> None:
         """Grip a thing: momentum is conserved, and the energy lost enters the audit."""
         vehicle.held = thing
-        if isinstance(thing, PassiveTarget) and thing.holder is None:
+        if isinstance(thing, PassiveTarget) and thing.is_free:
             had, supplied = vehicle.audit_rows + thing.audit_rows
             H = vehicle.inertia()
             after = velocity_after_capture(vehicle.p, vehicle.q, vehicle.qd, H, thing)
@@ -194,7 +190,7 @@ class Bed:
             vehicle.audit_rows[1] = supplied
             self._contact_work += vehicle.audit_rows[0, 3] - had[3]
         else:
-            one = thing.holder if isinstance(thing, PassiveTarget) else thing
+            one = self._carrier(thing)
             assert one is not None
             if not any({w.one, w.other} == {one, vehicle} for w in self._welds):
                 self._welds.append(Weld(one, vehicle))
@@ -209,34 +205,39 @@ class Bed:
         self._advance_chains(0)
         self._contact_work += impact.work()
 
-    def _release(self, vehicle: "Vehicle") -> None:
+    def _release(self, vehicle: Vehicle) -> None:
         """Release the thing held; another vehicle that holds the target keeps it."""
         thing, vehicle.held = vehicle.held, None
         others = [one for one in self.vehicles if one.held is thing]
-        if isinstance(thing, PassiveTarget) and thing.holder is vehicle:
+        if isinstance(thing, PassiveTarget) and vehicle.payload is thing:
             vehicle.detach(thing)
             self._welds = [w for w in self._welds if w.one is not vehicle or w.other not in others]
             self._rebuild_scene()
             for other in others:
                 self._grip(other, thing)
             return
-        unweld = isinstance(thing, PassiveTarget) or thing is None or thing.held is not vehicle
-        one = thing.holder if isinstance(thing, PassiveTarget) else thing
-        if unweld:
-            self._welds = [w for w in self._welds if {w.one, w.other} != {one, vehicle}]
+        if thing and (isinstance(thing, PassiveTarget) or thing.held is not vehicle):
+            pair = {self._carrier(thing), vehicle}
+            self._welds = [w for w in self._welds if {w.one, w.other} != pair]
         self._rebuild_scene()
 
-    def _overloaded(self, vehicle: "Vehicle", before: Floats | None, time: float) -> bool:
+    def _carrier(self, thing: Vehicle | PassiveTarget) -> Vehicle | None:
+        """Return the vehicle that a thing is part of; None: a target that floats freely."""
+        if isinstance(thing, PassiveTarget):
+            return next((one for one in self.vehicles if one.payload is thing), None)
+        return thing
+
+    def _overloaded(self, vehicle: Vehicle, before: Floats | None, time: float) -> bool:
         """Return True if the grip transmitted more force or torque than the fingers can hold.
 
         `before` is the twist, `time` [s] ago, of a target that is part of the vehicle's last link.
         """
-        gripper, target = vehicle.world.gripper, vehicle.held
+        gripper, payload = vehicle.world.gripper, vehicle.payload
         force, torque = 0j, 0.0
         tip = complex(*tip_pose(vehicle.p, vehicle.q)[:2])
-        if isinstance(target, PassiveTarget) and target.holder is vehicle and before is not None:
-            (x, y, _), after = target.state
-            gained = (after - before) / time * target.masses
+        if payload and before is not None:
+            (x, y, _), after = payload.state
+            gained = (after - before) / time * payload.masses
             force = complex(gained[0], gained[1])
             torque = gained[2] + (np.conj(complex(x, y) - tip) * force).imag
         for weld in self._welds:
@@ -252,7 +253,7 @@ class Bed:
 
     def _rebuild_scene(self) -> None:
         """Determine the chains that move independently, and the pairs of parts that can touch."""
-        free = [target for target in self.targets if target.holder is None]
+        free = [target for target in self.targets if target.is_free]
         self._chains: list[Vehicle | PassiveTarget] = [*self.vehicles, *free]
         number = {id(chain): c for c, chain in enumerate(self._chains)}
         rigid = {frozenset((number[id(w.one)], number[id(w.other)])) for w in self._welds}

@@ -22,9 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_model import layout
-from fss_arm_model.centroidal import _scaled
-from fss_arm_model.kernels import Floats, helper, kernel
-from fss_arm_model.kinematics import _cross, _dot, _reach
+from fss_arm_model.arrays import Floats
+from fss_arm_model.centroidal import scaled
+from fss_arm_model.kernels import helper, kernel
+from fss_arm_model.kinematics import body_reach, cross, dot
 from fss_arm_model.layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, between, setting
 
@@ -78,7 +79,7 @@ def _frames(p, q, chains, r, u):  # type: ignore[no-untyped-def]
         heading = q[of + 2]
         r[c, 0], u[c, 0] = complex(q[of], q[of + 1]), complex(math.cos(heading), math.sin(heading))
         for k in range(1, int(chains[c, COUNT]) + 1):
-            r[c, k] = r[c, k - 1] + _reach(numbers, k - 1) * u[c, k - 1]
+            r[c, k] = r[c, k - 1] + body_reach(numbers, k - 1) * u[c, k - 1]
             heading += numbers[LINK_SIZE * k + OFFSET] + q[of + 2 + k]
             if k == 1:
                 heading += numbers[MOUNT_ANGLE]
@@ -107,8 +108,8 @@ def _velocity(part, chains, r, v, x):  # type: ignore[no-untyped-def]
 def _nearest(x, a, b):  # type: ignore[no-untyped-def]
     """Return the position of the point nearest to x on the line from a (0) to b (1)."""
     d = b - a
-    square = _dot(d, d)
-    return min(max(_dot(d, x - a) / max(square, 1e-300), 0.0), 1.0)
+    square = dot(d, d)
+    return min(max(dot(d, x - a) / max(square, 1e-300), 0.0), 1.0)
 
 
 @helper
@@ -128,8 +129,8 @@ def _gaps(p, q, v, chains, parts, pairs, out):  # type: ignore[no-untyped-def]
         apart = min(
             min(_distance(a, c, d), _distance(b, c, d)), min(_distance(c, a, b), _distance(d, a, b))
         )
-        crossed = _cross(b - a, c - a) * _cross(b - a, d - a) < 0.0
-        if crossed and _cross(d - c, a - c) * _cross(d - c, b - c) < 0.0:
+        crossed = cross(b - a, c - a) * cross(b - a, d - a) < 0.0
+        if crossed and cross(d - c, a - c) * cross(d - c, b - c) < 0.0:
             apart = 0.0
         out[g, 0] = apart - i[RADIUS] - j[RADIUS]
         reference = _velocity(i, chains, r, v, a)
@@ -161,7 +162,7 @@ def _touches(p, q, chains, parts, pairs, _kt, out):  # type: ignore[no-untyped-d
             apart = abs(x - y)
             if apart == 0.0:
                 continue
-            n = _scaled(1.0 / apart, x - y)
+            n = scaled(1.0 / apart, x - y)
             out[g, f, GAP] = apart - i[RADIUS] - j[RADIUS]
             middle = 0.5 * (x - i[RADIUS] * n + y + j[RADIUS] * n)
             out[g, f, AT_X], out[g, f, AT_Y] = middle.real, middle.imag
@@ -186,7 +187,7 @@ def _jacobian(p, q, chains, parts, pairs, touches, out):  # type: ignore[no-unty
                 out[k, row, of] += along.real
                 out[k, row, of + 1] += along.imag
                 for b in range(int(part[BODY]) + 1):
-                    out[k, row, of + 2 + b] += _cross(x - r[c, b], along)
+                    out[k, row, of + 2 + b] += cross(x - r[c, b], along)
 
 
 @helper

@@ -25,7 +25,7 @@ import math
 from fss_arm_model.centroidal import Bodies
 from fss_arm_model.integration import STEP
 from fss_arm_model.kernels import helper
-from fss_sim.plant.surroundings import Forces, _derivative_called
+from fss_sim.plant.surroundings import Forces, write_derivative_called
 
 #: Modes of a drive, with the numbers of docs/reference/protocol.md.
 MODE_OFF, MODE_CURRENT, MODE_VELOCITY, MODE_POSITION = 0.0, 1.0, 11.0, 21.0
@@ -37,7 +37,7 @@ SMOOTHING_SPEED = 0.005  # of the Coulomb friction [rad/s]
 
 
 @helper
-def _goal(mode, set_point, lowest, highest, r):  # type: ignore[no-untyped-def]
+def profile_goal(mode, set_point, lowest, highest, r):  # type: ignore[no-untyped-def]
     """Return the angle to which a reference at r moves."""
     if mode == MODE_POSITION:
         return min(max(set_point, lowest), highest)
@@ -45,7 +45,7 @@ def _goal(mode, set_point, lowest, highest, r):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _profile(goal, speed, acceleration, r, v):  # type: ignore[no-untyped-def]
+def advance_profile(goal, speed, acceleration, r, v):  # type: ignore[no-untyped-def]
     """Return the reference (r, v) one step later, moved to the goal within speed and acceleration.
 
     To stop from the speed k dv, with dv = acceleration dt, in whole steps takes the distance
@@ -85,8 +85,8 @@ def _servo_law(joint, demand, q, qd, reference, law):  # type: ignore[no-untyped
     if mode == MODE_CURRENT:
         law[0] = min(max(set_point, -most), most)
     elif mode != MODE_OFF:
-        goal = _goal(mode, set_point, joint[0], joint[1], reference[0])
-        r, v = _profile(goal, speed, acceleration, reference[0], reference[1])
+        goal = profile_goal(mode, set_point, joint[0], joint[1], reference[0])
+        r, v = advance_profile(goal, speed, acceleration, reference[0], reference[1])
         law[0], law[1] = -STIFFNESS * (q + STEP * qd - r) - DAMPING * (qd - v), DAMPING
     reference[0], reference[1] = r, v
     law[3] = viscous + coulomb / math.sqrt(qd * qd + SMOOTHING_SPEED * SMOOTHING_SPEED)
@@ -110,7 +110,7 @@ def _joint_torque(joint, q, qd, qdd, reference, law, torques):  # type: ignore[n
 
 
 @helper
-def _apply_drives(  # type: ignore[no-untyped-def]
+def apply_drives(  # type: ignore[no-untyped-def]
     bodies, forces, joints, demand, q, qd, reference, z, start_vectors, work, dz, inertia,
     requested, laws, torques,
 ):  # fmt: skip
@@ -137,7 +137,7 @@ def _apply_drives(  # type: ignore[no-untyped-def]
         inertia[1, j + 1] -= damping
     damped = Bodies(bodies.p, bodies.mass, bodies.arms, inertia)
     tried = Forces(forces.around, forces.thrust, requested, forces.torque)
-    _derivative_called(damped, tried, start_vectors, z, work, dz)
+    write_derivative_called(damped, tried, start_vectors, z, work, dz)
     for j in range(n):
         qdd = dz[1, 3 + j] - dz[1, 2 + j]
         applied = _joint_torque(

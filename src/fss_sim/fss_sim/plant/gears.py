@@ -24,14 +24,35 @@ a step is found implicitly, with friction and servo (drives.py) evaluated there,
 import math
 from typing import NamedTuple
 
-from fss_arm_model.centroidal import _rate
+from fss_arm_model.arrays import Floats
+from fss_arm_model.centroidal import write_rate
 from fss_arm_model.integration import STEP
-from fss_arm_model.kernels import Floats, helper, inlined
-from fss_sim.plant.drives import DAMPING, MODE_CURRENT, MODE_OFF, STIFFNESS, _goal, _profile
-from fss_sim.plant.surroundings import Forces, _derivative
+from fss_arm_model.kernels import helper, inlined
+from fss_sim.plant.drives import (
+    DAMPING,
+    MODE_CURRENT,
+    MODE_OFF,
+    STIFFNESS,
+    advance_profile,
+    profile_goal,
+)
+from fss_sim.plant.surroundings import Forces, write_derivative
 
-# Columns of the gear parameters.
-SPRING, DAMPER, BAND, STATIC, STRIBECK, RIPPLE, PERIODS, MEAN, DECAY, CANCELLED, REST = range(11)
+
+class GearParameters(NamedTuple):
+    """Parameters of the gears and motors, the same for all joints except the angle at rest."""
+
+    stiffness: float  # of the spring [N m/rad]
+    damping: float  # [N m s/rad]
+    half_band: float  # half the dead band [rad]
+    static: float  # static friction [N m]
+    stribeck_speed: float  # [rad/s]
+    ripple: float  # amplitude of the torque ripple [N m]
+    ripple_order: float  # periods of the ripple per turn of the joint
+    mean_response: float  # share of a new command in the motor's mean torque of a step
+    decay: float  # share of the previous torque that is left at the end of a step
+    cancelled: float  # share of the friction that a servo compensates
+    rest: Floats  # (n,) true angle of each joint at an encoder reading of 0 [rad]
 
 
 class Gears(NamedTuple):
@@ -39,7 +60,7 @@ class Gears(NamedTuple):
 
     forces: Forces
     joints: Floats  # (n, 7) as in advance
-    gears: Floats  # (n, 11)
+    parameters: GearParameters
     rotor: Floats  # (2,) N^2 J, N J
     turns: Floats  # (n,) 1 for a motor that turns, 0 for one that sticks
     drive: Floats  # (n,) u
@@ -47,32 +68,32 @@ class Gears(NamedTuple):
 
 
 @helper
-def _spring_torque(gear, x):  # type: ignore[no-untyped-def]
-    """Return the torque of a gear's spring twisted by x."""
-    return gear[SPRING] * (max(x - gear[BAND], 0.0) + min(x + gear[BAND], 0.0))
+def spring_torque(gear, x):  # type: ignore[no-untyped-def]
+    """Return the torque of a gear's spring twisted by x; gear: GearParameters."""
+    return gear.stiffness * (max(x - gear.half_band, 0.0) + min(x + gear.half_band, 0.0))
 
 
 @helper
-def _twist(gear, z, j):  # type: ignore[no-untyped-def]
+def gear_twist(gear, z, j):  # type: ignore[no-untyped-def]
     """Return the rate of joint j, and the angle and rate of its motor relative to the joint."""
     motor = 3 + z.shape[1] // 2 + j
-    q, qd = z[0, 3 + j] - z[0, 2 + j] - gear[REST], z[1, 3 + j] - z[1, 2 + j]
+    q, qd = z[0, 3 + j] - z[0, 2 + j] - gear.rest[j], z[1, 3 + j] - z[1, 2 + j]
     return qd, z[0, motor] - q, z[1, motor] - qd
 
 
 @inlined
-def _geared_derivative(bodies, geared, turned, z, work, dz):  # type: ignore[no-untyped-def]
+def write_geared_derivative(bodies, geared, turned, z, work, dz):  # type: ignore[no-untyped-def]
     """Write dz (2, 4 + m + n) under all forces, including the gears' springs."""
-    forces, joints, gears, rotor, turns, drive, sprung = geared
+    forces, joints, gear, rotor, turns, drive, sprung = geared
     n, m = drive.size, sprung.size
     ratio, power, spun = rotor[1] / rotor[0], 0.0, 0.0
     for k in range(m):
         sprung[k] = forces.held[k]
     for j in range(n):
-        q, qd = z[0, 3 + j] - z[0, 2 + j] - gears[j, REST], z[1, 3 + j] - z[1, 2 + j]
+        q, qd = z[0, 3 + j] - z[0, 2 + j] - gear.rest[j], z[1, 3 + j] - z[1, 2 + j]
         x, xd = z[0, 4 + m + j] - q, z[1, 4 + m + j] - qd
-        wound = gears[j, SPRING] * (max(x - gears[j, BAND], 0.0) + min(x + gears[j, BAND], 0.0))
-        applied = wound + gears[j, DAMPER] * xd
+        wound = gear.stiffness * (max(x - gear.half_band, 0.0) + min(x + gear.half_band, 0.0))
+        applied = wound + gear.damping * xd
         left = turns[j] * (drive[j] - applied)  # of the drive's torque, for its rotor
         power += wound * xd + left * (z[1, 4 + m + j] + ratio * z[1, 2 + j])
         spun += ratio * left
@@ -84,7 +105,7 @@ def _geared_derivative(bodies, geared, turned, z, work, dz):  # type: ignore[no-
         sprung[j + 1] += applied
         dz[1, 4 + m + j] = left / rotor[0]
     sum_of_all = Forces(forces.around, forces.thrust, sprung, forces.torque)
-    _derivative(bodies, sum_of_all, turned, z, work, dz)
+    write_derivative(bodies, sum_of_all, turned, z, work, dz)
     for j in range(n):
         dz[0, 4 + m + j] = z[1, 4 + m + j]
         dz[1, 4 + m + j] -= turns[j] * ratio * dz[1, 2 + j]
@@ -92,14 +113,14 @@ def _geared_derivative(bodies, geared, turned, z, work, dz):  # type: ignore[no-
     dz[1, 3 + m] += spun
 
 
-_geared_derivative_called = helper(_geared_derivative.py_func)
+write_geared_derivative_called = helper(write_geared_derivative.py_func)
 
 
 @helper
 def _stribeck(joint, gear, v):  # type: ignore[no-untyped-def]
     """Return F(v), the part of the friction that is not viscous."""
-    more = max(gear[STATIC] - joint[4], 0.0)
-    return joint[4] + more * math.exp(-((v / gear[STRIBECK]) ** 2))
+    more = max(gear.static - joint[4], 0.0)
+    return joint[4] + more * math.exp(-((v / gear.stribeck_speed) ** 2))
 
 
 @helper
@@ -119,24 +140,24 @@ def _advance_motor(joint, gear, demand, inertia, x, v, s, carried, motor, refere
     """
     mode, set_point, speed, acceleration = demand
     most, viscous, coulomb = joint[2], joint[3], joint[4]
-    mean, left = gear[MEAN], gear[DECAY]
+    mean, left = gear.mean_response, gear.decay
     r, rate, servo_damping, command_torque, compensation = x, v, 0.0, 0.0, 0.0
     if mode == MODE_CURRENT:
         command_torque = min(max(set_point, -most), most)
     elif mode == MODE_OFF:
         mean, left = 1.0, 0.0
     else:
-        goal = _goal(mode, set_point, joint[0], joint[1], reference[0])
-        r, rate = _profile(goal, speed, acceleration, reference[0], reference[1])
+        goal = profile_goal(mode, set_point, joint[0], joint[1], reference[0])
+        r, rate = advance_profile(goal, speed, acceleration, reference[0], reference[1])
         servo_damping = DAMPING
         if rate != 0.0:
-            compensation = gear[CANCELLED] * (viscous * rate + math.copysign(coulomb, rate))
+            compensation = gear.cancelled * (viscous * rate + math.copysign(coulomb, rate))
         command_torque = compensation - STIFFNESS * (x + STEP * v - r) + DAMPING * rate
     reference[0], reference[1] = r, rate
     friction = _stribeck(joint, gear, v)
     other = inertia * v / STEP + (1.0 - mean) * motor[2] - s
-    if gear[RIPPLE] > 0.0:
-        other += gear[RIPPLE] * math.sin(gear[PERIODS] * x)
+    if gear.ripple > 0.0:
+        other += gear.ripple * math.sin(gear.ripple_order * x)
     slope = inertia / STEP + viscous
     pushed = _after_friction(other + mean * command_torque, friction)
     after = pushed / (slope + mean * servo_damping)
@@ -153,7 +174,7 @@ def _advance_motor(joint, gear, demand, inertia, x, v, s, carried, motor, refere
 
 
 @helper
-def _apply_geared_drives(  # type: ignore[no-untyped-def]
+def apply_geared_drives(  # type: ignore[no-untyped-def]
     bodies, geared, whole, demand, reference, motors, z, start_vectors, work, dz, still
 ):  # fmt: skip
     """Set the drives' torques for the next step, and stop the motors that stick in it.
@@ -162,17 +183,17 @@ def _apply_geared_drives(  # type: ignore[no-untyped-def]
     whole (m,) is the diagonal of A with all motors stuck. The last column of motors (n, 3) is their
     torque. dz and still (2, 4 + m + n) are scratch; still is 0.
     """
-    rotor, torque = geared.rotor, geared.forces.torque
+    rotor, torque, gear = geared.rotor, geared.forces.torque, geared.parameters
     n, m = motors.shape[0], torque.size
     ratio, stops = rotor[1] / rotor[0], False
     for k in range(m):
         torque[k], bodies.inertia[0, k] = 0.0, whole[k]
     for j in range(n):
-        qd, x, xd = _twist(geared.gears[j], z, j)
-        s = _spring_torque(geared.gears[j], x) + geared.gears[j, DAMPER] * xd
+        qd, x, xd = gear_twist(gear, z, j)
+        s = spring_torque(gear, x) + gear.damping * xd
         theta, rate = z[0, 4 + m + j], z[1, 4 + m + j]
         geared.drive[j], sticks = _advance_motor(
-            geared.joints[j], geared.gears[j], demand[j], rotor[0], theta, rate, s, qd,
+            geared.joints[j], gear, demand[j], rotor[0], theta, rate, s, qd,
             motors[j], reference[j],
         )  # fmt: skip
         geared.turns[j] = 0.0 if sticks else 1.0
@@ -181,7 +202,7 @@ def _apply_geared_drives(  # type: ignore[no-untyped-def]
             torque[j] += rotor[1] * rate
             stops = True
     if stops:
-        _rate(bodies, start_vectors, 0j, torque, still, work, dz)
+        write_rate(bodies, start_vectors, 0j, torque, still, work, dz)
         for k in range(m):
             z[1, 2 + k] += dz[1, 2 + k]
         for j in range(n):

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.integration import STEP
-from fss_arm_model.kernels import Floats
 from fss_sim.plant.contact import GAP, Contact, Scene, impulses
 from fss_sim.plant.weld import Weld
 

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from math import exp, expm1, pi, radians
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.integration import STEP
-from fss_arm_model.kernels import Floats
 from fss_arm_model.layout import LINK_MASS, MOUNT_ANGLE, OFFSET, com, each, reach
 from fss_arm_model.settings import (
     NOT_NEGATIVE,
@@ -17,6 +16,7 @@ from fss_arm_model.settings import (
     between,
     setting,
 )
+from fss_sim.plant.gears import GearParameters
 
 
 @dataclass(frozen=True)
@@ -84,16 +84,25 @@ class Joints(Settings):
             if (value := getattr(self, name)) != rigid[name].default:
                 raise SettingError(f"{name} is {value:g}, which needs a stiffness above 0")
 
-    def gears(self, p: Floats) -> Floats:
-        """Return the gear parameters (n, 11) that gears.py uses, for p = Arm.vector()."""
+    def gears(self, p: Floats) -> GearParameters:
+        """Return the parameters of the gears, for p = Arm.vector()."""
         lag = 2.0 * pi * self.current_bandwidth * STEP  # a step over the loop's time constant
         mean, left = (1.0 + expm1(-lag) / lag, exp(-lag)) if lag else (1.0, 0.0)
-        spring = self.stiffness, self.damping, 0.5 * self.dead_band
-        friction = self.static, self.stribeck_speed
-        drive = self.ripple, 2.0 * self.gear_ratio, mean, left, self.cancelled
         rest = each(p, OFFSET).copy()
         rest[:1] += p[MOUNT_ANGLE]
-        return np.array([(*spring, *friction, *drive, angle) for angle in rest])
+        return GearParameters(
+            stiffness=self.stiffness,
+            damping=self.damping,
+            half_band=0.5 * self.dead_band,
+            static=self.static,
+            stribeck_speed=self.stribeck_speed,
+            ripple=self.ripple,
+            ripple_order=2.0 * self.gear_ratio,
+            mean_response=mean,
+            decay=left,
+            cancelled=self.cancelled,
+            rest=rest,
+        )
 
     @property
     def rotor(self) -> tuple[float, float]:
@@ -127,12 +136,12 @@ def link_normals(p: Floats, q: Floats) -> Floats:
     return np.column_stack([across.real, across.imag])
 
 
-def _directions(p: Floats, q: Floats) -> npt.NDArray[np.complex128]:
+def _directions(p: Floats, q: Floats) -> Complexes:
     """Return exp(i psi) for base and links, (1 + n,)."""
     angles = q[2:].copy()
     angles[1:] += each(p, OFFSET)
     angles[1:2] += p[MOUNT_ANGLE]
-    turns: npt.NDArray[np.complex128] = np.exp(1j * np.cumsum(angles))
+    turns: Complexes = np.exp(1j * np.cumsum(angles))
     return turns
 
 

@@ -8,25 +8,30 @@ amount.
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.centroidal import _bodies, _from_centroidal, _momenta, _to_centroidal
-from fss_arm_model.integration import STEP, classical, controlled
-from fss_arm_model.kernels import Floats, helper, kernel
-from fss_sim.plant.drives import _apply_drives
-from fss_sim.plant.gears import (
-    DAMPER,
-    SPRING,
-    Gears,
-    _apply_geared_drives,
-    _geared_derivative,
-    _geared_derivative_called,
-    _spring_torque,
-    _twist,
+from fss_arm_model.arrays import Floats
+from fss_arm_model.centroidal import (
+    from_centroidal,
+    make_bodies,
+    to_centroidal,
+    twice_energy_and_moment,
 )
-from fss_sim.plant.surroundings import Forces, _derivative, _derivative_called
+from fss_arm_model.integration import STEP, classical, controlled
+from fss_arm_model.kernels import helper, kernel
+from fss_sim.plant.drives import apply_drives
+from fss_sim.plant.gears import (
+    GearParameters,
+    Gears,
+    apply_geared_drives,
+    gear_twist,
+    spring_torque,
+    write_geared_derivative,
+    write_geared_derivative_called,
+)
+from fss_sim.plant.surroundings import Forces, write_derivative, write_derivative_called
 
-_classical, _controlled = classical(_derivative), controlled(_derivative_called)
-_classical_geared = classical(_geared_derivative)
-_controlled_geared = controlled(_geared_derivative_called)
+_classical, _controlled = classical(write_derivative), controlled(write_derivative_called)
+_classical_geared = classical(write_geared_derivative)
+_controlled_geared = controlled(write_geared_derivative_called)
 
 
 @helper
@@ -61,7 +66,8 @@ def _advance(  # type: ignore[no-untyped-def]
     state, reference, audit, torques,
 ):  # fmt: skip
     m, kind = state.shape[1] - 2, np.complex128
-    bodies, z, k = _bodies(p.copy(), rotor.copy()), np.zeros((2, 4 + m)), np.zeros((8, 2, 4 + m))
+    bodies = make_bodies(p.copy(), rotor.copy())
+    z, k = np.zeros((2, 4 + m)), np.zeros((8, 2, 4 + m))
     start_vectors, turned = np.empty((3, m), kind), np.empty((3, m), kind)
     work = np.empty((2, m), kind)
     held, torque, requested, inertia = np.empty(m), np.empty(m), np.empty(m), np.empty((2, m))
@@ -69,14 +75,14 @@ def _advance(  # type: ignore[no-untyped-def]
     joint_rows, demands, references = joints.copy(), demand.copy(), reference0.copy()
     joint_torques = np.zeros((m, 2))
     q, qd = state0[0].copy(), state0[1].copy()
-    _to_centroidal(bodies, q, qd, start_vectors, z)
+    to_centroidal(bodies, q, qd, start_vectors, z)
     start_x, start_y = z[1, 0], z[1, 1]
     steps, tolerance = int(control[0]), control[1]
     for step in range(steps):
         held[:] = 0.0
         thrust = _thrust(valves, step, held)
         forces = Forces(around, thrust, held, torque)
-        _apply_drives(
+        apply_drives(
             bodies, forces, joint_rows, demands, q, qd, references, z, start_vectors, work, dz,
             inertia, requested, laws, joint_torques,
         )  # fmt: skip
@@ -84,35 +90,39 @@ def _advance(  # type: ignore[no-untyped-def]
             _controlled(bodies, forces, STEP, tolerance, z, start_vectors, turned, work, k)
         else:
             _classical(bodies, forces, STEP, z, start_vectors, turned, work, k)
-        _from_centroidal(bodies, start_vectors, z, q, qd)
+        from_centroidal(bodies, start_vectors, z, q, qd)
     for i in range(2 + m):
         state[0, i], state[1, i] = q[i], qd[i]
     for j in range(m - 1):
         reference[j, 0], reference[j, 1] = references[j, 0], references[j, 1]
         torques[j, 0], torques[j, 1] = joint_torques[j, 0], joint_torques[j, 1]
-    twice_energy, moment = _momenta(bodies, start_vectors, z)
+    twice_energy, moment = twice_energy_and_moment(bodies, start_vectors, z)
     _write_audit(bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit)
 
 
 @kernel(
-    "(p),(r),(n,l),(n,f),(e),(t,v),(n,d),(c),(s,m),(n,g),(n,h),(b,a)->(s,m),(n,g),(n,h),(b,a),(n,s)"
+    "(p),(r),(n,l),(f),(n),(e),(t,v),(n,d),(c),(s,m),(n,g),(n,h),(b,a)->(s,m),(n,g),(n,h),(b,a),(n,s)"
 )
 def _advance_geared(  # type: ignore[no-untyped-def]
-    p, rotor, joints, gears, surroundings, valves, demand, control, state0, reference0, motors0,
-    audit0, state, reference, motors, audit, torques,
+    p, rotor, joints, shared, rest, surroundings, valves, demand, control, state0, reference0,
+    motors0, audit0, state, reference, motors, audit, torques,
 ):  # fmt: skip
     n, kind = demand.shape[0], np.complex128
     m, size = n + 1, 5 + 2 * n
-    bodies, z, k = _bodies(p.copy(), np.zeros(2)), np.zeros((2, size)), np.zeros((8, 2, size))
+    bodies, z, k = make_bodies(p.copy(), np.zeros(2)), np.zeros((2, size)), np.zeros((8, 2, size))
     start_vectors, turned = np.empty((3, m), kind), np.empty((3, m), kind)
     work = np.empty((2, m), kind)
     dz, still, whole = np.zeros((2, size)), np.zeros((2, size)), bodies.inertia[0].copy()
     held, torque, turns, drive = np.empty(m), np.empty(m), np.ones(n), np.zeros(n)
-    around, turning, sprung, springs = surroundings.copy(), rotor.copy(), np.empty(m), gears.copy()
+    around, turning, sprung = surroundings.copy(), rotor.copy(), np.empty(m)
+    gear = GearParameters(
+        shared[0], shared[1], shared[2], shared[3], shared[4], shared[5], shared[6], shared[7],
+        shared[8], shared[9], rest.copy(),
+    )  # fmt: skip
     joint_rows, demands, references = joints.copy(), demand.copy(), reference0.copy()
     motor_states = motors0.copy()
     q, qd = state0[0].copy(), state0[1].copy()
-    _to_centroidal(bodies, q, qd, start_vectors, z)
+    to_centroidal(bodies, q, qd, start_vectors, z)
     for j in range(n):
         z[0, 4 + m + j], z[1, 4 + m + j] = motor_states[j, 0], motor_states[j, 1]
     start_x, start_y = z[1, 0], z[1, 1]
@@ -121,8 +131,8 @@ def _advance_geared(  # type: ignore[no-untyped-def]
         held[:] = 0.0
         thrust = _thrust(valves, step, held)
         forces = Forces(around, thrust, held, torque)
-        geared = Gears(forces, joint_rows, springs, turning, turns, drive, sprung)
-        _apply_geared_drives(
+        geared = Gears(forces, joint_rows, gear, turning, turns, drive, sprung)
+        apply_geared_drives(
             bodies,
             geared,
             whole,
@@ -139,20 +149,20 @@ def _advance_geared(  # type: ignore[no-untyped-def]
             _controlled_geared(bodies, geared, STEP, tolerance, z, start_vectors, turned, work, k)
         else:
             _classical_geared(bodies, geared, STEP, z, start_vectors, turned, work, k)
-    _from_centroidal(bodies, start_vectors, z, q, qd)
+    from_centroidal(bodies, start_vectors, z, q, qd)
     for i in range(2 + m):
         state[0, i], state[1, i] = q[i], qd[i]
     ratio = turning[1] / turning[0]
     for i in range(n):
         bodies.inertia[0, i] = whole[i] - ratio * turning[1]
     bodies.inertia[0, n] = whole[n]
-    twice_energy, moment = _momenta(bodies, start_vectors, z)
+    twice_energy, moment = twice_energy_and_moment(bodies, start_vectors, z)
     for j in range(n):
-        _, x, xd = _twist(springs[j], z, j)
-        wound, spin = _spring_torque(springs[j], x), z[1, 4 + m + j] + ratio * z[1, 2 + j]
-        twice_energy += turning[0] * spin * spin + wound * wound / springs[j, SPRING]
+        _, x, xd = gear_twist(gear, z, j)
+        wound, spin = spring_torque(gear, x), z[1, 4 + m + j] + ratio * z[1, 2 + j]
+        twice_energy += turning[0] * spin * spin + wound * wound / gear.stiffness
         moment += turning[1] * spin
-        torques[j, 0], torques[j, 1] = motor_states[j, 2], wound + springs[j, DAMPER] * xd
+        torques[j, 0], torques[j, 1] = motor_states[j, 2], wound + gear.damping * xd
         motors[j, 0], motors[j, 1] = z[0, 4 + m + j], z[1, 4 + m + j]
         motors[j, 2] = motor_states[j, 2]
         reference[j, 0], reference[j, 1] = references[j, 0], references[j, 1]
@@ -214,7 +224,7 @@ def advance_geared(
     p: npt.ArrayLike,
     rotor: npt.ArrayLike,
     joints: npt.ArrayLike,
-    gears: npt.ArrayLike,
+    gears: GearParameters,
     surroundings: npt.ArrayLike,
     valves: npt.ArrayLike,
     demand: npt.ArrayLike,
@@ -227,13 +237,14 @@ def advance_geared(
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Advance a plant with flexible joints (gears.py); the rotors' inertia must be above 0.
 
-    Arguments and results are those of `advance`, with these additions: gears (n, 11), from
+    Arguments and results are those of `advance`, with these additions: gears, from
     Joints.gears(); motors (n, 3), the angle [rad] and rate [rad/s] of each motor, seen behind its
     gear, and its torque [N m]. The audit's energy includes that of the springs. The torques are
     those at the end, of the motors and transmitted by the gears, even if there was no step.
     """
     control = np.array([steps, tolerance], dtype=float)
+    *shared, rest = gears
     return _advance_geared(
-        p, rotor, joints, gears, surroundings, valves, demand, control, state, reference, motors,
-        audit,
+        p, rotor, joints, shared, rest, surroundings, valves, demand, control, state, reference,
+        motors, audit,
     )  # fmt: skip

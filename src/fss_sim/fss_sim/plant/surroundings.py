@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_model.centroidal import _momenta, _rate, _scaled
+from fss_arm_model.arrays import Floats
+from fss_arm_model.centroidal import scaled, twice_energy_and_moment, write_rate
 from fss_arm_model.extents import Extents
-from fss_arm_model.kernels import Floats, helper, inlined
-from fss_arm_model.kinematics import _cross, _dot
+from fss_arm_model.kernels import helper, inlined
+from fss_arm_model.kinematics import cross, dot
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, like, setting
 from fss_arm_model.units import GRAVITY
 
@@ -106,19 +107,19 @@ def _border(bodies, around, turned, z, torque):  # type: ignore[no-untyped-def]
     m, mass = torque.size, bodies.mass
     r, v = complex(z[0, 0], z[0, 1]), complex(z[1, 0], z[1, 1])
     for k in range(m):
-        r -= _scaled(1.0 / mass, turned[2, k])
-        v -= 1j * _scaled(z[1, 2 + k] / mass, turned[2, k])
+        r -= scaled(1.0 / mass, turned[2, k])
+        v -= 1j * scaled(z[1, 2 + k] / mass, turned[2, k])
     force = _push(around, r, v, around[BASE_RADIUS])
     for k in range(m):
-        d = turned[1, k] + _scaled(1.0 / mass, turned[2, k])
+        d = turned[1, k] + scaled(1.0 / mass, turned[2, k])
         r += d
-        v += 1j * _scaled(z[1, 2 + k], d)
+        v += 1j * scaled(z[1, 2 + k], d)
         if m > 1:
             push = _push(around, r, v, around[LINK_RADIUS])
             force += push
             for j in range(k + 1):
-                back = turned[1, j] + _scaled(1.0 / mass, turned[2, j])
-                torque[j] += _cross(back, push)
+                back = turned[1, j] + scaled(1.0 / mass, turned[2, j])
+                torque[j] += cross(back, push)
     return force
 
 
@@ -132,7 +133,7 @@ class Forces(NamedTuple):
 
 
 @inlined
-def _derivative(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
+def write_derivative(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
     """Write dz (2, 4 + m), the derivative of z under all forces.
 
     The last two columns of dz[1] are the power of all forces, and the moment of the external ones
@@ -146,20 +147,20 @@ def _derivative(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped
     r, v = complex(z[0, 0], z[0, 1]), complex(z[1, 0], z[1, 1])
     r_0, v_0 = r, v
     for k in range(m):
-        r_0 -= _scaled(1.0 / mass, turned[2, k])
-        v_0 -= 1j * _scaled(z[1, 2 + k] / mass, turned[2, k])
-    force -= _scaled(around[TETHER], v_0)
+        r_0 -= scaled(1.0 / mass, turned[2, k])
+        v_0 -= 1j * scaled(z[1, 2 + k] / mass, turned[2, k])
+    force -= scaled(around[TETHER], v_0)
     torque[0] -= around[TWIST] * z[1, 2]
     if _is_near_edge(bodies, around, z):
         force += _border(bodies, around, turned, z, torque)
-    _rate(bodies, turned, force, torque, z, work, dz)
+    write_rate(bodies, turned, force, torque, z, work, dz)
     tilt, film = complex(around[TILT_X], around[TILT_Y]), around[FILM]
     dz[1, 0] += tilt.real
     dz[1, 1] += tilt.imag
-    power = _dot(force, v_0) + mass * _dot(tilt, v)
-    moment = _cross(r_0, force) + mass * _cross(r, tilt)
+    power = dot(force, v_0) + mass * dot(tilt, v)
+    moment = cross(r_0, force) + mass * cross(r, tilt)
     if film > 0.0 or around[PADS] > 0.0:
-        twice_energy, turning = _momenta(bodies, turned, z)
+        twice_energy, turning = twice_energy_and_moment(bodies, turned, z)
         if around[PADS] > 0.0:
             film += around[PADS] / math.sqrt(twice_energy / mass + CREEP * CREEP)
         for i in range(2 + m):
@@ -173,4 +174,4 @@ def _derivative(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped
 
 
 # For callers where inlining is not worth its compile time.
-_derivative_called = helper(_derivative.py_func)
+write_derivative_called = helper(write_derivative.py_func)

@@ -7,22 +7,19 @@ With the velocity J_t qd of the held target's centre of mass,
     (H + J_t' M_t J_t) qd_after = H qd_before + J_t' M_t v_t
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.held import Approach, Target, payload_jacobian, payload_pose
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 from fss_sim.plant.contact import Part
 from fss_sim.plant.simulation import advance
 from fss_sim.plant.surroundings import Surroundings
 
-if TYPE_CHECKING:
-    from fss_sim.plant.plant import Vehicle
-
-Floats = npt.NDArray[np.float64]
 VALVES_CLOSED = ((0.0,) * 5,)  # valves, all of them closed
 
 
@@ -100,7 +97,7 @@ class PassiveTarget:
         name: str = "target",
     ) -> None:
         self.target, self.name = target, name
-        self.holder: Vehicle | None = None  # vehicle whose last link it is part of
+        self._attached_state: Callable[[], Floats] | None = None  # None: it floats freely
         self.masses = np.array([target.mass, target.mass, target.inertia])
         around = around or Surroundings()
         radius = max(target.radius, 1e-9)
@@ -111,7 +108,12 @@ class PassiveTarget:
     @property
     def state(self) -> Floats:
         """Pose and twist in the world frame, (2, 3)."""
-        return self._state if self.holder is None else self.holder.held_state()
+        return self._attached_state() if self._attached_state else self._state
+
+    @property
+    def is_free(self) -> bool:
+        """Return True if the target is not part of a vehicle's last link."""
+        return self._attached_state is None
 
     @property
     def q(self) -> Floats:
@@ -151,9 +153,13 @@ class PassiveTarget:
             self._state, np.zeros((0, 2)), self.audit_rows, steps, tolerance,
         )  # fmt: skip
 
+    def attach(self, state: Callable[[], Floats]) -> None:
+        """Let the target move with a vehicle's last link: `state` returns its pose and twist."""
+        self._attached_state = state
+
     def set_free(self, state: Floats) -> None:
         """Let the target float freely from this state on."""
-        self.holder, self._state, self.audit_rows = None, state, np.zeros((2, 4))
+        self._attached_state, self._state, self.audit_rows = None, state, np.zeros((2, 4))
         self.advance_steps(0, 0, 0.0)
 
 

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.integration import STEP
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
 from fss_arm_model.thrusters import COUNT, gas_mass, layout
 from fss_arm_model.units import GRAVITY
-
-Floats = npt.NDArray[np.float64]
 
 NEVER_CLOSES = 1e9  # [step]
 

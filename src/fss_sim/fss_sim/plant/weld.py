@@ -1,16 +1,13 @@
 """Constraint between two arms that hold each other, or the same target."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.integration import STEP
-from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
-
-if TYPE_CHECKING:
-    from fss_sim.plant.plant import Vehicle
+from fss_sim.plant.vehicle import Vehicle
 
 POSE_TOLERANCE = 1e-8  # tolerance of the relative pose at the end of a step [m, rad]
 
@@ -19,8 +16,8 @@ POSE_TOLERANCE = 1e-8  # tolerance of the relative pose at the end of a step [m,
 class Weld:
     """Rigid connection of two arms: their last links move as one body."""
 
-    one: "Vehicle"
-    other: "Vehicle"
+    one: Vehicle
+    other: Vehicle
     relative_pose: Floats = field(
         init=False
     )  # (3,) pose of the tip of `other` in the frame of one's tip

@@ -1,0 +1,104 @@
+"""Scene of one vehicle: measurements that are drawn together with a later pose."""
+
+from collections import deque
+from collections.abc import Sequence
+from math import dist, inf
+
+import numpy as np
+
+from fss_arm_model.arrays import Floats
+from fss_arm_model.description import Arm
+from fss_arm_model.units import SECOND
+
+from . import scene
+from .mission import Mission, Point
+from .scene import Drawing
+
+MIN_PLUME_DURATION = 0.2  # for which a thruster pulse is drawn [s]
+MAX_PREDICTION_AGE = 3 * SECOND  # of a predicted base that is drawn [ns]
+TRAIL_COLORS = {
+    "tip_path": scene.TIP_COLOR,
+    "com_path": scene.PREDICTED_COLOR,
+    "base_path": scene.MEASURED_COLOR,
+}
+Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
+
+
+class VehicleScene:
+    """Scene of one vehicle; times t are stamps [ns].
+
+    Args:
+        arm: its present description.
+        name: label beside its base; empty: no label.
+    """
+
+    def __init__(self, arm: Arm, name: str = "") -> None:
+        self.arm, self.name = arm, name
+        self.q = [0.0] * arm.n  # joint angles [rad]
+        self.reset()
+
+    def reset(self) -> None:
+        """Discard all measurements except the joint angles."""
+        self.mission = Mission()
+        self.plumes_until = [0] * 8  # [ns]
+        self.difference: Floats | None = None  # measured minus predicted base
+        self._difference_valid_until = 0
+        self.trails: dict[str, deque[Point]] = {
+            what: deque(maxlen=scene.MAX_TRAIL_POINTS) for what in TRAIL_COLORS
+        }
+
+    def fire(self, t: int, on_times: Sequence[float]) -> None:
+        """Set the times until which the plumes of the thrusters are drawn; on_times in [s]."""
+        for k, seconds in enumerate(on_times):
+            shown = max(seconds, MIN_PLUME_DURATION) if 0.0 < seconds < inf else 0.0
+            self.plumes_until[k] = t + int(shown * SECOND)
+
+    def predict(self, t: int, difference: Sequence[float]) -> None:
+        """Store the pose of the base, measured minus predicted, (3,); NaN: no prediction."""
+        self.difference = np.array(difference) if np.isfinite(difference).all() else None
+        self._difference_valid_until = t + MAX_PREDICTION_AGE
+
+    def draw_base(self, t: int, pose: Pose) -> list[Drawing]:
+        """Draw the base, the whole arm, the planned path and the base's trail."""
+        plumes = scene.plumes(pose, [t < until for until in self.plumes_until])
+        parts = [plumes, *scene.arm(self.arm, pose, self.q)]
+        # A prediction is older than this pose: draw it relative to the pose.
+        if self.difference is not None and t < self._difference_valid_until:
+            parts.append(scene.base(pose - self.difference, scene.PREDICTED_COLOR))
+        parts.append(scene.base(pose, scene.MEASURED_COLOR))
+        if path := self.mission.path(t):
+            parts.append(scene.route([pose[:2], *path]))
+        named = [scene.name_label(pose, self.name)] if self.name else []
+        drawings = [scene.combine("arm", parts), scene.base_transform(pose), *named]
+        return [*drawings, *self.extend_trail("base_path", pose[:2])]
+
+    def draw_target(self, t: int, pose: Pose) -> list[Drawing]:
+        """Draw the target, and the circle to keep out of."""
+        parts = [scene.base(pose, scene.TARGET_COLOR)]
+        if (radius := self.mission.keep_out(t)) > 0.0:
+            parts.append(scene.circle(pose[:2], radius, scene.TARGET_COLOR))
+        return [scene.combine("target", parts)]
+
+    def extend_trail(self, what: str, point: Point) -> list[Drawing]:
+        """Extend a trail and draw it, if the point has moved."""
+        trail = self.trails[what]
+        if trail and dist(trail[-1], point) <= scene.MIN_TRAIL_STEP:
+            return []
+        trail.append(point)
+        return [scene.trail(trail, what, TRAIL_COLORS[what])]
+
+
+class FrameLoss:
+    """Share of a link's telemetry frames that were lost, as a moving average."""
+
+    def __init__(self) -> None:
+        self.share = 0.0
+        self._sequence: int | None = None  # number of the last frame
+
+    def add(self, sequence: int) -> float:
+        """Add a received frame; return the share of lost frames."""
+        missed = 0 if self._sequence is None else sequence - self._sequence - 1
+        lost = missed / (missed + 1) if missed >= 0 else 0.0
+        self.share = 0.95 * self.share + 0.05 * lost
+        self._sequence = sequence
+        return self.share

@@ -1,0 +1,164 @@
+"""Time of the simulated test bed: frames that are due, pauses, single steps and stamps."""
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, Protocol
+
+from fss_arm_model.units import SECOND
+from fss_sim.pace import ClockPace, FullSpeedPace, Pace
+from fss_sim.sensors import RATE
+from fss_sim.testbed import FRAME
+
+# Largest number of late frames per tick, so that the node remains responsive.
+MAX_FRAMES_PER_TICK = RATE
+MAX_CATCH_UP = 0.3  # longest stall of a busy computer that is made up for, in real time [s]
+FRAMES_PER_CLOCK = 5  # number of frames for which the clock is published once
+PAUSED_CLOCK_PERIOD = 0.5  # period of publishing the clock while paused [s]
+MAX_FRAMES = 60 * RATE  # largest number of frames of one step, so that the node responds soon
+ROS_TIME = (
+    "the test bed uses ROS time: to pause and step the time, start the test bed with "
+    "-p keep_clock:=true and all other nodes with -p use_sim_time:=true"
+)
+
+
+class Simulation(Protocol):
+    """Interface of the simulation that a timeline advances."""
+
+    @property
+    def frame(self) -> int:
+        """Number of the last simulated frame."""
+
+    def make_frames(self, count: int) -> None:
+        """Simulate frames."""
+
+    def receive(self, delay: int) -> Iterable[int]:
+        """Pass on datagrams as received `delay` ns after the last frame; yield each one's link."""
+
+    def publish_clock(self, stamp: int) -> None:
+        """Publish a time [ns] on /clock."""
+
+
+class TimeStatus(NamedTuple):
+    """State of the time, for diagnostics."""
+
+    state: str
+    is_slow: bool
+    values: dict[str, Any]
+
+
+class Timeline:
+    """Time of a simulation, which follows a clock or keeps its own.
+
+    Args:
+        simulation: what is advanced; call `start` once it has a frame.
+        keep_clock: publish the time, instead of following the ROS time.
+        speed: speed of the kept time; 0: as fast as drivers can follow.
+        paused: pause the kept time at the start.
+        ros_time: reads the ROS time [ns].
+    """
+
+    pace: Pace
+
+    def __init__(
+        self, simulation: Simulation, keep_clock: bool, speed: float, paused: bool,
+        ros_time: Callable[[], int],
+    ) -> None:  # fmt: skip
+        self.simulation, self.keep_clock, self.speed = simulation, keep_clock, speed
+        self.paused, self.ros_time = paused, ros_time
+        self._clock_published = 0.0  # when the clock was last published [s]
+
+    def start(self) -> None:
+        """Start the time at the present frame."""
+        self.pace = self._new_pace()
+        self._last_speed_check = self.simulation.frame, time.monotonic()
+
+    def _new_pace(self) -> Pace:
+        frame = self.simulation.frame
+        if not self.keep_clock:
+            return ClockPace(self.ros_time, frame, max_behind=SECOND, max_ahead=30 * SECOND)
+        if not self.speed:
+            return FullSpeedPace()
+        # If frames cannot be computed in time, time runs slower, but a short stall is made up for.
+        max_ahead = round(max(1.0, MAX_CATCH_UP * self.speed) * SECOND)
+        return ClockPace(
+            self._scaled_time, frame, max_behind=SECOND, max_ahead=max_ahead, speed=self.speed
+        )
+
+    def _scaled_time(self) -> int:
+        return int(time.monotonic_ns() * self.speed)
+
+    def stamp(self) -> int:
+        """Return the time of the last frame [ns]; /clock starts at 1 s, as 0 is no time in ROS."""
+        epoch = SECOND if self.keep_clock else self.pace.epoch
+        return epoch + self.simulation.frame * FRAME
+
+    def tick(self) -> float:
+        """Simulate the frames that are due, and pass on the received datagrams.
+
+        Returns:
+            Time to wait before the next tick [s].
+        """
+        due = self._due_frames()
+        for done in range(0, min(due, MAX_FRAMES_PER_TICK), FRAMES_PER_CLOCK):
+            self._make_frames(min(due - done, FRAMES_PER_CLOCK))
+            if self.keep_clock:
+                self._receive()
+        # Check again: after a stall meanwhile, datagrams would be processed too early.
+        if not self.paused and max(due, self._due_frames()) <= MAX_FRAMES_PER_TICK:
+            self._receive()
+        if self.paused and time.monotonic() - self._clock_published > PAUSED_CLOCK_PERIOD:
+            self._publish_clock(self.stamp())  # for nodes that have started meanwhile
+        return self.pace.check_period if due <= MAX_FRAMES_PER_TICK else 0.0
+
+    def _due_frames(self) -> int:
+        return 0 if self.paused else self.pace.due_frames(self.simulation.frame)
+
+    def _make_frames(self, count: int) -> None:
+        """Simulate `count` frames; publish the clock first, so that no stamp is ahead of it."""
+        if self.keep_clock:
+            self._publish_clock(self.stamp() + count * FRAME)
+        self.simulation.make_frames(count)
+
+    def _publish_clock(self, stamp: int) -> None:
+        self.simulation.publish_clock(stamp)
+        self._clock_published = time.monotonic()
+
+    def _receive(self) -> None:
+        """Pass on datagrams as received now, or at the last frame if keep_clock is set."""
+        frame = self.simulation.frame
+        delay = 0 if self.keep_clock else min(max(self.pace.lag(frame), 0), FRAME - 1)
+        for link in self.simulation.receive(delay):
+            self.pace.record_datagram(link, frame)
+
+    def pause(self, paused: bool) -> str:
+        """Pause or resume the time; return the reason why it cannot be paused, or ""."""
+        if not self.keep_clock:
+            return ROS_TIME
+        self.paused, self.pace = paused, self._new_pace()
+        return ""
+
+    def step(self, frames: int) -> str:
+        """Simulate frames while paused; return the reason why this is impossible, or ""."""
+        if not self.keep_clock:
+            return ROS_TIME
+        if not self.paused:
+            return "the clock is running: pause it first (service sim/pause)"
+        if frames > MAX_FRAMES:
+            return f"{frames} frames requested, expected at most {MAX_FRAMES}"
+        for _ in range(frames):
+            self._receive()
+            self._make_frames(1)
+        return ""
+
+    def status(self) -> TimeStatus:
+        """Return the state of the time, and its speed since the last call."""
+        frame, now = self.simulation.frame, time.monotonic()
+        last_frame, last_time = self._last_speed_check
+        self._last_speed_check = frame, now
+        speed = (frame - last_frame) / RATE / max(now - last_time, 1e-9)
+        is_slow = now - last_time > 0.5 and speed < 0.95 * self.speed and not self.paused
+        state = "paused" if self.paused else "too slow" if is_slow else "running"
+        values = {"simulated time [s]": frame / RATE, "speed": speed}
+        return TimeStatus(
+            state, is_slow, {**values, "VICON's frame": frame, "clock jumps": self.pace.jumps}
+        )
