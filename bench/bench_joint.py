@@ -26,6 +26,7 @@ time is multiplied by our number of iterations.
 import sys
 import time
 from dataclasses import replace
+from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -36,9 +37,9 @@ from scipy.sparse import lil_matrix
 sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from calib_joint import (
     ARM,
+    BIN,
     DYNAMIC,
     KINEMATIC,
-    PAPER,
     ROUGH,
     SETTINGS,
     SURROUNDINGS,
@@ -50,10 +51,10 @@ from calib_joint import (
     kinematics,
     maneuvers,
     nees,
-    papers,
     rests,
 )
 
+from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.joint.calibrate import (
     Session,
     calibrate,
@@ -74,6 +75,23 @@ ALONG = replace(DYNAMIC, estimate=f"{DYNAMIC.estimate} a_i theta_0_i mount")
 COMPARED = [f"{kind}_{i}" for kind in "bI" for i in range(1, 5)] + ["I_0", "x_com", "y_com"]
 JOINT = JointSettings(zero_deviation=0.02)
 PEER_SHARE = 10  # the peer gets 1 / PEER_SHARE of the data
+# The paper's maneuvers: rotation of the base, at rest before, on a level table; priors of b and I
+# from geometry, without which they are not determined.
+PAPER = DynamicSettings(
+    residuals=HEADING, heading_deviation=radians(1.54) / 2**0.5, fresh_rate=1.0 / BIN,
+    momentum_deviation=0.0, spin_deviation=0.0, tilt_deviation=0.0,
+    priors=f"{DYNAMIC.priors} b_i I_i",
+)  # fmt: skip
+
+
+def papers(arm, rng):
+    """Return the paper's eight maneuvers: each joint from -60 to 60 degrees, from two postures."""
+    ends = np.repeat(np.radians(rng.uniform(-75.0, 75.0, (2, 1, arm.n))), arm.n, axis=0)
+    ends = np.repeat(ends, 2, axis=1)
+    for k, way in enumerate(ends):
+        way[:, k % arm.n] = np.radians([-60.0, 60.0]) * (1.0 if k < arm.n else -1.0)
+    s = replace(PAPER, position_deviation=ROUGH.position_deviation)
+    return maneuvers(arm, len(ends), rng, np.zeros(2), 0, s, ends, BIN)
 
 
 def solve_joint(data, pose_settings):

@@ -7,15 +7,10 @@ import calib_rig
 import numpy as np
 from calib_maneuvers import ARM, moves
 from calib_rig import COUNT, at
-from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import Imu, JointState
+from sensor_msgs.msg import Imu
 
-from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_model import base_motion, joint_path
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_ros.convert import pose_stamped, to_time
-
-SUBJECTS = {"base": BASE, "tip": TIP}
 
 
 class Sample(NamedTuple):
@@ -101,45 +96,9 @@ class Float:
         return sorted(found, key=lambda sample: sample.t)
 
 
-TYPES = {
-    "joint_states": JointState, "vicon/fss/fss": PoseStamped, "fog/imu": Imu,
-    "vicon/end_effector/end_effector": PoseStamped,
-}  # fmt: skip
-
-
-def message(sample):
-    """A sample's topic and message; occluded poses are zero throughout."""
-    t, stream, value = sample
-    if isinstance(stream, int):
-        q, qd = value
-        state = JointState(name=[f"joint_{stream}"], position=[q], velocity=[qd], effort=[0.0])
-        state.header.stamp = to_time(t)
-        return "joint_states", state
-    if stream == "gyro":
-        imu = Imu()
-        imu.header.stamp = to_time(t)
-        imu.angular_velocity.z = value
-        return "fog/imu", imu
-    subject = SUBJECTS[stream]
-    return f"vicon/{subject}/{subject}", pose_stamped(t, "world", value)
-
-
-record = partial(calib_rig.record, types=TYPES, message=message)
-
-
-def feed(finder, samples, close=True):
-    """What the finder makes of samples in the order given."""
-    found = []
-    for t, stream, value in samples:
-        if stream in SUBJECTS:
-            found += finder.add_pose(SUBJECTS[stream], t, value)
-        elif stream == "gyro":
-            found += finder.add_rate(t, value)
-        elif isinstance(stream, str):
-            found += finder.add_telemetry(int(stream.removeprefix("link_")), t, *value)
-        else:
-            found += finder.add_reading(stream, t, *value)
-    return found + (finder.close() if close else [])
+TYPES = {**calib_rig.TYPES, "fog/imu": Imu}
+feed, message = calib_rig.feed, calib_rig.message
+record = partial(calib_rig.record, types=TYPES)
 
 
 def telemetry(samples, armed=lambda i, t: True, reference=lambda i, t: (7, 1)):

@@ -5,9 +5,10 @@ from math import radians
 from typing import NamedTuple
 
 import numpy as np
+from calib_maneuvers import moves
 
 from fss_arm_calib.drift.settings import DriftSettings
-from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
+from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import problem_of as dynamic_problem
 from fss_arm_calib.dynamic.solve import solve as solve_dynamics
 from fss_arm_calib.kinematic.settings import KinematicSettings
@@ -96,16 +97,7 @@ def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC, ends=None, rest=REST,
         signs = rng.choice([-1.0, 1.0], (count, 3, arm.n))
         ends = signs * rng.uniform(0.6, 1.4, (count, 3, arm.n))
     for k, way in enumerate(ends):
-        spans = 1.5 * np.abs(np.diff(way, axis=0)).max(axis=1) + 0.5
-        edges = np.concatenate([[0.0], np.cumsum(spans)])
-
-        def law(t, way=way, edges=edges):
-            i = np.clip(np.searchsorted(edges, t, "right") - 1, 0, len(way) - 2)
-            span = np.diff(edges)[i]
-            x = np.clip((t - edges[i]) / span, 0.0, 1.0)[:, None]
-            step = way[i + 1] - way[i]
-            return way[i] + step * x**2 * (3 - 2 * x), step * 6 * x * (1 - x) / span[:, None]
-
+        law, edges = moves(way)
         times = [np.arange(-PERIOD * rng.random(), edges[-1] + PERIOD, PERIOD) for _ in way[0]]
         read = [[part[:, i] for part in law(t)] for i, t in enumerate(times)]
         between = np.arange(BIN / 2, edges[-1], BIN) if along else []
@@ -172,28 +164,6 @@ ROUGH = replace(
     position_deviation=KINEMATIC.max_position_deviation,
     heading_deviation=KINEMATIC.max_heading_deviation,
 )
-
-
-#: As the paper's maneuvers: how far the base turned, at rest before and on a level table; of b and
-#: I what geometry tells, without which they were not determined.
-PAPER = DynamicSettings(
-    residuals=HEADING, heading_deviation=radians(1.54) / 2**0.5, fresh_rate=1.0 / BIN,
-    momentum_deviation=0.0, spin_deviation=0.0, tilt_deviation=0.0,
-    priors=f"{DYNAMIC.priors} b_i I_i",
-)  # fmt: skip
-
-
-def papers(arm, rng):
-    """The paper's eight maneuvers: each joint through 60 degrees to both sides, from two postures.
-
-    A pose before and one after.
-    """
-    ends = np.repeat(np.radians(rng.uniform(-75.0, 75.0, (2, 1, arm.n))), arm.n, axis=0)
-    ends = np.repeat(ends, 2, axis=1)
-    for k, way in enumerate(ends):
-        way[:, k % arm.n] = np.radians([-60.0, 60.0]) * (1.0 if k < arm.n else -1.0)
-    s = replace(PAPER, position_deviation=ROUGH.position_deviation)
-    return maneuvers(arm, len(ends), rng, np.zeros(2), 0, s, ends, BIN)
 
 
 def errors(names, found, truth):

@@ -1,12 +1,13 @@
 """An arm that goes from posture to posture, as its streams of readings and poses."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_bags.recorder import Recording
 from fss_arm_calib.segments.rests import BASE, TIP
@@ -19,6 +20,7 @@ START = 1_700_000_000 * SECOND
 ARM = paper_arm()
 COUNT = 2 * np.pi / 240_000
 POSTURES = np.array([[0.0, 0.1, -0.1, 0.2], [0.5, -0.4, 0.8, -0.2], [-0.7, -0.4, 0.3, 1.0]])
+SUBJECTS = {"base": BASE, "tip": TIP}  # in samples of calib_float
 TOPICS = {BASE: "vicon/fss/fss", TIP: "vicon/end_effector/end_effector"}
 TYPES = {"joint_states": JointState, **dict.fromkeys(TOPICS.values(), PoseStamped)}
 
@@ -80,22 +82,42 @@ def at(t: float) -> int:
     return START + round(t * SECOND)
 
 
-def message(sample: Sample) -> tuple[str, Any]:
-    """A sample's topic and message; occluded poses are zero throughout."""
+def message(sample: Any) -> tuple[str, Any]:
+    """A sample's topic and message, also of calib_float; occluded poses are zero throughout."""
     t, stream, value = sample
-    if not isinstance(stream, str):
-        state = JointState(name=[f"joint_{stream}"], position=[value], velocity=[0.0], effort=[0.0])
+    if isinstance(stream, int):
+        q, qd = value if isinstance(value, tuple) else (value, 0.0)
+        state = JointState(name=[f"joint_{stream}"], position=[q], velocity=[qd], effort=[0.0])
         state.header.stamp = to_time(t)
         return "joint_states", state
+    if stream == "gyro":
+        imu = Imu()
+        imu.header.stamp, imu.angular_velocity.z = to_time(t), value
+        return "fog/imu", imu
     pose = pose_stamped(t, "world", value or (0.0, 0.0, 0.0))
     if value is None:
         pose.pose.orientation.w = 0.0
-    return TOPICS[stream], pose
+    return TOPICS[SUBJECTS.get(stream, stream)], pose
 
 
-def record(
-    folder, samples, topics=(), late=lambda _: SECOND // 100, types=TYPES, message=message
-) -> Path:
+def feed(finder: Any, samples: Iterable[Any], close: bool = True) -> list[Any]:
+    """Return what a finder finds in samples in the order given, also those of calib_float."""
+    found = []
+    for t, stream, value in samples:
+        subject = SUBJECTS.get(stream, stream)
+        if subject in TOPICS:
+            found += finder.add_pose(subject, t, value)
+        elif stream == "gyro":
+            found += finder.add_rate(t, value)
+        elif isinstance(stream, str):
+            found += finder.add_telemetry(int(stream.removeprefix("link_")), t, *value)
+        else:
+            reading = value if isinstance(value, tuple) else (value,)
+            found += finder.add_reading(stream, t, *reading)
+    return found + (finder.close() if close else [])
+
+
+def record(folder, samples, topics=(), late=lambda _: SECOND // 100, types=TYPES) -> Path:
     """The samples as a bag of some topics, in many chunks, received `late(sample)` ns late."""
     bag, topics = Recording(folder), topics or types
     for topic in topics:

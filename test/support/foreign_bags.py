@@ -100,6 +100,15 @@ def flight(n: int, seed: int, dynamic: bool, rest: float = 0.0, count: int = 0) 
     last, length = model.body(f"link_{n}").id, truth.links[-1].a
     base = model.body("base").id
     period = rest + MOVE
+
+    def wanted(t):
+        """Joint angles and rates to be at time t [s]: a rest, then a smooth move."""
+        leg = min(int(t // period), len(postures) - 1)
+        x = np.clip((t - leg * period - rest) / MOVE, 0.0, 1.0)
+        step = postures[min(leg + 1, len(postures) - 1)] - postures[leg]
+        q = postures[leg] + step * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+        return q, step * 30.0 * x**2 * (1.0 - x) ** 2 / MOVE
+
     steps = round(len(postures) * period / STEP)
     every = {"pose": round(1.0 / RATE / STEP), "joint": round(1.0 / JOINT_RATE / STEP)}
     poses, joints = [], []
@@ -107,11 +116,6 @@ def flight(n: int, seed: int, dynamic: bool, rest: float = 0.0, count: int = 0) 
     inertia = np.empty((model.nv, model.nv))
     for k in range(steps):
         t = k * STEP
-        leg = min(int(t // period), len(postures) - 1)
-        into = np.clip((t - leg * period - rest) / MOVE, 0.0, 1.0)
-        step = postures[min(leg + 1, len(postures) - 1)] - postures[leg]
-        want = postures[leg] + step * into**3 * (10.0 - 15.0 * into + 6.0 * into**2)
-        rate = step * 30.0 * into**2 * (1.0 - into) ** 2 / MOVE
         if k % every["pose"] == 0:
             R = data.xmat[last].reshape(3, 3)
             end = data.xpos[last] + R @ [length, 0.0, 0.0]
@@ -126,17 +130,14 @@ def flight(n: int, seed: int, dynamic: bool, rest: float = 0.0, count: int = 0) 
             if k % 8 == 0:
                 mujoco.mj_fullM(model, data, inertia)
                 gain = np.linalg.inv(np.linalg.inv(inertia)[3:, 3:])
+            want, rate = wanted(t)
             pull = 400.0 * (want - data.qpos[3:]) + 40.0 * (rate - data.qvel[3:])
             data.qfrc_applied[3:] = gain @ pull
             mujoco.mj_step(model, data)
         elif (k + 1) % every["pose"] == 0:
             t = (k + 1) * STEP
             data.qpos[:3] = [0.1 + 0.004 * t, -0.2 - 0.003 * t, 0.4 * (seed % 5) + 0.002 * t]
-            leg = min(int(t // period), len(postures) - 1)
-            into = np.clip((t - leg * period - rest) / MOVE, 0.0, 1.0)
-            step = postures[min(leg + 1, len(postures) - 1)] - postures[leg]
-            data.qpos[3:] = postures[leg] + step * into**3 * (10.0 - 15.0 * into + 6.0 * into**2)
-            data.qvel[3:] = step * 30.0 * into**2 * (1.0 - into) ** 2 / MOVE
+            data.qpos[3:], data.qvel[3:] = wanted(t)
             mujoco.mj_kinematics(model, data)
         elif k == 0:
             mujoco.mj_kinematics(model, data)

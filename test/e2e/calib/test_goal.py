@@ -72,7 +72,7 @@ def planned(folder, count):
 
 
 @pytest.mark.slow
-def test_an_experiment_stops_when_its_goal_is_met_and_fails_if_it_is_not(start, spin, tmp_path):
+def test_an_experiment_stops_when_its_goal_is_met(start, spin, tmp_path):
     truth = paper_arm()
     links = tuple(replace(k, b=k.b - 0.01, inertia=1.1 * k.inertia) for k in truth.links)
     guess = replace(truth, links=links)
@@ -93,30 +93,20 @@ def test_an_experiment_stops_when_its_goal_is_met_and_fails_if_it_is_not(start, 
     start("fss_arm_calib.programs:dynamic", *parameters(**SEEN, **arm, **clock))
     operator = Operator()
 
-    def experiment(maneuvers, goal):
-        """Return its exit code and last line; start it again if the busy machine stalled it."""
-        words = " ".join(f"{name} {deviation:.7f}" for name, deviation in goal.items())
-        progress = {"state_file": f"{maneuvers}.json"}
-        given = parameters(maneuvers=maneuvers, goal=words, **progress, **arm, **clock)
-        said = "was stalled"
-        while "was stalled" in said:
-            program = start("fss_arm_calib.experiment.experiment_node", *given)
+    plan = planned(tmp_path, 14)
+    words = " ".join(f"{name} {deviation:.7f}" for name, deviation in goal.items())
+    given = parameters(maneuvers=plan, goal=words, state_file=f"{plan}.json", **arm, **clock)
+    said = "was stalled"
+    while "was stalled" in said:  # by a busy machine: it is started again
+        program = start("fss_arm_calib.experiment.experiment_node", *given)
 
-            def ended(process=program.process):
-                operator.keep_armed()
-                return process.poll() is not None
+        def ended(process=program.process):
+            operator.keep_armed()
+            return process.poll() is not None
 
-            spin(operator, ended, 400.0)
-            said = program.output.splitlines()[-1]
-        return program.process.returncode, said
-
-    # As far as one maneuver goes, and from there on.
-    code, said = experiment(planned(tmp_path, 1), goal)
-    assert code == 1, said
-    assert re.search(r"goal not met: not_evaluated \(\d maneuver", said), said
-
-    code, said = experiment(planned(tmp_path, 14), goal)
-    assert code == 0, said
+        spin(operator, ended, 400.0)
+        said = program.output.splitlines()[-1]
+    assert program.process.returncode == 0, said
     made, of = map(int, re.search(r"goal met after (\d+) of (\d+) postures: pass", said).groups())
     assert made < of - 2
     found = operator.results[-1].calibration

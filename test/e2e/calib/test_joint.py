@@ -1,4 +1,4 @@
-"""A recording replayed to the nodes of all kinds: `joint`, late and killed, is as from the bag."""
+"""A recording replayed, at any rate, to the nodes: `joint`, late and killed, is as from the bag."""
 
 import json
 
@@ -30,7 +30,8 @@ def bag(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_joint_estimate_by_the_nodes_is_that_of_the_bag(bag, start, spin, tmp_path):
+@pytest.mark.parametrize("rate", [0.0, 2.0, 20.0])
+def test_a_joint_estimate_by_the_nodes_is_that_of_the_bag(bag, start, spin, tmp_path, rate):
     for kind, settings in CLOSELY.items():
         start(f"fss_arm_calib.programs:{kind}", *given(settings))
     inputs = [one.topic for kind in KINDS.values() for one in kind.inputs(kind.settings(), 4)]
@@ -38,7 +39,7 @@ def test_a_joint_estimate_by_the_nodes_is_that_of_the_bag(bag, start, spin, tmp_
     replay = start(
         "fss_arm_bags.replay_node",
         bag,
-        *given({"rate": 0.0, "wait_for": wait_for, "deadline": 60.0}),
+        *given({"rate": rate, "wait_for": wait_for, "deadline": 60.0}),
     )
     assert replay.wait(240) == 0, replay.output
     node, got = Node("asks"), []

@@ -6,15 +6,14 @@ import calib_float
 import numpy as np
 import pytest
 from calib_joint import ARM, kinematics, rests
-from calib_kinds import PRECISE, STATE, TRUTH, Bed, make_node
+from calib_kinds import CASES, PRECISE, STATE, TRUTH, Bed, make_node
 
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.from_bag import main as from_bag
-from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.messages import calibration_part
-from fss_arm_calib.recompute import recalibrate
-from fss_arm_model.description_file import from_yaml, load, to_yaml
+from fss_arm_calib.result import read_arm
+from fss_arm_model.description_file import from_yaml, to_yaml
 from fss_arm_ros.qos import LATCHED
 
 FOUND = kinematics(rests(ARM, 13, np.random.default_rng(0)))
@@ -91,30 +90,14 @@ def test_the_command_begins_from_a_result_or_from_a_bag(bag, tmp_path, capsys):
     assert "no such file" in capsys.readouterr().err
 
 
-def test_what_was_begun_from_is_in_the_result_and_gives_it_again(bag):
-    settings = DYNAMIC.settings(**PRECISE)
-    outcome = solve_bag(DYNAMIC, bag, settings, arm=FOUND)
-    message = DYNAMIC.to_message(outcome, "fss")
-    data = DYNAMIC.data.to_message(outcome.data, "fss")
-    computed = recalibrate(DYNAMIC, message, data)
-    np.testing.assert_allclose(computed.covariance, outcome.covariance, rtol=1e-12)
-
-
-def test_a_joint_estimate_of_bags(bag, tmp_path, capsys):
-    params, output, page = (tmp_path / name for name in ("p.yaml", "arm.yaml", "report"))
-    precise = "{position_deviation: 0.0005, heading_deviation: 0.002}"
-    params.write_text(f"dynamic: {{ros__parameters: {precise}}}\nkinematic: {precise}\n")
-    written = ["--output", str(output), "--report", str(page), "--result", str(tmp_path / "j.json")]
-    asked = ["--params", str(params), "--max-relative", "3", *written]
-    assert joint([bag, *asked]) == 0
-    text = capsys.readouterr().out
-    for words in ("x without dynamic", "10 maneuvers of 1 session", "b_1", "theta_BJ1"):
-        assert words in text
-    arm, found = load(output), json.loads((tmp_path / "j.json").read_text())
-    assert arm.known.names == tuple(found["names"])
-    assert found["kind"] == "joint"
-    assert abs(arm.links[0].b - 0.185) < 4.0 * found["deviations"][found["names"].index("b_1")]
-    assert "Parameters of each session" in (page / "index.html").read_text()
+def test_drives_may_begin_from_a_bag_of_rests(tmp_path):
+    """Take settings that both kinds have from the command line."""
+    case, rig = CASES["drives"], CASES["kinematic"]
+    bag, rests = (str(one.module.record(tmp_path / one.kind, one.samples())) for one in (case, rig))
+    result = tmp_path / "drives.json"
+    asked = ["--max-relative", "0.3", "--kinematic", rests, "--result", str(result)]
+    assert from_bag(["--drives", bag, *asked]) == 0
+    assert "a_1" in read_arm(result, "drives").known.names
 
 
 @pytest.mark.parametrize(

@@ -98,11 +98,12 @@ def all_heard(joint, data):
 
 def test_one_that_comes_late_hears_all_and_solves_as_the_mathematics_do(spin, others, node, data):
     """By the settings that the other nodes were given, of which it was told nothing."""
-    joint = node("joint")
+    joint, far = node("joint"), CalibrationNode(JOINT, namespace="fss2")
     assert joint.health() == Health(
         WARN, "waiting for kinematic, dynamic, drift", joint.health().values
     )
-    spin([joint, *others.values()], lambda: all_heard(joint, data))
+    spin([joint, far, *others.values()], lambda: all_heard(joint, data))
+    assert far.data == []  # it is another vehicle's
     assert joint.health().level == OK
     assert joint.health().values["maneuvers"] == len(data["dynamic"])
     direct = calibrate([Session("live", data)], ARM, JointSettings(), JOINT_SOURCES, SETTINGS)
@@ -112,6 +113,8 @@ def test_one_that_comes_late_hears_all_and_solves_as_the_mathematics_do(spin, ot
     assert joint.outcome.provenance.data_hash == direct.provenance.data_hash
     told = yaml.safe_load(joint.outcome.provenance.parameters)
     assert told["drift"]["torque_deviation"] == DRIFT.torque_deviation
+    assert sessions_from_message(session_message(joint.data, "fss")) == joint.data
+    assert sessions_from_message(session_message([], "fss")) == []
 
 
 def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, capsys):
@@ -144,7 +147,9 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
 
     bag = calib_float.record(tmp_path / "bag", samples)
     params, files = tmp_path / "params.yaml", tmp_path / "joint.json"
-    params.write_text(yaml.safe_dump(CLOSELY))
+    params.write_text(
+        yaml.safe_dump({**CLOSELY, "dynamic": {"ros__parameters": CLOSELY["dynamic"]}})
+    )
     asked = ["--params", str(params), "--max-relative=2", "--result", str(files)]
     assert from_bag(["--joint", str(bag), *asked]) == 0
     offline = json.loads(files.read_text())
@@ -172,18 +177,46 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
     assert "1 session, pass: the same" in capsys.readouterr().out
 
 
-def test_what_the_nodes_hold_comes_back_from_its_message(spin, others, node, data):
+@pytest.fixture
+def joint(spin, others, node, data):
+    """The node that has solved from all that the others hold."""
     joint = node("joint")
     spin([joint, *others.values()], lambda: all_heard(joint, data))
-    assert sessions_from_message(session_message(joint.data, "fss")) == joint.data
-    assert sessions_from_message(session_message([], "fss")) == []
+    return joint
 
 
-def test_what_a_node_forgets_is_forgotten_and_of_one_that_ended_all_is_kept(
-    spin, others, node, data
+def test_what_is_told_again_not_understood_or_of_another_arm_is_left_out(spin, joint, others, data):
+    drift, solved, add_data = others["drift"], [], joint.add_data
+    joint.add_data = lambda found: solved.append(len(found)) or add_data(found)
+    drift.publish()
+    spin([joint, *others.values()], lambda: len(solved) == 2)  # data and result
+    assert solved == [0, 0]
+
+    message = drift.kind.to_message(drift.outcome, "world")
+    message.calibration.provenance.parameters = "{tilt: [1"
+    inputs = {one.topic: one.feed for one in JOINT.inputs(joint.settings, 4)}
+    joint.on_sample(inputs[drift.kind.topic], message)
+    assert joint.health().values["rejected: invalid calibration/drift"] == 1
+    assert all_heard(joint, data)
+
+    drifts = [replace(one, q=(*one.q, 0.0)) for one in data["drift"]]
+    message = drift.kind.data.to_message(drifts, "world")
+    # Again and again: whatever that node has begun from meanwhile, it publishes its own.
+    spin(
+        [joint, *others.values()],
+        lambda: drift.data_publisher.publish(message) or joint.streams().unknown,
+    )
+    assert joint.health().message == "the arm has no joint_5"
+    assert held(joint) == numbers(data)
+    joint.on_solve(Trigger.Request(), Trigger.Response())
+    assert joint.outcome.verdict == "not_evaluated"
+    assert "received joint_5, but 'paper' has 4 joints" in joint.outcome.reason
+
+
+def test_it_keeps_what_a_node_that_ended_told_and_forgets_what_is_forgotten(
+    spin, joint, others, data
 ):
-    joint, kept = node("joint"), numbers(data)
-    spin([joint, *others.values()], lambda: all_heard(joint, data))
+    kept = numbers(data)
     end(others.pop("kinematic"))
     others["dynamic"].on_forget(Trigger.Request(), Trigger.Response())
     spin([joint, *others.values()], lambda: held(joint) == [kept[0], 0, kept[2]])
@@ -191,16 +224,12 @@ def test_what_a_node_forgets_is_forgotten_and_of_one_that_ended_all_is_kept(
     others["dynamic"].add_data(data["dynamic"])
     spin([joint, *others.values()], lambda: held(joint) == kept)
     assert joint.outcome.verdict == "pass"
-
-
-def test_it_forgets_until_the_nodes_tell_again(spin, others, node, data):
-    bed, joint = Bed(JOINT), node("joint")
-    spin([bed, joint, *others.values()], lambda: all_heard(joint, data))
-    assert ask(spin, bed, joint, bed.forgetter).message == "1 session forgotten"
+    answer = joint.on_forget(Trigger.Request(), Trigger.Response())
+    assert answer.message == "1 session forgotten"
     assert held(joint) == [0, 0, 0]
     assert joint.outcome.verdict == "not_evaluated"
     others["drift"].on_solve(Trigger.Request(), Trigger.Response())
-    spin([joint, *others.values()], lambda: held(joint) == [0, 0, len(data["drift"])])
+    spin([joint, *others.values()], lambda: held(joint) == [0, 0, kept[2]])
 
 
 def test_one_that_was_killed_goes_on_without_the_nodes(spin, others, node, data, tmp_path):
@@ -215,35 +244,6 @@ def test_one_that_was_killed_goes_on_without_the_nodes(spin, others, node, data,
     np.testing.assert_array_equal(second.outcome.values, first.outcome.values)
     assert third.data == []
     assert third.health().message == "waiting for kinematic, dynamic, drift"
-
-
-def test_the_same_told_again_is_not_solved_again(spin, others, node, data):
-    joint, solved = node("joint"), []
-    spin([joint, *others.values()], lambda: all_heard(joint, data))
-    joint.add_data, add_data = (
-        lambda found: solved.append(len(found)) or add_data(found),
-        joint.add_data,
-    )
-    others["drift"].publish()
-    spin([joint, *others.values()], lambda: len(solved) == 2)  # data and result
-    assert solved == [0, 0]
-
-
-def test_data_of_another_arm_are_left_out_and_named(spin, others, node, data):
-    joint = node("joint")
-    spin([joint, *others.values()], lambda: all_heard(joint, data))
-    drifts = [replace(one, q=(*one.q, 0.0)) for one in data["drift"]]
-    message, publisher = (
-        JOINT_SOURCES["drift"].data.to_message(drifts, "world"),
-        others["drift"].data_publisher,
-    )
-    # Again and again: whatever that node has begun from meanwhile, it publishes its own.
-    spin([joint, *others.values()], lambda: publisher.publish(message) or joint.streams().unknown)
-    assert joint.health().message == "the arm has no joint_5"
-    assert held(joint) == numbers(data)
-    joint.on_solve(Trigger.Request(), Trigger.Response())
-    assert joint.outcome.verdict == "not_evaluated"
-    assert "received joint_5, but 'paper' has 4 joints" in joint.outcome.reason
 
 
 def test_a_clock_that_ran_back_at_another_node_is_taken_note_of(spin, others, node, data, tmp_path):
@@ -270,24 +270,6 @@ def test_a_clock_that_ran_back_at_another_node_is_taken_note_of(spin, others, no
     kinematic.add_data(data["kinematic"])
     spin([joint, *others.values()], lambda: joint.outcome.verdict == "pass")
     assert output.exists()
-
-
-def test_another_vehicle_is_not_heard(spin, others, node, data):
-    near, far = node("joint"), CalibrationNode(JOINT, namespace="fss2")
-    spin([near, far, *others.values()], lambda: all_heard(near, data))
-    assert far.data == []
-
-
-def test_what_is_not_understood_is_counted(spin, others, node, data):
-    joint, drift = node("joint"), others["drift"]
-    spin([joint, *others.values()], lambda: all_heard(joint, data))
-    message = drift.kind.to_message(drift.outcome, "world")
-    message.calibration.provenance.parameters = "{tilt: [1"
-    inputs = {one.topic: one.feed for one in JOINT.inputs(joint.settings, 4)}
-    joint.on_sample(inputs[drift.kind.topic], message)
-    assert joint.streams().rejected == {"invalid calibration/drift": 1}
-    assert joint.health().values["rejected: invalid calibration/drift"] == 1
-    assert all_heard(joint, data)
 
 
 def test_impossible_parameters_are_refused(ros):

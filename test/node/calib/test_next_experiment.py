@@ -77,13 +77,6 @@ def test_what_is_no_plan_is_refused(monday, capsys):
     assert "expected maneuvers, as `design` writes them" in capsys.readouterr().err
 
 
-def test_two_kinds_at_once_are_refused(capsys):
-    with pytest.raises(SystemExit) as ended:
-        from_bag(["bag", "--dynamic", "--drift"])
-    assert ended.value.code == 1
-    assert "argument --drift: not allowed with argument --dynamic" in capsys.readouterr().err
-
-
 def test_bag_and_result_do_not_go_together(monday, capsys):
     with pytest.raises(SystemExit):
         design(["--bag", str(monday / "bags"), "--result", "result.json"])

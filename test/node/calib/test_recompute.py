@@ -1,35 +1,32 @@
 """Recorded results computed again from what was recorded with them."""
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
-from calib_float import Float, feed, postures
 from calib_kinds import serialized
 from calib_rig import ARM
 
 from fss_arm_bags.recorder import Recording
-from fss_arm_calib.dynamic.kind import DYNAMIC as DYNAMIC_KIND
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.kind import KINEMATIC as KINEMATIC_KIND
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.recompute import main
-from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.qos import LATCHED
 
 FIRST = Path(__file__).parents[2] / "data/first"
 KINEMATIC = "/calibration/observations", "/calibration/kinematic"
-DYNAMIC = "/calibration/maneuvers", "/calibration/dynamic"
 SETTINGS = KinematicSettings(max_outliers=2, loss="huber")
 
 
-@pytest.fixture
-def published():
-    """Observations and result after each rest."""
+@cache
+def results():
+    """Return observations and result after each rest."""
     tips = tip_in_base(ARM.vector(), DEFAULT_POSTURES) + 0.01
     tips[4] += 0.5
     rests = [
@@ -43,6 +40,11 @@ def published():
         observations = KINEMATIC_KIND.data.to_message(rests[:count], "fss")
         found.append((observations, KINEMATIC_KIND.to_message(result, "fss")))
     return found
+
+
+@pytest.fixture
+def published():
+    return deepcopy(results())
 
 
 def record(folder, published, topics=KINEMATIC):
@@ -80,28 +82,6 @@ def test_a_result_that_does_not_is_told(published, tmp_path, capsys):
     published[-1][1].calibration.values[2] += 1e-8
     assert main([record(tmp_path, published)]) == 2
     assert capsys.readouterr().out.splitlines()[-1].endswith("NOT the same, to 1.0e-08")
-
-
-def test_dynamic_results_follow_from_their_maneuvers(tmp_path, capsys):
-    """Given by a node's settings, of which it tells those that matter."""
-    noise, settings = (
-        (5e-4, 2e-3),
-        node_settings(DYNAMIC_KIND.name, DYNAMIC_KIND.settings)(
-            output="arm.yaml", heading_deviation=2e-3
-        ),
-    )
-    found = feed(ManeuverFinder(4), Float(postures(7, seed=5), noise=noise).samples())
-    results = [DYNAMIC_KIND.calibrate(found[:k], ARM, settings) for k in (2, 6, 7)]
-    published = [
-        (DYNAMIC_KIND.data.to_message(found[:k], "fss"), DYNAMIC_KIND.to_message(result, "fss"))
-        for k, result in zip((2, 6, 7), results, strict=True)
-    ]
-    assert main([record(tmp_path / "a", published, DYNAMIC)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split(",")[0] for line in lines] == ["2 maneuvers", "6 maneuvers", "7 maneuvers"]
-    assert all("the same, to " in line for line in lines)
-    published[-1][1].calibration.values[0] += 1e-8
-    assert main([record(tmp_path / "b", published, DYNAMIC)]) == 2
 
 
 def test_of_an_earlier_version_it_is_said_in_a_line_what_is_in_the_way(capsys):

@@ -45,13 +45,14 @@ def play_all(spin, node, bench):
         spin([node, bench], lambda n=frames: len(bench.states) >= n - 6, 30.0)  # some are queued
 
 
-def test_prediction_and_measurement_agree_on_topics(run, spin, flight):
-    node, bench = run()
+def test_prediction_measurement_and_state_agree_on_topics(run, spin, flight):
+    """The base's state is in base axes, and on tf."""
+    node, bench = run(world_frame="table", base_frame="hub")
     play_all(spin, node, bench)
     spin([node, bench], lambda: len(bench.reactions) > 60)
     last = bench.reactions[-1]
     k = (stamp_ns(last.header.stamp) - BEGIN) // 1_000_000
-    assert last.header.frame_id == "world"
+    assert last.header.frame_id == "table"
     assert last.arm == "paper"
     assert stamp_ns(last.anchor) < BEGIN + 2_500_000_000 < stamp_ns(last.header.stamp)
     # Readings 0.2 s apart, and a filter that smooths.
@@ -65,24 +66,6 @@ def test_prediction_and_measurement_agree_on_topics(run, spin, flight):
     assert set(steps.tolist()) == {100_000_000}
     assert max(abs(m.torque) for m in bench.reactions) > 0.05
 
-
-@pytest.mark.parametrize(
-    ("fired", "lasts", "known"), [(-10.0, 0.2, True), (2.6, 0.2, False), (2.6, np.inf, True)]
-)
-def test_no_difference_is_published_after_thrusters_fired(run, spin, fired, lasts, known):
-    node, bench = run()
-    thrust = ThrusterCommand(on_time=[0.0, lasts, *[0.0] * 6])
-    thrust.header.stamp = to_time(BEGIN + int(fired * SECOND))
-    node.on_thrust(thrust)
-    play_all(spin, node, bench)
-    spin([node, bench], lambda: len(bench.reactions) > 60)
-    assert np.isfinite(bench.reactions[-1].difference).all() == known
-    assert np.isfinite(bench.reactions[-1].predicted).all()
-
-
-def test_the_base_s_state_is_in_base_axes_and_on_tf(run, spin, flight):
-    node, bench = run(world_frame="table", base_frame="hub")
-    play_all(spin, node, bench)
     state, transform = bench.states[-1], bench.transforms[-1].transforms[0]
     k = (stamp_ns(state.header.stamp) - BEGIN) // 1_000_000
     x, y, heading = flight.pose[k]
@@ -98,6 +81,56 @@ def test_the_base_s_state_is_in_base_axes_and_on_tf(run, spin, flight):
     twist = state.twist.twist
     assert complex(twist.linear.x, twist.linear.y) == pytest.approx(own, abs=2e-3)
     assert twist.angular.z == pytest.approx(omega, abs=2e-3)
+
+
+@pytest.fixture
+def node(ros):
+    node = BaseReactionNode()
+    yield node
+    node.destroy_node()
+
+
+def fly(node, flight, late=0.0, gyro_late=0.0):
+    """Feed a flight to a node, with late stamps of joints and gyro [s]; return its reactions."""
+    found = []
+    node.reaction_publisher.publish = found.append
+    names = [f"joint_{i + 1}" for i in range(4)]
+    for k in range(0, len(flight.t), 10):
+        t = 0.001 * k
+        joints = JointState(name=names, position=flight.q[k], velocity=flight.qd[k])
+        joints.header.stamp = to_time(BEGIN + int((t + late) * SECOND))
+        node.on_joints(joints)
+        node.on_gyro(gyro_sample(t + gyro_late, float(flight.twist[k, 2])))
+        node.on_pose(pose_stamped(BEGIN + k * 1_000_000, "world", tuple(flight.pose[k])))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("fired", "lasts", "known"), [(-10.0, 0.2, True), (2.6, 0.2, False), (2.6, np.inf, True)]
+)
+def test_no_difference_is_published_after_thrusters_fired(node, flight, fired, lasts, known):
+    thrust = ThrusterCommand(on_time=[0.0, lasts, *[0.0] * 6])
+    thrust.header.stamp = to_time(BEGIN + int(fired * SECOND))
+    node.on_thrust(thrust)
+    last = fly(node, flight)[-1]
+    assert np.isfinite(last.difference).all() == known
+    assert np.isfinite(last.predicted).all()
+
+
+@pytest.mark.parametrize(("late", "gyro_too"), [(0.05, False), (0.05, True), (-0.05, True)])
+def test_the_clock_offset_of_a_calibration_is_applied(node, flight, late, gyro_too):
+    """Unless it is, the prediction is worse."""
+    kind, topic = (DynamicCalibration, DYNAMIC) if gyro_too else (KinematicCalibration, KINEMATIC)
+    found = Calibration(verdict="pass", description=to_yaml(paper_arm()), time_offset=late)
+    node.on_calibration(topic, kind(calibration=found))
+    other = BaseReactionNode()
+    good, bad = (
+        max(abs(r.difference[2]) for r in fly(one, flight, late, late * gyro_too))
+        for one in (node, other)
+    )
+    other.destroy_node()
+    assert good < 1e-3
+    assert bad > 5e-3
 
 
 def test_a_calibration_that_passed_is_used_and_one_that_failed_is_not(run, spin):
@@ -144,9 +177,8 @@ def time_limit():
 
 
 @pytest.mark.parametrize("occlusion", [(0.0, 2.0), (3.0, 9.0)])
-def test_missing_base_poses_do_not_block_the_node(ros, time_limit, occlusion):
+def test_missing_base_poses_do_not_block_the_node(node, time_limit, occlusion):
     """Joints lag behind the poses, which start late or pause for longer than the history."""
-    node = BaseReactionNode()
     for k in range(1200):
         t = 0.01 * k
         if not occlusion[0] <= t < occlusion[1]:
@@ -155,13 +187,11 @@ def test_missing_base_poses_do_not_block_the_node(ros, time_limit, occlusion):
             node.on_joints(readings(t, velocity=[0.0] * 4))
     assert node.reaction.t > BEGIN + 11 * SECOND
     assert node.health().level == OK
-    node.destroy_node()
 
 
 @pytest.mark.parametrize("straggler", [False, True])
-def test_a_backward_jump_of_stamps_resets_the_node(ros, capfd, straggler):
+def test_a_backward_jump_of_stamps_resets_the_node(node, capfd, straggler):
     """A looping replay does so; one reading far ahead, or one that arrives late, does no harm."""
-    node = BaseReactionNode()
     node.calibrated = replace(node.calibrated, arm=load("config/truth.yaml"))
     for begin in (100, 0):
         for k in range(600):
@@ -176,12 +206,10 @@ def test_a_backward_jump_of_stamps_resets_the_node(ros, capfd, straggler):
         assert node.health().level == OK
     np.testing.assert_array_equal(node.reaction.p, load("config/truth.yaml").vector())
     assert capfd.readouterr().err.count("filter and prediction reset") == 1 + 2 * straggler
-    node.destroy_node()
 
 
-def test_a_pose_that_is_repeated_while_the_arm_moves_is_rejected(ros):
+def test_a_pose_that_is_repeated_while_the_arm_moves_is_rejected(node):
     """At rest it is accepted, as poses of a simulator without noise."""
-    node = BaseReactionNode()
     for k in range(300):
         if k % 20 == 0:
             node.on_joints(readings(0.01 * k, velocity=[0.0, 0.0, 0.1 * (k == 100), 0.0]))
@@ -189,82 +217,46 @@ def test_a_pose_that_is_repeated_while_the_arm_moves_is_rejected(ros):
     assert node.filter.rejected == {"frozen": 20}
     assert node.health().values["frozen rejected"] == 20
     assert node.reaction.t > BEGIN + 2 * SECOND
-    node.destroy_node()
 
 
-@pytest.mark.parametrize(("late", "gyro_too"), [(0.05, False), (0.05, True), (-0.05, True)])
-def test_the_clock_offset_of_a_calibration_is_applied(ros, flight, late, gyro_too):
-    kind, topic = (DynamicCalibration, DYNAMIC) if gyro_too else (KinematicCalibration, KINEMATIC)
-    worst = {}
-    for offset in (0.0, late):
-        node, found = BaseReactionNode(), []
-        node.reaction_publisher.publish = found.append
-        description = to_yaml(paper_arm())
-        node.on_calibration(
-            topic,
-            kind(
-                calibration=Calibration(verdict="pass", description=description, time_offset=offset)
-            ),
-        )
-        for k in range(0, len(flight.t), 10):
-            t = 0.001 * k
-            names = [f"joint_{i + 1}" for i in range(4)]
-            joints = JointState(name=names, position=flight.q[k], velocity=flight.qd[k])
-            joints.header.stamp = to_time(BEGIN + int((t + late) * SECOND))
-            node.on_joints(joints)
-            node.on_gyro(gyro_sample(t + late * gyro_too, float(flight.twist[k, 2])))
-            node.on_pose(pose_stamped(BEGIN + k * 1_000_000, "world", tuple(flight.pose[k])))
-        worst[offset] = max(abs(r.difference[2]) for r in found)
-        node.destroy_node()
-    assert worst[late] < 1e-3
-    assert worst[0.0] > 5e-3
-
-
-def test_a_gyro_ahead_of_the_poses_is_reported(ros):
-    node = BaseReactionNode()
+def test_a_gyro_ahead_of_the_poses_is_reported(node):
     for k in range(100):
         node.on_gyro(gyro_sample(2.0 + 0.01 * k, 0.0))
         node.on_pose(base_pose(0.01 * k))
     late = node.filter.rejected["late"]
     assert late > 50
     assert node.health().message.endswith(f"; {late} late samples of the base rejected")
-    node.destroy_node()
 
 
-def test_readings_do_not_accumulate_without_a_base(ros):
-    node = BaseReactionNode()
+def test_readings_do_not_accumulate_without_a_base(node):
     for k in range(2000):
         node.on_joints(readings(0.2 * k, velocity=[0.0] * 4))
     assert len(node.reaction.joints[0].t) < 200
     assert node.health().message == "waiting for joints and base at rest"
-    node.destroy_node()
 
 
-def test_unknown_joints_and_readings_without_rate_are_ignored(ros):
-    node = BaseReactionNode()
+def test_unknown_joints_and_readings_without_rate_are_ignored(node):
     node.on_joints(readings(0.0))
     node.on_joints(readings(0.1, names=("gripper", "joint_5", "joint_x"), velocity=[0.0] * 3))
     assert not any(joint.t for joint in node.reaction.joints)
-    node.destroy_node()
 
 
-def test_a_calibration_of_another_arm_is_ignored(run, spin, capfd):
+THREE = replace(paper_arm(), links=paper_arm().links[:3])
+
+
+@pytest.mark.parametrize(
+    ("arm", "name", "words"),
+    [
+        (THREE, "a", "it is for 3 links, expected 4"),
+        (paper_arm(), "zeta", "has no parameter 'zeta'"),
+    ],
+)
+def test_a_calibration_of_another_arm_is_ignored(run, spin, capfd, arm, name, words):
     node, bench = run()
-    three = replace(paper_arm(), links=paper_arm().links[:3])
-    bench.calibration.publish(
-        KinematicCalibration(calibration=Calibration(verdict="pass", description=to_yaml(three)))
-    )
-    spin([node, bench], lambda: "it is for 3 links, expected 4" in capfd.readouterr().err)
+    found = Calibration(verdict="pass", description=to_yaml(arm), names=[name], covariance=[1.0])
+    bench.calibration.publish(KinematicCalibration(calibration=found))
+    spin([node, bench], lambda: words in capfd.readouterr().err)
     assert node.calibrated.arm == paper_arm()
-
-
-def test_an_unknown_parameter_does_not_stop_the_node(run, spin, capfd):
-    node, bench = run()
-    odd = Calibration(
-        verdict="pass", description=to_yaml(paper_arm()), names=["zeta"], covariance=[1.0]
-    )
-    bench.calibration.publish(KinematicCalibration(calibration=odd))
-    spin([node, bench], lambda: "has no parameter 'zeta'" in capfd.readouterr().err)
     assert not node.reaction.covariance.any()
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from calib_rig import ARM, POSTURES, Rig
+from calib_rig import ARM, POSTURES, Rig, feed
 
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.segments.alignment import (
@@ -67,7 +67,7 @@ def many_moves(request):
     return [offset for offset in found if offset.deviation < 0.05][:300]
 
 
-@pytest.mark.parametrize("n", [5, 6, 8, 12, 30])
+@pytest.mark.parametrize("n", [5, 12, 30])
 def test_the_deviation_of_the_mean_of_n_moves_is_true(many_moves, n):
     rng, squares = np.random.default_rng(4), []
     for _ in range(1000):
@@ -147,16 +147,12 @@ def test_only_the_newest_moves_count():
 
 def observed(rig, late):
     """The finder and what it finds if all joints' stamps are late [s]."""
-    finder, found = RestFinder(4), []
-    for s in rig.samples():
-        if isinstance(s.stream, str):
-            found += finder.add_pose(s.stream, s.t, s.value)
-        else:
-            found += finder.add_reading(s.stream, s.t + round(late * SECOND), s.value)
-    return finder, found + finder.close()
+    finder, late = RestFinder(4), round(late * SECOND)
+    shifted = (s._replace(t=s.t + late * isinstance(s.stream, int)) for s in rig.samples())
+    return finder, feed(finder, shifted)
 
 
-@pytest.mark.parametrize("late", [-1.5, 1.2, 3.0])
+@pytest.mark.parametrize("late", [-1.5, 3.0])
 def test_clocks_too_far_apart_are_told(late):
     rig = Rig(DEFAULT_POSTURES[:9], rest=2.6, rate=50.0)
     streams = observed(rig, late)[0].streams()
@@ -164,7 +160,7 @@ def test_clocks_too_far_apart_are_told(late):
     assert streams.offset_lower_bound == 1.0
 
 
-@pytest.mark.parametrize("late", [-0.9, -0.03, 0.04, 0.9])
+@pytest.mark.parametrize("late", [-0.9, 0.04, 0.9])
 def test_the_finder_allows_for_the_offset(late):
     """All joints' stamps are late: the windows of poses would reach into the next move."""
     rig = Rig(np.array([*POSTURES, *DEFAULT_POSTURES[:5]]), rest=2.6)

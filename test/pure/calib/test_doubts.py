@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from calib_rig import Rig
+from calib_rig import Rig, feed
 
 from fss_arm_calib.acceptance import NOT_EVALUATED, PASS
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.rests import BASE, TIP, RestFinder
-from fss_arm_calib.segments.samples import describe_clock_error
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import paper_arm
 from fss_arm_model.units import SECOND
@@ -23,14 +22,8 @@ def samples():
 
 
 def found(samples):
-    finder, observations = RestFinder(4, KinematicSettings()), []
-    for t, stream, value in samples:
-        if isinstance(stream, str):
-            observations += finder.add_pose(stream, t, value)
-        else:
-            observations += finder.add_reading(stream, t, value)
-    observations += finder.close()
-    return calibrate(observations, paper_arm(), streams=finder.streams())
+    finder = RestFinder(4, KinematicSettings())
+    return calibrate(feed(finder, samples), paper_arm(), streams=finder.streams())
 
 
 def test_nothing_is_doubted_of_good_streams(samples):
@@ -95,9 +88,3 @@ def test_names_heard_are_told_beside_those_that_are_not():
     outcome = calibrate([], paper_arm(), streams=streams)
     words = "nothing received from joint_1, joint_2, but from q1, q2: wrong names?"
     assert outcome.reasons[0] == words
-
-
-def test_spans_are_said_as_people_say_them():
-    assert describe_clock_error(0.3) == "0.3 s ahead of"
-    assert describe_clock_error(-3600.2) == "3600 s (an hour) behind"
-    assert describe_clock_error(5400.0) == "5400 s ahead of"

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_model import dynamics
-from fss_arm_model.description import DescriptionError, paper_arm
+from fss_arm_model.description import paper_arm
 from fss_arm_model.joint_path import stack
 from fss_arm_model.parameters import to_vector, values
 
@@ -37,15 +37,6 @@ def perturbed(arm, words, size, seed=0):
     )
     base = replace(arm.base, mass=v[0], inertia=v[1], com=tuple(v[2:4]))
     return replace(arm, links=links, base=base)
-
-
-def test_a_perfect_guess_stays():
-    path = several(8)
-    exact = observe(problem(path, momentum=np.zeros(3), tilt=0.0), ARM.vector(), at_rest(8))
-    result = solve(exact)
-    assert result.minimum.converged
-    assert_allclose(result.values, exact.guess, rtol=0, atol=1e-12)
-    assert result.chi_square < 1e-15
 
 
 @pytest.mark.parametrize(
@@ -80,7 +71,7 @@ def test_momentum_tilt_and_start_are_found_with_the_parameters():
 def test_a_base_that_turns_from_the_start():
     """By up to three turns a maneuver: without bounds, the first step must not lead astray."""
     known, turning = problem(several(16), tilt=0.0, momentum=np.array([1.0, 1.0, 1.0])), at_rest(16)
-    for seed in range(20):
+    for seed in range(8):
         turning[:, 5] = np.random.default_rng(seed).uniform(-1.0, 1.0, 16)
         result = solve(observe(known, perturbed(ARM, NAMES, 0.1, seed).vector(), turning), False)
         assert result.minimum.converged
@@ -98,9 +89,21 @@ def test_a_sweep_that_turns_the_base_by_more_than_half_a_turn():
     assert solve(replace(exact, arm=guess)).values == pytest.approx([0.034], abs=1e-10)
 
 
-def trials(base, count, seed):
-    """Mean normalized squared error, chi-square a degree of freedom, held-out error."""
-    rng, sums = np.random.default_rng(seed), np.zeros(3)
+@pytest.mark.parametrize(
+    ("words", "count", "maneuvers", "bound"),
+    [
+        (NAMES, 60, 12, 0.2),  # the mean of e' P^-1 e / 13 has a deviation of 0.05
+        *(
+            pytest.param(words, 500, 16, 0.1, marks=pytest.mark.slow)
+            for words in ("I", "b_i I_i", NAMES, "m_i b_i I_i I_0 com_0")
+        ),
+    ],
+)
+def test_errors_are_as_large_as_claimed(words, count, maneuvers, bound):
+    """Assume parameters that are known so well that their effect is linear."""
+    knowledge = Knowledge() if "com_0" in words else PRECISE
+    base = problem(several(maneuvers), words=words, knowledge=knowledge)
+    rng, found = np.random.default_rng(3), []
     for _ in range(count):
         errors, vector, states = draw(base, rng)
         result = solve(observe(base, vector, states, rng), bounded=False)
@@ -110,28 +113,11 @@ def trials(base, count, seed):
         error -= [*(basis.T @ errors / basis.sum(axis=0)), *states[0, 6:]]
         nees = error @ np.linalg.solve(result.covariance, error) / len(error)
         chi_square = result.chi_square / base.degrees_of_freedom
-        sums += nees, chi_square, np.mean(result.checks[1] ** 2)
-    return sums / count
-
-
-def test_errors_are_as_large_as_claimed():
-    """Of 60 trials of 13 parameters the mean of e' P^-1 e / 13 has a deviation of 0.05."""
-    nees, chi_square, held_out = trials(problem(several(12)), 60, seed=2)
-    assert nees == pytest.approx(1.0, abs=0.2)
-    assert chi_square == pytest.approx(1.0, abs=0.05)
-    assert held_out == pytest.approx(1.0, abs=0.05)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("words", ["I", "b_i I_i", NAMES, "m_i b_i I_i I_0 com_0"])
-def test_errors_are_as_large_as_claimed_over_500_trials(words):
-    """What is assumed must be known well enough for its effect to be linear."""
-    knowledge = Knowledge() if "com_0" in words else PRECISE
-    known = problem(several(16), words=words, knowledge=knowledge)
-    nees, chi_square, held_out = trials(known, 500, seed=3)
-    assert nees == pytest.approx(1.0, abs=0.1)
-    assert chi_square == pytest.approx(1.0, abs=0.02)
-    assert held_out == pytest.approx(1.0, abs=0.02)
+        found.append((nees, chi_square, np.mean(result.checks[1] ** 2)))
+    nees, chi_square, held_out = np.mean(found, axis=0)
+    assert nees == pytest.approx(1.0, abs=bound)
+    assert chi_square == pytest.approx(1.0, abs=0.45 / count**0.5)
+    assert held_out == pytest.approx(1.0, abs=0.45 / count**0.5)
 
 
 def test_a_wrong_assumption_shifts_the_estimate_by_its_bias():
@@ -223,17 +209,6 @@ def test_the_paper_s_fit_is_that_of_scipy_on_an_ode():
     assert solve(noisy).values == pytest.approx(peer.x, abs=1e-7)
 
 
-def test_the_result_is_a_description():
-    guess = perturbed(ARM, NAMES, 0.2)
-    known = problem(several(16), guess, tilt=0.0, momentum=np.zeros(3))
-    found = solve(observe(known, ARM.vector(), at_rest(16))).calibrated()
-    assert found.name == guess.name
-    assert found.links[2].b == pytest.approx(0.191, abs=1e-2)
-    assert found.links[2].a == guess.links[2].a
-    with pytest.raises(DescriptionError):
-        replace(found.links[0], mass=-1.0)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -277,9 +252,3 @@ def test_to_vector_follows_the_description():
     longer = arm.with_kinematics(values(arm)[4:14] + 0.01)
     change = to_vector(4) @ (values(longer) - values(arm))
     assert_allclose(arm.vector() + change, longer.vector(), rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("value", [-1.0, np.inf, np.nan])
-def test_impossible_knowledge_is_refused(value):
-    with pytest.raises(ValueError, match=r"b_deviation is .* m, expected 0 or more"):
-        Knowledge(b_deviation=value)

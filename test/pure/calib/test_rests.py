@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calib_rig import ARM, COUNT, POSTURES, START, Rig, at
+from calib_rig import ARM, COUNT, POSTURES, START, Rig, at, feed
 
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.segments.rests import (
@@ -20,16 +20,11 @@ from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND
 
+NAMES = {i: f"joint_{i}" for i in range(1, 5)}
+
 
 def find(samples, close=True, finder=None, **known):
-    finder = finder or RestFinder(4, RestSettings(**known))
-    found = []
-    for t, stream, value in samples:
-        if isinstance(stream, str):
-            found += finder.add_pose(stream, t, value)
-        else:
-            found += finder.add_reading(stream, t, value)
-    return found + (finder.close() if close else [])
+    return feed(finder or RestFinder(4, RestSettings(**known)), samples, close)
 
 
 def without(samples, streams, begin, end):
@@ -104,10 +99,6 @@ def test_a_passing_stop_is_no_rest():
     assert len(find(Rig(rest=0.8).samples())) <= 1  # the last one rests on to the end of the data
 
 
-def test_there_is_one_observation_for_a_long_rest():
-    assert len(find(Rig(POSTURES[:1], rest=60.0).samples())) == 1
-
-
 def test_slow_motion_is_no_rest():
     """A joint creeping at 0.003 rad/s stays within the tolerance for a third of a second only."""
     samples = [
@@ -117,37 +108,26 @@ def test_slow_motion_is_no_rest():
     assert find(samples) == []
 
 
-@pytest.mark.parametrize("streams", [{TIP}, {BASE}, {TIP, BASE}, {2}, {1, 2, 3, 4}])
-def test_a_gap_that_leaves_enough_of_a_rest_does_no_harm(streams):
-    """Posture 2 rests from 12 to 18 s; the silence ends at 14.2 s."""
-    found = find(without(Rig().samples(), streams, 12.7, 14.2))
+@pytest.mark.parametrize("streams", [{TIP}, {BASE}, {TIP, BASE}, {2}, {1, 2, 3, 4}], ids=str)
+@pytest.mark.parametrize(("begin", "end"), [(12.7, 14.2), (4.2, 5.8)])
+def test_a_gap_in_motion_or_that_leaves_enough_of_a_rest_does_no_harm(streams, begin, end):
+    """Posture 2 rests from 12 to 18 s, after a motion from 10 s on."""
+    found = find(without(Rig().samples(), streams, begin, end))
     assert [o.used for o in found] == [True] * 3
-    assert found[2].start >= at(14.19 if streams & {TIP, BASE} else 12.5)
+    assert end < 12.0 or found[2].start >= at(14.19 if streams & {TIP, BASE} else 12.5)
 
 
-@pytest.mark.parametrize("streams", [{TIP}, {BASE}, {TIP, BASE}])
-def test_a_rest_that_vicon_missed_is_reported(streams):
+@pytest.mark.parametrize("streams", [{TIP}, {BASE}, {TIP, BASE}, {2}, {1, 2, 3, 4}], ids=str)
+def test_a_rest_that_vicon_missed_or_a_silent_joint_cut_off_is_reported(streams):
     """Posture 1 rests from 6 to 10 s."""
-    found = find(without(Rig().samples(), streams, 5.0, 10.5))
+    begin, end = (5.0, 10.5) if streams & {TIP, BASE} else (6.9, 11.0)
+    found = find(without(Rig().samples(), streams, begin, end))
     assert [o.used for o in found] == [True, False, True]
     assert "silent for" in found[1].reason
-    assert any(name in found[1].reason for name in streams)
+    assert any(NAMES.get(name, name) in found[1].reason for name in streams)
     assert np.abs(np.array(found[1].q) - POSTURES[1]).max() <= 1e-3
     assert np.isnan(found[1].tip).all()
     assert rejected_without_repeat(found, 0.02) == [found[1]]
-
-
-@pytest.mark.parametrize("streams", [{2}, {1, 2, 3, 4}])
-def test_a_rest_that_a_silent_joint_cut_off_is_reported(streams):
-    found = find(without(Rig().samples(), streams, 6.9, 11.0))
-    assert [o.used for o in found] == [True, False, True]
-    assert "joint_" in found[1].reason
-
-
-@pytest.mark.parametrize("streams", [{TIP}, {2}, {1, 2, 3, 4}])
-def test_a_gap_in_motion_spoils_nothing(streams):
-    found = find(without(Rig().samples(), streams, 4.2, 5.8))
-    assert [o.used for o in found] == [True] * 3
 
 
 def test_a_spoiled_posture_observed_again_is_no_loss():
@@ -212,7 +192,7 @@ def test_rests_of_a_lost_subject_are_told_and_forgotten(lost):
     assert np.abs(np.array([o.q for o in found]) - rig.postures[:18]).max() <= 1e-3
 
 
-@pytest.mark.parametrize("begin", [8.0, 12.9, 13.05, 14.0])
+@pytest.mark.parametrize("begin", [8.0, 13.05])
 def test_what_a_lost_subject_leaves_is_the_same_however_streams_lag(begin):
     """Lost amid rests or just before they end, for longer than what is waited for."""
     rig = Rig(DEFAULT_POSTURES[:9], rest=3.0)
@@ -273,27 +253,6 @@ def test_the_newest_are_kept_whatever_was_spoiled_since():
         assert one_by_one == keep_newest(every, 4)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"motion_threshold": 0.0}, r"motion_threshold is 0.0.*, expected a positive number"),
-        ({"settle_time": -1.0}, "settle_time is -1.0 s, expected 0 or more"),
-        ({"min_duration": 3.0}, "max_duration is 2.0 s, expected 3.0 or more"),
-        ({"vicon_gap": float("nan")}, r"vicon_gap is nan.*, expected a positive number"),
-    ],
-)
-def test_impossible_settings_are_refused(change, message):
-    with pytest.raises(ValueError, match=message):
-        RestSettings(**change)
-
-
-def test_spoiled_needs_all_joints_close():
-    used = Observation(0, 1, (0.0, 0.0))
-    unused = Observation(2, 3, (0.0, 0.1), used=False, reason="gap")
-    assert rejected_without_repeat([used, unused], 0.05) == [unused]
-    assert rejected_without_repeat([unused, used], 0.2) == []
-
-
 def jumped(sample, x=1.0, heading=0.0):
     a, b, c = sample.value
     return sample._replace(value=(a + x, b, c + heading))
@@ -340,14 +299,13 @@ def frozen(samples, stream, begin, end):
     return result
 
 
-@pytest.mark.parametrize("stream", [BASE, TIP])
-def test_a_pose_frozen_since_before_the_last_move_is_refused_and_counted(stream):
+def test_a_pose_frozen_since_before_the_last_move_is_refused_and_counted():
     """Frozen from within the first move (4 to 6 s) until the end of the rest from 6 to 10 s."""
     finder = RestFinder(4)
-    found = find(frozen(Rig().samples(), stream, 5.0, 10.1), finder=finder)
+    found = find(frozen(Rig().samples(), TIP, 5.0, 10.1), finder=finder)
     assert [o.used for o in found] == [True, False, True]
-    assert f"{stream} frozen for" in found[1].reason
-    assert finder.streams().rejected[f"{stream} frozen"] > 300
+    assert f"{TIP} frozen for" in found[1].reason
+    assert finder.streams().rejected[f"{TIP} frozen"] > 300
 
 
 def test_a_pose_that_thaws_in_time_leaves_enough_of_the_rest():
@@ -355,14 +313,3 @@ def test_a_pose_that_thaws_in_time_leaves_enough_of_the_rest():
     assert [o.used for o in found] == [True] * 3
     assert found[1].start >= at(7.5)
     assert found[1].tip == pytest.approx(tip_in_base(ARM.vector(), POSTURES[1]), abs=1e-9)
-
-
-def test_poses_without_noise_that_stand_still_are_not_frozen():
-    """A simulated subject at rest has the very same pose in each frame."""
-    samples = Rig().samples()
-    for k in range(3):
-        for name in (BASE, TIP):
-            samples = frozen(samples, name, 6.0 * k, 6.0 * k + 4.0)
-    finder = RestFinder(4)
-    assert [o.used for o in find(samples, finder=finder)] == [True] * 3
-    assert not finder.streams().rejected

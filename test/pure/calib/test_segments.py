@@ -4,7 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from calib_float import SUBJECTS, Float, Sample, at, feed, postures, telemetry
+from calib_float import Float, Sample, at, feed, postures, telemetry
+from calib_rig import SUBJECTS
 
 from fss_arm_calib.segments.drifts import DriftFinder
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
@@ -77,7 +78,7 @@ def test_all_are_found_in_order_of_time(make, samples):
 
 
 @pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))]
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 12))]
 )
 def test_the_order_of_arrival_does_not_matter(make, samples, seed):
     """Gaps, occlusions, frozen poses, jumps and stamps astray included."""
@@ -100,7 +101,7 @@ def test_the_order_of_arrival_does_not_matter(make, samples, seed):
         assert feed(make(), interleaved(worse, order)) == expected
 
 
-@pytest.mark.parametrize("burst", [1, 7, 250])
+@pytest.mark.parametrize("burst", [7, 250])
 def test_poses_and_rates_may_come_in_bursts(make, samples, burst):
     """Occluded, frozen, impossible and those that jump included."""
     worse, frozen = [], next(s.value for s in samples if s.stream == "base" and s.t > at(20.0))
@@ -129,12 +130,13 @@ def test_poses_and_rates_may_come_in_bursts(make, samples, burst):
     assert together.streams() == one_by_one.streams()
 
 
-@pytest.mark.parametrize("stamp", [0, YEAR_2038])
-@pytest.mark.parametrize("place", ["first", "amid"])
+@pytest.mark.parametrize(
+    ("stamp", "place"), [(YEAR_2038, "first"), (YEAR_2038, "amid"), (0, "amid")]
+)
 def test_a_stamp_far_from_all_others_is_rejected_by_itself(make, samples, stamp, place):
     """Three on end, in any one stream or in all at once: one stopped a calibration for good."""
     expected, streams = feed(make(), samples), by_stream(samples)
-    for those in ([1], [3], ["base"], ["tip"], ["gyro"], ["link_2"], STREAMS):
+    for those in ([1], ["base"], ["tip"], ["gyro"], ["link_2"], STREAMS):
         astray = [streams[name][0]._replace(t=stamp + k) for name in those for k in range(3)]
         k = 0 if place == "first" else len(samples) // 2
         finder = make()
@@ -169,7 +171,7 @@ def test_a_clock_set_back_is_told_and_a_new_finder_begins_anew(make, rig, sample
     assert not any(again.streams().set_back.values())
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308, -1e308])
+@pytest.mark.parametrize("value", [np.nan, -np.inf, 1e308])
 def test_numbers_that_no_sensor_reads_are_rejected_and_counted(make, samples, value):
     """From the very first sample on, each with a stamp of its own."""
     bad, poses = [], 0
@@ -232,6 +234,52 @@ def test_memory_is_bounded(make, rig, samples):
             assert len(poses.t) < 20 * kept + 1000
         assert len(finder.sensors.joints[0].t) < 5 * kept + 1000 / 8
         assert len(finder.pending) <= 3
+
+
+def frozen(samples, begin, end):
+    """The base's pose of the time `begin`, with fresh stamps, until `end` [s]."""
+    held = next(s.value for s in samples if s.stream == "base" and s.t >= at(begin))
+    return [
+        s._replace(value=held) if s.stream == "base" and at(begin) <= s.t < at(end) else s
+        for s in samples
+    ]
+
+
+@pytest.mark.parametrize("begin", [4.0, 9.0])
+def test_what_a_frozen_base_hides_is_rejected(make, rig, samples, begin):
+    """Since amid the first rest or the first motion, until amid the second motion."""
+    end = rig.begins[1] + 1.0
+    finder, whole = make(), feed(make(), samples)
+    found = feed(finder, frozen(samples, begin, end))
+    hidden = [one for one in whole if one.end > at(begin) and one.start < at(end)]
+    used = [one for one in found if getattr(one, "used", True)]
+    assert 0 < len(used) < len(whole)
+    assert {one.start for one in used} >= {one.start for one in whole if one not in hidden}
+    reasons = [one.reason for one in found if not getattr(one, "used", True)]
+    assert all(reason.startswith("fss frozen for") for reason in reasons)
+    assert finder.streams().rejected["fss frozen"] > 50
+
+
+@pytest.mark.parametrize("make", ["rests", "maneuvers"], indirect=True)
+def test_a_base_that_stands_still_without_noise_is_not_frozen(make, rig, samples):
+    """A simulated one has the very same pose in each frame, once the arm rests."""
+    expected, finder = feed(make(), samples), make()
+    for begin, end in zip([0.01, *rig.ends], [*rig.begins, rig.length], strict=True):
+        samples = frozen(samples, begin, end)
+    found = feed(finder, samples)
+    assert len(found) == len(expected)
+    assert all(getattr(one, "used", True) for one in found)
+    assert "fss frozen" not in finder.streams().rejected
+
+
+def test_a_lost_base_is_waited_for_no_longer_than_the_horizon(make, rig, samples):
+    """Name the base, not a joint, before its poses return."""
+    finder, lost = make(horizon=15.0), at(rig.ends[0] + 7.5)
+    found = feed(finder, [s for s in samples if s.stream != "base" or s.t < lost], close=False)
+    told = [one for one in found if not getattr(one, "used", True)]
+    used, unused = (1, 1) if isinstance(finder, ManeuverFinder) else (2, 0)
+    assert (len(found) - len(told), len(told)) == (used, unused)
+    assert all(one.reason.startswith("fss silent for") for one in told)
 
 
 def test_joints_of_another_arm_are_named(make, samples):

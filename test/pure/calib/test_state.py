@@ -9,8 +9,7 @@ from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_calib.state import MAX_FILE_SIZE, Flags, StateError, read, restore, save
-from fss_arm_model.files import write_text
+from fss_arm_calib.state import MAX_FILE_SIZE, Flags, StateError, restore, save
 
 FLAGS = Flags(("joint_7",), {"joint_2": 9.83}, {"fss occluded": 12})
 DATA = [
@@ -91,14 +90,3 @@ def test_a_wrong_file_ends_in_one_line_that_names_it(tmp_path, name):
     assert message in said
     assert "\n" not in said
     assert len(said) < len(str(path)) + 500
-
-
-def test_a_file_is_replaced_whole(tmp_path):
-    path = tmp_path / "new" / "text"
-    write_text(path, "old")
-    with pytest.raises(UnicodeEncodeError):
-        write_text(path, "new \udcff")
-    assert path.read_text() == "old"
-    with pytest.raises(OSError, match="text"):
-        write_text(path / "below", "new")
-    assert read(tmp_path / "none", 7) == 7

@@ -1,16 +1,16 @@
 """The command `map`: figures, numbers and errors."""
 
-import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
+from calib_kinds import serialized
 
 from fss_arm_bags.reader import BagError
 from fss_arm_bags.recorder import Recording
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import from_yaml, save, to_yaml
+from fss_arm_model.layout import kinematic_index
 from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED
@@ -91,47 +91,28 @@ def passed(kind, arm, names, deviation):
     )
 
 
-def test_a_passed_calibration_is_used_with_its_covariance():
+FAILED = KinematicCalibration(calibration=Calibration(verdict="fail"))
+
+
+def longer(share):
+    """Return the paper's arm with longer links and offsets."""
     arm = paper_arm()
-    longer = arm.with_kinematics(arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]] * 1.01)
-    known = Calibrated(arm)
-    assert (
-        known.with_message(
-            "calibration/kinematic", KinematicCalibration(calibration=Calibration(verdict="fail"))
-        )
-        == known
-    )
-    kinematic = passed(KinematicCalibration, longer, ["a", "a_4"], 1e-3)
-    known = known.with_message("calibration/kinematic", kinematic)
-    assert known.arm == longer
-    assert np.sqrt(known.covariance[8, 8]) == pytest.approx(1e-3)
+    return arm.with_kinematics(arm.vector()[kinematic_index(arm.n)] * share)
 
 
-def test_a_later_kinematic_calibration_keeps_the_masses():
-    arm = paper_arm()
-    kinematics = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
-    heavy = from_yaml(to_yaml(arm).replace("inertia: 0.034", "inertia: 0.05"))
-    longer = arm.with_kinematics(kinematics * 1.01)
-    dynamic = passed(DynamicCalibration, heavy, ["I"], 2e-3)
-    kinematic = passed(KinematicCalibration, longer, ["a_1"], 1e-3)
-    known = Calibrated(arm).with_message("calibration/dynamic", dynamic)
-    known = known.with_message("calibration/kinematic", kinematic)
-    assert [link.inertia for link in known.arm.links] == [0.05] * 4
-    assert [link.a for link in known.arm.links] == [link.a for link in longer.links]
-    assert np.sqrt(np.diag(known.covariance)[[8, 11]]) == pytest.approx([1e-3, 2e-3])
-
-
-def test_the_order_of_two_latched_results_does_not_matter():
+def test_passed_calibrations_are_used_with_their_covariance_in_any_order():
     """A dynamic calibration assumes the kinematics, unless it estimates them."""
     arm = paper_arm()
-    kinematics = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
+    assert Calibrated(arm).with_message("calibration/kinematic", FAILED) == Calibrated(arm)
     heavy = from_yaml(to_yaml(arm).replace("inertia: 0.034", "inertia: 0.05"))
-    longer = arm.with_kinematics(kinematics * 1.01)
     dynamic = "calibration/dynamic", passed(DynamicCalibration, heavy, ["I"], 2e-3)
-    kinematic = "calibration/kinematic", passed(KinematicCalibration, longer, ["a_1"], 1e-3)
+    kinematic = "calibration/kinematic", passed(KinematicCalibration, longer(1.01), ["a_1"], 1e-3)
     one = Calibrated(arm).with_message(*dynamic).with_message(*kinematic)
     other = Calibrated(arm).with_message(*kinematic).with_message(*dynamic)
-    assert one.arm == other.arm
+    for known in (one, other):
+        assert [link.inertia for link in known.arm.links] == [0.05] * 4
+        assert [link.a for link in known.arm.links] == [link.a for link in longer(1.01).links]
+        assert np.sqrt(np.diag(known.covariance)[[8, 11]]) == pytest.approx([1e-3, 2e-3])
     assert np.array_equal(one.covariance, other.covariance)
     both = passed(DynamicCalibration, heavy, ["a_1"], 5e-3)
     newest = other.with_message("calibration/dynamic", both)
@@ -139,34 +120,19 @@ def test_the_order_of_two_latched_results_does_not_matter():
     assert np.sqrt(newest.covariance[8, 8]) == pytest.approx(5e-3)
 
 
-def serialized(message):
-    """Return the bytes that a publisher sends; serialize_message appends some more."""
-    message.homings = [0x51525354]
-    data, last = serialize_message(message), struct.pack("<I", 0x51525354)
-    return data[: data.rindex(last) + len(last)]
-
-
 def test_the_last_passed_calibration_of_a_bag_is_used(tmp_path):
-    arm = paper_arm()
-    kinematics = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
-    arms = [arm.with_kinematics(kinematics * share) for share in (1.01, 1.02)]
-    messages = [passed(KinematicCalibration, a, ["a", "a_4"], 1e-3) for a in arms]
-    bag = Recording(tmp_path / "bag")
-    bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
-    for t, message in enumerate(
-        [*messages, KinematicCalibration(calibration=Calibration(verdict="fail"))], 1
-    ):
-        bag.write(TOPIC, t, serialized(message))
-    bag.close()
-    known = load_arm([str(bag.path)])
-    assert known.arm == arms[1]
+    found = [passed(KinematicCalibration, longer(x), ["a", "a_4"], 1e-3) for x in (1.01, 1.02)]
+
+    def recorded(name, messages):
+        bag = Recording(tmp_path / name)
+        bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
+        for t, message in enumerate(messages, 1):
+            bag.write(TOPIC, t, serialized(message))
+        bag.close()
+        return [str(bag.path)]
+
+    known = load_arm(recorded("passed", [*found, FAILED]))
+    assert known.arm == longer(1.02)
     assert np.sqrt(known.covariance[8, 8]) == pytest.approx(1e-3)
-
-
-def test_a_bag_without_a_calibration_is_rejected(tmp_path):
-    bag = Recording(tmp_path / "bag")
-    bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
-    bag.write(TOPIC, 1, serialized(KinematicCalibration(calibration=Calibration(verdict="fail"))))
-    bag.close()
     with pytest.raises(BagError, match="no calibration that passed"):
-        load_arm([str(bag.path)])
+        load_arm(recorded("failed", [FAILED]))

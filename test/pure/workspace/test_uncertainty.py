@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.layout import kinematic_index
 from fss_arm_ros.calibrated import Calibrated, vector_covariance
 from fss_arm_workspace.analysis import AnalysisSettings, analyze
 from fss_arm_workspace.manipulability.climb import climb
@@ -33,7 +34,7 @@ def covariance(rng):
 def drawn(arm, C, rng, count):
     """Return arms with random kinematics, drawn from the covariance."""
     for x in rng.multivariate_normal(np.zeros(len(NAMES)), C, count):
-        values = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
+        values = arm.vector()[kinematic_index(4)]
         yield arm.with_kinematics(values + x[[0, 0, 0, 1, 2, 3, 4, 5, 6, 7]])
 
 
