@@ -1,8 +1,8 @@
 """Planning time: `python bench/bench_motion.py`.
 
 Median and largest processor time of random requests, after the kernels are compiled. For
-comparison, the time of the tests' reference methods: direct transcription by sequential linear
-programming (SciPy's HiGHS), and exhaustive search.
+comparison, the time of reference methods: direct transcription by sequential linear programming
+(SciPy's HiGHS), and exhaustive search.
 """
 
 import os
@@ -21,7 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test/support"))
 
-from motion_oracles import direct_transcription
+from direct_transcription import direct_transcription
 from workspace_oracle import exhaustive
 
 from fss_arm_model.description import paper_arm

@@ -4,7 +4,7 @@ from bisect import bisect_right
 
 from rclpy.node import Node
 
-from fss_arm_driver.protocol import State
+from fss_arm_driver.protocol import State, hermite
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import paper_arm
 from fss_arm_msgs.msg import LinkCommand, LinkPath, LinkTelemetry
@@ -71,12 +71,10 @@ class FakeLinks(Node):
             self.q[i] = path.position[-1] + self.off[i]
             return False
         k = bisect_right(path.time, t) - 1
-        h = path.time[k + 1] - path.time[k]
-        s, (q0, q1), v = (t - path.time[k]) / h, path.position[k : k + 2], path.velocity[k : k + 2]
-        d, a, b = q1 - q0, h * v[0], h * v[1]
-        c2, c3 = 3 * d - 2 * a - b, a + b - 2 * d
-        self.q[i] = q0 + s * (a + s * (c2 + s * c3)) + self.off[i]
-        self.qd[i] = (a + s * (2 * c2 + 3 * s * c3)) / h
+        since, until = path.time[k : k + 2]
+        (q0, q1), (v0, v1) = path.position[k : k + 2], path.velocity[k : k + 2]
+        q, self.qd[i] = hermite(t - since, until - since, q0, v0, q1, v1)
+        self.q[i] = q + self.off[i]
         return True
 
     def report(self):

@@ -67,9 +67,6 @@ class Flown:
     torque: float = 0.0  # largest at a joint [N m]
     momentum: float = np.nan  # angular, at the grip [N m s]
     contact: str = ""  # of what with what; empty: none
-    nudges: int = 0  # frames in which the gripper touched the target
-    pushed: float = 0.0  # all that was given in contacts [N s]
-    slips: int = 0  # that were lost after they were held
     edge: float = np.inf  # least [m]
     spin: float = 0.0  # of the target at the end [rad/s]
     wall: float = 0.0  # [s]
@@ -82,8 +79,8 @@ class Flown:
 class Flight:
     """One run."""
 
-    def __init__(self, case, activity=None, settings=SETTINGS, truth=None, learns=True):
-        self.case, self.settings, self.learns = case, settings, learns
+    def __init__(self, case, activity=None, settings=SETTINGS, truth=None):
+        self.case, self.settings = case, settings
         self.arm = arm = paper_arm()
         side = np.exp(1j * np.radians(-135.0))
         centre = 0j
@@ -100,14 +97,14 @@ class Flight:
         self.allocation = Allocation(self.valves, PERIOD, self.least)
         self.control = PoseControl(arm)
         self.navigation = Navigation(arm, body=settings.target)
-        self.found, self.measured = [], None  # what is held: times and properties; the newest
+        self.measured = None  # mass properties of what is held
         self.faults = []  # of valves: times, and those known then
         self.sensors = Sensors(PRESETS["default"], case.seed)
         rng = np.random.default_rng(case.seed)
         self.encoders = rng.uniform(-7e-4, 7e-4, arm.n)
         self.joints, self.demands = deque(), deque()
         self.heard = None  # of the joints: angles, rates, torques, when [s]
-        self.frame, self.faulted, self.held = 0, np.inf, False
+        self.frame, self.faulted = 0, np.inf
         self.last_near = 0.0  # when the gripper was at the fixture last [s]
         self.flown = Flown(case)
         self.film: list[tuple[float, np.ndarray, np.ndarray]] = []  # time, q, target's pose
@@ -220,9 +217,7 @@ class Flight:
 
     def look(self):
         plant = self.plant
-        for names, push in plant.bed.contact_impulses.items():
-            self.flown.pushed += push
-            self.flown.nudges += names == ("gripper", "target")
+        for names in plant.bed.contact_impulses:
             if names != ("gripper", "target") and not self.flown.contact:
                 self.flown.contact = f"{' with '.join(names)} at {self.t:.1f} s"
         effort = plant._torques[:, 1]
@@ -257,15 +252,12 @@ class Flight:
             )
             self.faults.append((self.t, faults))
             self.measured = None
-        if self.learns and (found := self.navigation.estimate_mass(now)):
-            self.found.append((self.t, found))
+        if found := self.navigation.estimate_mass(now):
             self.measured = found.as_held_body
 
     def judge(self):
         """Who touches whom."""
         self.film.append((self.t, self.plant.q.copy(), self.plant.target[0].copy()))
-        self.flown.slips += self.held and not self.plant.holds and self.plant.closed
-        self.held = self.plant.holds
         plant, flown, n = self.plant, self.flown, self.arm.n
         p, q = self.arm.vector(), plant.q
         edge = float(gaps(p, q, list(with_edge(n)), self.around).min())

@@ -35,14 +35,12 @@ def add_body(model, parent, place, body):
     return joint
 
 
-def mujoco_model(
-    arm: Arm, joints: Joints | None = None, link_radius: float = 0.0, others: str = ""
-) -> mujoco.MjModel:
+def mujoco_model(arm: Arm, joints: Joints | None = None) -> mujoco.MjModel:
     """The arm; with joints that give, motors turn their ratio as fast, each a body of its own.
 
     A motor m_i is tied to its joint q_i by a tendon, which is the gear's spring and damper. What
     the arm's description has of a rotor's inertia, as part of the body that carries it, is the
-    rotor's then. Links are capsules if they have a radius; beside the arm are `others`.
+    rotor's then.
     """
     rotor = joints.rotor_inertia / joints.gear_ratio**2 if joints else 0.0
 
@@ -60,11 +58,6 @@ def mujoco_model(
         link, name = arm.links[i], f"q_{i + 1}"
         x, y, turn = arm.base.mount if i == 0 else (arm.links[i - 1].a, 0.0, 0.0)
         place = f'pos="{x!r} {y!r} 0" euler="0 0 {turn + link.theta_0!r}"'
-        if link_radius:
-            inner += (
-                f'<geom type="capsule" fromto="0 0 0 {link.a!r} 0 0" size="{link_radius!r}" '
-                'contype="1" conaffinity="2"/>'
-            )
         inertia = link.inertia - (rotor if i < arm.n - 1 else 0.0)
         shape = link.mass, inertia, link.g, link.lateral
         inner = body(f"link_{i + 1}", place, hinge(name), *shape, inner)
@@ -82,7 +75,7 @@ def mujoco_model(
     base = body("base", "", slides + hinge("theta"), *own, inner)
     return mujoco.MjModel.from_xml_string(
         '<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>'
-        f"<worldbody>{base}{others}</worldbody><tendon>{tendons}</tendon></mujoco>"
+        f"<worldbody>{base}</worldbody><tendon>{tendons}</tendon></mujoco>"
     )
 
 

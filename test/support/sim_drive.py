@@ -3,7 +3,7 @@
 from contextlib import suppress
 from math import pi
 
-from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow
+from fss_arm_driver.protocol import Mode, Slow
 from fss_arm_driver.scale import HOME
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
@@ -101,6 +101,3 @@ class Bench:
         self.run(seconds)
         self.faults.set("link_2", "dead", 0.0)
         return self.run(5.0, lambda: not self.session.lost)
-
-
-__all__ = ["COUNT", "Bench", "LinkCommandFlag", "Mode"]

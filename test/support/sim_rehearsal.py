@@ -73,7 +73,6 @@ class Rehearsal:
         self.finder, self.observations = RestFinder(4, KinematicSettings()), []
         self.maneuver_finder, self.maneuvers = ManeuverFinder(4, dynamic), []
         self.postures, self.samples = list(np.asarray(postures)), [[] for _ in self.links]
-        self.deviations = [[] for _ in self.links]  # of the samples' stamps [s]
         self.arming_asked = [0] * 4
 
     @property
@@ -87,7 +86,6 @@ class Rehearsal:
             for datagram in datagrams:
                 if sample := self.links[i].feed(datagram.data, self.now):
                     self.samples[i].append(sample)
-                    self.deviations[i].append(self.links[i].deviation(self.now))
                     reading = i + 1, sample.stamp, sample.position
                     self.observations += self.finder.add_reading(*reading)
                     self.maneuvers += self.maneuver_finder.add_reading(*reading, sample.velocity)

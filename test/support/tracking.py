@@ -32,9 +32,7 @@ class Tracked:
     base: np.ndarray  # (k,) NEES of pose and twist, 6 degrees of freedom; NaN: not known
     target: np.ndarray  # (k,)
     nis: dict  # of the base, by what was measured
-    rejected: dict  # of the base
     error: np.ndarray  # (k, 6) of the base
-    variance: np.ndarray  # (k, 6) that it is said to have
 
 
 def nees(state, pose, twist):
@@ -60,7 +58,7 @@ def look_at(vicon, frame, plant):
 def track(
     seed, frames, *, arm="config/truth.yaml", known=None, outage=(0, 0), moving=True,
     thrusting=True, planned=True, told=True, preset="default", settings=None,
-    of_target=None, gyro=True, room=None,
+    of_target=None, gyro=True,
 ):  # fmt: skip
     """Fly with random pulses of thrusters and a moving arm; poses are missing in the outage.
 
@@ -68,7 +66,7 @@ def track(
     """
     rng = np.random.default_rng((7, seed))
     arm = load(arm)
-    noise, room = PRESETS[preset] if isinstance(preset, str) else preset, room or Room()
+    noise = PRESETS[preset] if isinstance(preset, str) else preset
     # Bodies that go through each other: what a bump does, no navigation knows beforehand.
     around = Surroundings(table=(20.0, 20.0))
     world = World(surroundings=around, target=Target(), contact=None)
@@ -77,10 +75,10 @@ def track(
     drifting = rng.normal(0, [0.02, 0.02, 0.15])
     plant = Plant(arm, q, qd, world, [[1.0, 1.0, 1.0], drifting])
     sensors = Sensors(noise, seed)
-    vicon = Vicon(noise, room, seed, (BASE, TIP, TARGET)) if noise.markers else None
+    vicon = Vicon(noise, Room(), seed, (BASE, TIP, TARGET)) if noise.markers else None
     navigation = Navigation(load(known) if known else arm, settings, of_target)
     encoders = [Encoder(noise.encoder_error, rng.uniform(-np.pi, np.pi)) for _ in range(arm.n)]
-    base, target, errors, variances = [], [], [], []
+    base, target, errors = [], [], []
     was, wanted, slopes, since = *np.zeros((2, arm.n)), np.ones(arm.n), 0.0  # of the rates
     nis = {"pose": [], "gyro": []}
     for frame in range(frames):
@@ -127,13 +125,5 @@ def track(
         square, error = nees(navigation.base.state(), plant.q[:3], plant.qd[:3])
         base.append(np.nan if navigation.base.lost_reason(now) else square)
         errors.append(error)
-        variances.append(navigation.base.state().covariance.diagonal())
         target.append(nees(navigation.target.state(), *plant.target)[0])
-    return Tracked(
-        np.array(base),
-        np.array(target),
-        nis,
-        navigation.base.rejected,
-        np.array(errors),
-        np.array(variances),
-    )
+    return Tracked(np.array(base), np.array(target), nis, np.array(errors))

@@ -1,8 +1,6 @@
 """Base and arm flown by nodes on the simulated test bed, and nodes killed while they fly."""
 
 import signal
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from fss_rehearsal.processes import Nodes
 
 pytestmark = pytest.mark.slow
 SPEED = 0.5  # of the time, that a busy computer keeps up with it
-EXAMPLE = Path(__file__).parents[3] / "docs/examples/own_controller.py"
 #: After which valves must be shut: what it said lives so long, and half a second for the computer.
 LIMITS = {"guidance": 1.5, "navigation": 1.1, "control": 0.8}
 
@@ -64,22 +61,6 @@ def test_it_goes_to_a_pose_along_a_path_and_back(flyer):
     back = flyer.does("base/follow", time=[0.0, 10.0, 20.0], pose=knots.ravel().tolist()).result
     assert back.reached, back.message
     assert np.abs(pose(flyer) - here).max() < 0.03
-
-
-def test_a_controller_of_one_s_own_flies_base_and_arm(flyer):
-    flyer.pass_time(1.5)  # until nothing of guidance is in force any more
-    here, since = pose(flyer), flyer.t
-    flyer.nodes.run("own_controller", [sys.executable, str(EXAMPLE)], use_sim_time=True)
-    try:
-        flyer.until(lambda: abs(flyer.truths[-1].qd[3]) > 0.005)
-        flyer.pass_time(8.0)
-    finally:
-        flyer.nodes.stop("own_controller")
-    offset, turned = flyer.off(here, since)
-    print(f"{1e3 * offset:.1f} mm, {turned:.2f} deg")
-    assert offset < 0.02
-    assert turned < 3.0
-    flyer.until(lambda: abs(flyer.truths[-1].qd[3]) < 1e-3)
 
 
 @pytest.mark.parametrize("name", LIMITS)

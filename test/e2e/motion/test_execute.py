@@ -56,20 +56,6 @@ def test_the_base_turns_as_predicted_or_not_at_all(person):
     assert back.result.reached, back.result.message
 
 
-def test_what_cannot_be_done_says_why(person, tmp_path):
-    def why(**goal):
-        ended = person.execute(**goal)
-        assert ended.status == GoalStatus.STATUS_ABORTED
-        assert not ended.result.reached
-        return ended.result.message
-
-    assert why() == "the goal must have either a kind or a file"
-    assert "invalid choice: 'dance'" in why(kind="dance")
-    assert "unrecognized arguments: --speed" in why(kind="reorientation", arguments=["--speed"])
-    assert "joint 1" in why(kind="point_to_point", arguments=["--goal", "120", "0", "0", "0"])
-    assert "No such file" in why(file=str(tmp_path / "none.yaml"))
-
-
 def test_a_cancelled_motion_comes_to_rest(person):
     handle = person.send(kind="point_to_point", arguments=["--goal", "60", "0", "0", "0",
                                                            "--duration", "20"])  # fmt: skip

@@ -13,7 +13,6 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
@@ -207,14 +206,6 @@ def test_swapped_poses_after_an_outage_are_rejected(fly, spin):
     assert node.health().level == WARN
 
 
-def test_navigation_continues_without_gyro(fly, spin):
-    node, bench = fly(1.0)
-    fly(1.0, gyro=False)
-    assert node.health().message == "no gyro: heading from motion capture only"
-    spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == bench.now)
-    assert max(off(bench.states[-1], BASE, DRIFT)) < 2e-3
-
-
 def test_missing_joint_readings_are_reported(fly, spin):
     node, bench = fly(1.0, joints=False)
     assert node.health().message.startswith("readings of a joint are missing")
@@ -290,18 +281,6 @@ def test_invalid_messages_are_rejected(fly, spin):
     assert rejected["refused on vicon/fss/fss"] == rejected["refused on vicon/target/target"] == 5
     assert values["thrusters/pulses rejected"] == 5
     assert values["base: late rejected"] >= 5
-
-
-def test_invalid_plan_is_rejected(fly, spin):
-    node, bench = fly(0.2)
-    planned = bench.create_publisher(JointTrajectory, "arm/planned", SENSOR)
-    spin([node, bench], planned.get_subscription_count)
-    names, rates = [f"joint_{i}" for i in range(1, 5)], [[0.1] * 4, [0.1] * 3]
-    points = [JointTrajectoryPoint(velocities=qd) for qd in rates]
-    planned.publish(JointTrajectory(joint_names=names, points=points))
-    planned.publish(JointTrajectory(joint_names=names))
-    spin([node, bench], lambda: node.health().values.get("arm/planned rejected") == 2)
-    fly(0.1)
 
 
 def test_joint_stamp_from_the_future_does_not_shift_the_present(fly, spin):

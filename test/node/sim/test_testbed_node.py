@@ -1,8 +1,6 @@
 """The test-bed node: rates and stamps of topics, links on UDP, simulated time."""
 
 import socket
-from contextlib import closing, suppress
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,23 +9,20 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
-from std_srvs.srv import SetBool
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_driver.protocol import Command, LinkCommandFlag, Mode, Telemetry, decode, encode
-from fss_arm_msgs.msg import SimFaults, SimTruth
+from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_pose
+from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns
-from fss_arm_ros.qos import LATCHED, sensor
+from fss_arm_ros.qos import COMMAND, LATCHED, sensor
 from fss_sim import testbed_node
 from fss_sim.testbed import State
 
 REAL_TIME_TOPICS = {"/diagnostics", "/rosout", "/parameter_events"}
-
-DISARM = Command(
-    link=1, flags=0, boot=0, sequence=0, clock=1, expiry=0, mode=Mode.OFF, watchdog=2000,
-    set_point=0, velocity=0, acceleration=0,
-)  # fmt: skip
 
 
 def testbed(**settings):
@@ -132,125 +127,39 @@ def test_full_speed_waits_only_for_drivers(spin, listener):
     spin([bed], lambda: bed.testbed.frame > 1000)
 
 
-class Session:
-    """Records all outputs of a test bed in a scripted session in stepped time."""
-
-    def __init__(self, bed, call):
-        self.bed, self.call = bed, call
-        self.topics, self.streams = {}, [[] for _ in bed.wires]
-        for publisher in bed.publishers:
-            if publisher.topic_name not in REAL_TIME_TOPICS:
-                self.record(publisher, self.topics.setdefault(publisher.topic_name, []))
-        self.hosts = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in bed.wires]
-        for host in self.hosts:
-            host.bind(("127.0.0.1", 0))
-            host.setblocking(False)
-
-    def record(self, publisher, recorded):
-        publish = publisher.publish
-
-        def spy(message):
-            recorded.append(message)
-            publish(message)
-
-        publisher.publish = spy
-
-    def run(self, seed):
-        """Run a session; return the recorded outputs by topic and by link."""
-        assert self.call(self.bed, "sim/reset", ResetTestbed, seed=seed).success
-        for recorded in (*self.topics.values(), *self.streams):
-            recorded.clear()
-        boot = self.bed.testbed.boot
-        for k, frames in enumerate((30, 1, 69, 50)):
-            for i, host in enumerate(self.hosts):
-                command = replace(
-                    DISARM, link=i + 1, sequence=k + 1, clock=1000 * k + 1, boot=boot if k else 0,
-                    flags=LinkCommandFlag.ARM if k else 0, expiry=60_000_000 if k else 0,
-                    mode=Mode.POSITION if k else Mode.OFF, set_point=10_000 * k * (i + 1),
-                    velocity=300_000, acceleration=3000,
-                )  # fmt: skip
-                host.sendto(encode(command), ("127.0.0.1", self.bed.wires[i].port))
-            assert self.call(self.bed, "sim/step", StepTime, frames=frames).success
-            for host, stream in zip(self.hosts, self.streams, strict=True):
-                with suppress(BlockingIOError):
-                    while True:
-                        stream.append(without_boot(host.recv(100)))
-        topics = {topic: tuple(recorded) for topic, recorded in self.topics.items()}
-        return topics, [tuple(stream) for stream in self.streams]
-
-    def close(self):
-        for host in self.hosts:
-            host.close()
-
-
-def without_boot(data):
-    """Return a frame without boot number and CRC, the only bytes that differ between starts."""
-    return data[:6] + data[8:52] + data[56:]
-
-
 SCRIPT = """
-- {at: 0.1, part: link_1, fault: corruption, value: 0.5}
-- {at: 0.1, part: link_1, fault: jitter, value: 0.2}
-- {at: 0.2, part: link_2, fault: reordering, value: 0.5}
-- {at: 0.2, part: link_2, fault: duplication, value: 0.5}
+- {at: 0.1, part: fss, fault: dropout, value: 0.3, duration: 0.5}
+- {at: 0.1, part: end_effector, fault: occlusion, value: 0.3}
 - {at: 0.5, part: link_3, fault: dead, duration: 0.1}
-- {at: 0.5, part: fss, fault: dropout, value: 0.3, duration: 0.5}
-- {at: 0.5, part: end_effector, fault: occlusion, value: 0.3}
-- {at: 1.0, part: fog, fault: bias, value: 0.01}
+- {at: 0.5, part: fog, fault: bias, value: 0.01}
 """
 
 
-MARKERS = {
-    "marker_noise": 0.0003, "vicon_edge_error": 0.001, "vicon_occlusion": 1.0,
-    "vicon_merge_distance": 0.5, "vicon_merge_swap": 0.5, "vicon_jitter": 0.001,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("more", [{}, {"wifi": True, **MARKERS}])
-def test_the_same_seed_and_script_give_the_same_bytes_in_stepped_time(spin, call, tmp_path, more):
+def test_the_same_seed_and_script_give_the_same_bytes_in_stepped_time(spin, call, tmp_path):
     (tmp_path / "faults.yaml").write_text(SCRIPT)
     bed = testbed(
-        keep_clock=True, paused=True, preset="paper", telemetry_rate=20.0,
-        faults=str(tmp_path / "faults.yaml"), **more,
+        keep_clock=True, paused=True, preset="paper", faults=str(tmp_path / "faults.yaml"),
+        wifi=True, marker_noise=0.0003, vicon_occlusion=1.0, vicon_jitter=0.001,
     )  # fmt: skip
-    with closing(Session(bed, call)) as session:
-        topics, streams = session.run(seed=7)
-        assert len(topics["/clock"]) == len(topics["/vicon/end_effector/end_effector"]) == 150
-        assert len(topics["/vicon/fss/fss"]) < 150
-        assert len(topics["/sim/faults"]) == 5  # at each event time of the script
-        assert min(map(len, streams)) > 5
-        assert abs(bed.testbed.plant.q[3:]).max() > 0.1  # the arm moved
-        assert session.run(seed=7) == (topics, streams)
-        other = session.run(seed=8)
-        assert other[0]["/vicon/fss/fss"] != topics["/vicon/fss/fss"]
-        assert other[1][0] != streams[0]
+    sent = {}
+    for publisher in bed.publishers:
+        if publisher.topic_name not in REAL_TIME_TOPICS:
+            publisher.publish = sent.setdefault(publisher.topic_name, []).append
 
+    def run(seed):
+        assert call(bed, "sim/reset", ResetTestbed, seed=seed).success
+        for messages in sent.values():
+            messages.clear()
+        for frames in (30, 1, 69):
+            assert call(bed, "sim/step", StepTime, frames=frames).success
+        return {topic: tuple(messages) for topic, messages in sent.items()}
 
-def test_a_link_answers_the_sender_of_a_valid_command(spin, listener):
-    bed = testbed()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
-        host.bind(("127.0.0.1", 0))
-        host.setblocking(False)
-        host.sendto(b"noise", ("127.0.0.1", bed.wires[0].port))
-        host.sendto(encode(DISARM), ("127.0.0.1", bed.wires[0].port))
-
-        def answer():
-            try:
-                return decode(host.recv(100))
-            except BlockingIOError:
-                return None
-
-        frame = spin([bed], answer)
-    assert isinstance(frame, Telemetry)
-    assert (frame.link, frame.boot, frame.echo) == (1, bed.testbed.boot, 1)
-
-
-def test_the_driver_reaches_links_on_terminals(spin, tmp_path):
-    paths = [str(tmp_path / f"link_{i}") for i in (1, 2, 3, 4)]
-    bed = testbed(terminals=paths, q=[0.0, 0.3, 0.0, 0.0])
-    link = LinkNode(2, f"serial://{paths[1]}?baud=115200")
-    spin([bed, link], lambda: link.session.frame)
-    assert link.session.scale.position(link.session.frame.position) == pytest.approx(0.3, abs=0.01)
+    first = run(seed=7)
+    assert len(first["/clock"]) == len(first["/vicon/end_effector/end_effector"]) == 100
+    assert len(first["/vicon/fss/fss"]) < 100
+    assert len(first["/sim/faults"]) == 3  # at each event time of the script
+    assert run(seed=7) == first
+    assert run(seed=8)["/vicon/fss/fss"] != first["/vicon/fss/fss"]
 
 
 def test_drivers_reach_links_over_each_transport(spin, tmp_path):
@@ -264,19 +173,6 @@ def test_drivers_reach_links_over_each_transport(spin, tmp_path):
     spin([bed, *links], lambda: all(link.session.frame for link in links))
     found = [link.session.scale.position(link.session.frame.position) for link in links]
     assert found == pytest.approx(angles, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("given", "error"),
-    [
-        ({"transports": ["tcp", "udp"]}, "transports is .*, expected 1 or 4"),
-        ({"transports": ["serial"]}, "terminals has 0 paths, expected 4"),
-        ({"transports": ["can"]}, "transports is 'can', expected one of udp, tcp, serial"),
-    ],
-)
-def test_invalid_transports_are_rejected(ros, given, error):
-    with pytest.raises(ValueError, match=error):
-        testbed(**given)
 
 
 def test_truth_has_vicons_frame_number_and_marker_counts(spin, listener):
@@ -376,6 +272,16 @@ def test_faults_are_set_live_and_published(spin, listener, call):
         ({"paused": True}, "without keep_clock"),
         ({"speed": 500.0, "keep_clock": True}, "speed is 500"),
         ({"ports": [0, 0]}, "expected 4"),
+        ({"transports": ["tcp", "udp"]}, "transports is .*, expected 1 or 4"),
+        ({"transports": ["serial"]}, "terminals has 0 paths, expected 4"),
+        ({"transports": ["can"]}, "transports is 'can', expected one of udp, tcp, serial"),
+        ({"target_mass": -1.0}, "target_mass is -1.0"),
+        ({"tilt": (0.1,)}, "tilt has 1 numbers, expected 2"),
+        ({"table": (0.0, 4.0)}, "table"),
+        ({"tank_volume": 0.0}, "tank_volume is 0.0"),
+        ({"truth_rate": 0.0}, "truth_rate is 0.0"),
+        ({"film_damping": -0.1}, "film_damping is -0.1"),
+        ({"gear_stiffness": 400.0}, "stiffness is 400 N m/rad with a rotor_inertia of 0"),
         ({"q": [0.0]}, "expected 4"),
         ({"seed": -1}, "seed is -1"),
         ({"vicon_latency": 2.0}, "vicon_latency is 2.0 s, expected 0 to 1"),
@@ -392,3 +298,119 @@ def test_a_port_in_use_is_named(ros):
         port = other.getsockname()[1]
         with pytest.raises(OSError, match=f"UDP port {port} of 127.0.0.1"):
             testbed(ports=[port, 0, 0, 0])
+
+
+def test_the_charge_service_fills_empty_batteries(spin, call):
+    bed = testbed(battery=0.03, preset="ideal")
+    for link in bed.testbed.links:
+        link.supply.battery.charge = 1e-6
+    spin([bed], lambda: not any(link.running for link in bed.testbed.links))
+    assert call(bed, "sim/charge", Trigger).success
+    spin([bed], lambda: all(link.running for link in bed.testbed.links))
+
+
+def test_an_empty_tank_lays_the_vehicle_on_the_table_and_diagnostics_say_so(spin):
+    bed = testbed(
+        bearing_flow=2e-3, tank_volume=0.43e-5, twist=[0.1, 0.0, 0.05], keep_clock=True, speed=5.0,
+        preset="ideal", table=[20.0, 20.0],
+    )  # fmt: skip
+    spin(bed, lambda: bed.testbed.frame > 20)
+    assert "air" not in bed.health().message
+    spin(bed, lambda: abs(bed.testbed.plant.qd[:3]).max() < 1e-4)
+    assert "no air in the bearings: the vehicle rubs on the table" in bed.health().message
+
+
+# --- thrusters, gripper, target and truth ---------------------------------------------------------
+
+STEPPED = {"keep_clock": True, "speed": 20.0, "preset": "ideal"}
+
+
+def target_before_tip(distance):
+    """Return a target pose with the fixture at a distance [m] from the tip of the straight arm."""
+    x, y, heading = tip_pose(paper_arm().vector(), np.zeros(7)).tolist()
+    at = complex(x, y) + (0.19 + distance) * np.exp(1j * heading)
+    return [float(at.real), float(at.imag), heading + np.pi]
+
+
+@pytest.fixture
+def operator(ros):
+    node = Node("operator")
+    node.truth_message, node.gripper, node.target = [], [], []
+    node.create_subscription(SimTruth, "sim/truth", node.truth_message.append, sensor())
+    node.create_subscription(GripperState, "gripper/state", node.gripper.append, sensor())
+    node.create_subscription(PoseStamped, "vicon/target/target", node.target.append, sensor())
+    node.thrust = node.create_publisher(ThrusterCommand, "thrusters/command", COMMAND)
+    node.grip = node.create_publisher(Bool, "gripper/command", COMMAND)
+    return node
+
+
+def test_thrusters_push_the_base_and_use_propellant(spin, operator):
+    bed = testbed(**STEPPED)
+    spin(
+        [bed, operator], lambda: operator.truth_message and operator.thrust.get_subscription_count()
+    )
+    before = operator.truth_message[-1]
+    assert before.q == pytest.approx([0.0] * 7)
+    push = [0.0, 0.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0]  # along x
+    operator.thrust.publish(ThrusterCommand(on_time=push))
+    spin([bed, operator], lambda: operator.truth_message[-1].impulse[0] > 0.15)
+    spin([bed, operator], lambda: not any(operator.truth_message[-1].valves))
+    after = operator.truth_message[-1]
+    assert after.impulse[0] == pytest.approx(2 * 0.16 * 0.5, rel=0.01)
+    assert after.propellant > 0.0
+    assert after.pressure < before.pressure
+    assert max(map(abs, [*after.momentum_error, after.energy_error])) < 1e-9
+    assert not after.target_present
+    assert not operator.target
+
+
+def test_the_gripper_holds_and_releases_the_target(spin, operator):
+    pose = target_before_tip(0.01)
+    bed = testbed(**STEPPED, target_mass=8.0, target_pose=pose, table=[6.0, 6.0])
+    spin([bed, operator], lambda: operator.gripper and operator.grip.get_subscription_count())
+    state = operator.gripper[-1]
+    assert (state.closed, state.holds) == (False, False)
+    assert state.distance == pytest.approx(0.01, abs=1e-6)
+    got = planar_pose(spin([bed, operator], lambda: operator.target and operator.target[-1].pose))
+    np.testing.assert_allclose(got[:2], pose[:2], atol=1e-9)
+    operator.grip.publish(Bool(data=True))
+    spin([bed, operator], lambda: operator.gripper[-1].holds and operator.truth_message[-1].holds)
+    operator.grip.publish(Bool(data=False))
+    spin(
+        [bed, operator],
+        lambda: not (operator.gripper[-1].holds or operator.truth_message[-1].holds),
+    )
+
+
+def test_a_held_target_and_used_propellant_survive_a_restart(spin, operator, tmp_path):
+    path = str(tmp_path / "state.json")
+    given = {"target_mass": 8.0, "target_pose": target_before_tip(0.0), "table": [6.0, 6.0]}
+    first = testbed(**STEPPED, **given, state_file=path)
+    with first.lock:
+        first.testbed.plant.closed = True
+        first.testbed.plant.thrust([0.1] * 8)
+    spin(
+        [first, operator],
+        lambda: operator.truth_message and operator.truth_message[-1].propellant > 0.0,
+    )
+    spin([first, operator], lambda: not any(operator.truth_message[-1].valves))
+    first.close()
+    kept = first.testbed.plant
+    second = testbed(**STEPPED, **given, state_file=path)
+    with second.lock:
+        again = second.testbed.plant
+        assert again.holds
+        assert again.thrusters.propellant_used == kept.thrusters.propellant_used > 0.0
+        np.testing.assert_allclose(again._p, kept._p, rtol=0, atol=1e-12)
+    second.close()
+
+
+def test_an_invalid_command_opens_no_valve(spin, operator):
+    bed = testbed(**STEPPED)
+    spin(
+        [bed, operator], lambda: operator.truth_message and operator.thrust.get_subscription_count()
+    )
+    operator.thrust.publish(ThrusterCommand(on_time=[-1.0] + 7 * [0.5]))
+    seen = len(operator.truth_message)
+    spin([bed, operator], lambda: len(operator.truth_message) > seen + 10)
+    assert operator.truth_message[-1].propellant == 0.0

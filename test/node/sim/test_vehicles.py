@@ -1,7 +1,6 @@
 """Several vehicles in one test bed: each on its own topics and ports, one time."""
 
 import re
-import socket
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu
 
-from fss_arm_driver.protocol import Command, Mode, decode, encode
 from fss_arm_msgs.msg import SimFaults, SimTruth, ThrusterCommand
 from fss_arm_ros.convert import planar_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, LATCHED, sensor
@@ -26,10 +24,6 @@ vehicles:
   fss2: {ports: [0, 0, 0, 0], base: [1.0, -0.5, 1.0]}
   fss3: {without_arm: true, base: [0.0, 1.5, 0.0], seed: 7}
 """
-DISARM = Command(
-    link=1, flags=0, boot=0, sequence=0, clock=1, expiry=0, mode=Mode.OFF, watchdog=2000,
-    set_point=0, velocity=0, acceleration=0,
-)  # fmt: skip
 
 
 @pytest.fixture
@@ -83,24 +77,6 @@ def test_thrusters_and_faults_act_on_their_vehicle(spin, bed):
     spin([node, operator], lambda: len(faults) == 2 and list(faults["fss2"].part) == ["link_1"])
     assert not faults["fss1"].part
     assert [v.testbed.faults.links[0].loss for v in node.vehicles[:2]] == [0.0, 0.5]
-
-
-def test_links_of_two_vehicles_do_not_answer_for_each_other(spin, bed):
-    node = bed(speed=0.0)
-    hosts = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in (1, 2)]
-    for host, vehicle in zip(hosts, node.vehicles, strict=False):
-        host.setblocking(False)
-        host.sendto(encode(DISARM), ("127.0.0.1", vehicle.wires[0].port))
-    links = [vehicle.testbed.links[:2] for vehicle in node.vehicles[:2]]
-    spin([node], lambda: all(link.electronics.gate.command for link, _ in links))
-    assert [other.electronics.gate.command for _, other in links] == [None, None]
-    spin([node], lambda: node.testbed.frame > 100)
-    for host, vehicle in zip(hosts, node.vehicles, strict=False):
-        data, sender = host.recvfrom(2048)
-        assert sender[1] == vehicle.wires[0].port
-        assert decode(data).link == 1
-    for host in hosts:
-        host.close()
 
 
 def test_vehicles_share_a_table_and_a_target(spin, bed):

@@ -8,8 +8,7 @@ import pytest
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_gnc.guidance.activity import ActivityError, Craft, Observation
-from fss_gnc.guidance.base_motion import braking, follow, go_to, hold, limit_use
-from fss_gnc.guidance.settings import GuidanceSettings
+from fss_gnc.guidance.base_motion import follow, go_to, hold, limit_use
 from fss_gnc.reference import Body
 
 CRAFT = Craft(paper_arm())
@@ -74,9 +73,7 @@ def test_given_duration_is_kept_or_rejected():
     ("pose", "message"),
     [
         ((1.9, 0.0, 0.0), "would be -?0.* m from the table's edge in .* s, expected at least 0.05"),
-        ((1e300, 0.0, 0.0), r"pose\[0\] is 1e.300 m, expected -2 to 2 m"),
         ((0.0, -2.01, 0.0), r"pose\[1\] is -2.01 m, expected -2 to 2 m"),
-        ((np.nan, 0.0, 0.0), r"pose\[0\] is nan m, expected -2 to 2 m"),
         ((0.0, 0.0, 1e18), r"pose\[2\] is 1e.18 rad, expected -1000 to 1000 rad"),
         ((0.0, 0.0), "pose has 2 numbers, expected 3"),
     ],
@@ -236,12 +233,8 @@ def test_follow_takes_the_shorter_turns():
         ({"times": np.linspace(0.0, 30.0, 25)}, "the path's .* expected at most"),
         ({"times": np.linspace(1.0, 120.0, 25)}, r"time\[0\] is 1 s, expected 0 s"),
         ({"times": np.zeros(25)}, r"time\[1\] is 0 s, expected more than 0.001 s"),
-        ({"times": [0.0]}, "time has 1 knots, expected 2"),
-        ({"poses": CIRCLE_POSES.ravel()[:-1]}, "pose has 74 numbers, expected 75 for 25 knots"),
         ({"poses": (CIRCLE_POSES + 0.5).ravel()}, "the first pose is 0.707 m and 28.6 deg"),
         ({"twists": [0.0, 0.0]}, "twist has 2 numbers, expected 75, or none"),
-        ({"poses": np.full(75, np.nan)}, r"pose\[0\] is nan m"),
-        ({"poses": np.eye(75)[50] * 1e18}, r"pose\[50\] is 1e.18 rad, expected -1000 to 1000"),
         ({"twists": np.eye(75)[4] * -2.0}, r"twist\[4\] is -2 m/s, expected -1 to 1 m/s"),
         ({"poses": (3.15 * CIRCLE_POSES * [1, 1, 0]).ravel(), "times": np.linspace(0.0, 900.0, 25)},
          "the table's edge"),
@@ -277,12 +270,3 @@ def test_unknown_base_or_joints_reject_or_end_an_activity(unknown):
     for call in (motion.step, lambda s: go_to(CRAFT, s, [0.1, 0.0, 0.0], 0.0, 0.0)):
         with pytest.raises(ActivityError, match="not known"):
             call(replace(observed(), **unknown))
-
-
-def test_braking_respects_the_limits_and_ends_at_rest():
-    settings = GuidanceSettings()
-    base = Body(np.array([0.1, 0.2, 0.3]), np.array([-0.06, 0.0, 0.05]))
-    path = braking(settings, base, 7.0)
-    assert limit_use(settings, path).share <= 1.0 + 1e-9
-    np.testing.assert_allclose(path.at(7.0).twist, base.twist)
-    np.testing.assert_allclose(path.at(path.end_time - 1e-9).twist, 0.0, atol=1e-9)

@@ -1,10 +1,7 @@
 """Holding the base by thrusters against the reaction of the arm."""
 
 import numpy as np
-import pytest
-from holding import Motion, hold
 
-from fss_arm_calib.experiment.postures import default_postures
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import forward_dynamics, inverse_dynamics
 from fss_gnc.control import PoseControl
@@ -13,28 +10,6 @@ from fss_gnc.reference import Reference
 from fss_sim.plant.drives import MODE_POSITION
 from fss_sim.plant.plant import Plant
 from fss_sim.plant.vehicle import Demand
-
-POSTURES = np.vstack([np.zeros(4), default_postures(paper_arm())])
-
-
-def test_base_stays_within_a_centimeter_and_a_degree():
-    motion = Motion(POSTURES[1:3], duration=40.0)
-    with_feedforward, feedback_only = hold(motion, True), hold(motion, False)
-    assert with_feedforward.farthest < 0.002
-    assert with_feedforward.most_turned < 0.25
-    assert feedback_only.farthest > 3.0 * with_feedforward.farthest
-    assert feedback_only.most_turned > 3.0 * with_feedforward.most_turned
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_base_is_held_through_the_postures_of_the_experiment(seed):
-    held = hold(Motion(POSTURES, duration=120.0), True, seed)
-    print(
-        f"{1e3 * held.farthest:.2f} mm, {held.most_turned:.3f} deg, {1e3 * held.propellant:.1f} g"
-    )
-    assert held.farthest < 0.01
-    assert held.most_turned < 1.0
 
 
 def to_world(heading, a):

@@ -99,33 +99,6 @@ def test_sensitivities_are_finite_differences(n):
     assert_allclose(J, np.moveaxis(numeric, 0, -1), rtol=0, atol=2e-8)
 
 
-def test_without_momentum_only_the_path_counts_and_not_its_pace():
-    p = random_arm(4, np.random.default_rng(1)).vector()
-    law, edges = several(4)
-    at_leisure = joint_path.path(lambda t: (law(t / 3)[0], law(t / 3)[1] / 3), 3 * edges, [0, 18])
-    poses = [
-        base_motion.base_poses(p, path, AT_REST)[-1]
-        for path in (at_leisure, joint_path.path(law, edges, [0, 6]))
-    ]
-    assert_allclose(*poses, rtol=0, atol=1e-12)
-
-
-def test_a_closed_path_of_one_joint_turns_nothing_and_of_several_does():
-    p = paper_arm().vector()
-    one = joint_path.path(*cyclic(4), MARKS)
-    turned = base_motion.base_poses(p, one, AT_REST)[-1, 2] - AT_REST[2]
-    assert abs(turned) > math.radians(1.0)
-
-    def there_and_back(t):
-        q, qd = single(4)[0](4.0 - abs(t - 4.0))
-        return q, np.sign(4.0 - t)[:, None] * qd
-
-    path = joint_path.path(there_and_back, [1.0, 4.0, 7.0], [0.0, 4.0, 8.0])
-    poses = base_motion.base_poses(p, path, AT_REST)
-    assert_allclose(poses[-1], AT_REST[:3], rtol=0, atol=1e-13)
-    assert abs(poses[1] - AT_REST[:3]).max() > 0.1
-
-
 def test_paths_and_parameter_sets_broadcast():
     rng = np.random.default_rng(0)
     p = np.array([random_arm(3, rng).vector() for _ in range(2)])

@@ -41,13 +41,6 @@ def test_gaps_are_those_between_points_of_the_bodies(n):
         assert gap == pytest.approx(min(own + others), abs=5e-3)
 
 
-def test_an_arm_rolled_up_collides_and_a_straight_one_does_not():
-    p, rolled = paper_arm().vector(), np.array([0, 0, 0, 0.0, 1.55, 1.55, 1.55])
-    assert clearance(p, rolled, *RADII) < 0.0
-    # Straight, links 1 and 3 are a link's length apart.
-    assert clearance(p, np.zeros(7), *RADII) == pytest.approx(0.3825 - 2 * 0.06, abs=1e-3)
-
-
 def test_one_link_has_nothing_to_collide_with():
     p = random_arm(1, np.random.default_rng(0)).vector()
     assert clearance(p, np.zeros(4), *RADII) == np.inf

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from model_arms import random_arm
 
 import fss_arm_model
@@ -29,57 +27,18 @@ from fss_arm_model.layout import kinematic_index, kinematic_names
 
 CONFIG = Path(__file__).parents[3] / "config"
 
-numbers = st.floats(allow_nan=False, allow_infinity=False)
-positives = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
-drives = st.builds(
-    Drive,
-    counts_per_turn=st.integers(min_value=1),
-    direction=st.sampled_from([1, -1]),
-    torque_constant=positives,
-    max_current=positives,
-    max_velocity=positives,
-    max_acceleration=positives,
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("a: #b \u00e9", 1e-05), ("yes", 1.7e308), ("1.0", 5e-324), ("null", 0.1 + 0.2), ("'", 1e16)],
 )
-sensors = st.builds(TorqueSensor, gain=numbers.filter(bool), zero=numbers)
-
-
-def links(theta_0: st.SearchStrategy[float]) -> st.SearchStrategy[Link]:
-    limits = st.tuples(numbers, numbers).filter(lambda limits: limits[0] < limits[1])
-    link = st.builds(
-        Link,
-        a=positives,
-        theta_0=theta_0,
-        mass=positives,
-        inertia=positives,
-        b=numbers,
-        lateral=numbers,
-        drive=drives,
-        torque_sensor=sensors,
-    )
-    return st.builds(lambda k, limits: replace(k, q_min=limits[0], q_max=limits[1]), link, limits)
-
-
-names = st.text(min_size=1).filter(lambda name: name.isprintable() and name.strip())
-bases = st.builds(
-    Base,
-    mass=positives,
-    inertia=positives,
-    com=st.tuples(numbers, numbers),
-    mount=st.tuples(numbers, numbers, numbers),
-)
-arms = st.builds(
-    lambda name, base, first, others, theta_E: Arm(name, base, (first, *others), theta_E),
-    names,
-    bases,
-    links(st.just(0.0)),
-    st.lists(links(numbers), max_size=3),
-    numbers,
-)
-
-
-@settings(deadline=None, max_examples=10)
-@given(arms)
-def test_yaml_gives_the_same_arm_back(arm):
+def test_yaml_gives_the_same_arm_back(name, number):
+    drive = Drive(7, -1, torque_constant=number, max_current=1.5e22, max_velocity=0.1)
+    limited = {"q_min": -number, "q_max": number, "a": number, "lateral": -number}
+    sensor = TorqueSensor(gain=-number, zero=number)
+    arm = random_arm(2, np.random.default_rng(1))
+    links = tuple(replace(k, **limited, drive=drive, torque_sensor=sensor) for k in arm.links)
+    arm = replace(arm, name=name, links=links, base=replace(arm.base, com=(number, -number)))
     assert from_yaml(to_yaml(arm)) == arm
 
 
@@ -102,17 +61,14 @@ def test_defaults_need_not_be_written():
 WRONG = [
     # where in the paper's description, value, field as named, what was expected
     (["base", "mass"], -1.0, "base: mass", "a positive number [kg]"),
-    (["base", "mass"], True, "base: mass", "a positive number [kg]"),
     (["base", "mass"], "heavy", "base: mass", "a positive number [kg]"),
     (["base", "inertia"], 0, "base: inertia", "a positive number [kg m^2]"),
     (["base", "inertia"], math.nan, "base: inertia", "a positive number [kg m^2]"),
     (["base", "com"], [0.0], "base: com", "two finite numbers (x, y) [m]"),
-    (["base", "com"], 0.1, "base: com", "two finite numbers (x, y) [m]"),
     (["base", "mount"], [0.0, math.inf, 0.0], "base: mount", "three finite numbers"),
     (["base", "wheels"], 4, "base: wheels", "only the entries mass, inertia, com, mount"),
     (["base"], 3, "base", "a base"),
     (["theta_E"], [0.1], "theta_E", "a finite number [rad]"),
-    (["theta_E"], {"a": 1.0}, "theta_E", "a finite number [rad]"),
     (["name"], "", "name", "a printable text that is not empty"),
     (["links"], 4, "links", "a list of links"),
     (["links", 1], [1.0], "links", "a list of links"),
@@ -252,19 +208,6 @@ def test_an_installed_copy_finds_the_descriptions_in_share(tmp_path):
     assert run.stdout == "truth\n", run.stderr
 
 
-def test_cad_and_truth_differ_from_the_paper_in_kinematics():
-    cad, truth = load(CONFIG / "cad.yaml"), load(CONFIG / "truth.yaml")
-    assert [k.a for k in cad.links] == [0.39, 0.39, 0.39, 0.34]
-    assert [k.theta_0 for k in cad.links] == [0.0] * 4
-    assert cad.base.mount == (0.2, 0.0, 0.3)
-    assert [k.a for k in truth.links] == [0.3841, 0.3841, 0.3841, 0.3338]
-    offsets = [math.degrees(k.theta_0) for k in truth.links]
-    assert offsets == pytest.approx([0.0, 4.9, -2.7, -0.6])
-    assert truth.base.mount == pytest.approx((0.2043, 0.0171, math.radians(17.6)))
-    dynamics = [[(k.mass, k.inertia, k.b) for k in arm.links] for arm in (truth, paper_arm())]
-    assert dynamics[0] == dynamics[1]
-
-
 # --- links by serial number -----------------------------------------------------------------------
 
 
@@ -283,15 +226,6 @@ def filed(folder, serials, arm=None):
     return path
 
 
-def test_links_by_serial_number_are_read_from_their_files(tmp_path):
-    arm = load(filed(tmp_path, [7, 8, 9, 10]))
-    assert [link.serial for link in arm.links] == [7, 8, 9, 10]
-    assert [link.a for link in arm.links] == [link.a for link in paper_arm().links]
-    assert arm.base.mount == pytest.approx((0.2, 0.0, 0.31))
-    assert [link.theta_0 for link in arm.links] == [0.0, 0.02, 0.03, 0.04]
-    assert from_yaml(to_yaml(arm)) == arm
-
-
 def test_links_that_are_moved_take_their_values_along(tmp_path):
     """Reordering the list moves everything that is a link's own, its joint's offset as well."""
     path = filed(tmp_path, [7, 8, 9, 10])
@@ -302,6 +236,8 @@ def test_links_that_are_moved_take_their_values_along(tmp_path):
     assert [replace(link, theta_0=0.0) for link in after.links] == [own[k] for k in (10, 8, 7, 9)]
     assert [link.theta_0 for link in after.links[1:]] == [offsets[k] for k in (8, 7, 9)]
     assert after.base.mount[2] == pytest.approx(0.3 + offsets[10])
+    assert [link.a for link in before.links] == [link.a for link in paper_arm().links]
+    assert from_yaml(to_yaml(after)) == after
 
 
 @pytest.mark.parametrize(

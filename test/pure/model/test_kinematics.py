@@ -19,18 +19,6 @@ def central(function, x):
     return np.moveaxis((function(x + steps) - function(x - steps)) / (2.0 * STEP), 0, -1)
 
 
-def test_straight_arm_by_hand():
-    arm = paper_arm()
-    straight = -np.array([k.theta_0 for k in arm.links])
-    x, y, heading = kinematics.tip_in_base(arm.vector(), straight)
-    length = sum(k.a for k in arm.links)
-    angle = math.radians(18.211)
-    assert (x, y) == pytest.approx(
-        (0.2058 + length * math.cos(angle), 0.0155 + length * math.sin(angle))
-    )
-    assert heading == pytest.approx(angle)
-
-
 def test_one_link_by_hand():
     arm = random_arm(1, np.random.default_rng(0))
     link, (x, y, turn) = arm.links[0], arm.base.mount
@@ -76,23 +64,6 @@ def test_tip_in_base_does_not_depend_on_the_base():
     c, s = math.cos(q[0, 2]), math.sin(q[0, 2])
     assert_allclose(world[:2] - q[0, :2], [c * x - s * y, s * x + c * y])
     assert world[2] == pytest.approx(heading + q[0, 2])
-
-
-def test_arms_and_states_broadcast():
-    rng = np.random.default_rng(0)
-    p = np.array([random_arm(3, rng).vector() for _ in range(2)])
-    q = random_states(3, 5, rng)[0]
-    for function, shape in [
-        (kinematics.joint_positions, (4, 2)),
-        (kinematics.com_positions, (4, 2)),
-        (kinematics.tip_pose, (3,)),
-        (kinematics.tip_jacobian, (3, 6)),
-    ]:
-        batch = function(p[:, None], q)
-        assert batch.shape == (2, 5, *shape)
-        assert_allclose(batch[1, 3], function(p[1], q[3]), rtol=0, atol=0)
-    assert kinematics.tip_in_base(p[:, None], q[:, 3:]).shape == (2, 5, 3)
-    assert kinematics.tip_regressor(p[:, None], q[:, 3:]).shape == (2, 5, 3, 8)
 
 
 @pytest.mark.parametrize("q", [np.zeros(6), np.zeros(3), 0.0])

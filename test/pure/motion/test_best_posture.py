@@ -62,7 +62,7 @@ def test_at_a_place_nothing_exhaustive_is_better(base, direction):
 def test_anywhere_nothing_on_a_grid_is_better(base, direction):
     start = free_start()
     _, ratio = best(start, BestPosture(direction, base=base))
-    axis = np.linspace(-np.pi / 2, np.pi / 2, 25)
+    axis = np.linspace(-np.pi / 2, np.pi / 2, 17)
     q = np.stack(np.meshgrid(*[axis] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
     w = velocity_ratio(start.arm, q, direction, base)
     tops, size = q[np.argsort(-w)[:40]], axis[1] - axis[0]

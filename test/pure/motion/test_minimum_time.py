@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from motion_oracles import direct_transcription
 
 from fss_arm_model.description import paper_arm
 from fss_arm_motion.limits import Limits, LimitSettings
@@ -13,20 +12,27 @@ from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 SETTINGS = LimitSettings(
     share=1.0, rotor_inertia=0.0, base_radius=0.0, link_radius=0.0, margin=0.0
 )  # fmt: skip
+#: Seconds that `bench/direct_transcription.py` finds with 40 nodes, by seed.
+LEAST_TIMES = {
+    0: 2.3520,
+    1: 2.2769,
+    2: 2.1275,
+    3: 1.5976,
+    4: 1.3724,
+    5: 2.4526,
+    6: 1.6682,
+    7: 2.5030,
+}
 
 
-@pytest.mark.parametrize(
-    "seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 8))]
-)
-def test_it_is_within_two_percent_of_the_transcriptions(seed):
-    arm, rng = paper_arm(), np.random.default_rng(seed)
-    begin, end = rng.uniform(-1.3, 1.3, (2, 4))
-    limits = Limits.of(arm, SETTINGS)
-    plan = point_to_point(Start(arm, begin, limits=limits), PointToPoint(tuple(end)))
-    reference = direct_transcription(arm, limits, begin, end, nodes=40)
-    assert reference > 0.99 * plan.notes["least_possible"]
-    assert plan.duration < 1.02 * reference
-    assert plan.duration > 0.98 * reference  # or the oracle is no oracle
+@pytest.mark.parametrize(("seed", "least_time"), LEAST_TIMES.items())
+def test_it_is_within_two_percent_of_the_transcriptions(seed, least_time):
+    arm = paper_arm()
+    begin, end = np.random.default_rng(seed).uniform(-1.3, 1.3, (2, 4))
+    start = Start(arm, begin, limits=Limits.of(arm, SETTINGS))
+    plan = point_to_point(start, PointToPoint(tuple(end)))
+    assert least_time > 0.99 * plan.notes["least_possible"]
+    assert plan.duration == pytest.approx(least_time, rel=0.02)
 
 
 @pytest.mark.parametrize("way", [0.02, 0.1, 0.3])

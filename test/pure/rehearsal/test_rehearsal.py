@@ -137,24 +137,19 @@ def test_the_result_is_within_three_sigma_or_the_verdict_gives_the_reason(case):
 
 
 def test_with_all_faults_at_once_the_result_is_within_three_sigma():
-    script = (
-        script_for(
-            ["link_1"], "at: 3, fault: duplication, value: 0.3", "at: 3, fault: delay, value: 0.1"
+    script = "".join(
+        script_for([part], *(f"at: 3, fault: {fault}" for fault in faults))
+        for part, *faults in (
+            ("link_1", "duplication, value: 0.3", "delay, value: 0.1"),
+            ("link_2", "corruption, value: 0.2"),
+            ("link_3", "jitter, value: 0.1", "loss, value: 0.1"),
+            ("link_4", "reordering, value: 0.2"),
+            ("fss", "dropout, value: 0.1", "latency, value: 0.1", "swap, value: 0.02"),
+            ("end_effector", "occlusion, value: 0.1", "swap, value: 0.02"),
         )
-        + script_for(
-            ["link_2"], "at: 3, fault: corruption, value: 0.2", "at: 12, fault: reset, duration: 1"
-        )
-        + script_for(
-            ["link_3"], "at: 3, fault: jitter, value: 0.1", "at: 3, fault: loss, value: 0.1"
-        )
-        + script_for(["link_4"], "at: 3, fault: reordering, value: 0.2")
-        + script_for(
-            ["fss"], "at: 3, fault: dropout, value: 0.1", "at: 3, fault: latency, value: 0.1"
-        )
-        + script_for(["end_effector"], "at: 3, fault: occlusion, value: 0.1")
-        + script_for(["end_effector"], "at: 40, fault: frozen, duration: 2")
-        + script_for(["fss", "end_effector"], "at: 3, fault: swap, value: 0.02")
     )
+    script += script_for(["link_2"], "at: 12, fault: reset, duration: 1")
+    script += script_for(["end_effector"], "at: 40, fault: frozen, duration: 2")
     rehearsal = Rehearsal(CONFIG, script, torque_rate=10)
     result = rehearsal.run()
     dynamic = check(Case(script, ("crc", "lost", "missed"), adopted=2), rehearsal, result)
@@ -169,26 +164,3 @@ def test_with_all_faults_at_once_the_result_is_within_three_sigma():
     frames = [s.frame for s in rehearsal.samples[0]]
     batteries = [f.slow_value for f in frames if f.slow_id == Slow.BATTERY]
     assert batteries[-1] < batteries[0]
-
-
-def test_stamps_have_their_stated_accuracy_under_loss_and_delay():
-    script = script_for(
-        LINKS, "at: 0, fault: loss, value: 0.2", "at: 0, fault: delay, value: 0.05",
-        "at: 0, fault: jitter, value: 0.04", "at: 0, fault: duplication, value: 0.1",
-    )  # fmt: skip
-    rehearsal = Rehearsal(CONFIG, script)
-    start = rehearsal.now - rehearsal.bed.now
-    measured = {}
-    for _ in range(1500):
-        rehearsal.step()
-        for link in rehearsal.bed.links:
-            measured[link.number, link.clock(rehearsal.bed.now)] = rehearsal.bed.now
-    for samples, deviations in zip(rehearsal.samples, rehearsal.deviations, strict=True):
-        known = [(s, d) for s, d in zip(samples, deviations, strict=True) if np.isfinite(d)]
-        true = [measured[s.frame.link, s.frame.clock] for s, _ in known]
-        off = [(s.stamp - start - t) * 1e-9 for (s, _), t in zip(known, true, strict=True)]
-        # The offset lies anywhere in an interval, of which a deviation is given.
-        bounds = [3**0.5 * d + 1e-6 for _, d in known]
-        assert len(known) > 40
-        assert (np.abs(off) <= bounds).all()
-        assert abs(off[-1]) < 0.01

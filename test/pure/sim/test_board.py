@@ -8,7 +8,7 @@ import pytest
 from fss_arm_model.description import paper_arm
 from fss_arm_model.thrusters import layout
 from fss_base_driver.gyro import GyroSums
-from fss_base_driver.protocol import BaseSlow, BaseState, Gripper
+from fss_base_driver.protocol import BaseSlow, Gripper
 from fss_base_driver.session import BoardSession
 from fss_link.session import Arming
 from fss_sim.board.board import GYRO_SCALE
@@ -95,30 +95,6 @@ def test_the_gyro_sums_give_the_rotation_of_the_base():
     assert angle == pytest.approx(turned, rel=0.02)
 
 
-def test_silence_closes_all_valves_within_the_watchdog():
-    flight = Flight().armed()
-    flight.open(**{f"v{i}": 1.0 for i in range(1, 9)})
-    flight.frames(10)
-    assert all(flight.bed.plant.valves)
-    flight.sending = False
-    flight.frames(52)
-    assert not any(flight.bed.plant.valves)
-    assert flight.bed.board.state.flags() == BaseState.WATCHDOG
-    assert max(flight.bed.board.state.opened) < 620_000
-
-
-def test_stop_closes_the_valves_and_is_latched():
-    flight = Flight().armed()
-    flight.open(v3=1.0)
-    flight.frames(10)
-    flight.session.stop()
-    flight.send()
-    flight.frames(3)
-    assert not any(flight.bed.plant.valves)
-    flight.frames(100)
-    assert flight.bed.board.state.flags() == BaseState.STOPPED
-
-
 def test_a_dead_board_closes_and_restarts_disarmed():
     flight = Flight().armed()
     flight.open(v3=1.0)
@@ -156,23 +132,6 @@ def test_a_valve_that_sticks_open_pushes_and_one_that_sticks_closed_does_not():
     flight.bed.faults.set("valve_7", "stuck_open", 0.0)
     flight.frames(1)
     assert not any(flight.bed.plant.valves)
-
-
-@pytest.mark.parametrize("fault", [("loss", 0.3), ("duplication", 0.5), ("reordering", 0.3),
-                                   ("corruption", 0.3), ("delay", 0.05)])  # fmt: skip
-def test_bad_communication_neither_lengthens_nor_repeats_a_pulse(fault):
-    flight = Flight().armed()
-    flight.bed.faults.set("board", *fault)
-    commanded = 0.0
-    for k in range(30):
-        flight.frames(40)
-        if not flight.session.armed:
-            break
-        flight.open(v1=0.05 + 0.001 * k)
-        commanded += 0.05 + 0.001 * k
-    opened = 1e-6 * flight.bed.board.state.opened[0]
-    assert opened <= commanded + 1e-9
-    assert opened > 0.8 * commanded
 
 
 def test_a_dead_gyro_adds_no_samples():

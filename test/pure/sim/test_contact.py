@@ -2,17 +2,16 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from model_oracles import mujoco_model, pinocchio_model
+from model_oracles import pinocchio_model
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.held import Target
 from fss_arm_model.kinematics import joint_positions, tip_pose
 from fss_sim.plant.bed import Bed
-from fss_sim.plant.contact import GAP, NORMAL_X, Contact, impulses
+from fss_sim.plant.contact import Contact, impulses
 from fss_sim.plant.drives import MODE_CURRENT, MODE_VELOCITY
 from fss_sim.plant.joints import PRESETS, Joints
 from fss_sim.plant.plant import Plant
@@ -84,17 +83,6 @@ def test_impulses_obey_the_law_and_create_no_energy(seed):
             np.testing.assert_allclose(after[1::2][sticks], 0.0, atol=1e-8)
 
 
-def test_restitution_with_friction_is_scaled_down_to_create_no_energy():
-    """With the coupling of a double pendulum, Newton's law alone would create energy."""
-    W, v = np.array([[1.0, -0.9], [-0.9, 1.0]]), np.array([-1.0, 2.0])
-    newton = impulses(W, v, np.array([0.9]), 0.0)
-    assert newton @ (v + 0.5 * W @ newton) <= 0.0
-    rubbed = impulses(W, v, np.array([0.9]), 0.6)
-    after = v + W @ rubbed
-    assert rubbed @ (v + 0.5 * W @ rubbed) <= 0.0
-    assert 0.0 <= after[0] < 0.9 + 1e-9
-
-
 # Impacts of arms, by other programs
 
 
@@ -133,115 +121,53 @@ def test_the_impulse_on_an_arm_follows_its_full_inertia(link):
     np.testing.assert_allclose(bed.qd - qd, -np.linalg.solve(H, row) * pushed, rtol=0, atol=2e-3)
 
 
-@pytest.mark.parametrize("link", [2, 4])
-def test_an_elastic_impact_on_an_arm_agrees_with_mujoco(link):
-    bed, _, _ = arm_before_impact(link, 0.2, 1.0, replace(FREE, rotor_inertia=0.0))
-    x, y, _ = bed.target[0].tolist()
-    ball = (
-        f'<body pos="{x!r} {y!r} 0"><joint type="slide" axis="1 0 0"/>'
-        '<joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>'
-        '<inertial pos="0 0 0" mass="10" diaginertia=".25 .25 .25"/>'
-        '<geom type="sphere" size=".19" contype="2" conaffinity="1" condim="1" priority="1" '
-        'solref="-3e6 0" solimp=".999 .999 .001"/></body>'
-    )
-    model = mujoco_model(bed.arm, link_radius=0.06, others=ball)
-    model.opt.timestep, model.opt.integrator = 1e-5, mujoco.mjtIntegrator.mjINT_RK4
-    data = mujoco.MjData(model)
-    data.qpos[:7], data.qvel[7:] = bed.q, bed.target[1]
-    mujoco.mj_step(model, data, 4000)
-    bed.advance(0.04)
-    ours = np.concatenate([bed.qd, bed.target[1]])
-    assert np.abs(ours[:7]).max() > 0.1
-    np.testing.assert_allclose(ours, data.qvel, rtol=0, atol=0.01 * np.abs(ours).max())
-
-
 # Impacts of all pairs
 
 
-def two_vehicles_and_two_targets(contact):
-    """Two vehicles and two targets."""
-    vehicles = [
-        Vehicle(arm, np.zeros(3 + arm.n), None, World(FREE, WIDE), name=name)
-        for arm, name in ((PAPER, "fss"), (SHORT, "fss2"))
-    ]
-    still = np.zeros((2, 3))
-    return Bed(
-        vehicles, [PassiveTarget(Target(), still, WIDE, f"target {k}") for k in (1, 2)], contact
-    )
-
-
-def bed_before_impact(rng, pair, contact):
-    """Return the bed with two parts shortly before an impact, and the others far away."""
-    bed = two_vehicles_and_two_targets(contact)
-    scene = bed._scene
-    chains_of_pair = scene._parts[scene.pairs[pair].astype(int), 0].astype(int)
+def crowd(rng, contact):
+    """Return two vehicles and two targets that drift to the middle, their arms swinging."""
     while True:
-        for k, chain in enumerate(bed._chains):
-            size = chain.q.size
-            chain._state = np.array([rng.uniform(-2.9, 2.9, size), rng.uniform(-0.3, 0.3, size)])
-            chain._state[0, 0] += 4.0 * k + 4.0 if k not in chains_of_pair else 0.0
-        if chains_of_pair[0] == chains_of_pair[1] and not 5e-5 < bed._gaps()[pair, GAP] < 5e-3:
-            continue
-
-        def nearest():
-            q, v = bed._moving()
-            here = scene.touches(q, scene.pairs[[pair]])[0]
-            at = here[[np.argmin(here[:, GAP])]]
-            closing = (scene.jacobian(q, scene.pairs[[pair]], at) @ v)[0]
-            return at[0, GAP], at[0, NORMAL_X:], closing
-
-        chain, speed = bed._chains[chains_of_pair[0]], rng.uniform(0.02, 0.3)
-        gap, normal, closing = nearest()
-        if chains_of_pair[0] != chains_of_pair[1]:
-            shift = np.zeros_like(chain._state)
-            shift[0, :2] = normal * (gap - rng.uniform(1e-4, 2e-3))
-            chain._state = chain._state - shift
-            gap, normal, closing = nearest()
-            shift = np.zeros_like(chain._state)
-            shift[1, :2] = normal * (closing + speed)
-            chain._state = chain._state - shift
-        elif closing > 0.0:
-            chain._state = chain._state * [[1.0], [-1.0]]
-        gaps = bed._gaps()[:, 0]
-        if abs(nearest()[2]) > 0.02 and np.argmin(gaps) == pair and 5e-5 < gaps[pair] < 5e-3:
-            bed._rebuild_scene()
-            bed._advance_chains(0)
-            bed._initial_balance = bed.audit.balance
+        at = 1.3 * np.exp(0.5j * np.pi * (np.arange(4) + rng.uniform(-0.2, 0.2, 4)))
+        v = -rng.uniform(0.15, 0.3, 4) * at / 1.3
+        poses = np.column_stack([at.real, at.imag, rng.uniform(-3.0, 3.0, 4)])
+        twists = np.column_stack([v.real, v.imag, rng.uniform(-0.3, 0.3, 4)])
+        vehicles = [
+            Vehicle(
+                arm, [*poses[k], *rng.uniform(-1.5, 1.5, arm.n)],
+                [*twists[k], *rng.uniform(-0.3, 0.3, arm.n)], World(FREE, WIDE), name=f"fss{k}",
+            )
+            for k, arm in enumerate((PAPER, SHORT))
+        ]  # fmt: skip
+        targets = [
+            PassiveTarget(Target(), [poses[k], twists[k]], WIDE, f"target {k}") for k in (2, 3)
+        ]
+        bed = Bed(vehicles, targets, contact)
+        if bed.nearest().gap > 0.01:
             return bed
 
 
-def run_impacts(rounds, seed):
-    rng, pairs_hit = np.random.default_rng(seed), set()
-    pairs = two_vehicles_and_two_targets(Contact())._scene.names
-    worst, deepest, gained, count = np.zeros(4), 0.0, 0.0, 0
-    for pair in list(range(len(pairs))) * rounds:
+@pytest.mark.parametrize(
+    ("seeds", "share"), [(4, 0.3), pytest.param(60, 0.9, marks=pytest.mark.slow)]
+)
+def test_impacts_of_all_pairs_balance_the_audit(seeds, share):
+    hit, worst, deepest, gained = set(), np.zeros(4), 0.0, 0.0
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
         contact = Contact(rng.choice([0.0, 0.3, 0.8, 1.0]), rng.choice([0.0, 0.2, 0.7]))
-        bed, left, collided = bed_before_impact(rng, pair, contact), 300, False
-        while left:
+        bed = crowd(rng, contact)
+        pairs = [gap for gap in bed.clearances() if "table edge" not in gap[:2]]
+        for _ in range(1000):
             energy = bed.audit.energy
-            bed.advance(0.001)
-            left = 20 if bed.contact_impulses and not collided else left - 1
-            collided |= bool(bed.contact_impulses)
-            pairs_hit |= bed.contact_impulses.keys()
+            bed.advance(0.01)
+            hit |= bed.contact_impulses.keys()
             gained = max(gained, bed.audit.energy - energy)
             worst = np.maximum(worst, abs(bed.imbalance))
-            deepest = min(deepest, bed._gaps()[:, 0].min())
-        count += collided
-    print(f"{count} impacts of {len(pairs_hit)} pairs: audit error {worst}, gap {deepest} m")
-    assert count > 0.9 * rounds * len(pairs)
-    assert rounds < 10 or {*pairs} == pairs_hit
+            deepest = min(deepest, bed.nearest().gap)
+    print(f"{len(hit)} of {len(pairs)} pairs: audit error {worst}, {gained} J, gap {deepest} m")
+    assert len(hit) > share * len(pairs)
     assert (worst < 1e-9).all()
     assert gained < 1e-12
     assert deepest > -1e-4
-
-
-def test_impacts_of_all_pairs_balance_the_audit():
-    run_impacts(1, 1)
-
-
-@pytest.mark.slow
-def test_a_thousand_impacts_of_all_pairs_balance_the_audit():
-    run_impacts(20, 2)
 
 
 # Leaning, and time

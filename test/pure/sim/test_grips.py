@@ -40,6 +40,11 @@ def arm_before(tip, heading, name, gripper):
     return Vehicle(PAPER, q, None, World(surroundings=WIDE, gripper=gripper), name=name)
 
 
+def frames(bed, count):
+    for _ in range(count):
+        bed.advance(0.01)
+
+
 def drive_joints(vehicle, sense=1.0):
     for joint, rate in enumerate((0.2, -0.1, 0.15, 0.1)):
         vehicle.command(joint, Demand(MODE_VELOCITY, sense * rate, abs(rate), 2.0))
@@ -63,8 +68,7 @@ def test_the_grip_closes_after_its_closing_time():
 def test_fingers_closed_on_nothing_must_open_first():
     bed = target_before_tip(Gripper(closing_time=0.3), 0.02, (0.09, 0.0, 0.0))
     bed.closed = True
-    for _ in range(40):  # the target has left before they are closed
-        bed.advance(0.01)
+    frames(bed, 40)  # the target has left before they are closed
     assert not bed.holds
     bed.bed.targets[0]._state = target_before_tip().target
     bed.advance(0.01)
@@ -72,8 +76,7 @@ def test_fingers_closed_on_nothing_must_open_first():
     bed.closed = False
     bed.advance(0.01)
     bed.closed = True
-    for _ in range(32):
-        bed.advance(0.01)
+    frames(bed, 32)
     assert bed.holds
 
 
@@ -81,8 +84,7 @@ def test_a_missed_grip_pushes_the_target_away():
     bed = target_before_tip(Gripper(speed=0.02), 0.05, (-0.1, 0.0, 0.0))
     bed.closed = True
     balance = bed.audit.balance
-    for _ in range(250):
-        bed.advance(0.01)
+    frames(bed, 250)
     assert not bed.holds
     assert bed.approach.distance > 0.03
     along = np.exp(1j * tip_pose(PAPER.vector(), BENT)[2])
@@ -99,8 +101,7 @@ def test_an_overloaded_grip_slips(force, slips):
     assert bed.holds
     balance = bed.audit.balance
     drive_joints(bed)
-    for _ in range(100):
-        bed.advance(0.01)
+    frames(bed, 100)
     assert bed.holds != slips
     np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
     if slips:
@@ -114,8 +115,7 @@ def test_a_grip_slips_by_the_torque_that_turns_the_target():
     bed.closed = True
     bed.advance(0.01)
     drive_joints(bed)
-    for _ in range(100):
-        bed.advance(0.01)
+    frames(bed, 100)
     assert not bed.holds
 
 
@@ -164,8 +164,7 @@ def test_two_arms_hold_one_target_within_a_micron():
     assert other.payload is target
     np.testing.assert_allclose(in_tip_frame(other, target.q), places[1], rtol=0, atol=1e-6)
     other.closed = False
-    for _ in range(20):
-        bed.advance(0.01)
+    frames(bed, 20)
     assert target.is_free
     np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
 
@@ -180,8 +179,7 @@ def test_two_arms_hold_each_other():
     assert (first.held, other.held) == (other, first)
     place = in_tip_frame(first, tip_pose(other.p, other.q))
     drive_joints(first)
-    for _ in range(100):
-        bed.advance(0.01)
+    frames(bed, 100)
     np.testing.assert_allclose(
         in_tip_frame(first, tip_pose(other.p, other.q)), place, rtol=0, atol=1e-6
     )
@@ -190,8 +188,7 @@ def test_two_arms_hold_each_other():
     bed.advance(0.01)
     assert other.held is first  # it still holds
     other.closed = False
-    for _ in range(50):
-        bed.advance(0.01)
+    frames(bed, 50)
     assert np.abs(in_tip_frame(first, tip_pose(other.p, other.q)) - place).max() > 1e-3
 
 
@@ -200,8 +197,7 @@ def test_one_of_two_grips_slips():
     for vehicle in (first, other):  # each turns the target in another direction
         vehicle.command(1, Demand(MODE_CURRENT, 2.0))
         vehicle.command(2, Demand(MODE_CURRENT, 2.0))
-    for _ in range(60):
-        bed.advance(0.01)
+    frames(bed, 60)
     assert first.held is target
     assert other.held is None
     np.testing.assert_allclose(bed.imbalance, 0.0, atol=1e-9)
@@ -216,8 +212,7 @@ def test_a_base_without_arm_drifts_and_collides():
     assert alone.motions() == []
     assert alone.edge_clearance == pytest.approx(20.0 - 1.0 - 0.19)
     np.testing.assert_allclose(alone.momentum(), [1.0, 0.0, 0.0])
-    for _ in range(800):
-        bed.advance(0.01)
+    frames(bed, 800)
     assert bed.audit.contact < -1e-3
     assert alone.qd[0] < 0.09
     np.testing.assert_allclose(bed.imbalance, 0.0, atol=1e-9)

@@ -101,13 +101,6 @@ def test_each_station_has_bursts_of_loss_of_the_stated_length_and_share():
     assert runs.mean() == pytest.approx(0.5, rel=0.25)
 
 
-def test_the_same_seed_gives_the_same_and_another_does_not():
-    radio = Radio(loss=0.2)
-    first, again, other = (delays(radio, 60.0, seed=s) for s in ("1", "1", "2"))
-    np.testing.assert_array_equal(first, again)
-    assert len(first) != len(other) or (first != other).any()
-
-
 def test_faults_add_to_the_delay_of_the_channel():
     radio_channel = RadioChannel(CLEAN, "1")
     channel = Channel(Random(1), radio_channel.station("1"))

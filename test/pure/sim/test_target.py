@@ -39,7 +39,7 @@ def total(bed):
     return own.momentum + momentum, energy
 
 
-@pytest.mark.parametrize("n", range(1, 9))
+@pytest.mark.parametrize("n", [1, 2, 4, 8])
 def test_momentum_is_conserved_by_capture_and_release(n):
     bed = before_capture(random_arm(n, np.random.default_rng(n)), np.random.default_rng(n))
     before, energy = total(bed)

@@ -61,9 +61,11 @@ def run(bed, frames):
     return [bed.step() for _ in range(frames)]
 
 
-def test_the_same_seed_gives_the_same_frames_and_another_does_not():
+@pytest.mark.parametrize("preset", ["paper", "laboratory"])
+def test_the_same_seed_gives_the_same_frames_and_another_does_not(preset):
+    noise, world = PRESETS[preset], World(JOINTS[preset])
     first, second, other = (
-        run(testbed.Testbed(paper_arm(), PRESETS["paper"], seed, BEGIN), 60) for seed in (1, 1, 2)
+        run(testbed.Testbed(paper_arm(), noise, seed, BEGIN, world=world), 60) for seed in (1, 1, 2)
     )
     assert first == second
     assert [r.readings for r in first] != [r.readings for r in other]
@@ -121,19 +123,6 @@ def test_torque_sensors_measure_shear_by_crosstalk():
     bed.plant.thrust([0.05] * 4 + [0.0] * 4)
     bed.step()
     assert [m.shear for m in bed._motions] == [0.0] * 4  # not computed without crosstalk
-
-
-def test_the_laboratory_preset_is_reproducible():
-    first, second = (
-        run(
-            testbed.Testbed(
-                paper_arm(), PRESETS["laboratory"], 1, BEGIN, world=World(JOINTS["laboratory"])
-            ),
-            60,
-        )
-        for _ in range(2)
-    )
-    assert first == second
 
 
 def test_vicon_and_telemetry_agree():
@@ -197,48 +186,30 @@ def test_an_invalid_state_file_is_rejected_by_name(tmp_path, text):
     assert "Error(" not in str(error.value)
 
 
-def observe_with_faults(faults, frames=2000, **gyro):
+def observe_with_faults(faults, frames=2000, of_target=NO_SUBJECT_FAULTS, **gyro):
     sensors = Sensors(PRESETS["ideal"], seed=1)
     return [
         sensors.observe(
             k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, RESTING, faults, NO_SUBJECT_FAULTS,
-            GyroFaults(**gyro),
+            GyroFaults(**gyro), target=(3.0, 2.0, 1.0), target_faults=of_target,
         )
         for k in range(frames)
     ]  # fmt: skip
 
 
-def test_dropouts_and_occlusions_have_the_given_shares():
-    dropped = sum(s.base is None for s in observe_with_faults(SubjectFaults(dropout=0.3)))
-    occluded = sum(s.base.occluded for s in observe_with_faults(SubjectFaults(occlusion=0.3)))
-    for count in (dropped, occluded):
-        assert count / 2000 == pytest.approx(0.3, abs=4 * (0.21 / 2000) ** 0.5)
-    assert not any(s.tip.occluded for s in observe_with_faults(SubjectFaults(occlusion=1.0)))
-    assert all(s.base.occluded for s in observe_with_faults(SubjectFaults(occlusion=1.0), 10))
+def test_dropouts_occlusions_and_swaps_have_the_given_shares_and_are_independent():
+    def readings(**fault):
+        return observe_with_faults(SubjectFaults(**fault), of_target=SubjectFaults(**fault))
 
-
-def test_faults_of_the_target_have_the_given_shares_and_are_independent():
-    def all_readings(**faults):
-        sensors, at = Sensors(PRESETS["ideal"], seed=1), (3.0, 2.0, 1.0)
-        faults = SubjectFaults(**faults)
-        return [
-            sensors.observe(k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, RESTING, target=at,
-                            target_faults=faults)
-            for k in range(2000)
-        ]  # fmt: skip
-
-    missed = np.array([readings.target is None for readings in all_readings(dropout=0.3)])
-    for count in (
-        missed.sum(),
-        sum(readings.target.occluded for readings in all_readings(occlusion=0.3)),
-        sum(readings.target.pose == readings.base.pose for readings in all_readings(swap=0.3)),
-    ):
-        assert count / 2000 == pytest.approx(0.3, abs=4 * (0.21 / 2000) ** 0.5)
-    without = np.array(
-        [readings.base is None for readings in observe_with_faults(SubjectFaults(dropout=0.3))]
-    )
-    both = (missed & without).mean()  # by chance
-    assert both == pytest.approx(0.09, abs=4 * (0.09 * 0.91 / 2000) ** 0.5)
+    missed = np.array([(s.base is None, s.target is None) for s in readings(dropout=0.3)])
+    occluded = np.array([(s.base.occluded, s.target.occluded) for s in readings(occlusion=0.3)])
+    swaps = observe_with_faults(NO_SUBJECT_FAULTS, of_target=SubjectFaults(swap=0.3))
+    swapped = np.array([s.target.pose == s.base.pose for s in swaps])
+    shares = [*missed.mean(axis=0), *occluded.mean(axis=0), swapped.mean()]
+    np.testing.assert_allclose(shares, 0.3, rtol=0, atol=4 * (0.21 / 2000) ** 0.5)
+    for pair in (missed, occluded):  # both by chance
+        assert pair.all(axis=1).mean() == pytest.approx(0.09, abs=4 * (0.09 * 0.91 / 2000) ** 0.5)
+    assert not any(s.tip.occluded for s in readings(occlusion=1.0))
 
 
 def test_vicon_poses_can_be_late_turned_or_frozen():

@@ -24,30 +24,6 @@ def cameras(room=None, seed=1, **noise):
     return Vicon(Noise(**noise), room or Room(), seed, KINDS)
 
 
-def fitted(body, world):
-    """Least-squares pose of points `body` (k,) measured at `world` (k,), after Horn."""
-    a, b = body - body.mean(), world - world.mean()
-    turn = np.vdot(a, b)
-    turn /= abs(turn)
-    at = world.mean() - turn * body.mean()
-    return at.real, at.imag, math.atan2(turn.imag, turn.real)
-
-
-def test_the_pose_error_is_that_of_a_fit_to_the_markers():
-    vicon, room = cameras(marker_noise=1e-5), Room()
-    white = vicon._chance.normal(7).reshape(-1, 2) @ [1, 1j]
-    first = 0
-    for kind, pose, result in zip(KINDS, POSES, vicon.take_picture(7, POSES), strict=True):
-        body = room.markers(kind)[:, :2] @ [1, 1j]
-        world = complex(*pose[:2]) + np.exp(1j * pose[2]) * body
-        world += 1e-5 * white[first : first + len(body)]
-        first += len(body)
-        np.testing.assert_allclose(
-            np.add(pose, result.error), fitted(body, world), rtol=0, atol=1e-7
-        )
-        assert (result.markers, result.identified_as) == (len(body), kind)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_noise_decreases_with_number_of_markers_and_subject_size(kind):
     vicon, sigma, room = cameras(marker_noise=0.0005), 0.0005, Room()
@@ -201,20 +177,6 @@ def test_a_pose_is_older_than_its_stamp_by_latency_and_jitter():
         seen = sensors.observe(k, (k / RATE, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0, RESTING).base
         age = k / RATE - 1e-9 * seen.age - seen.pose[0]
         assert k < 5 or 0.03 <= age <= 0.04
-
-
-def test_the_bodies_of_the_test_bed_occlude_its_markers():
-    # The base, 1.5 m high, stands between the cameras and the tip of the stretched arm.
-    low = Room(cameras=(3.0, 1.0, 3.0, 3.0, 1.1, 3.0))
-    start = State(0, 1, 0, (0.0, 0.0, math.pi, 0.0, 0.0, 0.0, 0.0), (0.0,) * 7)
-    for room, seen in ((low, 4), (replace(low, heights=(1.5, 0.3, 0.3)), 0)):
-        noise = Noise(vicon_occlusion=1.0)
-        vicon = Vicon(noise, room, 1, [BASE, TIP])
-        bed = testbed.Testbed(paper_arm(), noise, 1, start, vicon=vicon)
-        readings = bed.step().readings
-        base, tip = bed.marker_results[BASE], bed.marker_results[TIP]
-        assert (base.markers, tip.markers) == (5, seen)
-        assert (readings.base.occluded, readings.tip.occluded) == (False, not seen)
 
 
 def make_beds_on_one_table(noise, room, *vehicles):

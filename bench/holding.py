@@ -30,6 +30,7 @@ class Motion:
 
     @property
     def end(self):
+        """Duration of the whole motion [s]."""
         return (len(self.postures) - 1) * (self.duration + self.rest)
 
     def at(self, t):
