@@ -108,7 +108,7 @@ log_event() {
 # keepers [KEEPER]: prints for each node that a keeper keeps on this computer, for any workspace or by
 # the script KEEPER, the keeper's process id, the node's name and the configuration.
 keepers() {
-  for fss_line in $(grep -lsa '/fss/keep\.sh' /proc/[0-9]*/cmdline); do
+  grep -lsa '/fss/keep\.sh' /proc/[0-9]*/cmdline | while read -r fss_line; do
     fss_pid=${fss_line#/proc/} fss_pid=${fss_pid%/cmdline}
     tr '\0' '\n' 2>/dev/null <"$fss_line" |
       sed -n "\\#^${1:-.*/fss/keep\.sh}\$#{n;N;s/\(.*\)\n\(.*\)/$fss_pid \2 \1/p;}"
