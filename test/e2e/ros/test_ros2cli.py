@@ -16,7 +16,7 @@ from fss_arm_driver.link_node import LinkNode
 
 PAGE = Path(__file__).resolve().parents[3] / "docs/how-to/ros2cli.md"
 ROS2 = shutil.which("ros2", path=os.environ.get("PATH", "").replace("scripts/bin", "nowhere"))
-COMMANDS = re.findall(r"^ros2 .*", PAGE.read_text().partition("## What one asks")[2], re.M)
+COMMANDS = re.findall(r"^ros2 .*", PAGE.read_text().partition("## Useful commands")[2], re.M)
 SAID = {
     "ros2 node list": "/link_4",
     "ros2 topic list -t": "/arm/joint_states [sensor_msgs/msg/JointState]",
