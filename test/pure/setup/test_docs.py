@@ -19,12 +19,16 @@ from fss_arm_bags.replay import is_command
 from fss_arm_ros.program import Command, Program, named
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    *sorted(ROOT.glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+    ROOT / "test/TRIALS.md",
+]
 #: Commands of the system and of ROS that the documentation may use.
 SYSTEM = {
     *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
     *("git", "pip", "python3", "rosdep"),
-    *("awk", "arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
+    *("awk", "sed", "arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
     "build/base_firmware/fss_base",
 }
 
@@ -89,7 +93,7 @@ def test_files_of_the_repository_that_are_named_are_there(page):
 
 
 def test_each_trial_has_its_tests():
-    text, _, _ = (ROOT / "docs/reference/trials.md").read_text().partition("\n## ")
+    text, _, _ = (ROOT / "test/TRIALS.md").read_text().partition("\n## ")
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     cells = [row.split("|")[4] for row in rows[1:] if "**" not in row]
     assert len(cells) > 20
