@@ -161,7 +161,7 @@ def test_who_begins_too_near_may_get_clear_and_not_nearer():
 def test_random_paths_that_begin_too_near_pass_if_they_only_get_clearer():
     """A gap may also decrease by the motion of the bodies in the 5 ms between two checks."""
     guard, rng, dips, refusals = Guard(paper_arm()), np.random.default_rng(11), [], []
-    while len(dips) + len(refusals) < 60:
+    while len(dips) + len(refusals) < 120:
         flight = replace(random_flight(guard.arm, rng), target=None)
         begin = min(row[0] for row in next(looks(flight, guard.arm, BED)).values())
         if begin >= 0.0 or least(flight, guard.arm, BED) < 0.0:
