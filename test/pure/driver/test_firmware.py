@@ -28,7 +28,6 @@ from fss_arm_driver.protocol import (
 from fss_arm_driver.protocol.path import PathFollower
 from fss_arm_driver.session import LinkSession, Status
 from fss_arm_model.description import paper_arm
-from fss_arm_model.units import SECOND
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.vehicle import Motion
 
@@ -43,6 +42,7 @@ def core() -> Iterator[Core]:
 # --- the link ------------------------------------------------------------------------------------
 
 
+SECOND = 1_000_000  # of the link's clock [us]
 MILLISECOND = 1_000_000  # in nanoseconds
 STAMP = 1 << 33  # of a computer when the clock of its link is 0; an echo has 32 bits [us]
 TURN = replace(MOVE, mode=Mode.VELOCITY, set_point=-300_000, velocity=0)
