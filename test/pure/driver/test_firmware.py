@@ -9,7 +9,7 @@ from itertools import pairwise
 from math import pi
 
 import pytest
-from driver_frames import BOOT, DISARM, KEY, MOVE
+from driver_frames import BOOT, DISARM, KEY, MOVE, SECOND
 from firmware import Core, FirmwareLink, needs_arm, needs_emulator
 
 from fss_arm_driver.faults import FAULTS, Word
@@ -42,7 +42,6 @@ def core() -> Iterator[Core]:
 # --- the link ------------------------------------------------------------------------------------
 
 
-SECOND = 1_000_000  # of the link's clock [us]
 MILLISECOND = 1_000_000  # in nanoseconds
 STAMP = 1 << 33  # of a computer when the clock of its link is 0; an echo has 32 bits [us]
 TURN = replace(MOVE, mode=Mode.VELOCITY, set_point=-300_000, velocity=0)

@@ -5,10 +5,9 @@ from functools import partial
 
 import base_board
 import pytest
-from driver_frames import BOOT, DISARM, KEY, MOVE
+from driver_frames import BOOT, DISARM, KEY, MOVE, SECOND
 
 from fss_arm_driver import protocol as links
-from fss_arm_model.units import SECOND
 from fss_base_driver import protocol as board
 from fss_link.protocol import CommandFlag, Refused
 
