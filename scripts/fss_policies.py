@@ -86,6 +86,9 @@ ACCESS = {
         "base/state target/state target/mass_properties thrusters/health /tf"
     ),
     "fss_gnc control": Access("base/wrench"),
+    "fss_gnc controller": Access(
+        "arm/joint_commands base/wrench gripper/command thrusters/command"
+    ),
     "fss_gnc guidance": Access(
         "arm/joint_commands base/trajectory gripper/command mission/state",
         runs="base/follow base/go_to base/hold mission/abort mission/capture mission/detumble",

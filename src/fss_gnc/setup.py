@@ -18,6 +18,7 @@ setup(
     entry_points={
         "console_scripts": [
             "control = fss_gnc.programs:control",
+            "controller = fss_gnc.programs:controller",
             "guidance = fss_gnc.programs:guidance",
             "navigation = fss_gnc.programs:navigation",
         ],

@@ -116,6 +116,10 @@ ROOMS = {
         "fss_arm_model", "fss_arm_msgs.msg", "fss_arm_ros.convert", "fss_arm_ros.stamps",
     },
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.latest", "fss_gnc.reference"},
+    "fss_gnc.law": {
+        "fss_arm_model", "fss_gnc.latest", "fss_gnc.reference", "fss_arm_msgs.msg",
+        "fss_arm_ros.convert",
+    },
     "fss_gnc.guidance": {
         "fss_arm_model", "fss_arm_motion", "fss_gnc.bounds", "fss_gnc.latest", "fss_gnc.reference",
         "fss_arm_msgs.action",

@@ -1,5 +1,8 @@
 """All nodes that go on by themselves, as `ros2 run` starts them."""
 
+from pathlib import Path
+
+LAWS = Path(__file__).parents[2] / "docs/examples/laws"
 NODES = {
     "link_1": ("fss_arm_driver", "link", {"url": "udp://127.0.0.1:9"}),
     "arm": ("fss_arm_driver", "arm", {}),
@@ -14,6 +17,7 @@ NODES = {
     "base": ("fss_base_driver", "base", {"url": "udp://127.0.0.1:9"}),
     "navigation": ("fss_gnc", "navigation", {}),
     "control": ("fss_gnc", "control", {}),
+    "controller": ("fss_gnc", "controller", {"law": f"{LAWS}/pd_hold.py:PdHold"}),
     "guidance": ("fss_gnc", "guidance", {}),
     "testbed": ("fss_sim", "testbed", {"ports": [0, 0, 0, 0]}),
 }

@@ -20,7 +20,10 @@ ACTIONS = {
 }  # fmt: skip
 
 
-def start(nodes, speed=0.0, links=4, testbed=None, **parameters):
+GNC = "navigation", "control", "guidance"
+
+
+def start(nodes, speed=0.0, links=4, testbed=None, gnc=GNC, **parameters):
     """Start the graph: the test bed's parameters, and those of others by node."""
     domain, clock = nodes.domain, {"use_sim_time": True}
     board, driver = domain.ports(2 * links + 2)[-2:]
@@ -33,7 +36,7 @@ def start(nodes, speed=0.0, links=4, testbed=None, **parameters):
     nodes.start("arm", "fss_arm_driver", "arm", time_to_live=2.0, **clock)
     url = f"udp://127.0.0.1:{board}?bind={driver}"
     nodes.start("base", "fss_base_driver", "base", url=url, **clock, **parameters.get("base", {}))
-    for name in ("navigation", "control", "guidance"):
+    for name in gnc:
         nodes.start(name, "fss_gnc", name, **clock, **parameters.get(name, {}))
 
 

@@ -22,13 +22,11 @@ from fss_arm_ros.convert import stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import command, sensor
-from fss_arm_ros.subscriptions import PolledSubscription
 from fss_arm_ros.timer_clock import timer_clock
-from fss_arm_ros.validation import validators
 from fss_gnc import bounds, messages
 from fss_gnc.control.base_control import BaseControl
 from fss_gnc.control.settings import ControlSettings
-from fss_gnc.latest import Latest
+from fss_gnc.latest_topics import LatestTopics
 from fss_gnc.programs import control as main
 
 
@@ -40,11 +38,11 @@ class ControlNode(Node):
         self.settings = s = declare(self, ControlSettings)
         self.controller = BaseControl(described(s.arm), s)
         self.controller.load_kernels()
-        self.polled: list[PolledSubscription] = []
+        self.topics = topics = LatestTopics(self)
         for topic in (self.controller.base, self.controller.target):
-            self.subscribe_latest(Odometry, topic, messages.body)
+            topics.store(Odometry, topic, messages.body)
         n = self.controller.model.arm.n
-        self.subscribe_latest(JointState, self.controller.joints, partial(messages.joints, n=n))
+        topics.store(JointState, self.controller.joints, partial(messages.joints, n=n))
         for kind, name, callback in (
             (MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory),
             (JointTrajectory, "arm/planned", self.on_planned),
@@ -53,7 +51,7 @@ class ControlNode(Node):
             (Float64, "base/propellant", self.on_propellant),
         ):
             qos = sensor(best_effort=True)  # a queue: every message counts
-            self.polled.append(PolledSubscription(self, kind, name, callback, qos))
+            topics.subscribe(kind, name, callback, qos)
         self.wrench = self.create_publisher(WrenchStamped, "base/wrench", command(0.3))
         self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health)
@@ -62,40 +60,19 @@ class ControlNode(Node):
         """Return the node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
-    def subscribe_latest(self, kind: type, topic: Latest[Any], read: Any) -> None:
-        """Keep the newest valid message of a topic."""
-
-        def store(message: Any) -> None:
-            try:
-                topic.store(stamp_ns(message.header.stamp), read(message))
-            except ValueError as error:
-                self.reject(topic.name, error)
-
-        self.polled.append(PolledSubscription(self, kind, topic.name, store))
-
-    def reject(self, topic: str, error: ValueError) -> None:
-        """Count and log a rejected message, as the validation rule of its type does."""
-        next(each for each in validators(self) if each.topic == topic).refuse(str(error))
-
     def on_trajectory(self, message: MultiDOFJointTrajectory) -> None:
         """Follow a new trajectory from now on; reject it if it is out of bounds."""
         now, stamp = self.now(), stamp_ns(message.header.stamp)
-        try:
-            path = messages.path(message)
-            if path is not None:  # a message without points may always close the valves
-                bounds.check_stamp(stamp, now, path.end_time, self.settings.timeout)
-                bounds.check_reference(path, self.settings.table)
-            self.controller.trajectory.store(now, (stamp, path))
-        except ValueError as error:
-            self.reject("base/trajectory", error)
+        path = messages.path(message)
+        if path is not None:  # a message without points may always close the valves
+            bounds.check_stamp(stamp, now, path.end_time, self.settings.timeout)
+            bounds.check_reference(path, self.settings.table)
+        self.controller.trajectory.store(now, (stamp, path))
 
     def on_planned(self, message: JointTrajectory) -> None:
         """Store the rates planned for the joints."""
-        try:
-            arm = self.controller.model.arm
-            self.controller.planned.store(*messages.planned_rates(message, arm))
-        except ValueError as error:
-            self.reject("arm/planned", error)
+        arm = self.controller.model.arm
+        self.controller.planned.store(*messages.planned_rates(message, arm))
 
     def on_propellant(self, message: Float64) -> None:
         """Compute the used propellant; a sensor with an offset may report a negative mass."""
@@ -108,16 +85,12 @@ class ControlNode(Node):
 
     def on_mass(self, message: MassProperties) -> None:
         """Store the held body's mass properties as estimated by the navigation."""
-        try:
-            holds = self.controller.model.holds_target
-            self.controller.model.measured = messages.mass_properties(message) if holds else None
-        except ValueError as error:
-            self.reject("target/mass_properties", error)
+        holds = self.controller.model.holds_target
+        self.controller.model.measured = messages.mass_properties(message) if holds else None
 
     def tick(self) -> None:
         """Publish the wrench for the next period; without one, publish zero once, then nothing."""
-        for subscription in self.polled:
-            subscription.poll()
+        self.topics.poll()
         wrench = self.controller.step(self.now())
         if wrench is not None:
             self.publish(wrench)

@@ -1,0 +1,100 @@
+"""Inputs of a law at one time, from the newest message of each topic."""
+
+from math import cos, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from fss_arm_model.units import SECOND
+from fss_gnc.latest import Latest, body_at
+from fss_gnc.law.contract import VALVES, Flags, Inputs
+from fss_gnc.reference import Body, Floats, Path, Reference
+
+MAX_AGE = 0.5  # of the states of base, target and joints [s]
+MAX_TRAJECTORY_AGE = 1.0  # since base/trajectory was received [s]
+MAX_TELEMETRY_AGE = 2.0  # since a board reported that it is armed [s]
+
+
+class Health(NamedTuple):
+    """Valves that do not follow their commands, (8,) each."""
+
+    stuck_open: Flags
+    stuck_closed: Flags
+
+
+class Snapshot:
+    """Newest states and reference; base, target and joints are extrapolated to a common time.
+
+    Without base/trajectory the reference is the pose at which the base was when it was first
+    without one.
+
+    Args:
+        joints: number of joints.
+        period: nominal time between two steps [s].
+    """
+
+    def __init__(self, joints: int, period: float) -> None:
+        self.n, self.period = joints, period
+        self.base = Latest[Body]("base/state", MAX_AGE)
+        self.covariance = np.zeros((6, 6))  # of the base's pose and twist in the world
+        self.joints = Latest[Floats]("arm/joint_states", MAX_AGE)  # (3, n) q, qd, effort
+        self.target = Latest[Body]("target/state", MAX_AGE)
+        #: Time at which the path starts [ns], and the path; None: the valves stay closed.
+        self.trajectory = Latest[tuple[int, Path | None]]("base/trajectory", MAX_TRAJECTORY_AGE)
+        self.valves_armed = Latest[bool]("base/telemetry", MAX_TELEMETRY_AGE)
+        self.links_armed = [
+            Latest[bool](f"link_{i}/telemetry", MAX_TELEMETRY_AGE) for i in range(1, joints + 1)
+        ]
+        self.health = Health(np.zeros(VALVES, dtype=bool), np.zeros(VALVES, dtype=bool))
+        self.propellant: float | None = None  # [kg]
+        self._hold: Reference | None = None
+        self._start: int | None = None  # time of the first inputs [ns]
+
+    def problem(self, now: int) -> str:
+        """Return why there are no inputs at `now` [ns]; empty if there are."""
+        trajectory = self.trajectory.valid_value(now)
+        coasting = "base/trajectory has no points" if trajectory and not trajectory[1] else ""
+        return self.base.problem(now) or self.joints.problem(now) or coasting
+
+    def at(self, now: int) -> Inputs | None:
+        """Return the inputs at `now` [ns]; None if base or joints are unknown, or it coasts."""
+        base, target, joints = body_at(self.base, now), body_at(self.target, now), self.joints.value
+        if self.problem(now) or base is None or joints is None:
+            return None
+        self._start = now if self._start is None else self._start
+        reference = self._reference(base, now)
+        q, qd, _ = joints
+        return Inputs(
+            joints=self.n, time=(now - self._start) / SECOND, period=self.period,
+            base_pose=base.pose, base_twist=base.twist, base_covariance=self.covariance.ravel(),
+            base_age=self.base.age(now), joint_angles=q + self.joints.age(now) * qd, joint_rates=qd,
+            reference_pose=reference.pose, reference_twist=reference.twist,
+            reference_acceleration=reference.acceleration,
+            valves_armed=bool(self.valves_armed.valid_value(now)),
+            joints_armed=np.array([bool(one.valid_value(now)) for one in self.links_armed]),
+            valves_stuck_open=self.health.stuck_open, valves_stuck_closed=self.health.stuck_closed,
+            target_pose=target and target.pose, target_twist=target and target.twist,
+            propellant=self.propellant,
+        )  # fmt: skip
+
+    def _reference(self, base: Body, now: int) -> Reference:
+        if (trajectory := self.trajectory.valid_value(now)) and trajectory[1]:
+            self._hold = None
+            return trajectory[1].at((now - trajectory[0]) / SECOND)
+        self._hold = self._hold or Reference.at_rest(base.pose)
+        return self._hold
+
+
+def world_covariance(pose: Floats, twist: Floats, heading: float) -> Floats:
+    """Return the covariance (6, 6) of pose and twist in the world's axes.
+
+    Args:
+        pose: (3, 3) of the pose in the world.
+        twist: (3, 3) of the twist along the body's axes.
+        heading: of the body [rad].
+    """
+    c, s = cos(heading), sin(heading)
+    to_world = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    whole = np.zeros((6, 6))
+    whole[:3, :3], whole[3:, 3:] = pose, to_world @ twist @ to_world.T
+    return whole

@@ -1,0 +1,141 @@
+"""Failures of a law in its process, as the node receives them."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from time import monotonic
+
+import pytest
+from faulty_laws import GOOD_STEPS
+from law_bench import inputs
+from running import wait_until
+
+from fss_gnc.law.forms import LawError
+from fss_gnc.law.process import LawProcess
+
+LAWS = Path(__file__).parents[2] / "support/faulty_laws.py"
+TIMEOUT = 60.0  # [s]
+
+
+@pytest.fixture
+def start():
+    started = []
+
+    def begin(name):
+        started.append(LawProcess(f"{LAWS}:{name}", 4, 0.02))
+        return started[-1]
+
+    yield begin
+    for process in started:
+        process.close()
+
+
+def answer(process):
+    """Wait for READY or an output."""
+    was_ready, deadline = process.ready, monotonic() + TIMEOUT
+    while monotonic() < deadline:
+        outputs = process.receive(1.0)
+        if outputs or process.ready > was_ready:
+            return outputs
+    raise TimeoutError
+
+
+def run(process, steps):
+    answer(process)
+    for _ in range(steps):
+        process.send(inputs())
+        outputs = answer(process)
+    return outputs
+
+
+def test_a_law_runs_step_by_step(start):
+    process = start("Good")
+    outputs = run(process, 2 * GOOD_STEPS)
+    assert outputs.wrench.tolist() == [0.01] * 3
+    assert outputs.joint_velocities.tolist() == [0.02] * 4
+    assert len(process.hash) == 12
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("Exceptional", r"^ZeroDivisionError: of the law \(faulty_laws.py:\d+\)$"),
+        ("Segmentation", r"^SIGSEGV$"),
+        ("Leak", "^MemoryError"),
+        ("NotANumber", r"^wrench is \[0.01, nan, 0.01\], expected finite numbers$"),
+        ("Exiting", "^exit code 3$"),
+    ],
+)
+def test_a_fault_is_reported_by_its_name(start, name, reason):
+    process = start(name)
+    with pytest.raises(LawError, match=reason):
+        run(process, GOOD_STEPS + 50)
+
+
+def test_a_killed_process_is_reported_by_its_signal(start):
+    process = start("Good")
+    run(process, 3)
+    os.kill(process.pid, signal.SIGKILL)
+    with pytest.raises(LawError, match=r"^SIGKILL$"):
+        answer(process)
+    process.send(inputs())  # changes nothing
+
+
+def test_outputs_of_another_shape_are_refused(start):
+    process = start("Short")
+    answer(process)
+    process.send(inputs())
+    with pytest.raises(LawError, match=r"joint_velocities has shape \(2,\), expected \(4,\)"):
+        answer(process)
+
+
+def test_a_law_that_fails_at_its_start_is_reported(start):
+    with pytest.raises(LawError, match=r"^ValueError: no gains \(faulty_laws.py:\d+\)$"):
+        answer(start("Broken"))
+
+
+def test_an_endless_law_ends_when_it_is_closed(start):
+    process = start("Endless")
+    run(process, GOOD_STEPS)
+    process.send(inputs())
+    assert process.receive(0.1) is None
+    process.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(process.pid, 0)
+
+
+NODE = """
+from time import sleep
+from law_bench import inputs
+from fss_gnc.law.process import LawProcess
+process = LawProcess({law!r}, 4, 0.02)
+steps = 0
+while steps < {steps}:
+    steps += process.receive(1.0) is not None
+    if process.ready:
+        process.send(inputs())
+print(process.pid, flush=True)
+sleep(60)
+"""
+
+
+def test_an_endless_law_ends_when_its_node_is_killed():
+    code = NODE.format(law=f"{LAWS}:Endless", steps=GOOD_STEPS)
+    path = os.pathsep.join([str(LAWS.parent), os.environ.get("PYTHONPATH", "")])
+    node = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    with node:
+        pid = int(node.stdout.readline())
+        assert is_running(pid)
+        node.kill()
+    wait_until(lambda: not is_running(pid), TIMEOUT, os.sched_yield)
+
+
+def is_running(pid):
+    """Return True if a process exists and is no zombie."""
+    status = Path(f"/proc/{pid}/status")
+    return status.exists() and "State:\tZ" not in status.read_text()
