@@ -34,7 +34,7 @@ def test_what_is_moved_by_hand_is_kept_unused_live_and_from_bags(spin, samples, 
     spin([bed, node], link.get_subscription_count)
     for one in heard:
         link.publish(one)
-    spin([bed, node], lambda: node.finder.links[1].newest >= at(12.0))
+    spin([bed, node], lambda: node.finder.sensors.links[1].newest >= at(12.0))
     play(spin, bed, node, some, message)
     ask(spin, bed, node, bed.solver)
     assert [m.reason for m in node.data] == ["joint_2 moved while disarmed", ""]
