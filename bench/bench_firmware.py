@@ -29,6 +29,7 @@ from rclpy.node import Node  # isort: skip
 from sensor_msgs.msg import JointState  # isort: skip
 from std_srvs.srv import SetBool  # isort: skip
 from trajectory_msgs.msg import JointTrajectoryPoint  # isort: skip
+from unique_identifier_msgs.msg import UUID  # isort: skip
 
 from fss_arm_ros.convert import SECOND, joint_readings, stamp_ns, to_time
 from fss_arm_ros.qos import subscribe_sensor
@@ -46,6 +47,9 @@ class Operator(Node):
         self.arm_client = self.create_client(SetBool, "arm/enable")
         action = "arm_controller/follow_joint_trajectory"
         self.controller = ActionClient(self, FollowJointTrajectory, action)
+        self.goals = []  # id of the goal that is followed
+        self.alive = self.create_publisher(UUID, "arm_controller/alive", 1)
+        self.create_timer(0.2, lambda: [self.alive.publish(goal) for goal in self.goals])
         subscribe_sensor(self, JointState, "joint_states", self.on_joints)
 
     def on_joints(self, message):
@@ -85,6 +89,7 @@ class Operator(Node):
         handle = self.after(self.controller.send_goal_async(goal))
         if not handle.accepted:
             raise RuntimeError("the path was rejected")
+        self.goals = [handle.goal_id]
         result = self.after(handle.get_result_async()).result
         if result.error_code:
             raise RuntimeError(result.error_string)

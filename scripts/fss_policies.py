@@ -85,7 +85,7 @@ ACCESS = {
     "fss_gnc navigation": Access(
         "base/state target/state target/mass_properties thrusters/health /tf"
     ),
-    "fss_gnc control": Access("base/wrench"),
+    "fss_gnc control": Access("base/wrench control/stall"),
     "fss_gnc controller": Access(
         "arm/joint_commands base/wrench gripper/command thrusters/command"
     ),

@@ -25,6 +25,7 @@ class Bench(FakeCraft):
 
     def __init__(self, spin, time=None, **parameters):
         super().__init__(time)
+        parameters = {"max_pause": 1000.0, **parameters}  # a test does not always run the node
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.control = ControlNode(parameter_overrides=[Parameter("rate", value=50.0), *overrides])
         self.run, self.wrenches, self.stamps, self.words = spin, [], [], ""

@@ -5,10 +5,12 @@ from time import monotonic
 import numpy as np
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
+from unique_identifier_msgs.msg import UUID
 
 from fss_arm_msgs.action import FollowPoses, GoToPose, HoldBase, MoveArm
 from fss_arm_msgs.msg import MissionState, SimTruth
@@ -36,8 +38,10 @@ def start(nodes, speed=0.0, links=4, testbed=None, gnc=GNC, **parameters):
     nodes.start("arm", "fss_arm_driver", "arm", time_to_live=2.0, **clock)
     url = f"udp://127.0.0.1:{board}?bind={driver}"
     nodes.start("base", "fss_base_driver", "base", url=url, **clock, **parameters.get("base", {}))
+    options = {"control": {"max_pause": 4.0}}
     for name in gnc:
-        nodes.start(name, "fss_gnc", name, **clock, **parameters.get(name, {}))
+        given = options.get(name, {})
+        nodes.start(name, "fss_gnc", name, **clock, **given, **parameters.get(name, {}))
 
 
 class Flyer(Node):
@@ -51,9 +55,17 @@ class Flyer(Node):
         self.armers = [self.create_client(SetBool, name) for name in ("arm/enable", "base/arm")]
         self.create_subscription(SimTruth, "sim/truth", self.truths.append, SENSOR)
         self.create_subscription(MissionState, "mission/state", self.states.append, LATCHED)
+        self.moves = []  # ids of goals of arm/move; the last one is kept alive
+        self.alive = self.create_publisher(UUID, "arm/move/alive", 10)
+        real_time = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.5, self.keep_alive, clock=real_time)
         subscribe_sensor(self, Odometry, "base/state", self.on_base)
         self.executor_ = SingleThreadedExecutor()
         self.executor_.add_node(self)
+
+    def keep_alive(self):
+        for move in self.moves[-1:]:
+            self.alive.publish(move)
 
     def on_base(self, message):
         self.base = message
@@ -94,8 +106,11 @@ class Flyer(Node):
             self.until(client.server_is_ready, why=name)
 
     def send(self, name, **goal):
+        moves = name == "arm/move"
+        goal |= {"keep_alive": 10.0} if moves else {}  # of a busy computer
         handle = self.after(self.clients_to[name].send_goal_async(ACTIONS[name].Goal(**goal)))
         assert handle.accepted
+        self.moves += [handle.goal_id] if moves else []
         return handle
 
     def end(self, handle, timeout=300.0):

@@ -20,7 +20,6 @@ from fss_arm_driver.programs import arm as main
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.qos import subscribe_stop
 
 ANSWER_TIMEOUT = 6.0  # for a link's driver to answer [s]
 HEARTBEAT = 0.5  # period of diagnostics: at most 1 s old, even while a long goal is planned [s]
@@ -48,7 +47,6 @@ class ArmNode(Node):
         self.moves = MoveAction(self.links, self.guard)
         self.trajectories = TrajectoryAction(self.links, self.guard)
         self.streams = StreamTopic(self.links, self.guard)
-        subscribe_stop(self, "arm/stop", lambda _: self.links.stop())
         concurrent = ReentrantCallbackGroup()  # other callbacks run while answers are awaited
         self.armers = [
             self.create_client(SetBool, f"link_{i}/arm", callback_group=concurrent)

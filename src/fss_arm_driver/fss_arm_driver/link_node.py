@@ -19,8 +19,8 @@ from fss_arm_driver.transport import open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import Health
-from fss_arm_ros.qos import COMMAND, SENSOR, STOPS
-from fss_arm_ros.subscriptions import SubscriptionThread, Topic
+from fss_arm_ros.qos import COMMAND, SENSOR
+from fss_arm_ros.subscriptions import SubscriptionThread, Topic, stop_topics
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 from fss_link.host_clock import HostClock
@@ -68,7 +68,7 @@ class LinkNode(SessionNode):
         self.delayed_send = self.create_timer(1.0, self.send, clock=clock, autostart=False)
         self.start_communication(f"{name}/arm", LinkHealth)
         self.commands = SubscriptionThread(self, [
-            *(Topic(Empty, "arm/stop", qos, self.on_stop) for qos in STOPS),
+            *stop_topics(self.on_stop, "arm/stop"),
             Topic(LinkCommand, f"{name}/command", COMMAND, self.on_command),
         ])  # fmt: skip
 
@@ -169,11 +169,6 @@ class LinkNode(SessionNode):
         """Return the status for diagnostics, and log, as a stream of commands delays the timer."""
         self.log_changes()
         return super().health()
-
-    def close(self) -> None:
-        """Close the threads and the port."""
-        self.commands.close()
-        super().close()
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Conversion between a link's raw counts and SI units, with the limits of its description."""
 
-from math import isfinite, pi
+from math import pi
 from typing import NamedTuple
 
 from fss_arm_driver.protocol import (
@@ -19,6 +19,7 @@ from fss_link.session import CommandError
 SPEED_MARGIN = 3.0
 CURRENT_MARGIN = 2.0
 POSITION_MARGIN = pi  # [rad]
+MAX_MAGNITUDE = 1e12  # of any number in a command, as in other messages
 REACH_MARGIN = 0.01  # [rad], whatever the time between two frames
 
 
@@ -112,8 +113,8 @@ class Scale:
         the limit. PATH takes a path's number as its value. HOME takes no numbers.
 
         Raises:
-            CommandError: no such mode, a number that is not finite or has the wrong sign, a target
-                position outside the limits, or no path's number.
+            CommandError: no such mode, a number that is not finite, is beyond MAX_MAGNITUDE or has
+                the wrong sign, a target position outside the limits, or no path's number.
         """
         if mode == HOME:
             return SetPoint(Mode.POSITION, 0, 0, 0, clamped=False, home=True)
@@ -121,8 +122,9 @@ class Scale:
             raise CommandError(f"mode is {mode}, expected 1, 2, 11, 21 or 31")
         numbers = {"set_point": value, "max_velocity": velocity, "max_acceleration": acceleration}
         for name, number in numbers.items():
-            if not isfinite(number):
-                raise CommandError(f"{name} is {number}, expected a finite number")
+            if not abs(number) <= MAX_MAGNITUDE:  # NaN, too
+                expected = f"a finite number of at most {MAX_MAGNITUDE:g} in size"
+                raise CommandError(f"{name} is {number}, expected {expected}")
         drive = self.link.drive
         speed = _profile("max_velocity", velocity, drive.max_velocity)
         gain = _profile("max_acceleration", acceleration, drive.max_acceleration)

@@ -51,6 +51,7 @@ class ArmClient:
         if not goal.accepted:
             raise MotionError("the node arm rejected the trajectory: see its log")
         self.goal = goal
+        self.publish_alive()
         try:
             if handle.is_cancel_requested:  # cancelled before the trajectory was accepted
                 self.cancel()

@@ -7,7 +7,6 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Empty
 
 from fss_arm_ros.subscription_set import unsubscribe
 from fss_arm_ros.validation import subscribe
@@ -49,14 +48,6 @@ def sensor(*, keep_all: bool = False, best_effort: bool = False) -> QoSProfile:
         depth=1000,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
     )
-
-
-def subscribe_stop(node: Node, topic: str, callback: Callable[[Empty], None]) -> None:
-    """Subscribe to a stop from reliable and best-effort publishers."""
-    # One of STOPS is always incompatible with a best-effort publisher: no warning.
-    no_events = SubscriptionEventCallbacks(use_default_callbacks=False)
-    for qos in STOPS:
-        node.create_subscription(Empty, topic, callback, qos, event_callbacks=no_events)
 
 
 def subscribe_sensor(

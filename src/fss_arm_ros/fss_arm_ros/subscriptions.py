@@ -14,8 +14,9 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
+from std_msgs.msg import Empty
 
-from fss_arm_ros.qos import NEWEST_ONLY
+from fss_arm_ros.qos import NEWEST_ONLY, STOPS
 from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.subscription_set import UnmanagedGroup, subscribe_bytes
 from fss_arm_ros.validation import Validator
@@ -59,6 +60,11 @@ class Topic(NamedTuple):
     name: str
     qos: QoSProfile
     callback: Callable[[Any], None]
+
+
+def stop_topics(callback: Callable[[Empty], None], *names: str) -> list[Topic]:
+    """Return topics that receive stops from reliable and from best-effort publishers."""
+    return [Topic(Empty, name, qos, callback) for name in names for qos in STOPS]
 
 
 class SubscriptionThread(Thread):

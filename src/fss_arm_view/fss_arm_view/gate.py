@@ -32,7 +32,12 @@ from urllib.parse import urlsplit
 from fss_arm_view.page import STATUS_PATH, with_strip
 
 HTTP2 = b"PRI * HTTP/2.0\r\n"
+HOST = re.compile(r"(?P<name>\[[\w.:%-]+\]|[\w.-]+)(:(?P<port>\d{1,5}))?", re.ASCII)
 HEAD_TIMEOUT = 10.0  # for the head of a request [s]
+UNKNOWN_HOST = (
+    "unknown host name: open the page by an address or a name of this computer,\n"
+    "or start the view with -p names:=[NAME] to allow another name\n"
+)
 POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; worker-src 'self' blob:; "
@@ -41,16 +46,21 @@ POLICY = (
 
 
 def is_own_host(host: str, host_names: Iterable[str]) -> bool:
-    """Return True if a Host header, with or without port, is an IP address or in `host_names`."""
-    try:
-        name = urlsplit(f"//{host.strip()}").hostname or ""
-    except ValueError:
+    """Return True if a Host header, with or without port, is an IP address or in `host_names`.
+
+    An unspecified address such as 0.0.0.0 is no address of this computer, although browsers connect
+    to this computer by it: pages of other sites have used it to reach local servers.
+    """
+    found = HOST.fullmatch(host.strip())
+    if not found or not 0 < int(found["port"] or 80) < 1 << 16:
         return False
+    name = found["name"].lower().strip("[]")
     try:
-        ip_address(name)
+        address = ip_address(name)
     except ValueError:
         return name in host_names
-    return True
+    mapped = getattr(address, "ipv4_mapped", None) or address
+    return not mapped.is_unspecified and (address.version == 6) == found["name"].startswith("[")
 
 
 def header_value(head: bytes, name: bytes) -> str:
@@ -139,10 +149,9 @@ async def _handle_client(
     try:
         head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
         if not (head.startswith(HTTP2) or is_own_host(header_value(head, b"host"), host_names)):
-            text = "unknown host name: start the view with -p names:=[NAME] to allow it\n"
             writer.write(
-                f"HTTP/1.1 403 Forbidden\r\nContent-Length: {len(text)}\r\n"
-                f"Content-Type: text/plain\r\nConnection: close\r\n\r\n{text}".encode()
+                f"HTTP/1.1 403 Forbidden\r\nContent-Length: {len(UNKNOWN_HOST)}\r\n"
+                f"Content-Type: text/plain\r\nConnection: close\r\n\r\n{UNKNOWN_HOST}".encode()
             )
             await writer.drain()
             return

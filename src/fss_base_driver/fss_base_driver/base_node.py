@@ -13,7 +13,8 @@ from fss_arm_msgs.msg import ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.parameters import declare_live
-from fss_arm_ros.qos import LATCHED, SENSOR, command, subscribe_stop
+from fss_arm_ros.qos import LATCHED, SENSOR, command
+from fss_arm_ros.subscriptions import SubscriptionThread, stop_topics
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe, validators
 from fss_base_driver import messages
@@ -59,12 +60,11 @@ class BaseNode(SessionNode):
         subscribe(self, WrenchStamped, COMMANDS[1], self.on_wrench, command(s.wrench_lifetime))
         subscribe(self, Bool, COMMANDS[2], self.on_grip, command(1.0))
         subscribe(self, ThrusterHealth, "thrusters/health", self.on_valve_faults, LATCHED)
-        for topic in ("base/stop", "arm/stop"):
-            subscribe_stop(self, topic, self.on_stop)
         self.wrench_timer = self.create_timer(s.wrench_period, self.allocate_wrench, clock=clock)
         self.gyro = GyroTopics(self)
         declare_live(self, live_kinds(), self.on_live)
         self.start_communication("base/arm", messages.BoardHealth)
+        self.commands = SubscriptionThread(self, stop_topics(self.on_stop, "base/stop", "arm/stop"))
 
     def process_datagram(self, data: bytes, now: int) -> None:
         """Decode a datagram and publish its contents; the gyro's rate comes first."""
@@ -144,11 +144,12 @@ class BaseNode(SessionNode):
             self.transmit()
 
     def on_stop(self, _: Empty) -> None:
-        """Close all valves at once."""
+        """Close all valves at once, in a separate thread that does not wait for the executor."""
         with self.lock:
             self.wrench.cancel()
             self.session.stop()
-        self.send()
+        self.transmit()
+        self.wakeup.trigger()
 
     def answer_requests(self) -> None:
         """Answer requests that are complete."""
@@ -169,7 +170,7 @@ class BaseNode(SessionNode):
             return self.session_health(self.now(), values)
 
     def close(self) -> None:
-        """Close all valves and the port."""
+        """Close all valves, the threads and the port."""
         with self.lock:
             self.session.disarm()
             self.transport.send(self.session.command(self.now()))

@@ -1,18 +1,21 @@
 """Node `control`: computes the wrench on the base from its state and its reference.
 
 It publishes nothing, so that the valves close, while base, joints or trajectory are unknown, and
-while it follows a trajectory without points.
+while it follows a trajectory without points. After a pause of this process it holds the base and
+ends the goal, because it was not in control meanwhile.
 """
 
 import sys
+import time
 from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from fss_arm_model.arrays import Floats
@@ -28,6 +31,8 @@ from fss_gnc.control.base_control import BaseControl
 from fss_gnc.control.settings import ControlSettings
 from fss_gnc.latest_topics import LatestTopics
 from fss_gnc.programs import control as main
+
+CHECK_PERIOD = 0.1  # between two checks for a stall, also while simulated time is paused [s]
 
 
 class ControlNode(Node):
@@ -53,6 +58,9 @@ class ControlNode(Node):
             qos = sensor(best_effort=True)  # a queue: every message counts
             topics.subscribe(kind, name, callback, qos)
         self.wrench = self.create_publisher(WrenchStamped, "base/wrench", command(0.3))
+        self.stall = self.create_publisher(String, "control/stall", 10)
+        real_time = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(CHECK_PERIOD, self.check_stall, clock=real_time)
         self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health)
 
@@ -67,7 +75,7 @@ class ControlNode(Node):
         if path is not None:  # a message without points may always close the valves
             bounds.check_stamp(stamp, now, path.end_time, self.settings.timeout)
             bounds.check_reference(path, self.settings.table)
-        self.controller.trajectory.store(now, (stamp, path))
+        self.controller.follow(now, stamp, path)
 
     def on_planned(self, message: JointTrajectory) -> None:
         """Store the rates planned for the joints."""
@@ -90,10 +98,20 @@ class ControlNode(Node):
 
     def tick(self) -> None:
         """Publish the wrench for the next period; without one, publish zero once, then nothing."""
+        self.check_stall()
         self.topics.poll()
         wrench = self.controller.step(self.now())
         if wrench is not None:
             self.publish(wrench)
+        if self.controller.hold.is_asking:
+            self.stall.publish(String(data=self.controller.hold.reason))
+
+    def check_stall(self) -> None:
+        """After a stall, discard what was received during it, and hold the base."""
+        if pause := self.controller.hold.check(time.clock_gettime(time.CLOCK_BOOTTIME)):
+            self.topics.poll()
+            self.controller.resume(pause)
+            self.get_logger().warning(f"{self.controller.hold.reason}: reference dropped")
 
     def publish(self, wrench: Floats) -> None:
         """Publish force along the base's axes [N] and torque about its origin [N m]."""
@@ -110,7 +128,8 @@ class ControlNode(Node):
             "holds the target": model.is_loaded,
             "propellant used [kg]": model.propellant_used,
         }
-        return Health(WARN if controller.problem else OK, controller.status(self.now()), values)
+        is_impaired = controller.problem or controller.hold.reason
+        return Health(WARN if is_impaired else OK, controller.status(self.now()), values)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import numpy as np
 from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Bool, Float64, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from fss_arm_model.arrays import Floats
@@ -18,6 +18,7 @@ from fss_gnc import messages
 from fss_gnc.guidance.activity import Commands, Craft, Outcome
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.execution import Execution
+from fss_gnc.guidance.kinds import short_reason
 from fss_gnc.guidance.measurements import Measurements
 
 POINT_SPACING = 0.25  # between points of base/trajectory [s]
@@ -62,6 +63,11 @@ def store_propellant(measured: Measurements, message: Float64, now: int) -> None
     measured.propellant.store(now, message.data)
 
 
+def store_stall(measured: Measurements, message: String, now: int) -> None:
+    """Store why control has dropped the reference."""
+    measured.stall.store(now, short_reason(message.data, "control paused"))
+
+
 Store = Callable[[Measurements, Any, int], None]
 
 #: Type and conversion of each topic; conversions raise ValueError for an invalid message.
@@ -74,6 +80,7 @@ SENSORS: dict[str, tuple[type, Store]] = {
     "gripper/state": (GripperState, store_gripper),
     "target/mass_properties": (MassProperties, store_mass),
     "base/propellant": (Float64, store_propellant),
+    "control/stall": (String, store_stall),
 }
 RESULTS: dict[str, tuple[type, Store]] = {"thrusters/health": (ThrusterHealth, store_valves)}
 #: Type and QoS of each published topic.

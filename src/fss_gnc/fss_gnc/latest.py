@@ -25,6 +25,10 @@ class Latest(Generic[T]):
         """Store a value with its stamp [ns]."""
         self.stamp, self.value = stamp, value
 
+    def clear(self) -> None:
+        """Forget the value."""
+        self.stamp = self.value = None
+
     def age(self, now: int) -> float:
         """Return the age of the value [s]; infinite if there is none."""
         return float("inf") if self.stamp is None else (now - self.stamp) / SECOND

@@ -1,7 +1,8 @@
 """Base class of the nodes of a link and of the base's board: a session over a transport.
 
-A thread receives datagrams and publishes their contents. Commands and stops may have separate
-threads. All other work is done by the executor. The threads share the session, under a lock.
+A thread receives datagrams and publishes their contents. Another one receives stops, which thus
+wait for no other message. All other work is done by the executor. The threads share the session,
+under a lock.
 """
 
 from abc import abstractmethod
@@ -17,6 +18,7 @@ from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.rclpy_compat import RCLError
+from fss_arm_ros.subscriptions import SubscriptionThread
 from fss_arm_ros.timer_clock import timer_clock
 from fss_link.health import SessionHealth
 from fss_link.host_clock import HostClock
@@ -32,8 +34,8 @@ SIMULATED_STEP = 0.01  # step of /clock [s]
 class SessionNode(Node):
     """Node that sends commands to a partner at a steady rate, arms it, and reports its state.
 
-    The constructor of a subclass creates a session, passes it to `connect`, creates its topics, and
-    finally calls `start_communication`.
+    The constructor of a subclass creates a session, passes it to `connect`, creates its topics,
+    calls `start_communication`, and finally creates `commands`.
 
     Args:
         name: of the node.
@@ -43,6 +45,7 @@ class SessionNode(Node):
     """
 
     session: Session[Any]
+    commands: SubscriptionThread  # that receives stops
 
     def __init__(
         self, name: str, kind: type, *, clock: HostClock | None = None, live: bool = False,
@@ -174,6 +177,7 @@ class SessionNode(Node):
             self.waiting.pop().set_result(None)
 
     def close(self) -> None:
-        """Close the thread and the port."""
+        """Close the threads and the port."""
+        self.commands.close()
         self.receiver.close()
         self.transport.close()

@@ -128,8 +128,8 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assum
     nodes.start("base", "fss_base_driver", "base", url=url, timeout=10.0, **clock)
     inertia = TARGET.inertia * assumed / TARGET.mass
     target = {"target_mass": assumed, "target_inertia": inertia}
-    for name in ("navigation", "control"):
-        nodes.start(name, "fss_gnc", name, arm=arm, **target, **clock)
+    nodes.start("navigation", "fss_gnc", "navigation", arm=arm, **target, **clock)
+    nodes.start("control", "fss_gnc", "control", arm=arm, max_pause=10.0, **target, **clock)
     nodes.start("guidance", "fss_gnc", "guidance", arm=arm, posture=POSTURE, **target, **clock)
 
 

@@ -12,6 +12,7 @@ from driver_wire import ENDS
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from running import wait_until
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool, Trigger
 
@@ -119,6 +120,20 @@ def test_a_flood_of_commands_does_not_keep_a_stop_waiting_in_the_line(armed):
     assert len(armed.board.taken) - told <= 2 + 50.0 * seconds
     last = armed.node.session.pulse.number
     armed.until(lambda: armed.board.state.pulse == last, 1.0)
+
+
+def test_a_stop_passes_an_executor_that_is_busy(armed):
+    """The node is not spun meanwhile."""
+    stop = armed.user.create_publisher(Empty, "arm/stop", 10)
+    armed.until(stop.get_subscription_count)
+    armed.user.open(1.0)
+    armed.until(lambda: armed.board.valves(armed.transport.clock()))
+    stop.publish(Empty())
+    published = time.monotonic()
+    board, clock = armed.board, armed.transport.clock
+    wait_until(lambda: not board.valves(clock()), 0.8, lambda: time.sleep(0.01))
+    print(f"closed after {time.monotonic() - published:.3f} s")
+    assert armed.node.session.arming is Arming.STOPPED
 
 
 def test_a_pulse_is_given_and_told_as_it_was_sent(armed):

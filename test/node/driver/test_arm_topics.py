@@ -1,10 +1,13 @@
 """The topics and actions of the arm's node, its links being ideal."""
 
 import re
+import subprocess
+import sys
 import time
 from array import array
 from dataclasses import replace
 from math import atan2, cos, nan, sin
+from pathlib import Path
 from threading import Event
 
 import numpy as np
@@ -18,6 +21,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from running import wait_until
 from scipy.interpolate import CubicSpline
 from sensor_msgs.msg import JointState
 from standard_client import JOINTS, StandardClient
@@ -44,6 +48,8 @@ from fss_arm_ros.validation import validators
 
 ENDED = FollowJointTrajectory.Result
 THERE = (0.3, -0.2, 0.25, -0.15)
+PAGE = (Path(__file__).parents[3] / "docs/how-to/control.md").read_text()
+EXAMPLE = re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1]
 
 
 class Bench:
@@ -573,3 +579,31 @@ def test_one_process_hosts_the_arm_and_its_links(start, spin):
     names = {"arm", "link_1", "link_2", "link_3", "link_4"}
     spin(ears, lambda: names <= set(ears.get_node_names()), 60.0)
     assert program.stop() == 0
+
+
+def test_the_joints_rest_soon_after_the_example_of_a_client_is_killed(bench):
+    """Though ROS takes it for alive for 20 s more."""
+    process = subprocess.Popen([sys.executable, "-c", EXAMPLE])
+    try:
+        bench.until(lambda: bench.client.q and not bench.client.resting(), 60.0)
+    finally:
+        process.kill()
+        process.wait()
+    killed = time.monotonic()
+    bench.until(lambda: not bench.arm.links.arbiter.current_name(bench.arm.links.now()))
+    print(f"its motion ended after {time.monotonic() - killed:.2f} s")
+    assert time.monotonic() - killed < 2.5  # it would last 4 s
+    bench.until(bench.client.resting)
+    assert not bench.client.near({"joint_1": 0.3})
+
+
+def test_a_stop_ends_a_motion_though_the_executor_is_busy(bench):
+    """The node is not spun meanwhile."""
+    stop = bench.client.create_publisher(Empty, "arm/stop", 10)
+    bench.until(stop.get_subscription_count)
+    bench.send_goal(bench.client.goal([(20.0, THERE)]))
+    bench.until(lambda: bench.arm.trajectories.motion)
+    motion = bench.arm.trajectories.motion
+    stop.publish(Empty())
+    wait_until(lambda: motion.end_reason, 5.0, lambda: time.sleep(0.01))
+    assert motion.end_reason == "stopped"

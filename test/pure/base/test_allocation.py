@@ -103,3 +103,10 @@ def test_a_wrench_beyond_the_working_valves_is_clipped(wrench, stuck_closed, cli
 def test_wrong_settings_are_named(options, expected):
     with pytest.raises(ValueError, match=expected):
         Allocation(VALVES, PERIOD, **{"minimum_on_time": MIN_ON_TIME} | options)
+
+
+@pytest.mark.parametrize("i", range(3))
+def test_a_denormal_wrench_opens_no_valve(i):
+    allocation = Allocation(VALVES, PERIOD, MIN_ON_TIME)
+    for _ in range(100):
+        assert not allocation.on_times(5e-324 * np.eye(3)[i]).any()

@@ -114,17 +114,26 @@ def test_zeros_close_at_once(armed):
     [
         ((nan,), "on times are .*nan.*, expected 8 from 0 to 1 s"),
         ((inf,), "on times are .*inf.*, expected 8"),
+        *((k * (0.0,) + (value,), "on times are .*, expected 8 from 0 to 1 s")
+          for k in range(8) for value in (nan, inf, -inf, 1e18, -1e18, -5e-324)),
         ((-1e-3,), "on times are .*-0.001.*, expected 8"),
         ((1.001,), "on times are .*1.001.*, expected 8 from 0 to 1 s"),
         (9 * (0.1,), "expected 8"),
     ],
-)
+)  # fmt: skip
 def test_impossible_times_are_refused_and_change_nothing(armed, on_times, words):
     armed.thrust(0.5)
     before = armed.session.pulse
     with pytest.raises(CommandError, match=words):
         armed.thrust(*on_times)
     assert armed.session.pulse == before
+
+
+def test_a_denormal_time_opens_no_valve(armed):
+    armed.thrust(*8 * [5e-324])
+    armed.step()
+    assert armed.board.valves(armed.now) == 0
+    assert not armed.session.pulse.number
 
 
 def test_an_old_command_is_refused(armed):

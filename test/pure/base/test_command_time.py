@@ -25,6 +25,7 @@ def test_it_is_in_the_steady_clock_and_not_in_the_future():
     [
         (0, "it has no stamp, so it could be an old recording"),
         (START_TIME + OFFSET - SECOND, "it is 1.000 s old, expected at most 0.3 s"),
+        *((SECOND * sec, "s old, expected at most 0.3 s") for sec in (-(2**31), -1, 1, 2**31 - 1)),
         (START_TIME + OFFSET + SECOND, "it is -1.000 s old, expected at most 0.3 s"),
     ],
 )

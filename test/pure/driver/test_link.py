@@ -1,5 +1,6 @@
 """The session with one link: accepted telemetry, sent commands, loss and adoption."""
 
+import re
 from dataclasses import replace
 from math import inf, isnan, nan, pi
 
@@ -400,14 +401,18 @@ def test_velocity_and_current_are_clamped(armed, mode, value, set_point):
     [
         ((Mode.POSITION, 1.6), "set_point is 1.6 rad, expected -1.5708 to 1.5708"),
         ((Mode.POSITION, nan), "set_point is nan, expected a finite number"),
-        ((Mode.VELOCITY, inf), "set_point is inf"),
+        *(((mode, value), f"set_point is {re.escape(str(value))}, expected")
+          for mode in (Mode.CURRENT, Mode.VELOCITY, Mode.POSITION, Mode.PATH)
+          for value in (nan, inf, -inf, 1e18, -1e18)),
+        *(((Mode.POSITION, 0.1, *numbers), "max_(velocity|acceleration) is")
+          for value in (nan, inf, -inf, 1e18, -1e18, -5e-324)
+          for numbers in ((value, 0.0), (0.0, value))),
         ((Mode.POSITION, 0.1, -1.0), "max_velocity is -1.0, expected 0"),
-        ((Mode.POSITION, 0.1, 0.0, nan), "max_acceleration is nan"),
         ((Mode.OFF, 0.0), "mode is 0, expected 1, 2, 11, 21 or 31"),
         ((7, 0.0), "mode is 7"),
         ((Mode.POSITION, 0.1, 0.0, 0.0, -0.1), "expired 0.100 s ago"),
     ],
-)
+)  # fmt: skip
 def test_commands_that_must_not_be_given_are_refused(armed, arguments, words):
     armed.set(Mode.POSITION, 0.3)
     with pytest.raises(CommandError, match=words):

@@ -87,19 +87,23 @@ def test_no_way_takes_no_time():
     [
         ((0.0,) * 3, 0.0, "q has 3 joints, expected 4"),
         ((0.0, 0.0, 1.7, 0.0), 0.0, "q of joint 3 is 1.7 rad, which is 97.4.* expected -90 to 90"),
-        ((0.0, nan, 0.0, 0.0), 0.0, "q of joint 2 is nan"),
-        ((0.0,) * 4, -1.0, "duration is -1.0 s"),
-        ((0.0,) * 4, inf, "duration is inf s"),
-        ((0.0,) * 4, nan, "duration is nan s"),
+        *(((0.1,) * 4, time, "duration is")
+          for time in (nan, inf, -inf, 1e18, -1e18, -1.0, -5e-324)),
         ((0.1,) * 4, 1e200, r"duration is 1e\+200 s, expected 0 to 3600"),
         ((), 0.0, "q has 0 joints, expected 4"),
         ((0.0,) * 1_000_000, 0.0, "q has 1000000 joints, expected 4"),
-        *(((0.0, q, 0.0, 0.0), 0.0, "q of joint 2 is") for q in (inf, -inf, 1e18, -1e18)),
+        *((tuple(q if i == k else 0.0 for i in range(4)), 0.0, f"q of joint {k + 1} is")
+          for k in range(4) for q in (nan, inf, -inf, 1e18, -1e18)),
     ],
-)
+)  # fmt: skip
 def test_moves_that_must_not_be_begun_are_refused(goal, duration, words):
     with pytest.raises(MoveError, match=words):
         plan(ARM, (0.0,) * 4, goal, duration)
+
+
+def test_denormal_numbers_of_a_move_count_as_zero():
+    assert plan(ARM, (0.0,) * 4, (5e-324,) * 4).duration == 0.0
+    assert plan(ARM, (0.0,) * 4, (0.1,) * 4, 5e-324) == plan(ARM, (0.0,) * 4, (0.1,) * 4)
 
 
 @pytest.mark.parametrize("keep_alive", [nan, inf, -inf, 1e18, -1.0, 5e-324, 0.04])

@@ -8,6 +8,7 @@ from sensor_msgs.msg import JointState
 from fss_arm_driver.arm.arbiter import Arbiter
 from fss_arm_driver.arm.stream import MAX_LEAD, SetPoint, Stream, StreamError
 from fss_arm_driver.protocol import Mode
+from fss_arm_driver.scale import Scale
 from fss_arm_model.description import paper_arm
 from fss_arm_model.units import SECOND
 
@@ -42,8 +43,20 @@ REFUSED = {
     "'joint_5', expected joint_1 to joint_4": ("names", state(("joint_5",), position=[0.1])),
     "velocity of joint_1 is nan": ("number", state(velocity=[math.nan])),
     "effort of joint_1 is inf": ("number", state(effort=[math.inf])),
+    "velocity of joint_1 is 1e.18, expected a finite number of at most 1e.12": (
+        "number",
+        state(velocity=[1e18]),
+    ),
+    "effort of joint_1 is -1e.18": ("number", state(effort=[-1e18])),
+    "velocity has 1000000 numbers for 1 names": ("fields", state(velocity=1_000_000 * [0.1])),
     "is 1.6 rad, expected -1.5708 to 1.5708": ("limits", state(position=[1.6])),
 }
+
+
+def test_denormal_rates_and_torques_count_as_zero(stream):
+    for field in ("velocity", "effort"):
+        ((link, mode, value),) = stream.parse(state(**{field: [5e-324]}))
+        assert Scale(paper_arm().links[link - 1]).set_point(mode, value).value == 0
 
 
 @pytest.mark.parametrize("words", REFUSED)

@@ -166,6 +166,25 @@ def test_cancel_brakes_a_motion_and_ends_a_hold():
     assert last.t == pytest.approx(cancel_time, abs=2 * PERIOD)
 
 
+@pytest.mark.parametrize("arrived", [False, True])
+def test_an_interruption_brakes_and_fails_a_motion_and_a_hold(arrived):
+    motion = go_to(CRAFT, observed(), [0.8, 0.0, 0.0], 0.0, 60.0)
+    when = motion.path.end_time + 5.0 if arrived else 8.0
+    phases, commands, last = fly(motion, lambda t: t > when and motion.interrupt("stalled"))
+    assert phases == ["go_to", *["hold"] * arrived, "brake"]
+    assert commands.outcome == (False, "stalled")
+    np.testing.assert_allclose(last.base.twist, 0.0, atol=1e-9)
+
+
+def test_an_interruption_brakes_a_base_that_has_left_its_reference():
+    motion = go_to(CRAFT, observed(), [0.8, 0.0, 0.0], 0.0, 60.0)
+    motion.step(observed())
+    motion.interrupt("stalled")
+    commands = motion.step(observed(8.0, pose=(-0.5, 0.0, 0.0), twist=(0.02, 0.0, 0.0)))
+    assert (commands.phase, commands.outcome) == ("brake", None)
+    np.testing.assert_allclose(commands.path.at(8.0).pose, [-0.5, 0.0, 0.0])
+
+
 def test_hold_stops_and_holds_a_moving_base():
     moving = observed(twist=(0.02, 0.0, 0.02))
     motion = hold(CRAFT, moving, [], 10.0)

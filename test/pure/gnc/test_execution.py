@@ -1,5 +1,6 @@
 """Execution of an activity: its start, reasons to end, and what is published at the end."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -30,6 +31,8 @@ class Steps:
 
     def cancel(self, reason):
         self.cancelled = reason
+
+    interrupt = cancel
 
 
 def execute(*commands, **options):
@@ -83,6 +86,16 @@ def test_it_is_cancelled_by_its_activity():
     assert execution.step(observation(1.0), True, "").phase == "brake"
     assert execution.activity.cancelled == "cancelled"
     assert execution.budget.elapsed == 1.0
+
+
+def test_it_coasts_and_is_interrupted_while_control_ignores_its_reference():
+    execution = execute(Commands("reach"), Commands("brake"))
+    stalled = replace(observation(1.0), stall="control paused for 2.0 s")
+    commands = execution.step(stalled, False, "")
+    assert commands == Commands("coast", reason=stalled.stall)
+    assert dict(command_messages(execution, commands, 1.0, 1.0, 7))["base/trajectory"].points == []
+    assert execution.activity.cancelled == stalled.stall
+    assert execution.step(observation(2.0), False, "").phase == "reach"  # its next step
 
 
 def test_a_new_problem_is_reported_once():

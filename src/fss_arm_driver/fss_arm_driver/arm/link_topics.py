@@ -100,7 +100,8 @@ class LinkTopics:
 
     def wake(self) -> None:
         """Resume the current motion at once, so that it checks whether it must end."""
-        self.ticked, ticked = Future(), self.ticked
+        with self.arbiter.lock:  # several threads call this
+            self.ticked, ticked = Future(), self.ticked
         ticked.set_result(None)
 
     def stop(self) -> None:

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from fss_arm_driver.move import MAX_DURATION
+from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.units import SECOND
 
 MAX_POINTS = 10_000
-MAX_MAGNITUDE = 1e12  # of any number, as in other messages
 
 
 class Code(IntEnum):

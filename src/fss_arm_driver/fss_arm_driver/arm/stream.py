@@ -6,11 +6,11 @@ converted to a current by the joint's torque constant. An invalid message moves 
 
 from collections import Counter
 from collections.abc import Iterator
-from math import isfinite
 from reprlib import repr as short
 from typing import Any, NamedTuple
 
 from fss_arm_driver.protocol import Mode
+from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.description import Arm
 from fss_arm_model.units import SECOND
 
@@ -88,8 +88,9 @@ class Stream:
             if i is None:
                 expected = f"joint_1 to joint_{self._arm.n}"
                 raise StreamError("names", f"name is {short(name)}, expected {expected}")
-            if not isfinite(value):
-                raise StreamError("number", f"{kind} of {name} is {value}, expected a number")
+            if not abs(value) <= MAX_MAGNITUDE:  # NaN, too
+                expected = f"a finite number of at most {MAX_MAGNITUDE:g} in size"
+                raise StreamError("number", f"{kind} of {name} is {value}, expected {expected}")
             link = self._arm.links[i - 1]
             if kind == "position" and not link.q_min <= value <= link.q_max:
                 raise StreamError(

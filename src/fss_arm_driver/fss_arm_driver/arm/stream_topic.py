@@ -1,4 +1,4 @@
-"""Topic `arm/joint_commands`: each message is passed on to the links when it is received."""
+"""Topics that act at once: `arm/joint_commands` commands the links, `arm/stop` ends motions."""
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -11,7 +11,7 @@ from fss_arm_driver.protocol import Mode
 from fss_arm_model.guard.guard import GuardError
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_arm_ros.subscriptions import SubscriptionThread, Topic
+from fss_arm_ros.subscriptions import SubscriptionThread, Topic, stop_topics
 
 TOPIC = "arm/joint_commands"
 #: Matches any publisher; keeps only the newest message and does not resend a lost one.
@@ -19,7 +19,7 @@ NEWEST_ONLY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class StreamTopic:
-    """Subscriber that passes a stream to the links, in a separate thread."""
+    """Subscriber that passes a stream to the links or ends a motion, in a separate thread."""
 
     def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
         self.links, self.guard = links, guard
@@ -27,8 +27,10 @@ class StreamTopic:
         self.stream = Stream(links.arm, self.lives)
         self.motion: Motion | None = None
         self.commands = {i: LinkCommand() for i in links.numbers}  # reused, as creation is slow
-        topic = Topic(JointState, TOPIC, NEWEST_ONLY, self.on_command)
-        self.thread = SubscriptionThread(links.node, [topic])
+        self.thread = SubscriptionThread(links.node, [
+            *stop_topics(lambda _: links.stop(), "arm/stop"),
+            Topic(JointState, TOPIC, NEWEST_ONLY, self.on_command),
+        ])  # fmt: skip
         self.close = self.thread.close
 
     def on_command(self, message: JointState) -> None:

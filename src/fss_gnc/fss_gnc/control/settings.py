@@ -25,6 +25,10 @@ class ControlSettings(PoseGains):
         0.5, "largest age of base/state, else the valves close, and of arm/joint_states, else the "
         "joints are assumed at rest", unit="s", check=POSITIVE,
     )  # fmt: skip
+    max_pause: float = setting(
+        0.5, "longest pause of this process in real time, as on a busy computer; after a longer "
+        "one the base is held and the goal ends", unit="s", check=POSITIVE,
+    )  # fmt: skip
     feed_forward: bool = setting(
         True, "whether to compensate the arm's planned reaction by feedforward"
     )

@@ -74,6 +74,8 @@ class Abort:
     def cancel(self, reason: str) -> None:
         """Ignore a cancel request, because nothing is safer than the abort."""
 
+    interrupt = cancel
+
     @property
     def safe(self) -> bool:
         """True if no collision is predicted within the horizon, as far as that is known."""

@@ -40,6 +40,7 @@ class Observation:
     held_body: HeldBody | None = None  # held body as measured; None: not measured yet
     open_valves: tuple[int, ...] = ()  # valves that do not close, from 1
     unknown_push: bool = False  # momentum changes without a known cause
+    stall: str = ""  # why control has dropped the reference; empty: it follows
 
     @property
     def keep_gripper(self) -> bool | None:
@@ -97,7 +98,10 @@ class Activity(Protocol):
         """
 
     def cancel(self, reason: str) -> None:
-        """End within the next steps."""
+        """End within the next steps, as the operator requests."""
+
+    def interrupt(self, reason: str) -> None:
+        """End within the next steps, and fail."""
 
 
 @dataclass(frozen=True)

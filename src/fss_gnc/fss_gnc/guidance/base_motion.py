@@ -52,7 +52,6 @@ class PathMotion:
         """Return the commands until the next step."""
         q, qd = obs.floating_state
         base = Body(q[:3], qd[:3])
-        self._measure(obs.t, base)
         if (
             obs.t < self.path.end_time
             and not self.cancel_reason
@@ -61,9 +60,10 @@ class PathMotion:
             try:
                 self.free_space.check(self.path, obs.t, obs)
             except ActivityError as error:
-                self.cancel(str(error))
+                self.interrupt(str(error))
         if self.cancel_reason and not self.cancel_is_success and self.phase != "brake":
             self.phase, self.path = "brake", braking(self.settings, base, obs.t)
+        self._measure(obs.t, base)
         return Commands(
             self.phase if obs.t < self.path.end_time or self.cancel_reason else "hold", self.path,
             keep_out=self.settings.keep_out, reason=self.cancel_reason,
@@ -72,8 +72,13 @@ class PathMotion:
 
     def cancel(self, reason: str) -> None:
         """Stop holding, or brake."""
+        if not self.cancel_reason:
+            self.cancel_is_success = self.arrival_time is not None
+        self.interrupt(reason)
+
+    def interrupt(self, reason: str) -> None:
+        """Brake, and fail."""
         self.cancel_reason = self.cancel_reason or reason
-        self.cancel_is_success = self.cancel_is_success or self.arrival_time is not None
 
     def _measure(self, t: float, base: Body) -> None:
         self.offset = pose_error(base.pose, self.path.at(t).pose)

@@ -98,6 +98,8 @@ class Capture:
             self.follow_up = Abort(self.craft, reason)
             self.phase = "abort"
 
+    interrupt = cancel
+
     def _adopt_phase(self, commands: Commands) -> Commands:
         self.phase = commands.phase
         return commands

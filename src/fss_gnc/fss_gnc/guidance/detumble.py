@@ -91,6 +91,8 @@ class Detumble:
         """Abort the mission."""
         self.abort = self.abort or Abort(self.craft, reason)
 
+    interrupt = cancel
+
     def _is_at_rest(self, qd: Floats) -> bool:
         s = self.settings
         return bool(

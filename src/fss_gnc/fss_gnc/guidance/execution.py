@@ -49,6 +49,9 @@ class Execution:
         self.budget.update(obs)
         if obs.t < 0.0:
             return _abort("the clock jumped back")
+        if obs.stall:  # control follows again after a reference without points
+            self.activity.interrupt(obs.stall)
+            return Commands("coast", reason=obs.stall)
         if cancelled:
             self.activity.cancel("cancelled")
         if problem and not self.activity.tolerates_unknown_state:

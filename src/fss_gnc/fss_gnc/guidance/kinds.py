@@ -60,9 +60,9 @@ def _capture_result(mission: capture.Capture, budget: Budget, outcome: Outcome) 
     }  # fmt: skip
 
 
-def _short_reason(reason: str) -> str:
-    """Return the reason for an abort as one short line."""
-    return " ".join(reason.split())[:MAX_REASON] or "requested by the operator"
+def short_reason(reason: str, default: str = "requested by the operator") -> str:
+    """Return the reason for the end of an activity as one short line."""
+    return " ".join(reason.split())[:MAX_REASON] or default
 
 
 MISSIONS = (
@@ -85,7 +85,7 @@ MISSIONS = (
     ),
     Kind(
         "mission/abort", AbortMission,
-        lambda craft, obs, goal: abort.Abort(craft, _short_reason(goal.reason), requested=True),
+        lambda craft, obs, goal: abort.Abort(craft, short_reason(goal.reason), requested=True),
         lambda mission, *_: {"safe": mission.safe},
         lambda mission, _: {"target_clearance": mission.target_clearance},
         preempts=("base/", "mission/"),

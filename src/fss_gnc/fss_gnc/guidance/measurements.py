@@ -9,6 +9,7 @@ from fss_gnc.latest import Latest, body_at
 from fss_gnc.reference import Body
 
 STALE_AFTER = 2.0  # age after which the state of gripper and tank is unknown [s]
+STALL_REPORT_TIME = 0.3  # time for which a report of control counts, which it repeats [s]
 
 
 class Measurements:
@@ -26,6 +27,7 @@ class Measurements:
         self.joints = Latest[Floats]("arm/joint_states", max_age)  # (3, n) q, qd, effort
         self.holds = Latest[bool]("gripper/state", STALE_AFTER)
         self.propellant = Latest[float]("base/propellant", STALE_AFTER)  # left [kg]
+        self.stall = Latest[str]("control/stall", STALL_REPORT_TIME)
         self.held_body: HeldBody | None = None  # as estimated by the navigation
         self.open_valves: tuple[int, ...] = ()  # valves that do not close, from 1
         self.unknown_push = False
@@ -50,5 +52,5 @@ class Measurements:
             q, qd, effort, self.holds.valid_value(now),
             np.nan if propellant is None else propellant,
             None if self.joints.value is None else self.joints.value[0], self.held_body,
-            self.open_valves, self.unknown_push,
+            self.open_valves, self.unknown_push, self.stall.valid_value(now) or "",
         )  # fmt: skip
