@@ -156,15 +156,12 @@ class BaseNode(SessionNode):
         super().answer_requests()
         self.gyro.answer_request()
 
-    @property
-    def commands_refused(self) -> int:
-        """Number of commands rejected, those that the rule of their type rejects included."""
-        invalid = sum(each.refused for each in validators(self) if each.topic in COMMANDS)
-        return self.session.counts["commands_refused"] + invalid
-
     def health(self) -> Health:
         """Return the status for diagnostics."""
-        values = {**self.gyro.values(self.live["gyro"]), "commands_refused": self.commands_refused}
+        # Commands that the rule of their type rejects count, too.
+        invalid = sum(each.refused for each in validators(self) if each.topic in COMMANDS)
+        refused = self.session.counts["commands_refused"] + invalid
+        values = {**self.gyro.values(self.live["gyro"]), "commands_refused": refused}
         values |= describe_stuck_valves(self.live, self.valve_faults)
         with self.lock:
             return self.session_health(self.now(), values)

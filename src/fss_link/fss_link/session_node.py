@@ -25,7 +25,7 @@ from fss_link.host_clock import HostClock
 from fss_link.pacer import Pacer
 from fss_link.receiver import Receiver
 from fss_link.session import CommandError, Session, StatusLog
-from fss_link.transport import Transport, is_exposed
+from fss_link.transport import Transport, exposure
 from fss_link.warning_filter import WarningFilter
 
 SIMULATED_STEP = 0.01  # step of /clock [s]
@@ -71,11 +71,8 @@ class SessionNode(Node):
         self.pacer = Pacer(self.settings.max_rate)
         # An initial problem is not logged.
         self.warnings.is_new("connection", self.connection_problem())
-        if is_exposed(self.settings.url, self.settings.keys):
-            self.get_logger().warning(
-                f"{self.settings.url}: frames are not signed, so any computer on this network can "
-                f"{session.partner.threat}; see docs/how-to/security.md"
-            )
+        if risk := exposure(self.settings.url, self.settings.keys, session.partner.threat):
+            self.get_logger().warning(risk)
 
     def start_communication(self, service: str, health: type[SessionHealth]) -> None:
         """Start the communication; `service` arms and disarms, `health` is for diagnostics."""

@@ -8,13 +8,13 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import to_time
 from fss_gnc.law.contract import Outputs
 from fss_gnc.law.run import Command
 from fss_gnc.law.snapshot import Health
-from fss_gnc.reference import Floats
 
 PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and heading among the six axes of a covariance
 OUTPUT_TYPES = {

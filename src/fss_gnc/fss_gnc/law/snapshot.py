@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_arm_model.units import SECOND
 from fss_gnc.latest import Latest, body_at
 from fss_gnc.law.contract import VALVES, Flags, Inputs
-from fss_gnc.reference import Body, Floats, Path, Reference
+from fss_gnc.reference import Body, Path, Reference
 
 MAX_AGE = 0.5  # of the states of base, target and joints [s]
 MAX_TRAJECTORY_AGE = 1.0  # since base/trajectory was received [s]

@@ -18,8 +18,8 @@ __all__ = [
     "TransportError",
     "UdpTransport",
     "device_path",
+    "exposure",
     "integer_option",
-    "is_exposed",
     "open_port",
     "open_transport",
     "readable",
@@ -109,8 +109,17 @@ def open_transport(url: str, schemes: Mapping[str, Scheme] = SCHEMES) -> Transpo
         raise TransportError(f"url is {url!r}, expected {expected}: {error}") from None
 
 
-def is_exposed(url: str, keys: str) -> bool:
-    """Return True if unsigned frames are sent over a network, not only within this computer."""
+def exposure(url: str, keys: str, threat: str) -> str:
+    """Return a warning if unsigned frames are sent over a network, else an empty text.
+
+    Args:
+        url: of the partner.
+        keys: file of the keys that sign frames; empty: none.
+        threat: what an attacker can do, in words.
+    """
     place = urlsplit(url)
     local = place.hostname in ("127.0.0.1", "::1", "localhost")
-    return not keys and place.scheme in ("udp", "tcp") and not local
+    if keys or local or place.scheme not in ("udp", "tcp"):
+        return ""
+    who = "any computer on this network can"
+    return f"{url}: frames are not signed, so {who} {threat}; see docs/how-to/security.md"
