@@ -225,8 +225,8 @@ def test_no_timer_keeps_the_systems_clock(ros, kind):
     arm = ArmNode(parameter_overrides=time)
     paces = {t.callback: t.clock.clock_type for node in (link, arm) for t in node.timers}
     assert paces[link.send] == paces[arm.tick] == kind
-    link.close()
     for node in (link, arm):
+        node.close()
         node.destroy_node()
 
 

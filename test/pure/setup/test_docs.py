@@ -92,10 +92,13 @@ def test_files_of_the_repository_that_are_named_are_there(page):
     assert not [name for name in named if not (ROOT / name).exists()]
 
 
-def test_each_trial_has_its_tests():
-    text, _, _ = (ROOT / "test/TRIALS.md").read_text().partition("\n## ")
-    rows = [line for line in text.splitlines() if line.startswith("| ")]
-    cells = [row.split("|")[4] for row in rows[1:] if "**" not in row]
+@pytest.mark.parametrize(
+    ("page", "row"),
+    [("test/TRIALS.md", r"\| (?!\*\*|trial )"), ("docs/explanation/safety.md", r"\| \d+ \|")],
+)
+def test_each_trial_and_each_barrier_has_its_tests(page, row):
+    text, _, _ = (ROOT / page).read_text().partition("\n## A hundred stops")
+    cells = [line.split("|")[4] for line in text.splitlines() if re.match(row, line)]
     assert len(cells) > 20
     for cell in cells:
         file = None
