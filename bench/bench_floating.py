@@ -3,7 +3,7 @@
     . scripts/env.sh; python bench/bench_floating.py [SEEDS] [DEGREES]
 
 For each seed of the sensor errors, config/cad.yaml is calibrated, kinematically and dynamically,
-from thirteen rests and the moves between them (in one process, like bench_laboratory.py). The nodes
+from thirteen rests and the moves between them (in one process). The nodes
 use only the resulting description. They execute a reorientation, a zero-reaction motion, the
 straight move between its two postures, and a motion of the end effector by 0.5 m along a line in
 the world. Headings are from `base_reaction`; the line is measured on `sim/truth`. Exits with 1 if a

@@ -2,9 +2,8 @@
 
 All nodes run on the simulated test bed with its default errors.
 
-    . scripts/env.sh; python bench/bench_holding.py [--no-feed-forward] [--one-process]
+    . scripts/env.sh; python bench/bench_holding.py [--no-feed-forward]
 
-With --one-process, the same control, allocation and filter step with the simulated plant instead.
 Prints for each posture the largest error of the base during the move and the rest after it, and the
 propellant used since the start. Exits with 1 if an error exceeded 1 cm or 1 degree.
 """
@@ -21,7 +20,6 @@ from running import OWN  # enters a ROS domain of its own: before rclpy
 
 import rclpy  # isort: skip
 from flight import Flyer, start  # isort: skip
-from holding import Motion, hold
 
 from fss_arm_calib.experiment.postures import default_postures
 from fss_arm_model.description import paper_arm
@@ -61,15 +59,6 @@ def fly(flyer: Flyer, duration: float, rest: float, count: int) -> bool:
     return bool(worst[0] < 0.01 and worst[1] < 1.0)
 
 
-def fly_in_one_process(duration: float, rest: float, count: int, feed_forward: bool) -> bool:
-    """Move through the postures without nodes; return True if the base was held."""
-    postures = np.vstack([np.zeros(4), default_postures(paper_arm())[:count]])
-    held = hold(Motion(postures, duration, rest), feed_forward)
-    print(f"largest errors: {1e3 * held.farthest:.2f} mm, {held.most_turned:.3f} deg, "
-          f"{1e3 * held.propellant:.1f} g")  # fmt: skip
-    return held.farthest < 0.01 and held.most_turned < 1.0
-
-
 def main() -> int:
     """Start the nodes and run the postures."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -80,15 +69,8 @@ def main() -> int:
         "--speed", type=float, default=1.0, help="of the simulation, in multiples of real time"
     )
     parser.add_argument("--no-feed-forward", action="store_true")
-    parser.add_argument("--one-process", action="store_true", help="without nodes")
     parser.add_argument("--bandwidth", type=float, default=0.35, help="of the control [rad/s]")
     options = parser.parse_args()
-    if options.one_process:
-        return int(
-            not fly_in_one_process(
-                options.duration, options.rest, options.postures, not options.no_feed_forward
-            )
-        )
     rclpy.init()
     logs = Path(mkdtemp(prefix="bench_holding_"))
     with Nodes(logs, print, OWN) as nodes:

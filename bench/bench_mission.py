@@ -1,6 +1,6 @@
 """Capture missions of all nodes, on the simulated test bed with its default errors.
 
-    . scripts/env.sh; python bench/bench_mission.py --runs 20    # of the grid of bench_capture.py
+    . scripts/env.sh; python bench/bench_mission.py --runs 20    # of config/campaigns/captures.yaml
     python bench/bench_mission.py --runs 280 --out bench/missions.jsonl  # resumes where it ended
     python bench/bench_mission.py --kill                         # kill each node in each phase
     python bench/bench_mission.py --faults                       # each fault in each phase
@@ -16,7 +16,7 @@ import argparse
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import islice, product
 from pathlib import Path
 from tempfile import mkdtemp
@@ -30,7 +30,6 @@ import rclpy  # isort: skip
 from rclpy.action import ActionClient  # isort: skip
 from rclpy.parameter import Parameter  # isort: skip
 from flight import Flyer, start  # isort: skip
-from bench_capture import PHASES, grid  # isort: skip
 from capturing import POSTURE, SETTINGS, Case  # isort: skip
 
 from rcl_interfaces.srv import SetParameters
@@ -38,8 +37,11 @@ from rcl_interfaces.srv import SetParameters
 from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import SimTruth
 from fss_arm_ros.convert import stamp_ns
+from fss_rehearsal.campaign.plan import read_campaign
 from fss_rehearsal.processes import Nodes
 
+CAPTURES = Path(__file__).parents[1] / "config/campaigns/captures.yaml"
+PHASES = "approach", "reach", "grip", "detumble"
 NODES = "navigation", "control", "guidance", "base", "arm", "links"
 #: Nodes without which no node opens a valve.
 VALVE_NODES = "navigation", "control", "guidance", "base"
@@ -62,6 +64,14 @@ OBSERVATION_TIME = 30.0  # after a kill or the end of a mission [s]
 #: Cells of a row, result of `summarize`, True if as required.
 Outcome = tuple[list[str], dict[str, float], bool]
 TARGET = {"target_mass": SETTINGS.target_mass, "target_inertia": SETTINGS.target_inertia}
+
+
+def grid() -> Iterator[Case]:
+    """Yield the missions of the campaign of captures, in random order."""
+    for run in read_campaign(CAPTURES).in_random_order():
+        vx, vy, spin = (run.values[f"testbed.target_twist[{k}]"] for k in range(3))
+        distance = float(np.hypot(*run.values["testbed.base"][:2]))
+        yield Case(spin, run.values["testbed.target_pose[2]"], distance, run.seed, (vx, vy))
 
 
 def testbed(case: Case) -> dict[str, object]:

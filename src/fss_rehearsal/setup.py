@@ -15,4 +15,5 @@ setup(
     maintainer_email="fss-arm@example.org",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
+    entry_points={"console_scripts": ["campaign = fss_rehearsal.programs:campaign"]},
 )

@@ -46,14 +46,15 @@ ALLOWED = {
     "fss_rehearsal": ROS
     | {
         "fss_sim",
+        "fss_link",
+        "fss_base_driver",
         "fss_arm_driver",
         "fss_arm_model",
         "fss_arm_ros",
         "fss_arm_bags",
         "fss_arm_calib",
-        "numpy",
-        "rich",
-        "matplotlib",
+        "fss_gnc",
+        *("numpy", "rich", "matplotlib", "dask", "distributed", "pyarrow"),
     },
     "fss_arm_calib": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags"}

@@ -49,7 +49,7 @@ def rehearsed(seed, settings=DYNAMIC):
             arms=(truth, arm), seed=100 * seed + first, preset="default", q=some[0].waypoints[0],
             twist=rng.uniform(-1.0, 1.0, 3) * TWIST, tilt=(TILT, -0.5 * TILT),
         )  # fmt: skip
-        maneuvers += run.make(some, PAUSE)
+        maneuvers += run.make_maneuvers(some, PAUSE)
         lasts += run.bed.now
     outcome = calibrate(maneuvers, arm, settings, run.maneuver_finder.streams())
     assert outcome.accepted == len(plan), outcome.reason

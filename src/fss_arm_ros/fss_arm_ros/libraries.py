@@ -19,11 +19,14 @@ class Library:
 #: Libraries by the module that is imported.
 LIBRARIES = {
     "backports": Library("backports-zstd"),
+    "dask": Library("dask"),
+    "distributed": Library("distributed"),
     "matplotlib": Library("matplotlib", "python3-matplotlib"),
     "mcap": Library("mcap"),
     "motioncapture": Library("motioncapture"),
     "numba": Library("numba", "python3-numba"),
     "numpy": Library("numpy", "python3-numpy"),
+    "pyarrow": Library("pyarrow"),
     "rerun": Library("rerun-sdk"),
     "rerun_cli": Library("rerun-sdk"),
     "rich": Library("rich", "python3-rich"),

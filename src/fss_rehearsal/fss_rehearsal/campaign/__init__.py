@@ -1,0 +1,1 @@
+"""Campaigns: many runs of one function over a grid, distributions and seeds."""

@@ -1,0 +1,101 @@
+"""Command `campaign`: execute the runs, or repeat one, and write the report."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from fss_arm_calib import report
+from fss_rehearsal.campaign.execute import execute, open_client
+from fss_rehearsal.campaign.function import perform, source_version
+from fss_rehearsal.campaign.options import parser
+from fss_rehearsal.campaign.plan import Campaign, CampaignError, read_campaign
+from fss_rehearsal.campaign.results import (
+    Results,
+    check_rows,
+    differences,
+    expected_columns,
+    read_rows,
+)
+from fss_rehearsal.campaign.summary import summarize
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command; return 0 if the campaign passed, 2 if it failed, 1 after an error."""
+    options = parser().parse_args(arguments)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    console = report.console()
+    try:
+        campaign = read_campaign(options.file)
+        out = options.out or Path("out") / options.file.stem
+        if options.replay is not None:
+            return replay(campaign, options.replay, out / "runs.parquet", console)
+        return run(campaign, out, options, console)
+    except (CampaignError, OSError) as error:
+        print(f"campaign: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("campaign: interrupted; continue with --resume", file=sys.stderr)
+        return 130
+
+
+def run(campaign: Campaign, out: Path, options: argparse.Namespace, console: Console) -> int:
+    """Execute the runs that are not in the results yet; return the exit code."""
+    path = out / "runs.parquet"
+    if path.exists() and not options.resume:
+        raise CampaignError(
+            f"{path} exists: continue that campaign with --resume, or start another one with "
+            "--out FOLDER"
+        )
+    rows = read_rows(path) if path.exists() else []
+    check_rows(rows, campaign, source_version(), path)
+    out.mkdir(parents=True, exist_ok=True)
+    results = Results(path, rows)
+    planned = campaign.in_random_order()[: options.runs]
+    runs = [one for one in planned if one.number not in results.rows]
+    console.print(f"{campaign.about or options.file.stem}: {len(planned)} runs, "
+                  f"{len(planned) - len(runs)} done before")  # fmt: skip
+    if runs:
+        try:
+            with open_client(options.scheduler, options.workers) as client:
+                execute(campaign, runs, client, results, console)
+        finally:
+            if results.rows:
+                results.write()
+    folder = [] if options.out is None else ["--out", str(options.out)]
+    command = " ".join(["ros2 run fss_rehearsal campaign", str(options.file), *folder])
+    summary = summarize(campaign, [results.rows[k] for k in sorted(results.rows)], command)
+    console.print(report.printable(summary))
+    console.print("\n".join(summary.below), soft_wrap=True)
+    page = report.write(out / "report", summary)
+    for file in (path, page):
+        console.print(f"  {file}", soft_wrap=True)
+    return 0 if summary.verdict == "pass" else 2
+
+
+def replay(campaign: Campaign, number: int, path: Path, console: Console) -> int:
+    """Repeat a run; return 0 if its row is the same as before, 2 if not."""
+    if not 0 <= number < len(campaign.runs):
+        raise CampaignError(
+            f"--replay is {number}, expected a run from 0 to {len(campaign.runs) - 1}"
+        )
+    one = campaign.runs[number]
+    before = {row["run"]: row for row in read_rows(path)} if path.exists() else {}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    picture = path.with_name(f"run_{number}.png")
+    row = expected_columns(one) | perform(
+        campaign.function, campaign.file.parent, number, one.seed, one.values, picture
+    )
+    for name, value in row.items():
+        console.print(f"{name:>30}  {value}", soft_wrap=True)
+    if picture.exists():
+        console.print(f"{picture}")
+    if number not in before:
+        console.print(f"{path} has no such run to compare with")
+        return 0
+    changed = differences(row, before[number])
+    console.print("the same as before" if not changed else f"differs: {'; '.join(changed)}")
+    return 2 if changed else 0

@@ -1,0 +1,119 @@
+"""Run one function of a campaign, on any computer, and return its row."""
+
+import os
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, is_dataclass
+from functools import cache
+from hashlib import sha1
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fss_arm_model.files import ContentError, short
+
+SUCCESS, FAILURE, CRASHED = "success", "failure", "crashed"
+UNKNOWN = "unknown"  # commit of sources outside of git
+Row = dict[str, Any]
+
+
+def find_function(place: str, folder: Path | None = None) -> Callable[..., Any]:
+    """Return the function MODULE:NAME; the module may be in `folder`.
+
+    Raises:
+        ContentError: there is no such function.
+    """
+    if folder and str(folder.absolute()) not in sys.path:
+        sys.path.insert(0, str(folder.absolute()))
+    module, _, name = place.partition(":")
+    try:
+        function: Callable[..., Any] = getattr(import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ContentError("run", place, f"a function module:function ({error})") from None
+    return function
+
+
+@cache
+def source_version() -> str:
+    """Return the commit of this workspace, with a digest of uncommitted changes, if any."""
+    folder = Path(__file__).resolve().parents[3]
+
+    def git(*words: str) -> bytes:
+        command = ["git", "-C", str(folder), *words]
+        return subprocess.run(command, capture_output=True, check=True).stdout
+
+    try:
+        commit = git("rev-parse", "--short=10", "HEAD").decode().strip()
+        new_files = git("ls-files", "--others", "--exclude-standard", "--", ".").split(b"\n")
+        changes = git("diff", "HEAD", "--", ".") + b"".join(
+            name + (folder / os.fsdecode(name)).read_bytes() for name in new_files if name
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return UNKNOWN
+    return f"{commit}+{sha1(changes).hexdigest()[:8]}" if changes else commit
+
+
+def perform(
+    place: str,
+    folder: Path,
+    number: int,
+    seed: int,
+    values: Mapping[str, Any],
+    picture: Path | None = None,
+) -> Row:
+    """Run the function; return the row, in which an exception is a crash with its reason.
+
+    A function may return `success`, `reason` and `picture`, a function that returns a matplotlib
+    figure; it is drawn if a file is given for it.
+    """
+    from fss_rehearsal.campaign.arguments import SEED, Arguments
+
+    start = time.perf_counter()
+    row: Row = {"run": number, "seed": seed, "outcome": SUCCESS, "reason": "", **values}
+    try:
+        function = find_function(place, folder)
+        arguments = Arguments(function)
+        given = arguments.build(values)
+        if arguments.takes_seed:
+            given[SEED] = seed
+        result = function(**given)
+        draw = result.get("picture") if isinstance(result, Mapping) else None
+        if picture and draw:
+            draw().savefig(picture, dpi=110)
+        figures = figures_of(result)
+        reason, success = str(figures.pop("reason", "")), figures.pop("success", True)
+        if clashes := sorted(figures.keys() & row.keys()):
+            raise ValueError(f"the figure {clashes[0]} has the name of another column")
+        row |= {"outcome": SUCCESS if success else FAILURE, "reason": reason, **figures}
+    except Exception as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        at = f"{Path(frame.filename).name}:{frame.lineno}"
+        row |= {"outcome": CRASHED, "reason": f"{type(error).__name__}: {short(str(error))} ({at})"}
+    return row | {"commit": source_version(), "wall_time": time.perf_counter() - start}
+
+
+def figures_of(result: Any) -> Row:
+    """Return what a function returned, a dataclass or a mapping, as plain values.
+
+    Raises:
+        TypeError: it returned something else.
+    """
+    if is_dataclass(result) and not isinstance(result, type):
+        result = asdict(result)
+    if not isinstance(result, Mapping):
+        kind = type(result).__name__
+        raise TypeError(f"the function returned {kind}, expected a mapping or a dataclass")
+    return {str(name): _scalar(value) for name, value in result.items() if name != "picture"}
+
+
+def _scalar(value: Any) -> Any:
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | float | np.number):
+        return float(value)
+    return str(value)

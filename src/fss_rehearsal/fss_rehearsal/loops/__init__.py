@@ -1,0 +1,1 @@
+"""Runs of the test bed with drivers and applications in one loop, without ROS."""
