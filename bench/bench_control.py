@@ -31,9 +31,11 @@ from fss_gnc.reference import Path as BasePath
 
 RATE = 100.0  # of base states and wrenches [1/s]
 TOPICS = {
-    "base/state": (Odometry, 1), "arm/joint_states": (JointState, 5),
-    "arm/planned": (JointTrajectory, 5), "base/trajectory": (MultiDOFJointTrajectory, 10),
-}  # fmt: skip
+    "base/state": (Odometry, 1),
+    "arm/joint_states": (JointState, 5),
+    "arm/planned": (JointTrajectory, 5),
+    "base/trajectory": (MultiDOFJointTrajectory, 10),
+}
 NAMES = [f"joint_{i}" for i in range(1, 5)]
 
 

@@ -169,9 +169,12 @@ def latencies(samples: int, rate: float) -> tuple[list[float], list[float]]:
     executor.add_node(node)
     for kind, topic in ((JointState, "joint_states"), (Float64, "relayed")):
         node.create_subscription(
-            kind, topic, lambda _, topic=topic: arrivals.setdefault(topic, time.perf_counter()),
-            sensor(), raw=True,
-        )  # fmt: skip
+            kind,
+            topic,
+            lambda _, topic=topic: arrivals.setdefault(topic, time.perf_counter()),
+            sensor(),
+            raw=True,
+        )
 
     def measure_once(topic: str, end: Peer, data: bytes, timeout: float) -> float:
         arrivals.pop(topic, None)

@@ -42,8 +42,10 @@ def telemetry(joint: int, sense: float, others: np.ndarray) -> tuple[list, list,
     times = [np.array([0.0, *np.arange(0.05 * i + 0.2, 3.0, 0.2), 3.0]) for i in range(N)]
     x = [t / 3.0 for t in times]
     reach = [np.radians(60.0) * sense if i == joint else 0.0 for i in range(N)]
-    angles = [others[i] * (i != joint) + r * (6 * x[i] ** 2 - 4 * x[i] ** 3 - 1)
-              for i, r in enumerate(reach)]  # fmt: skip
+    angles = [
+        others[i] * (i != joint) + r * (6 * x[i] ** 2 - 4 * x[i] ** 3 - 1)
+        for i, r in enumerate(reach)
+    ]
     rates = [r * 12.0 * x[i] * (1.0 - x[i]) / 3.0 for i, r in enumerate(reach)]
     return times, angles, rates
 

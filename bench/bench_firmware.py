@@ -82,9 +82,11 @@ class Operator(Node):
         goal.trajectory.joint_names = [f"joint_{i + 1}" for i in range(len(paths))]
         for t, *knot in zip(TIMES, *(zip(*path, strict=True) for path in paths), strict=True):
             q, qd = zip(*knot, strict=True)
-            goal.trajectory.points.append(JointTrajectoryPoint(
-                positions=q, velocities=qd, time_from_start=Duration(seconds=t).to_msg(),
-            ))  # fmt: skip
+            goal.trajectory.points.append(
+                JointTrajectoryPoint(
+                    positions=q, velocities=qd, time_from_start=Duration(seconds=t).to_msg()
+                )
+            )
         self.readings.clear()
         handle = self.after(self.controller.send_goal_async(goal))
         if not handle.accepted:
@@ -124,8 +126,10 @@ def main():
         for link in links:
             link.kill()
     p50, p99, largest = np.percentile(errors, [50.0, 99.0, 100.0])
-    print(f"{runs} runs of {len(links)} links, {len(errors)} readings: tracking error "
-          f"{p50:.4f} deg (p50), {p99:.4f} (p99), {largest:.4f} (largest)")  # fmt: skip
+    print(
+        f"{runs} runs of {len(links)} links, {len(errors)} readings: tracking error "
+        f"{p50:.4f} deg (p50), {p99:.4f} (p99), {largest:.4f} (largest)"
+    )
 
 
 if __name__ == "__main__":

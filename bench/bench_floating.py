@@ -119,9 +119,14 @@ def fly(seed, degrees, say):
     rclpy.init()
     with Nodes(logs, say, OWN) as nodes:
         nodes.start(
-            "testbed", "fss_sim", "testbed", arm=CONFIG / "truth.yaml", seed=seed,
-            ports=OWN.ports(4), truth_rate=50.0,
-        )  # fmt: skip
+            "testbed",
+            "fss_sim",
+            "testbed",
+            arm=CONFIG / "truth.yaml",
+            seed=seed,
+            ports=OWN.ports(4),
+            truth_rate=50.0,
+        )
         nodes.start("links", "fss_arm_driver", "link", urls=OWN.urls(4), arm=arm, **LONG_TIMEOUTS)
         nodes.start("arm", "fss_arm_driver", "arm", arm=arm, time_to_live=4.0)
         nodes.start("base_reaction", "fss_arm_view", "base_reaction", arm=arm)

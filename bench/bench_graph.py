@@ -54,8 +54,10 @@ class Graph:
         clock = {"use_sim_time": True}
         self.start("record", output=folder / "bag", **clock)
         link_parameters = {
-            "timeout": max(1.0, speed), "watchdog": 2.0 * max(1.0, speed), "rate": options.rate,
-        }  # fmt: skip
+            "timeout": max(1.0, speed),
+            "watchdog": 2.0 * max(1.0, speed),
+            "rate": options.rate,
+        }
         ports = self.domain.ports(2 * LINKS * len(vehicles))
         bed, drivers = ports[: len(ports) // 2], ports[len(ports) // 2 :]
         lines = ["vehicles:"]
@@ -76,9 +78,14 @@ class Graph:
         (folder / "vehicles.yaml").write_text("\n".join(lines))
         bed_parameters = {"vehicles": folder / "vehicles.yaml"} if is_fleet else {"ports": bed}
         self.start(
-            "testbed", keep_clock=True, speed=speed, paused=True, telemetry_rate=options.rate,
-            preset=options.preset, **bed_parameters,
-        )  # fmt: skip
+            "testbed",
+            keep_clock=True,
+            speed=speed,
+            paused=True,
+            telemetry_rate=options.rate,
+            preset=options.preset,
+            **bed_parameters,
+        )
 
     def enter(self, folder: Path) -> None:
         """Enter an unused ROS domain, with no processes yet."""
@@ -168,8 +175,10 @@ def report(
     lost = sum(frames - len(s) for s in stamps.values())
     sent = sum(s[-1] - s[0] + 1 for s in sequences.values())
     missing = sent - sum(map(len, sequences.values()))
-    shares = [sum(v for k, v in cpu.items() if k.startswith(kind))
-              for kind in ("testbed", "link", "kinematic", "record")]  # fmt: skip
+    shares = [
+        sum(v for k, v in cpu.items() if k.startswith(kind))
+        for kind in ("testbed", "link", "kinematic", "record")
+    ]
     print(
         f"{speed:6g} {frames / 100 / elapsed:8.2f} {len(stamps) * frames:9d} {lost:6d}"
         f" {sent:9d} {missing:6d}   " + " ".join(f"{share / elapsed:9.2f}" for share in shares),
@@ -193,13 +202,19 @@ def main() -> int:
     )
     options = parser.parse_args()
     vehicles = [ONLY_VEHICLE] if options.vehicles == 1 else [Vehicle("fss1"), Vehicle("fss2")]
-    print(f"{os.cpu_count()} cores, {options.driver_processes} driver process(es), "
-          f"telemetry {options.rate:g}/s, {options.seconds:g} s simulated each")  # fmt: skip
-    print(" speed  reached     VICON   lost telemetry   lost   cores: "
-          "testbed drivers kinematic record")  # fmt: skip
+    print(
+        f"{os.cpu_count()} cores, {options.driver_processes} driver process(es), "
+        f"telemetry {options.rate:g}/s, {options.seconds:g} s simulated each"
+    )
+    print(
+        " speed  reached     VICON   lost telemetry   lost   cores: "
+        "testbed drivers kinematic record"
+    )
     complete = [measure(speed, vehicles, options) for speed in options.speeds]
-    print(f"nothing lost at speeds "
-          f"{[s for s, ok in zip(options.speeds, complete, strict=True) if ok]}")  # fmt: skip
+    print(
+        f"nothing lost at speeds "
+        f"{[s for s, ok in zip(options.speeds, complete, strict=True) if ok]}"
+    )
     return 0
 
 

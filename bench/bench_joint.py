@@ -78,10 +78,14 @@ PEER_SHARE = 10  # the peer gets 1 / PEER_SHARE of the data
 # The paper's maneuvers: rotation of the base, at rest before, on a level table; priors of b and I
 # from geometry, without which they are not determined.
 PAPER = DynamicSettings(
-    residuals=HEADING, heading_deviation=radians(1.54) / 2**0.5, fresh_rate=1.0 / BIN,
-    momentum_deviation=0.0, spin_deviation=0.0, tilt_deviation=0.0,
+    residuals=HEADING,
+    heading_deviation=radians(1.54) / 2**0.5,
+    fresh_rate=1.0 / BIN,
+    momentum_deviation=0.0,
+    spin_deviation=0.0,
+    tilt_deviation=0.0,
     priors=f"{DYNAMIC.priors} b_i I_i",
-)  # fmt: skip
+)
 
 
 def papers(arm, rng):
@@ -282,9 +286,13 @@ class Peer:
         Unknowns are in units of `scale`, which suits the differences and integration errors.
         """
         return least_squares(
-            lambda u: self(x + scale * (u - 1.0)), np.ones(len(x)), jac_sparsity=self.sparsity(),
-            tr_solver="lsmr", max_nfev=1, diff_step=0.5,
-        )  # fmt: skip
+            lambda u: self(x + scale * (u - 1.0)),
+            np.ones(len(x)),
+            jac_sparsity=self.sparsity(),
+            tr_solver="lsmr",
+            max_nfev=1,
+            diff_step=0.5,
+        )
 
 
 def compare_with_peer():

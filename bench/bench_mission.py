@@ -207,8 +207,10 @@ def kills(logs: Path, options: argparse.Namespace) -> bool:
         in_time = r["shut"] < options.shut or node not in VALVE_NODES
         return [f"{r['shut']:.2f}", f"{r['still']:.2f}"], r, in_time
 
-    print("| phase | killed | last valve closed [s] | joints at rest [s] | least gap of bodies [m] "
-          "| to the edge [m] | holds |")  # fmt: skip
+    print(
+        "| phase | killed | last valve closed [s] | joints at rest [s] | least gap of bodies [m] "
+        "| to the edge [m] | holds |"
+    )
     print("|---|---|---:|---:|---:|---:|---|")
     return table(logs, options, options.nodes, fly)
 
@@ -241,9 +243,11 @@ def missions(logs: Path, options: argparse.Namespace) -> bool:
     """Fly runs of the grid; return True if all ended without contact."""
     rows = []
     revision = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=Path(__file__).parent, capture_output=True,
+        ["git", "rev-parse", "--short", "HEAD"],
+        cwd=Path(__file__).parent,
+        capture_output=True,
         text=True,
-    )  # fmt: skip
+    )
     commit = revision.stdout.strip()
     if options.out and options.out.exists():
         rows = [json.loads(line) for line in options.out.read_text().splitlines()]
@@ -265,16 +269,26 @@ def missions(logs: Path, options: argparse.Namespace) -> bool:
             finally:
                 run.close()
         rows.append(
-            {"case": name, "commit": commit, "spin": abs(case.spin), "stopped": result.stopped,
-             "least": least, "ended": f"{result.phase}: {result.message}", "time": result.duration,
-             "propellant": 1e3 * result.propellant, "torque": result.largest_torque}
-        )  # fmt: skip
+            {
+                "case": name,
+                "commit": commit,
+                "spin": abs(case.spin),
+                "stopped": result.stopped,
+                "least": least,
+                "ended": f"{result.phase}: {result.message}",
+                "time": result.duration,
+                "propellant": 1e3 * result.propellant,
+                "torque": result.largest_torque,
+            }
+        )
         print(f"{k + 1:3}: {rows[-1]}", flush=True)
         if options.out:
             with options.out.open("a") as file:
                 print(json.dumps(rows[-1]), file=file)
-    print("| spin [rad/s] | runs | captured and stopped | time [s] | propellant [g] "
-          "| torque [N m] | smallest gap [m] |")  # fmt: skip
+    print(
+        "| spin [rad/s] | runs | captured and stopped | time [s] | propellant [g] "
+        "| torque [N m] | smallest gap [m] |"
+    )
     print("|---:|---:|---:|---:|---:|---:|---:|")
     for spin in sorted({row["spin"] for row in rows}):
         group = [row for row in rows if row["spin"] == spin]

@@ -61,11 +61,13 @@ class User(Node):
         for prefix, arrivals in self.arrivals.items():
             for name in NAMES[1:]:  # the second one of a frame
                 subscribe_sensor(
-                    self, PoseStamped, f"{prefix}/{name}/{name}",
+                    self,
+                    PoseStamped,
+                    f"{prefix}/{name}/{name}",
                     lambda m, arrivals=arrivals: arrivals.setdefault(
                         round(1e3 * m.pose.position.z), time.monotonic()
                     ),
-                )  # fmt: skip
+                )
 
 
 def run(user: User, send: Sequence[Callable[[bytes], object]], seconds: float) -> dict[int, float]:

@@ -72,43 +72,56 @@ def main() -> None:
     print_row(
         "point to point",
         20,
-        (lambda g=g, k=k: point_to_point(starts[k % 4], PointToPoint(tuple(g)))
-         for k, g in enumerate(goals)),
-    )  # fmt: skip
+        (
+            lambda g=g, k=k: point_to_point(starts[k % 4], PointToPoint(tuple(g)))
+            for k, g in enumerate(goals)
+        ),
+    )
     print_row(
         "zero reaction along a direction",
         200,
-        (lambda u=u, k=k: zero_reaction(starts[k % 4], ZeroReaction(direction=tuple(u)))
-         for k, u in enumerate(rng.standard_normal((RUNS, 4)))),
-    )  # fmt: skip
+        (
+            lambda u=u, k=k: zero_reaction(starts[k % 4], ZeroReaction(direction=tuple(u)))
+            for k, u in enumerate(rng.standard_normal((RUNS, 4)))
+        ),
+    )
     print_row(
         "zero reaction to a goal",
         200,
-        (lambda d=d: zero_reaction(
-            starts[0], ZeroReaction(goal=tuple((POSTURES[0] + d).clip(-1.5, 1.5))))
-         for d in rng.uniform(-0.4, 0.4, (RUNS, 4))),
-    )  # fmt: skip
+        (
+            lambda d=d: zero_reaction(
+                starts[0], ZeroReaction(goal=tuple((POSTURES[0] + d).clip(-1.5, 1.5)))
+            )
+            for d in rng.uniform(-0.4, 0.4, (RUNS, 4))
+        ),
+    )
     print_row(
         "least rotation in 5 s",
         200,
-        (lambda g=g: point_to_point(starts[0], PointToPoint(tuple(g), 5.0, least_rotation=True))
-         for g in goals),
-    )  # fmt: skip
+        (
+            lambda g=g: point_to_point(starts[0], PointToPoint(tuple(g), 5.0, least_rotation=True))
+            for g in goals
+        ),
+    )
     turns = 2 * np.pi * rng.random(RUNS)
     print_row(
         "tip along a line of 0.3 m, or its possible part",
         200,
-        (lambda a=a, k=k: tip_path(
-            starts[3 * (k % 2)],
-            TipPath(by=(0.3 * np.cos(a), 0.3 * np.sin(a)), partial=True))
-         for k, a in enumerate(turns)),
-    )  # fmt: skip
+        (
+            lambda a=a, k=k: tip_path(
+                starts[3 * (k % 2)], TipPath(by=(0.3 * np.cos(a), 0.3 * np.sin(a)), partial=True)
+            )
+            for k, a in enumerate(turns)
+        ),
+    )
     print_row(
         "reorientation by 30 deg",
         2000,
-        (lambda k=k: reorientation(starts[k % 4], Reorientation((-1) ** (k // 4) * np.pi / 6))
-         for k in range(8)),
-    )  # fmt: skip
+        (
+            lambda k=k: reorientation(starts[k % 4], Reorientation((-1) ** (k // 4) * np.pi / 6))
+            for k in range(8)
+        ),
+    )
     compare()
 
 
@@ -116,7 +129,7 @@ def compare() -> None:
     """Compare with the reference methods: same requests, without rotors and body sizes."""
     settings = LimitSettings(
         share=1.0, rotor_inertia=0.0, base_radius=0.0, link_radius=0.0, margin=0.0
-    )  # fmt: skip
+    )
     limits, rng = Limits.of(ARM, settings), np.random.default_rng(1)
     ours, reference_times, ratios = [], [], []
     for _ in range(6):

@@ -93,9 +93,12 @@ class Watch(Node):
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 100)
         for k in range(count):
             self.create_subscription(
-                LinkTelemetry, f"link_{k + 1}/telemetry", lambda _, k=k: self.count(k), sensor(),
+                LinkTelemetry,
+                f"link_{k + 1}/telemetry",
+                lambda _, k=k: self.count(k),
+                sensor(),
                 raw=True,
-            )  # fmt: skip
+            )
         self.stop = self.create_publisher(Empty, "arm/stop", 10)
         self.arms = [self.create_client(SetBool, f"link_{k + 1}/arm") for k in range(count)]
         executor = SingleThreadedExecutor()
@@ -187,17 +190,27 @@ def run(folder: str, count: int, rate: float, seconds: float, together: bool) ->
         links_process.join()
         watch.close()
     latencies = [
-        min((a.at for a in report.arrivals
-             if a.link == k and a.at > at and a.flags & LinkCommandFlag.STOP), default=np.inf) - at
-        for at in stops for k in range(1, count + 1)
-    ]  # fmt: skip
+        min(
+            (
+                a.at
+                for a in report.arrivals
+                if a.link == k and a.at > at and a.flags & LinkCommandFlag.STOP
+            ),
+            default=np.inf,
+        )
+        - at
+        for at in stops
+        for k in range(1, count + 1)
+    ]
     gaps = [
         np.diff([a.at for a in report.arrivals if a.link == k and start < a.at < end])
         for k in range(1, count + 1)
     ]
     gap = max((g.max(initial=0.0) for g in gaps), default=0.0)
-    total = {name: sum(c.get(name, 0) for c in watch.counts.values())
-             for name in ("accepted", "lost", "dropped")}  # fmt: skip
+    total = {
+        name: sum(c.get(name, 0) for c in watch.counts.values())
+        for name in ("accepted", "lost", "dropped")
+    }
     sent = count * rate * (end - start)
     print(
         f"{count} links at {rate:g} Hz, {'one process' if together else 'one each'}: "

@@ -69,8 +69,17 @@ def run(seed, faults):
 
 def main():
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 20
-    table = Table("", "error p50", "largest [deg]", "by encoder p50", "largest [deg]",
-                  "start p50", "largest [ms]", "knots missed", title=f"{runs} runs")  # fmt: skip
+    table = Table(
+        "",
+        "error p50",
+        "largest [deg]",
+        "by encoder p50",
+        "largest [deg]",
+        "start p50",
+        "largest [ms]",
+        "knots missed",
+        title=f"{runs} runs",
+    )
     start_time = perf_counter()
     for name, faults in CASES.items():
         results = [run(seed, faults) for seed in range(runs)]

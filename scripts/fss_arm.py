@@ -425,9 +425,12 @@ def parsed() -> tuple[argparse.Namespace, str | None]:
         "angles", nargs="*", type=angle, metavar="ANGLE", help="of each joint [deg], to move"
     )
     parser.add_argument(
-        "--vehicle", "--namespace", type=namespace, help="namespace of the vehicle; by "
+        "--vehicle",
+        "--namespace",
+        type=namespace,
+        help="namespace of the vehicle; by "
         "default stop is for all vehicles, and other commands for the one in FSS_NAMESPACE",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--wait", type=duration, help="timeout waiting for the node [s] (default 10; stop 2)"
     )

@@ -41,8 +41,19 @@ class Keystore:
             (folder / name).mkdir(parents=True, exist_ok=True)
         (folder / "private").chmod(0o700)
         if not self.key.exists():
-            openssl("req", "-x509", *CURVE, "-keyout", self.key, "-out", self.certificate,
-                    "-days", str(VALIDITY), "-subj", "/CN=fss_arm")  # fmt: skip
+            openssl(
+                "req",
+                "-x509",
+                *CURVE,
+                "-keyout",
+                self.key,
+                "-out",
+                self.certificate,
+                "-days",
+                str(VALIDITY),
+                "-subj",
+                "/CN=fss_arm",
+            )
         now = datetime.now(UTC)
         times = now - timedelta(days=1), now + timedelta(days=VALIDITY)
         self.valid = times[0].strftime("%Y-%m-%dT%H:%M:%S"), times[1].strftime("%Y-%m-%dT%H:%M:%S")
@@ -53,8 +64,19 @@ class Keystore:
         """Write a document, and a signed copy beside it."""
         plain = signed.with_suffix(".xml")
         plain.write_text(text, encoding="utf-8")
-        openssl("smime", "-sign", "-text", "-in", plain, "-out", signed,
-                "-signer", self.certificate, "-inkey", self.key)  # fmt: skip
+        openssl(
+            "smime",
+            "-sign",
+            "-text",
+            "-in",
+            plain,
+            "-out",
+            signed,
+            "-signer",
+            self.certificate,
+            "-inkey",
+            self.key,
+        )
 
     def enclave(self, name: str, access: Access, namespace: str = "") -> None:
         """Make an enclave, or give it new permissions."""
@@ -63,11 +85,32 @@ class Keystore:
         if not (folder / "cert.pem").exists():
             with TemporaryDirectory() as temporary:
                 request, subject = Path(temporary, "csr.pem"), name.replace("/", "\\/")
-                openssl("req", *CURVE, "-keyout", folder / "key.pem", "-out", request,
-                        "-subj", f"/CN={subject}")  # fmt: skip
-                openssl("x509", "-req", "-in", request, "-CA", self.certificate, "-CAkey",
-                        self.key, "-set_serial", str(int.from_bytes(os.urandom(8), "big")),
-                        "-days", str(VALIDITY), "-out", folder / "cert.pem")  # fmt: skip
+                openssl(
+                    "req",
+                    *CURVE,
+                    "-keyout",
+                    folder / "key.pem",
+                    "-out",
+                    request,
+                    "-subj",
+                    f"/CN={subject}",
+                )
+                openssl(
+                    "x509",
+                    "-req",
+                    "-in",
+                    request,
+                    "-CA",
+                    self.certificate,
+                    "-CAkey",
+                    self.key,
+                    "-set_serial",
+                    str(int.from_bytes(os.urandom(8), "big")),
+                    "-days",
+                    str(VALIDITY),
+                    "-out",
+                    folder / "cert.pem",
+                )
         for link in ("identity_ca.cert.pem", "permissions_ca.cert.pem"):
             self.link(folder / link, self.certificate)
         self.link(folder / "governance.p7s", self.governance)

@@ -49,9 +49,13 @@ LEVELS = {
     DiagnosticStatus.STALE: ("stale", "yellow"),
 }
 STATES = {
-    "up": "green", "starting": "yellow", "ended": "",
-    "stopped": "bold red", "failed": "bold red", "down": "bold red",
-}  # fmt: skip
+    "up": "green",
+    "starting": "yellow",
+    "ended": "",
+    "stopped": "bold red",
+    "failed": "bold red",
+    "down": "bold red",
+}
 LOST = ("stopped", "failed", "down")
 VERDICTS = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
 
@@ -320,9 +324,11 @@ def arguments() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("fss_status.sh", description=__doc__.replace("\n\n", "\n"))
     parser.add_argument("--watch", action="store_true", help="update until interrupted")
     parser.add_argument(
-        "--wait", type=float, default=1.0,
+        "--wait",
+        type=float,
+        default=1.0,
         help="timeout waiting until all nodes are healthy or one is down [s]",
-    )  # fmt: skip
+    )
     parser.add_argument("--namespace", default="", help="of the vehicle to show; all by default")
     parser.add_argument("--logs", type=Path, required=True, help="folder of the nodes' logs")
     parser.add_argument(

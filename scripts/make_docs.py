@@ -129,9 +129,12 @@ def description() -> str:
         "entry, and the expected value."
     ]
     for title, kind in (
-        ("The file", Arm), ("`base`", Base), ("each of `links`, from the base on", Link),
-        ("`drive` of a link", Drive), ("`torque_sensor` of a link", TorqueSensor),
-    ):  # fmt: skip
+        ("The file", Arm),
+        ("`base`", Base),
+        ("each of `links`, from the base on", Link),
+        ("`drive` of a link", Drive),
+        ("`torque_sensor` of a link", TorqueSensor),
+    ):
         rows = ["| entry | default | |", "|---|---|---|"]
         for f in fields(kind):
             given = f.default is MISSING and f.default_factory is MISSING
@@ -163,9 +166,7 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="list outdated files, write nothing")
     check = parser.parse_args().check
     old = []
-    made = {
-        "interfaces.md": interfaces, "parameters.md": parameters, "description.md": description,
-    }  # fmt: skip
+    made = {"interfaces.md": interfaces, "parameters.md": parameters, "description.md": description}
     for name, make in made.items():
         path, text = REFERENCE / name, make()
         if path.exists() and path.read_text(encoding="utf-8") == text:

@@ -125,21 +125,30 @@ def table_4() -> str:
     words = "I b_i I_0 com_0"
     fine = {"position_deviation": 0.001, "heading_deviation": float(np.radians(0.5))}
     rows = [
-        _row("8 single joints, 1.54 degrees noise of turns, median posture",
-             estimate_as_in_paper(typical)),
+        _row(
+            "8 single joints, 1.54 degrees noise of turns, median posture",
+            estimate_as_in_paper(typical),
+        ),
         _row("the same, best of 100 postures of the other joints", estimate_as_in_paper(plan)),
-        _row("the same maneuvers, positions to 1 mm as well",
-             estimate_as_in_paper(typical, 0.001)),
-        _row("16 designed, 1 mm and 0.5 degrees averaged over 2 s, momentum and tilt unknown",
-             expected_of_sixteen(16, "I", **fine)),
-        _row("the same, base's inertia and centre of mass estimated, too",
-             expected_of_sixteen(16, "I I_0 com_0", **fine)),
+        _row("the same maneuvers, positions to 1 mm as well", estimate_as_in_paper(typical, 0.001)),
+        _row(
+            "16 designed, 1 mm and 0.5 degrees averaged over 2 s, momentum and tilt unknown",
+            expected_of_sixteen(16, "I", **fine),
+        ),
+        _row(
+            "the same, base's inertia and centre of mass estimated, too",
+            expected_of_sixteen(16, "I I_0 com_0", **fine),
+        ),
         _row("the same with all b_i, too", expected_of_sixteen(16, words, **fine)),
         _row("256 of those maneuvers", expected_of_sixteen(256, words, **fine)),
         _row("2048 of them", expected_of_sixteen(2048, words, **fine)),
-        _row("256 of them, by cameras of 0.2 mm and 0.1 degrees", expected_of_sixteen(
-            256, words, position_deviation=2e-4, heading_deviation=float(np.radians(0.1)))),
-    ]  # fmt: skip
+        _row(
+            "256 of them, by cameras of 0.2 mm and 0.1 degrees",
+            expected_of_sixteen(
+                256, words, position_deviation=2e-4, heading_deviation=float(np.radians(0.1))
+            ),
+        ),
+    ]
     result = estimate_as_in_paper(typical)
     bias = sorted(zip(result.assumed_names, result.bias[0], strict=True), key=lambda b: -abs(b[1]))
     strongest = [[name, f"{shift:+.4f}"] for name, shift in bias[:6]]

@@ -121,9 +121,14 @@ def replayed_is_offline(bag, start, spin):
     node = "fss_arm_calib.programs:kinematic"
     start(node, "--ros-args", "-p", f"arm:={ROOT / 'config/cad.yaml'}")
     replay = start(
-        "fss_arm_bags.replay_node", bag, "--ros-args", "-p", "rate:=0.0",
-        "-p", f"wait_for:={SENSORS}",
-    )  # fmt: skip
+        "fss_arm_bags.replay_node",
+        bag,
+        "--ros-args",
+        "-p",
+        "rate:=0.0",
+        "-p",
+        f"wait_for:={SENSORS}",
+    )
     assert replay.wait(120) == 0, replay.output
     node, got = Node("asks"), []
     node.create_subscription(KinematicCalibration, "calibration/kinematic", got.append, LATCHED)

@@ -53,9 +53,13 @@ def test_nobody_there_is_said_in_one_line(domain):
 def shell(*words, **env):
     """Run fss_arm.sh; return its exit code, output and errors."""
     done = subprocess.run(
-        [SCRIPT.with_suffix(".sh"), *words], capture_output=True, text=True, timeout=60,
-        check=False, env={**os.environ, **env},
-    )  # fmt: skip
+        [SCRIPT.with_suffix(".sh"), *words],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env={**os.environ, **env},
+    )
     return done.returncode, done.stdout, done.stderr
 
 
@@ -139,9 +143,12 @@ def telling(spin):
 
     def run(nodes, command, **env):
         process = subprocess.Popen(
-            list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            list(map(str, command)),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
             env={**os.environ, **env},
-        )  # fmt: skip
+        )
         running.append(process)
         spin(nodes, lambda: process.poll() is not None, 30.0)
         return (process.returncode, *process.communicate())

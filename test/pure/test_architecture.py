@@ -22,57 +22,57 @@ MESSAGES = {
     *("tf2_msgs", "unique_identifier_msgs", "visualization_msgs"),
 }
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
-MODEL = {"numpy", "scipy", "numba", "yaml"}
 ARRAYS, UNITS = "fss_arm_model.arrays", "fss_arm_model.units"
 PROTOCOL, BOARD = "fss_arm_driver.protocol", "fss_base_driver.protocol"
 SHARED_PROTOCOL = "fss_link.protocol"
 
-# Beside itself and the standard library, a package, or a folder in one, may import these; a
-# module's name in full allows that module alone.
+#: What a package may import beside itself and the standard library, as in DESIGN.md, section 2.
 ALLOWED = {
-    "fss_arm_model": MODEL,
-    "fss_arm_ros": ROS | {"fss_arm_model", "numpy"},
-    "fss_arm_bags": ROS
-    | {ARRAYS, "fss_arm_model.files", "fss_arm_model.settings", "fss_arm_ros"}
-    | {"numpy", "rosbags", "mcap", "backports", "rich"},
-    "fss_arm_driver": ROS
-    | {ARRAYS, UNITS}
-    | {f"fss_arm_model.{name}" for name in ("description", "description_file", "files")}
-    | {f"fss_arm_model.{name}" for name in ("settings", "urdf", "vehicle")}
-    | {f"fss_arm_model.guard.{name}" for name in ("guard", "settings")}
-    | {"fss_link", "fss_arm_ros", "numpy", "serial"},
-    "fss_link": ROS | {"fss_arm_model", "fss_arm_ros", "serial"},
-    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", SHARED_PROTOCOL, PROTOCOL, BOARD, "numpy"},
-    "fss_rehearsal": ROS
-    | {
-        "fss_sim",
-        "fss_link",
-        "fss_base_driver",
-        "fss_arm_driver",
-        "fss_arm_model",
-        "fss_arm_ros",
-        "fss_arm_bags",
-        "fss_arm_calib",
-        "fss_gnc",
-        *("numpy", "rich", "matplotlib", "dask", "distributed", "pyarrow"),
-    },
-    "fss_arm_calib": ROS
-    | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags"}
-    | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
-    "fss_arm_workspace": ROS
-    | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
-    "fss_arm_motion": ROS
-    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
-    "fss_base_driver": ROS
-    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "motioncapture"}
-    | {"fss_link"},
-    "fss_gnc": ROS | {"fss_arm_model", "fss_arm_motion", "fss_arm_ros", "numpy", "scipy"},
-    "fss_arm_view": ROS
-    | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
-    | {"numpy", "rerun", "rerun_cli"},
+    "fss_arm_msgs": "common_interfaces",
+    "fss_arm_model": "numpy, scipy, numba, yaml",
+    "fss_arm_ros": "rclpy; model, msgs",
+    "fss_arm_bags": "rosbags, mcap; model, ros, msgs",
+    "fss_link": "pyserial; model, ros, msgs",
+    "fss_arm_driver": "link, model, ros, msgs",
+    "fss_base_driver": "motioncapture; link, model, ros, msgs",
+    "fss_arm_motion": "model, ros, msgs",
+    "fss_gnc": "model, motion, ros, msgs",
+    "fss_sim": "model, ros, msgs, wire protocols of link and drivers",
+    "fss_arm_calib": "scipy; model, ros, bags, msgs",
+    "fss_arm_workspace": "model, ros, bags, msgs",
+    "fss_arm_view": "rerun; model, gnc's navigation, ros, msgs",
+    "fss_rehearsal": "all",
+}
+PACKAGES = sorted(ALLOWED.keys() - {"fss_arm_msgs"})
+
+# The table's words as names of packages, and of single modules. The model's interface is arrays,
+# and every node is rclpy's: their libraries come with them.
+IMPORTS_BY_WORD = {
+    "pyserial": {"serial"},
+    "rerun": {"rerun", "rerun_cli"},
+    "msgs": MESSAGES,
+    "model": {"fss_arm_model", "numpy"},
+    "ros": {"fss_arm_ros", "rclpy"},
+    "link": {"fss_link"},
+    "bags": {"fss_arm_bags"},
+    "motion": {"fss_arm_motion"},
+    "gnc's navigation": {"fss_gnc.navigation", "fss_gnc.navigation.messages"},
+    "wire protocols of link and drivers": {SHARED_PROTOCOL, PROTOCOL, BOARD},
+    "all": {*PACKAGES, *ROS, *LIBRARIES},
 }
 
-# What of the workspace a room of a package may import beside itself.
+# Libraries that a package needs beyond its row.
+FURTHER_LIBRARIES = {
+    "fss_arm_bags": {"backports", "rich"},
+    "fss_arm_driver": {"serial"},
+    "fss_base_driver": {"scipy", "rich"},
+    "fss_arm_motion": {"scipy", "yaml", "matplotlib"},
+    "fss_gnc": {"scipy"},
+    "fss_arm_calib": {"yaml", "rich", "matplotlib"},
+    "fss_arm_workspace": {"scipy", "rich", "matplotlib"},
+}
+
+# What of the workspace a folder of a package, or a whole one, may import beside itself.
 REGIONS = "fss_arm_workspace.regions"
 WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift", "drives")]
 SHARED = [
@@ -84,6 +84,15 @@ SHARED = [
 ]
 FROM_BAGS = {f"fss_arm_calib.bag_{room}" for room in ("command", "data", "options")}
 ROOMS = {
+    "fss_arm_bags": {ARRAYS, "fss_arm_model.files", "fss_arm_model.settings", "fss_arm_ros"},
+    "fss_arm_driver": {
+        ARRAYS,
+        UNITS,
+        *(f"fss_arm_model.{name}" for name in ("description", "description_file", "files")),
+        *(f"fss_arm_model.{name}" for name in ("settings", "urdf", "vehicle")),
+        *(f"fss_arm_model.guard.{name}" for name in ("guard", "settings")),
+        *("fss_link", "fss_arm_ros", "fss_arm_msgs"),
+    },
     SHARED_PROTOCOL: set(),
     "fss_link.session": {UNITS, SHARED_PROTOCOL},
     "fss_link.transport": {SHARED_PROTOCOL},
@@ -149,8 +158,7 @@ EDGES = {
     *("plan_command", "recompute", "programs", "from_bags", "bag_command", "bag_data"),
 }
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
-MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_rehearsal"}
-PACKAGES = sorted(row for row in ALLOWED if "." not in row)
+MATHEMATICS = {*PACKAGES} - {"fss_arm_ros", "fss_arm_bags", "fss_rehearsal"}
 
 
 #: Of setup.py, with the tag of package.xml that says the same.
@@ -211,20 +219,26 @@ def reached(module: str) -> set[str]:
     return seen
 
 
-def house(module: str) -> str:
-    """The package that a module is of, or the folder with a row of its own."""
-    rows = [row for row in ALLOWED if f"{module}.".startswith(f"{row}.")]
-    return max(rows, key=len, default=module.partition(".")[0])
+def top_package(module: str) -> str:
+    return module.partition(".")[0]
 
 
-def is_allowed(name: str, row: str) -> bool:
-    top = name.partition(".")[0]
-    return top in sys.stdlib_module_names or bool({row, *ALLOWED[row]} & {house(name), name})
+def allowed(package: str) -> set[str]:
+    """Packages and single modules that a package may import."""
+    words = re.split("[,;] ", ALLOWED[package])
+    found = {name for word in words for name in IMPORTS_BY_WORD.get(word, {word})}
+    return {package} | found | FURTHER_LIBRARIES.get(package, set())
+
+
+def is_allowed(name: str, package: str) -> bool:
+    return top_package(name) in sys.stdlib_module_names or bool(
+        allowed(package) & {name, top_package(name)}
+    )
 
 
 def mathematics() -> Iterator[str]:
     for module in MODULES:
-        package, name = house(module), module.rpartition(".")[2]
+        package, name = top_package(module), module.rpartition(".")[2]
         if package in MATHEMATICS and name not in EDGES and not name.endswith(AT_THE_EDGE):
             yield module
 
@@ -235,16 +249,17 @@ def test_every_package_has_its_row() -> None:
     assert packages == {module for module in MODULES if "." not in module}
 
 
-@pytest.mark.parametrize("row", ALLOWED)
-def test_a_package_imports_what_its_row_allows(row: str) -> None:
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_imports_what_its_row_allows(package: str) -> None:
+    modules = [module for module in MODULES if top_package(module) == package]
     strangers = {
         f"{module} imports {name}"
-        for module in MODULES
-        if house(module) == row
+        for module in modules
         for name in imports(module)
-        if not is_allowed(name, row)
+        if not is_allowed(name, package)
     }
     assert not strangers
+    assert FURTHER_LIBRARIES.get(package, set()) <= tops(set().union(*map(imports, modules)))
 
 
 def test_packages_import_each_other_in_one_direction() -> None:
@@ -266,6 +281,19 @@ def test_a_room_imports_what_its_row_allows(room: str) -> None:
     ours = {n for m in inside for n in imports(m) if n.startswith("fss_")}
     assert inside
     assert not {name for name in ours if not f"{name}.".startswith(given)}
+
+
+def test_private_names_are_used_in_their_own_module_only() -> None:
+    """Ruff's PLC2701 finds those of other packages only."""
+    found = {
+        f"{module}: {alias.name}"
+        for module in MODULES
+        for statement in ast.walk(ast.parse(text(module)))
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+        if re.match("_[^_]", alias.name)
+    }
+    assert not found
 
 
 #: Names that rclpy keeps private, as far as this workspace has ever used them.

@@ -54,6 +54,11 @@ def board(*commands, clock=SECOND, key=None, limits=None):
 def opens(on_times=NO_ON_TIMES, pulse=1, sequence=2, expiry=1 << 63, **changes):
     """A command that begins a pulse."""
     return replace(
-        GO, pulse=pulse, sequence=sequence, clock=sequence, on_times=tuple(on_times),
-        expiry=expiry, **changes,
-    )  # fmt: skip
+        GO,
+        pulse=pulse,
+        sequence=sequence,
+        clock=sequence,
+        on_times=tuple(on_times),
+        expiry=expiry,
+        **changes,
+    )

@@ -16,11 +16,18 @@ from websockets.sync.client import connect
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = (
-    "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--disable-background-networking", "--remote-debugging-port=0", "--disable-component-update",
-    "--disable-sync", "--no-first-run", "--no-pings",
+    "--headless=new",
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--remote-debugging-port=0",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+    "--no-pings",
     "--disable-features=OptimizationHints,AutofillServerCommunication",
-)  # fmt: skip
+)
 
 
 class Page:

@@ -51,10 +51,15 @@ def drifts(seed, count=4, length=40.0, tilt=TILT, tether=TETHER, twist=TWIST):
         seen = np.array(poses) + rng.standard_normal((len(times), 3)) * SIGMA / np.sqrt(FRESH)
         found.append(
             Drift(
-                k * 10**12, k * 10**12 + int(length * 1e9), tuple(q), tuple(times),
-                tuple(map(tuple, seen.tolist())), (50,) * len(times), (BIN,) * len(times),
+                k * 10**12,
+                k * 10**12 + int(length * 1e9),
+                tuple(q),
+                tuple(times),
+                tuple(map(tuple, seen.tolist())),
+                (50,) * len(times),
+                (BIN,) * len(times),
             )
-        )  # fmt: skip
+        )
     return found, Truth(sum(gains) / (count * times[-1]), np.array(momenta))
 
 

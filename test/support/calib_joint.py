@@ -42,10 +42,14 @@ DYNAMIC = DynamicSettings(
 )
 DRIFT = DriftSettings(torque_deviation=0.002, twist_deviation=0.003, drag_deviation=0.02, **CAMERAS)
 SETTINGS = {"kinematic": KINEMATIC, "dynamic": DYNAMIC, "drift": DRIFT}
-SURROUNDINGS = np.array([
-    *[GRAVITY * DYNAMIC.tilt_deviation] * 2,
-    DRIFT.torque_deviation, DRIFT.twist_deviation, DRIFT.drag_deviation,
-])  # fmt: skip
+SURROUNDINGS = np.array(
+    [
+        *[GRAVITY * DYNAMIC.tilt_deviation] * 2,
+        DRIFT.torque_deviation,
+        DRIFT.twist_deviation,
+        DRIFT.drag_deviation,
+    ]
+)
 
 
 class Day(NamedTuple):
@@ -117,12 +121,17 @@ def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC, ends=None, rest=REST,
         at = start + k * 20 * SECOND
         found.append(
             Maneuver(
-                at, at + 10 * SECOND, tuple(tuple(t + rest) for t in times),
-                tuple(tuple(q) for q, _ in read), tuple(tuple(qd) for _, qd in read),
-                tuple(seen + rest), tuple(map(tuple, poses.tolist())), (FRAMES,) * len(seen),
+                at,
+                at + 10 * SECOND,
+                tuple(tuple(t + rest) for t in times),
+                tuple(tuple(q) for q, _ in read),
+                tuple(tuple(qd) for _, qd in read),
+                tuple(seen + rest),
+                tuple(map(tuple, poses.tolist())),
+                (FRAMES,) * len(seen),
                 tuple(seconds.tolist()),
             )
-        )  # fmt: skip
+        )
     return found
 
 
@@ -139,10 +148,15 @@ def drifts(arm, count, rng, acting, start=0, s=DRIFT, length=40.0):
         at = start + k * 100 * SECOND
         found.append(
             Drift(
-                at, at + round(length) * SECOND, tuple(q), tuple(times),
-                tuple(map(tuple, poses.tolist())), (FRAMES,) * len(times), (BIN,) * len(times),
+                at,
+                at + round(length) * SECOND,
+                tuple(q),
+                tuple(times),
+                tuple(map(tuple, poses.tolist())),
+                (FRAMES,) * len(times),
+                (BIN,) * len(times),
             )
-        )  # fmt: skip
+        )
     return found
 
 

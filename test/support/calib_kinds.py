@@ -78,21 +78,50 @@ def turning() -> list[Any]:
 CASES = {
     case.kind: case
     for case in (
-        Case("kinematic",
-             lambda: calib_rig.Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=50.0).samples(),
-             calib_rig, {}, 8, {"position_deviation": 1e-7, "heading_deviation": 1e-7},
-             "max_observations"),
-        Case("dynamic",
-             lambda: calib_float.Float(
-                 calib_float.postures(10, seed=3), TRUTH.vector(), STATE).samples(rate=20),
-             calib_float, PRECISE, 10, {"max_place": 1e-6}, "max_maneuvers"),
-        Case("toy", lambda: calib_rig.Rig(DEFAULT_POSTURES[:4], rest=3.2, rate=50.0).samples(),
-             calib_rig, {}, 4, {"heading_deviation": 1e-9}, "max_observations"),
-        Case("drives", turning, calib_drives, {"max_relative": 0.3}, 53, {"max_relative": 1e-6},
-             "max_excitations", NOT_EVALUATED, "link", "links"),
+        Case(
+            "kinematic",
+            lambda: calib_rig.Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=50.0).samples(),
+            calib_rig,
+            {},
+            8,
+            {"position_deviation": 1e-7, "heading_deviation": 1e-7},
+            "max_observations",
+        ),
+        Case(
+            "dynamic",
+            lambda: calib_float.Float(
+                calib_float.postures(10, seed=3), TRUTH.vector(), STATE
+            ).samples(rate=20),
+            calib_float,
+            PRECISE,
+            10,
+            {"max_place": 1e-6},
+            "max_maneuvers",
+        ),
+        Case(
+            "toy",
+            lambda: calib_rig.Rig(DEFAULT_POSTURES[:4], rest=3.2, rate=50.0).samples(),
+            calib_rig,
+            {},
+            4,
+            {"heading_deviation": 1e-9},
+            "max_observations",
+        ),
+        Case(
+            "drives",
+            turning,
+            calib_drives,
+            {"max_relative": 0.3},
+            53,
+            {"max_relative": 1e-6},
+            "max_excitations",
+            NOT_EVALUATED,
+            "link",
+            "links",
+        ),
         Case("drift", drifting, calib_float, {}, 3, {"max_tilt": 1e-12}, "max_drifts"),
     )
-}  # fmt: skip
+}
 
 
 def make_node(kind, **settings):

@@ -45,10 +45,14 @@ def calibrate(observations, arm, s, streams, source):
         left, sigma = away - np.mean(away), s.heading_deviation
         chi_square, freedom, found = float(np.sum((left / sigma) ** 2)), len(used) - 1, away
         estimate = replace(
-            estimate, values=np.mean(away, keepdims=True), covariance=np.eye(1) * sigma**2 / len(q),
-            deviations=np.array([sigma / len(q) ** 0.5]), weights=np.ones(len(q)),
-            chi_square=chi_square, degrees_of_freedom=freedom,
-        )  # fmt: skip
+            estimate,
+            values=np.mean(away, keepdims=True),
+            covariance=np.eye(1) * sigma**2 / len(q),
+            deviations=np.array([sigma / len(q) ** 0.5]),
+            weights=np.ones(len(q)),
+            chi_square=chi_square,
+            degrees_of_freedom=freedom,
+        )
         checks.append(
             check_chi_square("fit", chi_square, freedom, s.min_probability, "no mere turn")
         )
@@ -57,14 +61,31 @@ def calibrate(observations, arm, s, streams, source):
         base = replace(arm.base, mount=(*arm.base.mount[:2], arm.base.mount[2] + np.mean(away)))
         return replace(arm, base=base)
 
-    return make_outcome(observations, used, (q, seen), arm, s, ToySettings, streams, source, checks,
-                     estimate, found, calibrated)  # fmt: skip
+    return make_outcome(
+        observations,
+        used,
+        (q, seen),
+        arm,
+        s,
+        ToySettings,
+        streams,
+        source,
+        checks,
+        estimate,
+        found,
+        calibrated,
+    )
 
 
 TOY = Calibration(
-    name="toy", about="By how much the first joint is turned.", settings=ToySettings,
+    name="toy",
+    about="By how much the first joint is turned.",
+    settings=ToySettings,
     data=replace(KINEMATIC.data, topic="calibration/toy_rests"),
     max_data=lambda s: s.max_observations,
-    inputs=KINEMATIC.inputs, finder=KINEMATIC.finder, calibrate=calibrate, message=msg.Calibration,
+    inputs=KINEMATIC.inputs,
+    finder=KINEMATIC.finder,
+    calibrate=calibrate,
+    message=msg.Calibration,
     to_message=lambda outcome, frame: common_message("toy", outcome, frame),
-)  # fmt: skip
+)

@@ -41,9 +41,15 @@ DISARM = Command(
     set_point=0, velocity=0, acceleration=0,
 )  # fmt: skip
 MOVE = replace(
-    DISARM, flags=LinkCommandFlag.ARM, sequence=2, expiry=100 * SECOND, mode=Mode.POSITION,
-    set_point=200_000, velocity=381_972, acceleration=7639,
-)  # fmt: skip
+    DISARM,
+    flags=LinkCommandFlag.ARM,
+    sequence=2,
+    expiry=100 * SECOND,
+    mode=Mode.POSITION,
+    set_point=200_000,
+    velocity=381_972,
+    acceleration=7639,
+)
 
 
 def with_crc(data: bytes) -> bytes:

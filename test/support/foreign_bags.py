@@ -120,10 +120,16 @@ def flight(n: int, seed: int, dynamic: bool, rest: float = 0.0, count: int = 0) 
             R = data.xmat[last].reshape(3, 3)
             end = data.xpos[last] + R @ [length, 0.0, 0.0]
             there = data.xmat[base].reshape(3, 3)
-            poses.append([
-                t, *data.xpos[base][:2], np.arctan2(there[1, 0], there[0, 0]),
-                *end[:2], np.arctan2(R[1, 0], R[0, 0]), data.qvel[2],
-            ])  # fmt: skip
+            poses.append(
+                [
+                    t,
+                    *data.xpos[base][:2],
+                    np.arctan2(there[1, 0], there[0, 0]),
+                    *end[:2],
+                    np.arctan2(R[1, 0], R[0, 0]),
+                    data.qvel[2],
+                ]
+            )
         if k % every["joint"] == 0:
             joints.append([t, *data.qpos[3:], *data.qvel[3:]])
         if dynamic:
@@ -162,12 +168,16 @@ def heard(one: Flight, seed: int, dynamic: bool) -> Heard:
     """A flight as its sensors report it."""
     rng, n = np.random.default_rng([17, seed]), one.q.shape[1]
     joints = {
-        f"joint_{i + 1}": np.column_stack([
-            one.at, one.at + LAG,
-            np.round(one.q[:, i] * COUNTS / (2 * np.pi)) * (2 * np.pi) / COUNTS, one.qd[:, i],
-        ])
+        f"joint_{i + 1}": np.column_stack(
+            [
+                one.at,
+                one.at + LAG,
+                np.round(one.q[:, i] * COUNTS / (2 * np.pi)) * (2 * np.pi) / COUNTS,
+                one.qd[:, i],
+            ]
+        )
         for i in range(n)
-    }  # fmt: skip
+    }
     poses = {}
     lasting = SLOW * (0.1 if dynamic else 1.0)
     for name, seen in (("fss", one.base), ("end_effector", one.tip)):
@@ -206,9 +216,11 @@ def write(folder: Path, what: Heard) -> Path:
         values = np.array([what.joints[names[i]][k, 2:] for i, k in which])
         start = what.start.get("joints", START)
         message = state(
-            header(stamp(t, start), ""), [names[i] for i, _ in which],
-            *np.ascontiguousarray(values.T), np.empty(0),
-        )  # fmt: skip
+            header(stamp(t, start), ""),
+            [names[i] for i, _ in which],
+            *np.ascontiguousarray(values.T),
+            np.empty(0),
+        )
         rows.append((receipt, "/joint_states", state.__msgtype__, message))
     for name, track in what.poses.items():
         start = what.start.get(name, START)
@@ -221,9 +233,14 @@ def write(folder: Path, what: Heard) -> Path:
     none = np.zeros(9)
     for t, receipt, rate in what.gyro.tolist():
         message = imu(
-            header(stamp(t, what.start.get("gyro", START)), ""), turn(0.0, 0.0, 0.0, 1.0), none,
-            vector(0.0, 0.0, rate), none, vector(0.0, 0.0, 0.0), none,
-        )  # fmt: skip
+            header(stamp(t, what.start.get("gyro", START)), ""),
+            turn(0.0, 0.0, 0.0, 1.0),
+            none,
+            vector(0.0, 0.0, rate),
+            none,
+            vector(0.0, 0.0, 0.0),
+            none,
+        )
         rows.append((receipt, "/fog/imu", imu.__msgtype__, message))
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         connections = {}
@@ -380,11 +397,23 @@ KINEMATIC = [
     Kind("never still", _restless, r"^joints never at rest"),
 ]  # fmt: skip
 DYNAMIC = [
-    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
+    MILLIMETERS,
+    DEGREES,
+    SIGN,
+    ORDER,
+    SIGNS,
+    MIRRORED,
+    W_FIRST,
+    Y_UP,
+    SWAPPED,
+    HOUR_APART,
     Kind("one wrapped", _wrap, r"^joint_\d wrapped\?"),
-    Kind("gyro in degrees", lambda what, _: what.gyro.__setitem__(
-        (slice(None), 2), np.degrees(what.gyro[:, 2])), r"^gyro in degrees per second\?"),
-]  # fmt: skip
+    Kind(
+        "gyro in degrees",
+        lambda what, _: what.gyro.__setitem__((slice(None), 2), np.degrees(what.gyro[:, 2])),
+        r"^gyro in degrees per second\?",
+    ),
+]
 
 
 def make(

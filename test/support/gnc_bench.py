@@ -30,11 +30,15 @@ class FakeCraft(Node):
         self.holds, self.propellant = False, 0.1
         self.silent, self.late = set(), 0.0  # topics; age of stamps [s]
         kinds = {
-            "base/state": Odometry, "target/state": Odometry, "arm/joint_states": JointState,
-            "gripper/state": GripperState, "base/propellant": Float64,
-        }  # fmt: skip
-        self.topics = {name: self.create_publisher(kind, name, SENSOR)
-                       for name, kind in kinds.items()}  # fmt: skip
+            "base/state": Odometry,
+            "target/state": Odometry,
+            "arm/joint_states": JointState,
+            "gripper/state": GripperState,
+            "base/propellant": Float64,
+        }
+        self.topics = {
+            name: self.create_publisher(kind, name, SENSOR) for name, kind in kinds.items()
+        }
         self.create_timer(1.0 / RATE, self.report)
 
     def now(self):
@@ -48,11 +52,13 @@ class FakeCraft(Node):
         said = {
             "base/state": odometry(self.pose, self.twist),
             "arm/joint_states": JointState(
-                name=[f"joint_{i}" for i in range(1, 5)], position=list(map(float, self.q)),
-                velocity=list(map(float, self.qd)), effort=[0.1, -0.4, 0.2, 0.0],
+                name=[f"joint_{i}" for i in range(1, 5)],
+                position=list(map(float, self.q)),
+                velocity=list(map(float, self.qd)),
+                effort=[0.1, -0.4, 0.2, 0.0],
             ),
             "gripper/state": GripperState(holds=self.holds),
-        }  # fmt: skip
+        }
         if self.target:
             said["target/state"] = odometry(*self.target)
         for name, message in said.items():

@@ -82,11 +82,21 @@ UNDEFINED = Heard("/text", "std_msgs/msg/String", "", hash=definition("std_msgs/
 #: without and one with a type of a message in it.
 FEEDBACK = Heard("/arm/move/_action/feedback", "fss_arm_msgs/action/MoveArm_FeedbackMessage", "")
 EVENTS = (
-    Heard("/link_1/arm/_service_event", "std_srvs/srv/SetBool_Event", "unknown", SET_BOOL,
-          of="std_srvs/srv/SetBool"),
-    Heard("/mode/_service_event", "other/srv/SetMode_Event", "ros2msg", SET_MODE,
-          of="other/srv/SetMode"),
-)  # fmt: skip
+    Heard(
+        "/link_1/arm/_service_event",
+        "std_srvs/srv/SetBool_Event",
+        "unknown",
+        SET_BOOL,
+        of="std_srvs/srv/SetBool",
+    ),
+    Heard(
+        "/mode/_service_event",
+        "other/srv/SetMode_Event",
+        "ros2msg",
+        SET_MODE,
+        of="other/srv/SetMode",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -134,8 +144,11 @@ class Standard:
             for k in range(self.each * part, self.each * (part + 1))
         ]
         text = serialize_message(String(data="a text"))
-        rows += [(one, START + self.each * part * STEP + 1, text) for one in self.others
-                 if one is not SILENT]  # fmt: skip
+        rows += [
+            (one, START + self.each * part * STEP + 1, text)
+            for one in self.others
+            if one is not SILENT
+        ]
         return sorted(rows, key=lambda row: row[1])
 
     def mcap(self, file: Path, rows: list[tuple[Heard, int, bytes]]) -> None:
@@ -143,18 +156,18 @@ class Standard:
         packs = self.preset.startswith("zstd")
         with file.open("wb") as stream:
             writer = McapWriter(
-                stream, chunk_size=1000, use_chunking=self.preset != "fastwrite",
+                stream,
+                chunk_size=1000,
+                use_chunking=self.preset != "fastwrite",
                 compression=CompressionType.ZSTD if packs else CompressionType.NONE,
                 enable_crcs=False,
-            )  # fmt: skip
+            )
             writer.start(profile="ros2", library="libmcap 1.3.0")
             writer.add_metadata("rosbag2", {"serialized_metadata": "version: 9"})
             channels: dict[str, int] = {}
             for one in self.topics:
                 schema = writer.register_schema(one.msgtype, one.encoding, one.text.encode())
-                about = {
-                    "offered_qos_profiles": yaml.safe_dump(QOS), "topic_type_hash": one.hash,
-                }  # fmt: skip
+                about = {"offered_qos_profiles": yaml.safe_dump(QOS), "topic_type_hash": one.hash}
                 channels[one.name] = writer.register_channel(one.name, "cdr", schema, about)
             for one, receipt, data in rows:
                 writer.add_message(channels[one.name], receipt, data, receipt)

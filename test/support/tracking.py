@@ -56,10 +56,21 @@ def look_at(vicon, frame, plant):
 
 
 def track(
-    seed, frames, *, arm="config/truth.yaml", known=None, outage=(0, 0), moving=True,
-    thrusting=True, planned=True, told=True, preset="default", settings=None,
-    of_target=None, gyro=True,
-):  # fmt: skip
+    seed,
+    frames,
+    *,
+    arm="config/truth.yaml",
+    known=None,
+    outage=(0, 0),
+    moving=True,
+    thrusting=True,
+    planned=True,
+    told=True,
+    preset="default",
+    settings=None,
+    of_target=None,
+    gyro=True,
+):
     """Fly with random pulses of thrusters and a moving arm; poses are missing in the outage.
 
     The preset is one's name, or a Noise of one's own; of the poses' stamps, the latency is known.
@@ -108,10 +119,14 @@ def track(
                     i, now, e.reading(motion.q), e.rate(motion.q, motion.qd)
                 )
         seen = sensors.observe(
-            frame + 1, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:],
+            frame + 1,
+            plant.base,
+            plant.tip,
+            float(plant.qd[2]),
+            plant.qd[3:],
             target=plant.target[0].tolist(),
             marker_results=vicon and look_at(vicon, frame + 1, plant),
-        )  # fmt: skip
+        )
         at = now - seen.base.age - round(SECOND * noise.vicon_latency)
         if gyro and navigation.base.update_rate(now, seen.rate):
             nis["gyro"].append(navigation.base.nis[TURN_RATE][-1])

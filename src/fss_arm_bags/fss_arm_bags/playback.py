@@ -70,10 +70,16 @@ class Playback:
     """
 
     def __init__(
-        self, bags: Bags, span: tuple[int, int], settings: ReplaySettings,
-        topics: Collection[str], upgraded_types: Mapping[str, Any], wait_for: Mapping[str, int],
-        outputs: Outputs, now: Callable[[], float] = monotonic,
-    ) -> None:  # fmt: skip
+        self,
+        bags: Bags,
+        span: tuple[int, int],
+        settings: ReplaySettings,
+        topics: Collection[str],
+        upgraded_types: Mapping[str, Any],
+        wait_for: Mapping[str, int],
+        outputs: Outputs,
+        now: Callable[[], float] = monotonic,
+    ) -> None:
         self.bags, self.settings, self.topics = bags, settings, topics
         self.start, self.end = span
         self.upgraded_types, self.wait_for, self.outputs = upgraded_types, wait_for, outputs

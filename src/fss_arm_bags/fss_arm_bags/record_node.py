@@ -22,6 +22,8 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.subscription_set import subscribe_bytes, unsubscribe
 
 MEGABYTE = 1_000_000
+LIMITS = Limits(size=2000 * MEGABYTE, span=3600 * SECOND)  # of a bag
+MIN_FREE_SPACE = 1000  # free disk space below which a warning is published [MB]
 MAX_EARLY_MESSAGES = 1000  # latched, kept until the first time of receipt is known
 
 
@@ -43,8 +45,7 @@ class RecordNode(Node):
         self.topics = {self.resolve_topic_name(topic) for topic in settings.topics}
         names = settings.namespace, *filter(None, settings.shared)
         self.prefixes = [f"/{name.strip('/')}".rstrip("/") for name in names]
-        limits = Limits(round(settings.split_size * MEGABYTE), round(settings.split_time * SECOND))
-        self.recording = Recording(Path(settings.output), limits)
+        self.recording = Recording(Path(settings.output), LIMITS)
         self.subscribed: dict[str, Subscription] = {}
         self.unknown_types: set[str] = set()
         self.counts: Counter[str] = Counter()
@@ -131,7 +132,7 @@ class RecordNode(Node):
             return Health(ERROR, f"cannot write: {self.recording.failure.strerror}", values)
         if self.get_clock().now().nanoseconds == 0:
             return Health(WARN, "waiting for /clock", values)
-        if free < self.settings.reserve:
+        if free < MIN_FREE_SPACE:
             return Health(WARN, f"only {free:.0f} MB are free on the disk", values)
         if self.recording.lost:
             return Health(WARN, f"{self.recording.lost} messages were lost", values)

@@ -24,18 +24,6 @@ class RecordSettings(Settings):
     shared: tuple[str, ...] = setting(
         SHARED, "topics outside the namespace to record too, with all topics below them"
     )
-    split_size: float = setting(
-        2000.0, "size at which the next bag is started; 0: never", unit="MB", check=NOT_NEGATIVE
-    )
-    split_time: float = setting(
-        3600.0,
-        "duration after which the next bag is started; 0: never",
-        unit="s",
-        check=NOT_NEGATIVE,
-    )
-    reserve: float = setting(
-        1000.0, "free disk space below which a warning is published", unit="MB", check=NOT_NEGATIVE
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -278,9 +278,10 @@ def _pose_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, st
     if BASE in recorded.poses and TIP in recorded.poses:
         swapped = {BASE: recorded.poses[TIP], TIP: recorded.poses[BASE]}
         yield (
-            "base and end effector are swapped?", "swapped back",
+            "base and end effector are swapped?",
+            "swapped back",
             replace(recorded, poses={**recorded.poses, **swapped}),
-        )  # fmt: skip
+        )
     for words, remedy, columns, signs in (() if flat else TILTED_FRAMES) + REVERSED_AXES:
         turn = partial(_rearrange_columns, columns=columns, signs=signs)
         yield words, remedy, recorded.change(poses=turn)
@@ -381,6 +382,11 @@ def _length_errors(
 
 
 MAKERS: tuple[Maker, ...] = (
-    _name_errors, _unit_errors, _length_errors, _clock_errors, _pose_errors, _joint_errors,
-)  # fmt: skip
+    _name_errors,
+    _unit_errors,
+    _length_errors,
+    _clock_errors,
+    _pose_errors,
+    _joint_errors,
+)
 FEW_DATA_MAKERS: tuple[Maker, ...] = (_setting_errors,)  # used only if there are too few data

@@ -50,9 +50,11 @@ def parser(
     add_output_options(p, kind.output_name)
     if kind.prior_results:
         p.add_argument(
-            "--kinematic", metavar="FROM", help="start from a kinematic calibration with its "
+            "--kinematic",
+            metavar="FROM",
+            help="start from a kinematic calibration with its "
             "covariance: its result as JSON, or a bag to calibrate from",
-        )  # fmt: skip
+        )
     add_settings(p, kind.settings)
     p.set_defaults(**default_settings(kind.settings, namespace))
     return p
@@ -64,8 +66,9 @@ def _joint_parser() -> argparse.ArgumentParser:
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags: a session")
     add_output_options(p, "calibrated description")
     p.add_argument(
-        "--params", metavar="YAML", help="parameter file with settings of kinematic, dynamic and "
-        "drift, as for their nodes",
-    )  # fmt: skip
+        "--params",
+        metavar="YAML",
+        help="parameter file with settings of kinematic, dynamic and drift, as for their nodes",
+    )
     add_settings(p, JointSettings)
     return p

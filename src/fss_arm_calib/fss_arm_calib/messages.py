@@ -24,9 +24,18 @@ MAX_LISTED_NAMES = 20  # most unknown joint names that are reported of a message
 
 #: Fields of Calibration.msg that are computed from the data alone.
 COMPUTED_FIELDS = (
-    "values", "deviations", "covariance", "residuals", "weights", "leverage", "errors",
-    "position_residual", "heading_residual", "chi_square", "condition_number",
-)  # fmt: skip
+    "values",
+    "deviations",
+    "covariance",
+    "residuals",
+    "weights",
+    "leverage",
+    "errors",
+    "position_residual",
+    "heading_residual",
+    "chi_square",
+    "condition_number",
+)
 
 
 def joints_input(topic: str) -> Input:

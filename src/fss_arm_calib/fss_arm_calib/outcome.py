@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
-from math import nan
+from math import nan, radians
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -26,6 +26,16 @@ from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.files import ContentError
 from fss_arm_model.units import SECOND
+
+#: Settings that have become constants, with their values: earlier results recorded them.
+FORMER_SETTINGS = {
+    "max_base_turn": 3.0,
+    "max_speed": 5.0,
+    "max_turn": 10.0,
+    "min_moving": 20.0,
+    "min_travel": 0.05,
+    "same_posture": radians(1.0),
+}
 
 LIVE = "live"  # source of data received from topics
 
@@ -230,9 +240,17 @@ def make_outcome(
     if calibrated and passed:
         description = to_yaml(calibrated(), list(_origin_lines(provenance, estimate)))
     return Outcome(
-        tuple(data), tuple(used), arm, settings, streams, tuple(checks), provenance, estimate,
-        solution, description,
-    )  # fmt: skip
+        tuple(data),
+        tuple(used),
+        arm,
+        settings,
+        streams,
+        tuple(checks),
+        provenance,
+        estimate,
+        solution,
+        description,
+    )
 
 
 def _origin_lines(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
@@ -241,9 +259,7 @@ def _origin_lines(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
     e = estimate
     yield f"Calibrated by {provenance.software} from {provenance.source}, until {end:%F %R} UTC:"
     yield f"pass, chi-square {e.chi_square:.4g} for {e.degrees_of_freedom} degrees of freedom"
-    for name, value, deviation, unit in zip(
-        e.names, e.values, e.deviations, e.units, strict=True
-    ):  # fmt: skip
+    for name, value, deviation, unit in zip(e.names, e.values, e.deviations, e.units, strict=True):
         yield f"{name} = {value:.6g} +- {deviation:.2g} {unit}"
 
 
@@ -255,7 +271,7 @@ def _to_yaml_type(value: Any) -> Any:
 
 
 def parse_settings(parameters: str, kind: type[C], section: str = "") -> C:
-    """Return the settings in a Provenance.
+    """Return the settings in a Provenance; those that are constants now must have their values.
 
     Args:
         parameters: settings as YAML, from the Provenance.
@@ -273,6 +289,9 @@ def parse_settings(parameters: str, kind: type[C], section: str = "") -> C:
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]  # a dataclass
     if not isinstance(given, dict):
         raise ContentError("parameters", parameters, f"those of {kind.__name__} as YAML")
+    for name in sorted(FORMER_SETTINGS.keys() & given.keys() - known):
+        if (value := given.pop(name)) != FORMER_SETTINGS[name]:
+            raise ContentError(name, value, f"{FORMER_SETTINGS[name]:g}, a constant now")
     if others := given.keys() - known:
         raise ContentError("a parameter", min(others, key=str), f"one of {kind.__name__}")
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})

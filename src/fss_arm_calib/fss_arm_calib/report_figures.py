@@ -65,8 +65,13 @@ def draw_influence(outcome: Outcome[Any, Any], label: str) -> Any:
         axes.annotate(str(k + 1), place, (5, 4), textcoords="offset points", fontsize=9)
     for check in outcome.checks:
         if check.name == "outliers":
-            axes.axhline(check.threshold, color="tab:red", linestyle="--", linewidth=1.0,
-                         label="outliers above")  # fmt: skip
+            axes.axhline(
+                check.threshold,
+                color="tab:red",
+                linestyle="--",
+                linewidth=1.0,
+                label="outliers above",
+            )
     mean = float(np.sum(leverage)) / max(int(np.sum(kept)), 1)
     axes.axvline(mean, color="0.5", linestyle=":", label=f"mean leverage, {mean:.2f}")
     axes.set_xlim(0.0, 1.15 * max(float(leverage.max()), mean))

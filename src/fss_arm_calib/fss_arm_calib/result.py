@@ -20,9 +20,14 @@ SCHEMA = "fss_arm_calib/result/1"
 
 #: Fields of an Estimate that are stored under `fit`.
 FIT_FIELDS = (
-    "position_residual", "heading_residual", "chi_square", "degrees_of_freedom",
-    "condition_number", "iterations", "last_update",
-)  # fmt: skip
+    "position_residual",
+    "heading_residual",
+    "chi_square",
+    "degrees_of_freedom",
+    "condition_number",
+    "iterations",
+    "last_update",
+)
 
 
 def contents(kind: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:

@@ -23,7 +23,6 @@ from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.subscriptions import SubscriptionThread, Topic, stop_topics
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
-from fss_link.host_clock import HostClock
 from fss_link.session import CommandError
 from fss_link.session_node import SessionNode
 from fss_link.transport import Transport
@@ -36,26 +35,28 @@ class LinkNode(SessionNode):
         number: of the link.
         url: address of its electronics.
         transport: used instead of `url`.
-        clock: by default the computer's; tests may pass another.
         kind: LinkSettings or a subclass.
+        options: of SessionNode.
     """
 
     session: LinkSession
 
     def __init__(
-        self, number: int = 1, url: str = "", transport: Transport | None = None,
-        clock: HostClock | None = None, kind: type[LinkSettings] = LinkSettings, **options: Any,
-    ) -> None:  # fmt: skip
+        self,
+        number: int = 1,
+        url: str = "",
+        transport: Transport | None = None,
+        kind: type[LinkSettings] = LinkSettings,
+        **options: Any,
+    ) -> None:
         overrides = [Parameter("link", value=number), *options.pop("parameter_overrides", ())]
         if url:
             overrides.append(Parameter("url", value=url))
         options["parameter_overrides"] = overrides
-        super().__init__(f"link_{number}", kind, clock=clock, **options)
+        super().__init__(f"link_{number}", kind, **options)
         s: LinkSettings = self.settings
-        session = LinkSession(
-            number, s.link_description(), s.timeout, s.watchdog, self.resolution, s.key(), s.empty,
-            self.clock.offset, s.arm,
-        )  # fmt: skip
+        times, offset = (s.timeout, s.watchdog, self.resolution), self.clock.offset
+        session = LinkSession(number, s.link_description(), *times, s.key(), s.empty, offset, s.arm)
         self.connect(session, transport or open_transport(s.url, number, s.key()))
         self.messages, self.reports = SampleMessages(session, s.frame_prefix), CommandReports()
         name, clock = session.partner.label, timer_clock(self)
@@ -67,10 +68,9 @@ class LinkNode(SessionNode):
         self.create_service(Trigger, f"{name}/clear_faults", self.on_clear_faults)
         self.delayed_send = self.create_timer(1.0, self.send, clock=clock, autostart=False)
         self.start_communication(f"{name}/arm", LinkHealth)
-        self.commands = SubscriptionThread(self, [
-            *stop_topics(self.on_stop, "arm/stop"),
-            Topic(LinkCommand, f"{name}/command", COMMAND, self.on_command),
-        ])  # fmt: skip
+        command = Topic(LinkCommand, f"{name}/command", COMMAND, self.on_command)
+        stops = stop_topics(self.on_stop, "arm/stop")
+        self.commands = SubscriptionThread(self, [*stops, command])
 
     def process_datagram(self, data: bytes, now: int) -> None:
         """Publish the contents of a datagram; the joint's state first."""

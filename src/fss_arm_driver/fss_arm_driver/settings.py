@@ -23,14 +23,17 @@ class LinkSettings(Settings):
         (), "addresses of links 1, 2, ..., instead of url, to run all drivers in one process"
     )
     rate: float = setting(
-        5.0, "rate at which the current command is repeated; doubled on a path if below 10",
+        5.0,
+        "rate at which the current command is repeated; doubled on a path if below 10",
         unit="1/s",
         check=between(0.1, 1000.0),
-    )  # fmt: skip
+    )
     max_rate: float = setting(
-        50.0, "largest rate of commands to the link; users' commands are sent at once",
-        unit="1/s", check=between(0.1, 1000.0),
-    )  # fmt: skip
+        50.0,
+        "largest rate of commands to the link; users' commands are sent at once",
+        unit="1/s",
+        check=between(0.1, 1000.0),
+    )
     timeout: float = setting(
         1.0,
         "silence after which the link is lost, and largest round trip at which it can be armed",
@@ -89,52 +92,68 @@ class ArmSettings(GuardSettings):
 
     arm: str = setting("", "file of the arm's description; empty: the paper's arm")
     rate: float = setting(
-        5.0, "rate of each link's commands during a move or a trajectory", unit="1/s",
+        5.0,
+        "rate of each link's commands during a move or a trajectory",
+        unit="1/s",
         check=between(0.1, 1000.0),
-    )  # fmt: skip
+    )
     time_to_live: float = setting(
-        1.0, "age beyond which a command or a link's telemetry is out of date", unit="s",
+        1.0,
+        "age beyond which a command or a link's telemetry is out of date",
+        unit="s",
         check=between(0.001, 3600.0),
-    )  # fmt: skip
+    )
     stream_time_to_live: float = setting(
-        0.5, "age beyond which a message on arm/joint_commands is out of date", unit="s",
+        0.5,
+        "age beyond which a message on arm/joint_commands is out of date",
+        unit="s",
         check=between(0.001, 3600.0),
-    )  # fmt: skip
+    )
     lead: float = setting(
         0.5,
         "least time from a trajectory's arrival to its start, so that the links receive it in time",
-        unit="s", check=between(0.0, 60.0),
-    )  # fmt: skip
+        unit="s",
+        check=between(0.0, 60.0),
+    )
     tolerance: float = setting(
         0.005, "a joint this close to its goal has reached it", unit="rad", check=POSITIVE
     )
     path_tolerance: float = setting(
-        0.0, "largest error of a joint on a trajectory without path tolerances; 0: any", unit="rad",
+        0.0,
+        "largest error of a joint on a trajectory without path tolerances; 0: any",
+        unit="rad",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     motion_threshold: float = setting(
         0.01, "rate above which a joint counts as moving", unit="rad/s", check=POSITIVE
     )
     max_overrun: float = setting(
-        5.0, "time by which a move or a trajectory may exceed its planned duration", unit="s",
+        5.0,
+        "time by which a move or a trajectory may exceed its planned duration",
+        unit="s",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     state_rate: float = setting(
-        20.0, "rate of arm/joint_states and of the transforms", unit="1/s",
+        20.0,
+        "rate of arm/joint_states and of the transforms",
+        unit="1/s",
         check=between(0.1, 1000.0),
-    )  # fmt: skip
+    )
     max_extrapolation: float = setting(
         0.5,
-        "age of a joint's measurement beyond which arm/joint_states is not published", unit="s",
+        "age of a joint's measurement beyond which arm/joint_states is not published",
+        unit="s",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     guard: bool = setting(
         True, "whether to reject motions that bring bodies closer to each other than the margins"
     )
     base_age: float = setting(
-        1.0, "age of base/state, or of the target's pose, beyond which the guard ignores it",
-        unit="s", check=POSITIVE,
-    )  # fmt: skip
+        1.0,
+        "age of base/state, or of the target's pose, beyond which the guard ignores it",
+        unit="s",
+        check=POSITIVE,
+    )
     publish_tf: bool = setting(
         True, "whether to publish transforms; set it to false if robot_state_publisher runs"
     )

@@ -28,13 +28,15 @@ class Target(Settings):
         0.25, "inertia of the target about its center of mass", unit="kg m^2", check=POSITIVE
     )
     fixture: tuple[float, ...] = setting(
-        (0.19, 0.0, 0.0), "grip fixture in the target's frame: x, y, outward heading",
-        unit="m, m, rad", check=FINITE, size=3,
-    )  # fmt: skip
+        (0.19, 0.0, 0.0),
+        "grip fixture in the target's frame: x, y, outward heading",
+        unit="m, m, rad",
+        check=FINITE,
+        size=3,
+    )
     radius: float = setting(
-        0.19, "radius of the target about its center of mass", unit="m",
-        check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.19, "radius of the target about its center of mass", unit="m", check=NOT_NEGATIVE
+    )
 
     def vector(self) -> Floats:
         """Return the parameters of a base without an arm for the kernels, (8,)."""

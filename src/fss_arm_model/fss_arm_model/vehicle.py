@@ -17,9 +17,10 @@ class Vehicle(Settings):
         "vicon/fss/fss", "topic of the base's poses", within="/vicon/{vehicle}/{vehicle}"
     )
     tip_topic: str = setting(
-        "vicon/end_effector/end_effector", "topic of the end effector's poses",
+        "vicon/end_effector/end_effector",
+        "topic of the end effector's poses",
         within="/vicon/{vehicle}_end_effector/{vehicle}_end_effector",
-    )  # fmt: skip
+    )
     target_topic: str = setting(
         "vicon/target/target", "topic of the target's poses", within="/vicon/target/target"
     )
@@ -27,9 +28,8 @@ class Vehicle(Settings):
         "fss", "frame id of the base, and of data relative to it", within="{namespace}/fss"
     )
     frame_prefix: str = setting(
-        "", "prefix of the vehicle's frame ids, as in robot_state_publisher",
-        within="{namespace}/",
-    )  # fmt: skip
+        "", "prefix of the vehicle's frame ids, as in robot_state_publisher", within="{namespace}/"
+    )
     full_tank: float = setting(
         0.1,
         "propellant that the described mass of the base includes",

@@ -37,9 +37,11 @@ class ArmClient:
             self.goal.cancel_goal_async()
 
     async def follow(
-        self, trajectory: FollowJointTrajectory.Goal, handle: ServerGoalHandle,
+        self,
+        trajectory: FollowJointTrajectory.Goal,
+        handle: ServerGoalHandle,
         feedback: Callable[[Any], None],
-    ) -> Any:  # fmt: skip
+    ) -> Any:
         """Follow a trajectory for a goal; return its status and result.
 
         Raises:

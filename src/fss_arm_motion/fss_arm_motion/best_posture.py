@@ -150,9 +150,14 @@ def _climb(start: Start, q: Floats, place: Floats | None, request: BestPosture) 
             }
         )
     got = minimize(
-        loss, q, jac=lambda q: slope(loss, q), bounds=start.limits.bounds, constraints=held,
-        method="SLSQP", options={"maxiter": 100, "ftol": 1e-9},
-    ).x.clip(*start.limits.bounds.T)  # fmt: skip
+        loss,
+        q,
+        jac=lambda q: slope(loss, q),
+        bounds=start.limits.bounds,
+        constraints=held,
+        method="SLSQP",
+        options={"maxiter": 100, "ftol": 1e-9},
+    ).x.clip(*start.limits.bounds.T)
     good = margins(got) > -1e-6
     if place is not None:
         good &= np.linalg.norm(tip_in_base(p, got)[:2] - place) < PLACE_TOLERANCE
@@ -169,9 +174,11 @@ def best_posture(start: Start, request: BestPosture) -> Plan:
     plan = point_to_point(start, PointToPoint(tuple(q.tolist())))
     here = float(velocity_ratio(start.arm, start.q, request.direction, request.base))
     arguments = {
-        "direction": request.direction, "place": list(request.place), "base": request.base,
+        "direction": request.direction,
+        "place": list(request.place),
+        "base": request.base,
         "seed": request.seed,
-    }  # fmt: skip
+    }
     notes = {"ratio": ratio, "ratio_before": here}
     return Plan(
         "best_posture", arguments, plan.times, plan.q, plan.qd, plan.prediction, plan.used, notes

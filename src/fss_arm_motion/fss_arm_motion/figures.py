@@ -89,9 +89,13 @@ def _strobes(figure: Any, axes: Any, start: Start, plan: Plan) -> None:
     axes.set_ylabel("y [m]")
     axes.legend(loc="upper left", fontsize=9, frameon=False)
     bar = figure.colorbar(
-        ScalarMappable(Normalize(0.0, plan.duration), colors), ax=axes, location="bottom",
-        shrink=0.6, aspect=40, pad=0.02,
-    )  # fmt: skip
+        ScalarMappable(Normalize(0.0, plan.duration), colors),
+        ax=axes,
+        location="bottom",
+        shrink=0.6,
+        aspect=40,
+        pad=0.02,
+    )
     bar.set_label("time [s]")
     bar.outline.set_visible(False)
 
@@ -150,9 +154,14 @@ def _heading(axes: Any, start: Start, plan: Plan) -> None:
     sigma = np.degrees(base.deviation[:, 2])
     if sigma.any():
         axes.fill_between(
-            base.times, turn - 2.0 * sigma, turn + 2.0 * sigma, color=BASE, alpha=0.15, linewidth=0,
+            base.times,
+            turn - 2.0 * sigma,
+            turn + 2.0 * sigma,
+            color=BASE,
+            alpha=0.15,
+            linewidth=0,
             label="± 2 sigma",
-        )  # fmt: skip
+        )
     axes.plot(base.times, turn, color=BASE, linewidth=1.6, label="this motion")
     if np.abs(plan.q[-1] - plan.q[0]).max() > MIN_DISTANCE:
         try:
@@ -160,9 +169,13 @@ def _heading(axes: Any, start: Start, plan: Plan) -> None:
             move = predicted(start, np.append(0.0, np.cumsum(h)), q, qd)
             move_turn = np.degrees(move.pose[:, 2] - move.pose[0, 2])
             axes.plot(
-                move.times * plan.duration / move.times[-1], move_turn, color=MOVE, linewidth=1.3,
-                linestyle="--", label="straight move between the same postures",
-            )  # fmt: skip
+                move.times * plan.duration / move.times[-1],
+                move_turn,
+                color=MOVE,
+                linewidth=1.3,
+                linestyle="--",
+                label="straight move between the same postures",
+            )
         except PlanError:  # no straight move to compare with
             pass
     axes.set_ylabel("base [deg]")
@@ -172,6 +185,12 @@ def _heading(axes: Any, start: Start, plan: Plan) -> None:
 def _legend(axes: Any, columns: int) -> None:
     """Draw the legend above the axes, where there are no lines."""
     axes.legend(
-        ncols=columns, fontsize=8.5, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 0.98),
-        borderpad=0.1, handlelength=1.6, columnspacing=1.4,
-    )  # fmt: skip
+        ncols=columns,
+        fontsize=8.5,
+        frameon=False,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.98),
+        borderpad=0.1,
+        handlelength=1.6,
+        columnspacing=1.4,
+    )

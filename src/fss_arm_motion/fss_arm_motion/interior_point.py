@@ -220,8 +220,8 @@ def _complementarity(h, least, timed, room, dual, dual_h):  # type: ignore[no-un
 
 @kernel("(p),(n,b),(n,l),(r),(u),(o),(s),(m,n),(m,n),(i)->(s),(m,n),(m,n),(i)")
 def _optimize(  # type: ignore[no-untyped-def]
-    p, bounds, limits, rotor, radii, options_, h0, q0, qd0, _i, h_out, q_out, qd_out, report,
-):  # fmt: skip
+    p, bounds, limits, rotor, radii, options_, h0, q0, qd0, _i, h_out, q_out, qd_out, report
+):
     # Helpers get contiguous arrays: numba takes long to compile them for other arrays.
     options = _options(options_)
     arm = Limited(

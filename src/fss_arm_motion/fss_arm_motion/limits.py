@@ -31,9 +31,10 @@ class LimitSettings(Settings):
     """
 
     share: float = setting(
-        0.9, "share of the drives' rates, accelerations and torques that plans use",
+        0.9,
+        "share of the drives' rates, accelerations and torques that plans use",
         check=above(0.0, 1.0),
-    )  # fmt: skip
+    )
     rotor_inertia: float = setting(
         0.0026, "inertia of each motor, felt at its joint", unit="kg m^2", check=NOT_NEGATIVE
     )

@@ -13,6 +13,8 @@ from fss_arm_motion.settings import MotionSettings
 from fss_arm_motion.track import Track
 from fss_arm_ros.calibrated import Calibrated
 
+REST_WINDOW = 4.0  # time before a plan over which drifts are averaged [s]
+
 
 class MotionError(ValueError):
     """A motion cannot start, or ended early; the message gives the reason."""
@@ -38,19 +40,14 @@ class Measured:
             self.moved = t
 
     @property
-    def window(self) -> int:
-        """Time over which drifts are averaged [ns]."""
-        return round(self.settings.rest_window * SECOND)
-
-    @property
     def has_rested(self) -> bool:
         """True if no joint has moved for the time over which drifts are averaged."""
-        return self.t >= self.moved + self.window
+        return self.t >= self.moved + round(REST_WINDOW * SECOND)
 
     @property
     def has_base(self) -> bool:
         """True if the base's drift is known; otherwise it is assumed to be at rest."""
-        return self.base.drift(self.t, self.settings.rest_window) is not None
+        return self.base.drift(self.t, REST_WINDOW) is not None
 
     def start(self, now: int, calibrated: Calibrated) -> Start:
         """Return the initial state of a plan; a base without poses is assumed to be at rest.
@@ -73,8 +70,8 @@ class Measured:
                 f"joint {i + 1} moves at {self.qd[i]:.3f} rad/s; wait until the arm rests"
             )
         start = Start(arm, self.q, covariance=calibrated.covariance, tracking=s.tracking)
-        base = self.base.drift(self.t, s.rest_window)
-        settling = self.joints.drift(self.t, s.rest_window)
+        base = self.base.drift(self.t, REST_WINDOW)
+        settling = self.joints.drift(self.t, REST_WINDOW)
         if base is None or settling is None:
             return start
         # Momentum by unit rates of base and joints; settling joints turn the base, too.

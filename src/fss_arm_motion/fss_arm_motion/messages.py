@@ -106,9 +106,12 @@ def trajectory(plan: Plan, begin: int) -> FollowJointTrajectory.Goal:
 
 
 def motion_report(
-    plan: Plan, arguments: Sequence[str], calibrated: Calibrated, start_time: int,
+    plan: Plan,
+    arguments: Sequence[str],
+    calibrated: Calibrated,
+    start_time: int,
     measured: tuple[Floats, Floats] | None,
-) -> MotionReport:  # fmt: skip
+) -> MotionReport:
     """Return the predicted and measured motion of the base.
 
     Args:
@@ -121,10 +124,15 @@ def motion_report(
     base, unknown = plan.prediction, np.full(3, np.nan)
     moved, excursion = measured or (unknown, unknown)
     report = MotionReport(
-        kind=plan.kind, arguments=list(arguments), arm=calibrated.arm.name, duration=plan.duration,
+        kind=plan.kind,
+        arguments=list(arguments),
+        arm=calibrated.arm.name,
+        duration=plan.duration,
         predicted=base.pose[-1] - base.pose[0],
         predicted_deviation=base.deviation[-1] if calibrated.covariance.any() else unknown,
-        measured=moved, predicted_excursion=base.excursion, measured_excursion=excursion[2],
-    )  # fmt: skip
+        measured=moved,
+        predicted_excursion=base.excursion,
+        measured_excursion=excursion[2],
+    )
     report.header.stamp, report.header.frame_id = to_time(start_time), "world"
     return report

@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 
 from fss_arm_model.description_file import described
 from fss_arm_motion.arm_action import ArmClient
-from fss_arm_motion.measured import Measured, MotionError
+from fss_arm_motion.measured import REST_WINDOW, Measured, MotionError
 from fss_arm_motion.messages import motion_report, oversized, planning, trajectory
 from fss_arm_motion.plan import Plan
 from fss_arm_motion.programs import motion as main
@@ -51,10 +51,10 @@ class MotionNode(Node):
         group = ReentrantCallbackGroup()  # callbacks run while a motion is executed
         self.arm = ArmClient(self, group)
         self.report = self.create_publisher(MotionReport, "arm/motion", LATCHED)
+        callbacks = {"goal_callback": self.on_goal, "cancel_callback": self.on_cancel}
         self.server = ActionServer(
-            self, ExecuteMotion, "arm/execute", self.on_execute, callback_group=group,
-            goal_callback=self.on_goal, cancel_callback=self.on_cancel,
-        )  # fmt: skip
+            self, ExecuteMotion, "arm/execute", self.on_execute, callback_group=group, **callbacks
+        )
         self.create_timer(0.1, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health, period=HEARTBEAT)
 
@@ -137,7 +137,7 @@ class MotionNode(Node):
             ValueError: there is none, or the goal was cancelled meanwhile.
             OSError: its file cannot be read.
         """
-        deadline = self.now() + 2 * self.measured.window
+        deadline = self.now() + 2 * round(REST_WINDOW * SECOND)
         await self.wait(handle, lambda: self.measured.has_rested or self.now() >= deadline)
         start = self.measured.start(self.now(), self.calibrated)
         job = self.planner.submit(planning(handle.request, start, self.settings.tolerance))

@@ -51,18 +51,30 @@ def add_common(p: argparse.ArgumentParser) -> None:
         "--q", type=float, nargs="+", metavar="DEG", help="initial joint readings (default: all 0)"
     )
     p.add_argument(
-        "--pose", type=float, nargs=3, metavar=("X", "Y", "DEG"), default=(0.0, 0.0, 0.0),
+        "--pose",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "DEG"),
+        default=(0.0, 0.0, 0.0),
         help="initial pose of the base in the world (default: 0 0 0)",
-    )  # fmt: skip
+    )
     p.add_argument(
-        "--momentum", type=float, nargs=3, metavar=("PX", "PY", "L"), default=(0.0, 0.0, 0.0),
+        "--momentum",
+        type=float,
+        nargs=3,
+        metavar=("PX", "PY", "L"),
+        default=(0.0, 0.0, 0.0),
         help="momentum of base and arm, L about their center of mass [N s, N s, N m s] "
         "(default: 0 0 0)",
-    )  # fmt: skip
+    )
     p.add_argument(
-        "--deviation", type=float, default=0.01, metavar="SHARE", help="1 sigma of each mass, "
+        "--deviation",
+        type=float,
+        default=0.01,
+        metavar="SHARE",
+        help="1 sigma of each mass, "
         "inertia and center of mass, as a share, for the base's band (default: %(default)s)",
-    )  # fmt: skip
+    )
     for f in fields(LimitSettings):
         add_option(p, f, float)
     p.add_argument("--output", metavar="YAML", help="file for the path")
@@ -84,10 +96,14 @@ def add_option(p: argparse.ArgumentParser, f: "Field[Any]", hint: Any) -> None:
         "" if several else f" (default: {default:g})" if hint is float else f" (default: {default})"
     )
     p.add_argument(
-        flag, type=float if several else hint, nargs="+" if several else None, default=f.default,
-        metavar=f.name.split("_")[-1].upper(), help=f"{about}{default_text}",
+        flag,
+        type=float if several else hint,
+        nargs="+" if several else None,
+        default=f.default,
+        metavar=f.name.split("_")[-1].upper(),
+        help=f"{about}{default_text}",
         action=_Degrees if in_degrees(f) else "store",
-    )  # fmt: skip
+    )
 
 
 def in_degrees(f: "Field[Any]") -> bool:
@@ -126,9 +142,13 @@ def plan_motion(options: argparse.Namespace) -> tuple[Start, Plan]:
     )
     pose = np.array([*options.pose[:2], np.radians(options.pose[2])])
     start = Start(
-        arm, np.radians(options.q if options.q else np.zeros(arm.n)), pose,
-        np.array(options.momentum), limits, relative_covariance(arm, options.deviation),
-    )  # fmt: skip
+        arm,
+        np.radians(options.q if options.q else np.zeros(arm.n)),
+        pose,
+        np.array(options.momentum),
+        limits,
+        relative_covariance(arm, options.deviation),
+    )
     kind, settings = request_of(options)
     return start, kind.plan(start, settings)
 

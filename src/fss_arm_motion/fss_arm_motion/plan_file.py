@@ -127,11 +127,14 @@ def parsed(source: str | Path) -> Stored:
     plan = Plan(
         part["kind"].of(str, "a kind of plan"),
         part["arguments"].of(dict, "entries"),
-        times, q, qd, base,
+        times,
+        q,
+        qd,
+        base,
         part["used"].array(3, q.shape[1]),
         part["notes"].of(dict, "entries"),
         part["ended"].of(str, "a text"),
-    )  # fmt: skip
+    )
     return Stored(
         part["arm"]["name"].of(str, "a name"),
         part["arm"]["digest"].of(str, "a text"),

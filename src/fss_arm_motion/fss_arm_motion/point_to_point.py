@@ -92,11 +92,17 @@ def improved(
         knots = q.copy()
         knots[1:-1] = q[1:-1].clip(low + 2.0 * keep, high - 2.0 * keep)
         found = optimized(
-            start.arm.vector(), np.column_stack([low + off, high - off]), start.limits.table,
-            start.limits.rotor, [*start.limits.radii, margin + GAP_PER_DISTANCE * keep],
-            h, knots, qd,
-            momentum=start.L, **options,
-        )  # fmt: skip
+            start.arm.vector(),
+            np.column_stack([low + off, high - off]),
+            start.limits.table,
+            start.limits.rotor,
+            [*start.limits.radii, margin + GAP_PER_DISTANCE * keep],
+            h,
+            knots,
+            qd,
+            momentum=start.L,
+            **options,
+        )
         times = np.append(0.0, np.cumsum(found[0]))
         angles = probed(times, *found[1:3])[0]
         clear = start.gap(angles).min() >= margin - 1e-9 and not start.limits.outside(angles)

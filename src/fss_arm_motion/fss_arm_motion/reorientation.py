@@ -52,9 +52,11 @@ class Reorientation(Settings):
     """
 
     angle: float = setting(
-        math.radians(30.0), "turn of the base", unit="rad",
+        math.radians(30.0),
+        "turn of the base",
+        unit="rad",
         check=Check("-pi to pi, and not 0", lambda x: 0.0 < abs(x) <= math.pi, -math.pi, math.pi),
-    )  # fmt: skip
+    )
     seed: int = setting(0, "seed of the search", check=at_least(0))
 
 
@@ -177,9 +179,13 @@ def _spent(start: Start, ways: Floats) -> float:
 
 
 def _timed(
-    start: Start, ways: Floats, angle: float, arguments: dict[str, float], rounds: int,
+    start: Start,
+    ways: Floats,
+    angle: float,
+    arguments: dict[str, float],
+    rounds: int,
     improve: bool,
-) -> Plan:  # fmt: skip
+) -> Plan:
     """Return the motion along a closed polygon, or the best one near it.
 
     Raises:

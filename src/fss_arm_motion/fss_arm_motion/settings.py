@@ -12,25 +12,32 @@ class MotionSettings(Settings):
 
     arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
     lead: float = setting(
-        1.0, "time from a plan to the start of its motion, in which the links receive it",
-        unit="s", check=between(0.0, 60.0),
-    )  # fmt: skip
+        1.0,
+        "time from a plan to the start of its motion, in which the links receive it",
+        unit="s",
+        check=between(0.0, 60.0),
+    )
     motion_threshold: float = setting(
-        0.01, "joint rate above which the arm moves, and no plan is made", unit="rad/s",
+        0.01,
+        "joint rate above which the arm moves, and no plan is made",
+        unit="rad/s",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     max_age: float = setting(
-        1.0, "maximum age of the state of arm and base that a plan starts from", unit="s",
+        1.0,
+        "maximum age of the state of arm and base that a plan starts from",
+        unit="s",
         check=POSITIVE,
-    )  # fmt: skip
-    rest_window: float = setting(
-        4.0, "time before a plan over which the base's drift is averaged", unit="s", check=POSITIVE
     )
     tolerance: float = setting(
-        0.02, "maximum distance of a joint from the start of a path from a file", unit="rad",
+        0.02,
+        "maximum distance of a joint from the start of a path from a file",
+        unit="rad",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     tracking: float = setting(
-        radians(0.04), "tracking error of the joints that predictions assume, 1 sigma",
-        unit="rad", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        radians(0.04),
+        "tracking error of the joints that predictions assume, 1 sigma",
+        unit="rad",
+        check=NOT_NEGATIVE,
+    )

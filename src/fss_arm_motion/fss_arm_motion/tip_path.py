@@ -73,9 +73,11 @@ class TipPath(Settings):
         0.0, "time to take; 0: as short as limits allow", unit="s", check=NOT_NEGATIVE
     )
     tolerance: float = setting(
-        0.005, "distance from the way at which the end effector counts as lost", unit="m",
+        0.005,
+        "distance from the way at which the end effector counts as lost",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     partial: bool = setting(False, "accept the part of the path that limits allow")
 
     def __post_init__(self) -> None:
@@ -145,8 +147,8 @@ class FollowOptions(NamedTuple):
 
 @helper
 def _law(  # type: ignore[no-untyped-def]
-    p, bounds, momentum, options, wish, x, d, e, second, base, tip, C, y, b, z, w, rate,
-):  # fmt: skip
+    p, bounds, momentum, options, wish, x, d, e, second, base, tip, C, y, b, z, w, rate
+):
     """Write the rates (3 + n,) of base and joints at a state x; return the tip's error [m]."""
     n, rows, settle = bounds.shape[0], int(options.rows), options.settling_time
     heading = write_chain(p, x, d, e)
@@ -340,11 +342,14 @@ def tip_path(start: Start, request: TipPath) -> Plan:
     spline = CubicHermiteSpline(times, q, qd)
     at = knots(lambda t: (spline(t), spline(t, 1)), lasts)
     arguments = {
-        "by": list(request.by), "through": list(request.through),
+        "by": list(request.by),
+        "through": list(request.through),
         "headings": list(request.headings),
-        "frame": request.frame, "duration": request.duration, "tolerance": request.tolerance,
+        "frame": request.frame,
+        "duration": request.duration,
+        "tolerance": request.tolerance,
         "partial": request.partial,
-    }  # fmt: skip
+    }
     plan = finished(start, "tip_path", arguments, *at[:3], {}, ended)
     notes = {"length": end * way.length, "error": _error(start, way, end, plan), "deviation": at[3]}
     return Plan(

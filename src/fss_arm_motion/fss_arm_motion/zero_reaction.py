@@ -52,9 +52,11 @@ class ZeroReaction(Settings):
     )
     goal: tuple[float, ...] = setting((), "joint readings to arrive at", unit="rad", check=FINITE)
     length: float = setting(
-        0.0, "length along the direction, in joint space; 0: as far as it goes",
-        unit="rad", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0,
+        "length along the direction, in joint space; 0: as far as it goes",
+        unit="rad",
+        check=NOT_NEGATIVE,
+    )
     duration: float = setting(
         0.0, "time to take; 0: as short as limits allow", unit="s", check=NOT_NEGATIVE
     )
@@ -196,9 +198,10 @@ def _along(start: Start, request: ZeroReaction) -> Plan:
 
     times, at, rate, deviation = knots(law, lasts)
     arguments = {
-        "direction": list(request.direction), "length": request.length,
+        "direction": list(request.direction),
+        "length": request.length,
         "duration": request.duration,
-    }  # fmt: skip
+    }
     notes = {"travel": float(whole), "deviation": deviation}
     return finished(start, "zero_reaction", arguments, times, at, rate, notes, why)
 
@@ -223,9 +226,15 @@ def _to_goal(start: Start, request: ZeroReaction) -> Plan:
         if turns[-1] <= request.tolerance:
             notes = {"fastest_turn": fastest.prediction.excursion}
             return Plan(
-                "zero_reaction", arguments, plan.times, plan.q, plan.qd, plan.prediction,
-                plan.used, notes,
-            )  # fmt: skip
+                "zero_reaction",
+                arguments,
+                plan.times,
+                plan.q,
+                plan.qd,
+                plan.prediction,
+                plan.used,
+                notes,
+            )
     raise PlanError(
         f"goal {goal.tolist()} rad: no motion found that turns the base by less than "
         f"{np.degrees(min(turns)):.2f} deg, expected {np.degrees(request.tolerance):.2f} deg; "

@@ -33,9 +33,13 @@ class Diagnostics:
     """
 
     def __init__(
-        self, node: Node, health: Callable[[], Health], hardware_id: str = "", name: str = "",
+        self,
+        node: Node,
+        health: Callable[[], Health],
+        hardware_id: str = "",
+        name: str = "",
         period: float = 1.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.node, self.health, self.hardware_id = node, health, hardware_id
         self.name = name or node.get_fully_qualified_name()
         self.duplicates = ""

@@ -37,10 +37,13 @@ class Claims:
         path = node.get_fully_qualified_name()
         self.until = self.until or time.monotonic() + DISCOVERY_TIME
         claim = Node(
-            self.name, namespace=path, use_global_arguments=False, enable_rosout=False,
+            self.name,
+            namespace=path,
+            use_global_arguments=False,
+            enable_rosout=False,
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )  # fmt: skip
+        )
         self.nodes.append(claim)
         time.sleep(max(0.0, self.until - time.monotonic()))
         self._refuse(node, lambda: self._is_before(node, path) and f"{path} is there already")

@@ -12,9 +12,14 @@ from fss_arm_ros.validation import validators
 
 #: Types of measurements. Commands may have several publishers.
 MEASURED = {
-    "BaseTelemetry", "GripperState", "Imu", "JointState", "LinkTelemetry", "Odometry",
+    "BaseTelemetry",
+    "GripperState",
+    "Imu",
+    "JointState",
+    "LinkTelemetry",
+    "Odometry",
     "PoseStamped",
-}  # fmt: skip
+}
 TELEMETRY = "/telemetry"  # end of a topic of a link; its driver publishes joint_states, too
 
 

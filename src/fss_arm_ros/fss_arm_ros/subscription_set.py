@@ -93,9 +93,14 @@ class SubscriptionSet(Waitable):
         node.add_waitable(self)
 
     def add(
-        self, node: Node, kind: type, topic: str, callback: Callable[[bytes], None],
-        qos: QoSProfile | int, **options: Any,
-    ) -> Subscription:  # fmt: skip
+        self,
+        node: Node,
+        kind: type,
+        topic: str,
+        callback: Callable[[bytes], None],
+        qos: QoSProfile | int,
+        **options: Any,
+    ) -> Subscription:
         """Create a subscription of `node`; options as of `Node.create_subscription`."""
         subscription = node.create_subscription(
             kind, topic, callback, qos, callback_group=self._group, raw=True, **options
@@ -166,9 +171,13 @@ class SubscriptionSet(Waitable):
 
 
 def subscribe_bytes(
-    node: Node, kind: type, topic: str, callback: Callable[[bytes], None],
-    qos: QoSProfile | int, **options: Any,
-) -> Subscription:  # fmt: skip
+    node: Node,
+    kind: type,
+    topic: str,
+    callback: Callable[[bytes], None],
+    qos: QoSProfile | int,
+    **options: Any,
+) -> Subscription:
     """Create a subscription in the set of `node`; its callback gets each message as bytes."""
     if ATTRIBUTE not in vars(node):
         vars(node)[ATTRIBUTE] = SubscriptionSet(node)

@@ -36,9 +36,13 @@ class PolledSubscription:
     """
 
     def __init__(
-        self, node: Node, kind: type, topic: str, callback: Callable[[Any], None],
+        self,
+        node: Node,
+        kind: type,
+        topic: str,
+        callback: Callable[[Any], None],
         qos: QoSProfile = NEWEST_ONLY,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._validator, self._callback = Validator(node, kind, topic), callback
         self._subscription = node.create_subscription(
             kind, topic, callback, qos, callback_group=UnmanagedGroup(), raw=True
@@ -85,10 +89,14 @@ class SubscriptionThread(Thread):
         self._error: Exception | None = None
         self._closing = False
         self._receiver = Node(
-            f"_{node.get_name()}_{purpose}", context=node.context, namespace=node.get_namespace(),
-            use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
+            f"_{node.get_name()}_{purpose}",
+            context=node.context,
+            namespace=node.get_namespace(),
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )  # fmt: skip
+        )
         for topic in topics:
             self._subscribe(node, topic)
         self._receiver.create_timer(

@@ -248,9 +248,14 @@ def refusals(node: Node) -> dict[str, int]:
 
 
 def subscribe(
-    node: Node, kind: type, topic: str, callback: Callable[[Any], None],
-    qos: QoSProfile | int, rule: Rule | None = None, **options: Any,
-) -> Any:  # fmt: skip
+    node: Node,
+    kind: type,
+    topic: str,
+    callback: Callable[[Any], None],
+    qos: QoSProfile | int,
+    rule: Rule | None = None,
+    **options: Any,
+) -> Any:
     """Create a subscription whose callback gets only messages that a rule allows.
 
     The rule is that of their type if None is given. Options as of `Node.create_subscription`. To

@@ -38,28 +38,16 @@ MEMORY = Check(
 
 @dataclass(frozen=True)
 class ReactionSettings(SensorErrors):
-    """Parameters of the base reaction: threshold of rest, and windows of averages."""
+    """Parameters of the base reaction: threshold of rest, differences, and the slope."""
 
     motion_threshold: float = setting(
         0.005, "joint rate above which a joint moves", unit="rad/s", check=POSITIVE
-    )
-    max_drift_duration: float = setting(
-        2.0,
-        "longest drift before a motion that is fitted for a prediction",
-        unit="s",
-        check=POSITIVE,
-    )
-    min_drift_duration: float = setting(
-        0.5, "shortest drift that is fitted for a prediction", unit="s", check=POSITIVE
     )
     half_difference: float = setting(
         0.1,
         "half the interval of the differences that give joint accelerations",
         unit="s",
         check=POSITIVE,
-    )
-    drift_window: float = setting(
-        30.0, "time over which the slope of the momentum is fitted", unit="s", check=POSITIVE
     )
     tilt: tuple[float, ...] = setting(
         (0.0, 0.0), "slope of the table along x and y, downhill", unit="rad", check=FINITE, size=2

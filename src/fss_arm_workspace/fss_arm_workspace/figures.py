@@ -93,9 +93,7 @@ def _maps(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
     norm = PowerNorm(0.5, 0.0, largest)
     for axes, (name, found) in zip(panels, a.maps.items(), strict=True):
         grid = found.grid
-        extent = (
-            grid.x, grid.x + grid.width * grid.cell, grid.y, grid.y + grid.height * grid.cell
-        )  # fmt: skip
+        extent = (grid.x, grid.x + grid.width * grid.cell, grid.y, grid.y + grid.height * grid.cell)
         image = axes.imshow(found.w, origin="lower", extent=extent, norm=norm)
         for points, _ in a.boundary:
             closed = np.append(points, points[:1])
@@ -128,9 +126,12 @@ def _straight(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
     com = system_com(a.arm.vector(), floating.start)
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     axes.plot(
-        com[0] + a.radius * np.cos(turn), com[1] + a.radius * np.sin(turn), color="tab:green",
-        linewidth=1.0, label=f"maximum reachable: R = {a.radius:.3f} m",
-    )  # fmt: skip
+        com[0] + a.radius * np.cos(turn),
+        com[1] + a.radius * np.sin(turn),
+        color="tab:green",
+        linewidth=1.0,
+        label=f"maximum reachable: R = {a.radius:.3f} m",
+    )
     axes.plot(*com, "+", color="tab:green", markersize=10)
     _arm(axes, a, floating.start)
     axes.legend(fontsize=8, loc="lower left")

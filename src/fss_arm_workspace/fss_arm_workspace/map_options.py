@@ -13,31 +13,46 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = Parser("map", description=__doc__, epilog=EPILOG)
     p.add_argument(
-        "source", nargs="*", metavar="SOURCE",
+        "source",
+        nargs="*",
+        metavar="SOURCE",
         help="description YAML, or bags with a calibration (default: the paper's arm)",
-    )  # fmt: skip
+    )
     p.add_argument("--output", metavar="FOLDER", default="workspace", help="default: %(default)s")
     default = AnalysisSettings()
     p.add_argument(
-        "--cell", type=float, default=default.cell, metavar="M", help="size of a map's cell [m] "
-        "(default: %(default)s)",
-    )  # fmt: skip
+        "--cell",
+        type=float,
+        default=default.cell,
+        metavar="M",
+        help="size of a map's cell [m] (default: %(default)s)",
+    )
     p.add_argument(
-        "--rule", choices=RULES[:3], default=default.redundancy, help="rule for the redundancy of "
-        "straight paths (default: %(default)s)",
-    )  # fmt: skip
+        "--rule",
+        choices=RULES[:3],
+        default=default.redundancy,
+        help="rule for the redundancy of straight paths (default: %(default)s)",
+    )
     p.add_argument(
-        "--start", type=float, nargs="+", metavar="DEG", help="joint readings at the start of "
-        "straight paths [deg] (default: an arch)",
-    )  # fmt: skip
+        "--start",
+        type=float,
+        nargs="+",
+        metavar="DEG",
+        help="joint readings at the start of straight paths [deg] (default: an arch)",
+    )
     p.add_argument(
-        "--table", type=float, nargs=4, default=default.table, metavar="M", help="table "
-        "for straight paths: low x, low y, high x, high y (default: %(default)s)",
-    )  # fmt: skip
+        "--table",
+        type=float,
+        nargs=4,
+        default=default.table,
+        metavar="M",
+        help="table for straight paths: low x, low y, high x, high y (default: %(default)s)",
+    )
     p.add_argument(
-        "--true-angle", action="store_true", help="joint limits hold for q + theta_0, not for the "
-        "encoder's reading q",
-    )  # fmt: skip
+        "--true-angle",
+        action="store_true",
+        help="joint limits hold for q + theta_0, not for the encoder's reading q",
+    )
     p.add_argument(
         "--workers",
         type=int,

@@ -14,10 +14,6 @@ class WorkspaceSettings(AnalysisSettings):
     arm: str = setting(
         "", "description YAML until a calibration is received; empty: the paper's arm"
     )
-    motion_threshold: float = setting(
-        0.02, "change of a joint or of the base's pose after which straight paths are recomputed",
-        unit="rad or m", check=POSITIVE,
-    )  # fmt: skip
     rate: float = setting(10.0, "rate of the ellipsoids", unit="1/s", check=POSITIVE)
     scale: float = setting(0.25, "size of drawn ellipsoids", unit="m per m/rad", check=POSITIVE)
     base_frame: str = like(Vehicle, "base_frame")

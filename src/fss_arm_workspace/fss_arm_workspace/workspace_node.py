@@ -30,6 +30,9 @@ from fss_arm_workspace.settings import WorkspaceSettings
 from fss_arm_workspace.start_state import PathStart, posture
 from fss_arm_workspace.worker import Progress, Worker
 
+#: Change of a joint or of the base's pose after which straight paths are recomputed [m or rad].
+MIN_CHANGE = 0.02
+
 
 class WorkspaceNode(Node):
     """Node that publishes the arm's workspace, and recomputes it when arm or state change."""
@@ -84,7 +87,7 @@ class WorkspaceNode(Node):
         self.publish("ellipsoids", ellipsoids)
         state = np.concatenate([self.pose or np.zeros(3), q])
         start = PathStart(calibrated, state, self.pose is not None)
-        if not self.paths.busy and not start.is_near(self.path_start, s.motion_threshold):
+        if not self.paths.busy and not start.is_near(self.path_start, MIN_CHANGE):
             self.path_start = start
             self.paths.submit(start)
 

@@ -23,9 +23,10 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--arm", default="", help="the arm's description (default: the paper's)")
     p.add_argument(
-        "--namespace", default=os.environ.get("FSS_NAMESPACE", ""),
+        "--namespace",
+        default=os.environ.get("FSS_NAMESPACE", ""),
         help="namespace of the vehicle (default: $FSS_NAMESPACE)",
-    )  # fmt: skip
+    )
     p.add_argument(
         "--base-topic",
         help=f"topic of the base's poses (default {BASE_TOPIC.default}, for vehicle V /vicon/V/V)",

@@ -96,9 +96,12 @@ def gripper_state(sample: BoardSample, frame_id: str) -> GripperState:
     """Return the gripper's state; the board knows neither distance nor angle to anything."""
     state = sample.frame.gripper
     message = GripperState(
-        closed=bool(state & GripperFlag.COMMANDED_CLOSED), holds=bool(state & GripperFlag.HOLDS),
-        distance=nan, angle=nan, speed=nan,
-    )  # fmt: skip
+        closed=bool(state & GripperFlag.COMMANDED_CLOSED),
+        holds=bool(state & GripperFlag.HOLDS),
+        distance=nan,
+        angle=nan,
+        speed=nan,
+    )
     message.header.stamp, message.header.frame_id = to_time(sample.stamp), frame_id
     return message
 

@@ -44,9 +44,8 @@ class MocapSettings(Settings):
         "topics of other receivers to relay, each SUBJECT=TOPIC, or TOPIC if messages have names",
     )
     relay_scale: float = setting(
-        1.0, "length unit of the relayed topics; 0.001 for millimetres", unit="m",
-        check=POSITIVE,
-    )  # fmt: skip
+        1.0, "length unit of the relayed topics; 0.001 for millimetres", unit="m", check=POSITIVE
+    )
     subjects: tuple[str, ...] = setting(
         (), "subjects to publish, each NAME or NAME=SUBJECT/SEGMENT; empty: all"
     )
@@ -55,9 +54,11 @@ class MocapSettings(Settings):
     )
     frame_id: str = setting("world", "frame of the poses")
     latency: float = setting(
-        0.0, "delay from exposure to arrival, subtracted from the time of arrival", unit="s",
+        0.0,
+        "delay from exposure to arrival, subtracted from the time of arrival",
+        unit="s",
         check=between(0.0, 10.0),
-    )  # fmt: skip
+    )
     max_speed: float = setting(
         1.0, "speed above which a subject has jumped", unit="m/s", check=POSITIVE
     )
@@ -65,9 +66,11 @@ class MocapSettings(Settings):
         3.0, "rate of turn above which a subject has jumped", unit="rad/s", check=POSITIVE
     )
     settle_time: float = setting(
-        1.0, "time of plausible motion after which a subject that jumped is accepted again",
-        unit="s", check=POSITIVE,
-    )  # fmt: skip
+        1.0,
+        "time of plausible motion after which a subject that jumped is accepted again",
+        unit="s",
+        check=POSITIVE,
+    )
     timeout: float = setting(
         1.0, "silence after which the system or a subject is reported", unit="s", check=POSITIVE
     )
@@ -106,31 +109,39 @@ class BaseSettings(Settings):
         check=between(1.0, 1000.0),
     )
     max_rate: float = setting(
-        50.0, "largest rate of commands to the board; users' commands are sent at once",
-        unit="1/s", check=between(1.0, 1000.0),
-    )  # fmt: skip
+        50.0,
+        "largest rate of commands to the board; users' commands are sent at once",
+        unit="1/s",
+        check=between(1.0, 1000.0),
+    )
     timeout: float = setting(
         1.0,
         "silence after which the board is lost, and largest round trip at which it can be armed",
         unit="s",
         check=between(0.001, 3600.0),
-    )  # fmt: skip
+    )
     watchdog: float = setting(
-        0.5, "silence of the driver after which the board closes its valves, disarmed", unit="s",
+        0.5,
+        "silence of the driver after which the board closes its valves, disarmed",
+        unit="s",
         check=between(0.001, 65.535),
-    )  # fmt: skip
+    )
     empty: float = setting(
-        12.0, "battery voltage at which the board must be switched off", unit="V",
+        12.0,
+        "battery voltage at which the board must be switched off",
+        unit="V",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     keys: str = setting("", "file of keys, the board's under 0; empty: frames are not signed")
     base_frame: str = like(Vehicle, "base_frame")
     frame_prefix: str = like(Vehicle, "frame_prefix")
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
-        0.11, "lever of a thruster: from the base's origin to the line of thrust", unit="m",
+        0.11,
+        "lever of a thruster: from the base's origin to the line of thrust",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     layout: tuple[float, ...] = setting(
         (),
         "instead of thrust and lever: for each valve, force along x and y and torque about "
@@ -148,17 +159,23 @@ class BaseSettings(Settings):
         check=between(0.001, 6.5),
     )
     command_lifetime: float = setting(
-        0.5, "age beyond which a message on thrusters/command is refused", unit="s",
+        0.5,
+        "age beyond which a message on thrusters/command is refused",
+        unit="s",
         check=between(0.001, 10.0),
-    )  # fmt: skip
+    )
     wrench_lifetime: float = setting(
-        0.3, "age beyond which a message on base/wrench has no effect", unit="s",
+        0.3,
+        "age beyond which a message on base/wrench has no effect",
+        unit="s",
         check=between(0.001, 10.0),
-    )  # fmt: skip
+    )
     wrench_period: float = setting(
-        0.1, "period over which a wrench is averaged, with one pulse of each valve", unit="s",
+        0.1,
+        "period over which a wrench is averaged, with one pulse of each valve",
+        unit="s",
         check=between(0.02, 1.0),
-    )  # fmt: skip
+    )
     gyro_noise: float = setting(
         1.75e-4, "white noise of one sample of the gyro, 1 sigma", unit="rad/s", check=NOT_NEGATIVE
     )
@@ -166,9 +183,11 @@ class BaseSettings(Settings):
         10.0, "time over which base/find_gyro_bias averages", unit="s", check=between(0.1, 3600.0)
     )
     bias_scatter: float = setting(
-        0.001, "scatter of the gyro's frames above which the base is not at rest", unit="rad/s",
+        0.001,
+        "scatter of the gyro's frames above which the base is not at rest",
+        unit="rad/s",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     max_bias: float = setting(
         0.01, "largest bias of the gyro; above it the base turns", unit="rad/s", check=POSITIVE
     )
@@ -225,8 +244,9 @@ class ValveSettings(Settings):
 class GyroSettings(Settings):
     """Parameters of the gyro that can change at runtime."""
 
-    scale: float = setting(1e-6, "rate of turn of one count; may be negative", unit="rad/s",
-                           check=FINITE)  # fmt: skip
+    scale: float = setting(
+        1e-6, "rate of turn of one count; may be negative", unit="rad/s", check=FINITE
+    )
     bias: float = setting(0.0, "rate that the gyro reports at rest", unit="rad/s", check=FINITE)
 
 
@@ -244,9 +264,11 @@ class FogSettings(Settings):
     base_frame: str = like(BaseSettings, "base_frame")
     gyro_noise: float = like(BaseSettings, "gyro_noise")
     latency: float = setting(
-        0.009, "time from the middle of a rate's averaging to the end of its line", unit="s",
+        0.009,
+        "time from the middle of a rate's averaging to the end of its line",
+        unit="s",
         check=between(0.0, 10.0),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)

@@ -131,10 +131,14 @@ class ControllerNode(Node):
         if not self.process.ready:
             raise SystemExit(words)
         last = self.law.last
-        when = "it gave no output" if last is None else (
-            f"its last valid output was for {last / SECOND:.3f} s, "
-            f"{(self.now() - last) / SECOND:.3f} s ago"
-        )  # fmt: skip
+        when = (
+            "it gave no output"
+            if last is None
+            else (
+                f"its last valid output was for {last / SECOND:.3f} s, "
+                f"{(self.now() - last) / SECOND:.3f} s ago"
+            )
+        )
         words += f"; {when}; valves close and joints stop; restart the node controller to resume"
         self.get_logger().error(words)
         log_event(self, words)
@@ -144,10 +148,14 @@ class ControllerNode(Node):
         law, s = self.law, self.settings
         missed, self.missed = law.missed - self.missed, law.missed
         values = {
-            "law": s.law, "hash of its file": self.process.hash, "process": self.process.pid,
-            "steps": law.steps, "missed deadlines": law.missed, "expired outputs": law.expired,
+            "law": s.law,
+            "hash of its file": self.process.hash,
+            "process": self.process.pid,
+            "steps": law.steps,
+            "missed deadlines": law.missed,
+            "expired outputs": law.expired,
             **self.timing.values(),
-        }  # fmt: skip
+        }
         if law.failure:
             return Health(ERROR, f"law has failed: {law.failure}", values)
         if law.is_starting:

@@ -67,13 +67,11 @@ class GuidanceNode(Node):
             for name, (kind, qos) in topics.OUTPUTS.items()
         }
         group = ReentrantCallbackGroup()  # activities take long; other callbacks must run meanwhile
+        options = {"callback_group": group, "cancel_callback": lambda _: CancelResponse.ACCEPT}
         self.servers = [
-            ActionServer(
-                self, kind.action, kind.name, partial(self.on_execute, kind),
-                cancel_callback=lambda _: CancelResponse.ACCEPT, callback_group=group,
-            )
+            ActionServer(self, kind.action, kind.name, partial(self.on_execute, kind), **options)
             for kind in KINDS
-        ]  # fmt: skip
+        ]
         self.publish(topics.idle_messages(self.craft, self.now()))
         self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health)
@@ -116,10 +114,10 @@ class GuidanceNode(Node):
         other, now = self.running, self.now()
         obs, problem = self.observe(now)
         try:
+            before = other and other.execution.kind
             execution = start_activity(
-                kind, self.craft, handle.request, obs, now,
-                problem=problem, running=other and other.execution.kind,
-            )  # fmt: skip
+                kind, self.craft, handle.request, obs, now, problem=problem, running=before
+            )
         except ActivityError as error:
             self.get_logger().warning(f"{kind.name} rejected: {error}")
             handle.abort()

@@ -159,13 +159,19 @@ def mission_state(name: str, commands: Commands, budget: Budget, stamp: int) -> 
     """
     reason = commands.outcome.message if commands.outcome else commands.reason
     state = MissionState(
-        mission=name.partition("/")[2], phase=commands.phase, reason=reason,
-        elapsed=budget.elapsed, reference=np.full(3, np.nan),
-        keep_out=commands.keep_out, fixture_distance=commands.fixture_distance,
-        edge_clearance=budget.edge_gap, target_clearance=budget.target_gap,
-        propellant=budget.propellant, momentum=budget.momentum,
+        mission=name.partition("/")[2],
+        phase=commands.phase,
+        reason=reason,
+        elapsed=budget.elapsed,
+        reference=np.full(3, np.nan),
+        keep_out=commands.keep_out,
+        fixture_distance=commands.fixture_distance,
+        edge_clearance=budget.edge_gap,
+        target_clearance=budget.target_gap,
+        propellant=budget.propellant,
+        momentum=budget.momentum,
         largest_torque=budget.largest_torque,
-    )  # fmt: skip
+    )
     state.header.stamp, state.header.frame_id = to_time(stamp), "world"
     if commands.path is not None:
         path = commands.path.sample(budget.elapsed, MAX_PUBLISHED_POSES)[1]

@@ -20,9 +20,8 @@ class LatestTopics:
         self._node, self._subscriptions = node, list[PolledSubscription]()
 
     def subscribe(
-        self, kind: type, topic: str, callback: Callable[[Any], None],
-        qos: QoSProfile = NEWEST_ONLY,
-    ) -> None:  # fmt: skip
+        self, kind: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile = NEWEST_ONLY
+    ) -> None:
         """Call back with each valid message; a ValueError rejects the message."""
 
         def receive(message: Any) -> None:

@@ -84,9 +84,10 @@ def planned_rates(message: Any, arm: Arm) -> tuple[int, Floats, Floats]:
     rates = np.array([point.velocities for point in points])
     max_rates = MAX_OVERSPEED * np.array([link.drive.max_velocity for link in arm.links])
     bounds.check_all(
-        rates, np.broadcast_to(max_rates, rates.shape),
+        rates,
+        np.broadcast_to(max_rates, rates.shape),
         lambda k, i: (f"points[{k}].velocities[{i}]", "rad/s"),
-    )  # fmt: skip
+    )
     return stamp_ns(message.header.stamp), times, rates
 
 
@@ -164,9 +165,10 @@ def _check_planar(name: str, transform: Any, *twists: Any) -> None:
     parts = ("velocities", "/s"), ("accelerations", "/s^2")
     for (part, per), twist in zip(parts, twists, strict=False):
         for field, value, unit in (
-            ("linear.z", twist.linear.z, "m"), ("angular.x", twist.angular.x, "rad"),
+            ("linear.z", twist.linear.z, "m"),
+            ("angular.x", twist.angular.x, "rad"),
             ("angular.y", twist.angular.y, "rad"),
-        ):  # fmt: skip
+        ):
             bounds.check(
                 f"{name}.{part}[0].{field}", value, -MAX_OUT_OF_PLANE, MAX_OUT_OF_PLANE, unit + per
             )

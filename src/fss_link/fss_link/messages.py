@@ -12,9 +12,13 @@ from fss_link.session import Session
 
 
 def set_telemetry(
-    message: Any, frame: TelemetryHead, session: Session[Any], now: int,
-    copied: Iterable[str], slow_names: Iterable[tuple[int, str]],
-) -> None:  # fmt: skip
+    message: Any,
+    frame: TelemetryHead,
+    session: Session[Any],
+    now: int,
+    copied: Iterable[str],
+    slow_names: Iterable[tuple[int, str]],
+) -> None:
     """Set the fields of a LinkTelemetry or BaseTelemetry that are raw or the session's state.
 
     Fields `copied` are those of the frame; `slow_names` are slow fields by number.
@@ -31,8 +35,15 @@ def set_telemetry(
 def battery_state(stamp: int, voltage: float, frame_id: str) -> BatteryState:
     """Return the state of a battery of which only the voltage [V] is known."""
     message = BatteryState(
-        voltage=voltage, temperature=nan, current=nan, charge=nan, capacity=nan,
-        design_capacity=nan, percentage=nan, present=True, location=frame_id,
-    )  # fmt: skip
+        voltage=voltage,
+        temperature=nan,
+        current=nan,
+        charge=nan,
+        capacity=nan,
+        design_capacity=nan,
+        percentage=nan,
+        present=True,
+        location=frame_id,
+    )
     message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     return message

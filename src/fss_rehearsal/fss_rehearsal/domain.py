@@ -22,10 +22,15 @@ FIRST_PORT, PORTS = 7400, 250  # first port of domain 0, ports per domain (DDSI-
 FIRST_UNUSED_PORT = 200  # first port of a domain that DDS does not use, with up to 95 processes
 #: Environment variables that could connect a process to other computers, or to foreign nodes.
 CONNECTING_VARIABLES = (
-    "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "ROS_SUPER_CLIENT",
-    "ROS_SECURITY_ENABLE", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_ENVIRONMENT_FILE",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_STATIC_PEERS",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_SUPER_CLIENT",
+    "ROS_SECURITY_ENABLE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_ENVIRONMENT_FILE",
     "CYCLONEDDS_URI",
-)  # fmt: skip
+)
 
 
 class Domain(NamedTuple):

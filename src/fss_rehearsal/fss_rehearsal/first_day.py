@@ -113,10 +113,13 @@ def run_check(operator: FirstDayOperator, url: str, out: Path) -> int | None:
     with (
         (out / "logs/check.log").open("w", encoding="utf-8") as log,
         subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             text=True,
         ) as process,
-    ):  # fmt: skip
+    ):
         assert process.stdin
         reader = threading.Thread(target=operator.read_output, args=(process.stdout, log))
         reader.start()
@@ -146,9 +149,15 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         q = np.zeros(LINKS)
         q[options.link - 1] = INITIAL_ANGLE
         nodes.start(
-            "testbed", "fss_sim", "testbed", ports=domain.ports(LINKS), seed=options.seed,
-            q=q.tolist(), truth_rate=50.0, **STIFF_TETHER,
-        )  # fmt: skip
+            "testbed",
+            "fss_sim",
+            "testbed",
+            ports=domain.ports(LINKS),
+            seed=options.seed,
+            q=q.tolist(),
+            truth_rate=50.0,
+            **STIFF_TETHER,
+        )
         operator = FirstDayOperator(domain, options.link)
         operator.wait(lambda: operator.q != 0.0, "the test bed publishes no sim/truth")
         console.print(f"checking link {options.link}")

@@ -71,9 +71,14 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     """Start all nodes."""
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag")
     nodes.start(
-        "testbed", "fss_sim", "testbed", ports=nodes.domain.ports(LINKS), seed=options.seed,
-        truth_rate=50.0, telemetry_rate=20.0,
-    )  # fmt: skip
+        "testbed",
+        "fss_sim",
+        "testbed",
+        ports=nodes.domain.ports(LINKS),
+        seed=options.seed,
+        truth_rate=50.0,
+        telemetry_rate=20.0,
+    )
     for i, url in enumerate(nodes.domain.urls(LINKS), 1):
         nodes.start(f"link_{i}", "fss_arm_driver", "link", link=i, url=url, rate=20.0)
     nodes.start("arm", "fss_arm_driver", "arm")
@@ -146,24 +151,47 @@ def evaluate(
     referenced = bool(telemetry[-1].flags & State.REFERENCED)
     rate_before, rate_after = before.max(initial=0.0), after.max(initial=0.0)
     return [
-        Check("the joint turns before the failure", f"at up to {rate_before:.3f} rad/s",
-              bool(rate_before > Mover.MOVING_RATE)),
-        Check("without power the link sends no frames", f"{frames_while_off} frames",
-              frames_while_off == 0),
-        Check(f"its telemetry is received within {RETURN_TIMEOUT:g} s after the power returned",
-              f"after {delay:.1f} s", bool(delay < RETURN_TIMEOUT)),
-        Check("it restarts disarmed", "armed" if flags & State.ARMED else "disarmed",
-              bool(received) and not flags & State.ARMED),
-        Check("it restarts without its reference",
-              "referenced" if flags & State.REFERENCED else "not referenced",
-              bool(received) and not flags & State.REFERENCED),
-        Check("its drive stays off until it is armed again, despite commands",
-              f"on in {driven} of {len(received)} frames", bool(received) and driven == 0),
-        Check("after arming and homing, it is referenced",
-              f"{(times.homed - times.armed) / SECOND:.1f} s after the request", referenced),
-        Check("after homing, the joint turns again", f"at up to {rate_after:.3f} rad/s",
-              bool(rate_after > Mover.MOVING_RATE)),
-    ]  # fmt: skip
+        Check(
+            "the joint turns before the failure",
+            f"at up to {rate_before:.3f} rad/s",
+            bool(rate_before > Mover.MOVING_RATE),
+        ),
+        Check(
+            "without power the link sends no frames",
+            f"{frames_while_off} frames",
+            frames_while_off == 0,
+        ),
+        Check(
+            f"its telemetry is received within {RETURN_TIMEOUT:g} s after the power returned",
+            f"after {delay:.1f} s",
+            bool(delay < RETURN_TIMEOUT),
+        ),
+        Check(
+            "it restarts disarmed",
+            "armed" if flags & State.ARMED else "disarmed",
+            bool(received) and not flags & State.ARMED,
+        ),
+        Check(
+            "it restarts without its reference",
+            "referenced" if flags & State.REFERENCED else "not referenced",
+            bool(received) and not flags & State.REFERENCED,
+        ),
+        Check(
+            "its drive stays off until it is armed again, despite commands",
+            f"on in {driven} of {len(received)} frames",
+            bool(received) and driven == 0,
+        ),
+        Check(
+            "after arming and homing, it is referenced",
+            f"{(times.homed - times.armed) / SECOND:.1f} s after the request",
+            referenced,
+        ),
+        Check(
+            "after homing, the joint turns again",
+            f"at up to {rate_after:.3f} rad/s",
+            bool(rate_after > Mover.MOVING_RATE),
+        ),
+    ]
 
 
 def plot(times: Times, t: np.ndarray, rate: np.ndarray) -> Any:

@@ -64,9 +64,15 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     """Start all nodes."""
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag")
     nodes.start(
-        "testbed", "fss_sim", "testbed", ports=nodes.domain.ports(LINKS), seed=options.seed,
-        wifi=True, truth_rate=50.0, telemetry_rate=20.0,
-    )  # fmt: skip
+        "testbed",
+        "fss_sim",
+        "testbed",
+        ports=nodes.domain.ports(LINKS),
+        seed=options.seed,
+        wifi=True,
+        truth_rate=50.0,
+        telemetry_rate=20.0,
+    )
     for i, url in enumerate(nodes.domain.urls(LINKS), 1):
         nodes.start(
             f"link_{i}", "fss_arm_driver", "link", link=i, url=url, watchdog=WATCHDOG, rate=20.0
@@ -133,20 +139,37 @@ def evaluate(times: Times, t: np.ndarray, rates: np.ndarray, telemetry: list[Any
     armed = [f"link_{i}" for i, (_, is_armed) in first_frames.items() if is_armed]
     rates_after = np.abs(rates[t > times.again])
     return [
-        Check("the joints turn before the outage", f"at {fastest[t < times.cut][-1]:.3f} rad/s",
-              bool(fastest[t < times.cut][-1] > Mover.MOVING_RATE)),
-        Check(f"the watchdogs stop all joints {WATCHDOG:g} s after the last command",
-              f"{stopped:.1f} s after the cut", bool(stopped < WATCHDOG + MARGIN)),
-        Check("nothing moves until the links are armed again, despite commands",
-              f"at most {fastest_stopped:.1e} rad/s", bool(fastest_stopped < REST_RATE)),
-        Check(f"telemetry of all links is received within {RETURN_TIMEOUT:g} s after its return",
-              received, len(first_frames) == LINKS and delay < RETURN_TIMEOUT),
-        Check("they return disarmed", ", ".join(armed) + " armed" if armed else "none is armed",
-              not armed),
-        Check("after arming, all joints turn",
-              f"the slowest at up to {rates_after.max(axis=0, initial=0.0).min():.3f} rad/s",
-              bool(rates_after.max(axis=0, initial=0.0).min() > Mover.MOVING_RATE)),
-    ]  # fmt: skip
+        Check(
+            "the joints turn before the outage",
+            f"at {fastest[t < times.cut][-1]:.3f} rad/s",
+            bool(fastest[t < times.cut][-1] > Mover.MOVING_RATE),
+        ),
+        Check(
+            f"the watchdogs stop all joints {WATCHDOG:g} s after the last command",
+            f"{stopped:.1f} s after the cut",
+            bool(stopped < WATCHDOG + MARGIN),
+        ),
+        Check(
+            "nothing moves until the links are armed again, despite commands",
+            f"at most {fastest_stopped:.1e} rad/s",
+            bool(fastest_stopped < REST_RATE),
+        ),
+        Check(
+            f"telemetry of all links is received within {RETURN_TIMEOUT:g} s after its return",
+            received,
+            len(first_frames) == LINKS and delay < RETURN_TIMEOUT,
+        ),
+        Check(
+            "they return disarmed",
+            ", ".join(armed) + " armed" if armed else "none is armed",
+            not armed,
+        ),
+        Check(
+            "after arming, all joints turn",
+            f"the slowest at up to {rates_after.max(axis=0, initial=0.0).min():.3f} rad/s",
+            bool(rates_after.max(axis=0, initial=0.0).min() > Mover.MOVING_RATE),
+        ),
+    ]
 
 
 def plot(times: Times, t: np.ndarray, rates: np.ndarray) -> Any:

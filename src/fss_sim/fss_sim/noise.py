@@ -28,16 +28,18 @@ class Noise(Settings):
     )
     vicon_latency: float = error("age of a VICON pose at its stamp", "s", check=between(0.0, 1.0))
     vicon_jitter: float = error(
-        "random additional delay of the stamps of VICON poses, half normal, 1 sigma", "s",
+        "random additional delay of the stamps of VICON poses, half normal, 1 sigma",
+        "s",
         check=between(0.0, 0.003),
-    )  # fmt: skip
+    )
     marker_noise: float = error(
         "white noise of a VICON marker, each axis, 1 sigma; poses are fitted to the markers", "m"
     )
     vicon_edge_error: float = error(
         "measured displacement of VICON markers at the middle of the table's edge; it grows with "
-        "the cube of the distance from the table's middle", "m",
-    )  # fmt: skip
+        "the cube of the distance from the table's middle",
+        "m",
+    )
     vicon_occlusion: float = error(
         "1: bodies hide VICON's markers from the cameras", check=between(0.0, 1.0)
     )
@@ -55,8 +57,10 @@ class Noise(Settings):
     encoder_error: float = error("largest error of an encoder", "rad", check=between(0.0, 0.01))
     encoder_eccentricity: float = error(
         "largest error caused by the eccentricity of encoder and gear, one period per turn of the "
-        "joint", "rad", check=between(0.0, 0.01),
-    )  # fmt: skip
+        "joint",
+        "rad",
+        check=between(0.0, 0.01),
+    )
     torque_noise: float = error("white noise of a torque sample, 1 sigma", "N m")
     torque_zero: float = error("zero offset of a torque sensor in a run, 1 sigma", "N m")
     torque_crosstalk: float = error(

@@ -82,7 +82,6 @@ class PlantSettings(Settings):
     dead_band: float = _preset_setting(Joints, "dead_band")
     torque_ripple: float = _preset_setting(Joints, "ripple")
     current_bandwidth: float = _preset_setting(Joints, "current_bandwidth")
-    end_stops: bool = setting(True, "true: the joints have end stops")
     tilt: tuple[float, ...] = like(Surroundings, "tilt")
     film_damping: float = like(Surroundings, "film")
     tether_drag: float = like(Surroundings, "tether")
@@ -99,21 +98,28 @@ class PlantSettings(Settings):
     bearing_pressure: float = like(Propulsion, "bearing_pressure")
     pad_friction: float = like(Surroundings, "pad_friction")
     tolerance: float = setting(
-        0.0, "tolerance of the integrator's error control, per step and coordinate, SI units; 0: "
-        "fixed steps of 1 ms", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    target_mass: float = setting(
-        0.0, "mass of a second spacecraft simulator, the target; 0: no target", unit="kg",
+        0.0,
+        "tolerance of the integrator's error control, per step and coordinate, SI units; 0: "
+        "fixed steps of 1 ms",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
+    target_mass: float = setting(
+        0.0,
+        "mass of a second spacecraft simulator, the target; 0: no target",
+        unit="kg",
+        check=NOT_NEGATIVE,
+    )
     target_inertia: float = like(Target, "inertia")
     target_pose: tuple[float, ...] = setting(
         (1.0, 1.0, 0.0), "initial pose of the target", unit="m, m, rad", check=FINITE, size=3
     )
     target_twist: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "initial velocity of the target", unit="m/s, m/s, rad/s",
-        check=FINITE, size=3,
-    )  # fmt: skip
+        (0.0, 0.0, 0.0),
+        "initial velocity of the target",
+        unit="m/s, m/s, rad/s",
+        check=FINITE,
+        size=3,
+    )
     target_fixture: tuple[float, ...] = like(Target, "fixture")
     grip_reach: float = like(Gripper, "reach")
     grip_angle: float = like(Gripper, "angle")
@@ -159,10 +165,7 @@ class PlantSettings(Settings):
             "ripple": self.torque_ripple,
             "current_bandwidth": self.current_bandwidth,
         }
-        stops = {} if self.end_stops else {"stop_stiffness": 0.0, "stop_damping": 0.0}
-        return replace(
-            JOINTS[self.preset], gear_ratio=self.gear_ratio, **_overrides(values), **stops
-        )
+        return replace(JOINTS[self.preset], gear_ratio=self.gear_ratio, **_overrides(values))
 
     def world(self) -> World:
         """Return the parameters of the plant, except those of the arm."""
@@ -217,22 +220,25 @@ class TestbedSettings(PlantSettings):
     """Parameters of a TestbedNode."""
 
     vehicles: str = setting(
-        "", "file of several vehicles (docs/how-to/vehicles.md), with the settings of each that "
+        "",
+        "file of several vehicles (docs/how-to/vehicles.md), with the settings of each that "
         "differ from these parameters; empty: one vehicle",
-    )  # fmt: skip
+    )
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
     serials: tuple[int, ...] = setting(
-        (), "serial numbers that the links report, starting at the base, 0: none; empty: those "
+        (),
+        "serial numbers that the links report, starting at the base, 0: none; empty: those "
         "of the description",
         check=between(0, 2**31 - 1),
-    )  # fmt: skip
+    )
     without_arm: bool = setting(False, "true: simulate the base of the description without its arm")
     host: str = setting("127.0.0.1", "IP address on which the links' ports are opened")
     transports: tuple[str, ...] = setting(
-        (), "transport of each link: udp, tcp, or serial (a pseudo-terminal, like RS-232); one for "
+        (),
+        "transport of each link: udp, tcp, or serial (a pseudo-terminal, like RS-232); one for "
         "all links or one for each; empty: serial if terminals are given, else udp",
         check=one_of("udp", "tcp", "serial"),
-    )  # fmt: skip
+    )
     ports: tuple[int, ...] = setting(
         (),
         "UDP or TCP ports of the links, 0: any free port; empty: 5001, 5002, ...",
@@ -286,9 +292,11 @@ class TestbedSettings(PlantSettings):
     torque_crosstalk: float = _preset_setting(Noise, "torque_crosstalk")
     torque_drift: float = _preset_setting(Noise, "torque_drift")
     torque_rate: int = setting(
-        80, "sample rate of a torque converter", unit="1/s",
+        80,
+        "sample rate of a torque converter",
+        unit="1/s",
         check=Check("10 or 80", lambda rate: rate in (10, 80), 10, 80),
-    )  # fmt: skip
+    )
     clock_drift: float = _preset_setting(Noise, "clock_drift")
     battery: float = setting(
         1.0, "initial charge of all batteries, as a share", check=above(0.0, 1.0)
@@ -300,18 +308,22 @@ class TestbedSettings(PlantSettings):
         (0.0, 0.0, 0.0), "initial pose of the base", unit="m, m, rad", check=FINITE, size=3
     )
     twist: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "initial velocity of base and arm, about the base's origin",
-        unit="m/s, m/s, rad/s", check=FINITE, size=3,
-    )  # fmt: skip
+        (0.0, 0.0, 0.0),
+        "initial velocity of base and arm, about the base's origin",
+        unit="m/s, m/s, rad/s",
+        check=FINITE,
+        size=3,
+    )
     q: tuple[float, ...] = setting(
         (), "initial joint angles; empty: all 0", unit="rad", check=FINITE
     )
     keep_clock: bool = setting(False, "true: publish /clock; false: stamps are ROS time")
     speed: float = setting(
-        1.0, "speed of the published clock, in multiples of real time; 0: as fast as the drivers "
+        1.0,
+        "speed of the published clock, in multiples of real time; 0: as fast as the drivers "
         "can follow",
         check=Check("0, or 0.01 to 100", lambda x: x == 0.0 or 0.01 <= x <= 100.0, 0.0, 100.0),
-    )  # fmt: skip
+    )
     paused: bool = setting(False, "true: start with the published clock paused, to be stepped")
     truth_rate: float = setting(
         10.0, "rate of sim/truth and gripper/state", unit="1/s", check=above(0.0, RATE)

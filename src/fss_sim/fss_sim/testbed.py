@@ -173,19 +173,34 @@ class Testbed:
         keys = keys or {}
         self.links = [
             Link(
-                i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge, power,
+                i,
+                k,
+                noise,
+                seed,
+                state.boots,
+                rate,
+                keys.get(i),
+                torque_rate,
+                charge,
+                power,
                 self._station(f"{i}"),
             )
             for i, k in enumerate(links, 1)
-        ]  # fmt: skip
+        ]
         self.board = (
             Board(
-                noise, seed, state.boots, board_rate, keys.get(0), charge, power,
+                noise,
+                seed,
+                state.boots,
+                board_rate,
+                keys.get(0),
+                charge,
+                power,
                 self._station("board"),
             )
             if board_rate
             else None
-        )  # fmt: skip
+        )
         self.frame, self._boots, self._boot_offset = state.frame, state.boots, state.boot_offset
         for part in self._electronics():
             part.start(self.boot, self.now, part.uptime)
@@ -234,9 +249,18 @@ class Testbed:
         tip = plant.tip if plant.n else (0.0, 0.0, 0.0)
         qd = np.array([motion.qd for motion in self._motions] or [0.0])
         readings = self.sensors.observe(
-            self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target,
-            self.marker_results, of.target,
-        )  # fmt: skip
+            self.frame,
+            plant.base,
+            tip,
+            rate,
+            qd,
+            of.base,
+            of.tip,
+            of.gyro,
+            target,
+            self.marker_results,
+            of.target,
+        )
         telemetry = [
             link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i], of.drives[i])
             for i, link in enumerate(self.links)
@@ -320,9 +344,16 @@ class Testbed:
         plant = self.plant
         q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, self.target))
         return State(
-            self.frame, self._boots, self.sensors.rests, q, qd, target, plant.payload is not None,
-            plant.thrusters.propellant_used, self._boot_offset,
-        )  # fmt: skip
+            self.frame,
+            self._boots,
+            self.sensors.rests,
+            q,
+            qd,
+            target,
+            plant.payload is not None,
+            plant.thrusters.propellant_used,
+            self._boot_offset,
+        )
 
 
 def place_on_table(vehicles: Sequence[Vehicle], states: Sequence[State]) -> Bed:

@@ -40,9 +40,12 @@ class TestbedNode(Node):
         self.settings = settings = declare(self, TestbedSettings, live=True)
         self.lock, self.seed = RLock(), settings.seed
         self.timeline = Timeline(
-            self, settings.keep_clock, settings.speed, settings.paused,
+            self,
+            settings.keep_clock,
+            settings.speed,
+            settings.paused,
             lambda: int(self.get_clock().now().nanoseconds),
-        )  # fmt: skip
+        )
         self.vehicles = [
             VehicleTopics(self, self.lock, self.timeline.stamp, one, name)
             for name, one in read_vehicles(settings).items()

@@ -60,9 +60,13 @@ class Timeline:
     pace: Pace
 
     def __init__(
-        self, simulation: Simulation, keep_clock: bool, speed: float, paused: bool,
+        self,
+        simulation: Simulation,
+        keep_clock: bool,
+        speed: float,
+        paused: bool,
         ros_time: Callable[[], int],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.simulation, self.keep_clock, self.speed = simulation, keep_clock, speed
         self.paused, self.ros_time = paused, ros_time
         self._clock_published = 0.0  # when the clock was last published [s]

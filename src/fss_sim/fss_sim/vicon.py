@@ -66,9 +66,12 @@ class Room(Settings):
         (0.14, -0.06, 0.04, 0.15, -0.15, 0.03, -0.07, -0.13, 0.09, -0.13), "target"
     )
     heights: tuple[float, ...] = setting(
-        (0.5, 0.3, 0.3), "heights of base, links and target above the table", unit="m",
-        check=NOT_NEGATIVE, size=3,
-    )  # fmt: skip
+        (0.5, 0.3, 0.3),
+        "heights of base, links and target above the table",
+        unit="m",
+        check=NOT_NEGATIVE,
+        size=3,
+    )
     stalk: float = setting(
         0.03, "height of the markers above the top of their body", unit="m", check=POSITIVE
     )
@@ -217,7 +220,7 @@ class Vicon:
 @kernel("(c,w),(k,w),(k),(s,w),(b,x),(k,y),(z)->(s,w),(s),(s)")
 def _observe_markers(  # type: ignore[no-untyped-def]
     cameras, markers, owners, poses, bodies, white, control, errors, visible, partner
-):  # fmt: skip
+):
     count = owners.size
     at, off = np.empty((2, count), np.complex128)
     ok = np.empty(count, np.bool_)

@@ -42,8 +42,11 @@ def url(request, keys) -> Iterator[str]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as board:
         _, _, way, place = board.stdout.readline().split()[:4]  # "base at udp 40001, signed"
         place = place.rstrip(",")
-        forms = {"udp": f"udp://127.0.0.1:{place}?bind={free_port()}",
-                 "tcp": f"tcp://127.0.0.1:{place}", "serial": f"serial://{place}"}  # fmt: skip
+        forms = {
+            "udp": f"udp://127.0.0.1:{place}?bind={free_port()}",
+            "tcp": f"tcp://127.0.0.1:{place}",
+            "serial": f"serial://{place}",
+        }
         yield forms[way]
         board.kill()
 
@@ -68,8 +71,9 @@ class Person(Node):
 
 
 def test_valves_of_a_driver_killed_in_mid_pulse_close_within_the_watchdog(spin, start, url, keys):
-    driver = start("fss_base_driver.base_node", "--ros-args", "-p", f"url:={url}", "-p",
-                   f"keys:={keys}")  # fmt: skip
+    driver = start(
+        "fss_base_driver.base_node", "--ros-args", "-p", f"url:={url}", "-p", f"keys:={keys}"
+    )
     person = Person()
     spin(person, lambda: person.telemetry and person.arming.service_is_ready(), 30.0)
     spin(person, person.thrust.get_subscription_count)

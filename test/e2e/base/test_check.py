@@ -23,9 +23,18 @@ def test_a_valve_that_does_not_open_is_found_and_the_others_fit(spin, start, tmp
     output = tmp_path / "found.yaml"
     start("fss_base_driver.base_node", "--ros-args", "-p", f"url:=udp://127.0.0.1:{port}?bind=0")
     check = start(
-        "fss_base_driver.check_node", *ALONE, "--valves", 1, 3, "--before", 2, "--after", 3,
-        "--output", output,
-    )  # fmt: skip
+        "fss_base_driver.check_node",
+        *ALONE,
+        "--valves",
+        1,
+        3,
+        "--before",
+        2,
+        "--after",
+        3,
+        "--output",
+        output,
+    )
     spin(bed, lambda: check.process.poll() is not None, 90.0)
     assert check.process.returncode == 2, check.output
     first, third = read_yaml(output.read_text())["valves"]

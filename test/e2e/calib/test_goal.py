@@ -24,9 +24,14 @@ SEEN = {
     "mount_deviation": 0.0001, "mount_angle_deviation": 0.0001,
 }  # fmt: skip
 BED = {
-    "preset": "ideal", "position_noise": 0.0001, "heading_noise": 0.0002, "vicon_hold": 0.1,
-    "telemetry_rate": 20.0, "keep_clock": True, "speed": 0.0,
-}  # fmt: skip
+    "preset": "ideal",
+    "position_noise": 0.0001,
+    "heading_noise": 0.0002,
+    "vicon_hold": 0.1,
+    "telemetry_rate": 20.0,
+    "keep_clock": True,
+    "speed": 0.0,
+}
 
 
 class Operator(Node):

@@ -159,10 +159,11 @@ def test_a_killed_arm_leaves_links_that_come_to_rest(person, nodes):
     nodes.processes["arm"].send_signal(signal.SIGKILL)
     heard = {}
     client.create_subscription(
-        standard_client.JointState, "joint_states",
+        standard_client.JointState,
+        "joint_states",
         lambda m: heard.update(zip(m.name, zip(m.position, m.velocity, strict=True), strict=True)),
         10,
-    )  # fmt: skip
+    )
     killed = monotonic()
     person.until(lambda: len(heard) == 4 and all(abs(v) < 0.01 for _, v in heard.values()), 9.0)
     assert monotonic() - killed < LIVES + 1.0

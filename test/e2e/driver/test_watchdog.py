@@ -42,8 +42,11 @@ def url(request, keys, start) -> Iterator[str]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as link:
         told = link.stdout.readline()  # "link 1 at udp 40001, signed"
         place = told.split()[4].rstrip(",")
-        forms = {"udp": f"udp://127.0.0.1:{place}?bind={free_port()}",
-                 "tcp": f"tcp://127.0.0.1:{place}", "serial": f"serial://{place}"}  # fmt: skip
+        forms = {
+            "udp": f"udp://127.0.0.1:{place}?bind={free_port()}",
+            "tcp": f"tcp://127.0.0.1:{place}",
+            "serial": f"serial://{place}",
+        }
         yield forms[told.split()[3]]
         link.kill()
 
@@ -115,9 +118,10 @@ def test_a_driver_that_was_stopped_and_goes_on_moves_nothing(spin, start, url, k
 
 
 @pytest.mark.parametrize(
-    ("url", "step"), [("--udp 0", -3600.0), ("--tcp 0", 3600.0), ("--pty", -3600.0)],
+    ("url", "step"),
+    [("--udp 0", -3600.0), ("--tcp 0", 3600.0), ("--pty", -3600.0)],
     indirect=["url"],
-)  # fmt: skip
+)
 def test_a_driver_that_starts_again_with_another_time_has_its_link_in_5_s(spin, url, keys, step):
     parameters = [Parameter("keys", value=str(keys))]
     first, person = LinkNode(1, url, parameter_overrides=parameters), TurnPerson()

@@ -32,9 +32,12 @@ def flyer(tmp_path):
     with Nodes(tmp_path, print, OWN) as nodes:
         start(nodes, speed=SPEED, gnc=["navigation"])
         nodes.run(
-            "controller", [sys.executable, "-m", "fss_gnc.controller_node"],
-            use_sim_time=True, law=library, rate=20.0,
-        )  # fmt: skip
+            "controller",
+            [sys.executable, "-m", "fss_gnc.controller_node"],
+            use_sim_time=True,
+            law=library,
+            rate=20.0,
+        )
         flyer = Flyer(nodes)
         flyer.clients_to.clear()  # actions of guidance
         yield flyer
@@ -45,9 +48,11 @@ def flyer(tmp_path):
 def test_a_law_holds_the_base_until_it_is_killed(flyer):
     found = []
     flyer.create_subscription(
-        DiagnosticArray, "/diagnostics",
-        lambda m: found.extend(s for s in m.status if s.name == "/controller"), 10,
-    )  # fmt: skip
+        DiagnosticArray,
+        "/diagnostics",
+        lambda m: found.extend(s for s in m.status if s.name == "/controller"),
+        10,
+    )
     flyer.begin()
     flyer.pass_time(20.0)
     flyer.until(lambda: found, why="diagnostics of the controller")

@@ -57,8 +57,9 @@ def test_the_base_turns_as_predicted_or_not_at_all(person):
 
 
 def test_a_cancelled_motion_comes_to_rest(person):
-    handle = person.send(kind="point_to_point", arguments=["--goal", "60", "0", "0", "0",
-                                                           "--duration", "20"])  # fmt: skip
+    handle = person.send(
+        kind="point_to_point", arguments=["--goal", "60", "0", "0", "0", "--duration", "20"]
+    )
     person.feedback.clear()
     person.spin(person, lambda: person.feedback, 20.0)
     person.after(handle.cancel_goal_async())
@@ -68,8 +69,10 @@ def test_a_cancelled_motion_comes_to_rest(person):
 
 
 def test_the_arm_comes_to_rest_when_the_planner_is_killed_and_goes_on_with_the_next(person, nodes):
-    goal = {"kind": "point_to_point", "arguments": ["--goal", "60", "0", "0", "0",
-                                                    "--duration", "20"]}  # fmt: skip
+    goal = {
+        "kind": "point_to_point",
+        "arguments": ["--goal", "60", "0", "0", "0", "--duration", "20"],
+    }
     person.send(**goal)
     person.truths.clear()
 
@@ -81,8 +84,9 @@ def test_the_arm_comes_to_rest_when_the_planner_is_killed_and_goes_on_with_the_n
     killed = len(person.truths)
     person.spin(person, lambda: fastest() < 0.002, 20.0)
     rates = np.array([truth.qd[3:] for truth in person.truths[killed:]])
-    took = 1e-9 * (stamp_ns(person.truths[-1].header.stamp)
-                   - stamp_ns(person.truths[killed - 1].header.stamp))  # fmt: skip
+    took = 1e-9 * (
+        stamp_ns(person.truths[-1].header.stamp) - stamp_ns(person.truths[killed - 1].header.stamp)
+    )
     print(f"at rest {took:.2f} s after the planner was killed")
     assert took < 3.0  # who asked is missed within a second; then a gentle stop
     assert np.abs(rates).max() < 0.12  # no jump: the path's own rate is 0.1 rad/s at most

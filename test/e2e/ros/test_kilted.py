@@ -54,9 +54,13 @@ def test_each_node_runs_on_the_rclpy_of_kilted(tmp_path):
 
     def run(command, timeout):
         done = subprocess.run(
-            ["bash", "-c", command], cwd=copy, env=passed, capture_output=True, text=True,
+            ["bash", "-c", command],
+            cwd=copy,
+            env=passed,
+            capture_output=True,
+            text=True,
             timeout=timeout,
-        )  # fmt: skip
+        )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 

@@ -76,9 +76,12 @@ def keystore(folder, *lines):
     config.write_text("\n".join([f"export ROS_DOMAIN_ID={DOMAIN}", *lines]) + "\n")
     made = subprocess.run(
         [SCRIPTS / "fss_security.sh", folder / "keys", config],
-        capture_output=True, text=True, timeout=120, check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
         env={**os.environ, "FSS_LOGS": str(folder)},
-    )  # fmt: skip
+    )
     assert made.returncode == 0, made.stderr
     assert f"{len(lines) + 2} enclaves for domain {DOMAIN}" in made.stdout
     return folder / "keys"
@@ -139,9 +142,13 @@ def said_by(enclave, env):
     """What becomes of a program that listens, stops and commands."""
     given = ["--ros-args", "--enclave", enclave] if enclave else []
     done = subprocess.run(
-        [sys.executable, "-c", SAY, *given], capture_output=True, text=True, timeout=60,
-        check=False, env={**os.environ, **env},
-    )  # fmt: skip
+        [sys.executable, "-c", SAY, *given],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env={**os.environ, **env},
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -149,36 +156,57 @@ def said_by(enclave, env):
 def test_a_stranger_neither_commands_nor_stops_nor_reads(start, tmp_path):
     ports = OWN.ports(4)
     keys = keystore(
-        tmp_path, "node bed fss_sim testbed", "node link_1 fss_arm_driver link",
+        tmp_path,
+        "node bed fss_sim testbed",
+        "node link_1 fss_arm_driver link",
         "node view fss_arm_view view",
-    )  # fmt: skip
+    )
     secure = {
-        "ROS_SECURITY_KEYSTORE": str(keys), "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_KEYSTORE": str(keys),
+        "ROS_SECURITY_ENABLE": "true",
         "ROS_SECURITY_STRATEGY": "Enforce",
-    }  # fmt: skip
+    }
     probe = "import rclpy, sys; rclpy.init(args=sys.argv); rclpy.create_node('probe')"
     probed = subprocess.run(
         [sys.executable, "-c", probe, "--ros-args", "--enclave", "/lab/link_1"],
-        capture_output=True, text=True, timeout=30, check=False, env={**os.environ, **secure},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+        env={**os.environ, **secure},
+    )
     if "doesn't have the security libraries" in probed.stderr:
         pytest.skip("this middleware is built without DDS security")
     assert probed.returncode == 0, probed.stderr
     start(
-        "fss_sim.testbed_node", "--ros-args", "--enclave", "/lab/bed", "-p", f"ports:={ports}",
+        "fss_sim.testbed_node",
+        "--ros-args",
+        "--enclave",
+        "/lab/bed",
+        "-p",
+        f"ports:={ports}",
         **secure,
-    )  # fmt: skip
+    )
     start(
-        "fss_arm_driver.link_node", "--ros-args", "--enclave", "/lab/link_1", "-p",
-        f"url:=udp://127.0.0.1:{ports[0]}?bind=0", **secure,
-    )  # fmt: skip
+        "fss_arm_driver.link_node",
+        "--ros-args",
+        "--enclave",
+        "/lab/link_1",
+        "-p",
+        f"url:=udp://127.0.0.1:{ports[0]}?bind=0",
+        **secure,
+    )
     person = secure | {"ROS_SECURITY_ENCLAVE_OVERRIDE": "/person"}
 
     def tell(*command):
         return subprocess.run(
-            [sys.executable, "-c", ARM, *command], capture_output=True, text=True, timeout=60,
-            check=False, env={**os.environ, **person},
-        )  # fmt: skip
+            [sys.executable, "-c", ARM, *command],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+            env={**os.environ, **person},
+        )
 
     armed = tell()
     assert armed.returncode == 0, armed.stdout + armed.stderr
@@ -190,9 +218,13 @@ def test_a_stranger_neither_commands_nor_stops_nor_reads(start, tmp_path):
     assert view["armed"] == [True]  # whoever may only listen has not stopped it either
     assert view["refused"] == ["arm/stop", "link_1/command"]
     stopped = subprocess.run(
-        [sys.executable, SCRIPTS / "fss_arm.py", "stop"], capture_output=True, text=True,
-        timeout=60, check=False, env={**os.environ, **person},
-    )  # fmt: skip
+        [sys.executable, SCRIPTS / "fss_arm.py", "stop"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env={**os.environ, **person},
+    )
     assert stopped.stdout.startswith("link_1: stopped after "), stopped.stderr
 
 

@@ -36,8 +36,12 @@ class Laboratory:
     def run(self, script, *options):
         return subprocess.run(
             [SCRIPTS / f"fss_{script}.sh", *options, self.config],
-            capture_output=True, text=True, timeout=120, check=False, stdin=subprocess.DEVNULL,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+            stdin=subprocess.DEVNULL,
+        )
 
     def pid(self, name):
         """The node's process, if it runs: it holds the lock then."""
@@ -254,10 +258,12 @@ def test_what_a_node_leaves_behind_is_ended_too(laboratory, tmp_path):
 def test_what_cannot_be_ended_is_told_by_its_numbers(laboratory, tmp_path):
     prefix, able = script_package(tmp_path / "prefix", a="exec sleep 60"), tmp_path / "able"
     lab = laboratory(
-        f"export AMENT_PREFIX_PATH={prefix}", "FSS_STOP_TIMEOUT=1",
+        f"export AMENT_PREFIX_PATH={prefix}",
+        "FSS_STOP_TIMEOUT=1",
         f"case $0 in *fss_down.sh) [ -e {able} ] || kill() {{ :; }} ;; esac",
-        "node a pkg a", "node b pkg a",
-    )  # fmt: skip
+        "node a pkg a",
+        "node b pkg a",
+    )
     lab.run("up")
     numbers = {lab.keeper("a"), lab.pid("a"), lab.keeper("b"), lab.pid("b")}
     down = lab.run("down")
@@ -289,9 +295,14 @@ def wrong_up(laboratory, text, **env):
     lab = laboratory()
     lab.config.write_text(text)
     run = subprocess.run(
-        [SCRIPTS / "fss_up.sh", lab.config], capture_output=True, text=True, check=False,
-        timeout=60, stdin=subprocess.DEVNULL, env=os.environ | env,
-    )  # fmt: skip
+        [SCRIPTS / "fss_up.sh", lab.config],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        stdin=subprocess.DEVNULL,
+        env=os.environ | env,
+    )
     assert run.returncode == 1, run.stdout
     (line,) = run.stderr.splitlines()
     return line

@@ -66,9 +66,11 @@ def run(network, tmp_path):
             started.append(
                 subprocess.Popen(
                     ["ip", "netns", "exec", network[host], "bash", "-c", script],
-                    stdout=log, stderr=log, env=kept | settings,
+                    stdout=log,
+                    stderr=log,
+                    env=kept | settings,
                 )
-            )  # fmt: skip
+            )
 
     yield begin
     for process in started:

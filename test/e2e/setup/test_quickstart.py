@@ -28,9 +28,13 @@ def typed(page):
 def shell(text, timeout):
     """Run it line by line, up to the first that fails; what it said."""
     run = subprocess.run(
-        ["bash", "-ec", text], cwd=ROOT, capture_output=True, text=True, timeout=timeout,
+        ["bash", "-ec", text],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
         env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
-    )  # fmt: skip
+    )
     assert run.returncode == 0, run.stdout + run.stderr
     return run.stdout
 

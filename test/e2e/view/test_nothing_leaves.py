@@ -108,8 +108,11 @@ def test_the_page_asks_nobody_else(tmp_path, way, leaves):
     with network() as inside:
         done = subprocess.run(
             [*inside, sys.executable, "-c", INSIDE, support, folder, way],
-            capture_output=True, text=True, timeout=240.0, check=False,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            timeout=240.0,
+            check=False,
+        )
     print(done.stdout, done.stderr)
     assert ("sent {}" not in done.stdout) == leaves
     if way == "gate":

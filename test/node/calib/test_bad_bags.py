@@ -301,8 +301,11 @@ def test_another_arm_of_nearly_the_same_lengths_is_named_by_its_end_effector(tmp
 def test_design_says_that_no_maneuver_can_be_used(tmp_path, capsys, gap, why):
     """The base lost from the first look on, or a bag that ends before the arm moves."""
     end = at(20.0) if gap else at(4.0)
-    some = [s for s in good_samples("dynamic")
-            if s.t < end and not (gap and s.stream == "base" and s.t > at(2.0))]  # fmt: skip
+    some = [
+        s
+        for s in good_samples("dynamic")
+        if s.t < end and not (gap and s.stream == "base" and s.t > at(2.0))
+    ]
     bag = calib_float.record(tmp_path / "bags", some)
     assert design(["--bag", str(bag), "--count", "1"]) == 1
     assert capsys.readouterr().err == f"design: no maneuver of {bag} can be used{why}\n"

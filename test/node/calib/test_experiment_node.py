@@ -149,9 +149,15 @@ def test_after_its_process_stood_still_a_person_must_start_it_again(spin, spin_t
 def test_an_experiment_that_is_interrupted_says_how_far_it_is(spin, start, tmp_path, how):
     arm, state = FakeArm("reach", "reach", "silence"), tmp_path / "progress.json"
     experiment = start(
-        "fss_arm_calib.experiment.experiment_node", "--ros-args", "-p", "rest:=0.1",
-        "-p", "silence:=60.0", "-p", f"state_file:={state}",
-    )  # fmt: skip
+        "fss_arm_calib.experiment.experiment_node",
+        "--ros-args",
+        "-p",
+        "rest:=0.1",
+        "-p",
+        "silence:=60.0",
+        "-p",
+        f"state_file:={state}",
+    )
     spin([arm], lambda: len(arm.goals) == 3, 30.0)
     assert experiment.stop(how) == 130, experiment.output
     said = f"interrupted after 2 of 13 postures; the next run resumes from {state}\n"

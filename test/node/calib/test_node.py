@@ -309,8 +309,11 @@ def test_node_and_command_have_the_same_settings(kept, made):
         want = made.case.settings.get(f.name, f.default)
         assert node.get_parameter(f.name).value == want
     assert {f.name for f in fields(node_settings(made.kind.name, made.kind.settings))} >= {
-        "frame_id", "state_file", "output", "report"
-    }  # fmt: skip
+        "frame_id",
+        "state_file",
+        "output",
+        "report",
+    }
 
 
 @pytest.mark.parametrize(

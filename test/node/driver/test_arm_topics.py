@@ -176,8 +176,9 @@ def test_transforms_lead_from_the_base_to_the_tip_as_the_description_does(bench)
     bench.links.q = list(THERE)
     end = f"link_{ARM.n}"
     bench.until(lambda: {end, "end_effector", "fss_body"} <= found.keys())
-    bench.until(lambda: abs(heading(found[end].transform.rotation) - ARM.links[-1].theta_0 + 0.15)
-                < 1e-3)  # fmt: skip
+    bench.until(
+        lambda: abs(heading(found[end].transform.rotation) - ARM.links[-1].theta_0 + 0.15) < 1e-3
+    )
     x, y, theta, frame = 0.0, 0.0, 0.0, "end_effector"
     chain = []
     while frame != "fss":
@@ -257,8 +258,12 @@ def test_what_is_refused_moves_nothing_and_is_counted(bench):
     now = bench.client.get_clock().now()
     bench.client.command(stamp=now - Duration(seconds=2.0), position=THERE)
     bench.client.command(stamp=now + Duration(seconds=2.0), position=THERE)
-    bench.until(lambda: bench.health.get("commands refused: old") == "1"
-                or bench.health.get("commands refused: future") == "1")  # fmt: skip
+    bench.until(
+        lambda: (
+            bench.health.get("commands refused: old") == "1"
+            or bench.health.get("commands refused: future") == "1"
+        )
+    )
     for fields in ({"position": (nan, 0.0, 0.0, 0.0)}, {"position": THERE, "velocity": THERE}):
         refused = bench.arm.streams.stream.refused.total()
         bench.client.command(**fields)
@@ -447,8 +452,15 @@ def test_while_a_goal_is_received_the_node_and_a_motion_continue(bench, monkeypa
 
 @pytest.mark.slow  # keeps time, so it runs alone
 def test_the_longest_goal_runs_and_heartbeats_are_never_older_than_a_second(start, spin):
-    start("fss_arm_driver.arm_node", "--ros-args", "-p", "time_to_live:=3.0", "-p", "lead:=0.3",
-          ROS_PYTHON_CHECK_FIELDS="0")  # fmt: skip
+    start(
+        "fss_arm_driver.arm_node",
+        "--ros-args",
+        "-p",
+        "time_to_live:=3.0",
+        "-p",
+        "lead:=0.3",
+        ROS_PYTHON_CHECK_FIELDS="0",
+    )
     links, client, beats = FakeLinks(), StandardClient(), []
 
     def on_health(message):
@@ -571,10 +583,14 @@ def test_a_path_under_way_is_judged_from_when_the_base_was_seen(ros, late):
 
 def test_one_process_hosts_the_arm_and_its_links(start, spin):
     program = start(
-        "fss_arm_driver.driver_node", "--ros-args", "-p", "time_to_live:=2.0",
-        "-p", "urls:=['udp://127.0.0.1:9', 'udp://127.0.0.1:9', 'udp://127.0.0.1:9', "
+        "fss_arm_driver.driver_node",
+        "--ros-args",
+        "-p",
+        "time_to_live:=2.0",
+        "-p",
+        "urls:=['udp://127.0.0.1:9', 'udp://127.0.0.1:9', 'udp://127.0.0.1:9', "
         "'udp://127.0.0.1:9']",
-    )  # fmt: skip
+    )
     ears = Node("ears")
     names = {"arm", "link_1", "link_2", "link_3", "link_4"}
     spin(ears, lambda: names <= set(ears.get_node_names()), 60.0)

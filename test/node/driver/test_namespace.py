@@ -48,9 +48,11 @@ def test_frames_and_reports_carry_the_vehicles_namespace(spin, arm):
     )
     for vehicle in VEHICLES:
         user.create_subscription(
-            LinkTelemetry, f"{vehicle}/link_1/telemetry",
-            lambda m, vehicle=vehicle: telemetry.update({vehicle: m.header.frame_id}), SENSOR,
-        )  # fmt: skip
+            LinkTelemetry,
+            f"{vehicle}/link_1/telemetry",
+            lambda m, vehicle=vehicle: telemetry.update({vehicle: m.header.frame_id}),
+            SENSOR,
+        )
     chain = [("fss", "fss_body"), ("fss", "link_1"), ("link_1", "end_effector")]
     expected = {(f"{v}/{a}", f"{v}/{b}") for v in VEHICLES for a, b in chain}
     spin([*nodes, user], lambda: len(reports) == 4 and len(telemetry) == 2 and frames >= expected)

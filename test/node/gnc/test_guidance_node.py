@@ -255,8 +255,9 @@ def test_open_valve_aborts_a_mission(bench):
     assert bench.states[-1].reason == "valve 3 does not close"
     health = bench.guidance.health()
     assert (health.level, health.message) == (
-        WARN, "mission/detumble: abort: valve 3 does not close",
-    )  # fmt: skip
+        WARN,
+        "mission/detumble: abort: valve 3 does not close",
+    )
     bench.stops["base/stop"].publish(Empty())  # the fake tank is never empty
     ended = bench.end(handle)
     assert (ended.status, ended.result.stopped) == (ABORTED, False)

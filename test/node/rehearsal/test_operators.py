@@ -118,9 +118,10 @@ def test_a_foreign_viewer_does_not_prevent_arming(arm, rehearsal):
     rclpy.init(context=context, domain_id=DOMAIN)
     viewer = Node("view", context=context)
     wait_until(
-        lambda: list(operators.foreign_nodes(rehearsal, rehearsal.domain)), 20.0,
+        lambda: list(operators.foreign_nodes(rehearsal, rehearsal.domain)),
+        20.0,
         lambda: rclpy.spin_once(rehearsal, timeout_sec=0.02),
-    )  # fmt: skip
+    )
     assert rehearsal.is_only_driver()
     assert not own_arm.requests
     viewer.destroy_node()

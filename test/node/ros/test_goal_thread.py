@@ -26,10 +26,15 @@ class Mover(Node):
         self.thread = GoalThread(self, [topic])
         self.thread.serve(
             ActionServer(
-                self, MoveArm, "move", self.on_execute, goal_callback=self.on_goal,
-                cancel_callback=self.on_cancel, callback_group=self.thread.group,
+                self,
+                MoveArm,
+                "move",
+                self.on_execute,
+                goal_callback=self.on_goal,
+                cancel_callback=self.on_cancel,
+                callback_group=self.thread.group,
             )
-        )  # fmt: skip
+        )
         self.close = self.thread.close
 
     def on_number(self, message):

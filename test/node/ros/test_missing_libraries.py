@@ -43,8 +43,12 @@ def python(tmp_path, domain):
         }
         return subprocess.run(
             [sys.executable, "-c", code, *arguments],
-            env=env, cwd=tmp_path, capture_output=True, text=True, timeout=60,
-        )  # fmt: skip
+            env=env,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
 
     return run
 

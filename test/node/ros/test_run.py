@@ -154,8 +154,9 @@ def test_of_nodes_that_begin_together_one_stays(named, domain):
     together = [named() for _ in range(3)]
     gone = wait_until(
         lambda: len(over := [p for p in together if p.process.poll() is not None]) == 2 and over,
-        20.0, lambda: time.sleep(0.02),
-    )  # fmt: skip
+        20.0,
+        lambda: time.sleep(0.02),
+    )
     for program in gone:
         ended(program, domain, "/named is there")
     spun(next(p for p in together if p not in gone))

@@ -117,9 +117,13 @@ def test_a_request_can_be_answered_after_every_message_received_before_it(spin):
 def test_events_of_a_subscription_are_handled(spin):
     node, events = Node("receiver"), []
     subscribe_bytes(
-        node, Int32, "numbers", lambda data: None, DEEP,
+        node,
+        Int32,
+        "numbers",
+        lambda data: None,
+        DEEP,
         event_callbacks=SubscriptionEventCallbacks(incompatible_qos=events.append),
-    )  # fmt: skip
+    )
     node.create_publisher(Int32, "numbers", BEST_EFFORT)
     node.create_timer(0.1, lambda: None)  # every node of this workspace has one
     spin(node, lambda: events)

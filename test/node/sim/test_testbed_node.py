@@ -138,9 +138,15 @@ SCRIPT = """
 def test_the_same_seed_and_script_give_the_same_bytes_in_stepped_time(spin, call, tmp_path):
     (tmp_path / "faults.yaml").write_text(SCRIPT)
     bed = testbed(
-        keep_clock=True, paused=True, preset="paper", faults=str(tmp_path / "faults.yaml"),
-        wifi=True, marker_noise=0.0003, vicon_occlusion=1.0, vicon_jitter=0.001,
-    )  # fmt: skip
+        keep_clock=True,
+        paused=True,
+        preset="paper",
+        faults=str(tmp_path / "faults.yaml"),
+        wifi=True,
+        marker_noise=0.0003,
+        vicon_occlusion=1.0,
+        vicon_jitter=0.001,
+    )
     sent = {}
     for publisher in bed.publishers:
         if publisher.topic_name not in REAL_TIME_TOPICS:
@@ -167,8 +173,12 @@ def test_drivers_reach_links_over_each_transport(spin, tmp_path):
     angles = [0.1, 0.2, 0.3, 0.4]
     bed = testbed(transports=["udp", "tcp", "serial", "tcp"], terminals=paths, q=angles)
     ports = [getattr(wire, "port", 0) for wire in bed.wires]
-    urls = [f"udp://127.0.0.1:{ports[0]}?bind=0", f"tcp://127.0.0.1:{ports[1]}",
-            f"serial://{paths[2]}", f"tcp://127.0.0.1:{ports[3]}"]  # fmt: skip
+    urls = [
+        f"udp://127.0.0.1:{ports[0]}?bind=0",
+        f"tcp://127.0.0.1:{ports[1]}",
+        f"serial://{paths[2]}",
+        f"tcp://127.0.0.1:{ports[3]}",
+    ]
     links = [LinkNode(i, url) for i, url in enumerate(urls, 1)]
     spin([bed, *links], lambda: all(link.session.frame for link in links))
     found = [link.session.scale.position(link.session.frame.position) for link in links]

@@ -129,8 +129,10 @@ def test_all_vehicles_resume_together_from_their_state_files(spin, bed, tmp_path
     frame = node.testbed.frame
     node.destroy_node()
     assert {path.name for path in tmp_path.glob("bed*.json")} == {
-        "bed_fss1.json", "bed_fss2.json", "bed_fss3.json"
-    }  # fmt: skip
+        "bed_fss1.json",
+        "bed_fss2.json",
+        "bed_fss3.json",
+    }
     again = bed(state_file=str(tmp_path / "bed.json"))
     frames = [vehicle.testbed.frame for vehicle in again.vehicles]
     assert max(frames) - min(frames) <= 1  # they already run, started one after the other

@@ -131,10 +131,18 @@ def test_published_messages_are_shown(spin, flight, tmp_path):
     assert node.health().level == OK
     shown = recorded_text(node, file)
     for words in (
-        "/table/edge", "/table/arm", "/table/center_of_mass", "/table/target", "/plot/angle/link_1",
-        "/plot/loss/link_2", "/plot/heading/predicted", "arm/stop", "capture: reach", "too few",
+        "/table/edge",
+        "/table/arm",
+        "/table/center_of_mass",
+        "/table/target",
+        "/plot/angle/link_1",
+        "/plot/loss/link_2",
+        "/plot/heading/predicted",
+        "arm/stop",
+        "capture: reach",
+        "too few",
         "no maneuvers",
-    ):  # fmt: skip
+    ):
         assert words in shown
 
 

@@ -71,8 +71,9 @@ AFTER = [
 ]
 
 
-@pytest.mark.parametrize(("commands", "flags", "valves"), [row[1:] for row in AFTER],
-                         ids=[row[0] for row in AFTER])  # fmt: skip
+@pytest.mark.parametrize(
+    ("commands", "flags", "valves"), [row[1:] for row in AFTER], ids=[row[0] for row in AFTER]
+)
 def test_the_table(commands, flags, valves):
     state = board(QUIET, GO)
     for command in numbered(commands, 10):
@@ -143,8 +144,9 @@ def test_a_valve_that_is_kept_open_is_held_to_its_duty():
 
 
 def test_a_valve_closed_by_its_allowance_stays_so_until_the_next_pulse():
-    state = board(QUIET, opens((9000, 9000, *6 * (0,)), watchdog=2000),
-                  limits=Limits(allowance=100_000))  # fmt: skip
+    state = board(
+        QUIET, opens((9000, 9000, *6 * (0,)), watchdog=2000), limits=Limits(allowance=100_000)
+    )
     state.tick(SECOND + 200 * MS - 1)
     assert state.valves() == 3
     state.tick(SECOND + 200 * MS)  # it fills again with half of what is taken
@@ -184,8 +186,9 @@ def test_the_gripper_stays_as_it_is_but_for_an_order_that_arms(commands, expecte
 
 def test_telemetry_says_all():
     state = board(QUIET, replace(opens((10, 20, *6 * (0,)), 9), gripper=Gripper.CLOSE))
-    measured = Measured((1 << 32) + 5, (1 << 16) + 6, closed=True, holds=True,
-                        slow={BaseSlow.TANK: 19_500})  # fmt: skip
+    measured = Measured(
+        (1 << 32) + 5, (1 << 16) + 6, closed=True, holds=True, slow={BaseSlow.TANK: 19_500}
+    )
     frame = state.telemetry(SECOND + 1500, 16, measured)
     assert decode(encode(frame)) == frame
     assert (frame.flags, frame.boot, frame.sequence, frame.clock) == (1, BOOT, 16, SECOND + 1500)

@@ -61,9 +61,12 @@ def clumsy(rng, clock, sequence, number):
     times = tuple(rng.choice([0, 0, 1, 77, 300, 2500, 0xFFFF]) for _ in range(VALVES))
     pulse = (number + rng.choice([0, 0, 1, 1, 1, -1])) & 0xFFFF
     return replace(
-        command, pulse=pulse, on_times=times if pulse else NO_ON_TIMES,
-        gripper=rng.choice([0, 0, 1, 2]), expiry=clock + rng.randint(-10_000, 400_000),
-    )  # fmt: skip
+        command,
+        pulse=pulse,
+        on_times=times if pulse else NO_ON_TIMES,
+        gripper=rng.choice([0, 0, 1, 2]),
+        expiry=clock + rng.randint(-10_000, 400_000),
+    )
 
 
 def same_as(board, table, measured):
@@ -108,8 +111,11 @@ def test_it_does_what_the_table_says_to_the_microsecond(core, seed, key):
                 opened |= known.driven
     assert opened == 255
     assert {flag for flags in seen for flag in BaseState if flags & flag} >= {
-        BaseState.ARMED, BaseState.STOPPED, BaseState.WATCHDOG, BaseState.LIMITED,
-    }  # fmt: skip
+        BaseState.ARMED,
+        BaseState.STOPPED,
+        BaseState.WATCHDOG,
+        BaseState.LIMITED,
+    }
     assert any(flags & BaseState.SPENT for flags in seen) == (limits is TIGHT)
     # What a table of time says is what the valves do, but for the step of the timer.
     real, known = board.opened(), board.valves().opened

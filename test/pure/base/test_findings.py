@@ -16,7 +16,7 @@ from fss_base_driver.findings import (
     exit_code,
     judge_valve,
     table,
-)  # fmt: skip
+)
 from fss_base_driver.thrust import Body, Thrust
 
 VALVES = layout(0.16, 0.11)
@@ -73,9 +73,12 @@ def test_the_findings_are_valid_yaml_and_a_table():
     findings = [Finding(2, FAIL, 'no thrust: "0"'), Finding(1, PASS, "", thrust)]
     first, second = read_yaml(as_yaml(findings, "now"))["valves"]
     assert first == {
-        "valve": 1, "verdict": PASS, "force": [-0.16, 0.01], "torque": 0.0176,
+        "valve": 1,
+        "verdict": PASS,
+        "force": [-0.16, 0.01],
+        "torque": 0.0176,
         "deviation": [0.002, 0.0003],
-    }  # fmt: skip
+    }
     assert second == {"valve": 2, "verdict": FAIL, "words": 'no thrust: "0"'}
     every = [Finding(k, PASS, "", thrust) for k in range(8, 0, -1)]
     assert read_yaml(as_yaml(every, "now"))["layout"] == 8 * [-0.16, 0.01, 0.0176]

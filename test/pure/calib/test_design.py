@@ -86,9 +86,11 @@ def test_candidates_keep_to_the_conditions(kind):
         for a, b, T in zip(one.waypoints[:-1], one.waypoints[1:], one.durations, strict=True):
             way = b - a
             tau = torques(
-                ARM, a + s[:, None] * way, rate[:, None] * way / T,
+                ARM,
+                a + s[:, None] * way,
+                rate[:, None] * way / T,
                 acceleration[:, None] * way / T**2,
-            )  # fmt: skip
+            )
             assert np.abs(tau).max() <= 1.02 * TORQUE_SHARE * 1.8
         poses = base_poses(ARM.vector(), path(law, edges, t), np.zeros(8))
         places = joint_positions(ARM.vector(), np.concatenate([poses, q], axis=1))

@@ -48,9 +48,15 @@ def test_the_truth_comes_back_from_a_wrong_guess(words, heading_only):
     for seed in range(5):
         guess = perturbed(ARM, words, 0.3, seed)
         known = problem(
-            path, guess, words, EXACT, heading_only, momentum=np.zeros(3), tilt=0.0,
+            path,
+            guess,
+            words,
+            EXACT,
+            heading_only,
+            momentum=np.zeros(3),
+            tilt=0.0,
             prior=np.full(free, np.inf),
-        )  # fmt: skip
+        )
         result = solve(observe(known, ARM.vector(), at_rest(16)))
         assert result.minimum.converged
         assert not result.at_bound

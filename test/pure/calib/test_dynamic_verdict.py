@@ -154,9 +154,11 @@ def test_momenta_said_to_be_large_do_not_make_the_fit_lenient(maneuvers):
     fits = []
     for times in (1.0, 100.0):
         settings = replace(
-            SETTINGS, momentum_deviation=0.3 * times, spin_deviation=0.05 * times,
+            SETTINGS,
+            momentum_deviation=0.3 * times,
+            spin_deviation=0.05 * times,
             min_probability=0.0,
-        )  # fmt: skip
+        )
         left = calibrate(maneuvers, ARM, settings).solution.nominal.residual_sums
         fits.append(np.sum(left.squares) / np.sum(left.freedom))
     assert fits[0] == pytest.approx(fits[1], rel=0.03)

@@ -155,8 +155,10 @@ def test_topics_and_messages_keep_every_number():
     for topic, content in map(message, samples):
         found += feeds[topic](finder, content)
     found += finder.close()
-    numbers = [one._replace(value=one.value._replace(velocity=float(int(FAST)) * (one.stream == 1)))
-               for one in samples]  # fmt: skip
+    numbers = [
+        one._replace(value=one.value._replace(velocity=float(int(FAST)) * (one.stream == 1)))
+        for one in samples
+    ]
     assert found == find(numbers)
     assert DRIVES.data.from_message(DRIVES.data.to_message(found, "fss")) == found
 

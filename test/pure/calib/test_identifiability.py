@@ -52,10 +52,16 @@ def test_the_scale_of_all_masses_is_invisible():
     assert len(unseen(ARM, everything)) == 5
     choice = Choice.of(everything, 4)
     scaling = np.array(
-        [0.0 if name[0] in "bxy" else value for name, value in zip(
-            choice.names, choice.basis.T @ np.r_[10, 0.25, np.zeros(12), np.full(4, 2.88),
-                                                np.zeros(4), np.full(4, 0.034)], strict=True)]
-    )  # fmt: skip
+        [
+            0.0 if name[0] in "bxy" else value
+            for name, value in zip(
+                choice.names,
+                choice.basis.T
+                @ np.r_[10, 0.25, np.zeros(12), np.full(4, 2.88), np.zeros(4), np.full(4, 0.034)],
+                strict=True,
+            )
+        ]
+    )
     scaling /= np.linalg.norm(scaling)
     rest = unseen(ARM, everything)
     assert np.linalg.norm(rest @ scaling) == pytest.approx(1.0, abs=1e-9)
@@ -87,9 +93,7 @@ def test_what_cannot_be_told_has_no_deviation_and_its_combinations_have(everythi
     assert everything.minimum.converged
     assert np.isinf(everything.deviations[:12]).all()
     found = combinations(everything)
-    assert [c.name for c in found] == [
-        "m", "S_1", "S_2", "S_3", "S_4", "K_1", "K_2", "K_3", "K_4",
-    ]  # fmt: skip
+    assert [c.name for c in found] == ["m", "S_1", "S_2", "S_3", "S_4", "K_1", "K_2", "K_3", "K_4"]
     true = _combination_gradients(ARM)[0]
     for c, value in zip(found, true, strict=True):
         assert np.isinf(c.before)

@@ -153,10 +153,13 @@ def test_a_session_is_split_where_a_joint_was_homed(two):
     rng = np.random.default_rng(9)
     first, second = day(truth, rng, (8, 6, 1), 0.02, 0), day(truth, rng, (8, 6, 1), 0.0, 1)
     data = {
-        kind: [replace(one, boots=(1,) * 4, homings=(k,) * 4) if kind == "kinematic" else one
-               for k, some in enumerate((first, second), 1) for one in some.data[kind]]
+        kind: [
+            replace(one, boots=(1,) * 4, homings=(k,) * 4) if kind == "kinematic" else one
+            for k, some in enumerate((first, second), 1)
+            for one in some.data[kind]
+        ]
         for kind in first.data
-    }  # fmt: skip
+    }
     outcome = calibrate([Session("week", data)], ARM, JOINT, JOINT_SOURCES, SETTINGS)
     assert outcome.solution.sessions == ("week, homed 0 times", "week, homed 1 time")
     assert outcome.verdict == PASS, outcome.reason

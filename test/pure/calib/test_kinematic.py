@@ -223,8 +223,15 @@ def test_parameters_are_counted_and_named_as_the_paper_does():
     assert len(problem(paper_arm(), q, FULL).names) == 2 * 4 + 2
     equal = problem(paper_arm(), q, EQUAL)
     assert equal.names == (
-        "a", "a_4", "theta_0_2", "theta_0_3", "theta_0_4", "x_BJ1", "y_BJ1", "theta_BJ1"
-    )  # fmt: skip
+        "a",
+        "a_4",
+        "theta_0_2",
+        "theta_0_3",
+        "theta_0_4",
+        "x_BJ1",
+        "y_BJ1",
+        "theta_BJ1",
+    )
     assert equal.units == ("m", "m", "rad", "rad", "rad", "m", "m", "rad")
     assert equal.initial[:2] == pytest.approx([0.3825, 0.3351], abs=1e-15)
 
@@ -328,8 +335,9 @@ def test_errors_of_readings_are_in_what_is_claimed():
 
 def test_what_readings_add_is_the_covariance_of_what_they_move():
     """Against the covariance of all observations together, written out."""
-    exact = problem(arm_of(3), postures(3, 12), FULL, ripple_deviation=4e-4,
-                    eccentricity_deviation=7e-4)  # fmt: skip
+    exact = problem(
+        arm_of(3), postures(3, 12), FULL, ripple_deviation=4e-4, eccentricity_deviation=7e-4
+    )
     result, xi = solve(exact), exact.initial
     Phi_q, s = reading_jacobian(model.vector(exact, xi), exact.q), len(exact.q)
     apart = exact.q[:, None] - exact.q
@@ -340,7 +348,9 @@ def test_what_readings_add_is_the_covariance_of_what_they_move():
     own = S[np.arange(s), :, np.arange(s), :]
     W[np.arange(s), :, np.arange(s), :] = np.linalg.inv(own)
     S, W = S.reshape(3 * s, -1), W.reshape(3 * s, -1)
-    Phi = (model.regressor(replace(exact, ripple_deviation=0.0, eccentricity_deviation=0.0), xi)
-           * np.tile(exact.sigma, s)[:, None])  # fmt: skip
+    Phi = (
+        model.regressor(replace(exact, ripple_deviation=0.0, eccentricity_deviation=0.0), xi)
+        * np.tile(exact.sigma, s)[:, None]
+    )
     gain = np.linalg.solve(Phi.T @ W @ Phi, Phi.T @ W)
     np.testing.assert_allclose(result.covariance, gain @ S @ gain.T, rtol=1e-6, atol=1e-15)

@@ -26,10 +26,16 @@ def result(path, arm, day=1, **changes):
     names = [f"{name}_{i}" for name in ("a", "b") for i in range(1, arm.n + 1)]
     values = [link.a for link in arm.links] + [link.b for link in arm.links]
     found = {
-        "schema": SCHEMA, "kind": "joint", "verdict": "pass", "description": to_yaml(arm),
-        "names": names, "values": values, "deviations": [1e-4] * len(names),
-        "provenance": {"end": day * 86_400 * 10**9, "source": f"bag_{day}"}, **changes,
-    }  # fmt: skip
+        "schema": SCHEMA,
+        "kind": "joint",
+        "verdict": "pass",
+        "description": to_yaml(arm),
+        "names": names,
+        "values": values,
+        "deviations": [1e-4] * len(names),
+        "provenance": {"end": day * 86_400 * 10**9, "source": f"bag_{day}"},
+        **changes,
+    }
     path.write_text(json.dumps(found))
     return str(path)
 

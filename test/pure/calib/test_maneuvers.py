@@ -106,9 +106,10 @@ def test_the_gyro_bridges_what_cameras_miss():
     sweep = np.array([[[-1.5] * 4, [1.5] * 4]])
     rig = Float(sweep, light.vector())
     hidden = [
-        s for s in rig.samples()
+        s
+        for s in rig.samples()
         if s.stream != "base" or not at(rig.begins[0]) < s.t < at(rig.ends[0])
-    ]  # fmt: skip
+    ]
     (whole,) = feed(ManeuverFinder(4), rig.samples())
     (bridged,) = feed(ManeuverFinder(4), hidden)
     assert abs(whole.poses[-1][2] - whole.poses[0][2]) > np.pi
@@ -208,7 +209,7 @@ def test_a_wrong_clock_of_what_may_be_absent_spoils_nothing(rig, stream):
         ended = [s for s in samples if s.stream != stream or s.t < at(end)]
         assert [m.used for m in found] == [True] * 3
         assert found == feed(ManeuverFinder(4, ManeuverSettings(horizon=20.0)), ended)
-        assert max(len(finder.gyro.t), len(finder.tip.t)) < 2000 + 1000
+        assert max(len(finder.sensors.gyro.t), len(finder.sensors.tip.t)) < 2000 + 1000
 
 
 def test_a_motion_without_end_is_followed_no_longer_than_the_horizon():
@@ -239,8 +240,10 @@ def test_what_a_disarmed_joint_does_is_no_maneuver(rig, samples, found):
     )
     seen = feed(ManeuverFinder(4), heard)
     assert [m.reason for m in seen] == [
-        "joint_3 moved while disarmed", "", "joint_2 moved while disarmed",
-    ]  # fmt: skip
+        "joint_3 moved while disarmed",
+        "",
+        "joint_2 moved while disarmed",
+    ]
     assert [m.used for m in seen] == [False, True, False]
     assert seen[1].q == found[1].q
 
@@ -248,9 +251,10 @@ def test_what_a_disarmed_joint_does_is_no_maneuver(rig, samples, found):
 def test_links_that_rest_disarmed_spoil_nothing(rig, samples, found):
     """Armed with the first move, disarmed after the last one; links 3 and 4 tell nothing."""
     heard = [
-        s for s in telemetry(samples, lambda i, t: at(rig.begins[0]) < t < at(rig.ends[-1] + 0.2))
+        s
+        for s in telemetry(samples, lambda i, t: at(rig.begins[0]) < t < at(rig.ends[-1] + 0.2))
         if s.stream not in ("link_3", "link_4")
-    ]  # fmt: skip
+    ]
     assert feed(ManeuverFinder(4), heard) == found
 
 

@@ -55,9 +55,10 @@ def test_what_is_given_is_assumed():
 def test_more_than_is_believed_of_a_camera_fails_as_if_assumed():
     found = calibrate(observe(60.0 * CAMERA, 1), ARM, SETTINGS)
     given = replace(
-        SETTINGS, position_deviation=SETTINGS.max_position_deviation,
+        SETTINGS,
+        position_deviation=SETTINGS.max_position_deviation,
         heading_deviation=SETTINGS.max_heading_deviation,
-    )  # fmt: skip
+    )
     assert found.verdict == FAIL
     assert "residuals are larger than the assumed deviations allow" in found.reason
     assert np.array_equal(found.values, calibrate(observe(60.0 * CAMERA, 1), ARM, given).values)

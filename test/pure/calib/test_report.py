@@ -92,9 +92,15 @@ def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
     assert "http" not in re.sub(r"base64,[^\"]*", "", path.read_text())
     text = " ".join(" ".join(page.text).split())
     for words in (
-        "18.211", "from a <bag>", "more than 5", "held out", "fit",
-        "position_deviation: 0.0177", "Checks", "Observations",
-    ):  # fmt: skip
+        "18.211",
+        "from a <bag>",
+        "more than 5",
+        "held out",
+        "fit",
+        "position_deviation: 0.0177",
+        "Checks",
+        "Observations",
+    ):
         assert words in text, words
     for figure in told.figures:
         png = (tmp_path / "report" / f"{figure.name}.png").read_bytes()
@@ -142,10 +148,14 @@ def test_the_drawings_show_the_estimated_arm():
     (drawing, *_), q = kinematic_report(c).figures, np.array([o.q for o in c.used])
     lines = drawing.draw().axes[0].lines
     values = dict(zip(c.names, c.values, strict=True))
-    arm = ARM.with_kinematics([
-        *[link.a for link in ARM.links], *[values[f"theta_0_{i}"] for i in (2, 3, 4)],
-        *ARM.base.mount[:2], values["theta_BJ1"],
-    ])  # fmt: skip
+    arm = ARM.with_kinematics(
+        [
+            *[link.a for link in ARM.links],
+            *[values[f"theta_0_{i}"] for i in (2, 3, 4)],
+            *ARM.base.mount[:2],
+            values["theta_BJ1"],
+        ]
+    )
     expected = joint_positions(arm.vector(), np.column_stack([np.zeros((len(q), 3)), q]))
     for k, points in enumerate(expected):
         np.testing.assert_allclose(lines[2 * k].get_xydata(), points, atol=1e-12)
@@ -214,9 +224,13 @@ def test_symbols_are_set_as_books_set_them(tmp_path):
     table = report.Table("Parameters", ["parameter", "unit"], rows, words=2, weak=[1])
     page = report.write(tmp_path, report.Report("of <it>", "pass", "", [table], "")).read_text()
     for cell in (
-        "<i>&theta;</i><sub>0,2</sub>", "<i>I</i><sub>6</sub>", "kg m<sup>2</sup>",
-        "<i>x</i><sub>BJ1</sub>", "link_1", "arm_2.yaml",
-    ):  # fmt: skip
+        "<i>&theta;</i><sub>0,2</sub>",
+        "<i>I</i><sub>6</sub>",
+        "kg m<sup>2</sup>",
+        "<i>x</i><sub>BJ1</sub>",
+        "link_1",
+        "arm_2.yaml",
+    ):
         assert f">{cell}</td>" in page
     assert (
         page.count('<tr class="weak">') == page.count('<tr class="weak"><td class="word"><i>I') == 1

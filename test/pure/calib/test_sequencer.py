@@ -123,11 +123,14 @@ def test_a_rejected_rest_is_repeated_at_most_three_times():
 @pytest.mark.parametrize(
     ("result", "words", "wait"),
     [
-        (SimpleNamespace(reached=False, message="link 2 is not armed"),
-         "waiting to move: link 2 is not armed", 1.0),
+        (
+            SimpleNamespace(reached=False, message="link 2 is not armed"),
+            "waiting to move: link 2 is not armed",
+            1.0,
+        ),
         (None, "no feedback from arm/move: requesting the move again", 4.0),
     ],
-)  # fmt: skip
+)
 def test_a_move_that_fails_or_is_lost_is_requested_again(result, words, wait):
     bed = Bed(retry=1.0, silence=3.0)
     bed.results = [result, result]
@@ -197,8 +200,10 @@ def test_a_rejected_maneuver_is_repeated_after_the_way_back():
         bed.run(lambda: bed.sequencer.phase is not Phase.OBSERVE)
     assert bed.finish() == 0
     assert bed.has_visited(A, B, C, B, A, B, C, D, C, D, C, D, C, D)
-    assert bed.lines[-2:] == ["posture 4 of 4: continuing without an observation",
-                              "all 4 postures done"]  # fmt: skip
+    assert bed.lines[-2:] == [
+        "posture 4 of 4: continuing without an observation",
+        "all 4 postures done",
+    ]
 
 
 def test_a_maneuver_that_no_node_finds_is_given_up():

@@ -26,7 +26,6 @@ BELOW_1 = "expected 0 or more, and below 1"
         (KinematicSettings, {"max_outliers": -1}, "max_outliers is -1, expected 0 or more"),
         (KinematicSettings, {"min_redundancy": 1.0}, f"min_redundancy is 1.0, {BELOW_1}"),
         (KinematicSettings, {"held_out": 1}, "held_out is 1, expected 0, or 2 or more"),
-        (KinematicSettings, {"same_posture": 0.0}, "same_posture is 0.0 rad, expected a positive"),
         (KinematicSettings, {"loss": "none"}, "loss is 'none', expected one of square, huber, cau"),
         (DynamicSettings, {"bin": 0.0}, "bin is 0.0 s, expected a positive number"),
         (DynamicSettings, {"residuals": "tip"}, "residuals is 'tip', expected one of pose, headi"),

@@ -32,8 +32,11 @@ def test_data_are_kept_to_the_last_bit(tmp_path, datum):
 
 
 def test_what_happened_to_the_streams_adds_up():
-    streams = Streams(unknown=("joint_9",), rejected={"fss jump": 1, "fss occluded": 2},
-                      set_back={"joint_1": 0.5, "joint_2": 1.0})  # fmt: skip
+    streams = Streams(
+        unknown=("joint_9",),
+        rejected={"fss jump": 1, "fss occluded": 2},
+        set_back={"joint_1": 0.5, "joint_2": 1.0},
+    )
     after = FLAGS.and_then(streams)
     assert after.unknown == ("joint_7", "joint_9")
     assert after.set_back == {"joint_1": 0.5, "joint_2": 9.83}

@@ -5,13 +5,16 @@ from math import isnan
 
 import numpy as np
 import pytest
+import yaml
 
 from fss_arm_calib import __version__
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
+from fss_arm_calib.drives.problem import MIN_MOVING_TIME
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.calibrate import calibrate
+from fss_arm_calib.kinematic.checks import SAME_POSTURE
 from fss_arm_calib.kinematic.problem import (
     EQUAL,
     FULL,
@@ -21,7 +24,9 @@ from fss_arm_calib.kinematic.problem import (
     KinematicProblem,
 )
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_calib.outcome import parse_settings
+from fss_arm_calib.outcome import FORMER_SETTINGS, parse_settings
+from fss_arm_calib.segments.maneuvers import MAX_BASE_TURN_RATE, MIN_TRAVEL
+from fss_arm_calib.segments.poses import MAX_SPEED, MAX_TURN_RATE
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.settings import CalibrationSettings
@@ -245,6 +250,27 @@ def test_a_result_says_where_it_is_from_and_follows_from_that():
     assert again.checks == c.checks
     with pytest.raises(ValueError, match=r"a parameter is '\w+', expected one of CalibrationSet"):
         parse_settings(c.provenance.parameters, CalibrationSettings)
+
+
+def test_settings_that_became_constants_are_read_with_their_values_only():
+    recorded = calibrate(observe(), paper_arm(), SETTINGS).provenance.parameters
+    assert not FORMER_SETTINGS.keys() & yaml.safe_load(recorded).keys()
+    old = recorded + yaml.safe_dump(FORMER_SETTINGS)
+    assert parse_settings(old, KinematicSettings) == parse_settings(recorded, KinematicSettings)
+    words = r"max_speed is 0.5, expected 5, a constant now"
+    with pytest.raises(ValueError, match=words):
+        parse_settings(recorded + "max_speed: 0.5\n", KinematicSettings)
+
+
+def test_former_settings_have_the_values_of_the_constants():
+    assert FORMER_SETTINGS == {
+        "max_base_turn": MAX_BASE_TURN_RATE,
+        "max_speed": MAX_SPEED,
+        "max_turn": MAX_TURN_RATE,
+        "min_moving": MIN_MOVING_TIME,
+        "min_travel": MIN_TRAVEL,
+        "same_posture": SAME_POSTURE,
+    }
 
 
 def test_numbers_of_numpy_are_settings_like_others():

@@ -121,9 +121,16 @@ def test_a_link_that_is_as_described_passes(tried):
     bench = Bench(LINK)
     found = tried(bench)
     assert list(found) == [
-        "answers", "direction and counts per turn", "torque zero", "torque gain", "current sign",
-        "measured current", "torque sign", "stop", "watchdog",
-    ]  # fmt: skip
+        "answers",
+        "direction and counts per turn",
+        "torque zero",
+        "torque gain",
+        "current sign",
+        "measured current",
+        "torque sign",
+        "stop",
+        "watchdog",
+    ]
     assert {f.verdict for f in found.values()} == {PASS}
     assert "firmware 2.1.0" in found["answers"].found
     assert found["direction and counts per turn"].found.startswith("240000 counts a turn")
@@ -221,8 +228,10 @@ def test_a_torque_sensor_that_is_not_there_does_not_pass(tried):
     bench.link.instruments.torque.age = lambda _: 255_000
     found = tried(bench)
     assert {f.name: f.verdict for f in found.values() if "torque" in f.name} == {
-        "torque zero": FAIL, "torque gain": NOT_TRIED, "torque sign": NOT_TRIED,
-    }  # fmt: skip
+        "torque zero": FAIL,
+        "torque gain": NOT_TRIED,
+        "torque sign": NOT_TRIED,
+    }
     assert found["torque zero"].found == "no samples of the torque sensor are received"
     assert not any("known torque" in question for question in bench.asked)
 
@@ -253,8 +262,12 @@ def test_nothing_moves_unless_a_person_agrees(tried):
     bench = Bench(LINK, hand=0.0)
     found = tried(bench, ask=lambda _: "")
     assert {f.name for f in found.values() if f.verdict == NOT_TRIED} == {
-        "direction and counts per turn", "torque gain", "current sign", "stop", "watchdog",
-    }  # fmt: skip
+        "direction and counts per turn",
+        "torque gain",
+        "current sign",
+        "stop",
+        "watchdog",
+    }
     assert bench.q == -0.6
 
 

@@ -61,9 +61,25 @@ def test_lines_of_the_drive_are_read(line, reply):
 
 @pytest.mark.parametrize(
     "line",
-    [b"", b"o", b"ok ", b"OK", b"v", b"v ", b"v x", b"v 1 2", b"v --1", b"v 4294967296", b"e -1",
-     b"e", b"\xff\xfe", b"v 99999999999", b"\nok", "v ²".encode()],
-)  # fmt: skip
+    [
+        b"",
+        b"o",
+        b"ok ",
+        b"OK",
+        b"v",
+        b"v ",
+        b"v x",
+        b"v 1 2",
+        b"v --1",
+        b"v 4294967296",
+        b"e -1",
+        b"e",
+        b"\xff\xfe",
+        b"v 99999999999",
+        b"\nok",
+        "v ²".encode(),
+    ],
+)
 def test_lines_that_no_drive_says_are_refused(line):
     with pytest.raises(LineError):
         parse(line)
@@ -138,19 +154,31 @@ def test_a_position_is_reached_by_the_guides_words(bench):
     assert bench.here.reading.position == 40000
     told = bench.demand(Goal.POSITION, 0, 70000, 5000)
     assert told == [
-        "s r0xc8 0", "s r0xca 0", "s r0xcb 70000", "s r0xcc 5000", "s r0xcd 5000", "t 1",
-    ]  # fmt: skip
+        "s r0xc8 0",
+        "s r0xca 0",
+        "s r0xcb 70000",
+        "s r0xcc 5000",
+        "s r0xcd 5000",
+        "t 1",
+    ]
     assert bench.demand(Goal.POSITION, 0, 70000, 5000) == []
 
 
 def test_each_mode_is_entered_from_rest_and_left_with_a_brake(bench):
     assert bench.demand(Goal.VELOCITY, 5000, 0, 200) == [
-        "s r0x36 2", "s r0x37 2", "s r0x2f 5000", "s r0x24 11",
-    ]  # fmt: skip
+        "s r0x36 2",
+        "s r0x37 2",
+        "s r0x2f 5000",
+        "s r0x24 11",
+    ]
     assert bench.demand(Goal.VELOCITY, -6000) == ["s r0x2f -6000"]
     assert bench.demand(Goal.CURRENT, 50) == [
-        "s r0x37 300", "s r0x2f 0", "s r0x24 11", "s r0x02 50", "s r0x24 1",
-    ]  # fmt: skip
+        "s r0x37 300",
+        "s r0x2f 0",
+        "s r0x24 11",
+        "s r0x02 50",
+        "s r0x24 1",
+    ]
     assert bench.demand(Goal.HOLD) == ["s r0x37 300", "s r0x2f 0", "s r0x24 11", "s r0x24 21"]
     assert bench.demand(Goal.RELEASE) == ["t 0", "s r0x24 0"]
     assert bench.demand(Goal.HOLD) == ["s r0x24 21"]
@@ -315,12 +343,22 @@ def test_armed_it_moves_and_holds_when_its_time_is_over():
 
 PIECES = [
     Segment(
-        link=1, flags=LAST_SEGMENT * (k == 1), boot=7, sequence=k, clock=1, path=4, index=k,
-        begin=(3 + k) * SECOND, duration=SECOND, position=40_000 * k, velocity=0,
-        end_position=40_000 * (1 - k), end_velocity=0,
+        link=1,
+        flags=LAST_SEGMENT * (k == 1),
+        boot=7,
+        sequence=k,
+        clock=1,
+        path=4,
+        index=k,
+        begin=(3 + k) * SECOND,
+        duration=SECOND,
+        position=40_000 * k,
+        velocity=0,
+        end_position=40_000 * (1 - k),
+        end_velocity=0,
     )
     for k in range(2)
-]  # fmt: skip
+]
 
 
 def following():

@@ -94,10 +94,16 @@ def test_it_measures_five_times_a_second_whatever_arrives(link):
     assert {later.sequence - frame.sequence for frame, later in pairwise(frames)} == {1}
     slow = {Slow(frame.slow_id): frame.slow_value for frame in frames}
     assert slow == {
-        Slow.FAULTS: 0, Slow.SUPPLY: 240, Slow.BATTERY: 148, Slow.TEMPERATURE: 31,
-        Slow.FIRMWARE: 0x20100, Slow.HOMINGS: 1, Slow.REFUSED: 40, Slow.PATH: 0,
+        Slow.FAULTS: 0,
+        Slow.SUPPLY: 240,
+        Slow.BATTERY: 148,
+        Slow.TEMPERATURE: 31,
+        Slow.FIRMWARE: 0x20100,
+        Slow.HOMINGS: 1,
+        Slow.REFUSED: 40,
+        Slow.PATH: 0,
         Slow.SERIAL: 23,
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("counts", [0, 1, -1, 123_456, (1 << 23) - 1, -(1 << 23)])
@@ -113,9 +119,14 @@ def test_a_move_is_what_the_drives_guide_says(link):
     assert link.send(replace(MOVE, set_point=40_000))
     reached = link.run(1.9)[-1]
     assert link.orders() == [
-        "s r0x24 21", "s r0xc8 0", "s r0xca 40000", "s r0xcb 381972", "s r0xcc 7639",
-        "s r0xcd 7639", "t 1",
-    ]  # fmt: skip
+        "s r0x24 21",
+        "s r0xc8 0",
+        "s r0xca 40000",
+        "s r0xcb 381972",
+        "s r0xcc 7639",
+        "s r0xcd 7639",
+        "t 1",
+    ]
     assert (link.joint().position, reached.position) == (40_000, 40_000)
     assert reached.mode == Mode.POSITION
 
@@ -164,9 +175,7 @@ def test_a_new_target_is_taken_in_motion_and_another_mode_from_rest(link):
     assert link.joint().velocity > 20_000
     assert link.send(replace(TURN, sequence=4))
     link.run(1.0)
-    assert link.orders() == [
-        "t 0", "s r0x36 76", "s r0x37 76", "s r0x2f -300000", "s r0x24 11",
-    ]  # fmt: skip
+    assert link.orders() == ["t 0", "s r0x36 76", "s r0x37 76", "s r0x2f -300000", "s r0x24 11"]
     assert link.joint().velocity < -20_000
 
 
@@ -618,12 +627,22 @@ def path(begin, knots, number=1):
     ]
     return [
         Segment(
-            link=2, flags=LAST_SEGMENT if index == len(knots) - 2 else 0, boot=BOOT, sequence=0,
-            clock=9, path=number, index=index, begin=t0, duration=t1 - t0, position=p0, velocity=v0,
-            end_position=p1, end_velocity=v1,
+            link=2,
+            flags=LAST_SEGMENT if index == len(knots) - 2 else 0,
+            boot=BOOT,
+            sequence=0,
+            clock=9,
+            path=number,
+            index=index,
+            begin=t0,
+            duration=t1 - t0,
+            position=p0,
+            velocity=v0,
+            end_position=p1,
+            end_velocity=v1,
         )
         for index, ((t0, p0, v0), (t1, p1, v1)) in enumerate(pairwise(knots))
-    ]  # fmt: skip
+    ]
 
 
 KNOTS = [(0, 0, 0), (2, 20, -2.5), (4, -10, 2.5), (6, 30, 6.25), (8, 15, -7.5), (10, 0, 0)]
@@ -958,9 +977,14 @@ def test_paths_are_kept_and_followed_as_the_simulated_link_does(core, seed):
 def test_a_cortex_m3_agrees_with_this_computer(core):
     emulated = Core(cortex_m3=True)
     for request in [
-        "start 2 7 - 0", "run 1000000", f"send {encode(DISARM).hex()}",
-        f"send {encode(MOVE).hex()}", "run 2500000", "joint", "orders",
-    ]:  # fmt: skip
+        "start 2 7 - 0",
+        "run 1000000",
+        f"send {encode(DISARM).hex()}",
+        f"send {encode(MOVE).hex()}",
+        "run 2500000",
+        "joint",
+        "orders",
+    ]:
         assert emulated.ask(request) == core.ask(request)
     assert tracked(emulated) == tracked(core)
     emulated.close()

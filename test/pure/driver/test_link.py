@@ -561,8 +561,9 @@ def test_each_change_of_state_is_told_once(bench):
     bench.session.arm(bench.now)
     assert logged(10) == ["link 1 is arming", "link 1 is armed"]
     assert logged(slow_id=Slow.FAULTS, slow_value=1 << 9) == [
-        "link 1 is disarmed: tracking error", "link 1 has a fault: tracking error"
-    ]  # fmt: skip
+        "link 1 is disarmed: tracking error",
+        "link 1 has a fault: tracking error",
+    ]
     assert logged(slow_id=Slow.FAULTS, slow_value=0) == ["link 1 has no fault any more"]
     bench.session.stop()
     assert logged(10) == ["link 1 is stopped"]

@@ -55,12 +55,22 @@ def path(number=5, begin=START_CLOCK + 1_000_000, told=KNOTS, last=True):
     pairs = list(pairwise(told))
     return [
         Segment(
-            link=1, flags=LAST_SEGMENT if last and k == len(pairs) - 1 else 0, boot=3, sequence=k,
-            clock=1, path=number, index=k, begin=begin + t0, duration=t1 - t0, position=p0,
-            velocity=v0, end_position=p1, end_velocity=v1,
+            link=1,
+            flags=LAST_SEGMENT if last and k == len(pairs) - 1 else 0,
+            boot=3,
+            sequence=k,
+            clock=1,
+            path=number,
+            index=k,
+            begin=begin + t0,
+            duration=t1 - t0,
+            position=p0,
+            velocity=v0,
+            end_position=p1,
+            end_velocity=v1,
         )
         for k, ((t0, p0, v0), (t1, p1, v1)) in enumerate(pairs)
-    ]  # fmt: skip
+    ]
 
 
 FIRST_SEGMENT, SECOND_SEGMENT, THIRD_SEGMENT = path()
@@ -191,8 +201,9 @@ def test_segments_alone_move_nothing_and_a_command_without_them_holds():
 
 def test_a_joint_follows_from_the_first_knot_to_the_last():
     joint = Joint(follower(*path()), position=30.0)
-    spline = CubicHermiteSpline([k[0] for k in KNOTS], [k[1] for k in KNOTS],
-                                [1e-7 * k[2] for k in KNOTS])  # fmt: skip
+    spline = CubicHermiteSpline(
+        [k[0] for k in KNOTS], [k[1] for k in KNOTS], [1e-7 * k[2] for k in KNOTS]
+    )
     for t in range(0, 3_000_000, STEP):
         joint.until(START_CLOCK + 1_000_000 + t)
         assert joint.position == pytest.approx(float(spline(t)), abs=150.0)
@@ -338,8 +349,11 @@ def test_knots_are_refused_just_when_their_cubic_leaves_the_limits(t, q0, q1, qd
     fine = np.linspace(0.0, t, 2001)
     spline = CubicHermiteSpline([0.0, t], [q0, q1], [qd0, qd1])
     link = SCALE.link
-    over = max(*(spline(fine) - link.q_max), *(link.q_min - spline(fine)),
-               *(abs(spline(fine, 1)) - link.drive.max_velocity))  # fmt: skip
+    over = max(
+        *(spline(fine) - link.q_max),
+        *(link.q_min - spline(fine)),
+        *(abs(spline(fine, 1)) - link.drive.max_velocity),
+    )
     try:
         knots(SCALE, [0.0, t, t + 50.0], [q0, q1, q1], [qd0, qd1, 0.0])
         refused = ""
@@ -422,8 +436,9 @@ def test_a_joint_that_is_held_back_breaks_off_and_the_words_say_by_how_much():
 def test_a_dense_path_is_sent_as_the_link_has_room():
     bed = PathBed(n=1).armed()
     time = [0.1 * k for k in range(201)]
-    bed.give(1, bed.now + SECOND, time, [[0.0005 * k for k in range(201)]],
-             [[*(200 * [0.005]), 0.0]])  # fmt: skip
+    bed.give(
+        1, bed.now + SECOND, time, [[0.0005 * k for k in range(201)]], [[*(200 * [0.005]), 0.0]]
+    )
     bed.follow(1)
     bed.run(22.0)
     assert bed.sessions[0].progress.status is Status.REACHED

@@ -297,24 +297,46 @@ def test_numbers_of_points_are_bounded(field, value):
 
 THOUSANDS = [0.0] * 100_000
 SIZES = [  # a field, its value, and why that is refused
-    *[(f"point.{field}", THOUSANDS, f"{field} of point 1 has 100000 numbers, expected 4")
-      for field in ("positions", "velocities", "accelerations")],
-    *[("point.effort", values, f"effort of point 1 has {len(values)} numbers, expected none")
-      for values in ([0.0], [nan] * 4, THOUSANDS)],
-    *[(field, [JointComponentTolerance()], f"{field} has 1 elements, expected none")
-      for field in ("component_path_tolerance", "component_goal_tolerance")],
-    ("multi.points", [MultiDOFJointTrajectoryPoint()] * 100_000,
-     "multi_dof_trajectory.points has 100000 elements, expected none"),
-    ("multi.joint_names", ["base"],
-     "multi_dof_trajectory.joint_names has 1 elements, expected none"),
-    *[(field, [JointTolerance(name="joint_1")] * 100_000,
-       f"{field} has 100000 elements, expected at most 4, one per joint")
-      for field in ("path_tolerance", "goal_tolerance")],
-    *[(field, [JointTolerance(name="joint_1")] * 2,
-       f"{field} names 'joint_1', expected joint_1, joint_2")
-      for field in ("path_tolerance", "goal_tolerance")],
+    *[
+        (f"point.{field}", THOUSANDS, f"{field} of point 1 has 100000 numbers, expected 4")
+        for field in ("positions", "velocities", "accelerations")
+    ],
+    *[
+        ("point.effort", values, f"effort of point 1 has {len(values)} numbers, expected none")
+        for values in ([0.0], [nan] * 4, THOUSANDS)
+    ],
+    *[
+        (field, [JointComponentTolerance()], f"{field} has 1 elements, expected none")
+        for field in ("component_path_tolerance", "component_goal_tolerance")
+    ],
+    (
+        "multi.points",
+        [MultiDOFJointTrajectoryPoint()] * 100_000,
+        "multi_dof_trajectory.points has 100000 elements, expected none",
+    ),
+    (
+        "multi.joint_names",
+        ["base"],
+        "multi_dof_trajectory.joint_names has 1 elements, expected none",
+    ),
+    *[
+        (
+            field,
+            [JointTolerance(name="joint_1")] * 100_000,
+            f"{field} has 100000 elements, expected at most 4, one per joint",
+        )
+        for field in ("path_tolerance", "goal_tolerance")
+    ],
+    *[
+        (
+            field,
+            [JointTolerance(name="joint_1")] * 2,
+            f"{field} names 'joint_1', expected joint_1, joint_2",
+        )
+        for field in ("path_tolerance", "goal_tolerance")
+    ],
     ("path_tolerance", [JointTolerance(name="elbow")], "path_tolerance names 'elbow'"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("field", "value", "words"), SIZES)
@@ -437,8 +459,9 @@ def test_a_goal_changes_defaults_and_erases_them():
 
 # --- following -----------------------------------------------------------------------------------
 
-PATH = Trajectory(START_TIME, np.array([0.0, 4.0]), np.array([np.zeros(4), np.full(4, 0.4)]),
-                  np.zeros((2, 4)))  # fmt: skip
+PATH = Trajectory(
+    START_TIME, np.array([0.0, 4.0]), np.array([np.zeros(4), np.full(4, 0.4)]), np.zeros((2, 4))
+)
 
 
 def links(seconds, off=0.0, **changes):
@@ -456,8 +479,9 @@ def links(seconds, off=0.0, **changes):
 
 def following(**tolerances):
     path, end = tolerances.get("path", 0.0), tolerances.get("end", 0.005)
-    wanted = Tolerances((Tolerance(path),) * 4, (Tolerance(end, 0.01),) * 4,
-                        tolerances.get("time", 1.0))  # fmt: skip
+    wanted = Tolerances(
+        (Tolerance(path),) * 4, (Tolerance(end, 0.01),) * 4, tolerances.get("time", 1.0)
+    )
     return TrajectoryMonitor(PATH, wanted, 1.0)
 
 

@@ -58,9 +58,10 @@ def test_a_lost_topic_closes_the_valves_once(silent):
     np.testing.assert_array_equal(controller.step(now), ZERO)
     assert controller.step(now) is None
     assert controller.status(now) == (
-        "thrusters idle: base/state is 2.0 s old" if silent == "base"
+        "thrusters idle: base/state is 2.0 s old"
+        if silent == "base"
         else "thrusters idle: base/trajectory is 2.0 s old"
-    )  # fmt: skip
+    )
 
 
 def test_silent_joints_are_assumed_at_rest():

@@ -125,8 +125,12 @@ def test_held_target_is_not_carried_beyond_the_edge():
 )
 def test_hold_pose_without_free_space_is_rejected(state, target, message):
     with pytest.raises(ActivityError, match=message):
-        hold(CRAFT, replace(state, target=target and Body(*target)),
-             state.base.pose - TO_THE_SIDE, 0.0)  # fmt: skip
+        hold(
+            CRAFT,
+            replace(state, target=target and Body(*target)),
+            state.base.pose - TO_THE_SIDE,
+            0.0,
+        )
     hold(CRAFT, state, state.base.pose + TO_THE_SIDE, 0.0)
 
 
@@ -217,18 +221,18 @@ def test_base_far_from_its_reference_aborts_the_hold():
     motion = hold(CRAFT, observed(), [0.0, 0.0, 0.0], 0.0)
     outcome = motion.step(observed(2.0, pose=(0.0, 0.2, 0.1))).outcome
     assert outcome == (
-        False, "the base is 0.200 m and 5.7 deg off its reference, expected at most 0.15 m and "
-        "20 deg",
-    )  # fmt: skip
+        False,
+        "the base is 0.200 m and 5.7 deg off its reference, expected at most 0.15 m and 20 deg",
+    )
 
 
 def test_goal_not_reached_in_time_is_aborted():
     motion = go_to(CRAFT, observed(), [0.5, 0.0, 0.0], 0.0, 0.0)
     near = observed(motion.path.end_time + CRAFT.settings.max_overrun + 0.1, pose=(0.45, 0.0, 0.0))
     assert motion.step(near).outcome == (
-        False, "the base is 0.050 m and 0.0 deg off its goal, or not at rest, 30 s after the "
-        "planned time",
-    )  # fmt: skip
+        False,
+        "the base is 0.050 m and 0.0 deg off its goal, or not at rest, 30 s after the planned time",
+    )
 
 
 TIME_FRACTIONS = np.linspace(0.0, 1.0, 25)

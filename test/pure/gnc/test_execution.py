@@ -106,9 +106,12 @@ def test_a_new_problem_is_reported_once():
     ]
     name = "mission/capture"
     assert found == [
-        ("", name), ("brake: near", f"{name}: brake: near"), ("", f"{name}: brake: near"),
-        ("brake: far", f"{name}: brake: far"), ("", name),
-    ]  # fmt: skip
+        ("", name),
+        ("brake: near", f"{name}: brake: near"),
+        ("", f"{name}: brake: near"),
+        ("brake: far", f"{name}: brake: far"),
+        ("", name),
+    ]
 
 
 @pytest.mark.parametrize("moves", [False, True])

@@ -48,7 +48,7 @@ MESSAGE_FIELDS = [
     ("header.stamp", Time(sec=-1)),
     *[("header.frame_id", frame) for frame in ("", "fss", 9000 * "x")],
     *[("joint_names", names) for names in ([], ["joint_1"], 2 * ["fss"], 9000 * ["fss"])],
-]  # fmt: skip
+]
 #: Each number of a plan of the joints, and its other fields.
 PLANS = [
     *[("velocities", i, value) for i in range(4) for value in NOT_FINITE + HUGE],

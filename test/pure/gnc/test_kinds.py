@@ -11,17 +11,25 @@ from fss_gnc.reference import Body
 
 CRAFT = Craft(paper_arm())
 AT_REST = Observation(
-    0.0, Body(np.zeros(3), np.zeros(3)), None, np.array([1.5, -1.5, -1.5, 1.5]), np.zeros(4),
+    0.0,
+    Body(np.zeros(3), np.zeros(3)),
+    None,
+    np.array([1.5, -1.5, -1.5, 1.5]),
+    np.zeros(4),
     holds=True,
-)  # fmt: skip
+)
 GOALS = {
     "base/go_to": {"pose": [0.1, 0.0, 0.0]},
     "base/follow": {"time": [0.0, 9.0], "pose": 6 * [0.0]},
 }
 DONE = {
-    "base/hold": "held", "base/go_to": "reached", "base/follow": "reached",
-    "mission/capture": "stopped", "mission/detumble": "stopped", "mission/abort": "safe",
-}  # fmt: skip
+    "base/hold": "held",
+    "base/go_to": "reached",
+    "base/follow": "reached",
+    "mission/capture": "stopped",
+    "mission/detumble": "stopped",
+    "mission/abort": "safe",
+}
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)

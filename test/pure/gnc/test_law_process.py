@@ -125,9 +125,11 @@ def test_an_endless_law_ends_when_its_node_is_killed():
     code = NODE.format(law=f"{LAWS}:Endless", steps=GOOD_STEPS)
     path = os.pathsep.join([str(LAWS.parent), os.environ.get("PYTHONPATH", "")])
     node = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True,
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        text=True,
         env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
+    )
     with node:
         pid = int(node.stdout.readline())
         assert is_running(pid)

@@ -115,9 +115,15 @@ VOLUME = {"volume_error": 0.0005, "volume_heading_error": 0.0008}  # halfway to 
 
 def test_real_vicon_errors_are_consistent_with_the_volume_error_given():
     flights = [
-        track(seed, 500, preset=LABORATORY, settings=EstimatorSettings(**VOLUME),
-              of_target=TargetErrors(**VOLUME)) for seed in range(4)
-    ]  # fmt: skip
+        track(
+            seed,
+            500,
+            preset=LABORATORY,
+            settings=EstimatorSettings(**VOLUME),
+            of_target=TargetErrors(**VOLUME),
+        )
+        for seed in range(4)
+    ]
     base, target = (
         np.array([getattr(f, of) for f in flights])[:, 100:] for of in ("base", "target")
     )

@@ -72,6 +72,8 @@ def test_problems_and_values_of_a_new_navigation():
 
 def test_faulty_valves_are_numbered_from_one():
     assert valve_problems(Faults(frozenset({2}), frozenset({0, 7}), True)) == [
-        "valve 3 does not close", "valve 1 does not open", "valve 8 does not open",
+        "valve 3 does not close",
+        "valve 1 does not open",
+        "valve 8 does not open",
         "an unknown force pushes the base",
-    ]  # fmt: skip
+    ]

@@ -38,10 +38,17 @@ KINDS = {
         LINK, "firmware", "fuzz", FirmwareLink, DISARM, MOVE, 16_000, 4_000, ("fss::Link::poll",)
     ),
     "board": Kind(
-        BASE, "base_firmware", "base_fuzz", FirmwareBoard, base_board.QUIET, base_board.GO,
-        12_000, 2_000, ("fss::Base::poll", "TC3_Handler"),
+        BASE,
+        "base_firmware",
+        "base_fuzz",
+        FirmwareBoard,
+        base_board.QUIET,
+        base_board.GO,
+        12_000,
+        2_000,
+        ("fss::Base::poll", "TC3_Handler"),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module", params=KINDS)

@@ -55,29 +55,62 @@ BASE_LIMITS = BaseTelemetry(
 
 #: Frames without a signature; the board's without their CRC.
 CASES = [
-    (SAMPLE, "5346 02 01 02 09 0300 e8030000 00c2eb0b00000000 efcdab89 dc050000 c063ffff "
-     "c7cfffff b5ff 15 02 00000008 feffff 0c f0000000 c6c8cbff"),
-    (ORDER, "5346 02 02 02 01 0300 4d000000 00401e18240a0600 4004fb0b00000000 15 00 d007 "
-     "409c0000 14d40500 d71d0000 0000000000000000 3e9cc256"),
-    (FOLLOW, "5346 02 02 02 01 0300 4f000000 02401e18240a0600 4004fb0b00000000 1f 00 d007 "
-     "ffff0000 14d40500 d71d0000 0000000000000000 32e9d2a9"),
-    (PIECE, "5346 02 03 02 01 0300 4e000000 01401e18240a0600 0700 0400 80460a0c00000000 "
-     "a0252600 409c0000 35950000 20d1ffff 00000000 23671909"),
-    (MAXIMAL_SEGMENT, "5346 02 03 ff 00 ffff ffffffff ffffffffffffffff ffff feff "
-     "ff786cfcffffffff 00879303 00000080 ffffff7f ffffff7f 00000080 69ac41f2"),
-    (LIMITS, "5346 02 01 ff 3f ffff ffffffff ffffffffffffffff ffffffff ffffffff 00000080 "
-     "ffffff7f 0080 00 08 ffffffff 000080 ff ffffffff 4fddf3f0"),
-    (DISARM, "5346 02 02 01 00 0000 00000000 0100000000000000 0000000000000000 00 00 d007 "
-     "00000000 00000000 00000000 0000000000000000 6d33beb2"),
-    (base.SAMPLE, "5346 02 04 00 09 0300 e8030000 00c2eb0b00000000 efcdab89 dc050000 2efbffff "
-     "d204 81 03 2900 7b00 02 000000 591b0000 00000000"),
-    (base.ORDER, "5346 02 05 00 01 0300 4d000000 00401e18240a0600 4004fb0b00000000 2a00 f401 "
-     "2c01 0000 0000 e803 0000 0000 0000 3700 02 000000"),
-    (base.QUIET, "5346 02 05 00 00 0700 01000000 0500000000000000 0000000000000000 0000 f401 "
-     "0000 0000 0000 0000 0000 0000 0000 0000 00 000000"),
-    (BASE_LIMITS, "5346 02 04 00 1f ffff ffffffff ffffffffffffffff ffffffff ffffffff ffffffff "
-     "ffff ff 07 ffff ffff 10 000000 00000080 00000000"),
-]  # fmt: skip
+    (
+        SAMPLE,
+        "5346 02 01 02 09 0300 e8030000 00c2eb0b00000000 efcdab89 dc050000 c063ffff "
+        "c7cfffff b5ff 15 02 00000008 feffff 0c f0000000 c6c8cbff",
+    ),
+    (
+        ORDER,
+        "5346 02 02 02 01 0300 4d000000 00401e18240a0600 4004fb0b00000000 15 00 d007 "
+        "409c0000 14d40500 d71d0000 0000000000000000 3e9cc256",
+    ),
+    (
+        FOLLOW,
+        "5346 02 02 02 01 0300 4f000000 02401e18240a0600 4004fb0b00000000 1f 00 d007 "
+        "ffff0000 14d40500 d71d0000 0000000000000000 32e9d2a9",
+    ),
+    (
+        PIECE,
+        "5346 02 03 02 01 0300 4e000000 01401e18240a0600 0700 0400 80460a0c00000000 "
+        "a0252600 409c0000 35950000 20d1ffff 00000000 23671909",
+    ),
+    (
+        MAXIMAL_SEGMENT,
+        "5346 02 03 ff 00 ffff ffffffff ffffffffffffffff ffff feff "
+        "ff786cfcffffffff 00879303 00000080 ffffff7f ffffff7f 00000080 69ac41f2",
+    ),
+    (
+        LIMITS,
+        "5346 02 01 ff 3f ffff ffffffff ffffffffffffffff ffffffff ffffffff 00000080 "
+        "ffffff7f 0080 00 08 ffffffff 000080 ff ffffffff 4fddf3f0",
+    ),
+    (
+        DISARM,
+        "5346 02 02 01 00 0000 00000000 0100000000000000 0000000000000000 00 00 d007 "
+        "00000000 00000000 00000000 0000000000000000 6d33beb2",
+    ),
+    (
+        base.SAMPLE,
+        "5346 02 04 00 09 0300 e8030000 00c2eb0b00000000 efcdab89 dc050000 2efbffff "
+        "d204 81 03 2900 7b00 02 000000 591b0000 00000000",
+    ),
+    (
+        base.ORDER,
+        "5346 02 05 00 01 0300 4d000000 00401e18240a0600 4004fb0b00000000 2a00 f401 "
+        "2c01 0000 0000 e803 0000 0000 0000 3700 02 000000",
+    ),
+    (
+        base.QUIET,
+        "5346 02 05 00 00 0700 01000000 0500000000000000 0000000000000000 0000 f401 "
+        "0000 0000 0000 0000 0000 0000 0000 0000 00 000000",
+    ),
+    (
+        BASE_LIMITS,
+        "5346 02 04 00 1f ffff ffffffff ffffffffffffffff ffffffff ffffffff ffffffff "
+        "ffff ff 07 ffff ffff 10 000000 00000080 00000000",
+    ),
+]
 EXAMPLES = [SAMPLE, ORDER, PIECE, base.SAMPLE, base.ORDER]
 
 
@@ -106,8 +139,9 @@ COMMANDS = st.builds(
 )  # fmt: skip
 FOLLOWS = st.builds(
     lambda command, path: replace(command, mode=Mode.PATH, set_point=path),
-    COMMANDS, st.integers(1, 0xFFFF),
-)  # fmt: skip
+    COMMANDS,
+    st.integers(1, 0xFFFF),
+)
 SEGMENTS = st.builds(
     Segment, link=st.integers(1, 255), flags=st.just(0), boot=st.integers(1, 0xFFFF),
     sequence=unsigned(32), clock=unsigned(64), path=st.integers(1, 0xFFFF),
@@ -117,12 +151,23 @@ SEGMENTS = st.builds(
 )  # fmt: skip
 LASTS = st.builds(lambda segment: replace(segment, flags=LAST_SEGMENT, end_velocity=0), SEGMENTS)
 BASE_TELEMETRY = st.builds(
-    BaseTelemetry, link=st.just(0), flags=st.integers(0, 31), boot=st.integers(1, 0xFFFF),
-    sequence=unsigned(32), clock=unsigned(64), echo=unsigned(32), turnaround=unsigned(32),
-    gyro_sum=unsigned(32), gyro_samples=unsigned(16), valves=unsigned(8),
-    gripper=st.integers(0, 7), pulse=unsigned(16), pulse_age=unsigned(16),
-    slow_id=st.sampled_from(BaseSlow), slow_value=signed(32),
-)  # fmt: skip
+    BaseTelemetry,
+    link=st.just(0),
+    flags=st.integers(0, 31),
+    boot=st.integers(1, 0xFFFF),
+    sequence=unsigned(32),
+    clock=unsigned(64),
+    echo=unsigned(32),
+    turnaround=unsigned(32),
+    gyro_sum=unsigned(32),
+    gyro_samples=unsigned(16),
+    valves=unsigned(8),
+    gripper=st.integers(0, 7),
+    pulse=unsigned(16),
+    pulse_age=unsigned(16),
+    slow_id=st.sampled_from(BaseSlow),
+    slow_value=signed(32),
+)
 PULSES = st.builds(
     BaseCommand, link=st.just(0), flags=st.just(1), boot=st.integers(1, 0xFFFF),
     sequence=unsigned(32), clock=unsigned(64), expiry=st.integers(1, (1 << 64) - 1),
@@ -131,8 +176,9 @@ PULSES = st.builds(
 )  # fmt: skip
 OTHERS = st.builds(
     lambda command, flags: replace(command, flags=flags, pulse=0, on_times=8 * (0,), gripper=0),
-    PULSES, st.sampled_from([0, 1, 2]),
-)  # fmt: skip
+    PULSES,
+    st.sampled_from([0, 1, 2]),
+)
 FRAMES = TELEMETRY | COMMANDS | FOLLOWS | SEGMENTS | LASTS | BASE_TELEMETRY | PULSES | OTHERS
 
 

@@ -217,8 +217,10 @@ def filed(folder, serials, arm=None):
     for i, link in enumerate(arm.links):
         given = {
             **{key: getattr(link, key) for key in ("a", "b", "mass", "inertia")},
-            "theta_0": 0.01 * (i + 1), "serial": i + 7, "history": [{"date": "2026-11-23"}],
-        }  # fmt: skip
+            "theta_0": 0.01 * (i + 1),
+            "serial": i + 7,
+            "history": [{"date": "2026-11-23"}],
+        }
         (folder / f"link_{i + 7}.yaml").write_text(yaml.safe_dump(given))
     base = {"mass": 10.0, "inertia": 0.25, "mount": [0.2, 0.0, 0.3]}
     path = folder / "arm.yaml"

@@ -9,9 +9,7 @@ from fss_arm_motion.plan import Start
 from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 
 # Bodies may pass through each other, and rotors are left out: the oracle knows neither.
-SETTINGS = LimitSettings(
-    share=1.0, rotor_inertia=0.0, base_radius=0.0, link_radius=0.0, margin=0.0
-)  # fmt: skip
+SETTINGS = LimitSettings(share=1.0, rotor_inertia=0.0, base_radius=0.0, link_radius=0.0, margin=0.0)
 #: Seconds that `bench/direct_transcription.py` finds with 40 nodes, by seed.
 LEAST_TIMES = {
     0: 2.3520,

@@ -77,9 +77,11 @@ def test_help_is_for_plain_arguments(monkeypatch, capsys, arguments, told):
     ran = []
     monkeypatch.setattr("fss_arm_ros.run.run", lambda make, argv, takes: ran.append(argv) or 0)
     program = Program(
-        "fss_arm_bags.replay_node:ReplayNode", "fss_arm_bags.settings:ReplaySettings",
-        takes="BAG...", short={"--hold": "hold:=true"},
-    )  # fmt: skip
+        "fss_arm_bags.replay_node:ReplayNode",
+        "fss_arm_bags.settings:ReplaySettings",
+        takes="BAG...",
+        short={"--hold": "hold:=true"},
+    )
     assert program(["lib/replay", *arguments]) == 0
     assert bool(ran) != told
     assert ("replay BAG... [--hold] [--ros-args" in capsys.readouterr().out) == told

@@ -80,8 +80,11 @@ class Machine:
         """Run commands in one bash, in the workspace."""
         return subprocess.run(
             ["bash", "-ec", "\n".join(commands)],
-            env=self.env | env, cwd=self.root, capture_output=True, text=True,
-        )  # fmt: skip
+            env=self.env | env,
+            cwd=self.root,
+            capture_output=True,
+            text=True,
+        )
 
 
 @pytest.fixture

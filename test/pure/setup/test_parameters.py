@@ -27,7 +27,7 @@ DIMENSIONLESS = {
     *("restitution", "contact_friction", "Contact.friction", "cancelled", "friction_cancelled"),
     *("max_condition", "max_relative", "min_probability", "min_redundancy", "outlier"),
     *("LimitSettings.share", "MissionSettings.authority", "MissionSettings.torque_share"),
-    *("thrust_error", "joint_rate_error", "joint_change_error"),
+    *("thrust_error", "joint_rate_error"),
     *("DriftSettings.mass_deviation", "Event.value", "PoseGains.damping", "PoseGains.integral"),
     *("MassErrors.mass_error",),
 }

@@ -133,11 +133,14 @@ def crowd(rng, contact):
         twists = np.column_stack([v.real, v.imag, rng.uniform(-0.3, 0.3, 4)])
         vehicles = [
             Vehicle(
-                arm, [*poses[k], *rng.uniform(-1.5, 1.5, arm.n)],
-                [*twists[k], *rng.uniform(-0.3, 0.3, arm.n)], World(FREE, WIDE), name=f"fss{k}",
+                arm,
+                [*poses[k], *rng.uniform(-1.5, 1.5, arm.n)],
+                [*twists[k], *rng.uniform(-0.3, 0.3, arm.n)],
+                World(FREE, WIDE),
+                name=f"fss{k}",
             )
             for k, arm in enumerate((PAPER, SHORT))
-        ]  # fmt: skip
+        ]
         targets = [
             PassiveTarget(Target(), [poses[k], twists[k]], WIDE, f"target {k}") for k in (2, 3)
         ]

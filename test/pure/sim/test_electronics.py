@@ -22,9 +22,15 @@ DISARM = Command(
     set_point=0, velocity=0, acceleration=0,
 )  # fmt: skip
 MOVE = replace(
-    DISARM, flags=LinkCommandFlag.ARM, sequence=2, expiry=3 * SECOND, mode=Mode.POSITION,
-    set_point=-40_000, velocity=300_000, acceleration=3000,
-)  # fmt: skip
+    DISARM,
+    flags=LinkCommandFlag.ARM,
+    sequence=2,
+    expiry=3 * SECOND,
+    mode=Mode.POSITION,
+    set_point=-40_000,
+    velocity=300_000,
+    acceleration=3000,
+)
 
 
 def link(*commands, clock=SECOND):

@@ -133,7 +133,7 @@ def test_the_documentation_names_each_fault_and_no_other():
     documented = [row.split("|")[2].strip(" `") for row in table.splitlines()[2:]]
     assert documented == [
         f.name for kind in dict.fromkeys(fault_classes(2).values()) for f in fields(kind)
-    ]  # fmt: skip
+    ]
 
 
 def test_the_example_is_a_script():

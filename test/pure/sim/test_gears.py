@@ -25,9 +25,14 @@ WIDE = Surroundings(table=(20.0, 20.0))
 REAL = PRESETS["laboratory"]
 #: Springs alone.
 BARE = Joints(
-    rotor_inertia=0.0026, stiffness=390.0, damping=1.0, viscous=0.0, coulomb=0.0,
-    stop_stiffness=0.0, stop_damping=0.0,
-)  # fmt: skip
+    rotor_inertia=0.0026,
+    stiffness=390.0,
+    damping=1.0,
+    viscous=0.0,
+    coulomb=0.0,
+    stop_stiffness=0.0,
+    stop_damping=0.0,
+)
 
 
 def bed(joints, q=(0.3, -0.2, 0.4, 0.1), qd=None, tolerance=0.0, arm=None):
@@ -50,8 +55,10 @@ def test_motors_and_springs_move_as_in_mujoco(n, tolerance):
     model = mujoco_model(arm, BARE)
     model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 0.2 * STEP
     data, joints, motor = (
-        mujoco.MjData(model), mujoco_index(model, "q", n), mujoco_index(model, "m", n)
-    )  # fmt: skip
+        mujoco.MjData(model),
+        mujoco_index(model, "q", n),
+        mujoco_index(model, "m", n),
+    )
     place, N = [0, 1, 2, *joints], BARE.gear_ratio
     q, qd = rng.uniform(-0.5, 0.5, (2, 3 + n))
     torques = rng.uniform(-0.4, 0.4, n)

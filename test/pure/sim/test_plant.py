@@ -42,8 +42,12 @@ def test_motion_under_currents_agrees_with_an_accurate_integration(seed):
     p = arm.vector()
     tight = solve_ivp(
         lambda _, s: np.concatenate([s[6:], forward_dynamics(p, s[:6], s[6:], tau)]),
-        (0.0, 0.5), np.concatenate([q, np.zeros(6)]), rtol=1e-12, atol=1e-12, method="DOP853",
-    ).y[:, -1]  # fmt: skip
+        (0.0, 0.5),
+        np.concatenate([q, np.zeros(6)]),
+        rtol=1e-12,
+        atol=1e-12,
+        method="DOP853",
+    ).y[:, -1]
     bed.advance(0.5)
     # Runge-Kutta of fourth order at 1 ms: its own error is below 1e-9 here.
     np.testing.assert_allclose(np.concatenate([bed.q, bed.qd]), tight, rtol=0, atol=1e-9)
@@ -208,8 +212,12 @@ def test_error_control_keeps_to_its_tolerance():
     p = paper_arm().vector()
     tight = solve_ivp(
         lambda _, s: np.concatenate([s[7:], forward_dynamics(p, s[:7], s[7:], np.zeros(7))]),
-        (0.0, 0.5), np.concatenate([q, qd]), rtol=1e-13, atol=1e-13, method="DOP853",
-    ).y[:, -1]  # fmt: skip
+        (0.0, 0.5),
+        np.concatenate([q, qd]),
+        rtol=1e-13,
+        atol=1e-13,
+        method="DOP853",
+    ).y[:, -1]
     errors = []
     for tolerance in (0.0, 1e-13):
         bed = Plant(paper_arm(), q, qd, World(FRICTIONLESS, tolerance=tolerance))

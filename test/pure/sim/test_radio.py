@@ -115,9 +115,15 @@ def test_faults_add_to_the_delay_of_the_channel():
 def telemetry(seconds, script=(), radio=CLEAN, rate=20.0):
     """Return the frames that arrive from each link of a bed with a board, and the bed."""
     bed = testbed.Testbed(
-        paper_arm(), PRESETS["ideal"], 1, START, rate, script=script, board_rate=20.0,
+        paper_arm(),
+        PRESETS["ideal"],
+        1,
+        START,
+        rate,
+        script=script,
+        board_rate=20.0,
         radio_channel=RadioChannel(radio, "1, 1"),
-    )  # fmt: skip
+    )
     reports = [bed.step() for _ in range(100 * seconds)]
     return [[d.data for r in reports for d in r.telemetry[i]] for i in range(4)], bed
 

@@ -82,19 +82,26 @@ def test_boot_numbers_cover_their_field_and_differ():
 
 def test_the_boot_number_changes_no_measurement_and_no_fault():
     script = [
-        Event(0.1, "link_1", "loss", 0.3), Event(0.1, "link_2", "jitter", 0.05),
-        Event(0.1, "link_3", "reset", duration=0.1), Event(0.1, "board", "duplication", 0.5),
-    ]  # fmt: skip
+        Event(0.1, "link_1", "loss", 0.3),
+        Event(0.1, "link_2", "jitter", 0.05),
+        Event(0.1, "link_3", "reset", duration=0.1),
+        Event(0.1, "board", "duplication", 0.5),
+    ]
     first, other = (
         run(
             testbed.Testbed(
-                paper_arm(), PRESETS["paper"], 1, replace(BEGIN, boot_offset=offset), 20.0,
-                script=script, board_rate=20.0,
+                paper_arm(),
+                PRESETS["paper"],
+                1,
+                replace(BEGIN, boot_offset=offset),
+                20.0,
+                script=script,
+                board_rate=20.0,
             ),
             100,
         )
         for offset in (0, 40_000)
-    )  # fmt: skip
+    )
     assert [r.readings for r in first] == [r.readings for r in other]
     telemetry = [[frames_without_boot(r) for r in reports] for reports in (first, other)]
     assert telemetry[0] == telemetry[1]
@@ -174,9 +181,16 @@ def test_a_state_file_without_a_boot_offset_is_read(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{}", "[1]", 10**5 * "[", '{"frame": .inf, "boots": 1, "rests": 0}', "\0",
-     '{"frame": 1, "boots": 1, "rests": 0, "q": [0], "qd": [0]}'],
-)  # fmt: skip
+    [
+        "",
+        "{}",
+        "[1]",
+        10**5 * "[",
+        '{"frame": .inf, "boots": 1, "rests": 0}',
+        "\0",
+        '{"frame": 1, "boots": 1, "rests": 0, "q": [0], "qd": [0]}',
+    ],
+)
 def test_an_invalid_state_file_is_rejected_by_name(tmp_path, text):
     path = tmp_path / "state.json"
     path.write_text(text)
@@ -190,11 +204,19 @@ def observe_with_faults(faults, frames=2000, of_target=NO_SUBJECT_FAULTS, **gyro
     sensors = Sensors(PRESETS["ideal"], seed=1)
     return [
         sensors.observe(
-            k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, RESTING, faults, NO_SUBJECT_FAULTS,
-            GyroFaults(**gyro), target=(3.0, 2.0, 1.0), target_faults=of_target,
+            k,
+            (0.01 * k, 0.0, 0.5),
+            (1.0, 0.0, 0.0),
+            0.1,
+            RESTING,
+            faults,
+            NO_SUBJECT_FAULTS,
+            GyroFaults(**gyro),
+            target=(3.0, 2.0, 1.0),
+            target_faults=of_target,
         )
         for k in range(frames)
-    ]  # fmt: skip
+    ]
 
 
 def test_dropouts_occlusions_and_swaps_have_the_given_shares_and_are_independent():

@@ -42,22 +42,33 @@ def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
         ),
         check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE),
         check_chi_square(
-            "fit", m.cost, r.problem.degrees_of_freedom, s.min_probability,
+            "fit",
+            m.cost,
+            r.problem.degrees_of_freedom,
+            s.min_probability,
             "another force moved the base, or its poses have larger errors than assumed",
         ),
         check_outliers(
-            solution.errors, solution.kept, s.outlier, s.max_outliers, "drift",
+            solution.errors,
+            solution.kept,
+            s.outlier,
+            s.max_outliers,
+            "drift",
             "normalized prediction error",
         ),
         check_redundancy(r.cross_checks.redundancy, solution.kept, s.min_redundancy, "drift"),
         check_limit(
-            "tilt", tilt, s.max_tilt,
+            "tilt",
+            tilt,
+            s.max_tilt,
             f"tilt known to {np.degrees(tilt):.2g} degrees (at most {np.degrees(s.max_tilt):.2g})",
             "drift for longer",
         ),
         check_limit(
-            "torque", torque, s.max_torque,
+            "torque",
+            torque,
+            s.max_torque,
             f"hose torque known to {torque:.2g} N m (at most {s.max_torque:g})",
             "drift for longer",
         ),
-    ]  # fmt: skip
+    ]

@@ -45,9 +45,13 @@ DRIFT = Calibration(
     about=DriftSettings.ABOUT,
     settings=DriftSettings,
     data=fieldwise_data(
-        "drift", Drift, "calibration/drifts", msg.Drifts,
+        "drift",
+        Drift,
+        "calibration/drifts",
+        msg.Drifts,
         lambda one: f"of {one.times[-1]:.0f} s",
-        pose_times="times", needed=("q", "times", "poses", "seconds"),
+        pose_times="times",
+        needed=("q", "times", "poses", "seconds"),
     ),
     max_data=lambda s: s.max_drifts,
     inputs=inputs,
@@ -64,10 +68,10 @@ DRIFT = Calibration(
     has_urdf=False,
     health=rest_status,
     unavailable={
-        "time offset": "the arm is at rest during a drift, so a clock offset has no effect",
+        "time offset": "the arm is at rest during a drift, so a clock offset has no effect"
     },
     prior_results={
         "calibration/kinematic": msg.KinematicCalibration,
         "calibration/dynamic": msg.DynamicCalibration,
     },
-)  # fmt: skip
+)

@@ -55,10 +55,15 @@ def _momenta(outcome: Outcome[Drift, Solution]) -> Table:
         zip(outcome.used, values, deviations, strict=bool(found))
     ):
         pairs = (f"{v:.4f} ± {d:.4f}" for v, d in zip(value, deviation, strict=True))
-        rows.append([
-            str(k + 1), f"{one.times[-1]:.0f}", *pairs, f"{outcome.estimate.errors[k]:.2f}",
-            outcome.estimate.reasons[k],
-        ])  # fmt: skip
+        rows.append(
+            [
+                str(k + 1),
+                f"{one.times[-1]:.0f}",
+                *pairs,
+                f"{outcome.estimate.errors[k]:.2f}",
+                outcome.estimate.reasons[k],
+            ]
+        )
     head = ["drift", "time [s]", "x [N s]", "y [N s]", "angular [N m s]", "error", ""]
     return Table("Momentum at the start of each drift", head, rows)
 

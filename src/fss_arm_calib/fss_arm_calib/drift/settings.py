@@ -33,32 +33,40 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         check=POSITIVE,
     )
     torque_deviation: float = setting(
-        0.05, "1 sigma, about 0, of the hose's torque at rest; 0: there is none", unit="N m",
+        0.05,
+        "1 sigma, about 0, of the hose's torque at rest; 0: there is none",
+        unit="N m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     twist_deviation: float = setting(
-        0.01, "1 sigma, about 0, of the hose's resistance to rotation; 0: there is none",
-        unit="N m s", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.01,
+        "1 sigma, about 0, of the hose's resistance to rotation; 0: there is none",
+        unit="N m s",
+        check=NOT_NEGATIVE,
+    )
     drag_deviation: float = setting(
-        0.05, "1 sigma, about 0, of the hose's resistance to translation; 0: there is none",
-        unit="N s/m", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.05,
+        "1 sigma, about 0, of the hose's resistance to translation; 0: there is none",
+        unit="N s/m",
+        check=NOT_NEGATIVE,
+    )
     com_deviation: float = setting(
         0.01,
         "1 sigma of the center of mass of base and arm, each axis, if the description has none",
         unit="m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     mass_deviation: float = setting(
         0.05,
         "relative 1 sigma of mass and inertia of base and arm, if the description has none",
         check=NOT_NEGATIVE,
     )
     outlier: float = setting(
-        3.0, "error of a drift predicted from the others above which it is an outlier",
-        unit="deviations", check=POSITIVE,
-    )  # fmt: skip
+        3.0,
+        "error of a drift predicted from the others above which it is an outlier",
+        unit="deviations",
+        check=POSITIVE,
+    )
     min_time: float = setting(
         60.0, "total time of drifts needed to accept a result", unit="s", check=POSITIVE
     )

@@ -76,9 +76,14 @@ def problem_of(
     """Return the drift problem of weighted drifts."""
     bodies = single_body(arm.vector(), np.array([drift.q for drift in drifts]))
     return DriftProblem(
-        drifts, bodies, pose_deviations(drifts, s, weights),
-        s.torque_deviation, s.twist_deviation, s.drag_deviation, *body_deviations(drifts, arm, s),
-    )  # fmt: skip
+        drifts,
+        bodies,
+        pose_deviations(drifts, s, weights),
+        s.torque_deviation,
+        s.twist_deviation,
+        s.drag_deviation,
+        *body_deviations(drifts, arm, s),
+    )
 
 
 def solution_of(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> Solution:
@@ -107,12 +112,18 @@ def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
         return Estimate(NAMES, UNITS, initial, reasons=len(drifts) * ("",))
     r, minimum = solution.result, solution.result.minimum
     found = iter(r.residuals)
-    residuals = np.concatenate([
-        next(found) if kept else np.full((len(drift.times), 3), nan)
-        for drift, kept in zip(drifts, solution.kept, strict=True)
-    ])  # fmt: skip
+    residuals = np.concatenate(
+        [
+            next(found) if kept else np.full((len(drift.times), 3), nan)
+            for drift, kept in zip(drifts, solution.kept, strict=True)
+        ]
+    )
     return Estimate(
-        NAMES, UNITS, initial, r.values, r.covariance,
+        NAMES,
+        UNITS,
+        initial,
+        r.values,
+        r.covariance,
         undetermined=r.undetermined,
         at_bound=r.at_bound,
         residuals=residuals,
@@ -127,4 +138,4 @@ def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
         condition_number=r.condition_number,
         iterations=minimum.iterations,
         last_update=minimum.last_update,
-    )  # fmt: skip
+    )

@@ -105,9 +105,19 @@ def calibrate(
         checks += evaluate(drives)
     columns = [getattr(one, f.name) for one in links for f in fields(one)]
     return make_outcome(
-        excitations, used, columns, arm, s, DrivesSettings, streams, source, checks, estimate,
-        drives, (lambda: calibrated(arm, drives)) if drives else None,
-    )  # fmt: skip
+        excitations,
+        used,
+        columns,
+        arm,
+        s,
+        DrivesSettings,
+        streams,
+        source,
+        checks,
+        estimate,
+        drives,
+        (lambda: calibrated(arm, drives)) if drives else None,
+    )
 
 
 def estimate_of(

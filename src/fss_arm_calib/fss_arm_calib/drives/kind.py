@@ -47,7 +47,10 @@ DRIVES = Calibration(
     about=DrivesSettings.ABOUT,
     settings=DrivesSettings,
     data=fieldwise_data(
-        "excitation", Excitation, "calibration/excitations", msg.Excitations,
+        "excitation",
+        Excitation,
+        "calibration/excitations",
+        msg.Excitations,
         lambda one: f"{(one.end - one.start) / SECOND:.1f} s",
     ),
     max_data=lambda s: s.max_excitations,
@@ -68,4 +71,4 @@ DRIVES = Calibration(
         "calibration/kinematic": msg.KinematicCalibration,
         "calibration/dynamic": msg.DynamicCalibration,
     },
-)  # fmt: skip
+)

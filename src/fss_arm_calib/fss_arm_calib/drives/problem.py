@@ -42,6 +42,7 @@ from fss_arm_model.dynamics import inertia_matrix
 
 INTEGRATION_STEP = 0.02  # step of the integrals [s]
 BLOCK_DURATION = 4.0  # time within which residuals may be correlated [s]
+MIN_MOVING_TIME = 20.0  # time in motion that each joint needs [s]
 STRIBECK_SPEEDS = np.geomspace(0.01, 0.3, 18)  # candidates for the Stribeck speed [rad/s]
 
 SCALE, DRIFT, CROSSTALK, COMPLIANCE = range(1, 5)  # columns of the sensor's regression; 0: zero
@@ -163,9 +164,12 @@ def sensor(w: Windows, one: Samples, j: int) -> Equations:
     keep = counts >= 0.7 * w.length / one.period
     t = w.t[keep]
     columns = [
-        np.ones(len(t)), w.torque[keep, j], (t - t.mean()) / 100.0, w.force[keep, j],
+        np.ones(len(t)),
+        w.torque[keep, j],
+        (t - t.mean()) / 100.0,
+        w.force[keep, j],
         -w.swing[keep, j],
-    ]  # fmt: skip
+    ]
     A = np.column_stack(columns)
     return Equations(A, seen[keep], t, A)
 
@@ -228,18 +232,29 @@ def _collect_turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Tur
     seen = (_interpolate_torques(one) if dense else one.torque)[which]
     phase = s.periods * m.q[:, j]
     others = [
-        np.ones(len(v)), (t - one.t.mean()) / 100.0, v, np.sign(v), np.sin(phase), np.cos(phase),
-    ]  # fmt: skip
+        np.ones(len(v)),
+        (t - one.t.mean()) / 100.0,
+        v,
+        np.sign(v),
+        np.sin(phase),
+        np.cos(phase),
+    ]
 
     def means(x: Floats) -> Floats:
         return np.asarray(x.reshape(-1, averaged).mean(axis=1))
 
     return Turning(
-        means(t), means(v), means(one.current[which]), means(seen), means(torque),
-        means(transmitted_loads(w.arm, m)[1][:, j]), means((after - before)[which] / (2.0 * gap)),
-        np.column_stack([means(x) for x in others]), v.reshape(-1, averaged),
+        means(t),
+        means(v),
+        means(one.current[which]),
+        means(seen),
+        means(torque),
+        means(transmitted_loads(w.arm, m)[1][:, j]),
+        means((after - before)[which] / (2.0 * gap)),
+        np.column_stack([means(x) for x in others]),
+        v.reshape(-1, averaged),
         None if dense else s.rotor_inertia,
-    )  # fmt: skip
+    )
 
 
 def _interpolate_torques(one: Samples) -> Floats:
@@ -267,8 +282,8 @@ def solve(arm: Arm, samples: Sequence[Samples], s: DrivesSettings) -> list[Drive
 def _drive(w: Windows, arm: Arm, one: Samples, j: int, s: DrivesSettings) -> Drive:
     rows = _collect_turning(w, one, j, s)
     moving = one.period * rows.averaged * len(rows.t)
-    if moving < s.min_moving:
-        reason = f"joint {j + 1} turns for {moving:.1f} s (at least {s.min_moving:g})"
+    if moving < MIN_MOVING_TIME:
+        reason = f"joint {j + 1} turns for {moving:.1f} s (at least {MIN_MOVING_TIME:g})"
         nothing = np.full((len(NAMES),) * 2, np.nan)
         return Drive(nothing[0], nothing, dict.fromkeys(NAMES, reason), moving, (np.nan, np.nan))
     windows = sensor(w, one, j)

@@ -24,16 +24,18 @@ class DrivesSettings(ExcitationSettings, KindSettings):
         1.6, "time over which torques are compared with the arm's motion", unit="s", check=POSITIVE
     )
     rotor_inertia: float = setting(
-        0.0026, "inertia of each motor at its joint, from its data sheet; assumed if frames are "
-        "too far apart to estimate it", unit="kg m^2", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    min_moving: float = setting(
-        20.0, "time in motion that each joint needs", unit="s", check=POSITIVE
+        0.0026,
+        "inertia of each motor at its joint, from its data sheet; assumed if frames are "
+        "too far apart to estimate it",
+        unit="kg m^2",
+        check=NOT_NEGATIVE,
     )
     max_relative: float = setting(
-        0.1, "largest relative deviation of a torque constant, friction or gain; less certain ones "
-        "are not reported", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.1,
+        "largest relative deviation of a torque constant, friction or gain; less certain ones "
+        "are not reported",
+        check=NOT_NEGATIVE,
+    )
 
     @property
     def periods(self) -> float:

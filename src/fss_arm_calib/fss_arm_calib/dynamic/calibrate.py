@@ -44,10 +44,19 @@ def calibrate(
     solution = solution_of(problem_of(used, arm, s), s) if number.verdict == PASS else None
     found += checks.evaluate(solution, s) if solution else []
     return make_outcome(
-        maneuvers, used, [array for one in used for array in _arrays(one)], arm, s,
-        DynamicSettings, streams, source, found, estimate_of(arm, s, used, solution), solution,
+        maneuvers,
+        used,
+        [array for one in used for array in _arrays(one)],
+        arm,
+        s,
+        DynamicSettings,
+        streams,
+        source,
+        found,
+        estimate_of(arm, s, used, solution),
+        solution,
         solution.result.calibrated if solution else None,
-    )  # fmt: skip
+    )
 
 
 def _arrays(one: Maneuver) -> list[npt.NDArray[np.int64] | Floats]:

@@ -91,9 +91,12 @@ def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
     r, m = solution.result, solution.result.minimum
     left = solution.nominal.residual_sums
     fit = check_fit(
-        float(np.sum(left.squares)), float(np.sum(left.freedom)), s.min_probability,
-        "residuals are larger than the deviations allow", solution.noise,
-    )  # fmt: skip
+        float(np.sum(left.squares)),
+        float(np.sum(left.freedom)),
+        s.min_probability,
+        "residuals are larger than the deviations allow",
+        solution.noise,
+    )
     found = []
     if fit.verdict == FAIL and _fits_swapped(solution.nominal.problem, s):
         found = [cause_check("the poses of the base are those of the end effector")]
@@ -105,12 +108,16 @@ def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
         _check_bounds(r),
         fit,
         check_outliers(
-            solution.errors, solution.kept, s.outlier, s.max_outliers, "maneuver",
+            solution.errors,
+            solution.kept,
+            s.outlier,
+            s.max_outliers,
+            "maneuver",
             "normalized prediction error",
         ),
         check_redundancy(r.redundancy, solution.kept, s.min_redundancy, "maneuver"),
         _check_precision(r, s),
-    ]  # fmt: skip
+    ]
 
 
 def _check_measurable(r: DynamicResult) -> Check:

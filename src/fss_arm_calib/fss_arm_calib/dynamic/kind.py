@@ -62,9 +62,13 @@ DYNAMIC = Calibration(
     about=DynamicSettings.ABOUT,
     settings=DynamicSettings,
     data=fieldwise_data(
-        "maneuver", Maneuver, "calibration/maneuvers", msg.Maneuvers,
+        "maneuver",
+        Maneuver,
+        "calibration/maneuvers",
+        msg.Maneuvers,
         lambda one: f"joints {list(one.moved_joints)} moved",
-        pose_times="marks", needed=("times", "q", "marks", "poses", "seconds"),
+        pose_times="marks",
+        needed=("times", "q", "marks", "poses", "seconds"),
     ),
     max_data=lambda s: s.max_maneuvers,
     inputs=inputs,
@@ -76,4 +80,4 @@ DYNAMIC = Calibration(
     compared_fields=("combination_values", "momenta"),
     report=dynamic_report,
     prior_results={"calibration/kinematic": msg.KinematicCalibration},
-)  # fmt: skip
+)

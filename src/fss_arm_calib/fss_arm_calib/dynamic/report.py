@@ -118,10 +118,12 @@ def _residual_table(outcome: Outcome[Maneuver, Solution]) -> Table:
     rows = [
         ["position", "m", "-", format_value(outcome.estimate.position_residual, "m")],
         [
-            "heading", "deg", format_value(PAPER_HEADING_RESIDUAL, "rad"),
+            "heading",
+            "deg",
+            format_value(PAPER_HEADING_RESIDUAL, "rad"),
             format_value(outcome.estimate.heading_residual, "rad"),
         ],
-    ]  # fmt: skip
+    ]
     head = ["base", "unit", "paper", "this result"]
     return Table("Standard deviation of the residuals", head, rows, words=2)
 
@@ -129,10 +131,16 @@ def _residual_table(outcome: Outcome[Maneuver, Solution]) -> Table:
 def _maneuver_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
     e = outcome.estimate
     rows = [
-        [str(k + 1), *(format_number(value, "+.3f") for value in momentum), f"{e.leverage[k]:.2f}",
-         format_number(e.errors[k], ".2f"), f"{e.weights[k]:.2f}", e.reasons[k]]
+        [
+            str(k + 1),
+            *(format_number(value, "+.3f") for value in momentum),
+            f"{e.leverage[k]:.2f}",
+            format_number(e.errors[k], ".2f"),
+            f"{e.weights[k]:.2f}",
+            e.reasons[k],
+        ]
         for k, momentum in enumerate(found.momenta)
-    ]  # fmt: skip
+    ]
     head = ["", "p_x [N s]", "p_y [N s]", "L [N m s]", "leverage", "error", "weight", ""]
     note = (
         "Momentum at the start; error of the maneuver predicted from the others, in its deviations."

@@ -45,25 +45,34 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         "words of `estimate` for which the description's value counts as an observation",
     )
     residuals: str = setting(
-        POSE, f"{POSE}: position and heading of the base; {HEADING}: heading only, as in the paper",
+        POSE,
+        f"{POSE}: position and heading of the base; {HEADING}: heading only, as in the paper",
         check=one_of(POSE, HEADING),
-    )  # fmt: skip
+    )
     position_deviation: float = setting(
-        0.0, "1 sigma of a position of the base, each axis; 0: estimated from the residuals",
-        unit="m", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    heading_deviation: float = setting(
-        0.0, "1 sigma of a heading of the base; 0: estimated from the residuals", unit="rad",
+        0.0,
+        "1 sigma of a position of the base, each axis; 0: estimated from the residuals",
+        unit="m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
+    heading_deviation: float = setting(
+        0.0,
+        "1 sigma of a heading of the base; 0: estimated from the residuals",
+        unit="rad",
+        check=NOT_NEGATIVE,
+    )
     max_position_deviation: float = setting(
-        0.001, "largest accepted estimate of position_deviation; also assumed for a plan", unit="m",
+        0.001,
+        "largest accepted estimate of position_deviation; also assumed for a plan",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     max_heading_deviation: float = setting(
-        radians(0.5), "largest accepted estimate of heading_deviation; also assumed for a plan",
-        unit="rad", check=POSITIVE,
-    )  # fmt: skip
+        radians(0.5),
+        "largest accepted estimate of heading_deviation; also assumed for a plan",
+        unit="rad",
+        check=POSITIVE,
+    )
     fresh_rate: float = setting(
         10.0,
         "rate of poses with independent errors, for the deviation of averages",
@@ -71,28 +80,38 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         check=POSITIVE,
     )
     path_timing: float = setting(
-        0.002, "1 sigma of the timing of base poses in motion, relative to the joints", unit="s",
+        0.002,
+        "1 sigma of the timing of base poses in motion, relative to the joints",
+        unit="s",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     momentum_deviation: float = setting(
-        1.0, "1 sigma, about 0, of the momentum at the start of a maneuver; 0: at rest",
-        unit="N s", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    spin_deviation: float = setting(
-        0.5, "1 sigma, about 0, of the angular momentum at the start of a maneuver; 0: none",
-        unit="N m s", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    tilt_deviation: float = setting(
-        radians(0.02), "1 sigma, about 0, of the table's tilt, each axis; 0: level", unit="rad",
+        1.0,
+        "1 sigma, about 0, of the momentum at the start of a maneuver; 0: at rest",
+        unit="N s",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
+    spin_deviation: float = setting(
+        0.5,
+        "1 sigma, about 0, of the angular momentum at the start of a maneuver; 0: none",
+        unit="N m s",
+        check=NOT_NEGATIVE,
+    )
+    tilt_deviation: float = setting(
+        radians(0.02),
+        "1 sigma, about 0, of the table's tilt, each axis; 0: level",
+        unit="rad",
+        check=NOT_NEGATIVE,
+    )
     min_maneuvers: int = setting(
         6, "number of maneuvers needed to accept a result", check=at_least(1)
     )
     outlier: float = setting(
-        3.0, "error of a maneuver predicted from the others above which it is an outlier",
-        unit="deviations", check=POSITIVE,
-    )  # fmt: skip
+        3.0,
+        "error of a maneuver predicted from the others above which it is an outlier",
+        unit="deviations",
+        check=POSITIVE,
+    )
     min_redundancy: float = setting(
         1e-3,
         "smallest redundancy: squared share of a maneuver's error that its residual shows",
@@ -105,9 +124,10 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         check=POSITIVE,
     )
     max_relative: float = setting(
-        1.0, "largest deviation of a mass or an inertia, relative to the described value",
+        1.0,
+        "largest deviation of a mass or an inertia, relative to the described value",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     max_place: float = setting(
         0.02, "largest deviation of a length or a center of mass", unit="m", check=POSITIVE
     )

@@ -76,12 +76,16 @@ def problem_with_priors(
     prior = choice.basis.T @ deviations / choice.basis.sum(axis=0)
     closed = choice.basis[s.prior_indices(arm, s.priors)].any(axis=0)
     return DynamicProblem(
-        path, poses, sigma, arm, choice,
+        path,
+        poses,
+        sigma,
+        arm,
+        choice,
         prior=np.where(closed, prior, inf),
         assumed=C,
         momentum=np.array([s.momentum_deviation] * 2 + [s.spin_deviation]),
         tilt=GRAVITY * s.tilt_deviation,
-    )  # fmt: skip
+    )
 
 
 def problem_without_data(arm: Arm, settings: DynamicSettings) -> DynamicProblem:
@@ -143,9 +147,17 @@ def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
     leverage = np.zeros(size)
     leverage[found.mask] = result.checks[0]
     return Solution(
-        result, found.mask, weights, found.reasons, found.errors, leverage,
-        tuple(directions(result, s)), tuple(combinations(result)), noise, first,
-    )  # fmt: skip
+        result,
+        found.mask,
+        weights,
+        found.reasons,
+        found.errors,
+        leverage,
+        tuple(directions(result, s)),
+        tuple(combinations(result)),
+        noise,
+        first,
+    )
 
 
 def _solve_weighted(problem: DynamicProblem, weights: Floats) -> tuple[DynamicResult, Floats]:
@@ -165,7 +177,12 @@ def estimate_of(
     r = solution.result
     problem, residuals = r.problem, r.residuals
     return Estimate(
-        problem.names, problem.units, problem.guess, r.values, r.covariance, r.deviations,
+        problem.names,
+        problem.units,
+        problem.guess,
+        r.values,
+        r.covariance,
+        r.deviations,
         undetermined=r.inseparable,
         at_bound=r.at_bound,
         residuals=_pose_residuals(solution, used),
@@ -180,7 +197,7 @@ def estimate_of(
         condition_number=r.condition_number,
         iterations=r.minimum.iterations,
         last_update=r.minimum.last_update,
-    )  # fmt: skip
+    )
 
 
 def _pose_residuals(solution: Solution, used: Sequence[Maneuver]) -> Floats:

@@ -148,9 +148,12 @@ def predicted_problem(
         paths = [Path(*rows) for part in (batch, before.path) for rows in zip(*part, strict=True)]
         batch, parts = stack(paths), (sigma, before.sigma)
         most = batch.marks.shape[1]
-        sigma = np.concatenate([
-            np.pad(s, ((0, 0), (0, most - s.shape[1]), (0, 0)), constant_values=inf) for s in parts
-        ])  # fmt: skip
+        sigma = np.concatenate(
+            [
+                np.pad(s, ((0, 0), (0, most - s.shape[1]), (0, 0)), constant_values=inf)
+                for s in parts
+            ]
+        )
     poses = base_poses(arm.vector(), batch, np.zeros(8))
     return problem_with_priors(arm, settings, batch, poses, sigma)
 
@@ -259,9 +262,16 @@ def design_for_goal(
 
     for k in range(MAX_PLANS):
         plan = design(
-            arm, count, settings, conditions, goal=goal, before=before, seed=(seed, k),
-            progress=progress, stop_when=promises_goal,
-        )  # fmt: skip
+            arm,
+            count,
+            settings,
+            conditions,
+            goal=goal,
+            before=before,
+            seed=(seed, k),
+            progress=progress,
+            stop_when=promises_goal,
+        )
         if plan and (promises_goal(plan) or not best):
             best = plan
             if promises_goal(plan):  # the next plan must be shorter

@@ -78,10 +78,14 @@ def prior_from_bag(bag: str, arm: Arm, settings: DynamicSettings) -> PriorKnowle
 def plan_table(plan: Sequence[Planned]) -> report.Table:
     """Tabulate the maneuvers of a plan."""
     rows = [
-        [str(k), one.kind, f"{one.length:.1f}", "  ".join(
-            str(np.degrees(q).round().astype(int).tolist()) for q in one.waypoints[1:])]
+        [
+            str(k),
+            one.kind,
+            f"{one.length:.1f}",
+            "  ".join(str(np.degrees(q).round().astype(int).tolist()) for q in one.waypoints[1:]),
+        ]
         for k, one in enumerate(plan, 1)
-    ]  # fmt: skip
+    ]
     return report.Table("Maneuvers", ["", "kind", "time [s]", "to [deg]"], rows, words=2)
 
 
@@ -130,10 +134,13 @@ def propose_postures(
     rows = [
         [name, unit, f"{value:.5g}", f"{deviation:.2g}"]
         for name, unit, value, deviation in zip(
-            result.problem.names, result.problem.units, result.values, result.deviations,
+            result.problem.names,
+            result.problem.units,
+            result.values,
+            result.deviations,
             strict=True,
         )
-    ]  # fmt: skip
+    ]
     steps = [
         [str(k), str(np.degrees(row).round().astype(int).tolist())] for k, row in enumerate(q, 1)
     ]
@@ -207,9 +214,15 @@ def propose(options: argparse.Namespace, console: Console) -> None:
             )
         else:
             plan = design(
-                arm, options.count, settings, conditions, options.chosen.split(),
-                before=maneuvers, seed=options.seed, progress=progress,
-            )  # fmt: skip
+                arm,
+                options.count,
+                settings,
+                conditions,
+                options.chosen.split(),
+                before=maneuvers,
+                seed=options.seed,
+                progress=progress,
+            )
     result = expected_result(arm, plan, settings, conditions.rest, maneuvers)
     tables = [plan_table(plan), expected_table(result)]
     if options.compare:
@@ -226,8 +239,9 @@ def propose(options: argparse.Namespace, console: Console) -> None:
     noise = assumed_noise(settings).deviations[:2]
     console.print(
         f"assumed errors of a base pose: {1e3 * noise[0]:.2g} mm and {np.degrees(noise[1]):.2g} "
-        f"degrees, independent {settings.fresh_rate:g} times per second", soft_wrap=True,
-    )  # fmt: skip
+        f"degrees, independent {settings.fresh_rate:g} times per second",
+        soft_wrap=True,
+    )
     if options.output:
         _write_plan(options.output, plan, console, result)
 

@@ -30,22 +30,28 @@ def parser() -> argparse.ArgumentParser:
     )
     before = p.add_mutually_exclusive_group()
     before.add_argument(
-        "--bag", default="", help="bag with earlier maneuvers to add to; their information about "
-        "the arm and the cameras is used"
-    )  # fmt: skip
+        "--bag",
+        default="",
+        help="bag with earlier maneuvers to add to; their information about "
+        "the arm and the cameras is used",
+    )
     before.add_argument(
-        "--result", metavar="JSON", default="", help="result of a calibration to add to; its "
-        "values and covariance are prior knowledge"
-    )  # fmt: skip
+        "--result",
+        metavar="JSON",
+        default="",
+        help="result of a calibration to add to; its values and covariance are prior knowledge",
+    )
     p.add_argument("--output", metavar="YAML", help="write the plan for `experiment`")
     p.add_argument("--seed", type=int, default=0, help="seed of the candidates (default: 0)")
     p.add_argument(
         "--compare", action="store_true", help="also compare the kinds at equal floating time"
     )
     p.add_argument(
-        "--kinds", default=" ".join(KINDS), help=f"kinds of maneuvers: {', '.join(KINDS)}; or "
+        "--kinds",
+        default=" ".join(KINDS),
+        help=f"kinds of maneuvers: {', '.join(KINDS)}; or "
         f"{JOINT}: each joint alone, back and forth in two postures, --repeats times, for `drives`",
-    )  # fmt: skip
+    )
     add_settings(p, Conditions, CONDITIONS)
     add_settings(p, DynamicSettings)
     return p

@@ -14,10 +14,11 @@ from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
 from fss_arm_calib import state
+from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.experiment.sequencer import Progress, Seen, Sequencer
 from fss_arm_calib.experiment.settings import ExperimentSettings
 from fss_arm_calib.experiment.waypoints import read_waypoints
-from fss_arm_calib.kinds import DYNAMIC, KINEMATIC
+from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.messages import calibration_part
 from fss_arm_calib.programs import experiment as main
 from fss_arm_model.files import read_yaml
@@ -75,9 +76,8 @@ class ExperimentNode(Node):
         try:
             progress = Progress(**state.read(path, {})) if path else Progress()
         except TypeError as error:
-            raise state.StateError(
-                f"{path} does not contain the progress of an experiment: {error}"
-            ) from None
+            problem = f"{path} does not contain the progress of an experiment: {error}"
+            raise state.StateError(problem) from None
         if progress.done:
             self.get_logger().info(f"resuming after {progress.done} postures")
         return progress

@@ -46,16 +46,19 @@ class ExperimentSettings(Settings):
 
     arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
     postures: tuple[float, ...] = setting(
-        (), "joint readings of each posture, row after row; empty: default postures of the arm",
-        unit="rad", check=FINITE,
-    )  # fmt: skip
+        (),
+        "joint readings of each posture, row after row; empty: default postures of the arm",
+        unit="rad",
+        check=FINITE,
+    )
     maneuvers: str = setting(
         "", "plan of maneuvers to execute instead, written by `design`; empty: use postures"
     )
     goal: str = setting(
-        "", "standard deviations at which to stop early, e.g. 'b_i 0.002 I_4 0.001', in SI units; "
+        "",
+        "standard deviations at which to stop early, e.g. 'b_i 0.002 I_4 0.001', in SI units; "
         "of calibration/dynamic for maneuvers, of calibration/kinematic for postures; empty: none",
-    )  # fmt: skip
+    )
     pause: float = setting(5.2, "rest before and after a maneuver", unit="s", check=POSITIVE)
     tolerance: float = setting(
         0.0175,
@@ -110,9 +113,11 @@ class Conditions(GuardSettings):
     rest: float = setting(5.0, "rest before and after a maneuver", unit="s", check=POSITIVE)
     repeats: int = setting(3, "largest number of repeats of a closed loop", check=at_least(1))
     total: float = setting(
-        inf, "largest total time of maneuvers and rests", unit="s",
+        inf,
+        "largest total time of maneuvers and rests",
+        unit="s",
         check=Check("a positive number", lambda value: value > 0.0),
-    )  # fmt: skip
+    )
     kinds: tuple[str, ...] = setting(KINDS, "kinds of maneuvers", check=one_of(*KINDS))
 
     def __post_init__(self) -> None:

@@ -158,14 +158,22 @@ def problem_of(
     prior[: 5 * n + 6, : 5 * n + 6] = s.covariance(arm)
     tilt, drifting = settings["dynamic"].tilt_deviation, settings["drift"]
     return JointProblem(
-        arm, sessions, prior, s.prior_indices(arm, s.priors),
-        surroundings=np.array([
-            GRAVITY * tilt, GRAVITY * tilt, drifting.torque_deviation, drifting.twist_deviation,
-            drifting.drag_deviation,
-        ]),
+        arm,
+        sessions,
+        prior,
+        s.prior_indices(arm, s.priors),
+        surroundings=np.array(
+            [
+                GRAVITY * tilt,
+                GRAVITY * tilt,
+                drifting.torque_deviation,
+                drifting.twist_deviation,
+                drifting.drag_deviation,
+            ]
+        ),
         zeros=s.zero_deviation,
         theta_e=s.theta_e,
-    )  # fmt: skip
+    )
 
 
 def initial_unknowns(problem: JointProblem, arms: Sequence[Arm]) -> Floats:
@@ -235,9 +243,16 @@ def calibrate(
         [one for part in parts for some in part.data.values() for one in some],
         sorted((one for data in used for some in data.values() for one in some), key=_end_of),
         [np.frombuffer("".join(hashes).encode(), dtype=np.uint8)],
-        arm, s, JointSettings, streams, source, found_checks, estimate, solution,
+        arm,
+        s,
+        JointSettings,
+        streams,
+        source,
+        found_checks,
+        estimate,
+        solution,
         solution.result.calibrated if solution else None,
-    )  # fmt: skip
+    )
     return replace(
         outcome, provenance=replace(outcome.provenance, parameters=_settings_yaml(s, of_kinds))
     )
@@ -282,12 +297,15 @@ def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
     each = [
         hide_pass_reason(
             check_chi_square(
-                f"fit_{kind}", cost, free, s.min_probability,
+                f"fit_{kind}",
+                cost,
+                free,
+                s.min_probability,
                 f"residuals of {kind} data are larger than the deviations allow",
             )
         )
         for kind, (cost, free) in r.fits.items()
-    ]  # fmt: skip
+    ]
     return [
         hide_pass_reason(
             check_identifiability(r.undetermined, missing, m.basis.condition, MAX_CONDITION)
@@ -295,12 +313,15 @@ def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
         check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE),
         Check("bounds", FAIL if held else PASS, len(held), 0, words),
         check_chi_square(
-            "fit", m.cost, problem.degrees_of_freedom, s.min_probability,
+            "fit",
+            m.cost,
+            problem.degrees_of_freedom,
+            s.min_probability,
             "residuals are larger than the deviations allow",
         ),
         *each,
         _check_precision(r, s),
-    ]  # fmt: skip
+    ]
 
 
 def _check_precision(r: JointResult, s: JointSettings) -> Check:
@@ -308,8 +329,9 @@ def _check_precision(r: JointResult, s: JointSettings) -> Check:
     sigma, units = np.sqrt(np.diag(r.covariance)), np.array(r.problem.units)
     limits = np.select(
         [np.isin(units, ["kg", "kg m^2"]), units == "m"],
-        [s.max_relative * np.abs(r.problem.guess), s.max_place], np.inf,
-    )  # fmt: skip
+        [s.max_relative * np.abs(r.problem.guess), s.max_place],
+        np.inf,
+    )
     k = int(np.argmax(sigma / limits))
     words = f"{r.problem.names[k]} has a deviation of {sigma[k]:.2g} {units[k]} "
     words += f"(at most {limits[k]:.2g})"
@@ -320,7 +342,11 @@ def estimate_of(r: JointResult) -> Estimate:
     """Convert the result to the estimate that all kinds of calibration share."""
     m = r.minimum
     return Estimate(
-        r.problem.names, r.problem.units, r.problem.guess, r.values, r.covariance,
+        r.problem.names,
+        r.problem.units,
+        r.problem.guess,
+        r.values,
+        r.covariance,
         undetermined=r.undetermined,
         at_bound=r.at_bound,
         chi_square=m.cost,
@@ -328,4 +354,4 @@ def estimate_of(r: JointResult) -> Estimate:
         condition_number=m.basis.condition,
         iterations=m.iterations,
         last_update=m.last_update,
-    )  # fmt: skip
+    )

@@ -87,8 +87,9 @@ class SessionCollector:
             set_back={**before.set_back, kind: back},
         )
         same = (before.settings, before.set_back) == (
-            self.gathered.settings, self.gathered.set_back,
-        )  # fmt: skip
+            self.gathered.settings,
+            self.gathered.set_back,
+        )
         return [] if same or not getattr(before, kind) else [self.gathered]
 
     def reject(self, what: str) -> None:

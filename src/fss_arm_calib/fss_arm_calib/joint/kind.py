@@ -75,9 +75,17 @@ def calibrate_session(
     origin = replace(outcome.provenance, begin=one.start, end=one.end)
     used = tuple(sessions[-1:]) if outcome.used else ()
     return Outcome(
-        tuple(sessions), used, arm, s, outcome.streams, outcome.checks, origin, outcome.estimate,
-        outcome.solution, outcome.description,
-    )  # fmt: skip
+        tuple(sessions),
+        used,
+        arm,
+        s,
+        outcome.streams,
+        outcome.checks,
+        origin,
+        outcome.estimate,
+        outcome.solution,
+        outcome.description,
+    )
 
 
 def to_message(outcome: JointOutcome, frame_id: str) -> msg.JointCalibration:
@@ -146,8 +154,13 @@ JOINT = Calibration(
     about=JointSettings.ABOUT,
     settings=JointSettings,
     data=Data(
-        "session", "calibration/session", msg.CalibrationSession, SessionData, session_message,
-        sessions_from_message, _summary,
+        "session",
+        "calibration/session",
+        msg.CalibrationSession,
+        SessionData,
+        session_message,
+        sessions_from_message,
+        _summary,
     ),
     max_data=lambda _: 1,
     inputs=inputs,
@@ -166,4 +179,4 @@ JOINT = Calibration(
         "session, each with its own zeros, tilt and hose",
         "data of its own": "it uses the current data of kinematic, dynamic and drift",
     },
-)  # fmt: skip
+)

@@ -51,10 +51,15 @@ def _parameter_table(outcome: Outcome[Any, Solution], found: Solution, truth: Ar
 def _fit_table(found: Solution) -> Table:
     """Tabulate how well the data of each kind fit."""
     rows = [
-        [kind, str(sum(one.get(kind, 0) for one in found.number)), f"{cost:.1f}", str(free),
-         f"{probability(cost, free):.2g}"]
+        [
+            kind,
+            str(sum(one.get(kind, 0) for one in found.number)),
+            f"{cost:.1f}",
+            str(free),
+            f"{probability(cost, free):.2g}",
+        ]
         for kind, (cost, free) in found.result.fits.items()
-    ]  # fmt: skip
+    ]
     head = ["kind", "data", "chi-square", "observations minus own unknowns", "probability"]
     return Table("Residuals by kind of data", head, rows)
 
@@ -62,10 +67,15 @@ def _fit_table(found: Solution) -> Table:
 def _session_table(found: Solution) -> Table:
     """Tabulate the parameters of each session."""
     rows = [
-        [one.session, one.name, display_unit(one.unit), _format_small(one.value, one.unit),
-         _format_small(one.deviation, one.unit)]
+        [
+            one.session,
+            one.name,
+            display_unit(one.unit),
+            _format_small(one.value, one.unit),
+            _format_small(one.deviation, one.unit),
+        ]
         for one in found.session_parameters()
-    ]  # fmt: skip
+    ]
     head = ["session", "parameter", "unit", "estimate", "± 1 sigma"]
     note = "zeros of joints relative to those of the last session"
     return Table("Parameters of each session", head, rows, words=3, note=note)

@@ -27,8 +27,9 @@ class JointSettings(Knowledge):
     zero_deviation: float = setting(
         radians(5.0),
         "1 sigma of the change of a joint's zero between sessions; 0: no change",
-        unit="rad", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        unit="rad",
+        check=NOT_NEGATIVE,
+    )
     min_probability: float = like(DynamicSettings, "min_probability")
     max_relative: float = like(DynamicSettings, "max_relative")
     max_place: float = like(DynamicSettings, "max_place")

@@ -61,7 +61,16 @@ def calibrate(
         solution = replace(solution, reasons=tuple(reasons))
         found += checks.evaluate(solution, s)
     return make_outcome(
-        observations, used, (problem.q, problem.tip), arm, s, KinematicSettings, streams, source,
-        found, estimate_of(problem, solution), solution,
+        observations,
+        used,
+        (problem.q, problem.tip),
+        arm,
+        s,
+        KinematicSettings,
+        streams,
+        source,
+        found,
+        estimate_of(problem, solution),
+        solution,
         solution.result.calibrated if solution else None,
-    )  # fmt: skip
+    )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import nan
+from math import nan, radians
 
 import numpy as np
 
@@ -38,6 +38,8 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.description import DescriptionError
 from fss_arm_model.planar import inverse
 
+SAME_POSTURE = radians(1.0)  # largest difference of a joint between equal postures [rad]
+
 
 def check_homings(observations: Sequence[Observation]) -> Check:
     """Report the observations left out because a joint was homed later; this always passes."""
@@ -55,7 +57,7 @@ def check_rests(observations: Sequence[Observation], needed: int, s: KinematicSe
     """
     used = [o for o in observations if o.used]
     since = used[-needed].start if len(used) >= needed else 0
-    lost = [o for o in rejected_without_repeat(observations, s.same_posture) if o.end >= since]
+    lost = [o for o in rejected_without_repeat(observations, SAME_POSTURE) if o.end >= since]
     reason = (
         f"{format_count(len(lost), 'rest')} rejected ({lost[0].reason}) and not repeated"
         if lost
@@ -89,26 +91,37 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
         )
         checks.append(Check("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
     residuals = check_fit(
-        solution.nominal.chi_square, solution.nominal.degrees_of_freedom, s.min_probability,
-        "residuals are larger than the assumed deviations allow", solution.noise,
-    )  # fmt: skip
+        solution.nominal.chi_square,
+        solution.nominal.degrees_of_freedom,
+        s.min_probability,
+        "residuals are larger than the assumed deviations allow",
+        solution.noise,
+    )
     far = check_outliers(
-        solution.errors, solution.kept, s.outlier, s.max_outliers, "observation",
+        solution.errors,
+        solution.kept,
+        s.outlier,
+        s.max_outliers,
+        "observation",
         "normalized residual",
-    )  # fmt: skip
+    )
     if FAIL in (residuals.verdict, far.verdict) and (hint := _swap_hint(solution, s)):
         checks.append(cause_check(hint))
         residuals = replace(residuals, verdict=FAIL)
     return [
-        *checks, _check_lengths(solution, s), residuals, far, _check_redundancy(solution, s),
+        *checks,
+        _check_lengths(solution, s),
+        residuals,
+        far,
+        _check_redundancy(solution, s),
         _check_prediction(solution, s),
-    ]  # fmt: skip
+    ]
 
 
 def _check_determined(r: KinematicResult, s: KinematicSettings) -> Check:
     """Check that all parameters are determined; name the joints that hardly moved."""
     span = np.ptp(r.problem.q, axis=0)
-    still = [f"joint_{i + 1}" for i in np.flatnonzero(span < s.same_posture)]
+    still = [f"joint_{i + 1}" for i in np.flatnonzero(span < SAME_POSTURE)]
     hint = f"; {', '.join(still)} hardly moved" if still else ""
     return check_identifiability(
         r.undetermined, r.missing, r.condition_number, s.max_condition, hint
@@ -202,9 +215,13 @@ def _check_prediction(solution: Solution, s: KinematicSettings) -> Check:
         return Check("prediction", NOT_EVALUATED, nan, s.min_probability, words, needed=False)
     what = f"{format_indices(held_out)} predicted from the others"
     check = check_chi_square(
-        "prediction", solution.prediction.chi_square, 3 * len(held_out), s.min_probability,
-        "worse than the deviations allow", solution.noise.freedom,
-    )  # fmt: skip
+        "prediction",
+        solution.prediction.chi_square,
+        3 * len(held_out),
+        s.min_probability,
+        "worse than the deviations allow",
+        solution.noise.freedom,
+    )
     return replace(check, reason=f"{what}: {check.reason}")
 
 

@@ -41,11 +41,17 @@ def postures(outcome: Outcome[Observation, Solution]) -> Any:
     for k, (name, color) in enumerate((("x", "tab:blue"), ("y", "tab:orange"))):
         bars = which + 0.18 * (2 * k - 1)
         position.bar(bars, 1e3 * residuals[:, k], width=0.34, color=color, label=name)
-    _finish(position, "position residual [mm]", 1e3 * np.array([
-        e.position_residual, errors[0], PAPER_POSITION_RESIDUAL]))  # fmt: skip
+    _finish(
+        position,
+        "position residual [mm]",
+        1e3 * np.array([e.position_residual, errors[0], PAPER_POSITION_RESIDUAL]),
+    )
     heading.bar(which, np.degrees(residuals[:, 2]), width=0.5, color="tab:green")
-    _finish(heading, "heading residual [deg]", np.degrees([
-        e.heading_residual, errors[1], PAPER_HEADING_RESIDUAL]))  # fmt: skip
+    _finish(
+        heading,
+        "heading residual [deg]",
+        np.degrees([e.heading_residual, errors[1], PAPER_HEADING_RESIDUAL]),
+    )
     heading.set_xlabel("observation")
     for part in (position, heading):
         part.set_xticks(which[:: max(1, len(which) // 20)])
@@ -63,21 +69,36 @@ def _draw_postures(axes: Any, joints: Floats, tip: Floats, residuals: Floats) ->
         axes.plot(*points[:-1].T, "o", color=color, markersize=4, alpha=0.7, zorder=2)
         away = points[-1] - points[-2]
         axes.annotate(
-            str(k + 1), points[-1] + 0.06 * away / np.linalg.norm(away),
-            ha="center", va="center", fontsize=9, color=color, fontweight="bold",
-        )  # fmt: skip
+            str(k + 1),
+            points[-1] + 0.06 * away / np.linalg.norm(away),
+            ha="center",
+            va="center",
+            fontsize=9,
+            color=color,
+            fontweight="bold",
+        )
     scale = _magnification(residuals[:, :2])
     axes.quiver(
-        *(tip[:, :2] - residuals[:, :2]).T, *(scale * residuals[:, :2]).T,
-        angles="xy", scale_units="xy", scale=1.0, color="tab:red", width=0.0035, zorder=3,
+        *(tip[:, :2] - residuals[:, :2]).T,
+        *(scale * residuals[:, :2]).T,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        color="tab:red",
+        width=0.0035,
+        zorder=3,
         label=f"position residual, {scale:g} times",
-    )  # fmt: skip
+    )
     size = 0.15
     axes.fill(size * np.array([-1, 1, 1, -1]), size * np.array([-1, -1, 1, 1]),
               facecolor="0.9", edgecolor="0.4", zorder=0)  # fmt: skip
     for direction, name in (((1.0, 0.0), "x"), ((0.0, 1.0), "y")):
-        axes.annotate("", np.multiply(direction, 0.13), (0.0, 0.0),
-                      arrowprops={"arrowstyle": "->", "color": "0.2"})  # fmt: skip
+        axes.annotate(
+            "",
+            np.multiply(direction, 0.13),
+            (0.0, 0.0),
+            arrowprops={"arrowstyle": "->", "color": "0.2"},
+        )
         axes.annotate(name, np.multiply(direction, 0.13), color="0.2", fontsize=9)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("observed postures in the base's frame", fontsize=11)
@@ -93,10 +114,20 @@ def _finish(axes: Any, label: str, levels: Floats) -> None:
     axes.axhline(0.0, color="0.3", linewidth=0.8)
     axes.axhspan(-assumed, assumed, color="0.92", zorder=0, label=f"± assumed sigma, {assumed:.3g}")
     for sign in (-1.0, 1.0):
-        axes.axhline(sign * found, color="k", linestyle="--", linewidth=1.0,
-                     label=f"± standard deviation, {found:.3g}" if sign > 0 else None)  # fmt: skip
-        axes.axhline(sign * paper, color="tab:purple", linestyle=":", linewidth=1.3,
-                     label=f"± paper's, {paper:.3g}" if sign > 0 else None)  # fmt: skip
+        axes.axhline(
+            sign * found,
+            color="k",
+            linestyle="--",
+            linewidth=1.0,
+            label=f"± standard deviation, {found:.3g}" if sign > 0 else None,
+        )
+        axes.axhline(
+            sign * paper,
+            color="tab:purple",
+            linestyle=":",
+            linewidth=1.3,
+            label=f"± paper's, {paper:.3g}" if sign > 0 else None,
+        )
     axes.set_ylabel(label)
     axes.grid(axis="y", alpha=0.25)
     top = 1.45 * max(abs(limit) for limit in axes.get_ylim())

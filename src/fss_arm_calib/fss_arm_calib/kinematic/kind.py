@@ -59,8 +59,13 @@ KINEMATIC = Calibration(
     about=KinematicSettings.ABOUT,
     settings=KinematicSettings,
     data=fieldwise_data(
-        "observation", Observation, "calibration/observations", KinematicObservations,
-        lambda one: f"averaged {one.vicon_frames} frames", needed=("q", "tip"), subject=TIP,
+        "observation",
+        Observation,
+        "calibration/observations",
+        KinematicObservations,
+        lambda one: f"averaged {one.vicon_frames} frames",
+        needed=("q", "tip"),
+        subject=TIP,
     ),
     max_data=lambda s: s.max_observations,
     inputs=inputs,
@@ -72,4 +77,4 @@ KINEMATIC = Calibration(
     compared_fields=("held_out_residuals", "held_out_normalized"),
     report=kinematic_report,
     stale=stale,
-)  # fmt: skip
+)

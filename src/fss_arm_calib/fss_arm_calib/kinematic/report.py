@@ -33,9 +33,12 @@ def kinematic_report(outcome: Outcome[Observation, Solution], truth: Arm | None 
     o = outcome
     labels = {"a": f"a_1 .. a_{o.arm.n - 1}"}
     each, correlation = common_figures(
-        o, "kinematic", "observation", "normalized residual [deviations]",
+        o,
+        "kinematic",
+        "observation",
+        "normalized residual [deviations]",
         [labels.get(name, name) for name in o.names],
-    )  # fmt: skip
+    )
     drawn = Figure("kinematic_postures", "Postures and residuals", lambda: postures(o))
     tables = (_parameters(o, truth, labels), _residuals(o))
     details = (_observations(o),) if o.solution else ()
@@ -71,12 +74,24 @@ def _residuals(outcome: Outcome[Observation, Solution]) -> Table:
     rows = [
         [name, display_unit(unit), *(format_value(value, unit) for value in values)]
         for name, unit, *values in (
-            ("position", "m", PAPER_POSITION_RESIDUAL, e.position_residual,
-             root_mean_square(predicted[:, :2]), noise.deviations[0]),
-            ("heading", "rad", PAPER_HEADING_RESIDUAL, e.heading_residual,
-             root_mean_square(predicted[:, 2]), noise.deviations[1]),
+            (
+                "position",
+                "m",
+                PAPER_POSITION_RESIDUAL,
+                e.position_residual,
+                root_mean_square(predicted[:, :2]),
+                noise.deviations[0],
+            ),
+            (
+                "heading",
+                "rad",
+                PAPER_HEADING_RESIDUAL,
+                e.heading_residual,
+                root_mean_square(predicted[:, 2]),
+                noise.deviations[1],
+            ),
         )
-    ]  # fmt: skip
+    ]
     head = ["end effector", "unit", "paper", "this result", "predicted", "assumed error"]
     note = (
         "predicted: held-out observations, by a solution without them; assumed error: of an "
@@ -92,18 +107,34 @@ def _observations(outcome: Outcome[Observation, Solution]) -> Table:
     for k, (o, residual) in enumerate(zip(outcome.used, e.residuals, strict=True)):
         states = [e.reasons[k]] if e.reasons[k] else []
         states += ["held out for the prediction"] if k in held_out else []
-        rows.append([
-            str(k + 1),
-            *(f"{angle:.2f}" for angle in np.degrees(o.q)),
-            *(f"{x:.4f}" for x in o.tip[:2]), f"{np.degrees(o.tip[2]):.2f}",
-            *(f"{1e3 * x:+.1f}" for x in residual[:2]), f"{np.degrees(residual[2]):+.3f}",
-            f"{e.errors[k]:.2f}", f"{e.leverage[k]:.2f}", f"{e.weights[k]:.2f}",
-            "; ".join(states),
-        ])  # fmt: skip
+        rows.append(
+            [
+                str(k + 1),
+                *(f"{angle:.2f}" for angle in np.degrees(o.q)),
+                *(f"{x:.4f}" for x in o.tip[:2]),
+                f"{np.degrees(o.tip[2]):.2f}",
+                *(f"{1e3 * x:+.1f}" for x in residual[:2]),
+                f"{np.degrees(residual[2]):+.3f}",
+                f"{e.errors[k]:.2f}",
+                f"{e.leverage[k]:.2f}",
+                f"{e.weights[k]:.2f}",
+                "; ".join(states),
+            ]
+        )
     head = [
-        "", *(f"q_{i} [deg]" for i in range(1, n + 1)), "x [m]", "y [m]", "heading [deg]",
-        "dx [mm]", "dy [mm]", "dheading [deg]", "normalized", "leverage", "weight", "",
-    ]  # fmt: skip
+        "",
+        *(f"q_{i} [deg]" for i in range(1, n + 1)),
+        "x [m]",
+        "y [m]",
+        "heading [deg]",
+        "dx [mm]",
+        "dy [mm]",
+        "dheading [deg]",
+        "normalized",
+        "leverage",
+        "weight",
+        "",
+    ]
     note = (
         "Joint readings; pose of the end effector relative to the base; residual (observed minus "
         "predicted), its length in its standard deviations; leverage on its own prediction."

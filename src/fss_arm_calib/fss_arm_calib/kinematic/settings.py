@@ -1,7 +1,6 @@
 """Settings of a kinematic calibration; the same live, in a replay and offline."""
 
 from dataclasses import dataclass
-from math import radians
 from typing import ClassVar
 
 from fss_arm_calib.kinematic.problem import (
@@ -40,37 +39,48 @@ class KinematicSettings(CalibrationSettings):
         0.0,
         "1 sigma of a position relative to the base, each axis, including the error of the base's "
         "heading times the reach; 0: estimated from the residuals",
-        unit="m", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    heading_deviation: float = setting(
-        0.0, "1 sigma of an observed heading; 0: estimated from the residuals", unit="rad",
+        unit="m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
+    heading_deviation: float = setting(
+        0.0,
+        "1 sigma of an observed heading; 0: estimated from the residuals",
+        unit="rad",
+        check=NOT_NEGATIVE,
+    )
     max_position_deviation: float = setting(
-        POSITION_DEVIATION, "largest accepted estimate of position_deviation; assumed with too few "
-        "observations", unit="m", check=POSITIVE,
-    )  # fmt: skip
+        POSITION_DEVIATION,
+        "largest accepted estimate of position_deviation; assumed with too few observations",
+        unit="m",
+        check=POSITIVE,
+    )
     max_heading_deviation: float = setting(
-        HEADING_DEVIATION, "largest accepted estimate of heading_deviation; assumed with too few "
-        "observations", unit="rad", check=POSITIVE,
-    )  # fmt: skip
+        HEADING_DEVIATION,
+        "largest accepted estimate of heading_deviation; assumed with too few observations",
+        unit="rad",
+        check=POSITIVE,
+    )
     ripple_deviation: float = setting(
         0.0,
         "1 sigma of the reading error with two periods per turn of the wave generator; it "
         "dominates if poses are accurate to a millimeter",
-        unit="rad", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        unit="rad",
+        check=NOT_NEGATIVE,
+    )
     eccentricity_deviation: float = setting(
-        0.0, "1 sigma of the reading error with one period per turn of the joint",
-        unit="rad", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0,
+        "1 sigma of the reading error with one period per turn of the joint",
+        unit="rad",
+        check=NOT_NEGATIVE,
+    )
     min_observations: int = setting(
         6, "number of observations needed to accept a result", check=at_least(1)
     )
     max_condition: float = setting(
-        200.0, "largest condition number of the column-scaled regressor",
+        200.0,
+        "largest condition number of the column-scaled regressor",
         check=Check("more than 1", lambda value: value > 1.0, low=1.0),
-    )  # fmt: skip
+    )
     min_redundancy: float = setting(
         0.1,
         "smallest redundancy: squared share of an observation's error that its residual shows",
@@ -83,10 +93,8 @@ class KinematicSettings(CalibrationSettings):
         check=Check("0, or 2 or more", lambda value: value == 0 or value >= 2, low=0.0),
     )
     max_length_change: float = setting(
-        0.05, "largest change of a link's length; a larger one means another arm",
-        unit="m", check=POSITIVE,
-    )  # fmt: skip
-    same_posture: float = setting(
-        radians(1.0), "largest difference of a joint between equal postures", unit="rad",
+        0.05,
+        "largest change of a link's length; a larger one means another arm",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )

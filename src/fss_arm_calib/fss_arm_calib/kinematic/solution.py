@@ -171,7 +171,11 @@ def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimat
     weights, leverage = np.zeros((2, len(kept)))
     weights[kept], leverage[kept] = r.weights, r.leverage
     return Estimate(
-        names, units, initial, r.values, r.covariance,
+        names,
+        units,
+        initial,
+        r.values,
+        r.covariance,
         undetermined=r.undetermined,
         residuals=model.residuals(problem, r.values),
         weights=weights,
@@ -185,4 +189,4 @@ def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimat
         condition_number=solution.nominal.condition_number,
         iterations=r.iterations,
         last_update=r.last_update,
-    )  # fmt: skip
+    )

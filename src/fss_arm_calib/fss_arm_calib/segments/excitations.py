@@ -194,6 +194,8 @@ def _combine_frames(rows: Sequence[tuple[int, Frame]]) -> Frames:
     homings = [frame.homings for frame in frames if frame.homings]
     measured = (tuple(values) for values in zip(*(frame[:5] for frame in frames), strict=True))
     return Frames(
-        frames[-1].boot if frames else 0, homings[-1] if homings else 0,
-        tuple(t for t, _ in rows), *(measured if frames else [()] * 5),
-    )  # fmt: skip
+        frames[-1].boot if frames else 0,
+        homings[-1] if homings else 0,
+        tuple(t for t, _ in rows),
+        *(measured if frames else [()] * 5),
+    )

@@ -32,6 +32,8 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.joint_path import Path, path, sampled
 from fss_arm_model.units import SECOND
 
+MIN_TRAVEL = 0.05  # smallest motion of a joint in a maneuver [rad]
+MAX_BASE_TURN_RATE = 3.0  # the base could make half a turn in a longer gap of its poses [rad/s]
 POSE_AVERAGING_TIME = SECOND // 10  # averaging time of a pose of the base during the motion [ns]
 
 
@@ -152,7 +154,7 @@ class ManeuverSearch:
         series = [joint_path(joint, *candidate, s.motion_threshold) for joint in s.joints]
         gaps = [gap for joint in s.joints for gap in self._joint_gaps(joint, candidate)]
         travel = max(float(np.ptp(q)) if len(q) else 0.0 for _, q, _ in series)
-        if not gaps and travel < self.settings.min_travel:
+        if not gaps and travel < MIN_TRAVEL:
             return None
         times, q, qd = (
             tuple(tuple(part.tolist()) for part in parts) for parts in zip(*series, strict=True)
@@ -211,7 +213,7 @@ class ManeuverSearch:
         """Return the maneuver with the base's poses, averaged over bins."""
         s = self.sensors
         t, poses = s.base.samples_within(maneuver.start, maneuver.end)
-        step = round(pi / self.settings.max_base_turn * SECOND)
+        step = round(pi / MAX_BASE_TURN_RATE * SECOND)
         heading = s.gyro.unwrap(t, poses[:, 2], step, s.vicon_gap)
         if isinstance(heading, tuple):
             return replace(maneuver, used=False, reason=f"{Gap(*heading, BASE)}, without a gyro")

@@ -31,6 +31,10 @@ BASE, TIP = "fss", "end_effector"  # the two subjects, as the motion capture sys
 POSITION_NOISE = 0.1  # [m]
 HEADING_NOISE = 0.2  # [rad]
 
+#: Fastest motion of a subject; poses that imply a faster one are rejected.
+MAX_SPEED = 5.0  # [m/s]
+MAX_TURN_RATE = 10.0  # [rad/s]
+
 OCCLUDED, JUMP, FROZEN = "occluded", "jump", "frozen"
 
 
@@ -44,13 +48,10 @@ class Poses(Stream):
     Args:
         name: name of the subject.
         horizon: as in Stream [ns].
-        max_speed: a pose that would need a faster motion from the last one is rejected [m/s].
-        max_turn: a pose that would need a faster turn from the last one is rejected [rad/s].
     """
 
-    def __init__(self, name: str, horizon: int, max_speed: float, max_turn: float) -> None:
+    def __init__(self, name: str, horizon: int) -> None:
         super().__init__(name, horizon)
-        self.max_speed, self.max_turn = max_speed, max_turn
         self.first_stamp = -1  # [ns]
         self.frame = ""  # frame id of the poses
         self.xyh = array("d")
@@ -104,8 +105,8 @@ class Poses(Stream):
         seconds = np.diff(t, prepend=self.newest) / SECOND
         step = np.diff(poses, axis=0, prepend=[self.xyh[-3:]])
         return bool(
-            np.all(np.hypot(step[:, 0], step[:, 1]) <= POSITION_NOISE + self.max_speed * seconds)
-            and np.all(np.abs(wrap(step[:, 2])) <= HEADING_NOISE + self.max_turn * seconds)
+            np.all(np.hypot(step[:, 0], step[:, 1]) <= POSITION_NOISE + MAX_SPEED * seconds)
+            and np.all(np.abs(wrap(step[:, 2])) <= HEADING_NOISE + MAX_TURN_RATE * seconds)
         )
 
     def _is_jump(self, t: int, x: float, y: float, heading: float) -> bool:
@@ -113,8 +114,8 @@ class Poses(Stream):
         before = self.xyh[-3:]
         turn = abs(float(wrap(heading - before[2])))
         return (
-            hypot(x - before[0], y - before[1]) > POSITION_NOISE + self.max_speed * seconds
-            or turn > HEADING_NOISE + self.max_turn * seconds
+            hypot(x - before[0], y - before[1]) > POSITION_NOISE + MAX_SPEED * seconds
+            or turn > HEADING_NOISE + MAX_TURN_RATE * seconds
         )
 
     def samples_within(self, begin: int, end: int, last_motion: int = -1) -> tuple[Stamps, Floats]:

@@ -38,9 +38,7 @@ class Sensors:
         self.joint_gap, self.vicon_gap = (round(t * SECOND) for t in (s.joint_gap, s.vicon_gap))
         self.rests = Rests(n, self.motion_threshold, self.horizon)
         self.joints = self.rests.joints
-        self.subjects = {
-            name: Poses(name, self.horizon, s.max_speed, s.max_turn) for name in (BASE, TIP)
-        }
+        self.subjects = {name: Poses(name, self.horizon) for name in (BASE, TIP)}
         self.base, self.tip = self.subjects.values()
         self.needed_poses = [self.subjects[name] for name in needed]
         self.gyro = Gyro("gyro", self.horizon)

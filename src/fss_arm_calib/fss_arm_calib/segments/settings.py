@@ -38,14 +38,6 @@ class RestSettings(StreamSettings):
         unit="s",
         check=POSITIVE,
     )
-    max_speed: float = setting(
-        5.0, "largest speed of a subject; poses that imply a higher speed are rejected", unit="m/s",
-        check=POSITIVE,
-    )  # fmt: skip
-    max_turn: float = setting(
-        10.0, "largest turn rate of a subject; poses that imply a higher rate are rejected",
-        unit="rad/s", check=POSITIVE,
-    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,9 +52,11 @@ class ManeuverSettings(RestSettings):
     """Settings that define a maneuver."""
 
     max_duration: float = setting(
-        2.0, "longest window before and after a maneuver, at most half of the rest",
-        unit="s", check=POSITIVE,
-    )  # fmt: skip
+        2.0,
+        "longest window before and after a maneuver, at most half of the rest",
+        unit="s",
+        check=POSITIVE,
+    )
     joint_gap: float = setting(
         0.5,
         "longest time without a reading of a joint; a longer one rejects a maneuver",
@@ -70,28 +64,25 @@ class ManeuverSettings(RestSettings):
         check=POSITIVE,
     )
     horizon: float = setting(
-        60.0, "largest lag of a stream behind the others, and longest duration of a maneuver",
-        unit="s", check=POSITIVE,
-    )  # fmt: skip
+        60.0,
+        "largest lag of a stream behind the others, and longest duration of a maneuver",
+        unit="s",
+        check=POSITIVE,
+    )
     bin: float = setting(0.5, "averaging time of the poses in a window", unit="s", check=POSITIVE)
     path_rate: float = setting(
-        0.0, "rate of base poses used during the motion, for stiff joints only; 0: none",
-        unit="1/s", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    min_travel: float = setting(
-        0.05, "smallest motion of a joint in a maneuver", unit="rad", check=POSITIVE
+        0.0,
+        "rate of base poses used during the motion, for stiff joints only; 0: none",
+        unit="1/s",
+        check=NOT_NEGATIVE,
     )
     time_offset: float = setting(
         0.0,
         "initial estimate of the offset of the joints' and the gyro's stamps relative to motion "
         "capture's; the rotation of the base then refines it",
-        unit="s", check=FINITE,
-    )  # fmt: skip
-    max_base_turn: float = setting(
-        3.0, "largest turn rate of the base; gaps in its poses in which it could make half a turn "
-        "need the gyro",
-        unit="rad/s", check=POSITIVE,
-    )  # fmt: skip
+        unit="s",
+        check=FINITE,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -150,9 +150,13 @@ class GuardTopics:
             else:
                 velocity[i - 1] = np.sign(value) * limit
         self.guard.check_command(
-            q, qd, self.settings.stream_time_to_live, velocity=velocity, position=position,
+            q,
+            qd,
+            self.settings.stream_time_to_live,
+            velocity=velocity,
+            position=position,
             **self.known_bodies(),
-        )  # fmt: skip
+        )
 
 
 def joint_states(links: Mapping[int, LinkState]) -> tuple[Floats, Floats]:

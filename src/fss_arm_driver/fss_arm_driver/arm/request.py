@@ -112,9 +112,10 @@ def _times(points: Sequence[Any]) -> Floats:
     if late := np.flatnonzero(np.diff(times) <= 0.0).tolist():
         k = late[0] + 1
         raise _invalid(
-            f"time_from_start of point {k}", _format_time(given[k]),
+            f"time_from_start of point {k}",
+            _format_time(given[k]),
             f"more than the {_format_time(given[k - 1])} of the point before",
-        )  # fmt: skip
+        )
     return times
 
 
@@ -136,9 +137,11 @@ def _rows(points: Sequence[Any], field: str, order: list[int], optional: bool = 
         if wrong := np.argwhere(~(np.abs(values) <= MAX_MAGNITUDE)).tolist():
             k, i = wrong[0]
             raise _invalid(
-                f"{field} of point {given[k]}", f"{values[k, i]:g} for joint_{order.index(i) + 1}",
-                f"finite numbers of at most {MAX_MAGNITUDE:g} in size", "has",
-            )  # fmt: skip
+                f"{field} of point {given[k]}",
+                f"{values[k, i]:g} for joint_{order.index(i) + 1}",
+                f"finite numbers of at most {MAX_MAGNITUDE:g} in size",
+                "has",
+            )
         found[given] = values[:, order]
     return found
 

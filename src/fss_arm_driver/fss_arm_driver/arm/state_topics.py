@@ -93,8 +93,10 @@ class StateTopics:
         self.withheld_reason = ""
         message = JointState(
             name=[f"joint_{i}" for i in links.numbers],
-            position=joints.q, velocity=joints.qd, effort=joints.effort,
-        )  # fmt: skip
+            position=joints.q,
+            velocity=joints.qd,
+            effort=joints.effort,
+        )
         message.header.stamp = to_time(now)
         self.joint_states.publish(message)
         self.planned.publish(self.planned_motion(joints, now))

@@ -27,10 +27,13 @@ class StreamTopic:
         self.stream = Stream(links.arm, self.lives)
         self.motion: Motion | None = None
         self.commands = {i: LinkCommand() for i in links.numbers}  # reused, as creation is slow
-        self.thread = SubscriptionThread(links.node, [
-            *stop_topics(lambda _: links.stop(), "arm/stop"),
-            Topic(JointState, TOPIC, NEWEST_ONLY, self.on_command),
-        ])  # fmt: skip
+        self.thread = SubscriptionThread(
+            links.node,
+            [
+                *stop_topics(lambda _: links.stop(), "arm/stop"),
+                Topic(JointState, TOPIC, NEWEST_ONLY, self.on_command),
+            ],
+        )
         self.close = self.thread.close
 
     def on_command(self, message: JointState) -> None:

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from reprlib import repr as short
 from typing import Any
 
-from fss_arm_driver.arm.request import MAX_MAGNITUDE, Code, TrajectoryError
+from fss_arm_driver.arm.request import Code, TrajectoryError
 from fss_arm_driver.move import MAX_DURATION
+from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.units import SECOND
 
 NO_TOLERANCE = -1.0  # as a tolerance in a goal: none

@@ -195,9 +195,17 @@ def _telemetry_values(frame: Telemetry) -> tuple[int, ...]:
     """Return the values of the body, with the torque and its age in one word."""
     word = (frame.torque & 0xFFFFFF) | frame.torque_age << 24
     return (
-        frame.echo, frame.turnaround, frame.position, frame.velocity, frame.current, frame.mode,
-        frame.slow_id, frame.status, word, frame.slow_value,
-    )  # fmt: skip
+        frame.echo,
+        frame.turnaround,
+        frame.position,
+        frame.velocity,
+        frame.current,
+        frame.mode,
+        frame.slow_id,
+        frame.status,
+        word,
+        frame.slow_value,
+    )
 
 
 def _telemetry_fields(*values: int) -> tuple[int, ...]:

@@ -13,6 +13,4 @@ from fss_arm_driver.session.link import COUNTS, LinkSession, Sample
 from fss_arm_driver.session.progress import Progress, Status
 from fss_arm_driver.session.reports import CommandReports, Report
 
-__all__ = [
-    "COUNTS", "CommandReports", "LinkSession", "Progress", "Report", "Sample", "Status",
-]  # fmt: skip
+__all__ = ["COUNTS", "CommandReports", "LinkSession", "Progress", "Report", "Sample", "Status"]

@@ -11,22 +11,26 @@ class GuardSettings(Extents):
     """Sizes of the bodies, and the margins between them."""
 
     target_radius: float = setting(
-        0.19, "radius of the gripper's target about its origin", unit="m",
-        check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.19, "radius of the gripper's target about its origin", unit="m", check=NOT_NEGATIVE
+    )
     gripper_length: float = setting(
-        0.15, "length of the end of the last link that may touch the target", unit="m",
+        0.15,
+        "length of the end of the last link that may touch the target",
+        unit="m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     gripper_depth: float = setting(
-        0.03, "maximum depth of the gripper within the target's radius", unit="m",
+        0.03,
+        "maximum depth of the gripper within the target's radius",
+        unit="m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     margin: float = setting(0.05, "minimum gap between bodies", unit="m", check=NOT_NEGATIVE)
     edge_margin: float = setting(
         0.05, "minimum gap to the table's edge", unit="m", check=NOT_NEGATIVE
     )
     braking: float = setting(
-        0.5, "share of the drives' accelerations that braking can rely on, because torque is "
-        "limited", check=above(0.0, 1.0),
-    )  # fmt: skip
+        0.5,
+        "share of the drives' accelerations that braking can rely on, because torque is limited",
+        check=above(0.0, 1.0),
+    )

@@ -288,7 +288,7 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
             if not is_rejected and not ended:
                 step, first = _safe_step(
                     h, near[:active], pairs, best, limit, motion, floats, inertia, moment, L, Psi, U
-                )  # fmt: skip
+                )
                 is_rejected = first >= 0 and step < min(MIN_STEP, rest)
                 window = 4.0 * (max(step, MIN_STEP) if step < h else window)
             if is_rejected:

@@ -21,6 +21,8 @@ from .prediction import Anchor, Prediction, fit_drift
 
 _MAX_HISTORY = 5 * SECOND  # of measured base states
 _MAX_GAP = 60 * SECOND  # longer gaps without complete data end a prediction
+_MIN_DRIFT, _MAX_DRIFT = SECOND // 2, 2 * SECOND  # duration of a drift fitted for a prediction [ns]
+_MOMENTUM_WINDOW = 30.0  # time over which the slope of the momentum is fitted [s]
 
 
 @dataclass(frozen=True)
@@ -169,9 +171,9 @@ class BaseReaction:
     def _fit_drift(self, t: int) -> Anchor | None:
         """Return the fit of the base's drift since the arm rests; None: the drift is too short."""
         s = self.settings
-        start = max(self.resting_since, t - int(s.max_drift_duration * SECOND))
+        start = max(self.resting_since, t - _MAX_DRIFT)
         drift = [state for state in self.base_states if start <= state.t <= t]
-        if len({state.t for state in drift}) < 3 or t - start < s.min_drift_duration * SECOND:
+        if len({state.t for state in drift}) < 3 or t - start < _MIN_DRIFT:
             return None
         times = np.array([(state.t - t) * 1e-9 for state in drift])
         q = np.array([joint.q[joint.last_index(t)] for joint in self.joints])
@@ -192,7 +194,7 @@ class BaseReaction:
         base = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ qdd + h[:3])
         tau = inverse_dynamics(p, state, rate, np.concatenate([base, qdd]))
         first = self.joints[0]
-        fit_start = prediction.anchor.t - round(s.max_drift_duration * SECOND)
+        fit_start = prediction.anchor.t - _MAX_DRIFT
         return Reaction(
             t,
             prediction.anchor.t,
@@ -216,7 +218,7 @@ class BaseReaction:
     def _momentum_slope(self, now: float, P: Floats) -> Floats:
         """Add the momentum P; return its slope within the window. NaN: fewer than 3 values."""
         self.momenta.append((now, P))
-        while self.momenta[0][0] < now - self.settings.drift_window:
+        while self.momenta[0][0] < now - _MOMENTUM_WINDOW:
             self.momenta.popleft()
         if len(self.momenta) < 3:
             return np.full(3, np.nan)

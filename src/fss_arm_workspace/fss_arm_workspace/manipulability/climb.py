@@ -70,8 +70,8 @@ def _release_joints(limits: Floats, q: Floats, J: Floats, g: Floats, free: Float
 
 @helper
 def _curvature(  # type: ignore[no-untyped-def]
-    p, d, e, kind, square, free, J, Z, count, d2, e2, J2, x, H,
-):  # fmt: skip
+    p, d, e, kind, square, free, J, Z, count, d2, e2, J2, x, H
+):
     """Write the second derivatives of w^2 along the self-motions Z, H (count, count).
 
     They are central differences of w^2, after the tip has been moved back to its position.

@@ -26,7 +26,7 @@ from fss_arm_model.settings import (
 )
 from fss_arm_workspace.regions.fixed import checked_limits, joint_limits
 from fss_arm_workspace.straight_path.redundancy import BASES, RULES
-from fss_arm_workspace.straight_path.trace import LineOptions, trace
+from fss_arm_workspace.straight_path.trace import STOPPING_RATE, LineOptions, trace
 
 FIXED, FLOATING, ZERO_REACTION = BASES
 MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED = RULES
@@ -52,14 +52,13 @@ class PathSettings(Settings):
     gain: float = setting(
         5.0, "rate away from a joint limit, at the limit", unit="rad/m", check=NOT_NEGATIVE
     )
-    stopping_rate: float = setting(
-        100.0, "joint rate on a straight path above which it ends at a singularity", unit="rad/m",
-        check=POSITIVE,
-    )  # fmt: skip
     table: tuple[float, ...] = setting(
-        (-2.0, -2.0, 2.0, 2.0), "table in the world: low x, low y, high x, high y", unit="m",
-        check=FINITE, size=4,
-    )  # fmt: skip
+        (-2.0, -2.0, 2.0, 2.0),
+        "table in the world: low x, low y, high x, high y",
+        unit="m",
+        check=FINITE,
+        size=4,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -142,7 +141,7 @@ def straight_paths(
     start, bounds, tip, options = _prepare(arm, start, direction, rules, limits)
     last, result = trace(arm.vector(), start, bounds, options)
     length, reason, peak, remaining = np.moveaxis(result, -1, 0)
-    grazes = (peak > GRAZING_RATE_SHARE * rules.stopping_rate) | (remaining > GRAZING_DISTANCE)
+    grazes = (peak > GRAZING_RATE_SHARE * STOPPING_RATE) | (remaining > GRAZING_DISTANCE)
     return Paths(start, rules.redundancy, tip, direction, length, reason.astype(int), last, grazes)
 
 
@@ -224,9 +223,8 @@ def _prepare(
     room = np.where(np.abs(direction_vector) > 1e-12, room, inf).min(axis=-1)
     dx, dy = direction_vector.T
     options = LineOptions(
-        dx, dy, BASES.index(rules.base), RULES.index(rules.redundancy), rules.gain,
-        rules.stopping_rate, rules.step, room,
-    )  # fmt: skip
+        dx, dy, BASES.index(rules.base), RULES.index(rules.redundancy), rules.gain, rules.step, room
+    )
     return start, bounds, complex(x, y), options
 
 

@@ -104,8 +104,8 @@ def _weight(low: float, high: float, angle: float) -> float:
 
 @helper
 def joint_rates(  # type: ignore[no-untyped-def]
-    limits, q, A, rows, rule, gain, direction, free, z, W, C, y, x,
-):  # fmt: skip
+    limits, q, A, rows, rule, gain, direction, free, z, W, C, y, x
+):
     """Write the free joints' rates x (n,) [rad/m] by the rule; return False if there are none."""
     z[:] = 0.0
     W[:] = 1.0
@@ -145,8 +145,8 @@ def at_limit(limits: Floats, q: Floats, k: int, rule: float) -> float:
 
 @helper
 def choose_free_joints(  # type: ignore[no-untyped-def]
-    limits, q, A, rows, rule, gain, direction, free, rates, C, x,
-):  # fmt: skip
+    limits, q, A, rows, rule, gain, direction, free, rates, C, x
+):
     """Write which joints are free (n,), and their rates x; return whether rates exist, and a count.
 
     The count is that of the free joints. Joints that would move beyond a limit are held, the

@@ -36,6 +36,8 @@ _MAX_APPROACH = 0.1  # maximum share of the room to a limit used in a step, if w
 _MIN_STEP = 1e-5  # minimum step, unless a joint meets its limit within it [m]
 _LINE_TOLERANCE = 1e-6  # distance below which the tip is on its line [m]
 
+STOPPING_RATE = 100.0  # joint rate above which a path ends at a singularity [rad/m]
+
 
 class LineOptions(NamedTuple):
     """Options of a straight path: numbers in the kernel, numbers or arrays (k,) for `trace`."""
@@ -45,15 +47,14 @@ class LineOptions(NamedTuple):
     base: Floats | float  # index in BASES
     rule: Floats | float  # index in RULES
     gain: Floats | float  # [rad/m]
-    stopping_rate: Floats | float  # joint rate that counts as a singularity [rad/m]
     step: Floats | float  # maximum step [m]
     table_end: Floats | float  # length at which the table ends [m]
 
 
 @helper
 def _line_options(o):  # type: ignore[no-untyped-def]
-    """Return an array (8,) as LineOptions."""
-    return LineOptions(o[0], o[1], o[2], o[3], o[4], o[5], o[6], o[7])
+    """Return an array (7,) as LineOptions."""
+    return LineOptions(o[0], o[1], o[2], o[3], o[4], o[5], o[6])
 
 
 @helper
@@ -70,8 +71,8 @@ def _com(p: Floats, d: Complexes, e: Complexes) -> complex:
 
 @helper
 def _integrate_step(  # type: ignore[no-untyped-def]
-    p, limits, options, direction, free, q, h, d, e, A, C, rates, stage, new,
-):  # fmt: skip
+    p, limits, options, direction, free, q, h, d, e, A, C, rates, stage, new
+):
     """Write the state `new` after a distance h: heading and joints by one Runge-Kutta step.
 
     rates (4, n + 3) is scratch. Return False if a stage has no rates, or rates that are too high.
@@ -84,13 +85,24 @@ def _integrate_step(  # type: ignore[no-untyped-def]
     for i in range(4):
         constraint_rows(p, stage, options.base, d, e, A)
         if not joint_rates(
-            limits, stage, A, rows, options.rule, options.gain, direction, free,
-            z[:n], W[:n], C, y, x[:n],
-        ):  # fmt: skip
+            limits,
+            stage,
+            A,
+            rows,
+            options.rule,
+            options.gain,
+            direction,
+            free,
+            z[:n],
+            W[:n],
+            C,
+            y,
+            x[:n],
+        ):
             return False
         turn = 0.0
         for k in range(n):
-            if abs(x[k]) > options.stopping_rate:
+            if abs(x[k]) > STOPPING_RATE:
                 return False
             turn += A[2, k] * x[k]
         share = h / 6.0 if i in (0, 3) else h / 3.0
@@ -105,8 +117,8 @@ def _integrate_step(  # type: ignore[no-untyped-def]
 
 @helper
 def _correct(  # type: ignore[no-untyped-def]
-    p, limits, base, com, origin, tip, free, q, d, e, A, C, rates,
-):  # fmt: skip
+    p, limits, base, com, origin, tip, free, q, d, e, A, C, rates
+):
     """Move the base so that the centre of mass (or the base) keeps its place, the tip to its line.
 
     Return False if this needs more than a small correction, as it does past a singularity.
@@ -153,8 +165,8 @@ def _share_to_limit(limits: Floats, free: Floats, q: Floats, new: Floats) -> flo
 
 @kernel("(p),(n,k),(m),(o),(r)->(m),(r)")
 def _trace(  # type: ignore[no-untyped-def]
-    p, limits, start, options_, _r, q, result,
-):  # fmt: skip
+    p, limits, start, options_, _r, q, result
+):
     n = start.size - 3
     d, e = np.empty((2, n + 1), np.complex128)
     A, C, rates = np.empty((3, n)), np.empty((3, 3)), np.empty((4, n + 3))
@@ -174,8 +186,8 @@ def _trace(  # type: ignore[no-untyped-def]
     while True:
         constraint_rows(p, q, base, d, e, A)
         moving, count = choose_free_joints(
-            limits, q, A, rows, options.rule, options.gain, direction, free, rates, C, x,
-        )  # fmt: skip
+            limits, q, A, rows, options.rule, options.gain, direction, free, rates, C, x
+        )
         if s >= options.table_end:
             break
         at_limits = 0
@@ -188,7 +200,7 @@ def _trace(  # type: ignore[no-untyped-def]
         for k in range(n):
             rate = max(rate, abs(x[k]))
         slope = (rate - before) / h if h > 0.0 else 0.0
-        if not moving or rate > options.stopping_rate:
+        if not moving or rate > STOPPING_RATE:
             reason = _SINGULARITY
             break
         highest = max(highest, rate)

@@ -50,9 +50,12 @@ class Reception:
 
 
 def describe_problems(
-    subjects: Subjects, required: Collection[str], invalid: Collection[str], now: int,
+    subjects: Subjects,
+    required: Collection[str],
+    invalid: Collection[str],
+    now: int,
     timeout: float,
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """Return the problems with subjects, in words.
 
     Args:

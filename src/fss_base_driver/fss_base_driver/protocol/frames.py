@@ -146,11 +146,14 @@ _GRIPPER = frozenset(Gripper)
 _CODEC: Codec[BaseFrame] = Codec(
     Kind(4, BaseTelemetry, "IIIHBBHHB3xi4x", _check_telemetry),
     Kind(
-        5, BaseCommand, "QHH8HB3x", _check_command,
+        5,
+        BaseCommand,
+        "QHH8HB3x",
+        _check_command,
         lambda c: (c.expiry, c.pulse, c.watchdog, *c.on_times, c.gripper),
         lambda expiry, pulse, watchdog, *rest: (expiry, pulse, watchdog, rest[:-1], rest[-1]),
     ),
-)  # fmt: skip
+)
 
 
 def encode(frame: BaseFrame, key: bytes | None = None) -> bytes:

@@ -39,13 +39,17 @@ class PoseGains(Settings):
         check=NOT_NEGATIVE,
     )
     max_disturbance: float = setting(
-        0.005, "largest acceleration by steady disturbances that is compensated", unit="m/s^2",
+        0.005,
+        "largest acceleration by steady disturbances that is compensated",
+        unit="m/s^2",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     max_offset: float = setting(
-        0.2, "position error above which the control action does not increase", unit="m",
+        0.2,
+        "position error above which the control action does not increase",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )
 
 
 class PoseControl:

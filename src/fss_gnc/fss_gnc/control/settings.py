@@ -18,17 +18,25 @@ class ControlSettings(PoseGains):
         10.0, "publishing rate of base/wrench", unit="1/s", check=between(1.0, 200.0)
     )
     timeout: float = setting(
-        1.0, "time after which a base/trajectory expires unless it is repeated", unit="s",
+        1.0,
+        "time after which a base/trajectory expires unless it is repeated",
+        unit="s",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     max_age: float = setting(
-        0.5, "largest age of base/state, else the valves close, and of arm/joint_states, else the "
-        "joints are assumed at rest", unit="s", check=POSITIVE,
-    )  # fmt: skip
+        0.5,
+        "largest age of base/state, else the valves close, and of arm/joint_states, else the "
+        "joints are assumed at rest",
+        unit="s",
+        check=POSITIVE,
+    )
     max_pause: float = setting(
-        0.5, "longest pause of this process in real time, as on a busy computer; after a longer "
-        "one the base is held and the goal ends", unit="s", check=POSITIVE,
-    )  # fmt: skip
+        0.5,
+        "longest pause of this process in real time, as on a busy computer; after a longer "
+        "one the base is held and the goal ends",
+        unit="s",
+        check=POSITIVE,
+    )
     feed_forward: bool = setting(
         True, "whether to compensate the arm's planned reaction by feedforward"
     )

@@ -35,6 +35,8 @@ from fss_arm_model.momentum import system_com
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.mission_settings import MissionSettings
 
+MAX_DURATION = 150.0  # of a planned approach [s]
+
 
 class Points(NamedTuple):
     """Poses, twists and accelerations of the base in the world, (k, 3) each."""
@@ -216,7 +218,7 @@ class Planner:
             Timing((0.0, 0.6), 0.4, outer + 0.3), Timing((0.1, 0.8), 0.2, outer + 0.1),
         )  # fmt: skip
         t = 6.0
-        while t < self.settings.max_approach_duration:
+        while t < MAX_DURATION:
             facing = self.fixture_direction(float(state[0, 2] + state[1, 2] * (t + lead)))
             shorter = wrap(facing - initial[1])
             for turn in (shorter, shorter - np.copysign(2.0 * pi, shorter)):

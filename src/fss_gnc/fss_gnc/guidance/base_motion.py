@@ -65,10 +65,12 @@ class PathMotion:
             self.phase, self.path = "brake", braking(self.settings, base, obs.t)
         self._measure(obs.t, base)
         return Commands(
-            self.phase if obs.t < self.path.end_time or self.cancel_reason else "hold", self.path,
-            keep_out=self.settings.keep_out, reason=self.cancel_reason,
+            self.phase if obs.t < self.path.end_time or self.cancel_reason else "hold",
+            self.path,
+            keep_out=self.settings.keep_out,
+            reason=self.cancel_reason,
             outcome=self._outcome(obs.t, base),
-        )  # fmt: skip
+        )
 
     def cancel(self, reason: str) -> None:
         """Stop holding, or brake."""

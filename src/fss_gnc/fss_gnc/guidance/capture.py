@@ -86,8 +86,12 @@ class Capture:
         q, qd = obs.floating_state
         state = np.array([obs.target.pose, obs.target.twist])
         self.fixture_error = approach(self.p, q, qd, self.target, state)
-        handlers = {"wait": self._wait, "approach": self._approach, "reach": self._reach,
-               "grip": self._reach}  # fmt: skip
+        handlers = {
+            "wait": self._wait,
+            "approach": self._approach,
+            "reach": self._reach,
+            "grip": self._reach,
+        }
         return handlers[self.phase](obs, q, qd, state)
 
     def cancel(self, reason: str) -> None:
@@ -110,9 +114,11 @@ class Capture:
     def _abort_reason(self, obs: Observation) -> str:
         s = self.settings
         timeouts = {
-            "wait": s.wait_timeout, "approach": s.approach_timeout, "reach": s.reach_timeout + 5.0,
+            "wait": s.wait_timeout,
+            "approach": s.approach_timeout,
+            "reach": s.reach_timeout + 5.0,
             "grip": s.grip_timeout + 5.0,
-        }  # fmt: skip
+        }
         if obs.target is None and self.phase != "wait" and not obs.holds:
             return "target/state is not known"
         if obs.holds is None and self.phase in ("reach", "grip"):
@@ -173,10 +179,13 @@ class Capture:
         elif remaining <= 0.0:
             self._start_reach_if_ready(obs, q, qd, state, trajectory)
         return Commands(
-            "approach", self._path, self._posture_rates(q), obs.keep_gripper,
+            "approach",
+            self._path,
+            self._posture_rates(q),
+            obs.keep_gripper,
             keep_out=self.settings.keep_out,
             fixture_distance=self.fixture_error.distance if self.fixture_error else np.nan,
-        )  # fmt: skip
+        )
 
     def _start_reach_if_ready(
         self, obs: Observation, q: Floats, qd: Floats, state: Floats, trajectory: ApproachTrajectory
@@ -220,9 +229,13 @@ class Capture:
             self._enter_phase("grip", obs.t)
         rates = self._collision_free_rates(self.reach.rates(q, state), q, qd, state)
         return Commands(
-            self.phase, None, rates, self.phase == "grip", s.keep_out,
+            self.phase,
+            None,
+            rates,
+            self.phase == "grip",
+            s.keep_out,
             fixture_distance=error.distance,
-        )  # fmt: skip
+        )
 
     def _retreat(self, t: float) -> None:
         """Back off with open gripper, to try another approach."""
@@ -237,9 +250,14 @@ class Capture:
         for scale in (1.0, 0.5, 0.25):
             try:
                 self.guard.check_command(
-                    q[3:], qd[3:], 0.2, velocity=scale * rates, base=q[:3], twist=qd[:3],
+                    q[3:],
+                    qd[3:],
+                    0.2,
+                    velocity=scale * rates,
+                    base=q[:3],
+                    twist=qd[:3],
                     target=state,
-                )  # fmt: skip
+                )
             except GuardError:
                 continue
             return scale * rates

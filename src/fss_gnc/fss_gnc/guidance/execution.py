@@ -91,9 +91,15 @@ def _abort(reason: str) -> Commands:
 
 
 def start_activity(
-    kind: Kind, craft: Craft, goal: Any, obs: Observation, start_time: int, *,
-    problem: str = "", running: Kind | None = None,
-) -> Execution:  # fmt: skip
+    kind: Kind,
+    craft: Craft,
+    goal: Any,
+    obs: Observation,
+    start_time: int,
+    *,
+    problem: str = "",
+    running: Kind | None = None,
+) -> Execution:
     """Start the activity of a goal.
 
     Args:

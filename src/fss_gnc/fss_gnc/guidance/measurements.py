@@ -48,9 +48,17 @@ class Measurements:
         if q is not None and qd is not None:
             q = q + self.joints.age(now) * qd
         return Observation(
-            (now - start_time) / SECOND, body_at(self.base, now), body_at(self.target, now),
-            q, qd, effort, self.holds.valid_value(now),
+            (now - start_time) / SECOND,
+            body_at(self.base, now),
+            body_at(self.target, now),
+            q,
+            qd,
+            effort,
+            self.holds.valid_value(now),
             np.nan if propellant is None else propellant,
-            None if self.joints.value is None else self.joints.value[0], self.held_body,
-            self.open_valves, self.unknown_push, self.stall.valid_value(now) or "",
-        )  # fmt: skip
+            None if self.joints.value is None else self.joints.value[0],
+            self.held_body,
+            self.open_valves,
+            self.unknown_push,
+            self.stall.valid_value(now) or "",
+        )

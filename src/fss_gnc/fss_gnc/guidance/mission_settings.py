@@ -25,38 +25,44 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     target_fixture: tuple[float, ...] = like(Target, "fixture")
     thrust: float = setting(0.16, "thrust of a valve", unit="N", check=POSITIVE)
     lever: float = setting(
-        0.11, "lever arm of a valve: from the base's origin to its line of thrust", unit="m",
+        0.11,
+        "lever arm of a valve: from the base's origin to its line of thrust",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     authority: float = setting(
         0.5, "fraction of the valves' authority that a reference may use", check=above(0.0, 1.0)
     )
     # the approach
     posture: tuple[float, ...] = setting(
-        (), "joint angles of the approach; empty: the angles at its start", unit="rad",
-        check=FINITE,
-    )  # fmt: skip
+        (), "joint angles of the approach; empty: the angles at its start", unit="rad", check=FINITE
+    )
     stand_off: float = setting(
-        0.08, "distance of the end effector from the fixture at the end of the approach", unit="m",
+        0.08,
+        "distance of the end effector from the fixture at the end of the approach",
+        unit="m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     keep_out: float = like(GuidanceSettings, "keep_out", 0.26)
     approach_edge_gap: float = setting(
-        0.1, "smallest gap between a body and the table's edge on a planned approach", unit="m",
+        0.1,
+        "smallest gap between a body and the table's edge on a planned approach",
+        unit="m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     coast: float = setting(
-        12.0, "time without collision if the thrust fails anywhere on a planned approach", unit="s",
+        12.0,
+        "time without collision if the thrust fails anywhere on a planned approach",
+        unit="s",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
-    max_approach_duration: float = setting(
-        150.0, "longest duration of a planned approach", unit="s", check=POSITIVE
     )
     # the reach
     lead: float = setting(
-        3.0, "time from the start of the reach until the fixture faces the arm", unit="s",
+        3.0,
+        "time from the start of the reach until the fixture faces the arm",
+        unit="s",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     reach_speed: float = setting(
         0.05,
         "largest speed of the end effector relative to the fixture",
@@ -71,9 +77,8 @@ class MissionSettings(GuidanceSettings, GuardSettings):
         check=POSITIVE,
     )
     grip_angle: float = setting(
-        0.4, "largest angle to the fixture at which the gripper closes", unit="rad",
-        check=POSITIVE,
-    )  # fmt: skip
+        0.4, "largest angle to the fixture at which the gripper closes", unit="rad", check=POSITIVE
+    )
     grip_speed: float = setting(
         0.08,
         "largest speed relative to the fixture at which the gripper closes",
@@ -82,32 +87,37 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     )
     # slowing down
     torque_share: float = setting(
-        0.5, "fraction of the joints' largest torques that stopping them may use",
+        0.5,
+        "fraction of the joints' largest torques that stopping them may use",
         check=above(0.0, 1.0),
-    )  # fmt: skip
+    )
     # limits that abort a mission
     wait_timeout: float = setting(
         60.0, "longest wait for a feasible approach", unit="s", check=POSITIVE
     )
     approach_timeout: float = setting(300.0, "longest approach", unit="s", check=POSITIVE)
-    reach_timeout: float = setting(20.0, "longest reach; then the next attempt starts", unit="s",
-                                   check=POSITIVE)  # fmt: skip
+    reach_timeout: float = setting(
+        20.0, "longest reach; then the next attempt starts", unit="s", check=POSITIVE
+    )
     grip_timeout: float = setting(
-        3.0, "longest time to grip; then the next attempt starts", unit="s",
-        check=POSITIVE,
-    )  # fmt: skip
+        3.0, "longest time to grip; then the next attempt starts", unit="s", check=POSITIVE
+    )
     detumble_timeout: float = setting(180.0, "longest detumble", unit="s", check=POSITIVE)
     attempts: int = setting(
         5, "number of reaches after which the mission is aborted", check=POSITIVE
     )
     min_edge_gap: float = setting(
-        0.03, "gap between a body and the table's edge below which the mission is aborted",
-        unit="m", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    min_target_gap: float = setting(
-        0.02, "gap between base or arm and the target below which the mission is aborted", unit="m",
+        0.03,
+        "gap between a body and the table's edge below which the mission is aborted",
+        unit="m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
+    min_target_gap: float = setting(
+        0.02,
+        "gap between base or arm and the target below which the mission is aborted",
+        unit="m",
+        check=NOT_NEGATIVE,
+    )
     max_propellant: float = setting(
         0.06, "propellant use at which the mission is aborted", unit="kg", check=POSITIVE
     )
@@ -116,9 +126,11 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     )
     # the abort
     drift_horizon: float = setting(
-        30.0, "time without collision that a drift after an abort must allow", unit="s",
+        30.0,
+        "time without collision that a drift after an abort must allow",
+        unit="s",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     drift_speed: float = setting(
         0.04, "largest drift speed after an abort", unit="m/s", check=POSITIVE
     )

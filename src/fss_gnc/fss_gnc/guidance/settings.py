@@ -13,16 +13,17 @@ class GuidanceSettings(Extents):
 
     arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
     rate: float = setting(
-        10.0, "rate of the guidance and of base/trajectory", unit="1/s",
-        check=between(1.0, 100.0),
-    )  # fmt: skip
+        10.0, "rate of the guidance and of base/trajectory", unit="1/s", check=between(1.0, 100.0)
+    )
     horizon: float = setting(
         2.0, "length of each base/trajectory", unit="s", check=between(1.0, 60.0)
     )
     max_age: float = setting(
-        0.5, "largest age of base/state and arm/joint_states; beyond it the running action is "
-        "aborted", unit="s", check=POSITIVE,
-    )  # fmt: skip
+        0.5,
+        "largest age of base/state and arm/joint_states; beyond it the running action is aborted",
+        unit="s",
+        check=POSITIVE,
+    )
     speed: float = setting(0.06, "largest speed of the base", unit="m/s", check=POSITIVE)
     acceleration: float = setting(
         0.003, "largest acceleration of the base", unit="m/s^2", check=POSITIVE
@@ -38,28 +39,32 @@ class GuidanceSettings(Extents):
         0.03, "largest heading error at which a goal counts as reached", unit="rad", check=POSITIVE
     )
     rest_speed: float = setting(
-        0.005, "largest speed at which a goal counts as reached", unit="m/s",
-        check=POSITIVE,
-    )  # fmt: skip
+        0.005, "largest speed at which a goal counts as reached", unit="m/s", check=POSITIVE
+    )
     rest_turn_rate: float = setting(
-        0.01, "largest turn rate at which a goal counts as reached", unit="rad/s",
-        check=POSITIVE,
-    )  # fmt: skip
+        0.01, "largest turn rate at which a goal counts as reached", unit="rad/s", check=POSITIVE
+    )
     max_overrun: float = setting(
         30.0, "longest delay after the planned time to reach a goal", unit="s", check=POSITIVE
     )
     max_offset: float = setting(
-        0.15, "largest position error of the base; beyond it the running action is aborted",
-        unit="m", check=POSITIVE,
-    )  # fmt: skip
+        0.15,
+        "largest position error of the base; beyond it the running action is aborted",
+        unit="m",
+        check=POSITIVE,
+    )
     max_turn: float = setting(
-        0.35, "largest heading error of the base; beyond it the running action is aborted",
-        unit="rad", check=POSITIVE,
-    )  # fmt: skip
+        0.35,
+        "largest heading error of the base; beyond it the running action is aborted",
+        unit="rad",
+        check=POSITIVE,
+    )
     keep_out: float = setting(
-        0.3, "radius of the keep-out zone of base, arm and gripper about the target's origin",
-        unit="m", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.3,
+        "radius of the keep-out zone of base, arm and gripper about the target's origin",
+        unit="m",
+        check=NOT_NEGATIVE,
+    )
     edge_margin: float = like(GuardSettings, "edge_margin")
     target_radius: float = like(GuardSettings, "target_radius")
     gripper_length: float = like(GuardSettings, "gripper_length")

@@ -26,8 +26,10 @@ JOINTS = -1  # size of an array with one element for each joint
 POSE_UNIT, TWIST_UNIT = "m, m, rad", "m/s, m/s, rad/s"
 ACCELERATION_UNIT = "m/s^2, m/s^2, rad/s^2"
 KINDS: dict[type, np.dtype[Any]] = {
-    float: np.dtype(np.float64), int: np.dtype(np.int32), bool: np.dtype(np.int32)
-}  # fmt: skip
+    float: np.dtype(np.float64),
+    int: np.dtype(np.int32),
+    bool: np.dtype(np.int32),
+}
 
 
 def quantity(about: str, unit: str = "", size: int = 0, kind: type = float, **default: Any) -> Any:

@@ -32,8 +32,9 @@ class LawProcess:
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "fss_gnc.law.worker", *arguments],
-                pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
-            )  # fmt: skip
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+            )
 
     @property
     def pid(self) -> int:

@@ -55,9 +55,13 @@ class LawRun:
     """
 
     def __init__(
-        self, law: Steps, joints: int, period: float, time_to_live: float,
+        self,
+        law: Steps,
+        joints: int,
+        period: float,
+        time_to_live: float,
         clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._law, self._joints, self._clock, self.period = law, joints, clock, period
         self._lifetime = round(time_to_live * SECOND)
         self._max_step_time = max(MAX_STEP_TIME, MIN_STEP_PERIODS * period)

@@ -14,9 +14,12 @@ class ControllerSettings(Settings):
     law: str = setting("", "control law: MODULE:CLASS, FILE.py:CLASS or LIBRARY.so")
     rate: float = setting(50.0, "steps of the law per second", unit="1/s", check=between(1.0, 1e3))
     time_to_live: float = setting(
-        0.3, "age of a command's inputs at which valves close and joints stop unless the law has "
-        "given a newer command", unit="s", check=POSITIVE,
-    )  # fmt: skip
+        0.3,
+        "age of a command's inputs at which valves close and joints stop unless the law has "
+        "given a newer command",
+        unit="s",
+        check=POSITIVE,
+    )
     arm: str = setting("", "arm to control: paper, cad, truth or a file; empty: paper")
     table: tuple[float, ...] = like(Extents, "table")
     base_frame: str = like(Vehicle, "base_frame")

@@ -33,6 +33,7 @@ HELD_POSITION_ERROR, HELD_HEADING_ERROR = 0.003, 0.01  # 1 sigma of the arm's po
 NO_MEASUREMENT = 0.0, 0.0, 0.0  # placeholder for events without a measurement
 KICK_LEVER = 0.5  # speed change per change of turn rate that a kick may cause [m]
 GATE_SIGMA = 5.0  # standard deviations beyond which a measurement is rejected
+MAX_SPEED = 0.5  # speed up to which rejected poses count as those of one body [m/s]
 MAX_NIS_VALUES = 200  # number of stored NIS values of each kind of measurement
 #: Kind of an event: time passes, a pose, a rate, the pose of a held body, a push.
 TIME_ONLY, POSE, RATE, HELD_POSE, PUSH = 0.0, 1.0, 2.0, 3.0, 4.0
@@ -56,7 +57,7 @@ class Variances(NamedTuple):
 @helper
 def _step(  # type: ignore[no-untyped-def]
     x0, P0, acceleration, noise, row, gate, variances, x, P, out
-):  # fmt: skip
+):
     """Predict by dt, then update with a measurement that lies within the gate.
 
     If a measurement lies beyond the gate, the update is repeated under the assumption that the body
@@ -165,7 +166,7 @@ def _step(  # type: ignore[no-untyped-def]
 @kernel("(s),(s,s),(f,w),(f,w,w),(e,r),(),(c)->(e,s),(e,s,s),(e,w)")
 def _steps(  # type: ignore[no-untyped-def]
     x0, P0, acceleration, noise, rows, gate, v, x, P, out
-):  # fmt: skip
+):
     """Run one step for each row.
 
     Acceleration and noise have one entry for each row, or one for all rows.
@@ -290,9 +291,15 @@ class BodyFilter:
         volume_sigma = e.volume_error, e.volume_error, e.volume_heading_error, 0.0, 0.0, 0.0
         self._volume_covariance = np.diag(np.square(volume_sigma))
         deviations = (
-            e.bias_walk, e.rate_error, e.position_error, e.heading_error, HELD_POSITION_ERROR,
-            HELD_HEADING_ERROR, e.kick, e.angular_kick,
-        )  # fmt: skip
+            e.bias_walk,
+            e.rate_error,
+            e.position_error,
+            e.heading_error,
+            HELD_POSITION_ERROR,
+            HELD_HEADING_ERROR,
+            e.kick,
+            e.angular_kick,
+        )
         self._variances = Variances(*np.square(deviations).tolist())
 
     @property
@@ -450,9 +457,12 @@ class BodyFilter:
         return square, used > 0.0
 
     def _run_steps(
-        self, last: _Event, times: Sequence[int], rows: Sequence[Sequence[float]],
+        self,
+        last: _Event,
+        times: Sequence[int],
+        rows: Sequence[Sequence[float]],
         gate: float = GATE_SIGMA**2,
-    ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    ) -> tuple[Floats, Floats, Floats]:
         found: tuple[Floats, Floats, Floats] = _steps(
             last.x, last.P, *self.inputs.mean_accelerations(times), rows, gate, self._variances
         )
@@ -479,7 +489,7 @@ class BodyFilter:
             first, last, before = self._candidate
             moved = hypot(pose[0] - before[0], pose[1] - before[1])
             agrees = 0 <= t - last < SECOND // 5
-            if agrees and moved < 10.0 * e.position_error + e.max_speed * (t - last) / SECOND:
+            if agrees and moved < 10.0 * e.position_error + MAX_SPEED * (t - last) / SECOND:
                 since = first
         self._candidate = since, t, pose
         return t - since >= e.settle_time * SECOND and self._start(t, pose)

@@ -43,9 +43,12 @@ def valve_problems(faults: Faults) -> list[str]:
 
 
 def diagnostic_values(
-    navigation: Navigation, base: TrackedBody, target: TrackedBody,
-    pulses: int, rejected: Mapping[str, int],
-) -> dict[str, Any]:  # fmt: skip
+    navigation: Navigation,
+    base: TrackedBody,
+    target: TrackedBody,
+    pulses: int,
+    rejected: Mapping[str, int],
+) -> dict[str, Any]:
     """Return states and statistics, by their names in diagnostics.
 
     Args:

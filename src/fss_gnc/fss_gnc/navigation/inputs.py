@@ -33,6 +33,8 @@ PLAN_CORRELATION_TIME = 0.2  # of a joint's deviation from its plan [s]
 MIN_RATE_CHANGE = 1e-4  # smaller changes of a joint's rate do not affect the base [rad/s]
 CHANGE_WINDOW = 0.5  # window of recent changes of a joint's rate [s]
 MIN_RATE_ERROR = 5e-4  # smallest error of a measured joint rate [rad/s]
+JOINT_CHANGE_ERROR = 0.3  # of a constant acceleration between two readings, relative, 1 sigma
+SILENT_JOINT_WALK = 0.05  # random walk of the rate of a joint without readings [rad/s/sqrt(s)]
 MAX_JOINT_RATE = 100.0  # joint rate beyond which a reading is rejected [rad/s]
 #: Number of stored readings of each joint, of valve commands and of points of a plan. At 50 a
 #: second the first two span more than the filter's HISTORY_LENGTH, within which it may recompute.
@@ -41,13 +43,11 @@ UNUSED, NO_END = -np.inf, np.inf  # times [s]
 
 
 class Linearization(NamedTuple):
-    """Point of linearization, and the errors of the joints' motion."""
+    """Point of linearization, and the error of the joints' rates."""
 
     t: float  # [s]
     omega: float  # turn rate of the base [rad/s]
     rate_error: float  # relative error of a joint's rate
-    change_error: float  # relative error of the change of a joint's rate
-    silent_walk: float  # random walk of the rate of a joint without recent readings
 
 
 class Prediction(NamedTuple):
@@ -60,9 +60,19 @@ class Prediction(NamedTuple):
 
 @kernel("(p),(n),(n,k),(n,k),(w),(w,w),(c)->(w,w),(w,n),(w),(w,w),(w,w)")
 def _linearize(  # type: ignore[no-untyped-def]
-    p, angles, read_at, rates, leak_wrench, base_noise, o, mobility, by_joint,
-    bias_acceleration, read_density, unread_density,
-):  # fmt: skip
+    p,
+    angles,
+    read_at,
+    rates,
+    leak_wrench,
+    base_noise,
+    o,
+    mobility,
+    by_joint,
+    bias_acceleration,
+    read_density,
+    unread_density,
+):
     """Return M, B and M (w - h) at a time, and the noise before and after the last readings.
 
     Args:
@@ -72,14 +82,14 @@ def _linearize(  # type: ignore[no-untyped-def]
         rates: (n, k) [rad/s].
         leak_wrench: (3,) wrench w of valves that stay open.
         base_noise: (3, 3) density of the noise that does not come from the joints.
-        o: (5,) Linearization.
+        o: (3,) Linearization.
         mobility: (3, 3) M, written.
         by_joint: (3, n) B, written.
         bias_acceleration: (3,) M (w - h), written.
         read_density: (3, 3) density of the noise until all joints were read, written.
         unread_density: (3, 3) density of the noise after that, written.
     """
-    at_point, n = Linearization(o[0], o[1], o[2], o[3], o[4]), angles.size
+    at_point, n = Linearization(o[0], o[1], o[2]), angles.size
     q, qd, tau = np.zeros(3 + n), np.zeros(3 + n), np.zeros(3 + n)
     read_noise, noise_weight = np.empty(n), np.empty(n)
     qd[2] = at_point.omega
@@ -93,8 +103,8 @@ def _linearize(  # type: ignore[no-untyped-def]
             if at[k - 1] > UNUSED:
                 change = max(change, (rates[i, k] - rates[i, k - 1]) ** 2 / (at[k] - at[k - 1]))
         step = 2.0 * (at_point.rate_error * qd[3 + i]) ** 2 / PLAN_CORRELATION_TIME  # per reading
-        read_noise[i] = step + at_point.change_error**2 * change
-        noise_weight[i] = step + change if is_recent else at_point.silent_walk**2
+        read_noise[i] = step + JOINT_CHANGE_ERROR**2 * change
+        noise_weight[i] = step + change if is_recent else SILENT_JOINT_WALK**2
     work, H = np.empty((3, n + 1), np.complex128), np.empty((3 + n, 3 + n))
     write_inertia(p, q, work, H)
     write_bias(p, q, qd, work, tau)
@@ -107,14 +117,26 @@ def _linearize(  # type: ignore[no-untyped-def]
     )
 
 
-@kernel(
-    "(),(),(n,k),(n,k),(p),(p,v),(v,w),(w,w),(w,n),(w),(w,w),(w,w),(q),(q,n),(c)->(w),(w,w)"
-)  # fmt: skip
+@kernel("(),(),(n,k),(n,k),(p),(p,v),(v,w),(w,w),(w,n),(w),(w,w),(w,w),(q),(q,n),(c)->(w),(w,w)")
 def _mean_acceleration(  # type: ignore[no-untyped-def]
-    starts, ends, read_at, rates, opened, closed, valves, mobility, by_joint,
-    bias_acceleration, read_density, unread_density,
-    planned_at, planned, o, acceleration, noise,
-):  # fmt: skip
+    starts,
+    ends,
+    read_at,
+    rates,
+    opened,
+    closed,
+    valves,
+    mobility,
+    by_joint,
+    bias_acceleration,
+    read_density,
+    unread_density,
+    planned_at,
+    planned,
+    o,
+    acceleration,
+    noise,
+):
     """Compute the mean acceleration (3,) and noise (3, 3) of the base in an interval, in its axes.
 
     The newest entries are last; unused times are UNUSED. `o` (3,) is a Prediction.
@@ -189,7 +211,7 @@ class KnownInputs:
             np.full((MAX_PULSES, COUNT), UNUSED),
         )
         self._prediction = Prediction(
-            0.0, s.thrust_error**2, s.joint_change_error**2 * PLAN_CORRELATION_TIME
+            0.0, s.thrust_error**2, JOINT_CHANGE_ERROR**2 * PLAN_CORRELATION_TIME
         )
         self._origin: int | None = None  # time at which the times in the arrays are zero [ns]
         self._reset_joints(count(np.asarray(p)))
@@ -341,16 +363,22 @@ class KnownInputs:
         """Linearize about the joints' state at t [s], with the base's turn rate omega [rad/s]."""
         self._model_time, self._model_omega, s = t, omega, self.settings
         at = t if t > UNUSED else 0.0
-        point = Linearization(
-            at, omega, s.joint_rate_error, s.joint_change_error, s.silent_joint_walk
-        )
+        point = Linearization(at, omega, s.joint_rate_error)
         (
-            self.mobility, self._by_joint, self._bias_acceleration, self._read_noise,
+            self.mobility,
+            self._by_joint,
+            self._bias_acceleration,
+            self._read_noise,
             self._unread_noise,
         ) = _linearize(
-            self.p, self._angles, self._read_at, self._rates, self._leak_wrench, self._base_noise,
+            self.p,
+            self._angles,
+            self._read_at,
+            self._rates,
+            self._leak_wrench,
+            self._base_noise,
             point,
-        )  # fmt: skip
+        )
         newest = self._read_at[:, -1].tolist()
         self._prediction = self._prediction._replace(read_until=min(newest))
         # Time at which the next joint counts as silent.
@@ -368,9 +396,20 @@ class KnownInputs:
             self._linearize_at(until, self._model_omega)
         t = np.array([self._seconds(at) for at in times])
         found: tuple[Floats, Floats] = _mean_acceleration(
-            t[:-1], t[1:], self._read_at, self._rates, self._opened, self._closed,
-            self._working_valves, self.mobility, self._by_joint, self._bias_acceleration,
-            self._read_noise, self._unread_noise, self._planned_at, self._planned_accelerations,
+            t[:-1],
+            t[1:],
+            self._read_at,
+            self._rates,
+            self._opened,
+            self._closed,
+            self._working_valves,
+            self.mobility,
+            self._by_joint,
+            self._bias_acceleration,
+            self._read_noise,
+            self._unread_noise,
+            self._planned_at,
+            self._planned_accelerations,
             self._prediction,
-        )  # fmt: skip
+        )
         return found

@@ -51,21 +51,25 @@ class MassErrors(Settings):
     """Uncertainty of the body's prior, and random walk of the momentum."""
 
     mass_error: float = setting(
-        0.7, "relative standard deviation of the target's mass and inertia (of their logarithms)",
+        0.7,
+        "relative standard deviation of the target's mass and inertia (of their logarithms)",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     com_error: float = setting(
-        0.05, "standard deviation of the target's centre of mass from its frame's origin", unit="m",
+        0.05,
+        "standard deviation of the target's centre of mass from its frame's origin",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     momentum_walk: float = setting(
-        0.003, "random walk of the momentum by unknown forces", unit="N sqrt(s)",
-        check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.003, "random walk of the momentum by unknown forces", unit="N sqrt(s)", check=NOT_NEGATIVE
+    )
     angular_momentum_walk: float = setting(
-        0.001, "random walk of the angular momentum by unknown torques", unit="N m sqrt(s)",
+        0.001,
+        "random walk of the angular momentum by unknown torques",
+        unit="N m sqrt(s)",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
 
 
 class MassProperties(NamedTuple):
@@ -166,9 +170,9 @@ class MassEstimator:
 
     def __post_init__(self) -> None:
         mass, x, y, inertia = self.prior.values
-        self._prior_mean = np.concatenate([
-            [np.log(mass), x, y, np.log(inertia), 1.0], self.earlier[0].qd[:3], self.free.twist,
-        ])  # fmt: skip
+        self._prior_mean = np.concatenate(
+            [[np.log(mass), x, y, np.log(inertia), 1.0], self.earlier[0].qd[:3], self.free.twist]
+        )
         scale = self.prior.scale
         covariance = self.prior.covariance / np.outer(scale, scale)
         self._prior_root = np.zeros((UNKNOWNS, UNKNOWNS))  # square root of the prior's covariance
@@ -216,10 +220,13 @@ class MassEstimator:
         cost, residuals = self._cost(rows, whitening, self._z)
         damping = 1e-3
         for _ in range(MAX_ITERATIONS):
-            J = np.stack([
-                (self._residuals(rows, whitening, self._z + step) - residuals) / DIFFERENCE_STEP
-                for step in DIFFERENCE_STEP * np.eye(UNKNOWNS)
-            ], axis=1)  # fmt: skip
+            J = np.stack(
+                [
+                    (self._residuals(rows, whitening, self._z + step) - residuals) / DIFFERENCE_STEP
+                    for step in DIFFERENCE_STEP * np.eye(UNKNOWNS)
+                ],
+                axis=1,
+            )
             information = J.T @ J + np.eye(UNKNOWNS)
             gradient = J.T @ residuals + self._z
             step = -np.linalg.solve(information + damping * np.eye(UNKNOWNS), gradient)

@@ -258,10 +258,13 @@ class Navigation:
         """Return the state of base and arm at t [ns], with the impulse of the valves."""
         q, qd = self._state(t)
         return Sample(
-            t / SECOND, q, qd, self.base.state().covariance[3:, 3:],
+            t / SECOND,
+            q,
+            qd,
+            self.base.state().covariance[3:, 3:],
             self.inputs.joint_rate_deviations(),
             self._impulses(t)[0].sum(axis=0),
-        )  # fmt: skip
+        )
 
     def _start_mass_estimator(self, t: int, sample: Sample) -> MassEstimator:
         """Start the estimate of the held body from the samples before the grip.

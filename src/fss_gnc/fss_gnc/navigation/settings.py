@@ -23,13 +23,17 @@ class SensorErrors(Settings):
         0.009, "standard deviation of the base's measured heading", unit="rad", check=POSITIVE
     )
     volume_error: float = setting(
-        0.0, "systematic position error of motion capture at a place, along each axis, 1 sigma",
-        unit="m", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0,
+        "systematic position error of motion capture at a place, along each axis, 1 sigma",
+        unit="m",
+        check=NOT_NEGATIVE,
+    )
     volume_heading_error: float = setting(
-        0.0, "systematic heading error of motion capture at a place, 1 sigma",
-        unit="rad", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0,
+        "systematic heading error of motion capture at a place, 1 sigma",
+        unit="rad",
+        check=NOT_NEGATIVE,
+    )
     rate_error: float = setting(
         0.001, "standard deviation of a gyro sample", unit="rad/s", check=POSITIVE
     )
@@ -43,23 +47,23 @@ class SensorErrors(Settings):
         0.3, "random walk of the base's turn rate", unit="rad/s/sqrt(s)", check=POSITIVE
     )
     kick: float = setting(
-        0.05, "sudden change of the base's speed that is accepted, as by a touch, 1 sigma",
-        unit="m/s", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.05,
+        "sudden change of the base's speed that is accepted, as by a touch, 1 sigma",
+        unit="m/s",
+        check=NOT_NEGATIVE,
+    )
     angular_kick: float = setting(
-        0.01, "sudden change of the base's turn rate that is accepted, 1 sigma",
-        unit="rad/s", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.01,
+        "sudden change of the base's turn rate that is accepted, 1 sigma",
+        unit="rad/s",
+        check=NOT_NEGATIVE,
+    )
     settle_time: float = setting(
         0.3,
         "time for which rejected poses must agree until the filter restarts there",
         unit="s",
         check=POSITIVE,
     )
-    max_speed: float = setting(
-        0.5, "largest speed at which rejected poses count as those of one body", unit="m/s",
-        check=POSITIVE,
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -67,21 +71,29 @@ class Bounds(Settings):
     """Bounds beyond which the state of a body counts as unknown."""
 
     max_outage: float = setting(
-        2.0, "time without a pose after which the state of a body counts as unknown", unit="s",
+        2.0,
+        "time without a pose after which the state of a body counts as unknown",
+        unit="s",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     max_position_deviation: float = setting(
-        0.02, "standard deviation of the position above which the state counts as unknown",
-        unit="m", check=POSITIVE,
-    )  # fmt: skip
-    max_heading_deviation: float = setting(
-        0.03, "standard deviation of the heading above which the state counts as unknown",
-        unit="rad", check=POSITIVE,
-    )  # fmt: skip
-    max_speed_deviation: float = setting(
-        0.05, "standard deviation of the speed above which the state counts as unknown", unit="m/s",
+        0.02,
+        "standard deviation of the position above which the state counts as unknown",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )
+    max_heading_deviation: float = setting(
+        0.03,
+        "standard deviation of the heading above which the state counts as unknown",
+        unit="rad",
+        check=POSITIVE,
+    )
+    max_speed_deviation: float = setting(
+        0.05,
+        "standard deviation of the speed above which the state counts as unknown",
+        unit="m/s",
+        check=POSITIVE,
+    )
 
 
 @dataclass(frozen=True)
@@ -105,28 +117,25 @@ class EstimatorSettings(SensorErrors, Bounds):
     angular_acceleration: float = like(SensorErrors, "angular_acceleration", 0.003)
     thrust: float = setting(0.16, "thrust of one thruster", unit="N", check=POSITIVE)
     thruster_lever: float = setting(
-        0.11, "lever arm of a thruster: from the base's origin to the line of thrust", unit="m",
+        0.11,
+        "lever arm of a thruster: from the base's origin to the line of thrust",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     valve_delay: float = setting(
-        0.005, "delay from a command to a thruster until its thrust starts, or ends",
-        unit="s", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.005,
+        "delay from a command to a thruster until its thrust starts, or ends",
+        unit="s",
+        check=NOT_NEGATIVE,
+    )
     thrust_error: float = setting(
         0.05, "relative error of the thrust, 1 sigma", check=between(0.0, 1.0)
     )
     joint_rate_error: float = setting(
-        0.04, "relative error of a joint's rate, as by the ripple of a harmonic drive, 1 sigma",
+        0.04,
+        "relative error of a joint's rate, as by the ripple of a harmonic drive, 1 sigma",
         check=between(0.0, 1.0),
-    )  # fmt: skip
-    joint_change_error: float = setting(
-        0.3, "relative error of assuming a constant acceleration between two joint readings",
-        check=between(0.0, 1.0),
-    )  # fmt: skip
-    silent_joint_walk: float = setting(
-        0.05, "random walk of the rate of a joint without readings", unit="rad/s/sqrt(s)",
-        check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -134,9 +143,11 @@ class NavigationSettings(EstimatorSettings, MassErrors):
     """Parameters of a NavigationNode."""
 
     latency: float = setting(
-        0.0, "latency of the poses of motion capture, which is subtracted from their stamps",
-        unit="s", check=between(0.0, 0.5),
-    )  # fmt: skip
+        0.0,
+        "latency of the poses of motion capture, which is subtracted from their stamps",
+        unit="s",
+        check=between(0.0, 0.5),
+    )
     target_acceleration: float = setting(
         5e-4, "random walk of the target's velocity", unit="m/s/sqrt(s)", check=POSITIVE
     )
@@ -146,9 +157,11 @@ class NavigationSettings(EstimatorSettings, MassErrors):
     target_mass: float = like(Target, "mass")
     target_inertia: float = like(Target, "inertia")
     rate: float = setting(
-        20.0, "rate of base/state and target/state without poses", unit="Hz",
+        20.0,
+        "rate of base/state and target/state without poses",
+        unit="Hz",
         check=between(1.0, 100.0),
-    )  # fmt: skip
+    )
     arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
     base_topic: str = like(Vehicle, "base_topic")
     target_topic: str = like(Vehicle, "target_topic")

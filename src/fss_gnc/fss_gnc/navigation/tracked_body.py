@@ -16,9 +16,11 @@ class TrackedBody:
     """
 
     def __init__(
-        self, filter_: BodyFilter, update: Callable[[int, float, float, float], bool],
+        self,
+        filter_: BodyFilter,
+        update: Callable[[int, float, float, float], bool],
         publish: Callable[[BodyState], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.filter, self.update, self.publish = filter_, update, publish
         self.published = -1  # time of the newest published state [ns]
         self.lost_reason = "not observed yet"  # why the state is not published; empty: it is

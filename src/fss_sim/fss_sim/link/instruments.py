@@ -79,9 +79,15 @@ class TorqueConverter:
     """
 
     def __init__(
-        self, sensor: TorqueSensor, rate: int, noise: float, zero: float, random: Random,
-        crosstalk: float = 0.0, drift: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        sensor: TorqueSensor,
+        rate: int,
+        noise: float,
+        zero: float,
+        random: Random,
+        crosstalk: float = 0.0,
+        drift: float = 0.0,
+    ) -> None:
         self._sensor, self._noise, self._zero, self._random = sensor, noise, zero, random
         self._crosstalk, self._drift = crosstalk, drift
         self._period = 1_000_000 // rate  # [us]

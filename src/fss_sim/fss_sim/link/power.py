@@ -44,25 +44,32 @@ class Power(Settings):
 
     energy: float = setting(89.0, "energy of a link's full battery", unit="W h", check=POSITIVE)
     resistance: float = setting(
-        0.1, "resistance of a link's battery and its wiring at 25 deg C", unit="ohm",
+        0.1,
+        "resistance of a link's battery and its wiring at 25 deg C",
+        unit="ohm",
         check=between(0.001, 10.0),
-    )  # fmt: skip
+    )
     electronics: float = setting(
-        0.15, "current of a link's micro-controller and torque converter", unit="A",
+        0.15,
+        "current of a link's micro-controller and torque converter",
+        unit="A",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     wifi: float = setting(0.1, "current of a link's Wi-Fi", unit="A", check=NOT_NEGATIVE)
     idle: float = setting(2.5, "power of a servo drive that is off", unit="W", check=NOT_NEGATIVE)
     switching: float = setting(
-        1.5, "additional power of a servo drive that is on, without its motor", unit="W",
+        1.5,
+        "additional power of a servo drive that is on, without its motor",
+        unit="W",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     winding: float = setting(2.0, "resistance of a motor", unit="ohm", check=NOT_NEGATIVE)
     base: float = setting(
         1.2, "current of the base's computer and board", unit="A", check=NOT_NEGATIVE
     )
-    valve: float = setting(0.1, "current of each open valve of the base", unit="A",
-                           check=NOT_NEGATIVE)  # fmt: skip
+    valve: float = setting(
+        0.1, "current of each open valve of the base", unit="A", check=NOT_NEGATIVE
+    )
 
 
 class Battery:

@@ -29,16 +29,20 @@ class Radio(Settings):
 
     rate: float = setting(2e6, "bit rate of the radio channel", unit="bit/s", check=POSITIVE)
     overhead: float = setting(
-        0.0008, "airtime of a datagram in addition to its bytes: preambles, gaps, acknowledgement",
-        unit="s", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0008,
+        "airtime of a datagram in addition to its bytes: preambles, gaps, acknowledgement",
+        unit="s",
+        check=NOT_NEGATIVE,
+    )
     loss: float = setting(
         0.01, "share of the attempts to send that fail outside bursts", check=between(0.0, 1.0)
     )
     burst_interval: float = setting(
-        20.0, "mean time between a station's bursts of loss; 0: no bursts", unit="s",
+        20.0,
+        "mean time between a station's bursts of loss; 0: no bursts",
+        unit="s",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     burst_length: float = setting(
         0.2, "mean length of a burst of loss", unit="s", check=above(0.0, 1e3)
     )
@@ -49,9 +53,11 @@ class Radio(Settings):
         6, "largest number of retries before a datagram is dropped", check=between(0, 15)
     )
     patience: float = setting(
-        0.5, "time that a datagram waits for the channel before it is dropped", unit="s",
+        0.5,
+        "time that a datagram waits for the channel before it is dropped",
+        unit="s",
         check=POSITIVE,
-    )  # fmt: skip
+    )
 
 
 class RadioChannel:

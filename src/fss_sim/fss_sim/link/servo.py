@@ -49,13 +49,20 @@ FLASH, INTERNAL, LOGIC = Cause(0, 1 << 0), Cause(0, 1 << 1), Cause(0, 1 << 11)
 PERMANENT = FLASH.latch | INTERNAL.latch | LOGIC.latch  # cannot be cleared by a command
 #: Causes that injected faults of the on/off type trigger.
 INJECTED = {
-    "short_circuit": SHORT_CIRCUIT, "overcurrent": OVERCURRENT,
-    "encoder": FEEDBACK, "phasing": PHASING, "flash": FLASH, "internal": INTERNAL,
-    "logic": LOGIC, "command_input": INPUT_LOST,
-    "positive_limit": Cause(AT_POSITIVE_SWITCH, 0), "negative_limit": Cause(AT_NEGATIVE_SWITCH, 0),
-    "enable": Cause(ENABLE_OPEN, 0), "voltage_limit": Cause(VOLTAGE_LIMITED, 0),
+    "short_circuit": SHORT_CIRCUIT,
+    "overcurrent": OVERCURRENT,
+    "encoder": FEEDBACK,
+    "phasing": PHASING,
+    "flash": FLASH,
+    "internal": INTERNAL,
+    "logic": LOGIC,
+    "command_input": INPUT_LOST,
+    "positive_limit": Cause(AT_POSITIVE_SWITCH, 0),
+    "negative_limit": Cause(AT_NEGATIVE_SWITCH, 0),
+    "enable": Cause(ENABLE_OPEN, 0),
+    "voltage_limit": Cause(VOLTAGE_LIMITED, 0),
     "wrapped": Cause(WRAPPED, 0),
-}  # fmt: skip
+}
 BLOCKING = 0x7F | ENABLE_OPEN | TRACKING.status | LATCHED  # status bits that prevent motion
 
 # All of these values are assumed. The motor's heating is chosen so that its continuous current

@@ -111,9 +111,22 @@ def _joint_torque(joint, q, qd, qdd, reference, law, torques):  # type: ignore[n
 
 @helper
 def apply_drives(  # type: ignore[no-untyped-def]
-    bodies, forces, joints, demand, q, qd, reference, z, start_vectors, work, dz, inertia,
-    requested, laws, torques,
-):  # fmt: skip
+    bodies,
+    forces,
+    joints,
+    demand,
+    q,
+    qd,
+    reference,
+    z,
+    start_vectors,
+    work,
+    dz,
+    inertia,
+    requested,
+    laws,
+    torques,
+):
     """Add the joint torques of the next step to forces.held, and write torques (n, 2).
 
     With the damping D of the terms predicted one step ahead, (A + STEP D) v' = forces(v' = 0).

@@ -176,7 +176,7 @@ def _advance_motor(joint, gear, demand, inertia, x, v, s, carried, motor, refere
 @helper
 def apply_geared_drives(  # type: ignore[no-untyped-def]
     bodies, geared, whole, demand, reference, motors, z, start_vectors, work, dz, still
-):  # fmt: skip
+):
     """Set the drives' torques for the next step, and stop the motors that stick in it.
 
     A motor is stopped by an impulse between rotor and stator. Its work enters the energy audit.
@@ -193,9 +193,8 @@ def apply_geared_drives(  # type: ignore[no-untyped-def]
         s = spring_torque(gear, x) + gear.damping * xd
         theta, rate = z[0, 4 + m + j], z[1, 4 + m + j]
         geared.drive[j], sticks = _advance_motor(
-            geared.joints[j], gear, demand[j], rotor[0], theta, rate, s, qd,
-            motors[j], reference[j],
-        )  # fmt: skip
+            geared.joints[j], gear, demand[j], rotor[0], theta, rate, s, qd, motors[j], reference[j]
+        )
         geared.turns[j] = 0.0 if sticks else 1.0
         bodies.inertia[0, j] -= geared.turns[j] * ratio * rotor[1]
         if sticks and rate != 0.0:

@@ -24,9 +24,11 @@ class Joints(Settings):
     """Mechanical parameters that all joints share."""
 
     rotor_inertia: float = setting(
-        0.0, "inertia of each rotor, seen at its joint, 0.0026 for the FHA-8C-30; 0: none",
-        unit="kg m^2", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0,
+        "inertia of each rotor, seen at its joint, 0.0026 for the FHA-8C-30; 0: none",
+        unit="kg m^2",
+        check=NOT_NEGATIVE,
+    )
     gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
     viscous: float = setting(
         0.5, "viscous friction of each joint", unit="N m s/rad", check=NOT_NEGATIVE
@@ -40,33 +42,43 @@ class Joints(Settings):
     )
 
     stiffness: float = setting(
-        0.0, "stiffness of the harmonic drives, 340 to 440 for the FHA-8C-30; 0: rigid",
-        unit="N m/rad", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0,
+        "stiffness of the harmonic drives, 340 to 440 for the FHA-8C-30; 0: rigid",
+        unit="N m/rad",
+        check=NOT_NEGATIVE,
+    )
     damping: float = setting(
         0.0, "damping of a harmonic drive's twist", unit="N m s/rad", check=NOT_NEGATIVE
     )
     dead_band: float = setting(
-        0.0, "dead band (backlash) of a harmonic drive, from end to end", unit="rad",
+        0.0,
+        "dead band (backlash) of a harmonic drive, from end to end",
+        unit="rad",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     static: float = setting(
-        0.0, "static friction of a joint, if larger than its Coulomb friction", unit="N m",
+        0.0,
+        "static friction of a joint, if larger than its Coulomb friction",
+        unit="N m",
         check=NOT_NEGATIVE,
-    )  # fmt: skip
+    )
     stribeck_speed: float = setting(
-        0.05, "speed at which 1/e of the excess of static friction is left", unit="rad/s",
+        0.05,
+        "speed at which 1/e of the excess of static friction is left",
+        unit="rad/s",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     cancelled: float = setting(
         1.0,
         "share of viscous and Coulomb friction that a servo compensates",
         check=between(0.0, 1.0),
     )
     ripple: float = setting(
-        0.0, "amplitude of the motors' torque ripple, two periods per motor turn",
-        unit="N m", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0,
+        "amplitude of the motors' torque ripple, two periods per motor turn",
+        unit="N m",
+        check=NOT_NEGATIVE,
+    )
     current_bandwidth: float = setting(
         0.0, "bandwidth of the current loops; 0: without delay", unit="Hz", check=NOT_NEGATIVE
     )

@@ -51,7 +51,7 @@ def _thrust(valves, step, held):  # type: ignore[no-untyped-def]
 @helper
 def _write_audit(  # type: ignore[no-untyped-def]
     bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit
-):  # fmt: skip
+):
     """Write to `audit` the bodies' momentum and energy, and the total impulse and work on them."""
     audit[0, 0], audit[0, 1] = bodies.mass * z[1, 0], bodies.mass * z[1, 1]
     audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
@@ -62,9 +62,21 @@ def _write_audit(  # type: ignore[no-untyped-def]
 
 @kernel("(p),(r),(n,l),(e),(t,f),(n,d),(c),(s,m),(n,g),(b,a)->(s,m),(n,g),(b,a),(n,s)")
 def _advance(  # type: ignore[no-untyped-def]
-    p, rotor, joints, surroundings, valves, demand, control, state0, reference0, audit0,
-    state, reference, audit, torques,
-):  # fmt: skip
+    p,
+    rotor,
+    joints,
+    surroundings,
+    valves,
+    demand,
+    control,
+    state0,
+    reference0,
+    audit0,
+    state,
+    reference,
+    audit,
+    torques,
+):
     m, kind = state.shape[1] - 2, np.complex128
     bodies = make_bodies(p.copy(), rotor.copy())
     z, k = np.zeros((2, 4 + m)), np.zeros((8, 2, 4 + m))
@@ -83,9 +95,22 @@ def _advance(  # type: ignore[no-untyped-def]
         thrust = _thrust(valves, step, held)
         forces = Forces(around, thrust, held, torque)
         apply_drives(
-            bodies, forces, joint_rows, demands, q, qd, references, z, start_vectors, work, dz,
-            inertia, requested, laws, joint_torques,
-        )  # fmt: skip
+            bodies,
+            forces,
+            joint_rows,
+            demands,
+            q,
+            qd,
+            references,
+            z,
+            start_vectors,
+            work,
+            dz,
+            inertia,
+            requested,
+            laws,
+            joint_torques,
+        )
         if tolerance > 0.0:
             _controlled(bodies, forces, STEP, tolerance, z, start_vectors, turned, work, k)
         else:
@@ -104,9 +129,25 @@ def _advance(  # type: ignore[no-untyped-def]
     "(p),(r),(n,l),(f),(n),(e),(t,v),(n,d),(c),(s,m),(n,g),(n,h),(b,a)->(s,m),(n,g),(n,h),(b,a),(n,s)"
 )
 def _advance_geared(  # type: ignore[no-untyped-def]
-    p, rotor, joints, shared, rest, surroundings, valves, demand, control, state0, reference0,
-    motors0, audit0, state, reference, motors, audit, torques,
-):  # fmt: skip
+    p,
+    rotor,
+    joints,
+    shared,
+    rest,
+    surroundings,
+    valves,
+    demand,
+    control,
+    state0,
+    reference0,
+    motors0,
+    audit0,
+    state,
+    reference,
+    motors,
+    audit,
+    torques,
+):
     n, kind = demand.shape[0], np.complex128
     m, size = n + 1, 5 + 2 * n
     bodies, z, k = make_bodies(p.copy(), np.zeros(2)), np.zeros((2, size)), np.zeros((8, 2, size))
@@ -116,9 +157,18 @@ def _advance_geared(  # type: ignore[no-untyped-def]
     held, torque, turns, drive = np.empty(m), np.empty(m), np.ones(n), np.zeros(n)
     around, turning, sprung = surroundings.copy(), rotor.copy(), np.empty(m)
     gear = GearParameters(
-        shared[0], shared[1], shared[2], shared[3], shared[4], shared[5], shared[6], shared[7],
-        shared[8], shared[9], rest.copy(),
-    )  # fmt: skip
+        shared[0],
+        shared[1],
+        shared[2],
+        shared[3],
+        shared[4],
+        shared[5],
+        shared[6],
+        shared[7],
+        shared[8],
+        shared[9],
+        rest.copy(),
+    )
     joint_rows, demands, references = joints.copy(), demand.copy(), reference0.copy()
     motor_states = motors0.copy()
     q, qd = state0[0].copy(), state0[1].copy()
@@ -245,6 +295,17 @@ def advance_geared(
     control = np.array([steps, tolerance], dtype=float)
     *shared, rest = gears
     return _advance_geared(
-        p, rotor, joints, shared, rest, surroundings, valves, demand, control, state, reference,
-        motors, audit,
-    )  # fmt: skip
+        p,
+        rotor,
+        joints,
+        shared,
+        rest,
+        surroundings,
+        valves,
+        demand,
+        control,
+        state,
+        reference,
+        motors,
+        audit,
+    )

@@ -53,9 +53,8 @@ class Gripper(Settings):
         0.0, "force above which a grip slips; 0: no limit", unit="N", check=NOT_NEGATIVE
     )
     torque: float = setting(
-        0.0, "torque above which a grip slips; 0: no limit", unit="N m",
-        check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0, "torque above which a grip slips; 0: no limit", unit="N m", check=NOT_NEGATIVE
+    )
 
     @property
     def limited(self) -> bool:
@@ -149,9 +148,18 @@ class PassiveTarget:
     def advance_steps(self, steps: int, first_step: int, tolerance: float) -> None:
         """Advance by steps; with 0 steps, only update the audit of momentum and energy."""
         self._state, _, self.audit_rows, _ = advance(
-            self.p, (0.0, 0.0), np.zeros((0, 7)), self._around, VALVES_CLOSED, np.zeros((0, 4)),
-            self._state, np.zeros((0, 2)), self.audit_rows, steps, tolerance,
-        )  # fmt: skip
+            self.p,
+            (0.0, 0.0),
+            np.zeros((0, 7)),
+            self._around,
+            VALVES_CLOSED,
+            np.zeros((0, 4)),
+            self._state,
+            np.zeros((0, 2)),
+            self.audit_rows,
+            steps,
+            tolerance,
+        )
 
     def attach(self, state: Callable[[], Floats]) -> None:
         """Let the target move with a vehicle's last link: `state` returns its pose and twist."""

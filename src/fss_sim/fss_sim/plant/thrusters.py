@@ -20,9 +20,11 @@ class Propulsion(Settings):
 
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
-        0.11, "lever of a thruster: from the base's origin to the line of thrust", unit="m",
+        0.11,
+        "lever of a thruster: from the base's origin to the line of thrust",
+        unit="m",
         check=POSITIVE,
-    )  # fmt: skip
+    )
     specific_impulse: float = setting(
         34.0, "specific impulse of the thrusters", unit="s", check=POSITIVE
     )
@@ -47,13 +49,18 @@ class Propulsion(Settings):
     )
     temperature: float = setting(293.0, "temperature of tank and gas", unit="K", check=POSITIVE)
     bearing_flow: float = setting(
-        0.0, "air flow from the tank to the bearings of base and links; 0: an external supply "
-        "feeds them, and they never fail", unit="kg/s", check=NOT_NEGATIVE,
-    )  # fmt: skip
+        0.0,
+        "air flow from the tank to the bearings of base and links; 0: an external supply "
+        "feeds them, and they never fail",
+        unit="kg/s",
+        check=NOT_NEGATIVE,
+    )
     bearing_pressure: float = setting(
-        0.4e6, "tank pressure below which the bearings do not carry the vehicle", unit="Pa",
+        0.4e6,
+        "tank pressure below which the bearings do not carry the vehicle",
+        unit="Pa",
         check=POSITIVE,
-    )  # fmt: skip
+    )
 
 
 class Thrusters:

@@ -254,14 +254,34 @@ class Vehicle:
         around = self._surroundings if tank.floats else self._pads
         if joints.stiffness:
             self._state, self._reference, self._motors, self.audit_rows, torques = advance_geared(
-                self._p, joints.rotor, self._joints, self._gears, around, valves, self._demand,
-                self._state, self._reference, self._motors, self.audit_rows, steps, tolerance,
-            )  # fmt: skip
+                self._p,
+                joints.rotor,
+                self._joints,
+                self._gears,
+                around,
+                valves,
+                self._demand,
+                self._state,
+                self._reference,
+                self._motors,
+                self.audit_rows,
+                steps,
+                tolerance,
+            )
         else:
             self._state, self._reference, self.audit_rows, torques = advance(
-                self._p, joints.rotor, self._joints, around, valves, self._demand, self._state,
-                self._reference, self.audit_rows, steps, tolerance,
-            )  # fmt: skip
+                self._p,
+                joints.rotor,
+                self._joints,
+                around,
+                valves,
+                self._demand,
+                self._state,
+                self._reference,
+                self.audit_rows,
+                steps,
+                tolerance,
+            )
         self._torques = torques if steps else self._torques
 
     def end_steps(self, steps: int) -> None:
