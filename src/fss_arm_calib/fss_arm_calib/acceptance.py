@@ -1,6 +1,6 @@
 """Acceptance checks that all kinds of calibration share, and the verdict that follows."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, nan
 
@@ -15,7 +15,10 @@ from fss_arm_model.description import Arm
 
 PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"
 
+FIT = "fit"  # name of the check of all residuals; its chi-square is the one reported
 CAUSE = "cause"  # name of the check that gives the probable cause of a bad verdict
+MAX_LENGTH = 74  # characters of a reason that fit in the line of a verdict, after "fail: "
+MAX_NAMED = 2  # uncertain parameters named in the line of a verdict
 MAX_REASONS = 4  # limit if the verdict is not pass; the checks hold all reasons
 
 UPDATE_TOLERANCE = 1e-9  # largest last update of a converged solution [deviations]
@@ -31,6 +34,7 @@ class Check:
     threshold: float
     reason: str  # text with value and threshold
     needed: bool = True  # must be evaluated for a verdict; a failed check always counts
+    brief: str = ""  # key number of a pass, or the reason in few words if it needs several lines
 
 
 def check_limit(
@@ -39,7 +43,8 @@ def check_limit(
     """Return a check that passes if value <= threshold; `failure_text` explains a failure."""
     passed = value <= threshold  # False for NaN
     words = reason if passed or not failure_text else f"{failure_text}: {reason}"
-    return Check(name, PASS if passed else FAIL, value, threshold, words)
+    brief = "" if passed else failure_text
+    return Check(name, PASS if passed else FAIL, value, threshold, words, brief=brief)
 
 
 def check_chi_square(
@@ -67,14 +72,17 @@ def check_chi_square(
     )
     passed = chance >= min_probability
     reason = facts if passed else f"{failure_text}: {facts}"
-    return Check(name, PASS if passed else FAIL, chance, min_probability, reason)
+    number = f"chi-square of the fit {chi_square:.4g} for {freedom:.4g} degrees of freedom"
+    brief = failure_text if not passed else number if name == FIT else ""
+    verdict = PASS if passed else FAIL
+    return Check(name, verdict, chance, min_probability, reason, brief=brief)
 
 
 def check_fit(
     chi_square: float, freedom: float, min_probability: float, failure_text: str, noise: Noise
 ) -> Check:
     """Check that the residuals agree with the given or estimated deviations."""
-    check = check_chi_square("fit", chi_square, freedom, min_probability, failure_text)
+    check = check_chi_square(FIT, chi_square, freedom, min_probability, failure_text)
     if noise.is_given.all():
         return check
     return replace(
@@ -128,11 +136,11 @@ def frame_mismatch(streams: Streams) -> str:
 
 
 def check_data_amount(
-    name: str, found: float, needed: float, reason: str, streams: Streams
+    name: str, found: float, needed: float, reason: str, streams: Streams, brief: str = ""
 ) -> Check:
     """Check that the data suffice for a verdict; if not, list silent streams and rejections."""
     if found >= needed:
-        return Check(name, PASS, found, needed, reason)
+        return Check(name, PASS, found, needed, reason, brief=brief)
     if streams.silent:
         reason += f"; nothing received from {', '.join(streams.silent)}"
     if rejected := [f"{number} {why}" for why, number in streams.rejected.items() if number]:
@@ -225,15 +233,47 @@ def decide_verdict(checks: Sequence[Check]) -> tuple[str, tuple[str, ...]]:
     If a needed check could not be evaluated, the verdict is "not evaluated" even if others failed,
     because the missing data may be the cause. The reasons of a pass are those of the checks passed.
     """
+    verdict, deciding = _decide(checks)
+    reasons = tuple(s.reason for s in deciding)
+    return verdict, reasons if verdict == PASS else tuple(dict.fromkeys(reasons))[:MAX_REASONS]
+
+
+def _decide(checks: Sequence[Check]) -> tuple[str, list[Check]]:
+    """Return the verdict and the checks that give its reasons, the most important one first."""
     causes = [s for s in checks if s.name == CAUSE]
     missing = [s for s in checks if s.verdict == NOT_EVALUATED and s.needed and s not in causes]
     failed = [s for s in checks if s.verdict == FAIL and s not in causes]
     verdict = NOT_EVALUATED if missing else FAIL if failed else PASS
     if verdict == PASS:
-        return verdict, tuple(s.reason for s in checks if s.reason and s not in causes)
+        return verdict, [s for s in checks if s.reason and s not in causes]
     notes = [s for s in checks if s.verdict == NOT_EVALUATED and s not in [*missing, *causes]]
-    reasons = [s.reason for s in [*causes, *missing, *failed, *notes] if s.reason]
-    return verdict, tuple(dict.fromkeys(reasons))[:MAX_REASONS]
+    return verdict, [s for s in [*causes, *missing, *failed, *notes] if s.reason]
+
+
+def summarize(checks: Sequence[Check], uncertain: Mapping[str, float] | None = None) -> str:
+    """Return the reason of a verdict in one line: the first one, or the key numbers of a pass.
+
+    Args:
+        checks: checks that decide the verdict.
+        uncertain: relative deviations of parameters too uncertain to use, by name; a pass names
+            them in place of the second number.
+    """
+    verdict, deciding = _decide(checks)
+    numbers = [s.brief for s in deciding if s.brief] if verdict == PASS else []
+    if verdict == PASS and uncertain:
+        return "; ".join([*numbers[:1], f"record more to use {format_uncertain(uncertain)}"])
+    reasons = ((s.brief if len(s.reason) > MAX_LENGTH else "") or s.reason for s in deciding)
+    return ", ".join(numbers) or next(reasons, "")
+
+
+def format_uncertain(uncertain: Mapping[str, float]) -> str:
+    """Format parameters with their relative deviations; after MAX_NAMED only their number."""
+    words = [
+        f"{name} (± {100 * share:.0f} %)" if share < inf else f"{name} (not determined)"
+        for name, share in uncertain.items()
+    ]
+    more = f" and {len(words) - MAX_NAMED} more" if len(words) > MAX_NAMED else ""
+    return f"{', '.join(words[:MAX_NAMED])}{more}"
 
 
 def hide_pass_reason(check: Check) -> Check:

@@ -25,7 +25,7 @@ def report_outcome(
     Raises:
         OSError: a file cannot be written.
     """
-    console.print(report.printable(found))
+    console.print(report.printable(found, options.details), highlight=False)
     if options.result:
         result.write(options.result, kind.name, outcome)
     if options.report:

@@ -25,6 +25,7 @@ def add_output_options(p: argparse.ArgumentParser, output_name: str) -> None:
         "--result", metavar="JSON", help="write the result as JSON and CSV, whatever the verdict"
     )
     p.add_argument("--report", metavar="DIR", help="write an HTML page, and its figures as PNG")
+    p.add_argument("--details", action="store_true", help="print all tables and checks")
     p.add_argument("--truth", metavar="YAML", help="true description to compare with in the report")
     p.add_argument("--namespace", default="", help="namespace of the vehicle, e.g. fss2")
 

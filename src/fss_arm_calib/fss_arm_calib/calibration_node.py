@@ -10,7 +10,6 @@ from std_srvs.srv import Trigger
 
 from fss_arm_calib.acceptance import FAIL, PASS, format_count
 from fss_arm_calib.calibration import CAUSES, Calibration
-from fss_arm_calib.messages import calibration_part
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
 from fss_arm_calib.report import write
@@ -91,7 +90,7 @@ class CalibrationNode(Node):
             return
         if initial.arm != self.initial.arm:
             self.initial = initial
-            self.get_logger().info(f"starting from {topic}: {calibration_part(message).reason}")
+            self.get_logger().info(f"starting from {topic}")
             self.outcome = self.solve()
             self.publish()
 
@@ -104,7 +103,7 @@ class CalibrationNode(Node):
         if folder := self.settings.report:
             self.writer(lambda: write(folder, self.kind.report_of(self.outcome)))
         response.success = self.outcome.verdict == PASS
-        response.message = f"{self.outcome.verdict}: {self.outcome.reason}"
+        response.message = f"{self.outcome.verdict}: {self.outcome.summary}"
         if self.outcome.verdict == FAIL and CAUSES not in self.kind.unavailable:
             response.message += "; to find the cause, run from_bag on a recording"
         return response
@@ -128,7 +127,7 @@ class CalibrationNode(Node):
             self.outcome = self.solve()
             self.publish()
             lines = [self.kind.data.describe(one, len(self.data)) for one in found]
-            for line in (*lines, f"{self.outcome.verdict}: {self.outcome.reason}"):
+            for line in (*lines, f"{self.outcome.verdict}: {self.outcome.summary}"):
                 self.get_logger().info(line)
         return bool(found)
 

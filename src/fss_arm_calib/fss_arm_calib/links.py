@@ -22,6 +22,7 @@ links first, beside the arm's description, which becomes a list of serial number
 
 #: Parameters of a link that calibrations estimate, by their names in results, with their units.
 ESTIMATED = {"a": "m", "theta_0": "rad", "m": "kg", "b": "m", "I": "kg m^2"}
+LINKS_WIDTH = 110  # columns of the table where the output is not a terminal
 ATTRIBUTES = {"m": "mass", "I": "inertia"}  # attributes of a Link that have another name
 
 
@@ -124,7 +125,7 @@ def main(args: Sequence[str] | None = None) -> int:
     path = Path(options.arm)
     if options.result:
         write_back(path, read_passed(options.result))
-    report.console().print(links_table(path))
+    report.console(LINKS_WIDTH).print(links_table(path))
     return 0
 
 

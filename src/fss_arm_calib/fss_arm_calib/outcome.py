@@ -17,8 +17,10 @@ from fss_arm_calib.acceptance import (
     PASS,
     Check,
     decide_verdict,
+    format_uncertain,
     frame_mismatch,
     stream_causes,
+    summarize,
 )
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.arrays import Floats
@@ -37,6 +39,7 @@ FORMER_SETTINGS = {
     "same_posture": radians(1.0),
 }
 
+MAX_USABLE_DEVIATION = 0.25  # of a mass or inertia, relative; more is too uncertain to use
 LIVE = "live"  # source of data received from topics
 
 
@@ -113,6 +116,19 @@ class Estimate:
         unknown = lost[:, None] | lost
         object.__setattr__(self, "covariance", np.where(unknown, nan, self.covariance))
 
+    @property
+    def uncertain(self) -> dict[str, float]:
+        """Relative deviations of masses and inertias too uncertain to use, the largest first."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = self.deviations / np.abs(self.values)
+        shares = np.where(np.isinf(self.deviations), np.inf, shares)
+        found = {
+            name: float(share)
+            for name, unit, share in zip(self.names, self.units, shares, strict=True)
+            if unit in ("kg", "kg m^2") and share > MAX_USABLE_DEVIATION
+        }
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -156,6 +172,11 @@ class Outcome(Generic[D, S]):
     def reason(self) -> str:
         """Reasons for the verdict in one line."""
         return "; ".join(self.reasons)
+
+    @property
+    def summary(self) -> str:
+        """Reason for the verdict in one line; a pass names what is too uncertain to use."""
+        return summarize(self.checks, self.estimate.uncertain)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -238,7 +259,7 @@ def make_outcome(
         checks = [*checks, Check("frames", NOT_EVALUATED, nan, nan, differ, needed=False)]
     description = ""
     if calibrated and passed:
-        description = to_yaml(calibrated(), list(_origin_lines(provenance, estimate)))
+        description = to_yaml(calibrated(), list(_origin_lines(provenance, checks, estimate)))
     return Outcome(
         tuple(data),
         tuple(used),
@@ -253,12 +274,16 @@ def make_outcome(
     )
 
 
-def _origin_lines(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
+def _origin_lines(
+    provenance: Provenance, checks: Sequence[Check], estimate: Estimate
+) -> Iterator[str]:
     """Yield lines about the origin of a calibrated description, for its readers."""
     end = datetime.fromtimestamp(provenance.end / SECOND, UTC)
     e = estimate
     yield f"Calibrated by {provenance.software} from {provenance.source}, until {end:%F %R} UTC:"
-    yield f"pass, chi-square {e.chi_square:.4g} for {e.degrees_of_freedom} degrees of freedom"
+    yield f"pass: {summarize(checks)}"
+    if e.uncertain:
+        yield f"too uncertain to use: {format_uncertain(e.uncertain)}"
     for name, value, deviation, unit in zip(e.names, e.values, e.deviations, e.units, strict=True):
         yield f"{name} = {value:.6g} +- {deviation:.2g} {unit}"
 

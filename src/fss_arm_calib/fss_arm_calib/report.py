@@ -5,8 +5,8 @@ Each kind of calibration makes a Report of its outcome; the layout is defined he
 
 import base64
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from html import escape
 from io import BytesIO
 from pathlib import Path
@@ -15,15 +15,21 @@ from typing import TYPE_CHECKING, Any
 from fss_arm_model.files import write_text
 
 if TYPE_CHECKING:  # not imported by nodes, which print no tables
-    from rich.console import Console, Group
-    from rich.table import Table as PrintedTable
+    from rich.console import Console, ConsoleOptions, Group, RenderableType
+
+CONSOLE_WIDTH = 80  # columns where the output is not a terminal
+BORDER = 3  # columns that the frame of a cell takes
 
 VERDICT_STYLES = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
 
 
 @dataclass(frozen=True)
 class Table:
-    """Table of texts with a head; the first `words` columns are words, the others numbers."""
+    """Table of texts with a head; the first `words` columns are words, the others numbers.
+
+    Printed with rich, it never breaks a word or a number: a table that is too wide is continued
+    below, with the first column repeated.
+    """
 
     title: str
     head: Sequence[str]
@@ -31,6 +37,70 @@ class Table:
     words: int = 1
     note: str = ""
     weak: Sequence[int] = ()  # indices of rows shown in amber
+    detailed: Sequence[str] = ()  # columns that are printed with the details only
+
+    @property
+    def brief(self) -> "Table":
+        """The table without its detailed columns."""
+        kept = [k for k, name in enumerate(self.head) if name not in self.detailed]
+        return self.columns(kept)
+
+    def columns(self, which: Sequence[int]) -> "Table":
+        """Return the table with some of its columns."""
+        rows = [[row[k] for k in which] for row in self.rows]
+        words = sum(k < self.words for k in which)
+        return replace(self, head=[self.head[k] for k in which], rows=rows, words=words)
+
+    def widths(self, width: int) -> list[int]:
+        """Return the widths of the columns in a table of a width: each word and number fits.
+
+        Numbers, and the names in front of them, stay in one line.
+        """
+        columns = list(zip(self.head, *self.rows, strict=True))
+        natural = [max(map(len, cells)) for cells in columns]
+        found = []
+        for k, (name, *cells) in enumerate(columns):
+            breakable = k < self.words and (k > 0 or self.words == len(self.head))
+            words = " ".join(cells).split() if breakable else cells
+            found.append(max(map(len, [*name.split(), *words]), default=0))
+        for _ in range(width - sum(found) - BORDER * len(found) - 1):
+            k = max(range(len(found)), key=lambda k: natural[k] / max(found[k], 1))
+            found[k] += found[k] < natural[k]
+        return found
+
+    def parts(self, width: int) -> "list[Table]":
+        """Return the table in parts that fit a width, each with the first column."""
+        narrow = self.widths(0)
+        found: list[list[int]] = [[0]]
+        for k in range(1, len(self.head)):
+            taken = sum(narrow[j] + BORDER for j in [*found[-1], k]) + 1
+            if taken > width and len(found[-1]) > 1:
+                found.append([0])
+            found[-1].append(k)
+        return [self.columns(some) for some in found]
+
+    def __rich_console__(
+        self, console: "Console", options: "ConsoleOptions"
+    ) -> "Iterator[RenderableType]":
+        from rich.table import Table as PrintedTable
+        from rich.text import Text
+
+        columns = enumerate(zip(self.head, *self.rows, strict=True))
+        filled = self.columns([k for k, cells in columns if k == 0 or any(cells)])
+        for number, part in enumerate(filled.parts(options.max_width)):
+            if part.title:
+                yield Text(part.title + ", continued" * (number > 0), style="italic")
+            printed = PrintedTable()
+            for k, (name, width) in enumerate(
+                zip(part.head, part.widths(options.max_width), strict=True)
+            ):
+                printed.add_column(
+                    Text(name), justify="left" if k < part.words else "right", max_width=width,
+                    style="bold" if name == "estimate" else "", overflow="fold",  # not truncated
+                )  # fmt: skip
+            for row in part.rows:
+                printed.add_row(*map(Text, row))
+            yield printed
 
 
 @dataclass(frozen=True)
@@ -54,49 +124,39 @@ class Report:
 
     title: str
     verdict: str
-    reason: str
+    reason: str  # one line
     tables: Sequence[Table]  # the most important ones
     origin: str
     figures: Sequence[Figure] = ()
     details: Sequence[Table] = ()
     texts: Mapping[str, str] = field(default_factory=dict)  # by title, shown unchanged
-    reasons: Sequence[str] = ()  # the reason as a list
     below: Sequence[str] = ()  # lines below the verdict: date of the data, next step
     html: str = ""  # shown unchanged above the figures
 
 
-def console() -> "Console":
-    """Return the console for reports, 110 columns wide if it is not a terminal."""
+def console(width: int = CONSOLE_WIDTH) -> "Console":
+    """Return the console for reports, of a fixed width if it is not a terminal."""
     from rich.console import Console
 
     terminal = Console()
-    return terminal if terminal.is_terminal else Console(width=110)
+    return terminal if terminal.is_terminal else Console(width=width)
 
 
-def printable(report: Report) -> "Group":
-    """Return the main tables and the verdict of a report, printable with rich."""
+def printable(report: Report, details: bool = False) -> "Group":
+    """Return the verdict, the first table and the next step, or all tables, printable with rich."""
     from rich.console import Group
     from rich.text import Text
 
-    several = report.verdict != "pass" and len(report.reasons) > 1
-    words = "".join(f"\n  - {one}" for one in report.reasons) if several else f": {report.reason}"
-    verdict = Text.assemble((_verdict_text(report.verdict), VERDICT_STYLES[report.verdict]), words)
-    title = Text(report.title, style="bold")
-    return Group(title, *map(rich_table, report.tables), verdict, Text(report.origin, style="dim"))
-
-
-def rich_table(table: Table) -> "PrintedTable":
-    """Convert a table to one that rich can print."""
-    from rich.table import Table as PrintedTable
-
-    printed = PrintedTable(title=table.title, title_justify="left")
-    for k, name in enumerate(table.head):
-        style = "bold" if name == "estimate" else ""
-        side: Any = "left" if k < table.words else "right"
-        printed.add_column(name, justify=side, style=style, overflow="fold")  # not truncated
-    for row in table.rows:
-        printed.add_row(*row)
-    return printed
+    style = VERDICT_STYLES[report.verdict]
+    verdict = Text.assemble((_verdict_text(report.verdict), style), f": {report.reason}")
+    tables = [*report.tables, *report.details] if details else [report.tables[0].brief]
+    notes = [*report.below, *([report.origin] if details else [])]
+    return Group(
+        verdict,
+        Text(report.title, style="bold"),
+        *tables,
+        *(Text(line, style="dim") for line in notes),
+    )
 
 
 def write(folder: str | Path, *reports: Report) -> Path:

@@ -27,21 +27,32 @@ def make_report(
     return Report(
         title=title,
         verdict=o.verdict,
-        reason=o.reason,
+        reason=o.summary,
         tables=tables,
         origin=format_origin(o),
         figures=() if o.solution is None else figures,
         details=(check_table(o), *(() if o.solution is None else details), stream_table(o)),
-        reasons=o.reasons,
-        below=[f"Data of {format_period(o.provenance)}.", NEXT_STEPS[o.verdict]],
+        below=[f"Data of {format_period(o.provenance)}.", *next_steps(o)],
         texts={"Settings": o.provenance.parameters, "Initial description": to_yaml(o.arm)},
+    )
+
+
+def next_steps(outcome: Outcome[Any, Any]) -> tuple[str, ...]:
+    """Return lines with the recommended next step; a command has lines of its own."""
+    if outcome.verdict != PASS or not (uncertain := outcome.estimate.uncertain):
+        return (NEXT_STEPS[outcome.verdict],)
+    arm, names = outcome.settings.arm, " ".join(k for k in outcome.names if k in uncertain)
+    return (
+        f"Next: record maneuvers that determine {names}. To plan them:",
+        f"  ros2 run fss_arm_calib design --bag BAG{f' --arm {arm}' if arm else ''} \\",
+        f"    --chosen '{names}' --output plan.yaml",
     )
 
 
 #: Recommended next step, by verdict.
 NEXT_STEPS = {
     PASS: "Next: give the calibrated description (output) to the nodes, and keep the bag.",
-    FAIL: "Next: do not use these numbers. See the failed checks below.",
+    FAIL: "Next: do not use these numbers. The checks (--details, or the report) show why.",
     NOT_EVALUATED: "Next: record the missing data; the data received count already.",
 }
 
@@ -118,12 +129,16 @@ def check_table(outcome: Outcome[Any, Any]) -> Table:
             c.verdict.replace("_", " "),
             c.reason,
             format_number(c.value, ".4g"),
-            f"{c.threshold:.4g}",
+            format_number(c.threshold, ".4g"),
         ]
         for c in outcome.checks
     ]
     head = ["check", "verdict", "reason", "value", "threshold"]
-    return Table("Checks", head, rows, words=3)
+    note = (
+        "chi-square of the fit: of the residuals in the given deviations, or in the largest "
+        "accepted ones where the deviations are estimated."
+    )
+    return Table("Checks", head, rows, words=3, note=note)
 
 
 def stream_table(outcome: Outcome[Any, Any]) -> Table:

@@ -34,12 +34,13 @@ def main(name: str, arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--out", type=Path, help=f"folder for the results; default: out/{name}-TIME"
     )
+    parser.add_argument("--details", action="store_true", help="print all tables and checks")
     module.add_options(parser)
     options = parser.parse_args(arguments)
     out, console = results(options.out, name), report.console()
     rehearsed = module.run(options, out, console)
     summary = rehearsed.report(f"Rehearsal: {name}", REHEARSALS[name])
-    console.print(report.printable(summary))
+    console.print(report.printable(summary, options.details), highlight=False)
     page = report.write(out / "report", summary, *rehearsed.reports)
     for file, content in {str(page.relative_to(out)): "report", **rehearsed.files}.items():
         if (out / file).exists():

@@ -66,7 +66,7 @@ TEMPLATE = """<h2>Animation of the mission</h2>
 <option value="5" selected>5 x</option><option value="10">10 x</option></select></p>
 <p><output></output></p>
 <p><small>Blue: base and arm; green: path of the end effector; purple: target; cyan: firing
-thrusters. A gray square is 0.5 m wide.</small></p>
+thrusters. A gray square is 0.5 m wide, the frame is the table; x points right, y up.</small></p>
 </div>
 <script>
 (() => {

@@ -216,7 +216,7 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     log_line(when)
     for name, unit, i in (("x", "N s", 0), ("y", "N s", 1), ("about the origin", "N m s", 2)):
         before, after = flight.momentum[k - 1, i], flight.momentum[k, i]
-        log_line(f"  momentum {name:>16}  before {before:+.12f}  after {after:+.12f} {unit}")
+        log_line(f"  momentum {name:>16}  before {before:+#.4g}  after {after:+#.4g} {unit}")
     worst, audit = float(np.abs(change - impulse).max()), float(np.abs(flight.error).max())
     difference = f"difference at most {worst:.1e}; largest audit error of the mission {audit:.1e}"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
@@ -242,11 +242,11 @@ def plot(arm: Arm, flight: Flight) -> Any:
     """Draw the mission from above, and momentum and motion over time."""
     from matplotlib.figure import Figure as Drawing
 
-    figure = Drawing(figsize=(12.0, 7.0), layout="constrained")
+    figure = Drawing(figsize=(13.0, 9.0), layout="constrained")
     grid = figure.add_gridspec(4, 2, width_ratios=(1.5, 1.0))
     above = figure.add_subplot(grid[:, 0])
     above.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    above.set_title("top view: start, capture, end")
+    above.set_title("top view; pale: start, medium: capture, dark: end")
     k = int(np.argmax(flight.holds)) if flight.holds.any() else len(flight.time) - 1
     for i, shade in ((0, 0.35), (k, 0.65), (len(flight.time) - 1, 1.0)):
         draw_scene(above, arm, flight.q[i], flight.target[i], shade)
@@ -256,28 +256,28 @@ def plot(arm: Arm, flight: Flight) -> Any:
     above.legend(loc="upper left")
     panels: tuple[tuple[str, list[tuple[str, Any]]], ...] = (
         (
-            "rotation [deg/s]",
+            "rotation rate\n[deg/s]",
             [
                 ("base", np.degrees(flight.qd[:, 2])),
                 ("target", np.degrees(flight.target_twist[:, 2])),
             ],
         ),
         (
-            "joints [deg]",
+            "joint angle\n[deg]",
             [(f"joint {j}", np.degrees(flight.q[:, 2 + j])) for j in range(1, arm.n + 1)],
         ),
         (
-            "total momentum about the origin [N m s]",
-            [("total", flight.momentum[:, 2]), ("from thrusters", flight.impulse[:, 2])],
+            "momentum about\nthe origin [N m s]",
+            [("all bodies", flight.momentum[:, 2]), ("from thrusters", flight.impulse[:, 2])],
         ),
     )
-    for row, (title, lines) in enumerate(panels):
+    for row, (quantity, lines) in enumerate(panels):
         panel = figure.add_subplot(grid[row, 1])
         for name, values in lines:
             panel.plot(flight.time, values, lw=1, label=name)
-        panel.set_title(title, fontsize=10)
-        panel.legend(fontsize=8)
-        panel.set_xlim(*flight.time[[0, -1]])
+        panel.set(xlim=flight.time[[0, -1]], xlabel="time [s]", ylabel=quantity)
+        panel.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        panel.grid(alpha=0.25)
     starts = [since for since, _ in flight.phases]
     ends = [*starts[1:], flight.time[-1]]
     panel = figure.add_subplot(grid[3, 1])
@@ -285,8 +285,7 @@ def plot(arm: Arm, flight: Flight) -> Any:
         panel.barh(phase, end - since, left=since, color="C2")
     panel.invert_yaxis()
     panel.tick_params(axis="y", labelsize=8)
-    panel.set(xlim=flight.time[[0, -1]], xlabel="time [s]")
-    panel.set_title("phases", fontsize=10)
+    panel.set(xlim=flight.time[[0, -1]], xlabel="time [s]", ylabel="phase")
     return figure
 
 
@@ -356,6 +355,6 @@ def budget(result: Capture.Result) -> list[str]:
     return [
         f"result of the guidance: {end}",
         f"  time {result.duration:.1f} s, propellant {1e3 * result.propellant:.1f} g",
-        f"  momentum at the grip {x:+.3f}, {y:+.3f} N s, {turning:+.4f} N m s",
+        f"  momentum at the grip {x:+#.4g}, {y:+#.4g} N s, {turning:+#.4g} N m s",
         f"  largest joint torque {result.largest_torque:.2f} N m",
     ]

@@ -12,7 +12,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_calib import report
@@ -31,6 +30,7 @@ from fss_arm_ros.qos import LATCHED
 from fss_rehearsal.domain import CONFIG, Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes, RehearsalError
+from fss_rehearsal.progress import counting_bar
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
 RECORDED_TOPICS = (
@@ -147,7 +147,7 @@ def observe(
         RehearsalError: a node failed, or the deadline passed.
     """
     end_time = time.monotonic() + options.deadline
-    with Nodes(out / "logs", console.print, domain) as nodes, progress(console) as bar:
+    with Nodes(out / "logs", console.print, domain) as nodes, counting_bar(console) as bar:
         start_all(nodes, options, out)
         operator = Calibrator(domain)
         task = bar.add_task("postures observed", total=options.postures)
@@ -170,17 +170,6 @@ def observe(
             rclpy.spin_once(operator, timeout_sec=0.5)
         operator.destroy_node()
     return live
-
-
-def progress(console: Console) -> Progress:
-    """Return a progress bar that counts postures."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=console,
-    )
 
 
 def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> Check:
@@ -233,10 +222,10 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         )
         result = observe(options, out, console, domain)
     found = KINEMATIC.report_of(result, load(CONFIG / "truth.yaml"))
-    console.print(report.printable(found))
+    console.print(report.printable(found, options.details), highlight=False)
     reproduced = from_bag(out / "bag", result)
     console.print(reproduced.happened)
-    verdict_check = Check("the calibration passes", result.reason, result.verdict == PASS)
+    verdict_check = Check("the calibration passes", result.summary, result.verdict == PASS)
     files = {
         "bag": "recording",
         "arm.yaml": "calibrated description",

@@ -16,7 +16,7 @@ from rich.console import Console
 from std_srvs.srv import Trigger
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_calib.acceptance import PASS
+from fss_arm_calib.acceptance import PASS, format_count
 from fss_arm_calib.drift.kind import DRIFT
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.from_bag import solve_bag
@@ -142,11 +142,12 @@ def evaluate(live: DriftCalibration, offline: Outcome[Any, Any]) -> list[Check]:
         offline: result from the bag.
     """
     result = live.calibration
+    live_text = f"{result.verdict} from {format_count(result.used, 'drift')}"
     checks = [
-        Check("the calibration passes", result.reason, result.verdict == PASS),
+        Check("the calibration passes", live_text, result.verdict == PASS),
         Check(
             "the bag alone gives the same verdict",
-            offline.reason,
+            f"{offline.verdict}: {offline.summary}",
             offline.verdict == result.verdict,
         ),
     ]

@@ -8,9 +8,11 @@ operator puts the base back after each session of maneuvers.
 
 import argparse
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import radians
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -36,8 +38,10 @@ from fss_arm_model.parameters import values
 from fss_rehearsal.domain import Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes, RehearsalError
+from fss_rehearsal.progress import counting_bar
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
+MAX_STATUS = 28  # characters of the experiment's status beside the progress bar
 PAUSE = 5.2  # between maneuvers [s]
 MANEUVERS_PER_SESSION = (
     4  # maneuvers before the operator puts the base back to the middle of the table
@@ -67,13 +71,15 @@ class Experimenter(Operator):
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)
         self.status_message = "starting"
+        self.stops = 0  # stops of the session's maneuvers that were reached
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
-        """Store the experiment's status message."""
+        """Store the experiment's status message and progress."""
         for status in message.status:
             if status.name == "/experiment":
                 self.status_message = status.message
+                self.stops = int(status.values[0].value)
 
 
 def draw_truth(guess: Arm, settings: DynamicSettings, seed: int) -> Arm:
@@ -117,18 +123,28 @@ def start_all(
     )  # fmt: skip
 
 
+def maneuvers_done(plan: Sequence[Planned], stops: int) -> int:
+    """Return how many maneuvers are done after `stops` stops; the first is where they start."""
+    ends = 1 + np.cumsum([len(one.durations) for one in plan])
+    return int(np.searchsorted(ends, stops, side="right"))
+
+
 def run_sessions(
     options: argparse.Namespace, out: Path, cameras: Cameras, console: Console, domain: Domain
 ) -> None:
-    """Run all maneuvers, session after session.
+    """Run all maneuvers, session after session, and show the progress.
 
     Raises:
         RehearsalError: a node failed, or the deadline passed.
     """
     end_time = time.monotonic() + options.deadline
-    for session in range(len(list(out.glob("plan_*.yaml")))):
-        logs = out / "logs" / f"session_{session}"
-        with Nodes(logs, console.print, domain) as nodes, console.status("starting") as status:
+    count = len(list(out.glob("plan_*.yaml")))
+    plans = [read_plan(out / f"plan_{session}.yaml", LINKS) for session in range(count)]
+    bar = counting_bar(console)
+    task = bar.add_task("maneuvers", total=sum(map(len, plans)))
+    for session, plan in enumerate(plans):
+        logs, before = out / "logs" / f"session_{session}", sum(map(len, plans[:session]))
+        with Nodes(logs, console.print, domain) as nodes, bar:
             start_all(nodes, options, out, cameras, session)
             operator = Experimenter(domain)
             while not nodes.has_finished("experiment"):
@@ -136,13 +152,20 @@ def run_sessions(
                     raise RehearsalError(f"not finished after {options.deadline:.0f} s, see {logs}")
                 nodes.restart_killed()
                 rclpy.spin_once(operator, timeout_sec=0.1)
-                status.update(f"session {session + 1}: {operator.status_message}")
+                status = shorten(operator.status_message, MAX_STATUS, placeholder="...")
+                bar.update(
+                    task, completed=before + maneuvers_done(plan, operator.stops),
+                    description=f"session {session + 1} of {count}: {status}",
+                )  # fmt: skip
                 operator.keep_armed()
+            bar.update(task, completed=before + len(plan))
             operator.destroy_node()
 
 
-def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[Arm, list[Planned]]:
-    """Write guess, truth and plan; return truth and plan."""
+def prepare(
+    options: argparse.Namespace, out: Path, cameras: Cameras, progress: Callable[[int], None]
+) -> tuple[Arm, list[Planned]]:
+    """Write guess, truth and plan; return truth and plan; report the number of maneuvers chosen."""
     settings = DynamicSettings(**settings_of(out, cameras))
     guess = paper_arm()
     truth = draw_truth(guess, settings, options.seed)
@@ -151,7 +174,7 @@ def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[A
     plan = design(
         guess, options.count, settings, Conditions(rest=PAUSE, table=TABLE), seed=options.seed,
         chosen=[f"b_{i}" for i in range(1, LINKS + 1)], begin=np.array([0.6, -1.0, 1.0, -0.6]),
-        tried=500,
+        tried=500, progress=progress,
     )  # fmt: skip
     for session, first in enumerate(range(0, len(plan), MANEUVERS_PER_SESSION)):
         part = plan[first : first + MANEUVERS_PER_SESSION]
@@ -224,8 +247,9 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Design and run the maneuvers, and solve; one seed for truth, errors and design."""
     out.mkdir(parents=True)
     cameras = NOISE[options.noise]
-    console.print(f"designing {options.count} maneuvers")
-    truth, plan = prepare(options, out, cameras)
+    with counting_bar(console) as bar:
+        task = bar.add_task("designing maneuvers", total=options.count)
+        truth, plan = prepare(options, out, cameras, lambda k: bar.update(task, completed=k))
     settings = DynamicSettings(**settings_of(out, cameras))
     predicted = expected_result(paper_arm(), plan, settings, PAUSE).deviations
     with isolated_domain() as domain:
@@ -235,11 +259,12 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
             soft_wrap=True,
         )
         run_sessions(options, out, cameras, console, domain)
-    result = solve_first(out, settings, options.count)
+    with console.status("solving from the bags"):
+        result = solve_first(out, settings, options.count)
     summary_report = DYNAMIC.report_of(result, truth)
-    console.print(report.printable(summary_report))
+    console.print(report.printable(summary_report, options.details), highlight=False)
     console.print(summary(result, truth, plan, predicted))
-    checks = [Check("the calibration passes", result.reason, result.verdict == PASS)]
+    checks = [Check("the calibration passes", result.summary, result.verdict == PASS)]
     checks += [center_of_mass_check(result, truth, i) for i in range(LINKS)]
     files = {"bags": "recordings", "logs": "logs of the nodes"}
     return Rehearsed(checks, reports=[summary_report], files=files)

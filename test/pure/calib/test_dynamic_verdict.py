@@ -59,7 +59,7 @@ def test_the_description_says_where_it_is_from(good):
     assert re.search(
         r"Calibrated by fss_arm_calib .* from live, until \d{4}-\d\d-\d\d", comments[1]
     )
-    assert re.search(r"pass, chi-square [\d.]+ for \d+ degrees of freedom", comments[2])
+    assert re.search(r"pass: 16 maneuvers, chi-square of the fit [\d.]+ for [\d.]+ d", comments[2])
     k = good.names.index("I_2")
     said = f"# I_2 = {good.values[k]:.6g} +- {good.deviations[k]:.2g} kg m^2"
     assert said in comments

@@ -28,6 +28,7 @@ def test_a_bag_is_an_array_in_five_lines():
     base = run(CODE[0])["base"]
     assert base.shape == (490, 3)
     assert 0.01 < np.ptp(base[:, 1]) < 1.0
+    assert (np.diff(base[:, 0]) > 0.0).all()  # full time stamps, not whole seconds
 
 
 def test_joints_are_brought_to_one_time():

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fss_arm_calib.acceptance import (
+    FIT,
     Check,
     check_chi_square,
     check_convergence,
@@ -28,7 +29,8 @@ def check_time(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> C
     """Check that the base drifted for long enough."""
     total = sum(drift.times[-1] for drift in drifts)
     reason = f"{total:.0f} s of drift, at least {s.min_time:g} s needed"
-    return check_data_amount("time", total, s.min_time, reason, streams)
+    brief = f"{total:.0f} s of drift"
+    return check_data_amount("time", total, s.min_time, reason, streams, brief)
 
 
 def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
@@ -42,7 +44,7 @@ def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
         ),
         check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE),
         check_chi_square(
-            "fit",
+            FIT,
             m.cost,
             r.problem.degrees_of_freedom,
             s.min_probability,

@@ -54,7 +54,7 @@ def _momenta(outcome: Outcome[Drift, Solution]) -> Table:
     for k, (one, value, deviation) in enumerate(
         zip(outcome.used, values, deviations, strict=bool(found))
     ):
-        pairs = (f"{v:.4f} ± {d:.4f}" for v, d in zip(value, deviation, strict=True))
+        pairs = (f"{v:#.4g} ± {d:.2g}" for v, d in zip(value, deviation, strict=True))
         rows.append(
             [
                 str(k + 1),

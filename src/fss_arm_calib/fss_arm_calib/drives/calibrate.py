@@ -94,7 +94,9 @@ def calibrate(
     words = f"{fewest} frames of each link while a joint turned (at least {MIN_FRAMES})"
     checks = [
         check_clocks(streams, s.joint_gap),
-        check_data_amount("telemetry", fewest, MIN_FRAMES, words, streams),
+        check_data_amount(
+            "telemetry", fewest, MIN_FRAMES, words, streams, f"{fewest} frames of each link"
+        ),
     ]
     if fewest >= MIN_FRAMES:
         origin = min(int(one.stamps[0]) for one in links)

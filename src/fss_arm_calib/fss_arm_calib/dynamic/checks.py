@@ -47,7 +47,8 @@ def check_number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings
     reason = f"{format_count(found, 'maneuver')} (at least {s.min_maneuvers})"
     if found < s.min_maneuvers and lost:
         reason += f"; {format_count(len(lost), 'maneuver')} rejected ({lost[0].reason})"
-    return check_data_amount("maneuvers", found, s.min_maneuvers, reason, streams)
+    brief = format_count(found, "maneuver")
+    return check_data_amount("maneuvers", found, s.min_maneuvers, reason, streams, brief)
 
 
 def check_gyro(streams: Streams) -> Check:
@@ -123,17 +124,21 @@ def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
 def _check_measurable(r: DynamicResult) -> Check:
     """Check that no parameter is at a bound only because of its own errors."""
     names = [name for name in r.at_bound if name in r.beyond_reach]
-    words = f"{', '.join(names)} not measurable with these data: give a prior or do not estimate it"
-    verdict = FAIL if names else PASS
-    return Check("measurable", verdict, len(names), 0, words if names else "")
+    if not names:
+        return Check("measurable", PASS, 0, 0, "")
+    brief = f"{', '.join(names)} not measurable with these data"
+    words = f"{brief}: give a prior or do not estimate it"
+    return Check("measurable", FAIL, len(names), 0, words, brief=brief)
 
 
 def _check_bounds(r: DynamicResult) -> Check:
     """Check that no well-measured parameter is at a bound of what is physically possible."""
     held = [name for name in r.at_bound if name not in r.beyond_reach]
-    words = f"at a physical bound: {', '.join(held)}"
-    words += "; another arm's data, or wrong masses or lengths?"
-    return Check("bounds", FAIL if held else PASS, len(held), 0, words if held else "")
+    if not held:
+        return Check("bounds", PASS, 0, 0, "")
+    brief = f"at a physical bound: {', '.join(held)}"
+    words = f"{brief}; another arm's data, or wrong masses or lengths?"
+    return Check("bounds", FAIL, len(held), 0, words, brief=brief)
 
 
 def _check_identifiability(solution: Solution) -> Check:
@@ -189,6 +194,5 @@ def _check_precision(r: DynamicResult, s: DynamicSettings) -> Check:
     check = check_limit("precision", worst, 1.0, words, "too uncertain")
     if check.verdict == PASS:
         return check
-    return replace(
-        check, reason=f"{check.reason}: give a prior, do not estimate it, or record more maneuvers"
-    )
+    advice = "give a prior, do not estimate it, or record more maneuvers"
+    return replace(check, reason=f"{check.reason}: {advice}", brief=f"too uncertain: {at}")

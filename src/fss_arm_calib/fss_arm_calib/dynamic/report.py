@@ -1,6 +1,7 @@
 """Report of a dynamic calibration."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,8 @@ def _parameter_table(outcome: Outcome[Maneuver, Solution], truth: Arm | None) ->
         "value from prior knowledge; amber: mostly from prior knowledge, or at its bound."
     )
     weak = [k for k, name in enumerate(e.names) if share[k] > 0.5 or name in e.at_bound]
-    return parameter_table(outcome, columns, ratios, note=note, weak=weak)
+    table = parameter_table(outcome, columns, ratios, note=note, weak=weak)
+    return replace(table, detailed=["Table 4", "random", "prior [%]"])
 
 
 def _combination_table(outcome: Outcome[Maneuver, Solution]) -> Table:
@@ -133,7 +135,7 @@ def _maneuver_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Ta
     rows = [
         [
             str(k + 1),
-            *(format_number(value, "+.3f") for value in momentum),
+            *(format_number(value, "+#.4g") for value in momentum),
             f"{e.leverage[k]:.2f}",
             format_number(e.errors[k], ".2f"),
             f"{e.weights[k]:.2f}",

@@ -269,7 +269,7 @@ def describe_shortfall(
 
 def _print_tables(console: Console, *tables: report.Table) -> None:
     for one in tables:
-        console.print(report.rich_table(one))
+        console.print(one)
 
 
 @in_one_line("design")

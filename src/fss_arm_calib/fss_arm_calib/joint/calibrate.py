@@ -10,6 +10,7 @@ import yaml
 
 from fss_arm_calib.acceptance import (
     FAIL,
+    FIT,
     PASS,
     Check,
     check_chi_square,
@@ -225,7 +226,9 @@ def calibrate(
     found_checks = [
         check_joint_names(streams, arm),
         _check_session_clocks(sessions, of_kinds),
-        check_data_amount("data", len(kinds_seen), 1, words, streams),
+        check_data_amount(
+            "data", len(kinds_seen), 1, words, streams, format_count(len(used), "session")
+        ),
     ]
     solution = None
     session_settings = [stage.settings for _, stage in found]
@@ -313,7 +316,7 @@ def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
         check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE),
         Check("bounds", FAIL if held else PASS, len(held), 0, words),
         check_chi_square(
-            "fit",
+            FIT,
             m.cost,
             problem.degrees_of_freedom,
             s.min_probability,

@@ -1,5 +1,6 @@
 """Report of a joint estimate: the arm, the share of each kind of data, and the sessions."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,8 @@ def _parameter_table(outcome: Outcome[Any, Solution], found: Solution, truth: Ar
     with_prior = r.problem.prior_indices
     before[with_prior] = np.sqrt(np.diag(r.problem.prior)[with_prior])
     weak = np.flatnonzero(~(2.0 * e.deviations**2 < before**2)).tolist()
-    return parameter_table(outcome, ratios=ratios, note=note, weak=weak)
+    table = parameter_table(outcome, ratios=ratios, note=note, weak=weak)
+    return replace(table, detailed=[name for name in ratios if name.startswith("x without")])
 
 
 def _fit_table(found: Solution) -> Table:

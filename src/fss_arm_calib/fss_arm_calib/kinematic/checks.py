@@ -69,11 +69,13 @@ def check_rests(observations: Sequence[Observation], needed: int, s: KinematicSe
 def check_number(problem: KinematicProblem, streams: Streams, s: KinematicSettings) -> Check:
     """Check that the observations suffice for the parameters."""
     found, needed = len(problem.q), min_observations(problem, s)
-    reason = f"{format_count(found, 'observation')} (at least {needed})"
-    if found < needed:
-        names = ", ".join(problem.names)
-        reason = f"{format_count(found, 'observation')}, at least {needed} needed for {names}"
-    return check_data_amount("observations", found, needed, reason, streams)
+    number, names = format_count(found, "observation"), f" for {', '.join(problem.names)}"
+    if found >= needed:
+        reason = f"{number} (at least {needed})"
+        return check_data_amount("observations", found, needed, reason, streams, number)
+    reason = f"{number}, at least {needed} needed{names}"
+    check = check_data_amount("observations", found, needed, reason, streams)
+    return replace(check, brief=check.reason.replace(names, ""))
 
 
 def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
@@ -222,7 +224,8 @@ def _check_prediction(solution: Solution, s: KinematicSettings) -> Check:
         "worse than the deviations allow",
         solution.noise.freedom,
     )
-    return replace(check, reason=f"{what}: {check.reason}")
+    brief = check.brief and f"{what}: {check.brief}"
+    return replace(check, reason=f"{what}: {check.reason}", brief=brief)
 
 
 def _fits_swapped(result: KinematicResult, problem: KinematicProblem, s: KinematicSettings) -> Mask:

@@ -1,6 +1,7 @@
 """Report of a kinematic calibration."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -64,7 +65,8 @@ def _parameters(
         note = "amber: more than three times as uncertain as the end effector in one observation."
         one = dict(zip(("m", "rad"), found.noise.deviations, strict=True))
         weak = [k for k, unit in enumerate(e.units) if not e.deviations[k] < 3 * one[unit]]
-    return parameter_table(outcome, columns, ratios, labels, note, weak)
+    table = parameter_table(outcome, columns, ratios, labels, note, weak)
+    return replace(table, detailed=["Tables 2-3"])
 
 
 def _residuals(outcome: Outcome[Observation, Solution]) -> Table:
