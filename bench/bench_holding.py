@@ -54,8 +54,10 @@ def fly(flyer: Flyer, duration: float, rest: float, count: int) -> bool:
             return False
     flyer.after(handle.cancel_goal_async())
     result = flyer.end(handle).result
-    print(f"largest errors: {1e3 * worst[0]:.2f} mm, {worst[1]:.3f} deg, "
-          f"{1e3 * result.propellant:.1f} g by base/propellant")  # fmt: skip
+    print(
+        f"largest errors: {1e3 * worst[0]:.2f} mm, {worst[1]:.3f} deg, "
+        f"{1e3 * result.propellant:.1f} g by base/propellant"
+    )
     return bool(worst[0] < 0.01 and worst[1] < 1.0)
 
 

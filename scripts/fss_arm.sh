@@ -1,6 +1,6 @@
 #!/bin/sh
 # Commands to the arm from a terminal, in the ROS domain of this shell or of a configuration.
-# usage: fss_arm.sh [--vehicle NAME] move | arm | disarm | stop | home | clear | valves | solve | forget [CONFIG] [ANGLE...] [OPTION...]
+# usage: fss_arm.sh [--vehicle NAME] move | execute | arm | disarm | stop | home | clear | valves | solve | forget [CONFIG] [ANGLE... | PLAN] [OPTION...]
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 
@@ -23,8 +23,12 @@ case ${2:-} in
   '' | -* | .[0-9]* | [0-9]*) config='' ;;   # an angle is no configuration
   *) config=$2 ;;
 esac
-case ${1:-} in -*) config='' ;; esac
+case ${1:-} in
+  -*) config='' ;;
+  execute) case ${2:-} in *.sh) ;; *) config='' ;; esac ;;   # else it is the plan
+esac
 [ -z "$given" ] || is_name "$named" || config=''
+export FSS_CALLED_IN="$PWD" FSS_ARM_CONFIG="$config"   # where a plan's path starts; repeated in hints
 if [ "$config" ]; then
   # shellcheck source=scripts/fss/config.sh
   . "$fss_scripts/fss/config.sh"

@@ -140,18 +140,29 @@ def governance(domain: int) -> str:
     root = _root("governance")
     rule = SubElement(SubElement(root, "domain_access_rules"), "domain_rule")
     _domain(rule, domain)
-    _values(rule, {
-        "allow_unauthenticated_participants": "false", "enable_join_access_control": "true",
-        "discovery_protection_kind": "ENCRYPT", "liveliness_protection_kind": "ENCRYPT",
-        "rtps_protection_kind": "SIGN",
-    })  # fmt: skip
+    _values(
+        rule,
+        {
+            "allow_unauthenticated_participants": "false",
+            "enable_join_access_control": "true",
+            "discovery_protection_kind": "ENCRYPT",
+            "liveliness_protection_kind": "ENCRYPT",
+            "rtps_protection_kind": "SIGN",
+        },
+    )
     topic = SubElement(SubElement(rule, "topic_access_rules"), "topic_rule")
-    _values(topic, {
-        "topic_expression": "*", "enable_discovery_protection": "true",
-        "enable_liveliness_protection": "true", "enable_read_access_control": "true",
-        "enable_write_access_control": "true", "metadata_protection_kind": "ENCRYPT",
-        "data_protection_kind": "ENCRYPT",
-    })  # fmt: skip
+    _values(
+        topic,
+        {
+            "topic_expression": "*",
+            "enable_discovery_protection": "true",
+            "enable_liveliness_protection": "true",
+            "enable_read_access_control": "true",
+            "enable_write_access_control": "true",
+            "metadata_protection_kind": "ENCRYPT",
+            "data_protection_kind": "ENCRYPT",
+        },
+    )
     return _text(root)
 
 

@@ -6,18 +6,23 @@ import runpy
 import signal
 import subprocess
 import sys
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from driver_link import RATE, FakeTransport
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from running import DOMAIN, free_port
-from std_msgs.msg import Empty
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.arm_node import ArmNode
@@ -25,9 +30,12 @@ from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import LinkCommandFlag, State
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
-from fss_arm_msgs.msg import BaseTelemetry, LinkCommand, LinkTelemetry, SimTruth
+from fss_arm_motion.plan import Plan, Prediction, Start
+from fss_arm_motion.plan_file import written
+from fss_arm_msgs.action import ExecuteMotion
+from fss_arm_msgs.msg import BaseTelemetry, LinkCommand, LinkTelemetry, MotionReport, SimTruth
 from fss_arm_ros.convert import stamp_ns, to_time
-from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_base_driver.protocol import BaseState
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts/fss_arm.py"
@@ -73,6 +81,7 @@ BAD_NAMES = ("a b", "~", "é", "", "1a", "..", "a/", "a//b", "__x", "a\nb", "-x"
 @pytest.fixture
 def refusal(monkeypatch, capsys):
     """refusal(*words): the one line in which the program refuses a command line."""
+    monkeypatch.syspath_prepend(SCRIPT.parent)
     parsed = runpy.run_path(str(SCRIPT))["parsed"]
 
     def refuse(*words):
@@ -105,7 +114,9 @@ def test_a_bad_name_is_refused_before_the_configuration_is_read(domain, name):
         (("--vehicle",), "argument --vehicle/--namespace: expected one argument"),
         (("stop", "--vehicle"), "argument --vehicle/--namespace: expected one argument"),
         (("--vehicle", "stop"), "COMMAND is missing (--vehicle is 'stop'), expected one of move, "),
-        ((), "COMMAND is missing, expected one of move, arm, disarm, stop, "),
+        ((), "COMMAND is missing, expected one of move, execute, arm, disarm, "),
+        (("execute",), "execute has 0 files, expected one, as `plan` writes it"),
+        (("execute", "a", "b"), "execute has 2 files, expected one, as `plan` writes it"),
         (("stpo",), "argument COMMAND: invalid choice: 'stpo' (choose from "),
         (("stop", "--vehicel", "fss2"), "unrecognized arguments: --vehicel fss2"),
         (("stop", "10"), "stop has 1 angles, expected none"),
@@ -141,16 +152,17 @@ def telling(spin):
     """telling(nodes, command, **env): what came of a command while these nodes were run."""
     running = []
 
-    def run(nodes, command, **env):
+    def run(nodes, command, cwd=None, **env):
         process = subprocess.Popen(
             list(map(str, command)),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             env={**os.environ, **env},
+            cwd=cwd,
         )
         running.append(process)
-        spin(nodes, lambda: process.poll() is not None, 30.0)
+        spin(nodes, lambda: process.poll() is not None, 60.0)
         return (process.returncode, *process.communicate())
 
     yield run
@@ -241,6 +253,131 @@ def test_moves_are_refused_in_degrees_with_the_reason(moving, telling):
     assert telling(nodes, (*MOVE, "10", "20")) == (1, "", unarmed)
     wanted = "fss_arm.sh: move has 0 angles, expected one for each joint [deg]\n"
     assert telling(nodes, MOVE) == (2, "", wanted)
+
+
+def test_hints_repeat_the_vehicle_and_the_configuration(monkeypatch):
+    monkeypatch.syspath_prepend(SCRIPT.parent)
+    repeat_options = runpy.run_path(str(SCRIPT))["repeat_options"]
+    said = "link 1 is not armed: scripts/fss_arm.sh arm; move there: scripts/fss_arm.sh move 1 2"
+    assert repeat_options(said, Namespace(vehicle=None)) == said
+    there = said.replace("arm.sh", "arm.sh --vehicle fss2")
+    assert repeat_options(said, Namespace(vehicle="fss2")) == there
+    monkeypatch.setenv("FSS_ARM_CONFIG", r"my\1.sh")
+    assert repeat_options(said, Namespace(vehicle=None)) == (
+        r"link 1 is not armed: scripts/fss_arm.sh arm my\1.sh; move there: "
+        r"scripts/fss_arm.sh move my\1.sh 1 2"
+    )
+
+
+class FakeMotion(Node):
+    """The nodes arm and motion as topics: two links that are armed, and a plan's execution."""
+
+    def __init__(self, message=""):
+        super().__init__("motion")
+        self.declare_parameter("arm", "")
+        self.message, self.files, self.cancelled = message, [], False
+        self.states = self.create_publisher(JointState, "arm/joint_states", SENSOR)
+        self.telemetry = {
+            i: self.create_publisher(LinkTelemetry, f"link_{i}/telemetry", SENSOR) for i in (1, 2)
+        }
+        self.armed = {1: True, 2: True}
+        self.description = self.create_publisher(String, "robot_description", LATCHED)
+        self.description.publish(String(data='<robot name="other"><joint name="joint_1"/></robot>'))
+        self.create_timer(0.1, self.report)
+        self.server = ActionServer(
+            self,
+            ExecuteMotion,
+            "arm/execute",
+            self.on_execute,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
+        self.next_report = Future()
+
+    def close(self):
+        self.server.destroy()
+
+    def report(self):
+        names = ["joint_1", "joint_2"]
+        self.states.publish(JointState(name=names, position=[0.0] * 2, velocity=[0.0] * 2))
+        for i, publisher in self.telemetry.items():
+            publisher.publish(LinkTelemetry(link=i, armed=self.armed[i]))
+        self.next_report, due = Future(), self.next_report
+        due.set_result(None)
+
+    async def on_execute(self, handle):
+        self.files.append(handle.request.file)
+        handle.publish_feedback(ExecuteMotion.Feedback(remaining=3.0))
+        while self.message == "cancel" and not handle.is_cancel_requested:
+            await self.next_report
+        if handle.is_cancel_requested:
+            self.cancelled = True
+            handle.canceled()
+            return ExecuteMotion.Result(message="cancelled")
+        (handle.abort if self.message else handle.succeed)()
+        report = MotionReport(arm="other", predicted=[0.01, -0.02, 0.5],
+                              predicted_deviation=[0.001, 0.001, 0.01],
+                              measured=[0.012, -0.02, 0.49])  # fmt: skip
+        return ExecuteMotion.Result(reached=not self.message, message=self.message, report=report)
+
+
+@pytest.fixture
+def plan_file(tmp_path):
+    """A plan of two joints."""
+    description = paper_arm()
+    start = Start(replace(description, links=description.links[:2]), [0.0, 0.0])
+    q = np.array([[0.0, 0.0], [0.1, 0.2]])
+    base = Prediction(np.array([0.0, 3.0]), np.zeros((2, 3)), np.zeros((2, 3)))
+    times, used = np.array([0.0, 3.0]), np.full((3, 2), 0.5)
+    plan = Plan("point_to_point", {}, times, q, np.zeros((2, 2)), base, used)
+    path = tmp_path / "plan.yaml"
+    path.write_text(written(start, plan))
+    return path
+
+
+def test_a_plan_is_executed_and_its_effect_on_the_base_compared(telling, plan_file):
+    motion = FakeMotion()
+    command = SCRIPT.with_suffix(".sh"), "execute", plan_file.name
+    code, out, err = telling([motion], command, cwd=plan_file.parent)
+    assert (code, err) == (0, "")
+    assert motion.files == [str(plan_file)]
+    warning, *lines = out.splitlines()[1:]
+    assert warning == "warning: description 'paper' has changed since this was planned"
+    assert lines[:2] == ["the arm is ready", "moving for 3.0 s"]
+    assert lines[3] == "  x [mm]                   10.0      1.0      12.0      2.0 (2.0 sigma)"
+    assert lines[-2:] == [
+        "predicted with 'other', planned for 'paper'",
+        "the plan is executed",
+    ]
+    assert max(map(len, out.splitlines()[1:])) <= 80
+
+
+def test_a_plan_waits_for_the_arm_and_names_what_is_missing(telling, plan_file):
+    motion = FakeMotion()
+    motion.armed[2] = False
+    command = sys.executable, SCRIPT, "execute", plan_file, "--wait", "2", "--vehicle", "/"
+    code, out, err = telling([motion], command)
+    missing = "waiting for link 2 to be armed: scripts/fss_arm.sh --vehicle / arm"
+    assert code == 1
+    assert missing in out
+    assert err == f"not ready after 2 s: {missing}\n"
+    assert not motion.files
+
+
+def test_a_plan_that_starts_elsewhere_names_the_move_to_its_start(telling, plan_file):
+    motion = FakeMotion("joint 1 is at 9.00 deg, plan.yaml starts at 0.00 deg")
+    code, _, err = telling([motion], (sys.executable, SCRIPT, "execute", plan_file))
+    assert (code, err) == (1, f"{motion.message}; move there: scripts/fss_arm.sh move 0 0\n")
+
+
+def test_a_plan_that_is_interrupted_is_cancelled(spin, plan_file):
+    motion = FakeMotion("cancel")
+    with subprocess.Popen([sys.executable, SCRIPT, "execute", plan_file]) as process:
+        spin([motion], lambda: motion.files, 60.0)
+        process.send_signal(signal.SIGINT)
+        spin([motion], lambda: process.poll() is not None)
+    assert process.returncode == 130
+    assert motion.cancelled
 
 
 def test_a_move_that_is_interrupted_comes_to_rest(spin, moving):

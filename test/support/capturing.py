@@ -34,19 +34,30 @@ def testbed(case, target):
     at = case.distance * np.exp(1j * np.radians(-135.0))
     g = case.gripper
     return TestbedSettings(
-        base=(float(at.real), float(at.imag), -1.4), q=POSTURE, encoder_error=7e-4,
-        target_mass=target.mass, target_inertia=target.inertia, target_fixture=target.fixture,
-        target_pose=(0.0, 0.0, case.heading), target_twist=(*case.drift, case.spin),
-        contact=case.solid, grip_closing_time=g.closing_time, grip_force=g.force,
+        base=(float(at.real), float(at.imag), -1.4),
+        q=POSTURE,
+        encoder_error=7e-4,
+        target_mass=target.mass,
+        target_inertia=target.inertia,
+        target_fixture=target.fixture,
+        target_pose=(0.0, 0.0, case.heading),
+        target_twist=(*case.drift, case.spin),
+        contact=case.solid,
+        grip_closing_time=g.closing_time,
+        grip_force=g.force,
         grip_torque=g.torque,
-    )  # fmt: skip
+    )
 
 
 def Flight(case, activity=None, settings=SETTINGS, truth=None, learns=True):
     assumed = settings.target
     return capture.Flight(
-        case.seed, testbed(case, truth or assumed), settings,
-        NavigationSettings(target_mass=assumed.mass, target_inertia=assumed.inertia), None,
+        case.seed,
+        testbed(case, truth or assumed),
+        settings,
+        NavigationSettings(target_mass=assumed.mass, target_inertia=assumed.inertia),
+        None,
         FaultSettings(case.fault, case.phase, case.after, case.lasts, case.valve + 1),
-        activity=activity, estimates_mass=learns,
-    )  # fmt: skip
+        activity=activity,
+        estimates_mass=learns,
+    )

@@ -18,8 +18,11 @@ from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 
 ACTIONS = {
-    "base/hold": HoldBase, "base/go_to": GoToPose, "base/follow": FollowPoses, "arm/move": MoveArm,
-}  # fmt: skip
+    "base/hold": HoldBase,
+    "base/go_to": GoToPose,
+    "base/follow": FollowPoses,
+    "arm/move": MoveArm,
+}
 
 
 GNC = "navigation", "control", "guidance"
@@ -31,9 +34,16 @@ def start(nodes, speed=0.0, links=4, testbed=None, gnc=GNC, **parameters):
     board, driver = domain.ports(2 * links + 2)[-2:]
     patient = {"timeout": 4.0, "watchdog": 4.0, **clock}  # of a busy computer
     nodes.start(
-        "testbed", "fss_sim", "testbed", ports=domain.ports(links), board_port=board,
-        keep_clock=True, speed=speed, truth_rate=50.0, **(testbed or {}),
-    )  # fmt: skip
+        "testbed",
+        "fss_sim",
+        "testbed",
+        ports=domain.ports(links),
+        board_port=board,
+        keep_clock=True,
+        speed=speed,
+        truth_rate=50.0,
+        **(testbed or {}),
+    )
     nodes.start("links", "fss_arm_driver", "link", urls=domain.urls(links), **patient)
     nodes.start("arm", "fss_arm_driver", "arm", time_to_live=2.0, **clock)
     url = f"udp://127.0.0.1:{board}?bind={driver}"

@@ -46,9 +46,13 @@ def rehearsed(seed, settings=DYNAMIC):
     for first in range(0, len(plan), MANEUVERS_PER_SESSION):  # then somebody puts the base back
         some = plan[first : first + MANEUVERS_PER_SESSION]
         run = Rehearsal(
-            arms=(truth, arm), seed=100 * seed + first, preset="default", q=some[0].waypoints[0],
-            twist=rng.uniform(-1.0, 1.0, 3) * TWIST, tilt=(TILT, -0.5 * TILT),
-        )  # fmt: skip
+            arms=(truth, arm),
+            seed=100 * seed + first,
+            preset="default",
+            q=some[0].waypoints[0],
+            twist=rng.uniform(-1.0, 1.0, 3) * TWIST,
+            tilt=(TILT, -0.5 * TILT),
+        )
         maneuvers += run.make_maneuvers(some, PAUSE)
         lasts += run.bed.now
     outcome = calibrate(maneuvers, arm, settings, run.maneuver_finder.streams())
@@ -58,6 +62,11 @@ def rehearsed(seed, settings=DYNAMIC):
     true = dict(zip(parameter_names(arm.n), values(truth), strict=True))
     errors = (outcome.values[at] - [true[name] for name in GOAL]) / promised
     return Rehearsed(
-        minutes(fixed), len(plan), minutes(plan), lasts / 60e9, (found / promised).tolist(),
-        float(np.mean(errors**2)), outcome.verdict,
-    )  # fmt: skip
+        minutes(fixed),
+        len(plan),
+        minutes(plan),
+        lasts / 60e9,
+        (found / promised).tolist(),
+        float(np.mean(errors**2)),
+        outcome.verdict,
+    )

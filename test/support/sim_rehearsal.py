@@ -26,19 +26,38 @@ class Rehearsal(Experiment):
     """The experiment: truth and guess are those of a folder, or given."""
 
     def __init__(
-        self, config=None, script="", noise=None, seed=1, postures=DEFAULT_POSTURES, preset="paper",
-        room=None, arms=None, q=(0.0,) * 4, twist=(0.0,) * 3, tilt=(0.0,) * 2,
-        dynamic=DYNAMIC, **options,
-    ):  # fmt: skip
+        self,
+        config=None,
+        script="",
+        noise=None,
+        seed=1,
+        postures=DEFAULT_POSTURES,
+        preset="paper",
+        room=None,
+        arms=None,
+        q=(0.0,) * 4,
+        twist=(0.0,) * 3,
+        tilt=(0.0,) * 2,
+        dynamic=DYNAMIC,
+        **options,
+    ):
         truth, guess = arms or (load(config / "truth.yaml"), load(config / "cad.yaml"))
         q, qd = np.array([[0.0, 0.0, 0.0, *q], [*twist, 0.0, 0.0, 0.0, 0.0]]).tolist()
         state = State(frame=0, boots=1, rests=0, q=tuple(q), qd=tuple(qd))
         noise = replace(PRESETS[preset], **(noise or {}))
         super().__init__(
-            truth, guess, noise, World(JOINTS[preset], Surroundings(tilt=tilt)), state, seed,
-            KinematicSettings(), dynamic, script=read_script(script),
-            vicon=Vicon(noise, room, seed, [0, 1]) if room else None, **options,
-        )  # fmt: skip
+            truth,
+            guess,
+            noise,
+            World(JOINTS[preset], Surroundings(tilt=tilt)),
+            state,
+            seed,
+            KinematicSettings(),
+            dynamic,
+            script=read_script(script),
+            vicon=Vicon(noise, room, seed, [0, 1]) if room else None,
+            **options,
+        )
         self.postures = list(np.asarray(postures))
 
     def run(self):

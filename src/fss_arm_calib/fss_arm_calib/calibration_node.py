@@ -15,10 +15,10 @@ from fss_arm_calib.outcome import LIVE, Outcome
 from fss_arm_calib.report import write
 from fss_arm_calib.segments.streams import Streams, keep_newest
 from fss_arm_calib.state import FileWriter, Flags, StateError, restore, save
-from fss_arm_model.description_file import described
 from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.calibrated import Calibrated
+from fss_arm_ros.described_arm import described_arm
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.libraries import require
 from fss_arm_ros.memory import give_back
@@ -43,7 +43,7 @@ class CalibrationNode(Node):
         s = self.settings = declare(self, node_settings(kind.name, kind.settings))
         base = default_in(BASE, self.get_namespace())
         self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
-        arm = described(s.arm)
+        arm = described_arm(self, s.arm)
         # A kinematic calibration does not replace the masses of this description.
         self.initial = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
         restored, self.flags = restore(s.state_file, kind.name, arm.n, kind.data.type)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fss_arm_calib import report
+from fss_arm_calib.dates import is_simulated
 from fss_arm_calib.result import read_passed
 from fss_arm_model.description_file import from_yaml, link_file, load, read_link, save_links
 from fss_arm_model.files import ContentError
@@ -41,8 +42,9 @@ def history_entry(found: Mapping[str, Any], place: int) -> dict[str, Any]:
         name: [value, deviation] for name, value, deviation in estimates if deviation is not None
     }
     made = found["provenance"]
+    day = datetime.fromtimestamp(1e-9 * made["end"], UTC).isoformat(" ", "minutes")[:16]
     return {
-        "date": datetime.fromtimestamp(1e-9 * made["end"], UTC).isoformat(" ", "minutes")[:16],
+        "date": found["written"] if "written" in found and is_simulated(made["end"]) else day,
         "bag": made["source"],
         "kind": found["kind"],
         **{name: known[f"{name}_{place}"] for name in ESTIMATED if f"{name}_{place}" in known},

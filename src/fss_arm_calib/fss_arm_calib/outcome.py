@@ -2,8 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
-from datetime import UTC, datetime
+from dataclasses import dataclass, field, fields, replace
 from math import nan, radians
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -22,12 +21,12 @@ from fss_arm_calib.acceptance import (
     stream_causes,
     summarize,
 )
+from fss_arm_calib.dates import calibrated_name, format_time
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.files import ContentError
-from fss_arm_model.units import SECOND
 
 #: Settings that have become constants, with their values: earlier results recorded them.
 FORMER_SETTINGS = {
@@ -259,7 +258,8 @@ def make_outcome(
         checks = [*checks, Check("frames", NOT_EVALUATED, nan, nan, differ, needed=False)]
     description = ""
     if calibrated and passed:
-        description = to_yaml(calibrated(), list(_origin_lines(provenance, checks, estimate)))
+        named = replace(calibrated(), name=calibrated_name(arm.name, source, provenance.end))
+        description = to_yaml(named, list(_origin_lines(provenance, checks, estimate)))
     return Outcome(
         tuple(data),
         tuple(used),
@@ -278,9 +278,8 @@ def _origin_lines(
     provenance: Provenance, checks: Sequence[Check], estimate: Estimate
 ) -> Iterator[str]:
     """Yield lines about the origin of a calibrated description, for its readers."""
-    end = datetime.fromtimestamp(provenance.end / SECOND, UTC)
-    e = estimate
-    yield f"Calibrated by {provenance.software} from {provenance.source}, until {end:%F %R} UTC:"
+    e, end = estimate, format_time(provenance.end)
+    yield f"Calibrated by {provenance.software} from {provenance.source}, until {end}:"
     yield f"pass: {summarize(checks)}"
     if e.uncertain:
         yield f"too uncertain to use: {format_uncertain(e.uncertain)}"

@@ -95,9 +95,12 @@ class Table:
                 zip(part.head, part.widths(options.max_width), strict=True)
             ):
                 printed.add_column(
-                    Text(name), justify="left" if k < part.words else "right", max_width=width,
-                    style="bold" if name == "estimate" else "", overflow="fold",  # not truncated
-                )  # fmt: skip
+                    Text(name),
+                    justify="left" if k < part.words else "right",
+                    max_width=width,
+                    style="bold" if name == "estimate" else "",
+                    overflow="fold",  # not truncated
+                )
             for row in part.rows:
                 printed.add_row(*map(Text, row))
             yield printed

@@ -1,13 +1,13 @@
 """Tables shared by the reports of all kinds of calibration, and the default report."""
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, format_count
-from fss_arm_calib.outcome import Estimate, Outcome, Provenance
+from fss_arm_calib.dates import format_period, now
+from fss_arm_calib.outcome import Estimate, Outcome
 from fss_arm_calib.report import Figure, Report, Table
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
@@ -32,7 +32,11 @@ def make_report(
         origin=format_origin(o),
         figures=() if o.solution is None else figures,
         details=(check_table(o), *(() if o.solution is None else details), stream_table(o)),
-        below=[f"Data of {format_period(o.provenance)}.", *next_steps(o)],
+        below=[
+            f"Data of {format_period(o.provenance.begin, o.provenance.end)}, "
+            f"report of {now()} UTC.",
+            *next_steps(o),
+        ],
         texts={"Settings": o.provenance.parameters, "Initial description": to_yaml(o.arm)},
     )
 
@@ -55,15 +59,6 @@ NEXT_STEPS = {
     FAIL: "Next: do not use these numbers. The checks (--details, or the report) show why.",
     NOT_EVALUATED: "Next: record the missing data; the data received count already.",
 }
-
-
-def format_period(provenance: Provenance) -> str:
-    """Format the time of the data in this computer's time zone; simulated time starts in 1970."""
-    begin, end = (
-        datetime.fromtimestamp(1e-9 * t, UTC).astimezone()
-        for t in (provenance.begin, provenance.end)
-    )
-    return f"{begin:%F %H:%M} to {end:%H:%M %Z}"
 
 
 def table_report(outcome: Outcome[Any, Any], truth: Arm | None = None) -> Report:

@@ -11,6 +11,7 @@ from typing import Any
 
 from fss_arm_calib import state
 from fss_arm_calib.acceptance import PASS
+from fss_arm_calib.dates import now
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import from_yaml
@@ -37,6 +38,7 @@ def contents(kind: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:
         "schema": SCHEMA,
         "kind": kind,
         "arm": outcome.arm.name,
+        "written": now(),
         "verdict": outcome.verdict,
         "reason": outcome.reason,
         "checks": [asdict(check) for check in outcome.checks],

@@ -18,6 +18,7 @@ from fss_arm_driver.arm.stream_topic import StreamTopic
 from fss_arm_driver.arm.trajectory_action import TrajectoryAction
 from fss_arm_driver.programs import arm as main
 from fss_arm_driver.settings import ArmSettings
+from fss_arm_ros.described_arm import compare_with_joint_states
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 
@@ -42,6 +43,7 @@ class ArmNode(Node):
         super().__init__("arm", **options)
         self.settings = declare(self, kind)
         self.links = LinkTopics(self, self.settings.description(), self.settings, local)
+        compare_with_joint_states(self, self.links.arm)
         self.states = StateTopics(self.links)
         self.guard = GuardTopics(self, self.links.arm, self.settings)
         self.moves = MoveAction(self.links, self.guard)

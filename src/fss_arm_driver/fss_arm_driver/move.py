@@ -10,10 +10,11 @@ faster than its part, to a velocity with which it still arrives with the others.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, copysign, degrees, sqrt
+from math import ceil, copysign, sqrt
 
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Arm, Link
+from fss_arm_model.units import angle_beyond
 
 MIN_TRAVEL = 1e-9  # a shorter way needs no profile [rad]
 MAX_DURATION = 3600.0  # of any motion [s]
@@ -111,11 +112,7 @@ def check(arm: Arm, goal: Sequence[float], duration: float = 0.0, keep_alive: fl
         raise MoveError(f"keep_alive is {keep_alive} s, expected 0 or {MIN_KEEP_ALIVE:g} or more")
     for i, (link, angle) in enumerate(zip(arm.links, goal, strict=True), 1):
         if not link.q_min <= angle <= link.q_max:
-            low, high = degrees(link.q_min), degrees(link.q_max)
-            raise MoveError(
-                f"q of joint {i} is {angle:.6g} rad, which is {degrees(angle):.6g} deg; "
-                f"expected {low:.6g} to {high:.6g} deg"
-            )
+            raise MoveError(f"q of joint {i} is {angle_beyond(angle, link.q_min, link.q_max)}")
 
 
 def _profile(link: Link, target: float, way: float, acceleration: float, lasts: float) -> Profile:

@@ -19,6 +19,7 @@ from .arrays import Floats
 from .files import ContentError
 
 MAX_LINKS = 12
+MAX_ANGLE = 2.0 * math.pi  # of limits, offsets and mounts; a larger one is in degrees [rad]
 
 
 class DescriptionError(ContentError):
@@ -146,9 +147,20 @@ def _check(part: Any) -> None:
     for f in fields(part):
         value = getattr(part, f.name)
         try:
-            object.__setattr__(part, f.name, f.metadata["kind"](value))
+            converted = f.metadata["kind"](value)
         except (TypeError, ValueError, OverflowError):
             raise DescriptionError(f.name, value, f.metadata["expected"]) from None
+        object.__setattr__(part, f.name, converted)
+        if f.metadata["unit"].split(", ")[-1] == "rad":
+            _check_angle(f.name, converted[-1] if isinstance(converted, tuple) else converted)
+
+
+def _check_angle(name: str, angle: float) -> None:
+    """Raise DescriptionError if an angle [rad] is so large that it must be in degrees."""
+    if abs(angle) > MAX_ANGLE:
+        expected = f"{-MAX_ANGLE:.4g} to {MAX_ANGLE:.4g} [rad]; in degrees? "
+        expected += f"{angle:.4g} deg are {math.radians(angle):.4g} rad"
+        raise DescriptionError(name, angle, expected)
 
 
 @dataclass(frozen=True)

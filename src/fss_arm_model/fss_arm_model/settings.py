@@ -6,7 +6,7 @@ it, commands their options, and the documentation lists it.
 
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, field, fields
-from math import inf
+from math import degrees, inf
 from typing import Any, get_args, get_origin
 
 
@@ -116,8 +116,16 @@ def refuse(f: "Field[Any]", value: Any, name: str = "") -> None:
         raise SettingError(f"{name} has {len(value)} numbers, expected {size}")
     for one in value if isinstance(value, tuple) else (value,):
         if check is not None and not check.holds(one):
-            given = repr(one) if isinstance(one, str) else f"{one}{unit and ' ' + unit}"
-            raise SettingError(f"{name} is {given}, expected {check.expected}")
+            raise SettingError(f"{name} is {_format_given(one, unit)}, expected {check.expected}")
+
+
+def _format_given(value: Any, unit: str) -> str:
+    """Return an invalid value as messages show it; an angle also as commands take it."""
+    if isinstance(value, str):
+        return repr(value)
+    if unit == "rad":
+        return f"{value:.4g} rad ({degrees(value):.4g} deg)"
+    return f"{value}{unit and ' ' + unit}"
 
 
 def converted(name: str, value: Any, hint: Any) -> Any:

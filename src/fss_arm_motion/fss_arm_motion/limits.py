@@ -18,6 +18,7 @@ from fss_arm_model.settings import (
     like,
     setting,
 )
+from fss_arm_model.units import angle_beyond
 
 KINDS = (("rate", "rad/s"), ("acceleration", "rad/s^2"), ("torque", "N m"))
 
@@ -106,8 +107,5 @@ class Limits:
         low, high = self.bounds.T
         for i in np.flatnonzero(((q < low - tolerance) | (q > high + tolerance)).any(axis=0)):
             worst = q[np.argmax(np.maximum(low[i] - q[:, i], q[:, i] - high[i])), i]
-            return (
-                f"joint {i + 1} at {worst:.4f} rad ({np.degrees(worst):.2f} deg), "
-                f"expected {low[i]:.4f} to {high[i]:.4f} rad"
-            )
+            return f"joint {i + 1} at {angle_beyond(worst, low[i], high[i])}"
         return ""

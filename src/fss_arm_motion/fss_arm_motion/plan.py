@@ -21,6 +21,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.extents import Extents
 from fss_arm_model.joint_path import path, sampled
 from fss_arm_model.momentum import momentum
+from fss_arm_model.units import in_degrees
 from fss_arm_motion.limits import KINDS, Limits
 from fss_arm_motion.transcription import gaps
 
@@ -78,7 +79,7 @@ class Start:
         if q.shape != (self.arm.n,):
             raise PlanError(f"{name} has {q.size} angles, expected {self.arm.n}")
         if not np.isfinite(q).all():
-            raise PlanError(f"{name} is {np.degrees(q).tolist()} deg, expected finite angles")
+            raise PlanError(f"{name} is {in_degrees(q)}, expected finite angles")
         if problem := self.limits.outside(q):
             raise PlanError(f"{name}: {problem}")
         return q

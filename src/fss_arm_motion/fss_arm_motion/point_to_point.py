@@ -14,6 +14,7 @@ import numpy.typing as npt
 from fss_arm_model.arrays import Floats
 from fss_arm_model.joint_path import sampled
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, setting
+from fss_arm_model.units import in_degrees
 from fss_arm_motion.interior_point import optimized
 from fss_arm_motion.plan import Plan, PlanError, Start, finished, probed, stretch_to_limits
 
@@ -124,7 +125,7 @@ def point_to_point(start: Start, request: PointToPoint) -> Plan:
         "least_rotation": request.least_rotation,
     }
     if np.abs(goal - start.q).max() < MIN_DISTANCE:
-        raise PlanError(f"goal is {goal.tolist()} rad, where the arm is")
+        raise PlanError(f"goal is {in_degrees(goal)}, where the arm is")
     least = floor(start, goal)
     segments = max(
         2, min(max(SEGMENTS, round(KNOTS_PER_SECOND * least)), int(least / MIN_KNOT_TIME))

@@ -36,6 +36,7 @@ from fss_arm_model.settings import (
     one_of,
     setting,
 )
+from fss_arm_model.units import in_degrees
 from fss_arm_motion.plan import Plan, PlanError, Start, finished
 from fss_arm_motion.timing import knots, run_through
 
@@ -363,8 +364,8 @@ def _reason(start: Start, report: Floats, q: Floats, gone: float, length: float)
     i = int(report[2]) if report[0] == JOINT else int(np.argmin(np.minimum(q - low, high - q)))
     words = f"ends after {gone:.3f} m of {length:.3f} m"
     if report[0] == JOINT or min(q[i] - low[i], high[i] - q[i]) < LIMIT_DISTANCE:
-        limits = f"{low[i]:.4f} to {high[i]:.4f} rad"
-        return f"joint {i + 1} at {q[i]:.4f} rad ({np.degrees(q[i]):.1f} deg) of {limits}: {words}"
+        limits = f"{in_degrees([low[i]])} to {in_degrees([high[i]])}"
+        return f"joint {i + 1} at {in_degrees([q[i]])} of {limits}: {words}"
     return f"singularity: {words}, the end effector {1e3 * report[2]:.1f} mm off its way"
 
 

@@ -26,6 +26,7 @@ from fss_arm_model.kernels import helper, kernel
 from fss_arm_model.kinematics import write_chain
 from fss_arm_model.momentum import write_floating_jacobian
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
+from fss_arm_model.units import in_degrees
 from fss_arm_motion.plan import Plan, PlanError, Start, finished
 from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 from fss_arm_motion.timing import knots, run_through, shortest
@@ -161,7 +162,7 @@ def null_path(
     if report[1] == LIMIT:
         i = int(report[2]) - 1
         limit = start.limits.bounds[i, int(slope[count - 1, i] > 0.0)]
-        why = f"joint {i + 1} is at its limit of {limit:.4f} rad ({np.degrees(limit):.1f} deg)"
+        why = f"joint {i + 1} is at its limit of {in_degrees([limit])}"
     elif report[1] == NOTHING_LEFT:
         why = "of the wished direction nothing is left that does not turn the base"
     lengths = np.minimum(np.arange(count) * STEP, length)
@@ -236,7 +237,7 @@ def _to_goal(start: Start, request: ZeroReaction) -> Plan:
                 notes,
             )
     raise PlanError(
-        f"goal {goal.tolist()} rad: no motion found that turns the base by less than "
+        f"goal {in_degrees(goal)}: no motion found that turns the base by less than "
         f"{np.degrees(min(turns)):.2f} deg, expected {np.degrees(request.tolerance):.2f} deg; "
         f"a duration above {max(durations):.1f} s may help"
     )

@@ -13,7 +13,6 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_model.description_file import described
 from fss_arm_msgs.msg import BaseReaction as BaseReactionMessage
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, ThrusterCommand
 from fss_arm_ros.calibrated import Calibrated
@@ -23,6 +22,7 @@ from fss_arm_ros.convert import (
     seen_pose,
     stamp_ns,
 )
+from fss_arm_ros.described_arm import described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor, subscribe_sensor
@@ -47,7 +47,7 @@ class BaseReactionNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("base_reaction", **options)
         s = self.settings = declare(self, BaseReactionSettings)
-        self.calibrated = Calibrated(described(s.arm))
+        self.calibrated = Calibrated(described_arm(self, s.arm))
         self.offsets: dict[str, int] = {}  # clock offsets to motion capture [ns], by calibration
         self.reset()
         self.occluded = 0

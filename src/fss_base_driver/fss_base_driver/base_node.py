@@ -45,9 +45,15 @@ class BaseNode(SessionNode):
         super().__init__("base", BaseSettings, live=True, **options)
         s: BaseSettings = self.settings
         session = BoardSession(
-            s.timeout, s.watchdog, s.command_lifetime, s.max_on_time, self.resolution, s.key(),
-            s.empty, self.clock.offset,
-        )  # fmt: skip
+            s.timeout,
+            s.watchdog,
+            s.command_lifetime,
+            s.max_on_time,
+            self.resolution,
+            s.key(),
+            s.empty,
+            self.clock.offset,
+        )
         self.connect(session, transport or open_transport(s.url))
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
         self.valve_faults = ThrusterHealth()  # detected by the navigation

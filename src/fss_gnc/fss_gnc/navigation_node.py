@@ -12,11 +12,11 @@ from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 
-from fss_arm_model.description_file import described
 from fss_arm_msgs.msg import GripperState, MassProperties, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.calibrations import subscribe_calibrations
 from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns
+from fss_arm_ros.described_arm import described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
@@ -44,7 +44,7 @@ class NavigationNode(Node):
         super().__init__("navigation", **options)
         s = self.settings = declare(self, NavigationSettings)
         self.clock = timer_clock(self)
-        self.known = Calibrated(described(s.arm))
+        self.known = Calibrated(described_arm(self, s.arm))
         self.stamps = StampCheck(s.base_topic, lambda: int(self.clock.now().nanoseconds))
         self.rejected: Counter[str] = Counter()
         self.pulses = 0  # number of accepted commands to the valves

@@ -48,9 +48,14 @@ class SessionNode(Node):
     commands: SubscriptionThread  # that receives stops
 
     def __init__(
-        self, name: str, kind: type, *, clock: HostClock | None = None, live: bool = False,
+        self,
+        name: str,
+        kind: type,
+        *,
+        clock: HostClock | None = None,
+        live: bool = False,
         **options: Any,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(name, **options)
         self.settings: Any = declare(self, kind, live=live)
         simulated = self.get_parameter("use_sim_time").value

@@ -27,9 +27,10 @@ def main(name: str, arguments: Sequence[str]) -> int:
     """Run a rehearsal; return the exit code: 0 if all checks passed, 2 if not."""
     module = import_module(f"fss_rehearsal.{name}")
     parser = argparse.ArgumentParser(
-        f"rehearse.sh {name}", description=module.__doc__,
+        f"rehearse.sh {name}",
+        description=module.__doc__,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--seed", type=int, default=1, help="seed of all random numbers")
     parser.add_argument(
         "--out", type=Path, help=f"folder for the results; default: out/{name}-TIME"

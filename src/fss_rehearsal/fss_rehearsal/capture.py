@@ -116,13 +116,30 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assum
     board, base = ports[2 * LINKS :]
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
     nodes.start(
-        "testbed", "fss_sim", "testbed", arm=arm, seed=seed, ports=ports[:LINKS], board_port=board,
-        keep_clock=True, speed=speed, truth_rate=50.0, telemetry_rate=20.0, **INITIAL_PARAMETERS,
-    )  # fmt: skip
+        "testbed",
+        "fss_sim",
+        "testbed",
+        arm=arm,
+        seed=seed,
+        ports=ports[:LINKS],
+        board_port=board,
+        keep_clock=True,
+        speed=speed,
+        truth_rate=50.0,
+        telemetry_rate=20.0,
+        **INITIAL_PARAMETERS,
+    )
     nodes.start(
-        "links", "fss_arm_driver", "link", arm=arm, urls=nodes.domain.urls(LINKS), rate=20.0,
-        timeout=10.0, watchdog=10.0, **clock,
-    )  # fmt: skip
+        "links",
+        "fss_arm_driver",
+        "link",
+        arm=arm,
+        urls=nodes.domain.urls(LINKS),
+        rate=20.0,
+        timeout=10.0,
+        watchdog=10.0,
+        **clock,
+    )
     nodes.start("arm", "fss_arm_driver", "arm", arm=arm, rate=20.0, time_to_live=10.0, **clock)
     url = f"udp://127.0.0.1:{board}?bind={base}"
     nodes.start("base", "fss_base_driver", "base", url=url, timeout=10.0, **clock)
@@ -176,10 +193,21 @@ def read(bag: Path) -> Flight:
             phases.append((stamp_ns(state.header.stamp) / SECOND, state.phase))
     planned = np.array([state.reference for state in states]).reshape(-1, 3)
     return Flight(
-        stamps, column("q"), column("qd"), column("target"), column("target_twist"),
-        column("holds"), column("momentum"), column("impulse"), error, column("propellant"),
-        column("valves"), planned, phases, estimate[-1] if estimate else None,
-    )  # fmt: skip
+        stamps,
+        column("q"),
+        column("qd"),
+        column("target"),
+        column("target_twist"),
+        column("holds"),
+        column("momentum"),
+        column("impulse"),
+        error,
+        column("propellant"),
+        column("valves"),
+        planned,
+        phases,
+        estimate[-1] if estimate else None,
+    )
 
 
 def mass_error(flight: Flight, p: np.ndarray, k: int) -> tuple[float, str]:
@@ -194,8 +222,12 @@ def mass_error(flight: Flight, p: np.ndarray, k: int) -> tuple[float, str]:
     deviations = np.sqrt(m.covariance.reshape(4, 4).diagonal())
     pose = payload_pose(p, flight.q[k], flight.target[k])
     truth = np.array([TARGET.mass, *pose[:2], TARGET.inertia])
-    names = ("mass {:.2f} ± {:.2f} kg", "x {:.3f} ± {:.3f} m", "y {:.3f} ± {:.3f} m",
-             "inertia {:.3f} ± {:.3f} kg m^2")  # fmt: skip
+    names = (
+        "mass {:.2f} ± {:.2f} kg",
+        "x {:.3f} ± {:.3f} m",
+        "y {:.3f} ± {:.3f} m",
+        "inertia {:.3f} ± {:.3f} kg m^2",
+    )
     texts = (
         f"{name.format(value, deviation)} (true: {true:.3f})"
         for name, value, deviation, true in zip(names, values, deviations, truth, strict=True)
@@ -341,9 +373,15 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         log_line(line)
     figure = Figure("mission", "Top view and time histories", partial(plot, arm, flight))
     film = animation(
-        arm, flight.time, flight.q, flight.target, flight.holds, flight.valves, flight.phases,
+        arm,
+        flight.time,
+        flight.q,
+        flight.target,
+        flight.holds,
+        flight.valves,
+        flight.phases,
         TARGET.fixture,
-    )  # fmt: skip
+    )
     files = {"bag": "recording", "report/mission.png": "figure", "logs": "logs of the nodes"}
     return Rehearsed(checks, [figure], files=files, html=film)
 

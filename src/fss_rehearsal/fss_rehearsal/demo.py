@@ -117,25 +117,48 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     # Processes need real time to respond: at higher speed, that is more simulated time.
     timeout = max(1.0, options.speed)
     nodes.start(
-        "testbed", "fss_sim", "testbed", arm=truth, seed=options.seed, preset=options.preset,
-        ports=nodes.domain.ports(LINKS), keep_clock=True, speed=options.speed, paused=True,
+        "testbed",
+        "fss_sim",
+        "testbed",
+        arm=truth,
+        seed=options.seed,
+        preset=options.preset,
+        ports=nodes.domain.ports(LINKS),
+        keep_clock=True,
+        speed=options.speed,
+        paused=True,
         state_file=out / "testbed.json",
-    )  # fmt: skip
+    )
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
     for i, url in enumerate(nodes.domain.urls(LINKS), 1):
         nodes.start(
-            f"link_{i}", "fss_arm_driver", "link", link=i, url=url, timeout=timeout,
-            watchdog=2.0 * timeout, **clock,
-        )  # fmt: skip
+            f"link_{i}",
+            "fss_arm_driver",
+            "link",
+            link=i,
+            url=url,
+            timeout=timeout,
+            watchdog=2.0 * timeout,
+            **clock,
+        )
     nodes.start("arm", "fss_arm_driver", "arm", time_to_live=timeout, **clock)
     nodes.start(
-        "kinematic", "fss_arm_calib", "kinematic", arm=guess, output=out / "arm.yaml",
-        state_file=out / "observations.json", **clock,
-    )  # fmt: skip
+        "kinematic",
+        "fss_arm_calib",
+        "kinematic",
+        arm=guess,
+        output=out / "arm.yaml",
+        state_file=out / "observations.json",
+        **clock,
+    )
     nodes.start(
-        "experiment", "fss_arm_calib", "experiment", state_file=out / "experiment.json",
-        postures=DEFAULT_POSTURES[: options.postures].ravel().tolist(), **clock,
-    )  # fmt: skip
+        "experiment",
+        "fss_arm_calib",
+        "experiment",
+        state_file=out / "experiment.json",
+        postures=DEFAULT_POSTURES[: options.postures].ravel().tolist(),
+        **clock,
+    )
 
 
 def observe(

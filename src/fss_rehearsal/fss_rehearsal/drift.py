@@ -36,9 +36,12 @@ DRAG, TWIST_DAMPING = 0.02, 0.01  # damping by the hose [N s/m, N m s]
 INITIAL_POSE = -0.6, 0.0, 0.0  # initial pose from which the arm stays clear of the table's border
 INITIAL_TWIST = -0.006, 0.003, 0.004  # initial twist of the base [m/s, m/s, rad/s]
 TRUTH = {
-    "g_x": GRAVITY * TILT[0], "g_y": GRAVITY * TILT[1], "torque": 0.0,
-    "twist_damping": TWIST_DAMPING, "drag": DRAG,
-}  # fmt: skip
+    "g_x": GRAVITY * TILT[0],
+    "g_y": GRAVITY * TILT[1],
+    "torque": 0.0,
+    "twist_damping": TWIST_DAMPING,
+    "drag": DRAG,
+}
 MAX_SEGMENT = 40.0  # maximum duration of one drift segment, so that segments check each other [s]
 MAX_DEVIATIONS = 3.0  # maximum error of an estimate, in standard deviations
 
@@ -103,16 +106,31 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
         )
     nodes.start("arm", "fss_arm_driver", "arm", **clock)
     nodes.start(
-        "drift", "fss_arm_calib", "drift", arm=arm, output=out / "drift.yaml",
-        max_duration=MAX_SEGMENT, **clock,
-    )  # fmt: skip
+        "drift",
+        "fss_arm_calib",
+        "drift",
+        arm=arm,
+        output=out / "drift.yaml",
+        max_duration=MAX_SEGMENT,
+        **clock,
+    )
     nodes.start(
-        "testbed", "fss_sim", "testbed", arm=arm, seed=options.seed, preset=options.preset,
-        ports=nodes.domain.ports(LINKS), keep_clock=True, speed=options.speed, tilt=list(TILT),
-        tether_drag=DRAG, tether_twist=TWIST_DAMPING, base=list(INITIAL_POSE),
+        "testbed",
+        "fss_sim",
+        "testbed",
+        arm=arm,
+        seed=options.seed,
+        preset=options.preset,
+        ports=nodes.domain.ports(LINKS),
+        keep_clock=True,
+        speed=options.speed,
+        tilt=list(TILT),
+        tether_drag=DRAG,
+        tether_twist=TWIST_DAMPING,
+        base=list(INITIAL_POSE),
         twist=list(INITIAL_TWIST),
         q=[0.4, -0.8, 0.8, -0.4],
-    )  # fmt: skip
+    )
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:

@@ -106,21 +106,33 @@ def start_all(
     twist = (rng.uniform(-1.0, 1.0, 3) * [0.003, 0.003, 0.004]).tolist()
     (first, *_) = read_plan(out / f"plan_{session}.yaml", LINKS)
     nodes.start(
-        "testbed", "fss_sim", "testbed", arm=out / "truth.yaml", seed=100 * options.seed + session,
-        ports=nodes.domain.ports(LINKS), preset="laboratory", position_noise=cameras.position,
-        heading_noise=cameras.heading, vicon_hold=cameras.hold, twist=twist,
-        tilt=[options.tilt, -0.5 * options.tilt], base=[0.0, 0.0, rng.uniform(-3.0, 3.0)],
+        "testbed",
+        "fss_sim",
+        "testbed",
+        arm=out / "truth.yaml",
+        seed=100 * options.seed + session,
+        ports=nodes.domain.ports(LINKS),
+        preset="laboratory",
+        position_noise=cameras.position,
+        heading_noise=cameras.heading,
+        vicon_hold=cameras.hold,
+        twist=twist,
+        tilt=[options.tilt, -0.5 * options.tilt],
+        base=[0.0, 0.0, rng.uniform(-3.0, 3.0)],
         q=first.waypoints[0].tolist(),
-    )  # fmt: skip
+    )
     nodes.start("record", "fss_arm_bags", "record", output=out / "bags")
     for i, url in enumerate(nodes.domain.urls(LINKS), 1):
         nodes.start(f"link_{i}", "fss_arm_driver", "link", link=i, url=url)
     nodes.start("arm", "fss_arm_driver", "arm")
     nodes.start("dynamic", "fss_arm_calib", "dynamic", **settings_of(out, cameras))
     nodes.start(
-        "experiment", "fss_arm_calib", "experiment", maneuvers=out / f"plan_{session}.yaml",
+        "experiment",
+        "fss_arm_calib",
+        "experiment",
+        maneuvers=out / f"plan_{session}.yaml",
         pause=PAUSE,
-    )  # fmt: skip
+    )
 
 
 def maneuvers_done(plan: Sequence[Planned], stops: int) -> int:
@@ -154,9 +166,10 @@ def run_sessions(
                 rclpy.spin_once(operator, timeout_sec=0.1)
                 status = shorten(operator.status_message, MAX_STATUS, placeholder="...")
                 bar.update(
-                    task, completed=before + maneuvers_done(plan, operator.stops),
+                    task,
+                    completed=before + maneuvers_done(plan, operator.stops),
                     description=f"session {session + 1} of {count}: {status}",
-                )  # fmt: skip
+                )
                 operator.keep_armed()
             bar.update(task, completed=before + len(plan))
             operator.destroy_node()
@@ -172,10 +185,16 @@ def prepare(
     save(guess, out / "guess.yaml")
     save(truth, out / "truth.yaml")
     plan = design(
-        guess, options.count, settings, Conditions(rest=PAUSE, table=TABLE), seed=options.seed,
-        chosen=[f"b_{i}" for i in range(1, LINKS + 1)], begin=np.array([0.6, -1.0, 1.0, -0.6]),
-        tried=500, progress=progress,
-    )  # fmt: skip
+        guess,
+        options.count,
+        settings,
+        Conditions(rest=PAUSE, table=TABLE),
+        seed=options.seed,
+        chosen=[f"b_{i}" for i in range(1, LINKS + 1)],
+        begin=np.array([0.6, -1.0, 1.0, -0.6]),
+        tried=500,
+        progress=progress,
+    )
     for session, first in enumerate(range(0, len(plan), MANEUVERS_PER_SESSION)):
         part = plan[first : first + MANEUVERS_PER_SESSION]
         (out / f"plan_{session}.yaml").write_text(plan_to_yaml(part), encoding="utf-8")
@@ -236,8 +255,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--count", type=int, default=16, help="number of maneuvers")
     parser.add_argument(
-        "--tilt", type=float, default=radians(0.001), help="tilt of the table [rad]",
-    )  # fmt: skip
+        "--tilt", type=float, default=radians(0.001), help="tilt of the table [rad]"
+    )
     parser.add_argument(
         "--deadline", type=float, default=1800.0, help="timeout of all maneuvers [s]"
     )

@@ -195,7 +195,7 @@ def test_an_experiment_that_was_killed_goes_on(spin, spin_to_the_end, tmp_path):
     ("settings", "message"),
     [
         ({"postures": POSTURES[:3]}, "postures has 3 numbers, expected 4 a row"),
-        ({"postures": [0.0, 1.6, 0.0, 0.0]}, "joint 2 at 1.6 rad, expected -1.571 to 1.571"),
+        ({"postures": [0.0, 1.6, 0.0, 0.0]}, "joint 2 at 91.67 deg, expected -90 to 90 deg"),
         ({"postures": [0.0, 1.5, 1.5, 1.5]}, "to posture 1, link 4 and base would be -"),
         (
             {"postures": [0.0, 1.5, 1.5, 0.0, 0.0, 0.0, 1.5, 1.5], "margin": 0.5},

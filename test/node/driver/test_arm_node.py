@@ -127,7 +127,7 @@ def test_moves_that_make_no_sense_are_rejected(bench, monkeypatch):
     monkeypatch.setattr(bench.arm.get_logger(), "warning", said.append)
     bench.enable()
     for q, options, words in (
-        ((0.1, 2.0), {}, "q of joint 2 is 2 rad, which is 114.592 deg; expected -90 to 90 deg"),
+        ((0.1, 2.0), {}, "q of joint 2 is 114.6 deg, expected -90 to 90 deg"),
         ((0.1, 0.1), {"duration": -1.0}, "duration is -1.0 s, expected 0 to 3600"),
         ((0.1, 0.1), {"keep_alive": -1.0}, "keep_alive is -1.0 s, expected 0 to 3600"),
         ((0.0,) * 1_000_000, {}, "q has 1000000 joints, expected 2"),
@@ -255,11 +255,20 @@ def test_a_move_ends_when_whoever_asked_for_it_is_silent(bench):
 @pytest.mark.parametrize(
     ("client", "limit"),
     [
-        (("fss_arm_calib.experiment.experiment_node", "--ros-args", "-p", "arm:={}",
-          "-p", "postures:=[1.4, -1.4, -1.4, 1.4]"), 1.0),
+        (
+            (
+                "fss_arm_calib.experiment.experiment_node",
+                "--ros-args",
+                "-p",
+                "arm:={}",
+                "-p",
+                "postures:=[1.4, -1.4, -1.4, 1.4]",
+            ),
+            1.0,
+        ),
         (("fss_arm", "move", "80", "-80", "--seconds", "8"), 2.0),
     ],
-)  # fmt: skip
+)
 def test_a_move_ends_soon_when_whoever_asked_for_it_is_killed(bench, start, client, limit):
     """Though ROS takes it for alive for 20 s more, and another client is there."""
     bench.enable()

@@ -57,7 +57,7 @@ def test_a_good_calibration_passes_and_gives_the_next_description(good):
 def test_the_description_says_where_it_is_from(good):
     comments = [line for line in good.description.splitlines() if line.startswith("# ")]
     assert re.search(
-        r"Calibrated by fss_arm_calib .* from live, until \d{4}-\d\d-\d\d", comments[1]
+        r"Calibrated by fss_arm_calib .* from live, until (\d{4}-\d\d-\d\d|\d+ s of)", comments[1]
     )
     assert re.search(r"pass: 16 maneuvers, chi-square of the fit [\d.]+ for [\d.]+ d", comments[2])
     k = good.names.index("I_2")

@@ -117,10 +117,13 @@ def uncertain(shares, **changes):
     n = len(shares)
     names = tuple(f"I_{i}" for i in range(1, n + 1))
     estimate = Estimate(
-        (*names, "m_0", "b_1"), (*("kg m^2",) * n, "kg", "m"), np.ones(n + 2),
+        (*names, "m_0", "b_1"),
+        (*("kg m^2",) * n, "kg", "m"),
+        np.ones(n + 2),
         np.array([*[-0.02] * n, 10.0, 0.1]),
-        deviations=np.array([*0.02 * np.array(shares), 2.5, 1.0]), **changes,
-    )  # fmt: skip
+        deviations=np.array([*0.02 * np.array(shares), 2.5, 1.0]),
+        **changes,
+    )
     return replace(outcome(), estimate=estimate, settings=replace(SETTINGS, arm="my_arm.yaml"))
 
 

@@ -90,7 +90,7 @@ def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
 def test_under_the_verdict_stand_the_date_and_what_to_do_now(tmp_path, count):
     told = kinematic_report(outcome(count))
     when, then = told.below
-    assert re.fullmatch(r"Data of \d{4}-\d\d-\d\d \d\d:\d\d to \d\d:\d\d \S+\.", when)
+    assert re.fullmatch(r"Data of .* to .*, report of \d{4}-\d\d-\d\d \d\d:\d\d UTC\.", when)
     page = report.write(tmp_path, told).read_text()
     assert page.index(told.reason[:20]) < page.index(when) < page.index(then) < page.index("<table")
     assert (told.verdict == "not_evaluated") == then.startswith("Next: record the missing data")

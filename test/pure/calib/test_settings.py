@@ -14,7 +14,11 @@ BELOW_1 = "expected 0 or more, and below 1"
 @pytest.mark.parametrize(
     ("kind", "change", "message"),
     [
-        (RestSettings, {"motion_threshold": 0.0}, "motion_threshold is 0.0 rad, expected a posit"),
+        (
+            RestSettings,
+            {"motion_threshold": 0.0},
+            "motion_threshold is 0 rad (0 deg), expected a posit",
+        ),
         (RestSettings, {"settle_time": -1.0}, "settle_time is -1.0 s, expected 0 or more"),
         (RestSettings, {"min_duration": 3.0}, "max_duration is 2.0 s, expected 3.0 or more"),
         (RestSettings, {"vicon_gap": float("nan")}, "vicon_gap is nan s, expected a positive numb"),
@@ -31,7 +35,11 @@ BELOW_1 = "expected 0 or more, and below 1"
         (DynamicSettings, {"residuals": "tip"}, "residuals is 'tip', expected one of pose, headi"),
         (DynamicSettings, {"estimate": "b_i q"}, "estimate has 'q'"),
         (DynamicSettings, {"fresh_rate": 0.0}, "fresh_rate is 0.0 1/s, expected a positive numbe"),
-        (DynamicSettings, {"tilt_deviation": -1.0}, "tilt_deviation is -1.0 rad, expected 0 or mo"),
+        (
+            DynamicSettings,
+            {"tilt_deviation": -1.0},
+            "tilt_deviation is -1 rad (-57.3 deg), expected 0 or mo",
+        ),
         (DynamicSettings, {"mass_deviation": -1.0}, "mass_deviation is -1.0 kg, expected 0 or mor"),
         (DynamicSettings, {"b_deviation": float("inf")}, "b_deviation is inf m, expected 0 or mor"),
         (DynamicSettings, {"min_maneuvers": 0}, "min_maneuvers is 0, expected 1 or more"),

@@ -86,7 +86,8 @@ def test_no_way_takes_no_time():
     ("goal", "duration", "words"),
     [
         ((0.0,) * 3, 0.0, "q has 3 joints, expected 4"),
-        ((0.0, 0.0, 1.7, 0.0), 0.0, "q of joint 3 is 1.7 rad, which is 97.4.* expected -90 to 90"),
+        ((0.0, 0.0, 1.7, 0.0), 0.0, "q of joint 3 is 97.4 deg, expected -90 to 90"),
+        ((0.0, nan, 0.0, 0.0), 0.0, "q of joint 2 is nan"),
         *(((0.1,) * 4, time, "duration is")
           for time in (nan, inf, -inf, 1e18, -1e18, -1.0, -5e-324)),
         ((0.1,) * 4, 1e200, r"duration is 1e\+200 s, expected 0 to 3600"),

@@ -49,7 +49,7 @@ REFUSED = {
     ),
     "effort of joint_1 is -1e.18": ("number", state(effort=[-1e18])),
     "velocity has 1000000 numbers for 1 names": ("fields", state(velocity=1_000_000 * [0.1])),
-    "is 1.6 rad, expected -1.5708 to 1.5708": ("limits", state(position=[1.6])),
+    "is 91.67 deg, expected -90 to 90 deg": ("limits", state(position=[1.6])),
 }
 
 

@@ -146,7 +146,7 @@ def test_one_that_says_itself_where_it_begins_must_begin_nearby():
     request = Request(0, times - times[0], q, np.full_like(q, np.nan))
     assert len(plan_trajectory(ARM, request, START_TIME, at_rest(*q[0] + 0.2)).times) == len(times)
     with pytest.raises(
-        TrajectoryError, match=r"joint_1 starts 0.3000 rad from its present position"
+        TrajectoryError, match=r"joint_1 starts 17.19 deg from its present position"
     ):
         plan_trajectory(ARM, request, START_TIME, at_rest(*q[0] + 0.3))
 
@@ -402,8 +402,8 @@ def test_long_names_are_shown_in_part():
 @pytest.mark.parametrize(
     ("q", "times", "words"),
     [
-        ([1.55, 1.55], [3.0, 6.0], r"joint_2 would be at 1\.\d+ rad, expected -1.5708 to 1.5708"),
-        ([1.0], [1.0], r"joint_2 would turn at 1.5000 rad/s, expected at most 1"),
+        ([1.55, 1.55], [3.0, 6.0], r"joint_2 would be at 9\d\.\d+ deg, expected -90 to 90 deg"),
+        ([1.0], [1.0], r"joint_2 would turn at 85.94 deg/s, expected at most 57.3 deg/s"),
         ([0.1, 0.1], [1.0, 1.0005], r"points are 0.0005 s apart"),
     ],
 )

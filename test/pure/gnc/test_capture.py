@@ -144,7 +144,7 @@ def test_open_valve_aborts_the_wait_for_the_target():
 def test_infeasible_posture_is_rejected():
     for posture, words in (
         ((0.1, 0.2), "posture has 2 angles, expected 4 or none"),
-        ((0.1, 0.2, 0.3, 4.0), "posture has 4 rad for joint 4"),
+        ((0.1, 0.2, 0.3, 4.0), "posture of joint 4 is 229.2 deg"),
     ):
         with pytest.raises(SettingError, match=words):
             Craft(ARM, MissionSettings(posture=posture))

@@ -34,7 +34,8 @@ CONFIG = Path(__file__).parents[3] / "config"
 )
 def test_yaml_gives_the_same_arm_back(name, number):
     drive = Drive(7, -1, torque_constant=number, max_current=1.5e22, max_velocity=0.1)
-    limited = {"q_min": -number, "q_max": number, "a": number, "lateral": -number}
+    angle = min(number, 6.1 + 0.1)
+    limited = {"q_min": -angle, "q_max": angle, "a": number, "lateral": -number}
     sensor = TorqueSensor(gain=-number, zero=number)
     arm = random_arm(2, np.random.default_rng(1))
     links = tuple(replace(k, **limited, drive=drive, torque_sensor=sensor) for k in arm.links)
@@ -78,6 +79,9 @@ WRONG = [
     (["links", 1, "a"], 0.0, "link 2: a", "a positive number [m]"),
     (["links", 3, "mass"], None, "link 4: mass", "a positive number [kg]"),
     (["links", 3, "q_max"], -2.0, "link 4: q_max", "more than q_min = -1.5707963267948966 [rad]"),
+    (["links", 0, "q_min"], -90.0, "link 1: q_min", "in degrees? -90 deg are -1.571 rad"),
+    (["links", 1, "theta_0"], 6.3, "link 2: theta_0", "-6.283 to 6.283 [rad]; in degrees?"),
+    (["theta_E"], -180, "theta_E", "-6.283 to 6.283 [rad]; in degrees?"),
     (["links", 1, "drive", "direction"], 0, "link 2: drive: direction", "1 or -1"),
     (["links", 1, "drive", "counts_per_turn"], 2.5, "link 2: drive: counts_per_turn", "integer"),
     (["links", 1, "torque_sensor", "gain"], 0.0, "link 2: torque_sensor: gain", "other than zero"),
@@ -101,6 +105,11 @@ def test_wrong_entry_is_named_with_value_and_expectation(where, value, field, ex
         str(error)
         == f"{field} is {given[:77]}{'...' * (len(given) > 80)}, expected {error.expected}"
     )
+
+
+def test_a_mount_in_degrees_is_refused():
+    with pytest.raises(DescriptionError, match=r"^mount is 18.211, expected -6.283 to 6.283 \[rad"):
+        Base(10.0, 0.25, mount=(0.2058, 0.0155, 18.211))
 
 
 def test_thirteen_links_are_too_many():

@@ -95,12 +95,12 @@ def test_angles_are_degrees(tmp_path):
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        ("point_to_point --goal 0 0 0 100", "joint 4 at 1.7453 rad (100.00 deg)"),
+        ("point_to_point --goal 0 0 0 100", "joint 4 at 100 deg, expected -90 to 90 deg"),
         ("point_to_point --goal 10 0 0 0 --share 0", "share is 0.0, expected above 0, at most 1"),
         ("point_to_point --goal 10 0 0 0 --arm unknown", "arm is 'unknown'"),
         ("tip_path", "by and through: neither given"),
         ("zero_reaction --direction 0 0 0 0", "expected 4 numbers, not all 0"),
-        ("reorientation --angle 0", "angle is 0.0 rad, expected -pi to pi, and not 0"),
+        ("reorientation --angle 0", "angle is 0 rad (0 deg), expected -pi to pi, and not 0"),
         ("best_posture --place 5 5", "place is [5.0, 5.0] m"),
     ],
 )

@@ -52,8 +52,12 @@ def test_runs_are_the_grid_for_each_seed(file):
     runs = read_campaign(file).runs
     assert len(runs) == 4 * 2 * 3
     assert runs[4].cell == {"gain": "4", "start[1]": "0.1"}
-    assert runs[4].values == {"mass": 12, "gain": 4.0, "start[1]": 0.1,
-                              "start[0]": runs[0].values["start[0]"]}  # fmt: skip
+    assert runs[4].values == {
+        "mass": 12,
+        "gain": 4.0,
+        "start[1]": 0.1,
+        "start[0]": runs[0].values["start[0]"],
+    }
     assert len({run.values["start[0]"] for run in runs}) == 4  # one for each seed
     file.write_text(FILE.replace("seeds: 4", "seeds: 9"))
     assert read_campaign(file).runs[:24] == runs
@@ -73,13 +77,22 @@ def test_cycle_is_a_latin_square_of_last_axis_and_seed(file):
         ("seeds: 4", "seed: 4", "seed is 4, expected seeds: ..."),
         ("seeds: 4", "seeds: 0", "seeds is 0, expected their number, or a list"),
         ("swing_study:swing", "captre", "run is 'captre', expected one of capture, hold"),
-        ("swing_study:swing", "swing_study:sing", "run is 'swing_study:sing', expected a"
-         " function module:function"),
-        ("mass: 12", "mas: 12", "settings: mas is 12, expected a parameter of the run; the nearest"
-         " name is mass"),
+        (
+            "swing_study:swing",
+            "swing_study:sing",
+            "run is 'swing_study:sing', expected a function module:function",
+        ),
+        (
+            "mass: 12",
+            "mas: 12",
+            "settings: mas is 12, expected a parameter of the run; the nearest name is mass",
+        ),
         ("mass: 12", "mass: heavy", "settings: mass is 'heavy', expected a number"),
-        ("mass: 12", "testbed.x: 2", "settings: testbed.x is 2, expected a parameter of the run:"
-         " gain, mass, start"),
+        (
+            "mass: 12",
+            "testbed.x: 2",
+            "settings: testbed.x is 2, expected a parameter of the run: gain, mass, start",
+        ),
         ("mass: 12", "seed: 2", "settings: seed is 2, expected the seeds under `seeds`"),
         ("start[1]", "start[2]", "grid: start[2] is 0.0, expected an index below 2"),
         ("gain: [0.5, 4.0]", "gain: 0.5", "grid: gain is 0.5, expected a list of values"),
@@ -88,7 +101,7 @@ def test_cycle_is_a_latin_square_of_last_axis_and_seed(file):
         ("measure: [error]", "measure: error", "measure is 'error', expected a list"),
         ("measure: [error]", "success_rate: 2", "success_rate is 2, expected a number from 0 to 1"),
     ],
-)  # fmt: skip
+)
 def test_errors_name_key_value_and_what_was_expected(file, old, new, message):
     file.write_text(FILE.replace(old, new))
     with pytest.raises(CampaignError) as error:
@@ -108,9 +121,9 @@ def loop(guidance: Annotated[Node, Without("rate")] = Node(), arm: ArmValues = A
 
 
 def test_parameters_of_nodes_have_the_names_of_ros():
-    built = Arguments(loop).build({
-        "guidance.pose[1]": 3, "guidance.stand_off": 1, "guidance.pose": [2, 2], "arm.m_1": 2.0,
-    })  # fmt: skip
+    built = Arguments(loop).build(
+        {"guidance.pose[1]": 3, "guidance.stand_off": 1, "guidance.pose": [2, 2], "arm.m_1": 2.0}
+    )
     assert built == {"guidance": Node(1.0, pose=(2.0, 3.0)), "arm": {"m_1": 2.0}}
 
 

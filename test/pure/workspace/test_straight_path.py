@@ -253,7 +253,7 @@ def test_other_numbers_of_links(n, base):
     ("start", "rules", "error"),
     [
         (np.zeros(6), {}, "expected 7 finite numbers"),
-        (np.array([0, 0, 0, 2.0, 0, 0, 0]), {}, "joint 1 starts at 2 rad, expected -1.5708 to"),
+        (np.array([0, 0, 0, 2.0, 0, 0, 0]), {}, "joint 1 starts at 114.6 deg, expected -90 to"),
         (np.array([3.0, 0, 0, 0, 0, 0, 0]), {}, "expected on the table"),
         (arch(ARM), {"base": "moon"}, "base is 'moon', expected one of fixed, floating"),
         (arch(ARM), {"step": 0.0}, "step is 0.0 m, expected a positive number"),

@@ -25,6 +25,7 @@ from fss_arm_model.files import read_yaml
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations, Maneuvers
 from fss_arm_ros.convert import stamp_ns
+from fss_arm_ros.described_arm import described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
@@ -51,7 +52,7 @@ class ExperimentNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("experiment", **options)
         s = self.settings = declare(self, ExperimentSettings)
-        waypoints = read_waypoints(s)
+        waypoints = read_waypoints(s, described_arm(self, s.arm))
         plan: Any = read_yaml(Path(s.maneuvers)) if s.maneuvers else {}
         self.writer = state.FileWriter(self.get_logger())
         self.saved = self.restore()
@@ -111,8 +112,7 @@ class ExperimentNode(Node):
         if not now:
             return  # simulated time has not started
         sequencer, outcome = self.sequencer, self.outcome
-        observers = self.count_publishers(self.kind.data.topic)
-        sequencer.is_observed = sequencer.is_observed or bool(observers)
+        sequencer.is_observed |= self.count_publishers(self.kind.data.topic) > 0
         result = outcome.result().result if outcome.done() else None
         if sequencer.step(now, self.move_client.server_is_ready(), result):
             self.request_move()

@@ -12,9 +12,9 @@ from fss_arm_calib.experiment.postures import default_postures
 from fss_arm_calib.experiment.settings import ExperimentSettings
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.description_file import described
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.guard.settings import GuardSettings
+from fss_arm_model.units import angle_beyond
 
 
 class Waypoint(NamedTuple):
@@ -25,7 +25,7 @@ class Waypoint(NamedTuple):
     pause: float = -1.0  # rest at the posture [s]; < 0: until it has been observed
 
 
-def read_waypoints(settings: ExperimentSettings) -> list[Waypoint]:
+def read_waypoints(settings: ExperimentSettings, arm: Arm) -> list[Waypoint]:
     """Return the stops in order.
 
     Raises:
@@ -33,7 +33,6 @@ def read_waypoints(settings: ExperimentSettings) -> list[Waypoint]:
         OSError: a file cannot be read.
     """
     s = settings
-    arm = described(s.arm)
     if s.maneuvers:
         found = maneuver_waypoints(read_plan(s.maneuvers, arm.n), s.pause)
     elif len(s.postures) % arm.n:
@@ -72,10 +71,8 @@ def check_waypoints(q: Floats, arm: Arm, guarded: GuardSettings) -> None:
     for i, link in enumerate(arm.links):
         outside = (q[:, i] < link.q_min) | (q[:, i] > link.q_max) | ~np.isfinite(q[:, i])
         if outside.any():
-            raise ValueError(
-                f"postures: joint {i + 1} at {q[outside, i][0]:.4g} rad, "
-                f"expected {link.q_min:.4g} to {link.q_max:.4g}"
-            )
+            words = angle_beyond(q[outside, i][0], link.q_min, link.q_max)
+            raise ValueError(f"postures: joint {i + 1} at {words}")
     guard = Guard(arm, guarded)
     for k in range(len(q)):
         try:

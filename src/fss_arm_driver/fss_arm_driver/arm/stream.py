@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.description import Arm
-from fss_arm_model.units import SECOND
+from fss_arm_model.units import SECOND, angle_beyond
 
 MAX_LEAD = SECOND // 10  # largest lead of a stamp, as computers' clocks differ [ns]
 FIELDS = {"position": Mode.POSITION, "velocity": Mode.VELOCITY, "effort": Mode.CURRENT}
@@ -57,8 +57,11 @@ class Stream:
         """
         given = stamp or now
         if given + self._lives < now:
-            raise StreamError("old", f"stamp is {(now - given) / SECOND:.3f} s old, expected less "
-                              f"than {self._lives / SECOND:g} s")  # fmt: skip
+            raise StreamError(
+                "old",
+                f"stamp is {(now - given) / SECOND:.3f} s old, expected less "
+                f"than {self._lives / SECOND:g} s",
+            )
         if given > now + MAX_LEAD:
             ahead = (given - now) / SECOND
             raise StreamError("future", f"stamp is {ahead:.3f} s in the future, expected the past")
@@ -76,8 +79,9 @@ class Stream:
             raise StreamError("fields", f"{words} is filled, expected one of {', '.join(FIELDS)}")
         names, values = message.name, getattr(message, filled[0])
         if len(names) != len(values):
-            raise StreamError("fields", f"{filled[0]} has {len(values)} numbers for {len(names)} "
-                              "names")  # fmt: skip
+            raise StreamError(
+                "fields", f"{filled[0]} has {len(values)} numbers for {len(names)} names"
+            )
         if len(set(names)) < len(names):
             raise StreamError("names", "name has a joint twice")
         return list(self._set_points(names, values, filled[0]))
@@ -95,8 +99,7 @@ class Stream:
             if kind == "position" and not link.q_min <= value <= link.q_max:
                 raise StreamError(
                     "limits",
-                    f"position of {name} is {value} rad, expected "
-                    f"{link.q_min:.6g} to {link.q_max:.6g}",
+                    f"position of {name} is {angle_beyond(value, link.q_min, link.q_max)}",
                 )
             if kind == "effort":
                 value /= link.drive.torque_constant

@@ -9,7 +9,7 @@ import numpy as np
 from fss_arm_driver.arm.request import Code, Request, TrajectoryError
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.units import SECOND
+from fss_arm_model.units import SECOND, angle_beyond, in_degrees
 
 MIN_SEGMENT, MAX_SEGMENT = 0.002, 59.0  # between knots, as a LinkPath has them [s]
 MAX_AHEAD = 119.0  # largest time until a path starts; a link allows 120 s [s]
@@ -155,8 +155,8 @@ def _check_start(arm: Arm, first: Floats, here: Floats) -> None:
         if (way := abs(first[i] - here[i])) > reach:
             raise TrajectoryError(
                 Code.INVALID_GOAL,
-                f"joint_{i + 1} starts {way:.4f} rad from its present position, expected at most "
-                f"{reach:.4g} (or a later first point)",
+                f"joint_{i + 1} starts {in_degrees([way])} from its present position, expected at "
+                f"most {in_degrees([reach])} (or a later first point)",
             )
 
 
@@ -178,9 +178,9 @@ def _check_limits(arm: Arm, path: Trajectory) -> None:
         low, high, most = link.q_min, link.q_max, link.drive.max_velocity
         for value in (q[..., i].min(), q[..., i].max()):
             if not low - 1e-9 <= value <= high + 1e-9:
-                expected = f"{low:.6g} to {high:.6g}"
-                words = f"joint_{i + 1} would be at {value:.4f} rad, expected {expected}"
+                words = f"joint_{i + 1} would be at {angle_beyond(value, low, high)}"
                 raise TrajectoryError(Code.INVALID_GOAL, words)
         if (fastest := np.abs(qd[..., i]).max()) > OVERSHOOT * most:
-            words = f"joint_{i + 1} would turn at {fastest:.4f} rad/s, expected at most {most:.6g}"
+            words = f"joint_{i + 1} would turn at {in_degrees([fastest])}/s, expected at most "
+            words += f"{in_degrees([most])}/s"
             raise TrajectoryError(Code.INVALID_GOAL, words)

@@ -24,6 +24,7 @@ from fss_arm_model.settings import (
     one_of,
     setting,
 )
+from fss_arm_model.units import angle_beyond
 from fss_arm_workspace.regions.fixed import checked_limits, joint_limits
 from fss_arm_workspace.straight_path.redundancy import BASES, RULES
 from fss_arm_workspace.straight_path.trace import STOPPING_RATE, LineOptions, trace
@@ -209,7 +210,7 @@ def _prepare(
     bounds = checked_limits(arm, limits)
     for i, (q, (low, high)) in enumerate(zip(start[3:], bounds, strict=True), 1):
         if not low <= q <= high:
-            raise ValueError(f"joint {i} starts at {q:.6g} rad, expected {low:.6g} to {high:.6g}")
+            raise ValueError(f"joint {i} starts at {angle_beyond(q, low, high)}")
     x, y, _ = tip_pose(arm.vector(), start)
     low_x, low_y, high_x, high_y = rules.table
     if not (low_x <= x <= high_x and low_y <= y <= high_y):

@@ -14,6 +14,7 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.held import Target
 from fss_arm_model.settings import SettingError
+from fss_arm_model.units import angle_beyond
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Body, Path
 
@@ -121,7 +122,5 @@ class Craft:
             raise SettingError(f"posture has {len(posture)} angles, expected {len(links)} or none")
         for i, (q, link) in enumerate(zip(posture, links, strict=False), 1):
             if not link.q_min <= q <= link.q_max:
-                raise SettingError(
-                    f"posture has {q:g} rad for joint {i}, expected {link.q_min:g} to "
-                    f"{link.q_max:g} rad"
-                )
+                words = angle_beyond(q, link.q_min, link.q_max)
+                raise SettingError(f"posture of joint {i} is {words}")

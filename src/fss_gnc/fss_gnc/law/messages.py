@@ -18,9 +18,11 @@ from fss_gnc.law.snapshot import Health
 
 PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and heading among the six axes of a covariance
 OUTPUT_TYPES = {
-    "base/wrench": WrenchStamped, "thrusters/command": ThrusterCommand,
-    "arm/joint_commands": JointState, "gripper/command": Bool,
-}  # fmt: skip
+    "base/wrench": WrenchStamped,
+    "thrusters/command": ThrusterCommand,
+    "arm/joint_commands": JointState,
+    "gripper/command": Bool,
+}
 
 
 def planar_covariances(message: Any) -> tuple[Floats, Floats]:

@@ -66,17 +66,26 @@ class Snapshot:
         reference = self._reference(base, now)
         q, qd, _ = joints
         return Inputs(
-            joints=self.n, time=(now - self._start) / SECOND, period=self.period,
-            base_pose=base.pose, base_twist=base.twist, base_covariance=self.covariance.ravel(),
-            base_age=self.base.age(now), joint_angles=q + self.joints.age(now) * qd, joint_rates=qd,
-            reference_pose=reference.pose, reference_twist=reference.twist,
+            joints=self.n,
+            time=(now - self._start) / SECOND,
+            period=self.period,
+            base_pose=base.pose,
+            base_twist=base.twist,
+            base_covariance=self.covariance.ravel(),
+            base_age=self.base.age(now),
+            joint_angles=q + self.joints.age(now) * qd,
+            joint_rates=qd,
+            reference_pose=reference.pose,
+            reference_twist=reference.twist,
             reference_acceleration=reference.acceleration,
             valves_armed=bool(self.valves_armed.valid_value(now)),
             joints_armed=np.array([bool(one.valid_value(now)) for one in self.links_armed]),
-            valves_stuck_open=self.health.stuck_open, valves_stuck_closed=self.health.stuck_closed,
-            target_pose=target and target.pose, target_twist=target and target.twist,
+            valves_stuck_open=self.health.stuck_open,
+            valves_stuck_closed=self.health.stuck_closed,
+            target_pose=target and target.pose,
+            target_twist=target and target.twist,
             propellant=self.propellant,
-        )  # fmt: skip
+        )
 
     def _reference(self, base: Body, now: int) -> Reference:
         if (trajectory := self.trajectory.valid_value(now)) and trajectory[1]:

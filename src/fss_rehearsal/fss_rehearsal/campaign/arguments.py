@@ -99,9 +99,12 @@ class Arguments:
         if name not in self.hints or not found:
             near = get_close_matches(name, self.names, n=1, cutoff=0.5)
             raise ContentError(
-                key, value, f"a parameter of the run; the nearest name is {near[0]}"
-                if near else f"a parameter of the run: {', '.join(self._groups())}",
-            )  # fmt: skip
+                key,
+                value,
+                f"a parameter of the run; the nearest name is {near[0]}"
+                if near
+                else f"a parameter of the run: {', '.join(self._groups())}",
+            )
         return name, None if found[2] is None else int(found[2])
 
     def _groups(self) -> list[str]:

@@ -56,8 +56,10 @@ def run(campaign: Campaign, out: Path, options: argparse.Namespace, console: Con
     results = Results(path, rows)
     planned = campaign.in_random_order()[: options.runs]
     runs = [one for one in planned if one.number not in results.rows]
-    console.print(f"{campaign.about or options.file.stem}: {len(planned)} runs, "
-                  f"{len(planned) - len(runs)} done before")  # fmt: skip
+    console.print(
+        f"{campaign.about or options.file.stem}: {len(planned)} runs, "
+        f"{len(planned) - len(runs)} done before"
+    )
     if runs:
         try:
             with open_client(options.scheduler, options.workers) as client:

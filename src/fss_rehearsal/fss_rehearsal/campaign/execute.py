@@ -55,8 +55,8 @@ def open_client(scheduler: str, workers: int) -> "Iterator[Client]":
                 yield client
             return
         cluster = LocalCluster(
-            n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=50,
-        )  # fmt: skip
+            n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=50
+        )
         with cluster, Client(cluster) as client:
             yield client
 
@@ -92,8 +92,9 @@ def check_commit(name: Any, address: str, commit: str) -> None:
         )
 
 
-def execute(campaign: Campaign, runs: Sequence[Run], client: "Client", results: Results,
-            console: Console) -> None:  # fmt: skip
+def execute(
+    campaign: Campaign, runs: Sequence[Run], client: "Client", results: Results, console: Console
+) -> None:
     """Execute runs; add each row to the results as its run finishes.
 
     Raises:
@@ -105,11 +106,17 @@ def execute(campaign: Campaign, runs: Sequence[Run], client: "Client", results: 
     folder = campaign.file.parent.absolute()
     futures = [
         client.submit(
-            perform_on_worker, campaign.function, folder, run.number, run.seed, dict(run.values),
-            key=key, pure=False,
+            perform_on_worker,
+            campaign.function,
+            folder,
+            run.number,
+            run.seed,
+            dict(run.values),
+            key=key,
+            pure=False,
         )
         for key, run in by_key.items()
-    ]  # fmt: skip
+    ]
     failures, crashes = 0, 0
     with _progress(console) as progress:
         task = progress.add_task("", total=len(futures), rate="", failures="")
@@ -157,7 +164,11 @@ def _row(future: Any, run: Run) -> Row:
 
 def _progress(console: Console) -> Progress:
     return Progress(
-        BarColumn(bar_width=20), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-        TextColumn("remaining"), TimeRemainingColumn(), TextColumn("{task.fields[failures]}"),
+        BarColumn(bar_width=20),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TextColumn("remaining"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[failures]}"),
         console=console,
-    )  # fmt: skip
+    )

@@ -12,9 +12,10 @@ from pathlib import Path
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     found = argparse.ArgumentParser(
-        "ros2 run fss_rehearsal campaign", description=__doc__,
+        "ros2 run fss_rehearsal campaign",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     found.add_argument("file", type=Path, metavar="FILE.yaml", help="file of the campaign")
     found.add_argument("--out", type=Path, help="folder of the results; default: out/NAME")
     found.add_argument("--runs", type=int, help="number of runs, spread over the grid; default all")

@@ -162,9 +162,16 @@ def _campaign(file: Path, given: Any) -> Campaign:
     if not isinstance(measures, list) or not all(isinstance(m, str) for m in measures):
         raise ContentError("measure", measures, "a list of the names of figures")
     return Campaign(
-        file, str(given.get("about", "")), place, _seeds(given.get("seeds", 1)), settings, axes,
-        distributions, tuple(measures), float(rate),
-    )  # fmt: skip
+        file,
+        str(given.get("about", "")),
+        place,
+        _seeds(given.get("seeds", 1)),
+        settings,
+        axes,
+        distributions,
+        tuple(measures),
+        float(rate),
+    )
 
 
 def _mapping(key: str, value: Any) -> dict[str, Any]:

@@ -72,11 +72,16 @@ def summarize(campaign: Campaign, rows: Sequence[Row], command: str) -> Report:
     names = [name for name in figure_names(campaign, rows) if len(numbers(rows, name))]
     head = ("runs", "succeeded", "rate", "95 % interval")
     tables = [
-        Table(axis.name, ("", *head), [
-            (level.label, *rate_text(group)) for level, group in _along(campaign, axis.name, rows)
-        ])
+        Table(
+            axis.name,
+            ("", *head),
+            [
+                (level.label, *rate_text(group))
+                for level, group in _along(campaign, axis.name, rows)
+            ],
+        )
         for axis in campaign.axes
-    ]  # fmt: skip
+    ]
     tables.append(Table("Figures", MEASURE_HEAD, [_spread(name, rows) for name in names]))
     worst = worst_rows(rows, names)
     if worst:

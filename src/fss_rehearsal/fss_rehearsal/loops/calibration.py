@@ -21,9 +21,8 @@ from fss_arm_calib.kinematic.calibrate import calibrate as calibrate_kinematics
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver, ManeuverFinder
+from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_calib.segments.rests import (
-    BASE,
-    TIP,
     Observation,
     RestFinder,
     rejected_without_repeat,
@@ -62,11 +61,32 @@ DYNAMIC = DynamicSettings(
 )
 #: Parameters of the test bed without effect in an experiment without ROS, thrusters and target.
 WITHOUT_THRUSTERS = Without(
-    "vehicles", "serials", "without_arm", "host", "transports", "ports", "terminals", "board_*",
-    "keys", "keep_clock", "speed", "paused", "truth_rate", "state_file", "*_frame", "*_topic",
-    "frame_prefix", "target_*", "grip*", "contact*", "restitution", "thrust*", "specific_impulse",
-    "minimum_on_time", "valve_delay",
-)  # fmt: skip
+    "vehicles",
+    "serials",
+    "without_arm",
+    "host",
+    "transports",
+    "ports",
+    "terminals",
+    "board_*",
+    "keys",
+    "keep_clock",
+    "speed",
+    "paused",
+    "truth_rate",
+    "state_file",
+    "*_frame",
+    "*_topic",
+    "frame_prefix",
+    "target_*",
+    "grip*",
+    "contact*",
+    "restitution",
+    "thrust*",
+    "specific_impulse",
+    "minimum_on_time",
+    "valve_delay",
+)
 
 
 class Experiment:
@@ -196,9 +216,13 @@ class Experiment:
         for link, part in zip(self.links, move.profiles, strict=True):
             with suppress(CommandError):
                 link.set(
-                    POSITION_MODE, part.target, part.velocity, part.acceleration,
-                    self.now + SECOND, self.now,
-                )  # fmt: skip
+                    POSITION_MODE,
+                    part.target,
+                    part.velocity,
+                    part.acceleration,
+                    self.now + SECOND,
+                    self.now,
+                )
 
     def run(self, postures: Sequence[Sequence[float]]) -> None:
         """Visit all postures; repeat those whose rest was rejected."""
@@ -262,7 +286,7 @@ def calibration(
         DynamicSettings, Without("arm", "*_topic", "plan", "max_maneuvers")
     ] = DYNAMIC,
     arm: ArmValues = NO_VALUES,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Visit the default postures; calibrate kinematics from the rests, dynamics from the moves.
 
     The dynamic calibration starts from a random guess. The run succeeds if both calibrations pass.
@@ -270,11 +294,22 @@ def calibration(
     truth, guess = arm.apply(described(testbed.arm)), described(kinematic.arm)
     state = replace(testbed.state_from_parameters(truth.n), boot_offset=0)
     experiment = Experiment(
-        truth, guess, testbed.noise(), testbed.world(), state, seed, kinematic, dynamic,
-        rate=testbed.telemetry_rate, torque_rate=testbed.torque_rate, charge=testbed.battery,
-        power=testbed.power(), script=read_script(testbed.script()),
-        radio_channel=testbed.radio_channel(str(seed)), vicon=testbed.vicon(seed, (0, 1)),
-    )  # fmt: skip
+        truth,
+        guess,
+        testbed.noise(),
+        testbed.world(),
+        state,
+        seed,
+        kinematic,
+        dynamic,
+        rate=testbed.telemetry_rate,
+        torque_rate=testbed.torque_rate,
+        charge=testbed.battery,
+        power=testbed.power(),
+        script=read_script(testbed.script()),
+        radio_channel=testbed.radio_channel(str(seed)),
+        vicon=testbed.vicon(seed, (0, 1)),
+    )
     experiment.run(default_postures(guess).tolist())
     streams = experiment.finder.streams(), experiment.maneuver_finder.streams()
     kinematics = calibrate_kinematics(experiment.observations, guess, kinematic, streams[0])

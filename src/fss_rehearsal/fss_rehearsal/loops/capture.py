@@ -65,13 +65,44 @@ TESTBED = TestbedSettings(
 )
 #: Parameters of the test bed without effect in a loop without electronics, links and markers.
 WITHOUT_ELECTRONICS = Without(
-    "vehicles", "serials", "without_arm", "host", "transports", "ports", "terminals", "board_*",
-    "telemetry_rate", "keys", "vicon_jitter", "vicon_edge_error", "vicon_occlusion", "vicon_merge*",
-    "vicon_cameras", "*_markers", "marker_*", "heights", "wifi*", "torque_noise", "torque_zero",
-    "torque_crosstalk", "torque_drift", "torque_rate", "clock_drift", "encoder_eccentricity",
-    "battery*", "faults", "twist", "keep_clock", "speed", "paused", "truth_rate", "state_file",
-    "*_frame", "frame_prefix", "*_topic",
-)  # fmt: skip
+    "vehicles",
+    "serials",
+    "without_arm",
+    "host",
+    "transports",
+    "ports",
+    "terminals",
+    "board_*",
+    "telemetry_rate",
+    "keys",
+    "vicon_jitter",
+    "vicon_edge_error",
+    "vicon_occlusion",
+    "vicon_merge*",
+    "vicon_cameras",
+    "*_markers",
+    "marker_*",
+    "heights",
+    "wifi*",
+    "torque_noise",
+    "torque_zero",
+    "torque_crosstalk",
+    "torque_drift",
+    "torque_rate",
+    "clock_drift",
+    "encoder_eccentricity",
+    "battery*",
+    "faults",
+    "twist",
+    "keep_clock",
+    "speed",
+    "paused",
+    "truth_rate",
+    "state_file",
+    "*_frame",
+    "frame_prefix",
+    "*_topic",
+)
 
 #: Parameters of the navigation without effect in a loop without topics.
 WITHOUT_TOPICS = Without("latency", "rate", "*_topic", "*_frame", "frame_prefix")
@@ -82,10 +113,11 @@ class FaultSettings(Settings):
     """A fault that occurs in a phase of the mission."""
 
     kind: str = setting(
-        "", "fault: no poses (outage), a valve stuck open or closed, gyro or a link lost, no "
+        "",
+        "fault: no poses (outage), a valve stuck open or closed, gyro or a link lost, no "
         "gripper/state; empty: none",
         check=one_of("", "outage", "open", "closed", "gyro", "link", "gripper"),
-    )  # fmt: skip
+    )
     phase: str = setting(
         "", "phase of the fault", check=one_of("", "approach", "reach", "grip", "detumble")
     )
@@ -242,14 +274,18 @@ class Flight:
         thrusters, faults = self.plant.thrusters, self.navigation.valves.faults
         return Observation(
             self.t,
-            self._known_body(self.navigation.base), self._known_body(self.navigation.target),
-            q, qd, effort,
+            self._known_body(self.navigation.base),
+            self._known_body(self.navigation.target),
+            q,
+            qd,
+            effort,
             None if self.is_faulty("gripper") else self.plant.holds,
             thrusters.capacity - thrusters.propellant_used,
             self.reading[0] if self.reading else None,
             self.held_body if self.plant.holds else None,
-            tuple(sorted(i + 1 for i in faults.open)), faults.unknown_push,
-        )  # fmt: skip
+            tuple(sorted(i + 1 for i in faults.open)),
+            faults.unknown_push,
+        )
 
     def _known_body(self, body: BodyFilter) -> Body | None:
         now = round(self.t * SECOND)
@@ -336,9 +372,13 @@ class Flight:
         """Update the navigation with the sensors' readings."""
         now, plant, navigation = round(self.t * SECOND), self.plant, self.navigation
         readings = self.sensors.observe(
-            self.frame, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:],
+            self.frame,
+            plant.base,
+            plant.tip,
+            float(plant.qd[2]),
+            plant.qd[3:],
             target=tuple(plant.target[0].tolist()),
-        )  # fmt: skip
+        )
         if readings.rate is not None and not self.is_faulty("gyro"):
             navigation.base.update_rate(now, readings.rate)
         if readings.base and readings.target and not self.is_faulty("outage"):
@@ -389,12 +429,21 @@ def capture(
     navigation: Annotated[NavigationSettings, WITHOUT_TOPICS] = NAVIGATION,
     control: Annotated[
         ControlSettings,
-        Without("arm", "rate", "timeout", "max_age", "feed_forward", "table", "full_tank",
-                "target_*", "base_frame"),
+        Without(
+            "arm",
+            "rate",
+            "timeout",
+            "max_age",
+            "feed_forward",
+            "table",
+            "full_tank",
+            "target_*",
+            "base_frame",
+        ),
     ] = CONTROL,
     fault: FaultSettings = NO_FAULT,
     arm: ArmValues = NO_VALUES,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Fly one capture; it succeeds if the target is held and stopped at the end."""
     flight = Flight(seed, testbed, guidance, navigation, control, fault, arm)
     flown = flight.fly()

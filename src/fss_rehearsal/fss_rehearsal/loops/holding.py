@@ -143,11 +143,13 @@ def hold_base(
 def hold(
     seed: int,
     testbed: Annotated[
-        TestbedSettings, WITHOUT_ELECTRONICS,
+        TestbedSettings,
+        WITHOUT_ELECTRONICS,
         Without("q", "target_*", "grip*", "contact*", "restitution", "encoder_error"),
     ] = TESTBED,
     navigation: Annotated[
-        NavigationSettings, WITHOUT_TOPICS,
+        NavigationSettings,
+        WITHOUT_TOPICS,
         Without("target_*", "mass_error", "com_error", "momentum_walk"),
     ] = NAVIGATION,
     control: Annotated[
@@ -156,7 +158,7 @@ def hold(
     ] = CONTROL,
     motion: MotionSettings = MOTION,
     arm: ArmValues = NO_VALUES,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Hold the base; it succeeds if it stays within 1 cm and 1 degree."""
     postures = default_postures(described(testbed.arm))
     path = np.vstack([np.zeros(postures.shape[1]), postures])[: motion.postures + 1]
