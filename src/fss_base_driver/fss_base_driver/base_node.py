@@ -40,20 +40,13 @@ class BaseNode(SessionNode):
     """
 
     session: BoardSession
+    HAS_LIVE_PARAMETERS = True
 
     def __init__(self, transport: Transport | None = None, **options: Any) -> None:
-        super().__init__("base", BaseSettings, live=True, **options)
+        super().__init__("base", BaseSettings, **options)
         s: BaseSettings = self.settings
-        session = BoardSession(
-            s.timeout,
-            s.watchdog,
-            s.command_lifetime,
-            s.max_on_time,
-            self.resolution,
-            s.key(),
-            s.empty,
-            self.clock.offset,
-        )
+        times = s.timeout, s.watchdog, s.command_lifetime, s.max_on_time
+        session = BoardSession(*times, self.resolution, s.key(), s.empty, self.clock.offset)
         self.connect(session, transport or open_transport(s.url))
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
         self.valve_faults = ThrusterHealth()  # detected by the navigation

@@ -41,23 +41,17 @@ class SessionNode(Node):
         name: of the node.
         kind: of its settings, which have `url`, `keys`, `rate` and `max_rate`.
         clock: by default the computer's; tests may pass another.
-        live: whether the node has parameters that may be set while it runs.
     """
 
     session: Session[Any]
     commands: SubscriptionThread  # that receives stops
+    HAS_LIVE_PARAMETERS = False  # which may be set while it runs
 
     def __init__(
-        self,
-        name: str,
-        kind: type,
-        *,
-        clock: HostClock | None = None,
-        live: bool = False,
-        **options: Any,
+        self, name: str, kind: type, *, clock: HostClock | None = None, **options: Any
     ) -> None:
         super().__init__(name, **options)
-        self.settings: Any = declare(self, kind, live=live)
+        self.settings: Any = declare(self, kind, live=self.HAS_LIVE_PARAMETERS)
         simulated = self.get_parameter("use_sim_time").value
         self.resolution = SIMULATED_STEP if simulated else 0.0
         now = self.simulated_now
