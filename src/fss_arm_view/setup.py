@@ -4,7 +4,7 @@ setup(
     name="fss_arm_view",
     version="0.2.0",
     packages=find_packages(),
-    package_data={"fss_arm_view": ["py.typed"]},
+    package_data={"fss_arm_view": ["py.typed", "web/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fss_arm_view"]),
         ("share/fss_arm_view", ["package.xml"]),

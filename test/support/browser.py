@@ -42,6 +42,21 @@ class Page:
             stderr=subprocess.DEVNULL,
         )
         self.told = folder / "DevToolsActivePort"
+        self.sized: Any = None
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the page a size that its window cannot have: one narrower than 500 pixels."""
+        self.sized = connect(self.debugger(), max_size=None)  # the size lasts as long as this
+        given = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        method = "Emulation.setDeviceMetricsOverride"
+        self.sized.send(json.dumps({"id": 1, "method": method, "params": given}))
+
+    def debugger(self) -> str:
+        """Return the address of the page for the DevTools protocol."""
+        port = self.told.read_text().split()[0]
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
+            pages = [p for p in json.load(answer) if p["type"] == "page"]
+        return str(pages[0]["webSocketDebuggerUrl"])
 
     def picture(self) -> bytes:
         """What it shows now, as PNG."""
@@ -57,10 +72,7 @@ class Page:
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
             try:
-                port = self.told.read_text().split()[0]
-                with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
-                    pages = [p for p in json.load(answer) if p["type"] == "page"]
-                with connect(pages[0]["webSocketDebuggerUrl"], max_size=None) as browser:
+                with connect(self.debugger(), max_size=None) as browser:
                     browser.send(json.dumps({"id": 1, "method": method, "params": given}))
                     while (reply := json.loads(browser.recv(timeout))).get("id") != 1:
                         pass
@@ -71,6 +83,8 @@ class Page:
 
     def close(self) -> None:
         """End the browser."""
+        if self.sized:
+            self.sized.close()
         self.process.terminate()
         self.process.wait(20.0)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fss_arm_model.files import write_text
+from fss_arm_ros.palette import css
 
 if TYPE_CHECKING:  # not imported by nodes, which print no tables
     from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -181,7 +182,7 @@ def write(folder: str | Path, *reports: Report) -> Path:
         parts.append(_section(report, pictures))
     page = folder / "index.html"
     title = ", ".join(report.title for report in reports)
-    write_text(page, PAGE.format(title=escape(title), body="\n".join(parts)))
+    write_text(page, PAGE.format(title=escape(title), colors=css(), body="\n".join(parts)))
     return page
 
 
@@ -265,14 +266,15 @@ PAGE = """<!doctype html>
 <meta name="viewport" content="width=device-width">
 <title>{title}</title>
 <style>
-body {{ font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 70rem; margin: 2rem auto;
-       padding: 0 1rem; }}
+{colors}body {{ font: 15px/1.5 system-ui, sans-serif; color: var(--text); max-width: 70rem;
+       margin: 2rem auto; padding: 0 1rem; }}
 h1 {{ font-size: 1.6rem; margin: 0; }}
 h2 {{ font-size: 1.1rem; margin: 2rem 0 0.5rem; }}
 div {{ overflow-x: auto; }}
 table {{ font-size: 0.9rem; border-collapse: collapse; font-variant-numeric: tabular-nums; }}
-th, td {{ padding: 0.15rem 0.8rem 0.15rem 0; border-bottom: 1px solid #ddd; text-align: left; }}
-th {{ font-weight: 600; border-bottom-color: #888; }}
+th, td {{ padding: 0.15rem 0.8rem 0.15rem 0; border-bottom: 1px solid var(--grid);
+       text-align: left; }}
+th {{ font-weight: 600; border-bottom-color: var(--rule); }}
 .number {{ text-align: right; white-space: nowrap; }}
 th.number {{ white-space: normal; vertical-align: bottom; }}
 .word {{ vertical-align: top; }}
@@ -280,17 +282,17 @@ th.number {{ white-space: normal; vertical-align: bottom; }}
 .verdict span {{ padding: 0.2rem 0.8rem; border-radius: 0.2rem; color: white; font-weight: 600;
        font-size: 1.6rem; text-transform: uppercase; }}
 .below {{ margin: 0.2rem 0; font-weight: 600; }}
-.bad {{ color: #b3261e; font-weight: 600; }}
-.weak {{ color: #8a6100; font-weight: 600; }}
-.pass {{ background: #2a7a3b; }}
-.fail {{ background: #b3261e; }}
-.not_evaluated {{ background: #8a6100; }}
+.bad {{ color: var(--danger); font-weight: 600; }}
+.weak {{ color: var(--attention); font-weight: 600; }}
+.pass {{ background: var(--good); }}
+.fail {{ background: var(--danger); }}
+.not_evaluated {{ background: var(--attention); }}
 sub, sup {{ line-height: 0; }}
 figure {{ margin: 2rem 0 0; break-inside: avoid; }}
 figcaption {{ font-weight: 600; font-size: 1.1rem; }}
 img {{ max-width: 100%; }}
 pre {{ background: #f5f5f5; padding: 0.8rem; overflow-x: auto; font-size: 13px; }}
-.origin {{ color: #666; overflow-wrap: anywhere; }}
+.origin {{ color: var(--muted); overflow-wrap: anywhere; }}
 section + section {{ margin-top: 4rem; }}
 </style>
 </head>

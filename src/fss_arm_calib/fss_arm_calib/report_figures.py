@@ -9,6 +9,7 @@ from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure
 from fss_arm_calib.report_tables import format_number
 from fss_arm_model.arrays import Floats
+from fss_arm_ros import palette
 
 
 def common_figures(
@@ -58,7 +59,10 @@ def draw_influence(outcome: Outcome[Any, Any], label: str) -> Any:
     axes = drawing.subplots()
     e = outcome.estimate
     kept, leverage = e.weights > 0.0, e.leverage
-    for chosen, color, words in ((kept, "tab:blue", "used"), (~kept, "tab:red", "rejected")):
+    for chosen, color, words in (
+        (kept, palette.MEASURED, "used"),
+        (~kept, palette.DANGER, "rejected"),
+    ):
         if chosen.any():
             axes.plot(leverage[chosen], e.errors[chosen], "o", color=color, label=words)
     for k, place in enumerate(zip(leverage, e.errors, strict=True)):
@@ -67,7 +71,7 @@ def draw_influence(outcome: Outcome[Any, Any], label: str) -> Any:
         if check.name == "outliers":
             axes.axhline(
                 check.threshold,
-                color="tab:red",
+                color=palette.DANGER,
                 linestyle="--",
                 linewidth=1.0,
                 label="outliers above",

@@ -11,11 +11,11 @@ from fss_arm_motion.limits import KINDS
 from fss_arm_motion.plan import Plan, PlanError, Start, predicted, probed
 from fss_arm_motion.point_to_point import MIN_DISTANCE, straight
 from fss_arm_motion.tip_path import TipPath, way_of
+from fss_arm_ros import palette
 
 STROBES = 9
-JOINTS = ("#30638e", "#d1495b", "#e0a030", "#3f9b6e", "#7b4b94", "#5c5c5c")
-SHARES = ("#30638e", "#3f9b6e", "#d1495b")
-BASE, MOVE, WAY = "#1b1b1e", "#9a9a9a", "#d1495b"
+JOINTS, SHARES = palette.LINKS, palette.LINKS[3:6]
+BASE, MOVE, WAY = palette.PREDICTED, palette.STATIC, palette.TIP
 
 
 def draw(start: Start, plan: Plan, path: str | PathLike[str]) -> None:

@@ -1,4 +1,8 @@
-"""Gate in front of rerun's page and its data: no request of the page leaves the laboratory.
+"""Gate: serves the live page, and relays requests to rerun; no request leaves the laboratory.
+
+The node passes a state ten times a second through a socket (`live.py`). A page receives those of
+the last minute, then each new one, as server-sent events. A page that is too slow skips states, so
+that what it draws is never late.
 
 rerun's program serves every client, under any host name. Its page requests fonts and releases from
 hosts of rerun's vendor, and reports to them how it is used. The gate is a proxy for both servers:
@@ -6,10 +10,8 @@ hosts of rerun's vendor, and reports to them how it is used. The gate is a proxy
 - A request is accepted if its Host is an address or a name of this computer, so that a foreign
   page cannot reach the servers under its own host name (DNS rebinding). Clients that speak HTTP/2
   from the first line have no Host to check. rerun's own programs do so, but no browser does.
-- The page is sent with a policy by which browsers load from this host only. Links that would make
+- Pages are sent with a policy by which browsers load from this host only. Links that would make
   browsers look up other hosts before they apply the policy are removed.
-
-The gate adds the strip to the page, and answers its requests (`page.py`).
 
 It imports only modules that load quickly, and runs as a separate process:
 `python -m fss_arm_view.gate`.
@@ -19,17 +21,16 @@ import asyncio
 import re
 import socket
 import sys
-import time
 from asyncio import StreamReader, StreamWriter
-from collections.abc import Callable, Coroutine, Iterable
-from contextlib import suppress
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
+from contextlib import asynccontextmanager, suppress
 from functools import partial
 from ipaddress import ip_address
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from fss_arm_view.page import STATUS_PATH, with_strip
+from fss_arm_view.page import EVENTS, HISTORY, page_file, with_note
 
 HTTP2 = b"PRI * HTTP/2.0\r\n"
 HOST = re.compile(r"(?P<name>\[[\w.:%-]+\]|[\w.-]+)(:(?P<port>\d{1,5}))?", re.ASCII)
@@ -38,6 +39,10 @@ UNKNOWN_HOST = (
     "unknown host name: open the page by an address or a name of this computer,\n"
     "or start the view with -p names:=[NAME] to allow another name\n"
 )
+MAX_STATE = 1 << 18  # size of a state [bytes]
+STATES = 600  # kept for new clients: one minute
+SEND_BUFFER = 1 << 15  # of a client's connection [bytes]: few states wait in it
+PAGE_POLICY = "default-src 'self'; img-src 'self' data:; form-action 'none'; frame-ancestors 'self'"
 POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; worker-src 'self' blob:; "
@@ -92,103 +97,158 @@ async def _relay(reader: StreamReader, writer: StreamWriter) -> None:
         writer.write_eof()
 
 
-def status_response(file: Path) -> bytes:
-    """Return the HTTP response for the strip: the node's last content, and its age [s]."""
-    try:
-        age, status = time.time() - file.stat().st_mtime, file.read_bytes()
-    except OSError:
-        return b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-    text = b'{"age": %.1f, "status": %s}' % (age, status)
-    head = f"HTTP/1.1 200 OK\r\nContent-Length: {len(text)}\r\nContent-Type: application/json"
-    return f"{head}\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n".encode() + text
+def response(status: str, body: bytes = b"", **headers: str) -> bytes:
+    """Return an HTTP response; headers are written with underscores."""
+    lines = [f"HTTP/1.1 {status}", f"Content-Length: {len(body)}", "Connection: close"]
+    lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
+    return "\r\n".join([*lines, "\r\n"]).encode() + body
 
 
-async def _serve_page(
-    head: bytes, client: Any, server: Any, data_port: int, status_file: Path
-) -> None:
-    """Serve one request for the page, with the policy among the response's headers."""
-    if head.split(b" ", 2)[1] == STATUS_PATH.encode():
-        client[1].write(status_response(status_file))
-        await client[1].drain()
-        return
-    name = urlsplit(f"//{header_value(head, b'host')}").hostname or ""
-    data = f"http://{f'[{name}]' if ':' in name else name}:{data_port}"
-    server[1].write(remove_header(head, b"connection") + b"\r\nConnection: close\r\n\r\n")
-    answer = await server[0].readuntil(b"\r\n\r\n")
-    policy = POLICY.format(data=data).encode()
-    added = b"\r\nConnection: close\r\nX-Content-Type-Options: nosniff\r\n"
-    added += b"Content-Security-Policy: " + policy
-    answer = remove_header(remove_header(answer, b"connection"), b"content-security-policy")
-    if header_value(answer, b"content-type").startswith("text/html"):
-        page = with_strip(remove_foreign_links(await server[0].read(-1)))
-        answer = (
-            remove_header(answer, b"content-length") + f"\r\nContent-Length: {len(page)}".encode()
+class Feed:
+    """States of the node for the pages: those of the last minute, and the newest as it arrives."""
+
+    def __init__(self) -> None:
+        self.states: deque[bytes] = deque(maxlen=STATES)
+        self.count = 0  # states received
+        self.arrived = asyncio.Event()  # replaced after each state
+
+    def add(self, state: bytes) -> None:
+        """Add a state, and wake the clients that wait for it."""
+        self.states.append(b"data: %s\n\n" % state)
+        self.count += 1
+        self.arrived.set()
+        self.arrived = asyncio.Event()
+
+    async def receive(self, source: socket.socket) -> None:
+        """Receive states until the node closes its end of the socket."""
+        source.setblocking(False)
+        while state := await asyncio.get_running_loop().sock_recv(source, MAX_STATE):
+            self.add(state)
+
+    async def send(self, writer: StreamWriter) -> None:
+        """Send states to a client until it leaves; skip those that it is too slow for."""
+        connection = writer.get_extra_info("socket")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        writer.transport.set_write_buffer_limits(0)  # so that `drain` waits for the connection
+        writer.write(
+            b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nCache-Control: no-store\r\n"
+            b"Connection: close\r\n\r\n" + b"".join(self.states)
         )
-        client[1].write(answer + added + b"\r\n\r\n" + page)
-        await client[1].drain()
-        return
-    client[1].write(answer + added + b"\r\n\r\n")
-    await _relay(server[0], client[1])
+        while True:
+            sent = self.count
+            await writer.drain()
+            if sent == self.count:
+                await self.arrived.wait()
+            writer.write(self.states[-1])
 
 
-async def _relay_data(head: bytes, client: Any, server: Any) -> None:
+async def _serve_page(head: bytes, client: Any, port: int, data_port: int, feed: Feed) -> None:
+    """Serve one request: for the live page, its states, or rerun's page below HISTORY."""
+    path = head.split(b" ", 2)[1].decode("latin-1")
+    name = urlsplit(f"//{header_value(head, b'host')}").hostname or ""
+    data = f"{f'[{name}]' if ':' in name else name}:{data_port}"
+    if path == EVENTS:
+        await feed.send(client[1])
+    elif file := page_file(path):
+        kind, body = file
+        headers = {"Content_Security_Policy": PAGE_POLICY, "X_Content_Type_Options": "nosniff"}
+        client[1].write(response("200 OK", body, Content_Type=kind, **headers))
+    elif path == HISTORY:
+        location = f"{HISTORY}/?url=rerun%2Bhttp://{data}/proxy"
+        client[1].write(response("302 Found", Location=location))
+    elif path.startswith(f"{HISTORY}/"):
+        await _relay_history(head.replace(f"{HISTORY}/".encode(), b"/", 1), client, port, data)
+    else:
+        client[1].write(response("404 Not Found"))
+    await client[1].drain()
+
+
+async def _relay_history(head: bytes, client: Any, port: int, data: str) -> None:
+    """Relay one request for rerun's page, with the policy among the response's headers."""
+    async with _connection(port) as server:
+        server[1].write(remove_header(head, b"connection") + b"\r\nConnection: close\r\n\r\n")
+        answer = await server[0].readuntil(b"\r\n\r\n")
+        policy = POLICY.format(data=f"http://{data}").encode()
+        added = b"\r\nConnection: close\r\nX-Content-Type-Options: nosniff\r\n"
+        added += b"Content-Security-Policy: " + policy
+        answer = remove_header(remove_header(answer, b"connection"), b"content-security-policy")
+        if header_value(answer, b"content-type").startswith("text/html"):
+            page = with_note(remove_foreign_links(await server[0].read(-1)))
+            answer = remove_header(answer, b"content-length")
+            answer += f"\r\nContent-Length: {len(page)}".encode()
+            client[1].write(answer + added + b"\r\n\r\n" + page)
+            return
+        client[1].write(answer + added + b"\r\n\r\n")
+        await _relay(server[0], client[1])
+
+
+@asynccontextmanager
+async def _connection(port: int) -> AsyncIterator[tuple[StreamReader, StreamWriter]]:
+    """Connect to a port of this computer."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        yield reader, writer
+    finally:
+        writer.close()
+
+
+async def _relay_data(head: bytes, client: Any, port: int) -> None:
     """Relay all data in both directions."""
-    server[1].write(head)
-    await asyncio.gather(_relay(client[0], server[1]), _relay(server[0], client[1]))
+    async with _connection(port) as server:
+        server[1].write(head)
+        await asyncio.gather(_relay(client[0], server[1]), _relay(server[0], client[1]))
 
 
 async def _handle_client(
-    port: int,
     host_names: frozenset[str],
-    handler: Callable[[bytes, Any, Any], Coroutine[Any, Any, None]],
+    handler: Callable[[bytes, Any], Coroutine[Any, Any, None]],
     reader: StreamReader,
     writer: StreamWriter,
 ) -> None:
-    """Connect one client to a port of this computer, or reject it with status 403."""
-    writers = [writer]
+    """Serve one client, or reject it with status 403."""
     try:
         head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
-        if not (head.startswith(HTTP2) or is_own_host(header_value(head, b"host"), host_names)):
-            writer.write(
-                f"HTTP/1.1 403 Forbidden\r\nContent-Length: {len(UNKNOWN_HOST)}\r\n"
-                f"Content-Type: text/plain\r\nConnection: close\r\n\r\n{UNKNOWN_HOST}".encode()
-            )
-            await writer.drain()
+        if head.startswith(HTTP2) or is_own_host(header_value(head, b"host"), host_names):
+            await handler(head, (reader, writer))
             return
-        server = await asyncio.open_connection("127.0.0.1", port)
-        writers.append(server[1])
-        await handler(head, (reader, writer), server)
+        body = UNKNOWN_HOST.encode()
+        writer.write(response("403 Forbidden", body, Content_Type="text/plain"))
+        await writer.drain()
     except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
         pass  # the client left, timed out, or sent too much; or rerun has not started yet
+    except IndexError:
+        pass  # no HTTP request
     finally:
-        for opened in writers:
-            opened.close()
+        writer.close()
 
 
 async def serve_gate(
-    bind: str,
-    ports: tuple[int, int],
+    ports: tuple[socket.socket, socket.socket],
+    states: socket.socket,
     inner_ports: tuple[int, int],
-    status_file: Path,
     host_names: str,
 ) -> None:
-    """Serve the ports of the data and of the page until cancelled.
+    """Serve data and page until the node closes its end of `states`.
 
-    Raises:
-        OSError: a port is in use.
+    Args:
+        ports: listening sockets of the data and of the page.
+        states: from which the node's states are received.
+        inner_ports: ports of rerun's data and page on the loopback.
+        host_names: further names of this computer, separated by spaces.
     """
     allowed = frozenset(f"{name}".lower() for name in (*host_names.split(), *computer_names()))
-    handlers: tuple[Any, Any] = (
-        _relay_data,
-        partial(_serve_page, data_port=ports[0], status_file=status_file),
+    feed, (data, page) = Feed(), inner_ports
+    handlers: tuple[Callable[[bytes, Any], Coroutine[Any, Any, None]], ...] = (
+        partial(_relay_data, port=data),
+        partial(_serve_page, port=page, data_port=ports[0].getsockname()[1], feed=feed),
     )
     servers = [
-        await asyncio.start_server(
-            partial(_handle_client, inner_port, allowed, handler), bind, port
-        )
-        for port, inner_port, handler in zip(ports, inner_ports, handlers, strict=True)
+        await asyncio.start_server(partial(_handle_client, allowed, handler), sock=port)
+        for port, handler in zip(ports, handlers, strict=True)
     ]
-    await asyncio.gather(*(server.serve_forever() for server in servers))
+    await feed.receive(states)
+    for server in servers:
+        server.close()
 
 
 def computer_names() -> set[str]:
@@ -198,18 +258,14 @@ def computer_names() -> set[str]:
 
 
 def main() -> int:
-    """Run the gate: BIND DATA_PORT PAGE_PORT INNER_DATA_PORT INNER_PAGE_PORT STATUS_FILE NAMES."""
-    bind, *ports, status_file, host_names = sys.argv[1:]
-    data, page, inner_data, inner_page = map(int, ports)
-    try:
-        asyncio.run(
-            serve_gate(bind, (data, page), (inner_data, inner_page), Path(status_file), host_names)
-        )
-    except OSError as error:
-        print(f"view: {error.strerror}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        pass
+    """Run the gate: DATA_SOCKET PAGE_SOCKET STATES INNER_DATA_PORT INNER_PAGE_PORT NAMES.
+
+    The first three are file descriptors, inherited from the node.
+    """
+    data, page, states = (socket.socket(fileno=int(number)) for number in sys.argv[1:4])
+    inner_ports = int(sys.argv[4]), int(sys.argv[5])
+    with suppress(KeyboardInterrupt):
+        asyncio.run(serve_gate((data, page), states, inner_ports, sys.argv[6]))
     return 0
 
 

@@ -20,6 +20,8 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import com_positions, joint_positions, tip_jacobian
 from fss_arm_model.momentum import generalized_jacobian
+from fss_arm_ros import palette
+from fss_arm_ros.palette import rgb
 
 Drawing = tuple[str, Any]  # an entity, and an archetype or several
 Color = tuple[int, int, int]
@@ -34,22 +36,11 @@ MAX_TRAIL_POINTS = 600  # points kept of a path
 MIN_TRAIL_STEP = 0.005  # minimum distance between points of a path [m]
 PLOT_DURATION = 60  # duration that the plots display [s]
 
-# Colors: distinguishable on white and on black; each has one meaning, and red is for alarms.
-STATIC_COLOR = (130, 130, 130)  # the table; the arm on a fixed base
-MEASURED_COLOR = (40, 110, 200)  # base and arm as measured
-PREDICTED_COLOR = (240, 130, 20)
-BAND_COLOR = (250, 190, 120)  # band of one sigma about the prediction
-TIP_COLOR = (30, 150, 70)  # end effector
-TARGET_COLOR = (150, 80, 190)  # the target and its keep-out circle
-THRUST_COLOR = (0, 175, 190)  # thrusters that fire
-DIFFERENCE_COLOR = (200, 40, 140)  # measured minus predicted
-AXIS_COLORS = (90, 90, 90), (165, 120, 10)  # x, y
-#: By link.
-LINK_COLORS = (
-    *((130, 85, 45), (235, 150, 190), (125, 135, 25), (95, 60, 150)),
-    *((70, 160, 140), (200, 110, 90), (150, 150, 200), (60, 90, 60)),
-    *((190, 180, 110), (110, 130, 150), (170, 60, 110), (205, 205, 50)),
-)
+STATIC_COLOR, MEASURED_COLOR = rgb(palette.STATIC), rgb(palette.MEASURED)
+PREDICTED_COLOR, BAND_COLOR = rgb(palette.PREDICTED), rgb(palette.BAND)
+TIP_COLOR, TARGET_COLOR = rgb(palette.TIP), rgb(palette.TARGET)
+THRUST_COLOR, DIFFERENCE_COLOR = rgb(palette.THRUST), rgb(palette.DIFFERENCE)
+AXIS_COLORS, LINK_COLORS = tuple(map(rgb, palette.AXES)), tuple(map(rgb, palette.LINKS))
 
 LEGEND = (
     ("base and arm, measured", MEASURED_COLOR),

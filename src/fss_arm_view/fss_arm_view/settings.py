@@ -79,22 +79,27 @@ class ViewSettings(Settings):
 
     mode: str = setting(
         "web",
-        "show in a window, on a web page, in a recording, or in a running viewer",
+        "show in rerun's window, on a web page, in a recording, or in a running viewer",
         check=one_of("native", "web", "file", "connect"),
     )
     bind: str = setting(
         "127.0.0.1", "address that the page and its data are served on", check=ADDRESS
     )
-    port: int = setting(9876, "port at which the viewer receives data", check=PORT)
+    port: int = setting(9876, "port at which rerun receives data", check=PORT)
     web_port: int = setting(9090, "port of the page", check=PORT)
     names: tuple[str, ...] = setting((), "further host names under which the page may be opened")
     file: str = setting("view.rrd", "file of mode file; if it exists, NAME_1, NAME_2, ... is used")
     url: str = setting("rerun+http://127.0.0.1:9876/proxy", "address of the viewer in mode connect")
     memory: str = setting(
-        "1GB", "memory limit of the viewer; the oldest drawings are deleted first", check=MEMORY
+        "100MB",
+        "memory limit of rerun, about 40 minutes; the oldest drawings are deleted first",
+        check=MEMORY,
     )
     rate: float = setting(
-        10.0, "maximum rate at which each item is drawn", unit="Hz", check=POSITIVE
+        5.0,
+        "maximum rate at which rerun draws each item; the live page has 10 Hz, always",
+        unit="Hz",
+        check=POSITIVE,
     )
     queue: int = setting(
         500,

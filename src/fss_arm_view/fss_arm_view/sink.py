@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from ipaddress import ip_address
 from itertools import count
@@ -36,11 +36,11 @@ class Sink:
     `stream` may be replaced at any time; the previous stream is then disconnected.
 
     Drawings of an entity that come faster than `rate` are dropped and counted, except for bursts
-    of one second's worth. So are drawings that find the queue full.
+    of one second's worth. So are drawings while `is_paused`, or that find the queue full.
     """
 
     def __init__(self, stream: rr.RecordingStream, rate: float, size: int) -> None:
-        self.stream, self.rate = stream, rate
+        self.stream, self.rate, self.is_paused = stream, rate, False
         self.queue: Queue[Work | None] = Queue(size)
         self.tokens: dict[str, tuple[float, float]] = {}  # by entity: tokens left, at a time [s]
         self.counts: Counter[str] = Counter()
@@ -52,7 +52,7 @@ class Sink:
         now, burst = time.monotonic(), max(self.rate, 1.0)
         available, since = self.tokens.get(entity, (burst, now))
         available = min(available + (now - since) * self.rate, burst)
-        is_due = available >= 1.0
+        is_due = available >= 1.0 and not self.is_paused
         self.tokens[entity] = available - is_due, now
         self.counts["rate-limited"] += not is_due
         return is_due
@@ -88,6 +88,7 @@ class Sink:
             self.counts["shown"] += 1
         with suppress(RuntimeError):  # the viewer has already exited
             stream.flush()
+            stream.disconnect()  # before its server stops; otherwise rerun prints errors
 
 
 class VehicleSink:
@@ -117,41 +118,69 @@ class VehicleSink:
 class Viewer:
     """Process of rerun, as a window or as a web server; it stops when its owner stops.
 
-    In mode WEB all requests for the page and its data pass through the gate.
+    In mode WEB the gate, another process, serves the live page, and relays all requests to rerun.
 
     Args:
         mode: NATIVE or WEB.
         bind: address to serve on.
-        port: port of the data.
-        web_port: port of the page.
+        ports: sockets of the data and, in mode WEB, of the page, from `listen`.
         memory: memory limit for drawings, in rerun's notation.
         host_names: further host names of this computer.
-        status_file: file with the content of the strip above the page.
     """
 
     def __init__(
-        self, mode: str, bind: str, port: int, web_port: int, memory: str,
-        host_names: Iterable[str] = (), status_file: Path = Path("none"),
-    ) -> None:  # fmt: skip
+        self,
+        mode: str,
+        bind: str,
+        ports: Sequence[socket.socket],
+        memory: str,
+        host_names: Iterable[str] = (),
+    ) -> None:
         program = rerun_program()
         common = "--memory-limit", memory, "--hide-welcome-screen"
+        data_port, *page_ports = (port.getsockname()[1] for port in ports)
         if mode == NATIVE:
-            self.url = f"rerun+http://{host(bind, '127.0.0.1')}:{port}/proxy"  # for drawings
-            command = [program, "--bind", bind, "--port", port, *common]
-            self.processes = [self._start(command)]
+            ports[0].close()  # rerun opens it again
+            self.url = f"rerun+http://{host(bind, '127.0.0.1')}:{data_port}/proxy"  # for drawings
+            command = [program, "--bind", bind, "--port", data_port, *common]
+            self.processes = [self._start(command, _stop_with_parent_when_idle)]
             return
         data, page = free_port(), free_port()
         self.url = f"rerun+http://127.0.0.1:{data}/proxy"
         command = [
-            program, "--bind", "127.0.0.1", "--port", data, *common, "--serve-web",
-            "--web-viewer-port", page, "--server-memory-limit", memory, "--newest-first",
-            "--cors-allow-origin", f"http://{host(bind, '*')}:{web_port}",
-        ]  # fmt: skip
-        gate = [bind, port, web_port, data, page, status_file, " ".join(host_names)]
-        gate = [sys.executable, "-m", "fss_arm_view.gate", *gate]
-        self.processes = [self._start(command), self._start(gate)]
+            program,
+            "--bind",
+            "127.0.0.1",
+            "--port",
+            data,
+            *common,
+            "--serve-web",
+            "--web-viewer-port",
+            page,
+            "--server-memory-limit",
+            memory,
+            "--newest-first",
+            "--cors-allow-origin",
+            f"http://{host(bind, '*')}:{page_ports[0]}",
+        ]
+        self._states, states = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        inherited = [end.fileno() for end in (*ports, states)]
+        gate = [sys.executable, "-m", "fss_arm_view.gate", *inherited, data, page]
+        self.processes = [
+            self._start(command, _stop_with_parent_when_idle),
+            self._start([*gate, " ".join(host_names)], _stop_with_parent, inherited),
+        ]
+        for end in (*ports, states):
+            end.close()
 
-    def _start(self, command: list[Any]) -> subprocess.Popen[bytes]:
+    def send(self, state: str) -> None:
+        """Pass a state to the page, or drop it if the gate is late."""
+        with suppress(OSError):  # the gate has stopped, which `is_running` reports
+            self._states.send(state.encode(), socket.MSG_DONTWAIT)
+
+    def _start(
+        self, command: list[Any], prepare: Callable[[], None], inherited: Sequence[int] = ()
+    ) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
             [str(word) for word in command],
             # The allocator returns freed memory at once; otherwise memory grows for hours.
@@ -159,8 +188,9 @@ class Viewer:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            preexec_fn=_terminate_with_parent,
+            process_group=0,  # Ctrl-C is for the owner
+            pass_fds=inherited,
+            preexec_fn=prepare,
         )
 
     def is_running(self) -> bool:
@@ -204,9 +234,38 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _terminate_with_parent() -> None:
+def listen(mode: str, bind: str, port: int, web_port: int) -> list[socket.socket]:
+    """Open the ports of a mode: of the data, and of the page.
+
+    Raises:
+        ValueError: a port is in use, or the address does not belong to this computer.
+    """
+    options = {WEB: {"port": port, "web_port": web_port}, NATIVE: {"port": port}}
+    family = socket.AF_INET6 if ip_address(bind).version == 6 else socket.AF_INET
+    opened = []
+    for option, number in options.get(mode, {}).items():
+        try:
+            opened.append(socket.create_server((bind, number), family=family))
+        except OSError as error:
+            for other in opened:
+                other.close()
+            raise ValueError(
+                f"cannot open port {number} of {bind}: {os.strerror(error.errno or 0)};"
+                f" another view may use it: choose another port with -p {option}:=PORT"
+            ) from None
+    return opened
+
+
+def _stop_with_parent() -> None:
     """Ask Linux to terminate this process when its parent exits."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _stop_with_parent_when_idle() -> None:
+    """Call _stop_with_parent, and let this process run only when the processor is idle."""
+    _stop_with_parent()
+    with suppress(OSError):  # a container may forbid this
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def host(bind: str, if_unspecified: str) -> str:

@@ -1,6 +1,5 @@
-"""Content of the strip above the view: the most important state of each vehicle."""
+"""Strip above the live drawing: the most important state of each vehicle."""
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import degrees, isfinite, nan
@@ -9,7 +8,7 @@ from typing import Any, NamedTuple
 STOPPED = 2  # State.STOPPED of docs/reference/protocol.md, in the flags of links and board
 TELEMETRY_TIMEOUT = 3.0  # [s]
 ALARM_SIGMAS = 3.0  # heading difference that is an alarm, in standard deviations
-NEUTRAL, POSITIVE, WARNING, ALARM = "", "good", "warn", "alarm"  # styles of an item
+NEUTRAL, POSITIVE, WARNING, ALARM = "", "good", "attention", "danger"  # styles of an item
 VERDICT_STYLES = {"pass": POSITIVE, "fail": ALARM}
 
 
@@ -26,6 +25,7 @@ class Strip:
     """Last messages received of a vehicle; times are of a monotonic clock [s]."""
 
     links: dict[int, tuple[Any, float]] = field(default_factory=dict)  # telemetry, receive time
+    pose_received: float = nan  # receive time of the base's last pose
     base: Any = None  # BaseTelemetry
     gripper: Any = None  # GripperState
     propellant: float = nan  # [kg]
@@ -36,7 +36,8 @@ class Strip:
 
     def items(self, now: float) -> list[Item]:
         """Return all items of the strip at time `now` [s]; the node errors come last."""
-        found = [*self._arm(now), *self._battery(), *self._base(), *self._heading()]
+        found = [*self._arm(now), *self._pose(now), *self._battery(), *self._base()]
+        found += self._heading()
         found += [
             Item(kind, verdict, VERDICT_STYLES.get(verdict, WARNING))
             for kind, verdict in self.verdicts.items()
@@ -57,7 +58,11 @@ class Strip:
             yield Item("fault", f"link {_join(faulty)}", ALARM)
         armed = sum(m.armed for m in recent.values())
         text = f"{armed} of {len(self.links)} armed" if armed else "disarmed"
-        yield Item("arm", text, WARNING if armed else NEUTRAL)
+        yield Item("arm", text)
+
+    def _pose(self, now: float) -> Iterable[Item]:
+        if (age := now - self.pose_received) > TELEMETRY_TIMEOUT:
+            yield Item("motion capture", f"base not seen for {age:.0f} s", ALARM)
 
     def _battery(self) -> Iterable[Item]:
         known = {i: 0.1 * m.battery for i, (m, _) in self.links.items() if m.battery}
@@ -69,9 +74,8 @@ class Strip:
         if self.base:
             stopped = bool(self.base.flags & STOPPED)
             text = "STOPPED" if stopped else "armed" if self.base.armed else "disarmed"
-            style = ALARM if stopped else WARNING if self.base.armed else NEUTRAL
             volts = f", {0.1 * self.base.battery:.1f} V" if self.base.battery else ""
-            yield Item("base", text + volts, style)
+            yield Item("base", text + volts, ALARM if stopped else NEUTRAL)
         if isfinite(self.propellant):
             yield Item("propellant", f"{1e3 * self.propellant:.0f} g")
         if self.gripper:
@@ -83,21 +87,10 @@ class Strip:
         if isfinite(difference):
             is_alarm = isfinite(sigma) and abs(difference) > ALARM_SIGMAS * sigma
             band = f" ± {degrees(sigma):.2f}" if isfinite(sigma) else ""
-            text = f"{degrees(difference):+.2f}{band} deg"
+            beyond = f", beyond {ALARM_SIGMAS:.0f} sigma" if is_alarm else ""
+            text = f"{degrees(difference):+.2f}{band} deg{beyond}"
             yield Item("heading, measured minus predicted", text, ALARM if is_alarm else NEUTRAL)
 
 
 def _join(numbers: Iterable[int]) -> str:
     return ", ".join(map(str, numbers))
-
-
-def to_json(newest: int, silent: float, vehicles: dict[str, list[Item]]) -> str:
-    """Return the strips of all vehicles as JSON for the page.
-
-    Args:
-        newest: stamp of the newest measurement [ns]; 0: none yet.
-        silent: time since the last measurement was received [s].
-        vehicles: items of each vehicle, by name; the name of a single vehicle is empty.
-    """
-    strips = [{"name": name, "items": items} for name, items in vehicles.items()]
-    return json.dumps({"newest": str(newest), "silent": round(silent, 1), "vehicles": strips})

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
-from math import dist, inf
+from math import dist, inf, nan
 
 import numpy as np
 
@@ -41,7 +41,11 @@ class VehicleScene:
         """Discard all measurements except the joint angles."""
         self.mission = Mission()
         self.plumes_until = [0] * 8  # [ns]
+        self.pose: Pose | None = None  # of the base
+        self.tip: Pose | None = None
+        self.target: Pose | None = None
         self.difference: Floats | None = None  # measured minus predicted base
+        self.sigma = nan  # of the predicted heading [rad]
         self._difference_valid_until = 0
         self.trails: dict[str, deque[Point]] = {
             what: deque(maxlen=scene.MAX_TRAIL_POINTS) for what in TRAIL_COLORS
@@ -53,18 +57,29 @@ class VehicleScene:
             shown = max(seconds, MIN_PLUME_DURATION) if 0.0 < seconds < inf else 0.0
             self.plumes_until[k] = t + int(shown * SECOND)
 
-    def predict(self, t: int, difference: Sequence[float]) -> None:
-        """Store the pose of the base, measured minus predicted, (3,); NaN: no prediction."""
+    def predict(self, t: int, difference: Sequence[float], sigma: float = nan) -> None:
+        """Store the pose of the base, measured minus predicted, (3,); NaN: no prediction.
+
+        Args:
+            t: stamp [ns].
+            difference: measured minus predicted pose [m, m, rad].
+            sigma: standard deviation of the predicted heading [rad].
+        """
+        self.sigma = sigma
         self.difference = np.array(difference) if np.isfinite(difference).all() else None
         self._difference_valid_until = t + MAX_PREDICTION_AGE
+
+    def recent_difference(self, t: int) -> Floats | None:
+        """Return the base's pose, measured minus predicted, (3,); None: no recent prediction."""
+        return self.difference if t < self._difference_valid_until else None
 
     def draw_base(self, t: int, pose: Pose) -> list[Drawing]:
         """Draw the base, the whole arm, the planned path and the base's trail."""
         plumes = scene.plumes(pose, [t < until for until in self.plumes_until])
         parts = [plumes, *scene.arm(self.arm, pose, self.q)]
         # A prediction is older than this pose: draw it relative to the pose.
-        if self.difference is not None and t < self._difference_valid_until:
-            parts.append(scene.base(pose - self.difference, scene.PREDICTED_COLOR))
+        if (difference := self.recent_difference(t)) is not None:
+            parts.append(scene.base(pose - difference, scene.PREDICTED_COLOR))
         parts.append(scene.base(pose, scene.MEASURED_COLOR))
         if path := self.mission.path(t):
             parts.append(scene.route([pose[:2], *path]))

@@ -30,9 +30,11 @@ from fss_arm_ros.convert import joint_readings, seen_pose, stamp_ns
 from fss_arm_ros.described_arm import described_arm
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_ros.stamps import Stamps
+from fss_arm_ros.subscriptions import PolledSubscription
 from fss_arm_ros.validation import subscribe
 
 from . import scene
+from .live import vehicle_state
 from .settings import ViewSettings
 from .sink import Sink, VehicleSink
 from .strip import Strip
@@ -52,9 +54,14 @@ class VehicleTopics:
     """
 
     def __init__(
-        self, node: Node, settings: ViewSettings, sink: Sink | VehicleSink, legend: scene.Legend,
-        restart: Callable[[], None], name: str = "",
-    ) -> None:  # fmt: skip
+        self,
+        node: Node,
+        settings: ViewSettings,
+        sink: Sink | VehicleSink,
+        legend: scene.Legend,
+        restart: Callable[[], None],
+        name: str = "",
+    ) -> None:
         self.settings, self.sink, self.legend = settings, sink, legend
         self.restart, self.name = restart, name
         self.calibrated = Calibrated(described_arm(node, settings.arm))
@@ -79,9 +86,6 @@ class VehicleTopics:
         s, strip, n = self.settings, self.strip, self.scene.arm.n
         sensors: list[tuple[type, str, Callable[[Any], None]]] = [
             (JointState, s.joints_topic, self.on_joints),
-            (PoseStamped, s.base_topic, self.on_base),
-            (PoseStamped, s.tip_topic, self.on_tip),
-            (PoseStamped, s.target_topic, self.on_target),
             (ThrusterCommand, "thrusters/command", self.on_thrust),
             (ThrusterCommand, "thrusters/pulses", self.on_thrust),
             (MissionState, "mission/state", self.on_mission),
@@ -92,8 +96,15 @@ class VehicleTopics:
             (Float64, "base/propellant", self.on_propellant),
             *((LinkTelemetry, f"link_{i}/telemetry", self.on_telemetry) for i in range(1, n + 1)),
         ]
-        for kind, topic, callback in sensors:
-            subscribe(node, kind, topic, callback, sensor(best_effort=True))
+        poses: list[tuple[type, str, Callable[[Any], None]]] = [
+            (PoseStamped, s.base_topic, self.on_base),
+            (PoseStamped, s.tip_topic, self.on_tip),
+            (PoseStamped, s.target_topic, self.on_target),
+        ]
+        # Polled, so that hundreds of messages per second do not wake the node one by one.
+        every = sensor(best_effort=True)
+        self.polled = [PolledSubscription(node, *one, every) for one in sensors]
+        self.polled += [PolledSubscription(node, *one) for one in poses]
         subscribe(node, Empty, "arm/stop", self.on_stop, 10)
         for kind, topic in (
             (KinematicCalibration, "calibration/kinematic"),
@@ -102,6 +113,15 @@ class VehicleTopics:
             subscribe(node, kind, topic, partial(self.on_calibration, topic), LATCHED)
         for topic in s.outline_topics:
             subscribe(node, MarkerArray, topic, partial(self.on_outlines, topic), LATCHED)
+
+    def poll(self) -> None:
+        """Handle the messages that have arrived; of each pose only the newest."""
+        for subscription in self.polled:
+            subscription.poll()
+
+    def state(self, now: float) -> dict[str, Any]:
+        """Return what the page draws at time `now` of a monotonic clock [s]."""
+        return vehicle_state(self.scene, self.t, self.strip.items(now), self.name)
 
     def on_measurement(self, stream: str, message: Any) -> int:
         """Return a measurement's stamp [ns]; it is the time of all events until the next one.
@@ -131,19 +151,28 @@ class VehicleTopics:
     def on_base(self, message: PoseStamped) -> None:
         """Draw the base, and the whole arm, at a measured pose."""
         t = self.on_measurement("base", message)
-        if self.sink.due("base") and (pose := seen_pose(message)):
+        if not (pose := seen_pose(message)):
+            return
+        self.scene.pose, self.strip.pose_received = pose, self.received
+        if self.sink.due("base"):
             self.sink.enqueue(t, self.scene.draw_base(t, pose))
             if self.scene.mission.is_over(t):
                 self.set_mission_text("")
 
     def on_tip(self, message: PoseStamped) -> None:
         """Extend the path of the end effector."""
-        if self.sink.due("tip") and (pose := seen_pose(message)):
+        if not (pose := seen_pose(message)):
+            return
+        self.scene.tip = pose
+        if self.sink.due("tip"):
             self.enqueue(message, self.scene.extend_trail("tip_path", pose[:2]))
 
     def on_target(self, message: PoseStamped) -> None:
         """Draw the target, and the circle to keep out of."""
-        if self.sink.due("target") and (pose := seen_pose(message)):
+        if not (pose := seen_pose(message)):
+            return
+        self.scene.target = pose
+        if self.sink.due("target"):
             self.add_to_legend("target", scene.TARGET_COLOR)
             self.enqueue(message, self.scene.draw_target(self.t, pose))
 
@@ -182,8 +211,8 @@ class VehicleTopics:
         """Plot prediction and measurement of the base's motion."""
         sigma = float(message.predicted_deviation[2])
         self.strip.heading_difference = float(message.difference[2]), sigma
+        self.scene.predict(stamp_ns(message.header.stamp), message.difference, sigma)
         if self.sink.due("reaction"):
-            self.scene.predict(stamp_ns(message.header.stamp), message.difference)
             self.enqueue(message, scene.reaction_drawings(message))
             self.enqueue(message, self.scene.extend_trail("com_path", tuple(message.com)))
 

@@ -1,13 +1,11 @@
-"""Node `view`: displays the test bed, live or replayed, in rerun."""
+"""Node `view`: displays the test bed, live or replayed, on a page and in rerun."""
 
 import os
 import socket
 import sys
 import time
 from collections import Counter
-from contextlib import suppress
 from ipaddress import ip_address
-from pathlib import Path
 from typing import Any
 
 import rerun as rr
@@ -21,24 +19,26 @@ from fss_arm_ros.qos import sensor
 from fss_arm_ros.validation import subscribe
 
 from . import scene
+from .live import to_json
 from .programs import view as main
 from .settings import ViewSettings
 from .sink import (
     FILE,
-    NATIVE,
     WEB,
     Sink,
     VehicleSink,
     Viewer,
     disable_analytics,
     host,
+    listen,
     new_file,
     open_stream,
 )
-from .strip import to_json
 from .vehicle_topics import VehicleTopics
 
-STATUS_PERIOD = 0.5  # at which the page's strip is updated [s]
+PERIOD = 0.1  # at which topics are polled and the page is updated [s]
+NICE = 10  # priority of the node and of the gate: low
+MAX_PERIOD = 0.2  # between updates; at a longer one, nothing is drawn in rerun [s]
 LEVELS = {OK: "INFO", WARN: "WARN", ERROR: "ERROR"}
 
 
@@ -48,14 +48,11 @@ class ViewNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("view", **options)
         s = self.settings = declare(self, ViewSettings)
+        ports = listen(s.mode, s.bind, s.port, s.web_port)  # before anything else starts
         self.config_folder = disable_analytics()
-        # File from which the gate answers the page's requests.
-        self.status_file = Path(self.config_folder.name) / "now.json"
-        self.viewer = None
-        if s.mode in (NATIVE, WEB):
-            ports = s.port, s.web_port
-            self.viewer = Viewer(s.mode, s.bind, *ports, s.memory, s.names, self.status_file)
+        self.viewer = Viewer(s.mode, s.bind, ports, s.memory, s.names) if ports else None
         self.sink, self.legend = Sink(self.open_recording(), s.rate, s.queue), scene.Legend()
+        self.updated = time.monotonic()  # time of the last update [s]
         self.reported: Counter[str] = Counter()  # the sink's counts when last reported
         self.logged_levels: dict[str, bytes] = {}
         self.own = VehicleTopics(self, s, self.sink, self.legend, self.restart)
@@ -65,9 +62,7 @@ class ViewNode(Node):
         if s.mode == WEB:
             self.log_address()
         self.diagnostics = Diagnostics(self, self.health)
-        if s.mode == WEB:
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self.create_timer(STATUS_PERIOD, self.write_status, clock=steady)
+        self.create_timer(PERIOD, self.update, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def add_vehicle(self, namespace: str) -> Node:
         """Return a node that displays the vehicle of a namespace, too."""
@@ -99,24 +94,28 @@ class ViewNode(Node):
         for vehicle in (self.own, *self.others):
             vehicle.reset()
 
-    def write_status(self) -> None:
-        """Write the content of the page's strip to the file that the gate reads."""
-        now = time.monotonic()
-        strips = {vehicle.name: vehicle.strip.items(now) for vehicle in self.vehicles}
-        newest = max(self.vehicles, key=lambda vehicle: vehicle.received)
-        text = to_json(newest.t, now - newest.received, strips)
-        fresh = self.status_file.with_suffix(".new")
-        fresh.write_text(text)
-        fresh.replace(self.status_file)
+    def update(self) -> None:
+        """Handle the messages that have arrived, and send the state to the page.
+
+        If this is late because the computer is busy, rerun waits: the page must not be late.
+        """
+        self.sink.is_paused = time.monotonic() - self.updated > MAX_PERIOD
+        self.updated = time.monotonic()
+        for topics in (self.own, *self.others):
+            topics.poll()
+        if self.viewer and self.settings.mode == WEB:
+            now, newest = time.monotonic(), max(self.vehicles, key=lambda one: one.received)
+            states = [vehicle.state(now) for vehicle in self.vehicles]
+            self.viewer.send(to_json(time.time(), newest.t, now - newest.received, states))
 
     def log_address(self) -> None:
         """Log the address of the page, with a warning if other computers can reach it."""
         s, log = self.settings, self.get_logger()
         name = host(s.bind, socket.gethostname())
-        log.info(f"open http://{name}:{s.web_port}/?url=rerun%2Bhttp://{name}:{s.port}/proxy")
+        log.info(f"open http://{name}:{s.web_port}")
         if not ip_address(s.bind).is_loopback:
             log.warning(
-                f"{name}:{s.port} has no authentication: all who reach it can change the view"
+                f"{name}:{s.port} has no authentication: all who reach it can change rerun's view"
             )
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -158,12 +157,13 @@ class ViewNode(Node):
 def make_nodes() -> list[Node]:
     """Display joints, base, end effector, base reaction, verdicts and faults.
 
-    The node subscribes best effort and never waits for the viewer, so that it does not delay other
-    nodes. In mode web, open the address that it logs in a browser.
+    In mode web, open the address that the node logs in a browser: the page shows the present, and
+    links to rerun, which shows history and plots. The node only watches: it subscribes best effort,
+    and never waits for the page or for rerun.
     """
-    # Node and viewer run only when the processor is idle, so that drivers never wait for them.
-    with suppress(OSError):  # a container may forbid this
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    # Drivers do not wait for this node and the gate; rerun runs only when the processor is idle.
+    # Idle priority for all would stop the page on a busy computer.
+    os.nice(NICE)
     owner = ViewNode()
     return [owner, *map(owner.add_vehicle, owner.settings.vehicles)]
 

@@ -11,12 +11,13 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.momentum import system_com
+from fss_arm_ros import palette
 from fss_arm_workspace.analysis import Analysis
 from fss_arm_workspace.manipulability.measure import FIXED, FLOATING, ellipsoid, jacobian, measure
 from fss_arm_workspace.straight_path.paths import Paths
 from fss_arm_workspace.straight_path.trace import REASONS
 
-_REASON_COLORS = ("tab:gray", "tab:orange", "tab:red", "tab:blue")
+_REASON_COLORS = (palette.STATIC, palette.PREDICTED, palette.DANGER, palette.MEASURED)
 _BASE_SIDE = 0.3  # side of the simulator as drawn [m]
 _ELLIPSE_SCALE = 0.25  # scale of ellipsoids as drawn [m per m/rad]
 
@@ -118,7 +119,7 @@ def _straight(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
         label = f"{base}{' base' if base != 'zero reaction' else ''}: {paths.area:.3f} m²"
         axes.plot(ends.real, ends.imag, styles[base], linewidth=1.2, label=label)
     floating = straight["floating"]
-    axes.fill(floating.ends.real, floating.ends.imag, color="tab:blue", alpha=0.12)
+    axes.fill(floating.ends.real, floating.ends.imag, color=palette.MEASURED, alpha=0.12)
     for number, (reason, color) in enumerate(zip(REASONS, _REASON_COLORS, strict=True)):
         ends = floating.ends[floating.reason == number]
         if ends.size:
@@ -128,11 +129,11 @@ def _straight(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
     axes.plot(
         com[0] + a.radius * np.cos(turn),
         com[1] + a.radius * np.sin(turn),
-        color="tab:green",
+        color=palette.TIP,
         linewidth=1.0,
         label=f"maximum reachable: R = {a.radius:.3f} m",
     )
-    axes.plot(*com, "+", color="tab:green", markersize=10)
+    axes.plot(*com, "+", color=palette.TIP, markersize=10)
     _arm(axes, a, floating.start)
     axes.legend(fontsize=8, loc="lower left")
     axes.set_title(f"Straight-path workspace, rule: {floating.redundancy}", fontsize=11)
@@ -150,7 +151,10 @@ def _ellipsoids(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None
         state = np.concatenate([np.zeros(3), q])
         _arm(axes, a, state)
         tip = joint_positions(a.arm.vector(), state)[-1]
-        for kind, color, name in ((FIXED, "tab:red", "fixed"), (FLOATING, "tab:blue", "floating")):
+        for kind, color, name in (
+            (FIXED, palette.STATIC, "fixed"),
+            (FLOATING, palette.TIP, "floating"),
+        ):
             radii, directions = ellipsoid(jacobian(a.arm, q, kind))
             line = tip[:, None] + _ELLIPSE_SCALE * directions.T @ (
                 radii[:, None] * circle[: len(radii)]
@@ -179,9 +183,9 @@ def _arm(axes: Any, a: Analysis, state: Floats) -> None:
     turn = complex(np.cos(state[2]), np.sin(state[2]))
     corners = 0.5 * _BASE_SIDE * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j, 1 + 1j]) * turn
     corners += complex(state[0], state[1])
-    axes.plot(corners.real, corners.imag, color="tab:gray", linewidth=1.0)
-    axes.plot(joints[:, 0], joints[:, 1], "-", color="tab:gray", linewidth=2.0)
-    axes.plot(joints[:-1, 0], joints[:-1, 1], "o", color="white", markeredgecolor="tab:gray")
+    axes.plot(corners.real, corners.imag, color=palette.STATIC, linewidth=1.0)
+    axes.plot(joints[:, 0], joints[:, 1], "-", color=palette.STATIC, linewidth=2.0)
+    axes.plot(joints[:-1, 0], joints[:-1, 1], "o", color="white", markeredgecolor=palette.STATIC)
     axes.plot(*joints[-1], "k.", markersize=5)
 
 

@@ -27,6 +27,7 @@ from fss_arm_model.held import Target, payload_pose
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import MassProperties, MissionState
+from fss_arm_ros import palette
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
 from fss_rehearsal.animation import animation
@@ -282,9 +283,11 @@ def plot(arm: Arm, flight: Flight) -> Any:
     k = int(np.argmax(flight.holds)) if flight.holds.any() else len(flight.time) - 1
     for i, shade in ((0, 0.35), (k, 0.65), (len(flight.time) - 1, 1.0)):
         draw_scene(above, arm, flight.q[i], flight.target[i], shade)
-    above.plot(*flight.planned[:, :2].T, "C2-", lw=3, alpha=0.4, label="base, planned")
-    above.plot(*flight.q[:, :2].T, "C0:", lw=1, label="base")
-    above.plot(*flight.target[:, :2].T, "C3:", lw=1, label="target")
+    above.plot(
+        *flight.planned[:, :2].T, color=palette.PREDICTED, lw=3, alpha=0.4, label="base, planned"
+    )
+    above.plot(*flight.q[:, :2].T, color=palette.MEASURED, ls=":", lw=1, label="base")
+    above.plot(*flight.target[:, :2].T, color=palette.TARGET, ls=":", lw=1, label="target")
     above.legend(loc="upper left")
     panels: tuple[tuple[str, list[tuple[str, Any]]], ...] = (
         (
@@ -314,7 +317,7 @@ def plot(arm: Arm, flight: Flight) -> Any:
     ends = [*starts[1:], flight.time[-1]]
     panel = figure.add_subplot(grid[3, 1])
     for (since, phase), end in zip(flight.phases, ends, strict=True):
-        panel.barh(phase, end - since, left=since, color="C2")
+        panel.barh(phase, end - since, left=since, color=palette.STATIC)
     panel.invert_yaxis()
     panel.tick_params(axis="y", labelsize=8)
     panel.set(xlim=flight.time[[0, -1]], xlabel="time [s]", ylabel="phase")
@@ -324,14 +327,15 @@ def plot(arm: Arm, flight: Flight) -> Any:
 def draw_scene(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -> None:
     """Draw base, arm and target at one time."""
     square = 0.135 * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j, 1 + 1j])
-    for (x, y, heading), colour in ((q[:3], "C0"), (target, "C3")):
+    for (x, y, heading), colour in ((q[:3], palette.MEASURED), (target, palette.TARGET)):
         corners = complex(x, y) + square * np.exp(1j * heading)
-        axes.plot(corners.real, corners.imag, colour, alpha=shade)
+        axes.plot(corners.real, corners.imag, color=colour, alpha=shade)
     fixture = complex(*target[:2]) + complex(*TARGET.fixture[:2]) * np.exp(1j * target[2])
-    axes.plot([target[0], fixture.real], [target[1], fixture.imag], "C3", lw=1, alpha=shade)
+    pin = [target[0], fixture.real], [target[1], fixture.imag]
+    axes.plot(*pin, color=palette.TARGET, lw=1, alpha=shade)
     joints = joint_positions(arm.vector(), q)
-    axes.plot(*joints.T, "C1o-", ms=4, alpha=shade)
-    axes.plot([q[0], joints[0, 0]], [q[1], joints[0, 1]], "C0", alpha=shade)
+    axes.plot(*joints.T, "o-", color=palette.MEASURED, ms=4, alpha=shade)
+    axes.plot([q[0], joints[0, 0]], [q[1], joints[0, 1]], color=palette.MEASURED, alpha=shade)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -17,6 +17,7 @@ from fss_arm_bags.reader import open_bags
 from fss_arm_calib.report import Figure
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros import palette
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_rehearsal.domain import Domain
 from fss_rehearsal.operators import LINKS, Mover, isolated_domain
@@ -202,7 +203,7 @@ def plot(times: Times, t: np.ndarray, rate: np.ndarray) -> Any:
     axes = figure.add_subplot()
     since, until, armed, homed = ((at - times.cut) / SECOND for at in times[:4])
     axes.axvspan(since, until, color="0.85", label="no power")
-    axes.axvspan(armed, homed, color="C2", alpha=0.15, label="arming and homing")
+    axes.axvspan(armed, homed, color=palette.POSITIVE, alpha=0.15, label="arming and homing")
     axes.plot((t - times.cut) / SECOND, rate, lw=1)
     axes.set(xlabel="time after the cut [s]", ylabel="rate [rad/s]")
     axes.legend(fontsize=8)

@@ -16,6 +16,7 @@ from rich.console import Console
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.report import Figure
 from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros import palette
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_rehearsal.domain import Domain
 from fss_rehearsal.operators import LINKS, Mover, isolated_domain
@@ -183,7 +184,7 @@ def plot(times: Times, t: np.ndarray, rates: np.ndarray) -> Any:
     )
     axes.axvspan(since, until, color="0.85", label="no Wi-Fi")
     axes.axvline(since + WATCHDOG, color="0.5", ls="--", lw=0.8, label="earliest watchdog stop")
-    axes.axvline(arming, color="C2", ls="--", lw=0.8, label="armed again from here")
+    axes.axvline(arming, color=palette.POSITIVE, ls="--", lw=0.8, label="armed again from here")
     for k, line in enumerate(rates.T, 1):
         axes.plot((t - times.cut) / SECOND, line, lw=1, label=f"joint {k}")
     axes.set(xlabel="time after the cut [s]", ylabel="rate [rad/s]")

@@ -1,5 +1,6 @@
 """The node view: drawings of a flight, and reaction to a stopped viewer."""
 
+import json
 import socket
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from std_msgs.msg import Empty, Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from view_bench import BEGIN, Bench
 from view_flight import Flight
+from view_scene import Scene
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fss_arm_model.description import paper_arm
@@ -36,7 +38,7 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR
-from fss_arm_view.sink import Viewer, host
+from fss_arm_view.sink import Viewer, host, listen
 from fss_arm_view.view_node import ViewNode
 from fss_arm_workspace.workspace_node import WorkspaceNode
 
@@ -269,8 +271,9 @@ def test_a_stopped_viewer_is_an_error(spin, part):
 
 OWNER = """
 import sys
-from fss_arm_view.sink import Viewer
-viewer = Viewer("web", "127.0.0.1", sys.argv[1], sys.argv[2], "100MB")
+from fss_arm_view.sink import Viewer, listen
+ports = listen("web", "127.0.0.1", int(sys.argv[1]), int(sys.argv[2]))
+viewer = Viewer("web", "127.0.0.1", ports, "100MB")
 print(*(process.pid for process in viewer.processes), flush=True)
 viewer.processes[0].wait()
 """
@@ -286,6 +289,30 @@ def test_a_viewer_stops_with_its_owner():
     wait_until(lambda: not rerun.exists() and not gate.exists(), 10.0, lambda: time.sleep(0.05))
 
 
+@pytest.mark.parametrize(
+    ("taken", "mode"), [("port", "web"), ("web_port", "web"), ("port", "native")]
+)
+def test_a_port_in_use_is_named_with_its_option(ros, taken, mode):
+    ports = {"port": free_port(), "web_port": free_port()}
+    with socket.create_server(("127.0.0.1", ports[taken])):
+        words = rf"cannot open port {ports[taken]} of 127.0.0.1: .* -p {taken}:=PORT"
+        with pytest.raises(ValueError, match=words):
+            view(mode=mode, **ports)
+
+
+def test_the_page_receives_the_state(spin):
+    """The browser's page reads the same events."""
+    web_port = free_port()
+    node, scene = view(mode="web", port=free_port(), web_port=web_port), Scene()
+    spin([node, scene], lambda: node.own.scene.pose and node.own.scene.target, 60.0)
+    node.update()
+    with urlopen(f"http://127.0.0.1:{web_port}/events") as events:
+        lines = (json.loads(line[6:]) for line in events if line.startswith(b"data: "))
+        state = next(state for state in lines if state["stamp"])
+    assert abs(time.time() - state["stamp"]) < 60.0
+    assert state["vehicles"][0]["pose"]
+
+
 def test_an_open_address_is_logged_with_a_warning(spin, capfd):
     port, web_port, logged = free_port(), free_port(), []
     node = view(mode="web", bind="0.0.0.0", port=port, web_port=web_port)
@@ -296,7 +323,7 @@ def test_an_open_address_is_logged_with_a_warning(spin, capfd):
         return f"{name}:{port} has no authentication" in "".join(logged)
 
     spin(node, is_warned)
-    assert f"open http://{name}:{web_port}/?url=rerun%2Bhttp://{name}:{port}/" in "".join(logged)
+    assert f"open http://{name}:{web_port}" in "".join(logged)
 
 
 def test_only_the_gate_listens_at_the_bound_address(spin):
@@ -316,7 +343,7 @@ def test_only_the_gate_listens_at_the_bound_address(spin):
 def test_the_page_may_read_the_data_under_any_allowed_name(bind, name):
     """A browser sends this request before a page reads from another port."""
     port, web_port = free_port(), free_port()
-    viewer = Viewer("web", bind, port, web_port, "100MB")
+    viewer = Viewer("web", bind, listen("web", bind, port, web_port), "100MB")
     origin = f"http://{name}:{web_port}"
     request_headers = {"Origin": origin, "Access-Control-Request-Method": "POST"}
     url = f"http://{host(bind, '127.0.0.1')}:{port}/"

@@ -1,15 +1,12 @@
-"""The gate accepts requests to this computer's addresses and names, and restricts the page."""
+"""The gate accepts requests to this computer's addresses and names, and serves the live page."""
 
 import asyncio
-import json
-import os
-import time
-from pathlib import Path
+import socket
 
 import pytest
 
 from fss_arm_view import gate
-from fss_arm_view.page import STATUS_PATH
+from fss_arm_view.page import EVENTS, HISTORY
 
 NAMES = {"localhost", "fss", "fss.local"}
 PAGE = (
@@ -77,15 +74,16 @@ def test_two_host_headers_are_rejected():
     assert gate.header_value(head, b"host") == ""
 
 
-async def ask(port, request):
+async def ask(port, request, until=b""):
+    """Return the answer, complete or up to and including `until`."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(request)
-    answer = await asyncio.wait_for(reader.read(), 5.0)
+    answer = await asyncio.wait_for(reader.readuntil(until) if until else reader.read(), 5.0)
     writer.close()
     return answer
 
 
-def send_through(request, which, page=PAGE, file=Path("none")):
+def send_through(request, which, page=PAGE, states=(), until=b""):
     """Return the answer, the data that reached rerun, and the ports; which: 0 data, 1 page."""
     received = []
 
@@ -96,32 +94,25 @@ def send_through(request, which, page=PAGE, file=Path("none")):
 
     async def run():
         inner = [await asyncio.start_server(rerun, "127.0.0.1", 0) for _ in range(2)]
-        within = [server.sockets[0].getsockname()[1] for server in inner]
-        ports = []
-        for _ in range(2):
-            probe = await asyncio.start_server(rerun, "127.0.0.1", 0)
-            ports.append(probe.sockets[0].getsockname()[1])
-            probe.close()
-            await probe.wait_closed()
-        task = asyncio.create_task(
-            gate.serve_gate("127.0.0.1", tuple(ports), tuple(within), file, "fss")
-        )
-        for _ in range(100):
-            try:
-                return await ask(ports[which], request), ports
-            except ConnectionRefusedError:
-                await asyncio.sleep(0.02)
-            finally:
-                task.cancel() if received or task.done() else None
-        raise TimeoutError
+        within = tuple(server.sockets[0].getsockname()[1] for server in inner)
+        listening = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
+        ports = [port.getsockname()[1] for port in listening]
+        node, end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for state in states:
+            node.send(state)
+        task = asyncio.create_task(gate.serve_gate(tuple(listening), end, within, "fss"))
+        answer = await ask(ports[which], request, until)
+        node.close()
+        await asyncio.wait_for(task, 5.0)
+        return answer, ports
 
     answer, ports = asyncio.run(run())
     return answer, received, ports
 
 
-def test_the_page_has_a_policy():
+def test_the_page_of_rerun_has_a_policy():
     answer, received, ports = send_through(
-        b"GET /x HTTP/1.1\r\nHost: fss:9090\r\nConnection: x\r\n\r\n", 1
+        b"GET /rerun/x HTTP/1.1\r\nHost: fss:9090\r\nConnection: x\r\n\r\n", 1
     )
     assert received == [b"GET /x HTTP/1.1\r\nHost: fss:9090\r\nConnection: close\r\n\r\n"]
     head, _, body = answer.partition(b"\r\n\r\n")
@@ -150,23 +141,84 @@ def test_data_pass_unchanged(request_bytes):
     assert answer == PAGE
 
 
-def test_the_page_contains_the_strip():
+def test_rerun_s_page_has_a_line_about_its_lag():
     page = PAGE.replace(b'favicon.ico">', b'favicon.ico"><body></body></html>')
-    answer, _, _ = send_through(b"GET / HTTP/1.1\r\nHost: fss:9090\r\n\r\n", 1, page)
+    answer, _, ports = send_through(b"GET /rerun HTTP/1.1\r\nHost: fss:9090\r\n\r\n", 1)
+    address = f"{HISTORY}/?url=rerun%2Bhttp://fss:{ports[0]}/proxy"
+    assert gate.header_value(answer, b"location") == address
+    request = f"GET {address} HTTP/1.1\r\nHost: fss:9090\r\n\r\n".encode()
+    answer, received, _ = send_through(request, 1, page)
+    assert received[0].startswith(b"GET /?url=rerun")
     head, _, body = answer.partition(b"\r\n\r\n")
-    assert body.index(b'<div id="fss_age"') < body.index(b"</body>")
+    assert body.index(b"may lag") < body.index(b"</body>")
     assert gate.header_value(head, b"content-length") == str(len(body))
 
 
-def test_the_content_of_the_strip_has_its_age(tmp_path):
-    """A node that has stopped or stalls must not look alive."""
-    ask_now = f"GET {STATUS_PATH} HTTP/1.1\r\nHost: fss:9090\r\n\r\n".encode()
-    assert send_through(ask_now, 1, file=tmp_path / "none")[0].startswith(b"HTTP/1.1 503 ")
-    file = tmp_path / "now.json"
-    file.write_text('{"newest": "1"}')
-    os.utime(file, (time.time() - 60.0,) * 2)
-    answer, received, _ = send_through(ask_now, 1, file=file)
-    status = json.loads(answer.partition(b"\r\n\r\n")[2])
-    assert status["status"] == {"newest": "1"}
-    assert 59.0 < status["age"] < 70.0
+@pytest.mark.parametrize("path", ["/", "/page.css", "/page.js", "/drawing.js"])
+def test_the_live_page_needs_neither_rerun_nor_inline_scripts(path):
+    request = f"GET {path} HTTP/1.1\r\nHost: fss:9090\r\n\r\n".encode()
+    answer, received, _ = send_through(request, 1)
+    head, _, body = answer.partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 200 ")
+    assert gate.header_value(head, b"content-length") == str(len(body))
+    policy = gate.header_value(head + b"\r\n\r\n", b"content-security-policy")
+    assert "default-src 'self'" in policy
+    assert "unsafe" not in policy
+    assert b"://" not in body  # no other host
     assert not received
+
+
+def test_what_is_not_there_is_not_found():
+    assert send_through(b"GET /x HTTP/1.1\r\nHost: fss\r\n\r\n", 1)[0].startswith(b"HTTP/1.1 404 ")
+    assert send_through(b"x\r\n\r\n", 1)[0].startswith(b"HTTP/1.1 403 ")
+
+
+def test_a_page_receives_the_last_minute_and_then_the_present():
+    request = f"GET {EVENTS} HTTP/1.1\r\nHost: fss:9090\r\n\r\n".encode()
+    states = [b"%d" % k for k in range(100)]
+    answer, _, _ = send_through(request, 1, states=states, until=b"data: 99\n\n")
+    head, _, body = answer.partition(b"\r\n\r\n")
+    assert b"text/event-stream" in head
+    assert body.endswith(b"data: 98\n\ndata: 99\n\n")
+
+
+class Connection:
+    """A client's connection that accepts nothing until it is released."""
+
+    def __init__(self):
+        self.written, self.released, self.transport = [], asyncio.Event(), self
+
+    def get_extra_info(self, _):
+        return self
+
+    def setsockopt(self, *_):
+        pass
+
+    def set_write_buffer_limits(self, _):
+        pass
+
+    def write(self, text):
+        self.written.append(text)
+
+    async def drain(self):
+        await self.released.wait()
+
+
+def test_a_slow_client_skips_states():
+    async def run():
+        feed, client = gate.Feed(), Connection()
+        feed.add(b"0")
+        task = asyncio.create_task(feed.send(client))
+        await asyncio.sleep(0)
+        for k in range(1, 100):
+            feed.add(b"%d" % k)
+            await asyncio.sleep(0)
+        client.released.set()
+        while len(client.written) < 2:
+            await asyncio.sleep(0)
+        task.cancel()
+        return client.written
+
+    first, second = asyncio.run(run())
+    assert first.endswith(b"data: 0\n\n")
+    assert second == b"data: 99\n\n"

@@ -134,6 +134,9 @@ class StalledViewer:
     def flush(self):
         pass
 
+    def disconnect(self):
+        pass
+
 
 def test_a_stalled_viewer_does_not_block():
     viewer = StalledViewer()
@@ -154,6 +157,14 @@ def test_each_item_has_its_own_rate_limit():
     assert not sink.due("a")
     assert sink.due("b")
     assert sink.counts["rate-limited"] == 1
+
+
+def test_nothing_is_drawn_in_rerun_while_the_page_is_late():
+    sink = Sink(StalledViewer(), rate=1e-3, size=1)
+    sink.is_paused = True
+    assert not sink.due("a")
+    sink.is_paused = False
+    assert sink.due("a")
 
 
 def test_a_burst_of_one_second_is_shown_completely():

@@ -12,13 +12,14 @@ from fss_arm_calib.report_figures import empty_figure
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_poses
+from fss_arm_ros import palette
 
 DRAWN_POSES = 100  # number of predicted poses drawn for a maneuver
 MANEUVER_GAP = 2.0  # gap drawn between two maneuvers [s]
 SCALES = (1e3, 1e3, float(np.degrees(1.0)))  # to mm, mm, deg
 STYLES: tuple[dict[str, Any], ...] = (
-    {"color": "tab:orange", "linewidth": 1.5},
-    {"color": "tab:blue", "markersize": 7, "zorder": 3},
+    {"color": palette.PREDICTED, "linewidth": 1.5},
+    {"color": palette.MEASURED, "markersize": 7, "zorder": 3},
 )
 
 
@@ -75,9 +76,9 @@ def draw_residuals(outcome: Outcome[Maneuver, Solution]) -> Any:
     drawing = empty_figure((14, 6))
     position, heading = drawing.subplots(2, 1, sharex=True)
     which = np.arange(len(rows)) + 0.5
-    for column, (name, color) in enumerate((("x", "tab:blue"), ("y", "tab:orange"))):
+    for column, (name, color) in enumerate(zip("xy", palette.AXES, strict=True)):
         position.plot(which, 1e3 * rows[:, column], ".", color=color, label=name)
-    heading.plot(which, np.degrees(rows[:, 2]), ".", color="tab:green")
+    heading.plot(which, np.degrees(rows[:, 2]), ".", color=palette.DIFFERENCE)
     for axes, label in ((position, "position residual [mm]"), (heading, "heading residual [deg]")):
         axes.axhline(0.0, color="0.3", linewidth=0.8)
         for edge in edges[1:-1]:

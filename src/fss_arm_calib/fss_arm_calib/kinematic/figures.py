@@ -13,6 +13,7 @@ from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.arrays import Floats
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.layout import kinematic_index, kinematic_names
+from fss_arm_ros import palette
 
 PAPER_POSITION_RESIDUAL = 0.015  # [m], section 4.1
 PAPER_HEADING_RESIDUAL = float(np.radians(0.683))
@@ -38,7 +39,7 @@ def postures(outcome: Outcome[Observation, Solution]) -> Any:
     )
     _draw_postures(axes["arm"], _joints(outcome, q), tip, residuals)
     which = np.arange(1, len(q) + 1)
-    for k, (name, color) in enumerate((("x", "tab:blue"), ("y", "tab:orange"))):
+    for k, (name, color) in enumerate(zip("xy", palette.AXES, strict=True)):
         bars = which + 0.18 * (2 * k - 1)
         position.bar(bars, 1e3 * residuals[:, k], width=0.34, color=color, label=name)
     _finish(
@@ -46,7 +47,7 @@ def postures(outcome: Outcome[Observation, Solution]) -> Any:
         "position residual [mm]",
         1e3 * np.array([e.position_residual, errors[0], PAPER_POSITION_RESIDUAL]),
     )
-    heading.bar(which, np.degrees(residuals[:, 2]), width=0.5, color="tab:green")
+    heading.bar(which, np.degrees(residuals[:, 2]), width=0.5, color=palette.DIFFERENCE)
     _finish(
         heading,
         "heading residual [deg]",
@@ -84,7 +85,7 @@ def _draw_postures(axes: Any, joints: Floats, tip: Floats, residuals: Floats) ->
         angles="xy",
         scale_units="xy",
         scale=1.0,
-        color="tab:red",
+        color=palette.DIFFERENCE,
         width=0.0035,
         zorder=3,
         label=f"position residual, {scale:g} times",
@@ -123,7 +124,7 @@ def _finish(axes: Any, label: str, levels: Floats) -> None:
         )
         axes.axhline(
             sign * paper,
-            color="tab:purple",
+            color=palette.PREDICTED,
             linestyle=":",
             linewidth=1.3,
             label=f"± paper's, {paper:.3g}" if sign > 0 else None,
