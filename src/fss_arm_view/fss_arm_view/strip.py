@@ -58,6 +58,7 @@ class Strip:
             yield Item("fault", f"link {_join(faulty)}", ALARM)
         armed = sum(m.armed for m in recent.values())
         text = f"{armed} of {len(self.links)} armed" if armed else "disarmed"
+        text = text if recent else "unknown"
         yield Item("arm", text)
 
     def _pose(self, now: float) -> Iterable[Item]:

@@ -34,6 +34,10 @@ def test_alarms_come_first(changes, now, first):
     assert Item("lowest battery", "16.0 V, link 2") in items
 
 
+def test_without_telemetry_it_is_unknown_whether_the_arm_is_armed():
+    assert Item("arm", "unknown") in Strip(links=links(armed=True)).items(14.0)
+
+
 def test_base_gripper_propellant_and_verdicts_are_shown():
     base, gripper = BaseTelemetry(armed=True, battery=121), GripperState(closed=True)
     verdicts = {"kinematic": "pass", "dynamic": "fail", "drift": "not_evaluated"}

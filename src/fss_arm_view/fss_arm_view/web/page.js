@@ -74,7 +74,8 @@
     }
     table(get("table"), {paths, targets, vehicles});
     const phases = newest.vehicles.filter(({phase}) => phase);
-    get("phase").textContent = phases.map(({name, phase}) => `\u2014 ${name} ${phase}`).join("; ");
+    const words = phases.map(({name, phase}) => `${name} ${phase}`.trim());
+    get("phase").textContent = words.length ? `\u2014 ${words.join("; ")}` : "";
   }
 
   function drawHeading(canvas, kept) {
