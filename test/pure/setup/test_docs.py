@@ -178,7 +178,13 @@ def test_no_command_is_played_by_rosbag2_as_the_page_has_it():
 
 SOURCES = "".join(
     path.read_text()
-    for pattern in ("src/*/fss_*/**/*.py", "scripts/**/*.sh", "scripts/*.py", "scripts/bin/ros2")
+    for pattern in (
+        "src/*/fss_*/**/*.py",
+        "src/*/fss_*/**/*.js",
+        "scripts/**/*.sh",
+        "scripts/*.py",
+        "scripts/bin/ros2",
+    )
     for path in ROOT.glob(pattern)
 )
 
