@@ -7,7 +7,7 @@ from rclpy.parameter import Parameter
 from running import free_port
 
 from fss_arm_model.files import read_yaml
-from fss_base_driver import check_node
+from fss_base_driver import check_command, check_node
 from fss_sim.testbed_node import TestbedNode
 
 ALONE = ("--q", "0", "0", "0", "0", "--yes")
@@ -55,7 +55,7 @@ def test_a_valve_that_does_not_open_is_found_and_the_others_fit(spin, start, tmp
     ],
 )
 def test_what_cannot_be_done_is_said(monkeypatch, capsys, args, words):
-    monkeypatch.setattr(check_node, "interrupt_at_end", lambda: None)
+    monkeypatch.setattr(check_command, "interrupt_at_end", lambda: None)
     monkeypatch.setattr("sys.stdin", StringIO())
     try:
         code = check_node.main(args)

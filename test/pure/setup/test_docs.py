@@ -27,7 +27,7 @@ PAGES = [
 #: Commands of the system and of ROS that the documentation may use.
 SYSTEM = {
     *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
-    *("cc", "git", "mkdir", "pip", "python3", "rosdep"),
+    *("cc", "dask", "git", "mkdir", "pip", "python3", "rosdep"),
     *("awk", "sed", "arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
     "build/base_firmware/fss_base",
 }
