@@ -372,10 +372,13 @@ def test_a_plan_that_starts_elsewhere_names_the_move_to_its_start(telling, plan_
 
 def test_a_plan_that_is_interrupted_is_cancelled(spin, plan_file):
     motion = FakeMotion("cancel")
-    with subprocess.Popen([sys.executable, SCRIPT, "execute", plan_file]) as process:
+    process = subprocess.Popen([sys.executable, SCRIPT, "execute", plan_file])
+    try:
         spin([motion], lambda: motion.files, 60.0)
         process.send_signal(signal.SIGINT)
-        spin([motion], lambda: process.poll() is not None)
+        spin([motion], lambda: process.poll() is not None, 20.0)
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert motion.cancelled
 

@@ -130,17 +130,13 @@ class PlanExecution:
                 self.say(f"moving for {moving[0]:.1f} s")
 
         sent = self.client.send_goal_async(ExecuteMotion.Goal(file=str(path)), on_feedback)
-        self.after(sent)
-        if not (handle := sent.result()).accepted:
-            return False, "the node motion rejected this plan; its log gives the reason"
-        ended = handle.get_result_async()
         try:
-            self.after(ended, lambda: bool(moving))
+            self.after(sent)
+            if not (handle := sent.result()).accepted:
+                return False, "the node motion rejected this plan; its log gives the reason"
+            self.after(ended := handle.get_result_async(), lambda: bool(moving))
         except KeyboardInterrupt:
-            handle.cancel_goal_async()
-            end = monotonic() + CANCEL_TIMEOUT
-            while not ended.done() and monotonic() < end:
-                spin_once(self.node, 0.05)
+            self.cancel(sent)
             raise
         result = ended.result().result
         if not result.reached:
@@ -149,6 +145,17 @@ class PlanExecution:
         if result.report.arm != self.stored.arm:
             self.say(f"predicted with {result.report.arm!r}, planned for {self.stored.arm!r}")
         return True, "the plan is executed"
+
+    def cancel(self, sent: Future) -> None:
+        """Cancel the motion, even if its goal is not answered yet, and wait until it has ended."""
+        end, ended = monotonic() + CANCEL_TIMEOUT, None
+        while monotonic() < end and not (ended and ended.done()):
+            spin_once(self.node, 0.05)
+            if ended is None and sent.done():
+                if not (handle := sent.result()).accepted:
+                    return
+                handle.cancel_goal_async()
+                ended = handle.get_result_async()
 
     def after(self, future: Future, moving: Callable[[], bool] = lambda: True) -> None:
         """Spin until a future is done; announce a long computation before the motion."""
