@@ -72,7 +72,7 @@ class DriftSearch:
         return [Interval(begin, end)] if end - begin >= self.sensors.min_duration else []
 
     def align(self, candidate: Interval) -> None:
-        """Leave the clocks as they are: the offset does not matter at rest."""
+        """Leave the clocks unchanged: the offset does not matter at rest."""
 
     def observe(self, candidate: Interval, closing: bool) -> Drift | None:
         """Return the drift in a rest; None if readings of a joint or enough poses are missing."""

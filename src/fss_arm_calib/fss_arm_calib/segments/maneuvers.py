@@ -141,7 +141,7 @@ class ManeuverSearch:
         return Motion(departure, arrival)
 
     def align(self, candidate: Motion) -> None:
-        """Leave the clocks as they are: a maneuver that is used aligns them for the next ones."""
+        """Leave the clocks unchanged: a maneuver that is used aligns them for the next ones."""
 
     def observe(self, candidate: Motion, closing: bool) -> Maneuver | None:
         """Return the maneuver between two rests; None if no joint moved far enough."""
