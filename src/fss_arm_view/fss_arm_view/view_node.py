@@ -99,7 +99,8 @@ class ViewNode(Node):
 
         If this is late because the computer is busy, rerun waits: the page must not be late.
         """
-        self.sink.is_paused = time.monotonic() - self.updated > MAX_PERIOD
+        late = time.monotonic() - self.updated > MAX_PERIOD
+        self.sink.is_paused = late and self.settings.mode == WEB
         self.updated = time.monotonic()
         for topics in (self.own, *self.others):
             topics.poll()
