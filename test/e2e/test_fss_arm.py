@@ -375,7 +375,7 @@ def test_a_plan_that_is_interrupted_is_cancelled(spin, plan_file):
     process = subprocess.Popen([sys.executable, SCRIPT, "execute", plan_file])
     try:
         spin([motion], lambda: motion.files, 60.0)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)  # SIGINT is ignored in the background
         spin([motion], lambda: process.poll() is not None, 20.0)
     finally:
         process.kill()
