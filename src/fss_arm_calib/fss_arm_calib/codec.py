@@ -17,7 +17,7 @@ from fss_arm_calib.calibration import Data
 from fss_arm_calib.outcome import Datum
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import stamp_ns, to_time
-from fss_arm_ros.validation import ANY_FIELD, Rule
+from fss_arm_ros.rules import ANY_FIELD, Rule
 
 MAX_DATA_SIZE = 10_000_000  # of a message [bytes]: hundreds of maneuvers of many links
 POSE_WIDTHS = {"frames": 1, "seconds": 1, "poses": 3}  # elements for each averaged pose

@@ -12,33 +12,20 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from importlib import import_module
 from math import isfinite, isnan
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
 from fss_arm_ros.convert import PoseError, planar_pose
+from fss_arm_ros.rules import ANY_FIELD, RESULT, Check, Rule
 from fss_arm_ros.subscription_set import subscribe_bytes
 
 MAX_MAGNITUDE = 1e12  # of any number: its cube is still far from the largest double
 LOG_PERIOD = 10.0  # between two log lines about one topic [s]
-ANY_FIELD = frozenset({"*"})
 # An attribute of the node: any other reference would keep the node alive.
 VALIDATORS = "_validators"
-
-
-Check = Callable[[Any], str]
-
-
-class Rule(NamedTuple):
-    """Rule for a type of message."""
-
-    unknown: frozenset[str] = frozenset()  # fields that may be NaN or infinite
-    alike: tuple[tuple[str, ...], ...] = ()  # arrays with the length of the first, or empty
-    square: tuple[tuple[str, str], ...] = ()  # matrices row by row; size of the second
-    size: int = 65_536  # largest serialized size [bytes]
-    also: tuple[Check, ...] = ()
 
 
 def _is_pose(message: Any) -> str:
@@ -50,7 +37,6 @@ def _is_pose(message: Any) -> str:
     return ""
 
 
-RESULT = Rule(ANY_FIELD, size=1_000_000)
 ESTIMATES = ("names", "units", "values", "initial", "deviations")
 
 RULES = {

@@ -16,8 +16,9 @@ from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_msgs.msg import Calibration, KinematicCalibration, LinkTelemetry
 from fss_arm_ros.diagnostics import WARN, Diagnostics, Health
+from fss_arm_ros.rules import Rule
 from fss_arm_ros.sources import duplicate_publishers
-from fss_arm_ros.validation import Rule, Validator, check, refusals, subscribe
+from fss_arm_ros.validation import Validator, check, refusals, subscribe
 
 
 def odometry(**numbers):

@@ -14,7 +14,8 @@ from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
-from fss_arm_ros.validation import RESULT, check
+from fss_arm_ros.rules import RESULT
+from fss_arm_ros.validation import check
 
 START, END = 5 * SECOND + 1, 7 * SECOND + 2
 TWO_POSES = ((0.1, 0.2, 0.3), (0.4, 0.5, 7.0))

@@ -18,7 +18,7 @@ from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import to_time
-from fss_arm_ros.validation import RESULT
+from fss_arm_ros.rules import RESULT
 
 AnyKind = Calibration[Any, Any]
 JointOutcome = Outcome[SessionData, Solution]
