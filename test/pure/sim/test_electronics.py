@@ -5,8 +5,9 @@ from itertools import pairwise
 from math import pi
 
 import pytest
+from driver_frames import BOOT, DISARM, SECOND
 
-from fss_arm_driver.protocol import Command, LinkCommandFlag, Mode, Slow, State, decode, encode
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, decode, encode
 from fss_arm_model.description import Drive, Link, TorqueSensor
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.vehicle import Motion
@@ -16,11 +17,6 @@ LINK = Link(
     drive=Drive(direction=-1), torque_sensor=TorqueSensor(gain=1e-6, zero=100.0),
 )  # fmt: skip
 REST = Motion(q=0.5, qd=0.0, current=0.25, torque=0.2)
-BOOT, SECOND = 7, 1_000_000
-DISARM = Command(
-    link=2, flags=0, boot=BOOT, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
-    set_point=0, velocity=0, acceleration=0,
-)  # fmt: skip
 MOVE = replace(
     DISARM,
     flags=LinkCommandFlag.ARM,

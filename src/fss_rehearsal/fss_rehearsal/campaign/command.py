@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from fss_arm_calib import report
+from fss_arm_ros.command_line import in_words
 from fss_rehearsal.campaign.execute import execute, open_client
 from fss_rehearsal.campaign.function import perform, source_version
 from fss_rehearsal.campaign.options import parser
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str]) -> int:
             return replay(campaign, options.replay, out / "runs.parquet", console)
         return run(campaign, out, options, console)
     except (CampaignError, OSError) as error:
-        print(f"campaign: {error}", file=sys.stderr)
+        print(f"campaign: {in_words(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("campaign: interrupted; continue with --resume", file=sys.stderr)

@@ -34,7 +34,7 @@ from fss_arm_model.description_file import described
 from fss_arm_model.parameters import parameter_names, values, with_values
 from fss_arm_model.units import SECOND
 from fss_link.session import Arming, CommandError
-from fss_rehearsal.loops.parameters import ArmValues, Without
+from fss_rehearsal.loops.parameters import WITHOUT_NODES, ArmValues, Without
 from fss_sim.faults import read_script
 from fss_sim.noise import Noise
 from fss_sim.plant.vehicle import World
@@ -61,23 +61,7 @@ DYNAMIC = DynamicSettings(
 )
 #: Parameters of the test bed without effect in an experiment without ROS, thrusters and target.
 WITHOUT_THRUSTERS = Without(
-    "vehicles",
-    "serials",
-    "without_arm",
-    "host",
-    "transports",
-    "ports",
-    "terminals",
-    "board_*",
-    "keys",
-    "keep_clock",
-    "speed",
-    "paused",
-    "truth_rate",
-    "state_file",
-    "*_frame",
-    "*_topic",
-    "frame_prefix",
+    *WITHOUT_NODES,
     "target_*",
     "grip*",
     "contact*",

@@ -36,7 +36,7 @@ from fss_gnc.navigation.body_filter import BodyFilter
 from fss_gnc.navigation.navigation import Navigation
 from fss_gnc.navigation.settings import NavigationSettings
 from fss_gnc.reference import Body
-from fss_rehearsal.loops.parameters import ArmValues, Without
+from fss_rehearsal.loops.parameters import WITHOUT_NODES, ArmValues, Without
 from fss_sim.noise import Noise
 from fss_sim.plant.drives import MODE_OFF, MODE_VELOCITY
 from fss_sim.plant.plant import Plant
@@ -65,16 +65,8 @@ TESTBED = TestbedSettings(
 )
 #: Parameters of the test bed without effect in a loop without electronics, links and markers.
 WITHOUT_ELECTRONICS = Without(
-    "vehicles",
-    "serials",
-    "without_arm",
-    "host",
-    "transports",
-    "ports",
-    "terminals",
-    "board_*",
+    *WITHOUT_NODES,
     "telemetry_rate",
-    "keys",
     "vicon_jitter",
     "vicon_edge_error",
     "vicon_occlusion",
@@ -94,14 +86,6 @@ WITHOUT_ELECTRONICS = Without(
     "battery*",
     "faults",
     "twist",
-    "keep_clock",
-    "speed",
-    "paused",
-    "truth_rate",
-    "state_file",
-    "*_frame",
-    "frame_prefix",
-    "*_topic",
 )
 
 #: Parameters of the navigation without effect in a loop without topics.

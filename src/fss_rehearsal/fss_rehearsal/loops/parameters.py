@@ -41,3 +41,25 @@ class Without:
     def includes(self, name: str) -> bool:
         """Return True if a field has no effect on the run."""
         return any(fnmatch(name, pattern) for pattern in self.patterns)
+
+
+#: Parameters of the test bed without effect where no nodes run.
+WITHOUT_NODES = (
+    "vehicles",
+    "serials",
+    "without_arm",
+    "host",
+    "transports",
+    "ports",
+    "terminals",
+    "board_*",
+    "keys",
+    "keep_clock",
+    "speed",
+    "paused",
+    "truth_rate",
+    "state_file",
+    "*_frame",
+    "*_topic",
+    "frame_prefix",
+)
