@@ -12,12 +12,24 @@ from importlib import import_module
 from importlib.util import find_spec
 from inspect import cleandoc
 from pathlib import Path
-from textwrap import indent
+from textwrap import fill
 from typing import Any
 
 from fss_arm_model.settings import meaning
 from fss_arm_ros.common_parameter import ABOUT, ALLOW
 from fss_arm_ros.libraries import required_libraries
+
+
+def _wrapped(text: str, margin: str = "") -> str:
+    """Return a paragraph in lines of 80 columns; long words, such as addresses, stay whole."""
+    return fill(
+        text,
+        80,
+        initial_indent=margin,
+        subsequent_indent=margin,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def named(place: str) -> Any:
@@ -82,10 +94,10 @@ class Program:
         """Return one screen of help: purpose and parameters with their defaults."""
         plain = " ".join([name, self.takes, *(f"[{flag}]" for flag in self.short)])
         lines = [" ".join(plain.split()) + " [--ros-args -p PARAMETER:=VALUE ...]", ""]
-        lines += [self.about, ""]
+        lines += ["\n\n".join(map(_wrapped, self.about.split("\n\n"))), ""]
         for f in fields(named(self.settings)):
-            lines += [f"  {f.name} (default {_shown(f.default)})", indent(meaning(f), "      ")]
-        lines += [f"  {ALLOW} (default false)", indent(ABOUT, "      ")]
+            lines += [f"  {f.name} (default {_shown(f.default)})", _wrapped(meaning(f), "      ")]
+        lines += [f"  {ALLOW} (default false)", _wrapped(ABOUT, "      ")]
         return "\n".join(lines)
 
     def __call__(self, args: Sequence[str] | None = None) -> int:
