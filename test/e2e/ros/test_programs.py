@@ -87,8 +87,8 @@ def test_a_killed_recorder_loses_at_most_the_last_second_and_the_next_goes_on(
     assert receipts == sorted(receipts)
 
 
-def test_a_recorder_that_stands_still_for_a_while_loses_nothing(spin, start, tmp_path):
-    bed = ("-p", "keep_clock:=true", "-p", "speed:=5.0")
+def test_a_recorder_that_is_stopped_for_a_second_loses_nothing(spin, start, tmp_path):
+    bed = ("-p", "keep_clock:=true", "-p", "speed:=2.0")
     record = start("fss_arm_bags.record_node", "--ros-args", "-p", f"output:={tmp_path / 'bags'}")
     start("fss_sim.testbed_node", "--ros-args", *bed)
     node, now, heard = Node("operator"), [0], []
@@ -104,17 +104,17 @@ def test_a_recorder_that_stands_still_for_a_while_loses_nothing(spin, start, tmp
         spin(node, lambda: now[0] >= then, 20.0)
 
     def recorded():
-        """Whether the recorder tells of its messages, and so has come to the present."""
-        told = [v.key for m in heard for s in m.status if s.name == "/record" for v in s.values]
-        return "/clock" in told
+        """Return True if the recorder reports messages, and so has caught up."""
+        keys = [v.key for m in heard for s in m.status if s.name == "/record" for v in s.values]
+        return "/clock" in keys
 
     spin(node, recorded, 20.0)
     pass_time(3)
     record.process.send_signal(signal.SIGSTOP)
-    pass_time(5)  # simulated: one second, 1,600 messages
+    pass_time(2)  # simulated: one second, 640 messages
     record.process.send_signal(signal.SIGCONT)
     heard.clear()
-    pass_time(10)
+    pass_time(3)
     spin(node, recorded, 20.0)
     assert record.stop() == 0, record.output
     with open_bags(tmp_path / "bags") as bags:
@@ -122,7 +122,7 @@ def test_a_recorder_that_stands_still_for_a_while_loses_nothing(spin, start, tmp
         poses = [stamp_ns(m.header.stamp) for *_, m in bags.messages({"/vicon/fss/fss"})]
     assert max(b - a for a, b in pairwise(clock)) <= FRAMES_PER_CLOCK * FRAME
     assert {b - a for a, b in pairwise(poses)} == {FRAME}
-    assert poses[-1] - poses[0] > 17 * SECOND
+    assert poses[-1] - poses[0] > 7 * SECOND
 
 
 def test_a_recorder_that_is_told_to_stop_leaves_a_whole_bag(spin, start, tmp_path):
