@@ -41,7 +41,7 @@ from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.urdf import urdf
 from fss_arm_motion.plan import Start, predicted
 from fss_arm_msgs.action import MoveArm
-from fss_arm_msgs.msg import KinematicCalibration, LinkCommand
+from fss_arm_msgs.msg import CommandStatus, KinematicCalibration, LinkCommand
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_ros.validation import validators
@@ -380,6 +380,20 @@ def test_a_link_that_breaks_off_ends_it(spin):
     assert ended.result.error_code == ENDED.PATH_TOLERANCE_VIOLATED
     assert ended.result.error_string.startswith("link 4 left its path")
     bench.client.action.destroy()
+
+
+def test_the_result_gives_the_reason_of_a_link_that_refuses_its_path(bench):
+    status = bench.links.create_publisher(CommandStatus, "link_3/command_status", SENSOR)
+    bench.until(status.get_subscription_count)
+    refusal = CommandStatus(status=CommandStatus.REFUSED, reason="an old command")
+    status.publish(refusal)  # stamped before the path
+    handle = bench.send_goal(bench.client.goal([(5.0, THERE)]))
+    bench.until(lambda: bench.links.q[0] > 0.02)
+    refusal.header.stamp, refusal.reason = to_time(bench.links.now()), "its buffer is full"
+    status.publish(refusal)
+    ended = bench.end(handle)
+    assert ended.result.error_code == ENDED.INVALID_GOAL
+    assert ended.result.error_string == "the path is refused by link 3: its buffer is full"
 
 
 def test_a_goal_that_is_missed_ends_in_time(bench):

@@ -217,6 +217,12 @@ def test_malformed_trajectories_are_refused(words):
     assert len(str(error.value)) < 200
 
 
+def test_rounding_errors_in_the_last_velocity_are_removed():
+    request = parse_request(ARM, message([(1.0, np.zeros(4), [-9e-17, 1e-8, 0.0, 0.0])]))
+    assert not request.qd[-1].any()
+    assert np.isnan(parse_request(ARM, message([(1.0, np.zeros(4))])).qd[-1]).all()
+
+
 def test_the_longest_trajectory_is_read_and_a_longer_one_is_not():
     times = 0.36 * np.arange(MAX_POINTS)
     points = [*zip(times, np.zeros((MAX_POINTS, 4)), strict=True)]

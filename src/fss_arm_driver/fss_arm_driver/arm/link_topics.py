@@ -12,7 +12,7 @@ from fss_arm_driver.liveness import ClockSteps, Stall
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.description import Arm
-from fss_arm_msgs.msg import LinkCommand, LinkPath, LinkTelemetry
+from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.qos import command, subscribe_sensor
 from fss_arm_ros.timer_clock import timer_clock
@@ -54,7 +54,8 @@ class LinkTopics:
         self.node, self.arm, self.settings = node, arm, settings
         self.numbers = range(1, arm.n + 1)
         self.states: dict[int, LinkState] = {}
-        self.arbiter, self.path = Arbiter(), 0
+        self.refusals: dict[int, str] = {}  # why links refused the newest path, by number
+        self.arbiter, self.path, self.path_stamp = Arbiter(), 0, 0
         self.clock, self.stall = timer_clock(node), Stall(settings.time_to_live)
         self.steps = ClockSteps(MIN_CLOCK_STEP, settings.time_to_live)
         self.host = HostClock(self.steady, lambda: self.now())
@@ -75,7 +76,13 @@ class LinkTopics:
             measured = stamp_ns(message.header.stamp)
             self.states[number] = link_state(message, scale, measured, self.steady())
 
+        def on_status(message: CommandStatus) -> None:
+            is_newer = stamp_ns(message.header.stamp) >= self.path_stamp
+            if message.status == CommandStatus.REFUSED and is_newer:
+                self.refusals.setdefault(number, message.reason)
+
         subscribe_sensor(self.node, LinkTelemetry, f"link_{number}/telemetry", on_telemetry)
+        subscribe_sensor(self.node, CommandStatus, f"link_{number}/command_status", on_status)
 
     def now(self) -> int:
         """Return the time of the node's clock [ns]."""
@@ -170,6 +177,7 @@ class LinkTopics:
     def publish_path(self, trajectory: Trajectory) -> dict[int, LinkCommand]:
         """Publish each link's path of a trajectory; return the commands to follow it."""
         self.path = next_path_number([self.path, *(s.path for s in self.states.values())])
+        self.path_stamp, self.refusals = self.now(), {}
         for i, publisher in self.paths.items():
             message = LinkPath(
                 path=self.path,

@@ -71,6 +71,7 @@ def parse_request(arm: Arm, message: Any) -> Request:
     _check_empty(points, "effort")
     if (fastest := np.abs(np.nan_to_num(qd[-1])).max()) > np.finfo(np.float32).eps:
         raise _invalid("velocities of the last point", f"up to {fastest:g} rad/s", "0", "are")
+    qd[-1] = np.where(np.isnan(qd[-1]), np.nan, 0.0)  # without a planner's rounding errors
     return Request(stamp.sec * SECOND + stamp.nanosec, times, q, qd)
 
 

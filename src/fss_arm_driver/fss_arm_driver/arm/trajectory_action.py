@@ -192,6 +192,9 @@ class TrajectoryAction:
                 self.guard.check_trajectory(monitor.trajectory, links.now())
             except (MotionError, GuardError) as error:
                 raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
+            if links.refusals:
+                words = "; ".join(f"link {i}: {why}" for i, why in links.refusals.items())
+                raise TrajectoryError(Code.INVALID_GOAL, f"the path is refused by {words}")
             if handle:
                 handle.publish_feedback(self.feedback(monitor.progress(links.states)))
             if monitor.is_goal_reached(links.states):
