@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property, partial
 from itertools import product
-from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from fss_arm_model.distributions import Distribution, parse_distribution
 from fss_arm_model.files import ContentError, format_value, read_text, read_yaml
 from fss_arm_model.settings import SettingError
 from fss_rehearsal.campaign.arguments import Arguments
@@ -23,12 +23,6 @@ RUNS = {
     "calibration": "fss_rehearsal.loops.calibration:calibration",
 }
 KEYS = "about", "run", "seeds", "settings", "grid", "draw", "measure", "success_rate"
-DISTRIBUTIONS = {
-    "uniform": "[low, high]",
-    "normal": "[mean, standard deviation]",
-    "choice": "a list of values",
-    "cycle": "a list of values",
-}
 
 
 class CampaignError(ValueError):
@@ -59,31 +53,6 @@ class Run(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Distribution:
-    """Distribution of a parameter.
-
-    `cycle` is a Latin square: its values follow each other over the grid's last axis and the seeds.
-    """
-
-    kind: str
-    numbers: tuple[Any, ...]
-
-    def draw(self, rng: np.random.Generator, position: int) -> Any:
-        """Return a value; `position` is that of the run on the last axis, plus its seed."""
-        if self.kind == "uniform":
-            return float(rng.uniform(*self.numbers))
-        if self.kind == "normal":
-            return float(rng.normal(*self.numbers))
-        k = position if self.kind == "cycle" else int(rng.integers(len(self.numbers)))
-        return self.numbers[k % len(self.numbers)]
-
-    @property
-    def examples(self) -> tuple[Any, ...]:
-        """Values of which each must be valid."""
-        return self.numbers[:1] if self.kind == "normal" else self.numbers
-
-
-@dataclass(frozen=True)
 class Campaign:
     """A campaign as its file states it."""
 
@@ -101,7 +70,8 @@ class Campaign:
     def runs(self) -> tuple[Run, ...]:
         """Runs of the campaign: the cells of the grid for the first seed, then the next.
 
-        A seed draws the same values in each cell, so that cells can be compared run by run.
+        A seed draws the same values in each cell, so that cells can be compared run by run; a
+        `cycle` is a Latin square over the grid's last axis and the seeds.
         """
         runs = []
         cells = list(product(*(enumerate(axis.levels) for axis in self.axes)))
@@ -153,7 +123,9 @@ def _campaign(file: Path, given: Any) -> Campaign:
     settings = _mapping("settings", given.get("settings"))
     axes = tuple(_axis(name, v) for name, v in _mapping("grid", given.get("grid")).items())
     draws = _mapping("draw", given.get("draw"))
-    distributions = {name: _distribution(name, value) for name, value in draws.items()}
+    distributions = {
+        name: parse_distribution(f"draw: {name}", value) for name, value in draws.items()
+    }
     _check_values(arguments, settings, axes, distributions)
     rate = given.get("success_rate", 1.0)
     if type(rate) not in (int, float) or not 0.0 <= rate <= 1.0:
@@ -202,26 +174,6 @@ def _axis(name: str, value: Any) -> Axis:
 def label(value: Any) -> str:
     """Return a value as tables show it."""
     return f"{value:.4g}" if isinstance(value, float) else format_value(value).strip("'")
-
-
-def _distribution(name: str, value: Any) -> Distribution:
-    if not isinstance(value, dict) or len(value) != 1:
-        forms = ", ".join(f"{{{kind}: {form}}}" for kind, form in DISTRIBUTIONS.items())
-        raise ContentError(f"draw: {name}", value, f"one of {forms}")
-    ((kind, numbers),) = value.items()
-    if kind not in DISTRIBUTIONS:
-        near = get_close_matches(str(kind), DISTRIBUTIONS, n=1)
-        expected = f"{near[0]} as its kind" if near else f"one of {', '.join(DISTRIBUTIONS)}"
-        raise ContentError(f"draw: {name}", kind, expected)
-    valid = isinstance(numbers, list) and bool(numbers)
-    if valid and kind in ("uniform", "normal"):
-        valid = len(numbers) == 2 and all(
-            type(one) in (int, float) and isfinite(one) for one in numbers
-        )
-        valid = valid and (numbers[0] <= numbers[1] if kind == "uniform" else numbers[1] >= 0.0)
-    if not valid:
-        raise ContentError(f"draw: {name}: {kind}", numbers, DISTRIBUTIONS[kind])
-    return Distribution(kind, tuple(numbers))
 
 
 def _check_values(

@@ -1,0 +1,19 @@
+"""Names of the environments for `gymnasium.make` and `gymnasium.make_vec`."""
+
+import gymnasium
+
+from fss_sim.environments.tasks import TASKS
+
+WHERE = "fss_sim.environments.environment"
+
+
+def register() -> None:
+    """Register each task as an environment; a second call changes nothing."""
+    for name in TASKS:
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name,
+                entry_point=f"{WHERE}:FloatingArm",
+                vector_entry_point=f"{WHERE}:FloatingArms",
+                kwargs={"task": name},
+            )
