@@ -1,16 +1,23 @@
-"""Restarts of simulated links and board under replayed recordings.
+"""Restarts of links and board, simulated and with their firmware, under replayed recordings.
 
 An attacker records all frames before each restart and sends them again after it, at every time.
 """
 
 from collections import Counter
+from contextlib import closing
+from functools import partial
+from random import Random
 
 import pytest
+from base_firmware import FirmwareBoard, board_core
+from firmware import Core, FirmwareLink, needs_arm, needs_emulator
 
+from fss_arm_driver import protocol
 from fss_arm_driver.protocol import State as Flags
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
 from fss_arm_model.units import SECOND
+from fss_base_driver import protocol as base_protocol
 from fss_base_driver.session import BoardSession
 from fss_sim import settings, testbed
 from fss_sim.testbed import State
@@ -18,7 +25,7 @@ from fss_sim.testbed import State
 KEYS = {0: bytes(range(16)), 2: bytes(range(1, 17))}
 PERIOD = 50_000_000
 EPOCH = 1_700_000_000 * SECOND
-RESTARTS = 20
+MAX_RESTARTS = 100
 TIMEOUT, OUTAGE = 0.5, 6 * SECOND // 10  # [s], [ns]
 BOARD, LINK = 0, 2
 
@@ -58,6 +65,40 @@ class Simulated:
         sent = {BOARD: [r.board for r in reports], LINK: [r.telemetry[LINK - 1] for r in reports]}
         return {part: [d.data for those in each for d in those] for part, each in sent.items()}
 
+    def close(self):
+        """Nothing is open."""
+
+
+class Firmware:
+    """Firmware of a link and of the board, on this computer or emulated."""
+
+    def __init__(self, keys, boots, cortex_m3=False):
+        self.keys, self.next, self.boots = keys, iter(boots), []
+        self.cores = {BOARD: board_core(cortex_m3), LINK: Core(cortex_m3)}
+
+    def restart(self):
+        boot = next(self.next)
+        self.boots.append(boot)
+        self.parts = {
+            BOARD: FirmwareBoard(self.cores[BOARD], boot, self.keys.get(BOARD)),
+            LINK: FirmwareLink(self.cores[LINK], LINK, boot, self.keys.get(LINK)),
+        }
+
+    def send(self, part, data):
+        self.parts[part].send(data)
+
+    def run(self):
+        frames = {BOARD: self.parts[BOARD].run(PERIOD // 1000), LINK: self.parts[LINK].run(0.05)}
+        encode = {BOARD: base_protocol.encode, LINK: protocol.encode}
+        return {
+            part: [encode[part](frame, self.keys.get(part)) for frame in sent]
+            for part, sent in frames.items()
+        }
+
+    def close(self):
+        for core in self.cores.values():
+            core.close()
+
 
 class Laboratory:
     """Sessions of one computer, the parts that they drive, and an attacker's recordings."""
@@ -83,6 +124,7 @@ class Laboratory:
         self.world.restart()
         self.now += OUTAGE
         for part, those in commands.items():
+            self.observed["commands"] += len(those)
             for data in those:
                 self.world.send(part, data)
 
@@ -140,14 +182,46 @@ def repeated_state(_):
     return State(frame=0, boots=1, rests=0, q=7 * (0.0,), qd=7 * (0.0,), boot_offset=0)
 
 
-CASES = [(initial_state, {}), (initial_state, KEYS), (repeated_state, KEYS)]
+def distinct_boots():
+    return Random(7).sample(range(1, 65536), MAX_RESTARTS + 1)
 
 
-@pytest.mark.parametrize(("start", "keys"), CASES, ids=["no keys", "keys", "keys, boot repeated"])
-def test_frames_recorded_before_a_restart_are_rejected_after_it(start, keys):
-    laboratory = Laboratory(Simulated(keys, start), keys)
-    for _ in range(RESTARTS + 1):
-        laboratory.restart()
-        laboratory.arm_and_open()
-    assert laboratory.observed["open"] > 2 * RESTARTS
-    assert laboratory.observed["replayed"] > 100 * RESTARTS
+def repeated_boots():
+    return (MAX_RESTARTS + 1) * [7]
+
+
+def simulated(start):
+    return lambda keys: Simulated(keys, start)
+
+
+def firmware(boots, cortex_m3=False):
+    return lambda keys: Firmware(keys, boots(), cortex_m3)
+
+
+emulated = partial(pytest.param, marks=[pytest.mark.slow, needs_arm, needs_emulator])
+CASES = [
+    pytest.param(simulated(initial_state), {}, id="simulated, no keys"),
+    pytest.param(simulated(initial_state), KEYS, id="simulated, keys"),
+    pytest.param(simulated(repeated_state), KEYS, id="simulated, keys, boot repeated"),
+    pytest.param(firmware(distinct_boots), {}, id="firmware, no keys"),
+    pytest.param(firmware(distinct_boots), KEYS, id="firmware, keys"),
+    pytest.param(firmware(repeated_boots), KEYS, id="firmware, keys, boot repeated"),
+    emulated(firmware(distinct_boots, True), {}, id="emulated, no keys"),
+    emulated(firmware(distinct_boots, True), KEYS, id="emulated, keys"),
+    emulated(firmware(repeated_boots, True), KEYS, id="emulated, keys, boot repeated"),
+]
+
+
+@pytest.mark.parametrize("restarts", [20, pytest.param(MAX_RESTARTS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("world", "keys"), CASES)
+def test_frames_recorded_before_a_restart_are_rejected_after_it(world, keys, restarts):
+    with closing(world(keys)) as parts:
+        laboratory = Laboratory(parts, keys)
+        for _ in range(restarts + 1):
+            laboratory.restart()
+            laboratory.arm_and_open()
+    counts = laboratory.observed
+    print(f"replayed: {counts['replayed']} frames, {counts['commands']} commands; 0 accepted")
+    assert counts["open"] > 2 * restarts
+    assert counts["replayed"] > 100 * restarts
+    assert counts["commands"] >= 10 * restarts
