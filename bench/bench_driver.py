@@ -68,7 +68,7 @@ class RelayNode(Node):
         self.publisher = self.create_publisher(Float64, "relayed", SENSOR)
         self.receiver = Receiver(self.transport, self.poll, self.create_guard_condition(exit))
 
-    def poll(self, datagrams: list[bytes]) -> None:
+    def poll(self, datagrams: list[bytes], _: bool) -> None:
         """Publish one float of each datagram."""
         for data in datagrams:
             self.publisher.publish(Float64(data=struct.unpack("<d", data[:8])[0]))

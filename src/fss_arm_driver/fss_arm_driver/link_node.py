@@ -72,7 +72,7 @@ class LinkNode(SessionNode):
         stops = stop_topics(self.on_stop, "arm/stop")
         self.commands = SubscriptionThread(self, [*stops, command])
 
-    def process_datagram(self, data: bytes, now: int) -> None:
+    def process_datagram(self, data: bytes, now: int, sheds: bool) -> None:
         """Publish the contents of a datagram; the joint's state first."""
         if (sample := self.session.measure(data, now)) is None:
             return
@@ -80,6 +80,8 @@ class LinkNode(SessionNode):
         if sample.referenced:  # else the position is not valid
             self.joint_states.publish(self.messages.joint_state(sample))
         self.session.follow(sample)
+        if sheds:
+            return
         self.telemetry.publish(self.messages.telemetry(sample, now))
         if sample.frame.slow_id == Slow.BATTERY:
             self.battery.publish(self.messages.battery(sample))

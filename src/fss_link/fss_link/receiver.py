@@ -6,7 +6,8 @@ in one process that costs more than the rest of the processing of a datagram.
 Only one thread of a process runs Python at a time. Telemetry is the only work whose rate this
 process does not control; without a limit, commands and stops would have to wait. So the receivers
 of a process run one after the other and for at most CPU_SHARE of the time. When it is used up they
-rest. After that each processes only the newest frames, and counts the dropped ones.
+rest. After that each tells its node to shed telemetry, and processes only the newest frames; both
+are counted. A paused process has not used its share: it processes all that was buffered.
 """
 
 from collections import deque
@@ -59,7 +60,7 @@ class Receiver(Thread):
 
     Args:
         transport: source of the frames; its count `dropped` is that of unprocessed frames.
-        callback: for the frames.
+        callback: for the frames, and True if the threads' share of the time is used up.
         guard_condition: triggered if `callback` fails; `error` is then the exception.
         scheduler: turns shared with the other receivers.
     """
@@ -67,7 +68,7 @@ class Receiver(Thread):
     def __init__(
         self,
         transport: Transport,
-        callback: Callable[[list[bytes]], None],
+        callback: Callable[[list[bytes], bool], None],
         guard_condition: Any,
         scheduler: TurnScheduler = SCHEDULER,
     ) -> None:
@@ -89,7 +90,7 @@ class Receiver(Thread):
                     sleep(pause)
                 with self.scheduler.turn():
                     receive = self._receive_newest if overloaded else self.transport.receive
-                    self.callback(receive())
+                    self.callback(receive(), overloaded)
         except Exception as error:
             self.error = error
             self.guard_condition.trigger()

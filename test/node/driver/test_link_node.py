@@ -111,6 +111,20 @@ def test_each_frame_is_a_joint_state_and_a_telemetry(bench):
     assert abs(stamps[-1] - transport.link.born - 1000 * message.clock) < 0.05 * SECOND
 
 
+def test_under_overload_telemetry_is_shed_and_joint_states_are_not(bench):
+    node, user, transport, until = bench
+    node.receiver.close()
+    joints, telemetry = len(user.joints), len(user.telemetry)
+    waiting = []
+    until(lambda: waiting.extend(transport.receive()) or len(waiting) > 4)
+    until(lambda: joints == len(user.joints) and telemetry == len(user.telemetry))
+    node.process_datagrams(waiting, True)
+    until(lambda: len(user.joints) == joints + len(waiting))
+    until(lambda: len(user.telemetry) == telemetry + 1)
+    assert user.telemetry[-1].header.stamp == user.joints[-1].header.stamp
+    assert transport.counts["telemetry_shed"] == len(waiting) - 1
+
+
 def test_a_command_that_another_replaces_is_told_to_have_ended(bench):
     _, user, _, until = bench
     assert arm(user, until).success

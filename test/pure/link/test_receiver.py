@@ -72,7 +72,7 @@ def frames(first, count):
 
 def received(scheduler, *batches):
     line, got = BatchTransport(*batches), []
-    receiver = Receiver(line, got.append, None, scheduler)
+    receiver = Receiver(line, lambda *given: got.append(given), None, scheduler)
     wait_until(line.silent.is_set, 5.0, lambda: line.silent.wait(0.1))
     receiver.close()
     return got, line.counts["dropped"]
@@ -80,12 +80,12 @@ def received(scheduler, *batches):
 
 def test_nothing_is_dropped_while_there_is_time():
     got, dropped = received(TurnScheduler(0.5, 10.0), frames(0, 64), frames(64, 64), frames(128, 3))
-    assert got == [frames(0, 64), frames(64, 64), frames(128, 3)]
+    assert got == [(each, False) for each in (frames(0, 64), frames(64, 64), frames(128, 3))]
     assert dropped == 0
 
 
 def test_under_overload_the_newest_frames_are_processed_and_the_others_counted():
     got, dropped = received(Overloaded(0.5, 0.1), frames(0, 64), frames(64, 64), frames(128, 3))
-    assert got == [frames(131 - OVERLOAD_FRAMES, OVERLOAD_FRAMES)]
+    assert got == [(frames(131 - OVERLOAD_FRAMES, OVERLOAD_FRAMES), True)]
     assert dropped == 131 - OVERLOAD_FRAMES
-    assert received(Overloaded(0.5, 0.1), frames(0, 2)) == ([frames(0, 2)], 0)
+    assert received(Overloaded(0.5, 0.1), frames(0, 2)) == ([(frames(0, 2), True)], 0)
