@@ -284,7 +284,7 @@ class Drive:
         if not done and demand.goal > Goal.HOLD:  # a joint with a refused demand is held,
             yield from self._read(Variable.FAULTS)
             done = yield from self._reach(Demand(Goal.HOLD), demand)
-        self.switched_off = not done
+        self.switched_off = not done and demand.goal != Goal.RELEASE
         while not done:  # and a drive that refuses to hold is switched off
             yield from self._read(Variable.FAULTS)
             done = yield from self._send_commands([set_variable(Variable.DESIRED_STATE, Mode.OFF)])
