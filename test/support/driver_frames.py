@@ -3,6 +3,7 @@
 import struct
 from dataclasses import replace
 from hashlib import blake2s
+from itertools import pairwise
 from zlib import crc32
 
 from fss_arm_driver.protocol import (
@@ -50,6 +51,18 @@ MOVE = replace(
     velocity=381_972,
     acceleration=7639,
 )
+
+
+def path_segments(knots, **fields):
+    """Return the segments of a path from its knots: time [us], counts and 0.1 counts/s."""
+    pairs = list(pairwise(knots))
+    return [
+        replace(
+            PIECE, flags=LAST_SEGMENT * (k == len(pairs) - 1), index=k, begin=t0, duration=t1 - t0,
+            position=p0, velocity=v0, end_position=p1, end_velocity=v1, **fields,
+        )
+        for k, ((t0, p0, v0), (t1, p1, v1)) in enumerate(pairs)
+    ]  # fmt: skip
 
 
 def with_crc(data: bytes) -> bytes:

@@ -16,6 +16,8 @@
 //   start LINK BOOT KEY SERIAL  a link's electronics with a drive behind them; time begins
 //   restart LINK BOOT KEY SERIAL
 //                               the electronics alone
+//   drive                       a drive alone; time begins
+//   line DATA BAUD TIME         bytes for the drive at this rate; its answers within the time [us]
 //   send DATA                   a datagram arrives: `taken` or `refused`
 //   run TIME                    so much later [us], the frames sent meanwhile
 //   orders                      what the drive was told since the last call, but for readings
@@ -183,6 +185,17 @@ std::string run(Words& words) {
   return world->computer.take_sent();
 }
 
+std::string exchange(Words& words) {
+  DriveModel& drive = world->board.drive();
+  const Bytes data = bytes(words);
+  drive.set_baud(number<uint32_t>(words), world->now);
+  drive.write(data.data(), data.size(), world->now);
+  world->now += number<uint64_t>(words);
+  uint8_t answer[1000];
+  const size_t size = drive.read(answer, sizeof answer, world->now);
+  return size ? to_hex(answer, size) : "-";
+}
+
 std::string joint() {
   const DriveModel& drive = world->board.drive();
   return joined(drive.position(), drive.velocity(), drive.mode(), drive.baud());
@@ -221,11 +234,16 @@ std::string answer(const char* line) {
   if (request == "follow") return follow(words);
   if (request == "start") world.emplace();
   if (request == "start" || (request == "restart" && world)) return start(words);
+  if (request == "drive") {
+    world.emplace();
+    return "done";
+  }
   if (!world) return "nothing was started";
   if (request == "send") return send(words);
   if (request == "run") return run(words);
   if (request == "orders") return world->board.drive().take_orders();
   if (request == "joint") return joint();
+  if (request == "line") return exchange(words);
   return happen(request, words);
 }
 
