@@ -11,7 +11,7 @@ from fss_link.session import Arming
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.vehicle import Motion
 
-PERIOD = SECOND // 5
+PERIOD, TICK = SECOND // 5, SECOND // 200
 DATE = 1_700_000_000 * SECOND  # the time of day when the tests' clock is 0
 WATCHDOG = 2.0
 LINK = paper_arm().links[0]
@@ -23,20 +23,14 @@ class World:
 
     Args:
         key: that frames are signed under.
-        delay: of each datagram, without a network [s].
-        network: when a datagram arrives, how often, if at all.
-        drift: of the link's clock.
-        tick: of the time [ns].
+        delay: of each datagram [s].
     """
 
-    def __init__(self, key=None, delay=0.002, network=None, drift=0.0, tick=SECOND // 200):
-        self.key, self.delay, self.network = key, delay, network
-        self.drift, self.tick = drift, tick
+    def __init__(self, key=None, delay=0.002):
+        self.key, self.delay = key, delay
         self.now, self.ways, self.sent = 100 * SECOND, [], 0
         self.drivers, self.commands, self.heard = [], [], []
         self.link = LinkElectronics(1, LINK, boot=5, key=key)
-        self.measured = []  # time [ns] and angle [rad] of each frame of the link
-        self.samples, self.taken = [], []  # with their times, by the clock of who has them
 
     def driver(self, step=0.0):
         """Another driver, on a computer whose time of day is off by `step` [s]."""
@@ -48,45 +42,35 @@ class World:
     def kill(self, session):
         self.drivers = [driver for driver in self.drivers if driver[0] is not session]
 
-    def motion(self):
-        return REST
-
     def clock(self):
-        return round((self.now - 90 * SECOND) * (1.0 + self.drift)) // 1000
+        return (self.now - 90 * SECOND) // 1000
 
     def send(self, session):
         self.commands.append(session.command(self.now))
         self.post(partial(self.to_link, self.commands[-1]))
 
     def post(self, what):
-        now, network = self.now, self.network
-        arrivals = network.arrivals(now) if network else [now + round(self.delay * SECOND)]
-        for arrival in arrivals:
-            self.sent += 1
-            heapq.heappush(self.ways, (arrival, self.sent, what))
+        self.sent += 1
+        heapq.heappush(self.ways, (self.now + round(self.delay * SECOND), self.sent, what))
 
     def to_link(self, data):
-        if self.link.receive(data, self.clock()):
-            self.taken.append((self.clock(), self.link.gate.command))
+        self.link.receive(data, self.clock())
 
     def to_drivers(self, data):
         self.heard.append(data)
         for session, _ in self.drivers:
-            if sample := session.feed(data, self.now):
-                self.samples.append((self.now, sample))
+            session.feed(data, self.now)
 
     def step(self):
-        self.now += self.tick
+        self.now += TICK
         while self.ways and self.ways[0][0] <= self.now:
             heapq.heappop(self.ways)[2]()
         for number, driver in enumerate(self.drivers):
             if self.now >= driver[1] + number * PERIOD // 3:  # each at a time of its own
                 driver[1] += PERIOD
                 self.send(driver[0])
-        motion = self.motion()
-        self.link.demand(self.clock(), motion)
-        if data := self.link.telemetry(self.clock(), motion):
-            self.measured.append((self.now, motion.q))
+        self.link.demand(self.clock(), REST)
+        if data := self.link.telemetry(self.clock(), REST):
             self.post(partial(self.to_drivers, data))
 
     def run(self, seconds, until=lambda: False):

@@ -236,26 +236,18 @@ def test_a_torque_sensor_that_is_not_there_does_not_pass(tried):
     assert not any("known torque" in question for question in bench.asked)
 
 
-def test_a_torque_sensor_that_fails_under_load_does_not_pass(tried):
+def test_a_torque_sensor_may_fail_under_load_and_a_person_take_their_time(tried):
     bench = Bench(LINK)
 
     def ask(question):
+        for _ in range(round(20.0 / STEP)):
+            bench.step()
         if "known torque" in question:
             bench.link.instruments.torque.age = lambda _: 255_000
         return bench.ask(question)
 
-    assert tried(bench, ask)["torque gain"].verdict == FAIL
-
-
-def test_a_person_may_take_their_time(tried):
-    bench = Bench(LINK)
-
-    def ask(question):
-        for _ in range(round(90.0 / STEP)):
-            bench.step()
-        return bench.ask(question)
-
-    assert {f.verdict for f in tried(bench, ask).values()} == {PASS}
+    failed = {name for name, f in tried(bench, ask).items() if f.verdict != PASS}
+    assert failed == {"torque gain", "torque sign"}
 
 
 def test_nothing_moves_unless_a_person_agrees(tried):
@@ -326,11 +318,9 @@ def test_a_link_that_is_lost_fails_and_the_next_is_tried(checked, when):
     assert second.count('verdict: "pass"') == 9
 
 
-@pytest.mark.parametrize(
-    ("hand", "code"), [(pi / 2, 3), (pi / 4, 2)], ids=["all well until then", "a failure before"]
-)
-@pytest.mark.parametrize(
-    ("end", "words"), [(EOFError, "end of input"), (KeyboardInterrupt, "interrupted")]
+@pytest.mark.parametrize(  # without and with a failure before
+    ("end", "words", "hand", "code"),
+    [(EOFError, "end of input", pi / 2, 3), (KeyboardInterrupt, "interrupted", pi / 4, 2)],
 )
 def test_what_was_found_before_an_end_is_written(checked, capsys, end, words, hand, code):
     def ask(bench, question):

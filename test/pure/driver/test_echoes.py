@@ -1,5 +1,7 @@
 """Echoes: two drivers of one link, the order of signed commands, delay, stalls."""
 
+from dataclasses import replace
+
 import pytest
 from driver_world import DATE, LINK, PERIOD, WATCHDOG, World
 
@@ -15,16 +17,22 @@ KEY = bytes(range(32))
 both = pytest.mark.parametrize("key", [None, KEY])
 
 
+def turning(key, seconds=60.0):
+    """A world, and its driver whose link turns for that time [s]."""
+    world = World(key)
+    session = world.driver()
+    world.run(3.0)
+    world.turn(world.arm(session), seconds)
+    return world, session
+
+
 # --- two drivers ---
 
 
 @both
-@pytest.mark.parametrize("step", [-HOUR, 0.0, HOUR])
+@pytest.mark.parametrize("step", [-HOUR, HOUR])
 def test_a_second_driver_of_a_link_does_not_disturb_the_first_and_both_notice(key, step):
-    world = World(key)
-    first = world.driver()
-    world.run(3.0)
-    world.turn(world.arm(first))
+    world, first = turning(key)
     second = world.driver(step)
     taken = len(world.commands)
     for _ in range(1000):
@@ -50,10 +58,7 @@ def test_a_second_driver_of_a_link_does_not_disturb_the_first_and_both_notice(ke
 
 @both
 def test_when_the_first_driver_is_gone_the_second_has_the_link(key):
-    world = World(key)
-    first = world.driver()
-    world.run(3.0)
-    world.turn(world.arm(first))
+    world, first = turning(key)
     second = world.driver()
     world.run(4.0)
     world.kill(first)
@@ -99,10 +104,9 @@ def test_single_strange_echoes_and_the_echo_of_an_old_command_are_no_driver():
     old = decode(world.commands[0]).clock & 0xFFFFFFFF  # no longer remembered
     echoes = session.echoes
     for frame in map(decode, world.heard[-20:]):
-        strange = type(frame)(**{**fields_of(frame), "echo": old, "turnaround": 75_000_000})
-        echoes.update(strange, world.now)
+        echoes.update(replace(frame, echo=old, turnaround=75_000_000), world.now)
         assert not echoes.has_other_driver(world.now)
-    forged = type(frame)(**{**fields_of(frame), "echo": 12345, "turnaround": 1000})
+    forged = replace(frame, echo=12345, turnaround=1000)
     echoes.update(forged, world.now)
     assert not echoes.has_other_driver(world.now)
     echoes.update(forged, world.now + SECOND)
@@ -110,21 +114,14 @@ def test_single_strange_echoes_and_the_echo_of_an_old_command_are_no_driver():
     assert not echoes.has_other_driver(world.now + 4 * SECOND)
 
 
-def fields_of(frame):
-    return {name: getattr(frame, name) for name in frame.__slots__}
-
-
 # --- a clock that was set, and a driver that started again ---
 
 
 @both
-@pytest.mark.parametrize("pause", [0.0, 7.0, 5000.0])
-@pytest.mark.parametrize("step", [-HOUR, -30.0, 0.0, 30.0, HOUR])
+@pytest.mark.parametrize("pause", [0.0, 5000.0])
+@pytest.mark.parametrize("step", [-HOUR, 30.0])
 def test_a_driver_that_starts_again_after_the_clock_was_set_has_the_link_in_5_s(key, step, pause):
-    world = World(key)
-    first = world.driver()
-    world.run(3.0)
-    world.turn(world.arm(first))
+    world, first = turning(key)
     world.kill(first)
     world.run(WATCHDOG + 0.1 if pause else 0.0)
     world.now += round(pause * SECOND)
@@ -137,27 +134,19 @@ def test_a_driver_that_starts_again_after_the_clock_was_set_has_the_link_in_5_s(
         assert orders[taken] > max(orders[: orders.index(orders[taken])])
 
 
-def test_a_day_is_made_up_for_in_seven_seconds_and_more_is_not():
+@pytest.mark.parametrize(("hours", "found"), [(23.5, True), (50.0, False)])
+def test_a_day_is_made_up_for_in_seven_seconds_and_more_is_not(hours, found):
     world = World(KEY)
-    first = world.driver(23.5 * HOUR)
+    first = world.driver(hours * HOUR)
     world.run(3.0)
     world.kill(first)
     second = world.driver()
-    assert world.run(20.0, lambda: world.can_arm(second)) < 7.0
-    world = World(KEY)
-    first = world.driver(50 * HOUR)
-    world.run(3.0)
-    world.kill(first)
-    second = world.driver()
-    world.run(60.0)
-    assert second.lost
+    assert (world.run(20.0, lambda: world.can_arm(second)) < 7.0) == found
+    assert second.lost != found
 
 
 def test_old_telemetry_played_again_costs_a_day_at_most_and_executes_nothing():
-    world = World(KEY)
-    first = world.driver()
-    world.run(3.0)
-    world.turn(world.arm(first))
+    world, first = turning(KEY)
     world.kill(first)
     world.run(10.0)
     commands, heard = list(world.commands), list(world.heard)
@@ -184,7 +173,7 @@ def test_a_way_that_is_down_for_an_hour_does_not_use_up_the_order():
     world.driver()
     world.run(5.0)
     world.to_link = lambda _: None
-    world.run(400.0)
+    world.run(150.0)
     assert decode(world.commands[-1], KEY).clock <= (world.now + DATE) // 1000
 
 
@@ -224,7 +213,7 @@ def test_a_stop_is_stamped_after_what_other_drivers_sent_before_it():
 
 
 @both
-@pytest.mark.parametrize("delay", [0.0, 0.1, 0.2, 0.3, 0.4, 0.49])
+@pytest.mark.parametrize("delay", [0.0, 0.49])
 def test_up_to_half_a_second_each_way_a_link_can_be_armed_turned_and_armed_again(key, delay):
     world = World(key, delay)
     session = world.driver()
@@ -245,7 +234,7 @@ def test_up_to_half_a_second_each_way_a_link_can_be_armed_turned_and_armed_again
 
 
 @both
-@pytest.mark.parametrize("delay", [0.55, 0.9, 1.2, 2.0])
+@pytest.mark.parametrize("delay", [0.55, 2.0])
 def test_beyond_that_it_is_refused_and_the_delay_is_said(key, delay):
     world = World(key, delay)
     session = world.driver()
@@ -257,13 +246,9 @@ def test_beyond_that_it_is_refused_and_the_delay_is_said(key, delay):
 
 
 @both
-@pytest.mark.parametrize("delay", [0.0, 0.3, 0.5, 0.9, 1.2, 2.0])
-@pytest.mark.parametrize("since", [0.1, 1.0, 5.0])
+@pytest.mark.parametrize(("delay", "since"), [(0.0, 0.1), (0.9, 1.0), (2.0, 5.0)])
 def test_a_stop_takes_effect_after_one_way_whatever_the_delay(key, delay, since):
-    world = World(key)
-    session = world.driver()
-    world.run(3.0)
-    world.turn(world.arm(session))
+    world, session = turning(key)
     world.delay = delay
     world.run(since)
     session.stop()
@@ -275,12 +260,9 @@ def test_a_stop_takes_effect_after_one_way_whatever_the_delay(key, delay, since)
 
 
 @both
-@pytest.mark.parametrize("still", [2.3, 5.0, 3600.0])
+@pytest.mark.parametrize("still", [2.3, 3600.0])
 def test_a_driver_that_stood_still_starts_from_rest(key, still):
-    world = World(key)
-    session = world.driver()
-    world.run(3.0)
-    world.turn(world.arm(session), seconds=7200.0)
+    world, session = turning(key, 7200.0)
     world.drivers.clear()
     world.run(min(still, 5.0))  # the link receives nothing
     world.now += round((still - min(still, 5.0)) * SECOND)

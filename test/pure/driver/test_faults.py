@@ -1,4 +1,4 @@
-"""The drive's fault table, the progress of commands, homing, and the battery."""
+"""The drive's fault table, progress and reports of commands, homing, and the battery."""
 
 from dataclasses import replace
 from math import inf, isnan
@@ -16,7 +16,8 @@ from fss_arm_driver.faults import (
     blocking_faults,
 )
 from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State
-from fss_arm_driver.scale import HOME, Scale
+from fss_arm_driver.scale import HOME, Scale, SetPoint
+from fss_arm_driver.session import CommandReports, Report
 from fss_arm_driver.session.progress import STALL_TIME, START_TIMEOUT, Progress, Status
 from fss_arm_model.description import Drive, paper_arm
 from fss_arm_model.units import SECOND
@@ -207,26 +208,50 @@ def test_velocity_and_current_are_reached_when_they_are_measured():
     assert follow([(1, True, current)], Mode.CURRENT)[0] is Status.REACHED
 
 
-def test_a_battery_tells_how_long_it_lasts():
+def test_a_battery_tells_how_long_it_lasts_though_the_clock_was_set_back():
     battery = Battery(empty=12.0)
     assert isnan(battery.time_left())
-    for second in range(0, 600, 2):
-        volts = 14.8 - 0.0005 * second
-        battery.add(round(volts, 1), second * SECOND)
-    assert battery.time_left() == pytest.approx((volts - 12.0) / 0.0005, rel=0.1)
-
-
-def test_a_battery_is_read_on_when_the_clock_was_set_back():
-    battery = Battery(empty=12.0)
-    for second in range(9000, 9100):
-        battery.add(13.0, second * SECOND)
-    for second in range(900):
-        battery.add(16.0 - 0.001 * second, second * SECOND)
-    assert battery.time_left() == pytest.approx((15.1 - 12.0) / 0.001, rel=0.01)
-
-
-def test_a_battery_that_does_not_fall_lasts():
-    battery = Battery(empty=12.0)
-    for second in range(0, 600, 10):
+    for second in range(9000, 9600, 2):
         battery.add(14.8, second * SECOND)
     assert battery.time_left() == inf
+    for second in range(900):
+        battery.add(round(16.0 - 0.001 * second, 1), second * SECOND)
+    assert battery.time_left() == pytest.approx((15.1 - 12.0) / 0.001, rel=0.1)
+
+
+# --- reports -------------------------------------------------------------------------------------
+
+SET_POINT = SetPoint(Mode.POSITION, 0, 0, 0, clamped=False)
+
+
+def test_each_change_is_reported_once():
+    reports, progress = CommandReports(), Progress(SET_POINT, 5, SCALE)
+    assert not reports.pending
+    assert reports.take_changes(100) == []
+    reports.add(None)
+    reports.add(progress)
+    assert reports.pending
+    assert reports.take_changes(100) == [Report(Status.ACCEPTED, "", 105)]
+    reports.add(progress)  # given again
+    assert not reports.pending
+    assert reports.take_changes(100) == []
+    progress.end(Status.ABORTED, "disarmed")
+    assert reports.pending
+    assert reports.take_changes(200) == [Report(Status.ABORTED, "disarmed", 105)]
+
+
+def test_the_end_of_a_replaced_command_precedes_the_next_one():
+    reports = CommandReports()
+    first, second, third = (Progress(SET_POINT, given, SCALE) for given in (5, 6, 6))
+    reports.add(first)
+    reports.take_changes(0)
+    first.end(Status.ABORTED, "replaced")
+    reports.add(second)
+    second.end(Status.ABORTED, "replaced")
+    reports.add(third)
+    assert reports.take_changes(10) == [
+        Report(Status.ABORTED, "replaced", 5),
+        Report(Status.ABORTED, "replaced", 16),
+        Report(Status.ACCEPTED, "", 16),
+    ]
+    assert not reports.pending
