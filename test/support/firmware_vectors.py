@@ -74,35 +74,19 @@ def telemetries(rng: random.Random) -> Iterator[Telemetry]:
 
     while True:
         yield Telemetry(
-            link=rng.randint(1, 255),
-            flags=rng.randint(0, 63),
-            boot=pick(16) or 1,
-            sequence=pick(32),
-            clock=pick(64),
-            echo=pick(32),
-            turnaround=pick(32),
-            position=pick(32, True),
-            velocity=pick(32, True),
-            current=pick(16, True),
-            mode=rng.choice(MODES),
-            slow_id=rng.choice(list(Slow)),
-            status=pick(32),
-            torque=pick(24, True),
-            torque_age=pick(8),
-            slow_value=pick(32, True),
-        )
+            link=rng.randint(1, 255), flags=rng.randint(0, 63), boot=pick(16) or 1,
+            sequence=pick(32), clock=pick(64), echo=pick(32), turnaround=pick(32),
+            position=pick(32, True), velocity=pick(32, True), current=pick(16, True),
+            mode=rng.choice(MODES), slow_id=rng.choice(list(Slow)), status=pick(32),
+            torque=pick(24, True), torque_age=pick(8), slow_value=pick(32, True),
+        )  # fmt: skip
 
 
 def commands(rng: random.Random) -> Iterator[Command]:
     """Random ones, with extreme values among them."""
-    flags = [
-        0,
-        LinkCommandFlag.ARM,
-        LinkCommandFlag.STOP,
-        LinkCommandFlag.ARM | LinkCommandFlag.HOLD,
-        LinkCommandFlag.STOP | LinkCommandFlag.CLEAR_FAULTS,
-    ]
-    flags.append(LinkCommandFlag.ARM | LinkCommandFlag.HOME)
+    arm, stop = LinkCommandFlag.ARM, LinkCommandFlag.STOP
+    flags = [0, arm, stop, arm | LinkCommandFlag.HOLD, stop | LinkCommandFlag.CLEAR_FAULTS]
+    flags.append(arm | LinkCommandFlag.HOME)
     while True:
         mode = rng.choice(list(Mode))
         set_point = rng.choice([-(1 << 31), (1 << 31) - 1, rng.getrandbits(16)])

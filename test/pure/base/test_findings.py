@@ -61,8 +61,7 @@ def test_a_track_that_is_too_short_proves_nothing():
 
 
 @pytest.mark.parametrize(
-    ("verdicts", "code"),
-    [([PASS, PASS], 0), ([PASS, NOT_TRIED], 3), ([NOT_TRIED, FAIL, PASS], 2)],
+    ("verdicts", "code"), [([PASS, PASS], 0), ([PASS, NOT_TRIED], 3), ([NOT_TRIED, FAIL, PASS], 2)]
 )
 def test_the_gravest_verdict_is_the_exit_code(verdicts, code):
     assert exit_code([Finding(k, verdict, "") for k, verdict in enumerate(verdicts, 1)]) == code
@@ -72,13 +71,8 @@ def test_the_findings_are_valid_yaml_and_a_table():
     thrust = Thrust((-0.16, 0.01), 0.0176, (0.002, 0.0003))
     findings = [Finding(2, FAIL, 'no thrust: "0"'), Finding(1, PASS, "", thrust)]
     first, second = read_yaml(as_yaml(findings, "now"))["valves"]
-    assert first == {
-        "valve": 1,
-        "verdict": PASS,
-        "force": [-0.16, 0.01],
-        "torque": 0.0176,
-        "deviation": [0.002, 0.0003],
-    }
+    measured = {"force": [-0.16, 0.01], "torque": 0.0176, "deviation": [0.002, 0.0003]}
+    assert first == {"valve": 1, "verdict": PASS, **measured}
     assert second == {"valve": 2, "verdict": FAIL, "words": 'no thrust: "0"'}
     every = [Finding(k, PASS, "", thrust) for k in range(8, 0, -1)]
     assert read_yaml(as_yaml(every, "now"))["layout"] == 8 * [-0.16, 0.01, 0.0176]

@@ -52,11 +52,7 @@ def test_nothing_is_said_over_a_restart_a_long_gap_or_a_dead_gyro():
     restarted = [(replace(frame, boot=4), stamp) for frame, stamp in made[5:]]
     assert len(turns(made[:5] + restarted)) == len(made) - 2
     assert len(turns(made[:3] + made[30:])) == len(made) - 27 - 2
-    first = made[0][0]
-    dead = [
-        (replace(f, gyro_sum=first.gyro_sum, gyro_samples=first.gyro_samples), s) for f, s in made
-    ]
-    assert turns(dead) == []
+    assert turns([(replace(made[0][0], clock=f.clock), stamp) for f, stamp in made]) == []
 
 
 def search(rates, valves=0):
@@ -71,7 +67,7 @@ def search(rates, valves=0):
 
 def test_the_bias_is_the_mean_and_its_deviation_is_honest():
     errors = []
-    for seed in range(200):
+    for seed in range(100):
         rates = 2e-3 + np.random.default_rng(seed).normal(0.0, 1e-4, 40)
         bias, k = search(rates)
         assert k == 20

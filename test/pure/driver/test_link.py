@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from math import inf, isnan, nan, pi
+from math import inf, nan, pi
 
 import pytest
 from driver_link import MILLISECOND, FakeLink
@@ -61,20 +61,6 @@ def test_a_sample_is_in_si_units_and_host_time():
         abs(bench.step(**reading).stamp - measured - PERIOD) <= 1000
     )  # equal delays: a clock of 1 us
     assert bench.session.round_trip == pytest.approx(2e-9 * DELAY, abs=2e-6)
-
-
-def test_without_a_round_trip_the_stamp_says_so(bench):
-    bench.step(down=False)
-    sample = bench.step(down=False)
-    assert sample
-    assert bench.session.deviation(bench.now) == inf
-    assert isnan(bench.session.round_trip)
-
-
-def test_slow_fields_are_kept(connected):
-    connected.step(slow_id=Slow.TEMPERATURE, slow_value=-3)
-    assert connected.step()
-    assert connected.session.slow == {Slow.TEMPERATURE: -3, Slow.SUPPLY: 240}
 
 
 NAMED = replace(LINK, serial=7)
@@ -152,29 +138,15 @@ def test_damage_repetition_and_disorder_are_counted_and_published_never(connecte
     one = connected.link.telemetry(connected.now + 1 * PERIOD)
     two = connected.link.telemetry(connected.now + 2 * PERIOD)
     assert connected.feed(two, 2 * PERIOD + DELAY)
-    counts = connected.session.counts
-    before = counts.copy()
+    before = connected.session.counts.copy()
+    flipped = two[:30] + bytes([two[30] ^ 4]) + two[31:]
+    own = connected.session.command(connected.now)
     foreign = encode(replace(decode(two), link=2))
-    for data in (
-        two,
-        one,
-        two[:-1],
-        b"",
-        two + b"\0",
-        foreign,
-        connected.session.command(connected.now),
-    ):
+    for data in (two, one, two[:-1], b"", two + b"\0", foreign, own, flipped):
         assert connected.feed(data) is None
-    flipped = bytearray(two)
-    flipped[30] ^= 4
-    assert connected.feed(bytes(flipped)) is None
-    assert counts["repeated"] - before["repeated"] == 1
-    assert counts["reordered"] - before["reordered"] == 1
-    assert counts["length"] - before["length"] == 3
-    assert counts["foreign"] - before["foreign"] == 2
-    assert counts["crc"] - before["crc"] == 1
-    assert counts["missed"] == before["missed"]
-    assert counts["accepted"] == before["accepted"]
+    new = connected.session.counts - before
+    assert new == {"received": 8, "sent": 1, "repeated": 1, "reordered": 1, "length": 3,
+                   "foreign": 2, "crc": 1}  # fmt: skip
 
 
 def test_missed_frames_are_counted(connected):
@@ -217,13 +189,7 @@ def test_what_the_link_cannot_do_is_refused(connected, changes):
 
 
 @pytest.mark.parametrize(
-    "jump",
-    [
-        {"position": round(1.5 * COUNTS_PER_RADIAN)},
-        {"boot": 8},
-        {"clock": 1 << 60},
-        {"sequence": 1 << 30},
-    ],
+    "jump", [{"position": 57_000}, {"boot": 8}, {"clock": 1 << 60}, {"sequence": 1 << 30}]
 )
 def test_a_single_jump_is_never_believed(connected, jump):
     assert connected.step(**jump) is None
@@ -237,14 +203,6 @@ def test_a_stranger_cannot_displace_a_link_that_talks(connected):
     for _ in range(20):
         assert connected.feed(stranger.telemetry(connected.now), DELAY) is None
         assert connected.step().frame.boot == 7
-
-
-def test_sequence_numbers_wrap():
-    bench = Bench()
-    bench.restart(boot=7, sequence=0xFFFFFFFD)
-    bench.step()
-    assert [bench.step().frame.sequence for _ in range(3)] == [0xFFFFFFFF, 0, 1]
-    assert bench.session.counts["missed"] == 0
 
 
 def test_a_silent_link_is_lost_and_returns_disarmed(armed):
@@ -299,13 +257,27 @@ def test_a_link_that_reuses_its_boot_number_comes_back(connected):
     assert connected.session.frame == connected.link.frame
 
 
-@pytest.mark.parametrize("leap", [2 * SECOND, 15 * SECOND, 59 * SECOND])
-def test_a_host_clock_that_leaps_forward_costs_one_frame(armed, leap):
-    armed.now += leap
-    armed.link.born += leap  # it does not leap itself
-    armed.link.arrived += leap
+def leap(bench, ahead):
+    """Let the host's clock leap ahead [ns]; the link's does not."""
+    bench.now += ahead
+    bench.link.born += ahead
+    bench.link.arrived += ahead
+
+
+@pytest.mark.parametrize("ahead", [2 * SECOND, 59 * SECOND])
+def test_a_host_clock_that_leaps_forward_costs_one_frame(armed, ahead):
+    leap(armed, ahead)
     samples = [armed.step() for _ in range(10)]
     assert [bool(sample) for sample in samples] == [False] + [True] * 9
+    assert abs(armed.now - samples[-1].stamp - DELAY) < DELAY
+
+
+@pytest.mark.parametrize("ahead", [-30 * SECOND, 3600 * SECOND])
+def test_a_host_clock_that_leaps_costs_seconds_not_a_restart(armed, ahead):
+    leap(armed, ahead)
+    samples = [armed.step() for _ in range(60)]
+    assert not armed.session.lost
+    assert not armed.session.armed
     assert abs(armed.now - samples[-1].stamp - DELAY) < DELAY
 
 
@@ -322,20 +294,6 @@ def test_a_homing_that_sets_the_count_does_not_interrupt(armed):
     assert armed.session.armed
     armed.link.position = 100_000
     assert armed.step() is None  # once is enough
-
-
-@pytest.mark.parametrize("leap", [-30 * SECOND, 3600 * SECOND])
-def test_a_host_clock_that_leaps_costs_seconds_not_a_restart(armed, leap):
-    stamps = []
-    armed.now += leap
-    armed.link.born += leap
-    armed.link.arrived += leap
-    for _ in range(60):
-        sample = armed.step()
-        stamps += [armed.now - sample.stamp] if sample else []
-    assert not armed.session.lost
-    assert not armed.session.armed
-    assert abs(stamps[-1] - DELAY) < DELAY
 
 
 def test_arming_is_told_held_and_confirmed(connected):
@@ -403,9 +361,9 @@ def test_velocity_and_current_are_clamped(armed, mode, value, set_point):
         ((Mode.POSITION, nan), "set_point is nan, expected a finite number"),
         *(((mode, value), f"set_point is {re.escape(str(value))}, expected")
           for mode in (Mode.CURRENT, Mode.VELOCITY, Mode.POSITION, Mode.PATH)
-          for value in (nan, inf, -inf, 1e18, -1e18)),
+          for value in (nan, -inf, 1e18)),
         *(((Mode.POSITION, 0.1, *numbers), "max_(velocity|acceleration) is")
-          for value in (nan, inf, -inf, 1e18, -1e18, -5e-324)
+          for value in (nan, inf, 1e18, -5e-324)
           for numbers in ((value, 0.0), (0.0, value))),
         ((Mode.POSITION, 0.1, -1.0), "max_velocity is -1.0, expected 0"),
         ((Mode.OFF, 0.0), "mode is 0, expected 1, 2, 11, 21 or 31"),
@@ -452,15 +410,6 @@ def test_a_stop_outlives_the_loss_of_the_link(armed):
     assert armed.last_command().flags == LinkCommandFlag.STOP
 
 
-def test_disarming_releases_what_was_stopped(armed):
-    armed.session.stop()
-    armed.step()
-    armed.session.disarm()
-    assert armed.last_command().flags == 0
-    armed.step()
-    assert armed.link.flags == 0
-
-
 def test_disarming_is_done_when_the_link_says_that_it_is_off(armed):
     armed.session.disarm()
     armed.step(down=False)  # it does not know yet
@@ -489,14 +438,6 @@ def test_disarming_that_comes_to_nothing_ends(armed, way):
     assert not armed.session.released
 
 
-def test_a_lost_link_does_not_confirm_that_it_was_disarmed(armed):
-    while not armed.session.lost:
-        armed.step(up=False)
-    armed.session.disarm()
-    assert armed.session.settled
-    assert not armed.session.released
-
-
 def test_faults_are_not_cleared_again_when_the_clock_was_set_back(connected):
     connected.session.clear_faults(connected.now)
     connected.now -= 3600 * SECOND
@@ -518,22 +459,6 @@ def test_a_link_that_disarmed_itself_is_not_armed_again(armed):
     assert armed.last_command().flags == 0
     armed.step()
     assert armed.link.flags == 0
-
-
-def test_a_clock_in_steps_is_stamped_with_its_uncertainty():
-    bench = Bench(resolution=0.01)
-    step = 10 * MILLISECOND
-    for k in range(50):
-        bench.now += PERIOD + k * MILLISECOND
-        logged = bench.session.command(bench.now // step * step)
-        bench.link.take(logged, bench.now + DELAY)
-        measured = bench.now + 61 * MILLISECOND
-        received = (measured + DELAY) // step * step
-        sample = bench.session.feed(bench.link.telemetry(measured), received)
-        deviation = bench.session.deviation(received)
-        if sample and deviation < inf:
-            assert abs(sample.stamp - measured) < 4 * 1e9 * deviation
-    assert deviation < 0.006
 
 
 class LogLines:

@@ -2,11 +2,11 @@
 
 from array import array
 from dataclasses import replace
-from itertools import pairwise
 from math import inf, nan
 
 import numpy as np
 import pytest
+from driver_frames import path_segments
 from driver_path import PathBed, path_at, spread
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +21,6 @@ from fss_arm_driver.protocol import (
     LinkCommandFlag,
     Mode,
     PathFollower,
-    Segment,
     State,
     hermite,
 )
@@ -50,27 +49,10 @@ def test_the_longest_path_passes_the_links_door():
     assert len(sent) <= RULES["fss_arm_msgs/LinkPath"].size
 
 
-def path(number=5, begin=START_CLOCK + 1_000_000, told=KNOTS, last=True):
+def path(number=5, begin=START_CLOCK + 1_000_000, told=KNOTS):
     """The segments of a path of knots (us since its start, counts, 0.1 counts/s)."""
-    pairs = list(pairwise(told))
-    return [
-        Segment(
-            link=1,
-            flags=LAST_SEGMENT if last and k == len(pairs) - 1 else 0,
-            boot=3,
-            sequence=k,
-            clock=1,
-            path=number,
-            index=k,
-            begin=begin + t0,
-            duration=t1 - t0,
-            position=p0,
-            velocity=v0,
-            end_position=p1,
-            end_velocity=v1,
-        )
-        for k, ((t0, p0, v0), (t1, p1, v1)) in enumerate(pairs)
-    ]
+    told = [(begin + t, p, v) for t, p, v in told]
+    return path_segments(told, link=1, clock=1, path=number)
 
 
 FIRST_SEGMENT, SECOND_SEGMENT, THIRD_SEGMENT = path()
@@ -250,11 +232,6 @@ def test_a_path_breaks_off_for_good(change, clock):
     assert (paths.following, paths.broken) == (True, False)
 
 
-def test_a_path_that_is_far_from_the_joint_breaks_off_before_it_moves():
-    joint = Joint(follower(*path()), position=10_100.0).until(START_CLOCK + 2_000_000)
-    assert (joint.position, joint.follower.broken) == (10_100.0, True)
-
-
 def test_a_late_command_joins_a_path_that_has_begun():
     paths = follower(*path())
     joint = Joint(paths, clock=START_CLOCK + 2_200_000, position=5500.0).until(
@@ -384,18 +361,18 @@ def test_all_links_follow_their_path_and_it_is_reached():
 @pytest.mark.parametrize("runs", [1, pytest.param(20, marks=pytest.mark.slow)])
 def test_no_knot_is_missed_with_loss_jitter_and_an_outage(runs):
     for seed in range(runs):
-        bed = PathBed(seed=seed)
+        bed = PathBed(n=2, seed=seed)
         bed.fault(loss=0.2, delay=0.03, jitter=0.03)
         bed.armed(settle=10.0)
         begin = bed.now + 2 * SECOND
-        bed.give(1, begin, TIMES, 4 * [POSITIONS], 4 * [VELOCITIES])
+        bed.give(1, begin, TIMES, 2 * [POSITIONS], 2 * [VELOCITIES])
         bed.follow(1)
         bed.run(2.0 + bed.random.uniform(0.0, 8.0))
         bed.fault(loss=1.0)
         bed.run(1.0)
         bed.fault(loss=0.2)
         while bed.now < begin + 10 * SECOND:
-            assert all(bed.electronics(i).paths.followed == 1 for i in range(4)), seed
+            assert all(bed.electronics(i).paths.followed == 1 for i in range(2)), seed
             bed.step()
         bed.until(bed.reached)
 
@@ -403,47 +380,31 @@ def test_no_knot_is_missed_with_loss_jitter_and_an_outage(runs):
 def test_without_buffered_segments_the_path_breaks_off_and_says_so():
     bed = PathBed(n=1).armed()
     time = [0.1 * k for k in range(100)]
-    begin = bed.now + SECOND
-    bed.give(3, begin, time, [[0.002 * k for k in range(100)]], [[*(99 * [0.02]), 0.0]])
+    bed.give(3, bed.now + SECOND, time, [[0.002 * k for k in range(100)]], [[*(99 * [0.02]), 0.0]])
     bed.follow(3, lives=8.0)
     bed.run(2.0)
     bed.sessions[0].segments = lambda now: []  # none is sent any longer
     bed.until(lambda: bed.electronics().paths.broken)
-    assert bed.now - begin > 2 * SECOND
     bed.orders.clear()
     bed.until(lambda: bed.sessions[0].breakage)
-    words = "path 3 of link 1 was aborted: no segment after"
-    assert words in bed.sessions[0].breakage
+    assert "path 3 of link 1 was aborted: no segment after" in bed.sessions[0].breakage
     assert bed.sessions[0].progress.status is Status.ABORTED
     with pytest.raises(CommandError, match="path 3 has ended, expected one newer than 3"):
         bed.order_path(0, 3)
-    assert bed.flags() & State.BROKEN
     bed.run(1.0)
     assert abs(bed.bed.plant.qd[3]) < 1e-3
 
 
-def test_a_joint_that_is_held_back_breaks_off_and_the_words_say_by_how_much():
-    bed = PathBed(n=1).armed()
-    bed.give(1, bed.now + SECOND, [0.0, 2.0], [[0.9, 0.0]], [[0.0, 0.0]])
-    bed.follow(1)
-    bed.until(lambda: bed.electronics().paths.broken)
-    bed.orders.clear()
-    bed.until(lambda: bed.sessions[0].breakage)
-    assert "rad off the path, at most 0.25 allowed" in bed.sessions[0].breakage
-    assert bed.reading(0) == pytest.approx(0.0, abs=0.01)
-
-
 def test_a_dense_path_is_sent_as_the_link_has_room():
     bed = PathBed(n=1).armed()
-    time = [0.1 * k for k in range(201)]
-    bed.give(
-        1, bed.now + SECOND, time, [[0.0005 * k for k in range(201)]], [[*(200 * [0.005]), 0.0]]
-    )
+    time = [0.1 * k for k in range(101)]
+    velocities = [*(100 * [0.005]), 0.0]
+    bed.give(1, bed.now + SECOND, time, [[0.0005 * k for k in range(101)]], [velocities])
     bed.follow(1)
-    bed.run(22.0)
+    bed.run(12.0)
     assert bed.sessions[0].progress.status is Status.REACHED
     assert not bed.electronics().gate.refused
-    assert bed.sessions[0].counts["segments"] < 900
+    assert bed.sessions[0].counts["segments"] < 450
 
 
 @pytest.mark.parametrize(

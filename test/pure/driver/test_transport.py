@@ -4,12 +4,12 @@ import os
 import resource
 import socket
 import termios
-import time
 from threading import Event, Thread
 from types import SimpleNamespace
 
 import pytest
 from driver_wire import ENDS, TIMEOUT, go_in_mid_open
+from running import wait_until
 
 from fss_arm_driver.transport import COPLEY_FORM, open_transport
 from fss_link.transport import BATCH, SCHEMES, TransportError, UdpTransport, stream
@@ -65,16 +65,16 @@ def joined(end, opened):
 
 def meet(transport, end):
     """Send until the other end hears."""
-    deadline = time.monotonic() + TIMEOUT
-    while time.monotonic() < deadline:
+
+    def heard():
         transport.wait(0.01)
         transport.receive()  # what an executor does when it is woken
         transport.send(DOWN)
-        if end.receive(0.02) == DOWN:
-            while end.receive(0.0):
-                pass
-            return
-    pytest.fail(f"nothing came: {transport.problem}")
+        return end.receive(0.02) == DOWN
+
+    wait_until(heard, TIMEOUT, lambda: None)
+    while end.receive(0.0):
+        pass
 
 
 def test_any_number_of_files_may_be_open(crowd, end, opened):
@@ -87,11 +87,7 @@ def test_any_number_of_files_may_be_open(crowd, end, opened):
 
 def receive_frames(transport):
     """The next frames that come."""
-    deadline = time.monotonic() + TIMEOUT
-    while time.monotonic() < deadline:
-        if transport.wait(0.1) and (got := transport.receive()):
-            return got
-    return pytest.fail(f"nothing came: {transport.problem}")
+    return wait_until(transport.receive, TIMEOUT, lambda: transport.wait(0.1))
 
 
 def test_both_ways(joined):
@@ -166,11 +162,13 @@ def test_a_closed_transport_does_nothing(joined):
 @pytest.mark.parametrize("end", ["tcp", "pty"], indirect=True)
 def test_bytes_that_are_no_frames_are_said(joined):
     transport, end = joined
-    deadline = time.monotonic() + TIMEOUT
-    while not transport.problem and time.monotonic() < deadline:
+
+    def noise():
         end.raw(b"\xf8\x00\x78" * 50)
         transport.wait(0.1)
         assert transport.receive() == []
+
+    wait_until(lambda: transport.problem, TIMEOUT, noise)
     assert "the received bytes are no frames: is " in transport.problem
     assert transport.counts["noise_bytes"] > 1000
     end.send(UP)
@@ -194,13 +192,15 @@ def test_an_end_that_does_not_read_holds_nothing_up(joined):
 def test_a_lost_connection_is_said(joined):
     transport, end = joined
     end.unplug()
-    deadline = time.monotonic() + TIMEOUT
-    while not transport.problem.startswith("cannot connect") and time.monotonic() < deadline:
+    problems = []
+
+    def poll():
         transport.wait(0.01)
         transport.receive()
-        if transport.problem:
-            assert transport.problem.startswith(("connection lost", "cannot connect"))
-    assert transport.problem.startswith("cannot connect: ")
+        problems.append(transport.problem or "connection lost")
+
+    wait_until(lambda: transport.problem.startswith("cannot connect: "), TIMEOUT, poll)
+    assert all(words.startswith(("connection lost", "cannot connect: ")) for words in problems)
 
 
 def test_a_stream_is_not_closed_while_a_frame_is_written_to_it(opened, monkeypatch):
@@ -277,25 +277,16 @@ def test_what_cannot_be_sent_is_counted_and_said(udp):
     assert transport.problem == ""
 
 
-@pytest.mark.parametrize(
-    "url",
-    [
-        "udp://127.0.0.1",
-        "udp://127.0.0.1:0",
-        "udp://127.0.0.1:70000",
-        "udp://:5001",
-        "udp://127.0.0.1:5001?bind=x",
-        "udp://127.0.0.1:5001?bind=70000",
-        "udp://127.0.0.1:5001?bnd=6001",
-        "udp://127.0.0.1:5001/path",
-        "tcp://127.0.0.1",
-        "tcp://127.0.0.1:5001?bind=6001",
-        "serial://",
-        "serial:///dev/null?baud=fast",
-        "serial:///dev/null?baud=0",
-        "serial:///dev/null?rate=9600",
-    ],
-)
+NO_URLS = [
+    "udp://127.0.0.1", "udp://127.0.0.1:0", "udp://127.0.0.1:70000", "udp://:5001",
+    "udp://127.0.0.1:5001?bind=x", "udp://127.0.0.1:5001?bind=70000",
+    "udp://127.0.0.1:5001?bnd=6001", "udp://127.0.0.1:5001/path", "tcp://127.0.0.1",
+    "tcp://127.0.0.1:5001?bind=6001", "serial://", "serial:///dev/null?baud=fast",
+    "serial:///dev/null?baud=0", "serial:///dev/null?rate=9600",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("url", NO_URLS)
 def test_urls_that_name_no_transport_are_refused(url):
     with pytest.raises(TransportError) as error:
         open_transport(url)

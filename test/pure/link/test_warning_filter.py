@@ -15,13 +15,7 @@ def warnings():
 
 def test_one_that_goes_on_is_logged_once_whatever_its_figures(warnings):
     found = ["it is 0.601 s old", "it is 0.612 s old", "", "it is 0.590 s old", "it is no number"]
-    assert [warnings.is_new("wrench", words) for words in found] == [
-        True,
-        False,
-        False,
-        True,
-        True,
-    ]
+    assert [warnings.is_new("wrench", words) for words in found] == [True, False, False, True, True]
 
 
 def test_kinds_have_nothing_to_do_with_each_other(warnings):
