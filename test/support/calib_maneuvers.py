@@ -7,7 +7,7 @@ import numpy as np
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_model import base_motion, joint_path
-from fss_arm_model.description import paper_arm
+from fss_arm_model.description import Link, paper_arm
 from fss_arm_model.parameters import to_vector
 
 ARM = paper_arm()
@@ -15,6 +15,15 @@ NAMES = "b_i I_i I_0 com_0"
 MOMENTUM = np.array([0.2, 0.2, 0.05])  # 1 sigma of it at a start
 TILT = 0.0017  # of 0.01 degrees [m/s^2]
 POSITION, HEADING, RATE = 0.001, np.radians(0.5), 10.0  # of VICON, errors fresh so often a second
+
+
+def arm_of(n):
+    """An arm of n unlike links."""
+    links = [
+        Link(a=0.3 + 0.02 * i, theta_0=0.05 * i, mass=2.0 + 0.3 * i, inertia=0.03, b=0.13)
+        for i in range(n)
+    ]
+    return replace(ARM, links=tuple(links))
 
 
 def moves(postures, speed=1.0, acceleration=2.0):

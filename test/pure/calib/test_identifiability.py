@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calib_maneuvers import ARM, observe, problem, several
+from calib_maneuvers import ARM, arm_of, observe, problem, several
 from numpy.testing import assert_allclose
 
 from fss_arm_calib.dynamic.identifiability import (
@@ -18,17 +18,8 @@ from fss_arm_calib.dynamic.identifiability import (
 )
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.solve import solve
-from fss_arm_model.description import Link
 
 KNOWN = Knowledge()
-
-
-def arm_of(n):
-    links = [
-        Link(a=0.3 + 0.02 * i, theta_0=0.05 * i, mass=2.0 + 0.3 * i, inertia=0.03, b=0.13)
-        for i in range(n)
-    ]
-    return replace(ARM, links=tuple(links))
 
 
 def unseen(arm, words):
@@ -36,7 +27,7 @@ def unseen(arm, words):
     return invisible_directions(arm, choice, np.ones(len(choice.names)))
 
 
-@pytest.mark.parametrize("n", range(1, 7))
+@pytest.mark.parametrize("n", [1, 2, 6])
 def test_of_3n_parameters_2n_plus_1_combinations_are_visible(n):
     arm = arm_of(n)
     rest = unseen(arm, "m_i b_i I_i")
@@ -49,22 +40,12 @@ def test_of_3n_parameters_2n_plus_1_combinations_are_visible(n):
 
 def test_the_scale_of_all_masses_is_invisible():
     everything = "m_0 I_0 com_0 m_i b_i I_i"
-    assert len(unseen(ARM, everything)) == 5
-    choice = Choice.of(everything, 4)
-    scaling = np.array(
-        [
-            0.0 if name[0] in "bxy" else value
-            for name, value in zip(
-                choice.names,
-                choice.basis.T
-                @ np.r_[10, 0.25, np.zeros(12), np.full(4, 2.88), np.zeros(4), np.full(4, 0.034)],
-                strict=True,
-            )
-        ]
-    )
-    scaling /= np.linalg.norm(scaling)
-    rest = unseen(ARM, everything)
-    assert np.linalg.norm(rest @ scaling) == pytest.approx(1.0, abs=1e-9)
+    rest, choice = unseen(ARM, everything), Choice.of(everything, 4)
+    assert len(rest) == 5
+    v = [10, 0.25, *np.zeros(12), *np.full(4, 2.88), *np.zeros(4), *np.full(4, 0.034)]
+    scaling = choice.basis.T @ v
+    scaling[[name[0] in "bxy" for name in choice.names]] = 0.0
+    assert np.linalg.norm(rest @ scaling) == pytest.approx(np.linalg.norm(scaling), abs=1e-9)
 
 
 def test_with_weighed_masses_everything_else_is_visible():

@@ -4,26 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calib_maneuvers import arm_of
 
 from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, SQUARE
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic import model
-from fss_arm_calib.kinematic.problem import EQUAL, FULL, OFFSETS, KinematicProblem, reading_jacobian
+from fss_arm_calib.kinematic.problem import EQUAL, FULL, KinematicProblem, reading_jacobian
 from fss_arm_calib.kinematic.solve import NotIdentifiable, solve
-from fss_arm_model.description import Arm, Link, paper_arm
+from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.layout import kinematic_names
 from fss_arm_model.planar import wrap
 
 HALF_COUNT = np.pi / 240_000
-
-
-def arm_of(n: int) -> Arm:
-    """An arm of n unlike links (alike but for the last for n > 2 would be `equal`)."""
-    links = [
-        Link(a=0.3 + 0.02 * i, theta_0=0.05 * i, mass=2.0, inertia=0.03, b=0.15) for i in range(n)
-    ]
-    return replace(paper_arm(), links=tuple(links))
 
 
 def postures(n: int, count: int, seed: int = 1) -> np.ndarray:
@@ -44,10 +37,10 @@ def perturbed(arm: Arm, rng: np.random.Generator, length: float, angle: float) -
     return arm.with_kinematics(values + size * rng.uniform(-1.0, 1.0, len(names)))
 
 
-@pytest.mark.parametrize("n", range(1, 9))
+@pytest.mark.parametrize("n", [1, 2, 4, 8])
 def test_the_truth_comes_back_from_a_wrong_guess(n):
     truth, rng = arm_of(n), np.random.default_rng(n)
-    for _ in range(20):
+    for _ in range(5):
         guess = perturbed(truth, rng, length=0.1, angle=0.5)
         result = solve(problem(truth, postures(n, 3 * n + 4), FULL, guess))
         assert result.converged
@@ -56,20 +49,15 @@ def test_the_truth_comes_back_from_a_wrong_guess(n):
             assert (found.a, found.theta_0) == pytest.approx((link.a, link.theta_0), abs=1e-9)
 
 
-@pytest.mark.parametrize("parametrization", [pytest.param(FULL, marks=pytest.mark.slow), EQUAL])
-def test_the_iteration_alone_converges_where_the_closed_form_has_too_few_postures(parametrization):
-    """Four postures: 12 equations for 10 parameters, but the positions alone do not suffice."""
+def test_the_iteration_alone_converges_where_the_closed_form_has_too_few_postures():
+    """Four postures: 12 equations for 8 parameters, but the positions alone do not suffice."""
     truth, rng = paper_arm(), np.random.default_rng(3)
     q = np.radians([[10, -50, 70, 20], [-60, 80, -30, 60], [75, 35, 45, -80], [-20, -70, -65, -40]])
-    for _ in range(200):
+    for _ in range(50):
         guess = perturbed(truth, rng, length=0.03, angle=0.2)
-        try:
-            result = solve(problem(truth, q, parametrization, guess), max_condition=1e5)
-        except NotIdentifiable:
-            assert parametrization == FULL
-            continue
+        result = solve(problem(truth, q, EQUAL, guess), max_condition=1e5)
         assert result.converged
-        assert np.abs(result.values - problem(truth, q, parametrization).initial).max() < 1e-9
+        assert np.abs(result.values - problem(truth, q, EQUAL).initial).max() < 1e-9
 
 
 @pytest.mark.parametrize("parametrization", [FULL, EQUAL])
@@ -91,21 +79,8 @@ def test_a_thousand_random_starts_lead_to_the_same_minimum(parametrization, draw
             assert found.chi_square == pytest.approx(expected.chi_square, rel=1e-9)
 
 
-@pytest.mark.parametrize("n", range(1, 9))
-@pytest.mark.parametrize("parametrization", [FULL, EQUAL])
-def test_the_truth_comes_back_from_zero_lengths_and_offsets(n, parametrization):
-    truth = arm_of(n)
-    if parametrization == EQUAL:
-        truth = replace(truth, links=(truth.links[0],) * (n - 1) + truth.links[-1:])
-        truth = truth.with_kinematics([*[0.3] * n, *[0.1] * (n - 1), 0.2, 0.0, 2.0])
-    exact = problem(truth, postures(n, 3 * n + 4), parametrization)
-    result = solve(exact, start=np.zeros(len(exact.names)))
-    assert result.converged
-    assert np.abs(result.values - exact.initial).max() < 1e-9
-
-
 @pytest.mark.parametrize("theta_e", [False, True])
-@pytest.mark.parametrize("turned", [(0,), (1, 2), (0, 1, 2), (3,)])
+@pytest.mark.parametrize("turned", [(0,), (1, 2), (3,)])
 def test_mirrored_arms_are_recognized_and_folded_back(turned, theta_e):
     """A link of negative length, turned by pi, ends where the true one does."""
     exact = problem(paper_arm(), DEFAULT_POSTURES, FULL, theta_e=theta_e)
@@ -140,17 +115,6 @@ def test_a_turned_subject_biases_the_last_offset_unless_it_is_estimated():
     assert solve(problem(turned, DEFAULT_POSTURES, EQUAL)).calibrated().theta_E == turned.theta_E
 
 
-def test_offsets_alone_are_found_again_from_few_postures():
-    """After a drive was switched off and on its offset is another, all lengths are as before."""
-    cycled = paper_arm().with_kinematics([*[0.3825] * 3, 0.3351, 0.4, -1.2, 0.3, 0.2058, 0.0155, 2])
-    exact = problem(cycled, DEFAULT_POSTURES[:3], OFFSETS, paper_arm())
-    assert exact.names == ("theta_0_2", "theta_0_3", "theta_0_4", "theta_BJ1")
-    result = solve(exact)
-    assert np.abs(result.values - [0.4, -1.2, 0.3, 2.0]).max() < 1e-9
-    assert result.calibrated().base.mount[:2] == cycled.base.mount[:2]
-    assert result.calibrated().links[3].theta_0 == pytest.approx(0.3, abs=1e-9)
-
-
 @pytest.mark.parametrize("loss", [HUBER, CAUCHY])
 def test_a_robust_loss_bears_outliers(loss):
     rng = np.random.default_rng(11)
@@ -167,19 +131,6 @@ def test_a_robust_loss_bears_outliers(loss):
         assert near.weights[wrong].max() < 0.3 < np.median(near.weights)
         assert set(np.argsort(near.normalized_residuals)[-2:]) == set(wrong)
     assert np.median(ratios) > 3.0
-
-
-@pytest.mark.parametrize("loss", [HUBER, pytest.param(CAUCHY, marks=pytest.mark.slow)])
-def test_a_robust_loss_costs_little_where_there_are_no_outliers(loss):
-    rng = np.random.default_rng(12)
-    exact = problem(paper_arm(), DEFAULT_POSTURES, EQUAL)
-    squares = []
-    for _ in range(100):
-        tip = exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma
-        plain, robust = (solve(replace(exact, tip=tip, loss=kind)) for kind in (SQUARE, loss))
-        squares.append([(r.values - exact.initial) ** 2 for r in (plain, robust)])
-    plain, robust = np.mean(squares, axis=0)
-    assert np.all(robust < 1.15 * plain)
 
 
 def test_leverage_and_normalized_residuals_tell_what_they_say():
@@ -201,7 +152,7 @@ def test_leverage_and_normalized_residuals_tell_what_they_say():
         assert np.mean(squares, axis=0) == pytest.approx(np.full(len(squares[0]), 3.0), rel=0.25)
 
 
-@pytest.mark.parametrize("size", [1e-8, 1e-6, 1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("size", [1e-8, 1e-5, 1e-3])
 def test_it_converges_where_rounding_hides_the_gain_of_the_last_steps(size):
     rng, cad = np.random.default_rng(5), perturbed(arm_of(4), np.random.default_rng(6), 0.02, 0.1)
     for _ in range(40):
@@ -210,28 +161,12 @@ def test_it_converges_where_rounding_hides_the_gain_of_the_last_steps(size):
         assert solve(off).converged
 
 
-def test_equal_is_full_for_up_to_two_links():
-    for n in (1, 2):
-        q = postures(n, 8)
-        full, equal = (problem(arm_of(n), q, kind) for kind in (FULL, EQUAL))
-        assert full.names == equal.names
-        assert np.array_equal(solve(full).values, solve(equal).values)
-
-
 def test_parameters_are_counted_and_named_as_the_paper_does():
     q = postures(4, 13)
     assert len(problem(paper_arm(), q, FULL).names) == 2 * 4 + 2
-    equal = problem(paper_arm(), q, EQUAL)
-    assert equal.names == (
-        "a",
-        "a_4",
-        "theta_0_2",
-        "theta_0_3",
-        "theta_0_4",
-        "x_BJ1",
-        "y_BJ1",
-        "theta_BJ1",
-    )
+    equal, offsets = problem(paper_arm(), q, EQUAL), ("theta_0_2", "theta_0_3", "theta_0_4")
+    assert equal.names == ("a", "a_4", *offsets, "x_BJ1", "y_BJ1", "theta_BJ1")
+    assert problem(arm_of(2), postures(2, 8), EQUAL).names[:2] == ("a_1", "a_2")
     assert equal.units == ("m", "m", "rad", "rad", "rad", "m", "m", "rad")
     assert equal.initial[:2] == pytest.approx([0.3825, 0.3351], abs=1e-15)
 
@@ -270,11 +205,9 @@ ONE = postures(4, 1)
     [
         # one posture, however often, gives three numbers
         (np.repeat(ONE, 13, axis=0), ("a_1", "a_4", "theta_0_2", "x_BJ1", "theta_BJ1"), ()),
-        (ONE, ("a_1", "a_4", "theta_0_2", "x_BJ1", "theta_BJ1"), ()),
         # a joint that never moves makes its two links one
         (postures(4, 13) * [0, 1, 1, 1], ("a_1", "x_BJ1", "y_BJ1", "theta_BJ1"), ("a_3", "a_4")),
         (postures(4, 13) * [1, 0, 1, 1], ("a_1", "a_2", "theta_BJ1"), ("a_4", "x_BJ1", "y_BJ1")),
-        (postures(4, 13) * [1, 1, 0, 1], ("a_2", "a_3"), ("a_1", "a_4", "x_BJ1", "y_BJ1")),
         (postures(4, 13) * [1, 1, 1, 0], ("a_3", "a_4"), ("a_1", "a_2", "x_BJ1", "y_BJ1")),
         (postures(4, 3), ("a_1", "a_4", "x_BJ1"), ()),
     ],
@@ -298,39 +231,12 @@ def test_what_cannot_be_told_apart_is_named(q, named, not_named, jitter):
         ({"parametrization": "half"}, "parametrization is 'half', expected 'full', 'equal' or"),
         ({"loss": "none"}, "loss is 'none', expected 'square', 'huber' or 'cauchy'"),
         ({"position_deviation": 0.0}, "position_deviation is 0.0, must be positive"),
-        ({"ripple_deviation": -1.0}, "ripple_deviation is -1.0, must not be negative"),
         ({"eccentricity_deviation": -1.0}, "eccentricity_deviation is -1.0, must not be negative"),
     ],
 )
 def test_an_impossible_problem_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         replace(problem(paper_arm(), postures(4, 13), FULL), **change)
-
-
-def test_errors_of_readings_are_in_what_is_claimed():
-    """By sines of unknown phase, at the experiment's postures, beside poses that are better."""
-    rng, truth = np.random.default_rng(2), paper_arm()
-    known = {"position_deviation": 5e-4, "heading_deviation": np.radians(0.05)}
-    ripple, eccentricity = 5e-4, 3e-4
-    exact = problem(truth, DEFAULT_POSTURES, FULL, **known)
-    aware = {"ripple_deviation": ripple, "eccentricity_deviation": eccentricity}
-    nees, chi_square = np.zeros((2, 300)), np.zeros((2, 300))
-    for trial in range(300):
-        phase = rng.uniform(-np.pi, np.pi, (2, 4))
-        off = ripple * np.sin(60 * DEFAULT_POSTURES + phase[0]) + eccentricity * np.sin(
-            DEFAULT_POSTURES + phase[1]
-        )
-        tip = exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma
-        for i, told in enumerate((aware, {})):
-            noisy = replace(exact, q=DEFAULT_POSTURES + 2**0.5 * off, tip=tip, **told)
-            result = solve(noisy)
-            error = result.values - exact.initial
-            nees[i, trial] = error @ np.linalg.solve(result.covariance, error) / len(error)
-            chi_square[i, trial] = result.chi_square / result.degrees_of_freedom
-    assert nees[0].mean() == pytest.approx(1.0, abs=0.1)
-    assert nees[1].mean() > 2.0
-    assert chi_square[0].mean() < 1.05
-    assert chi_square[1].mean() > 1.5
 
 
 def test_what_readings_add_is_the_covariance_of_what_they_move():

@@ -8,7 +8,7 @@ import pytest
 
 from fss_arm_calib.links import main
 from fss_arm_calib.result import SCHEMA
-from fss_arm_model.description import DescriptionError, Known, paper_arm
+from fss_arm_model.description import Known, paper_arm
 from fss_arm_model.description_file import UNKNOWN_ANGLE_SIGMA, load, save, to_yaml
 from fss_arm_model.parameters import parameter_names
 from fss_arm_ros.command_line import USER_ERROR
@@ -88,13 +88,6 @@ def test_if_another_link_is_first_its_angle_and_the_mounts_are_not_known(arm_fil
     assert "theta_0_1" not in known.names
 
 
-def test_names_by_place_do_not_go_with_links_by_serial_number(arm_file, tmp_path):
-    main([str(arm_file), "--result", result(tmp_path / "r.json", knowing(calibrated()))])
-    arm_file.write_text(arm_file.read_text().replace("a_#8", "a_2"))
-    with pytest.raises(DescriptionError, match="known: names is 'a_2', expected a name by serial"):
-        load(arm_file)
-
-
 def test_the_first_link_keeps_its_joints_offset_when_it_is_calibrated(arm_file, tmp_path):
     main([str(arm_file), "--result", result(tmp_path / "r.json", calibrated())])
     text = arm_file.read_text()
@@ -129,29 +122,28 @@ def test_links_that_have_no_file_yet_are_listed_as_well(arm_file, tmp_path, caps
     assert all(unit in out for unit in ("a [m]", "theta_0", "[rad]", "m [kg]", "I [kg"))
     rows = [line.split() for line in out.splitlines()]
     assert ["7", "1", "now"] in [row[1:6:2] for row in rows if len(row) > 6]
-    save(paper_arm(), tmp_path / "nameless.yaml")
-    assert main([str(tmp_path / "nameless.yaml")]) == USER_ERROR
-    assert "serials of the links is [0, 0, 0, 0], expected one at least" in capsys.readouterr().err
+
+
+OTHERS = "serials of the links in the result is [7, 9, 8, 10], expected [7, 8"
+NAMELESS = "serials of the links is [0, 0, 0, 0], expected one "
 
 
 @pytest.mark.parametrize(
-    ("serials", "changes", "message"),
+    ("serials", "of_result", "changes", "message"),
     [
-        ((7, 9, 8, 10), {}, "serials of the links in the result is [7, 9, 8, 10], expected [7, 8"),
-        (SERIALS, {"verdict": "fail"}, "verdict is 'fail', expected pass"),
+        (SERIALS, (7, 9, 8, 10), {}, OTHERS),
+        (SERIALS, SERIALS, {"verdict": "fail"}, "verdict is 'fail', expected pass"),
+        ((0, 0, 0, 0), (0, 0, 0, 0), {}, NAMELESS + "for each"),
+        ((0, 0, 0, 0), None, {}, NAMELESS + "at least"),
     ],
 )
-def test_what_does_not_belong_is_refused(arm_file, tmp_path, capsys, serials, changes, message):
-    before = arm_file.read_text()
-    other = result(tmp_path / "r.json", named(paper_arm(), serials), **changes)
-    assert main([str(arm_file), "--result", other]) == USER_ERROR
+def test_what_does_not_belong_is_refused(tmp_path, capsys, serials, of_result, changes, message):
+    path, given = tmp_path / "arm.yaml", []
+    save(named(paper_arm(), serials), path)
+    before = path.read_text()
+    if of_result:
+        given = ["--result", result(tmp_path / "r.json", named(paper_arm(), of_result), **changes)]
+    assert main([str(path), *given]) == USER_ERROR
     assert message in capsys.readouterr().err
-    assert arm_file.read_text() == before
+    assert path.read_text() == before
     assert not list(tmp_path.glob("link_*"))
-
-
-def test_an_arm_without_serial_numbers_is_refused(tmp_path, capsys):
-    save(paper_arm(), tmp_path / "arm.yaml")
-    found = result(tmp_path / "r.json", paper_arm())
-    assert main([str(tmp_path / "arm.yaml"), "--result", found]) == USER_ERROR
-    assert "serials of the links is [0, 0, 0, 0], expected one for each" in capsys.readouterr().err

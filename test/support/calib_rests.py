@@ -1,0 +1,43 @@
+"""Observations at rest of the paper's arm, and a kinematic calibration of them to report."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
+from fss_arm_calib.kinematic.calibrate import calibrate
+from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, POSITION_DEVIATION
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.segments.rests import Observation
+from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.units import SECOND
+
+ARM = paper_arm()
+SIGMA = np.array([POSITION_DEVIATION, POSITION_DEVIATION, HEADING_DEVIATION])
+SETTINGS = KinematicSettings(
+    max_outliers=1, position_deviation=POSITION_DEVIATION, heading_deviation=HEADING_DEVIATION
+)
+
+
+def observe(q=DEFAULT_POSTURES, seed=1, sigma=SIGMA, arm=ARM):
+    """Observations of an arm at postures, with errors of `sigma` (3,): the paper's by default."""
+    tips = tip_in_base(arm.vector(), q)
+    tips = tips + sigma * np.random.default_rng(seed).normal(size=tips.shape)
+    return [
+        Observation(k * SECOND, k * SECOND + 1, tuple(a), tuple(b), (0.0,) * 3, 10, 200)
+        for k, (a, b) in enumerate(zip(q.tolist(), tips.tolist(), strict=True))
+    ]
+
+
+def with_outlier(count=13):
+    """Of which the fifth is far off."""
+    found = observe(DEFAULT_POSTURES[:count])
+    for one in found[4:5]:
+        x, y, heading = one.tip
+        found[4] = replace(one, tip=(x + 0.4, y, heading))
+    return found
+
+
+def outcome(count=13, settings=SETTINGS):
+    return calibrate(with_outlier(count), ARM, settings, source="a <bag>")
