@@ -1,22 +1,15 @@
 """A floating arm that makes maneuvers, as its streams: joints at 5 Hz, the base and its gyro."""
 
 from functools import partial
-from typing import NamedTuple
 
 import calib_rig
 import numpy as np
 from calib_maneuvers import ARM, moves
-from calib_rig import COUNT, at
+from calib_rig import COUNT, Sample, at
 from sensor_msgs.msg import Imu
 
 from fss_arm_model import base_motion, joint_path
 from fss_arm_model.kinematics import tip_in_base
-
-
-class Sample(NamedTuple):
-    t: int  # [ns]
-    stream: int | str  # joint number, "base", "tip", "gyro" or "link_<i>"
-    value: object  # (q, qd), pose, rate or (armed, start of the electronics, homings)
 
 
 def postures(count, seed=0, n=4):

@@ -26,9 +26,9 @@ TYPES = {"joint_states": JointState, **dict.fromkeys(TOPICS.values(), PoseStampe
 
 
 class Sample(NamedTuple):
-    t: int
-    stream: int | str  # joint number or subject
-    value: float | tuple[float, float, float] | None
+    t: int  # [ns]
+    stream: int | str  # joint number, subject, "base", "tip", "gyro" or "link_<i>"
+    value: Any  # q or (q, qd), pose, rate or (armed, start of the electronics, homings)
 
 
 class Rig:
@@ -115,6 +115,20 @@ def feed(finder: Any, samples: Iterable[Any], close: bool = True) -> list[Any]:
             reading = value if isinstance(value, tuple) else (value,)
             found += finder.add_reading(stream, t, *reading)
     return found + (finder.close() if close else [])
+
+
+def without(samples, streams, begin, end):
+    """The samples less those of some streams within an interval [s]."""
+    return [s for s in samples if s.stream not in streams or not at(begin) < s.t < at(end)]
+
+
+def frozen(samples, stream, begin, end):
+    """The samples with a subject's pose of the time `begin`, with fresh stamps, until `end` [s]."""
+    held = next(s.value for s in samples if s.stream == stream and s.t >= at(begin))
+    return [
+        s._replace(value=held) if s.stream == stream and at(begin) <= s.t < at(end) else s
+        for s in samples
+    ]
 
 
 def record(folder, samples, topics=(), late=lambda _: SECOND // 100, types=TYPES) -> Path:

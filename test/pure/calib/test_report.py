@@ -1,34 +1,48 @@
-"""What people are told: all in one page."""
+"""What people are told: a verdict in one line, tables that fit, and all in one page."""
 
 import re
 import xml.etree.ElementTree as ET
+from collections import Counter
 from dataclasses import replace
-from html.parser import HTMLParser
+from html import unescape
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from calib_float import Float, feed, postures
-from calib_reported import SETTINGS, outcome
-from calib_rig import ARM
+from calib_rests import ARM, SETTINGS, outcome, with_outlier
 from rich.console import Console
 
 from fss_arm_calib import report
+from fss_arm_calib.acceptance import FAIL, PASS, Check, summarize
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic.report import dynamic_report
 from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, OFFSETS
 from fss_arm_calib.kinematic.report import kinematic_report
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.outcome import Estimate
+from fss_arm_calib.report_tables import next_steps, table_report
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_model.kinematics import joint_positions
+from fss_rehearsal.dynamic import maneuvers_done
+from fss_rehearsal.rehearsed import Check as Expectation
+from fss_rehearsal.rehearsed import Rehearsed
 
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])
+TEXT = "a rather long explanation of what was expected, and what has happened in its place"
+
+
+def lines(printable):
+    console = Console(width=80)
+    with console.capture() as capture:
+        console.print(printable, highlight=False)
+    return capture.get().splitlines()
 
 
 def printed(told, details=False):
-    console = report.console()
-    with console.capture() as capture:
-        console.print(report.printable(told, details))
-    return " ".join(capture.get().split())
+    return " ".join(" ".join(lines(report.printable(told, details))).split())
 
 
 def test_the_tables_compare_with_the_paper_and_the_truth():
@@ -36,51 +50,21 @@ def test_the_tables_compare_with_the_paper_and_the_truth():
     for words in ("a_1 .. a_3", "0.3825", "5.801", "18.211", "0.0150", "0.683", "truth", "pass: "):
         assert words in text
     assert "from a <bag>" in text
-    text = printed(kinematic_report(outcome(3)))
-    assert "not evaluated: 3 observations" in text
-    assert "truth" not in text
-
-
-class Page(HTMLParser):
-    """Tags that are open, what was loaded from where, and all text."""
-
-    def __init__(self):
-        super().__init__()
-        self.open, self.sources, self.text = [], [], []
-
-    def handle_starttag(self, tag, attrs):
-        self.sources += [value for name, value in attrs if name in ("src", "href")]
-        if tag not in ("meta", "img"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.text.append(data)
 
 
 def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
     told = kinematic_report(outcome())
-    path = report.write(tmp_path / "report", told)
-    page = Page()
-    page.feed(path.read_text())
-    assert page.open == []
-    assert len(page.sources) == 3
-    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
-    assert "http" not in re.sub(r"base64,[^\"]*", "", path.read_text())
-    text = " ".join(" ".join(page.text).split())
-    for words in (
-        "18.211",
-        "from a <bag>",
-        "more than 5",
-        "held out",
-        "fit",
-        "position_deviation: 0.0177",
-        "Checks",
-        "Observations",
-    ):
-        assert words in text, words
+    page = report.write(tmp_path / "report", told).read_text()
+    opened = Counter(re.findall(r"<(\w+)", page)) - Counter(re.findall(r"</(\w+)", page))
+    assert opened.keys() <= {"meta", "img"}
+    sources = re.findall(r'(?:src|href)="([^"]*)', page)
+    assert len(sources) == 3
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert "http" not in re.sub(r"base64,[^\"]*", "", page)
+    text = " ".join(unescape(re.sub("<[^>]*>", " ", page)).split())
+    words = "18.211", "from a <bag>", "more than 5", "held out", "fit", "Checks", "Observations"
+    for word in (*words, "position_deviation: 0.0177"):
+        assert word in text, word
     for figure in told.figures:
         png = (tmp_path / "report" / f"{figure.name}.png").read_bytes()
         assert png.startswith(b"\x89PNG")
@@ -94,30 +78,6 @@ def test_under_the_verdict_stand_the_date_and_what_to_do_now(tmp_path, count):
     page = report.write(tmp_path, told).read_text()
     assert page.index(told.reason[:20]) < page.index(when) < page.index(then) < page.index("<table")
     assert (told.verdict == "not_evaluated") == then.startswith("Next: record the missing data")
-
-
-def test_what_is_weak_or_wrong_is_marked(tmp_path):
-    rows = [["a", "fail"], ["b", "not evaluated"], ["c", "pass"]]
-    table = report.Table("checks", ["check", "verdict"], rows, words=2)
-    page = report.write(tmp_path, report.Report("t", "fail", "r", [table], "o")).read_text()
-    for cell in ('"word bad">fail<', '"word weak">not evaluated<', '"word">pass<'):
-        assert cell in page
-
-
-def test_no_column_of_a_printed_table_is_cut_off():
-    name = "a_rather_long_name_of_a_parameter_that_does_not_fit"
-    told = report.Table("t", ["parameter", "value"], [[name, "1"]])
-    console = Console(width=30, record=True)
-    console.print(told)
-    assert name in re.sub(r"[\W\d]", "", console.export_text())
-
-
-def test_without_a_solution_the_page_tells_why(tmp_path):
-    told = kinematic_report(outcome(3))
-    assert told.figures == ()
-    text = report.write(tmp_path, told).read_text()
-    assert "3 observations, at least 6 needed" in text
-    assert list(tmp_path.iterdir()) == [tmp_path / "index.html"]
 
 
 def test_the_drawings_show_the_estimated_arm():
@@ -182,11 +142,19 @@ def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path, monkeypatch)
     assert np.abs(np.vstack(dots)[:, 1]).max() > 5.0
 
 
-def test_a_dynamic_calibration_without_a_solution_is_told(maneuvers, tmp_path):
-    told = dynamic_report(calibrate_dynamics(maneuvers[:2], ARM, DynamicSettings()))
-    assert "not evaluated: 2 maneuvers" in printed(told)
-    report.write(tmp_path, told)
-    assert list(tmp_path.iterdir()) == [tmp_path / "index.html"]
+def test_without_a_solution_the_page_tells_why(maneuvers, tmp_path):
+    few = calibrate_dynamics(maneuvers[:2], ARM, DynamicSettings())
+    for told, words in (
+        (kinematic_report(outcome(3)), "not evaluated: 3 observations, at least 6"),
+        (dynamic_report(few), "not evaluated: 2 maneuvers"),
+    ):
+        assert told.figures == ()
+        text = printed(told)
+        assert words in text
+        assert "truth" not in text
+        page = report.write(tmp_path, told)
+        assert told.reason[:20] in page.read_text()
+        assert list(tmp_path.iterdir()) == [tmp_path / "index.html"]
 
 
 def test_what_is_hardly_known_is_amber():
@@ -198,19 +166,139 @@ def test_what_is_hardly_known_is_amber():
     assert kinematic_report(found).tables[0].weak == [2]
 
 
-def test_symbols_are_set_as_books_set_them(tmp_path):
+def test_symbols_are_set_as_books_set_them_and_what_is_weak_or_wrong_is_marked(tmp_path):
     rows = [["theta_0_2", "rad"], ["I_6", "kg m^2"], ["x_BJ1", "m"], ["link_1", "arm_2.yaml"]]
+    rows += [["a", "fail"], ["b", "not evaluated"], ["c", "pass"]]
     table = report.Table("Parameters", ["parameter", "unit"], rows, words=2, weak=[1])
-    page = report.write(tmp_path, report.Report("of <it>", "pass", "", [table], "")).read_text()
-    for cell in (
-        "<i>&theta;</i><sub>0,2</sub>",
-        "<i>I</i><sub>6</sub>",
-        "kg m<sup>2</sup>",
-        "<i>x</i><sub>BJ1</sub>",
-        "link_1",
-        "arm_2.yaml",
-    ):
+    page = report.write(tmp_path, report.Report("of <it>", "fail", "", [table], "")).read_text()
+    symbols = "<i>&theta;</i><sub>0,2</sub>", "<i>I</i><sub>6</sub>", "<i>x</i><sub>BJ1</sub>"
+    for cell in (*symbols, "kg m<sup>2</sup>", "link_1", "arm_2.yaml"):
         assert f">{cell}</td>" in page
-    assert (
-        page.count('<tr class="weak">') == page.count('<tr class="weak"><td class="word"><i>I') == 1
+    for cell in ('"word bad">fail<', '"word weak">not evaluated<', '"word">pass<'):
+        assert cell in page
+    weak = '<tr class="weak">'
+    assert page.count(weak) == page.count(f'{weak}<td class="word"><i>I') == 1
+
+
+def words_of(table):
+    return {word for row in (table.head, *table.rows) for cell in row for word in cell.split()}
+
+
+@pytest.mark.parametrize("details", [False, True])
+def test_a_report_fits_80_columns_and_breaks_no_word(details):
+    rehearsed = Rehearsed([Expectation(TEXT, TEXT, True), Expectation(TEXT, "no", False)])
+    for told in (kinematic_report(outcome(), ARM), rehearsed.report("Rehearsal: demo", TEXT)):
+        seen = lines(report.printable(told, details))
+        assert max(map(len, seen)) <= 80
+        assert seen[0].startswith(("pass: ", "fail: "))
+        tables = [*told.tables, *told.details] if details else [told.tables[0].brief]
+        missing = set().union(*map(words_of, tables)) - set(" ".join(seen).split())
+        assert not missing
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_table_of_any_size_is_continued_below(seed):
+    rng = np.random.default_rng(seed)
+    columns, rows = rng.integers(1, 16), rng.integers(0, 4)
+    words = int(rng.integers(1, 3))
+
+    def cell(k):
+        length = rng.integers(1, 12) if k < words else 1
+        return " ".join("w" * rng.integers(1, 12) for _ in range(length))
+
+    head = [f"head{k} [deg]" for k in range(columns)]
+    body = [[cell(k) for k in range(columns)] for _ in range(rows)]
+    table = report.Table("title", head, body, words)
+    seen = lines(table)
+    assert max(map(len, seen)) <= 80
+    assert words_of(table) <= set(" ".join(seen).split())
+    assert all("title" in line for line in (seen[0], *(x for x in seen if "continued" in x)))
+
+
+def test_the_chain_of_checks_is_printed_with_the_details_only():
+    told = kinematic_report(outcome())
+    brief, full = (lines(report.printable(told, details)) for details in (False, True))
+    assert brief[0] == f"pass: {told.reason}" == full[0]
+    assert report.console().width == 80 >= len(brief[0])  # without a terminal
+    assert "condition number" not in " ".join(brief)
+    for words in ("condition number", "predicted", "SHA-256", "Observations"):
+        assert words in " ".join(full)
+    assert len(brief) < 22 < len(full)
+
+
+def test_terminal_description_and_page_say_one_chi_square(tmp_path):
+    """Also where the deviations are estimated, so that the residuals have another one."""
+    found = calibrate(with_outlier()[5:], ARM, replace(KinematicSettings(), min_observations=6))
+    assert found.verdict == PASS
+    told = kinematic_report(found)
+    (said,) = re.findall(r"chi-square of the fit (\S+) for (\d+) degrees", told.reason)
+    (check,) = (c for c in found.checks if c.name == "fit")
+    assert f"chi-square {said[0]} for {said[1]} degrees of freedom, " in check.reason
+    assert said[0] != f"{found.estimate.chi_square:.4g}"
+    header = found.description.partition("\nname")[0]
+    assert f"# pass: {found.summary}\n" in header
+    assert header.count("chi-square") == 1
+    page = report.write(tmp_path, told).read_text()
+    assert f"</span> {found.summary}</p>" in page
+
+
+def test_one_reason_is_given_and_it_is_the_first():
+    checks = [
+        Check("number", PASS, 8, 6, "8 rests (at least 6)", brief="8 rests"),
+        Check("fit", FAIL, 0, 1, "too large"),
+        Check("outliers", FAIL, 9, 5, "rest 3 inconsistent"),
+    ]
+    assert summarize(checks) == "too large"
+    assert summarize(checks[:1]) == "8 rests"
+    assert summarize([replace(checks[0], brief="")]) == "8 rests (at least 6)"
+    long = replace(checks[1], reason="too large, because " + 9 * "of this ", brief="in short")
+    assert summarize([checks[0], long, checks[2]]) == "in short"
+    assert summarize([replace(long, reason="too large")]) == "too large"
+    assert summarize([]) == ""
+    assert summarize(checks, {"I_1": 0.7}) == "too large"
+
+
+def uncertain(shares, **changes):
+    """An outcome that passes, with inertias known to relative deviations."""
+    n = len(shares)
+    names = tuple(f"I_{i}" for i in range(1, n + 1))
+    estimate = Estimate(
+        (*names, "m_0", "b_1"),
+        (*("kg m^2",) * n, "kg", "m"),
+        np.ones(n + 2),
+        np.array([*[-0.02] * n, 10.0, 0.1]),
+        deviations=np.array([*0.02 * np.array(shares), 2.5, 1.0]),
+        **changes,
     )
+    return replace(outcome(), estimate=estimate, settings=replace(SETTINGS, arm="my_arm.yaml"))
+
+
+CASES = {
+    "known": ([0.25, 0.1], ""),
+    "one": ([0.1, 0.72], "I_2 (± 72 %)"),
+    "two": ([0.3, 0.72], "I_2 (± 72 %), I_1 (± 30 %)"),
+    "more": ([0.3, 0.72, 0.26, 0.5], "I_2 (± 72 %), I_4 (± 50 %) and 2 more"),
+    "undetermined": ([0.1, np.inf], "I_2 (not determined)"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_pass_names_what_is_too_uncertain_to_use_and_how_to_plan_more(case):
+    shares, named = CASES[case]
+    found = uncertain(shares)
+    assert found.verdict == PASS
+    if not named:
+        assert "chi-square" in found.summary
+        assert next_steps(found)[0].startswith("Next: give the calibrated description")
+        return
+    assert found.summary == f"13 observations; record more to use {named}"
+    seen = lines(report.printable(table_report(found)))
+    assert seen[0] == f"pass: {found.summary}"
+    all_of_them = " ".join(f"I_{k + 1}" for k, share in enumerate(shares) if share > 0.25)
+    assert "  ros2 run fss_arm_calib design --bag BAG --arm my_arm.yaml \\" in seen
+    assert f"    --chosen '{all_of_them}' --output plan.yaml" in seen
+
+
+def test_maneuvers_are_counted_by_their_stops():
+    plan = [SimpleNamespace(durations=[1.0] * number) for number in (3, 1, 2)]
+    assert [maneuvers_done(plan, k) for k in range(9)] == [0, 0, 0, 0, 1, 2, 2, 3, 3]

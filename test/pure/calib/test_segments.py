@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from calib_float import Float, Sample, at, feed, postures, telemetry
-from calib_rig import SUBJECTS
+from calib_rig import SUBJECTS, frozen
 
 from fss_arm_calib.segments.drifts import DriftFinder
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
@@ -101,13 +101,10 @@ def test_the_order_of_arrival_does_not_matter(make, samples, seed):
         assert feed(make(), interleaved(worse, order)) == expected
 
 
-@pytest.mark.parametrize("burst", [7, 250])
-def test_poses_and_rates_may_come_in_bursts(make, samples, burst):
+def test_poses_and_rates_may_come_in_bursts(make, samples):
     """Occluded, frozen, impossible and those that jump included."""
-    worse, frozen = [], next(s.value for s in samples if s.stream == "base" and s.t > at(20.0))
-    for k, s in enumerate(samples):
-        if s.stream == "base" and at(20.0) < s.t < at(21.7):
-            s = s._replace(value=frozen)
+    worse = []
+    for k, s in enumerate(frozen(samples, "base", 20.0, 21.7)):
         worse.append(s)
         if k % 97 == 0 and s.stream in SUBJECTS:
             ill = None, (1e308, *s.value[1:]), (s.value[0] + 2.0, *s.value[1:])
@@ -119,9 +116,9 @@ def test_poses_and_rates_may_come_in_bursts(make, samples, burst):
         if name not in (*SUBJECTS, "gyro"):
             found += feed(together, stream, close=False)
             continue
-        for k in range(0, len(stream), burst):
-            t = np.array([s.t for s in stream[k : k + burst]], dtype=np.int64)
-            values = [s.value or 3 * (np.nan,) for s in stream[k : k + burst]]
+        for k in range(0, len(stream), 7):
+            t = np.array([s.t for s in stream[k : k + 7]], dtype=np.int64)
+            values = [s.value or 3 * (np.nan,) for s in stream[k : k + 7]]
             if name == "gyro":
                 found += together.add_rates(t, np.array(values, dtype=float))
             else:
@@ -130,13 +127,11 @@ def test_poses_and_rates_may_come_in_bursts(make, samples, burst):
     assert together.streams() == one_by_one.streams()
 
 
-@pytest.mark.parametrize(
-    ("stamp", "place"), [(YEAR_2038, "first"), (YEAR_2038, "amid"), (0, "amid")]
-)
+@pytest.mark.parametrize(("stamp", "place"), [(YEAR_2038, "first"), (0, "amid")])
 def test_a_stamp_far_from_all_others_is_rejected_by_itself(make, samples, stamp, place):
     """Three on end, in any one stream or in all at once: one stopped a calibration for good."""
     expected, streams = feed(make(), samples), by_stream(samples)
-    for those in ([1], ["base"], ["tip"], ["gyro"], ["link_2"], STREAMS):
+    for those in (["base"], STREAMS):
         astray = [streams[name][0]._replace(t=stamp + k) for name in those for k in range(3)]
         k = 0 if place == "first" else len(samples) // 2
         finder = make()
@@ -158,22 +153,21 @@ def test_a_clock_that_all_share_may_be_set_ahead(make, rig, samples):
     assert found[-1].end == whole[-1].end + step
 
 
-@pytest.mark.parametrize("back", [5, 3600])
-def test_a_clock_set_back_is_told_and_a_new_finder_begins_anew(make, rig, samples, back):
+def test_a_clock_set_back_is_told_and_a_new_finder_begins_anew(make, rig, samples):
     moment = at(0.5 * (rig.ends[1] + rig.begins[2]))
-    late = [s._replace(t=s.t - back * SECOND) for s in samples if s.t >= moment]
+    late = [s._replace(t=s.t - 5 * SECOND) for s in samples if s.t >= moment]
     finder = make()
     feed(finder, [s for s in samples if s.t < moment] + late)
     backs = finder.streams().set_back
-    assert [backs[name] for name in NAMES.values()] == pytest.approx([back] * 6, abs=0.5)
+    assert [backs[name] for name in NAMES.values()] == pytest.approx([5] * 6, abs=0.5)
     again = make()
     assert feed(again, late) == feed(make(), late)
     assert not any(again.streams().set_back.values())
 
 
-@pytest.mark.parametrize("value", [np.nan, -np.inf, 1e308])
-def test_numbers_that_no_sensor_reads_are_rejected_and_counted(make, samples, value):
-    """From the very first sample on, each with a stamp of its own."""
+@pytest.mark.parametrize("value", [np.nan, 1e308])
+def test_numbers_that_no_sensor_reads_and_repeats_are_rejected_and_counted(make, samples, value):
+    """From the very first sample on, each with a stamp of its own; repeats of each joint's."""
     bad, poses = [], 0
     for k, s in enumerate(samples):
         part = k % 3
@@ -185,20 +179,20 @@ def test_numbers_that_no_sensor_reads_are_rejected_and_counted(make, samples, va
             bad.append(s._replace(t=s.t - 1, value=value))
         elif isinstance(s.stream, int):
             bad.append(s._replace(t=s.t - 1, value=(value, 0.0)))
-        bad.append(s)
+        bad += [s, s]
     finder = make()
     assert feed(finder, bad) == feed(make(), samples)
-    rejected = finder.streams().rejected
-    assert sum(rejected.values()) == len(bad) - len(samples)
-    assert total(rejected, "occluded", "not finite", "out of range") == len(bad) - len(samples)
+    rejected, numbers = finder.streams().rejected, len(bad) - 2 * len(samples)
+    assert total(rejected, "repeated") == len(samples)
+    assert total(rejected, "occluded", "not finite", "out of range") == numbers
+    assert sum(rejected.values()) == numbers + len(samples)
     assert total(rejected, "occluded") in (0, poses)
 
 
-@pytest.mark.parametrize("value", [np.inf, 1e308])
-def test_a_rate_that_no_drive_has_is_derived(samples, value):
+def test_a_rate_that_no_drive_has_is_derived(samples):
     """Of its reading nothing is wrong."""
     bad = [
-        s._replace(value=(s.value[0], value)) if s.stream == 3 and s.t % SECOND < 3e8 else s
+        s._replace(value=(s.value[0], 1e308)) if s.stream == 3 and s.t % SECOND < 3e8 else s
         for s in samples
     ]
     finder = ManeuverFinder(4)
@@ -209,40 +203,19 @@ def test_a_rate_that_no_drive_has_is_derived(samples, value):
     assert finder.streams().rejected.keys() == {"joint_3 rate out of range"}
 
 
-def test_repeated_samples_change_nothing(make, samples):
-    finder = make()
-    assert feed(finder, [s for s in samples for _ in range(2)]) == feed(make(), samples)
-    rejected = finder.streams().rejected
-    assert total(rejected, "repeated") == sum(rejected.values()) == len(samples)
-
-
-def test_a_silent_joint_lets_no_others_pile_up(make, samples):
-    finder = make(horizon=5.0)
-    feed(finder, [s for s in samples if s.stream != 2], close=False)
-    assert max(len(joint.queue) for joint in finder.sensors.joints) <= 26
-
-
 def test_memory_is_bounded(make, rig, samples):
-    """Six times the same, with the arm silent for the last three."""
+    """Three times the same: all streams, without a joint, and with the arm silent."""
     finder = make(horizon=10.0)
-    for lap in range(6):
+    for lap, silent in enumerate(((), (2,), (1, 2, 3, 4))):
         shift = lap * round((rig.length + 1.0) * SECOND)
-        lap_samples = [s._replace(t=s.t + shift) for s in samples if s.t < at(rig.length - 1.0)]
-        feed(finder, [s for s in lap_samples if lap < 3 or s.stream in SUBJECTS], close=False)
+        heard = [s for s in samples if s.t < at(rig.length - 1.0) and s.stream not in silent]
+        feed(finder, [s._replace(t=s.t + shift) for s in heard], close=False)
         kept = 2 * 10.0 + finder.sensors.settings.max_duration + 22.0
         for poses in (finder.sensors.base, finder.sensors.tip, finder.sensors.gyro):
             assert len(poses.t) < 20 * kept + 1000
         assert len(finder.sensors.joints[0].t) < 5 * kept + 1000 / 8
+        assert max(len(joint.queue) for joint in finder.sensors.joints) <= 51
         assert len(finder.pending) <= 3
-
-
-def frozen(samples, begin, end):
-    """The base's pose of the time `begin`, with fresh stamps, until `end` [s]."""
-    held = next(s.value for s in samples if s.stream == "base" and s.t >= at(begin))
-    return [
-        s._replace(value=held) if s.stream == "base" and at(begin) <= s.t < at(end) else s
-        for s in samples
-    ]
 
 
 @pytest.mark.parametrize("begin", [4.0, 9.0])
@@ -250,7 +223,7 @@ def test_what_a_frozen_base_hides_is_rejected(make, rig, samples, begin):
     """Since amid the first rest or the first motion, until amid the second motion."""
     end = rig.begins[1] + 1.0
     finder, whole = make(), feed(make(), samples)
-    found = feed(finder, frozen(samples, begin, end))
+    found = feed(finder, frozen(samples, "base", begin, end))
     hidden = [one for one in whole if one.end > at(begin) and one.start < at(end)]
     used = [one for one in found if getattr(one, "used", True)]
     assert 0 < len(used) < len(whole)
@@ -265,7 +238,7 @@ def test_a_base_that_stands_still_without_noise_is_not_frozen(make, rig, samples
     """A simulated one has the very same pose in each frame, once the arm rests."""
     expected, finder = feed(make(), samples), make()
     for begin, end in zip([0.01, *rig.ends], [*rig.begins, rig.length], strict=True):
-        samples = frozen(samples, begin, end)
+        samples = frozen(samples, "base", begin, end)
     found = feed(finder, samples)
     assert len(found) == len(expected)
     assert all(getattr(one, "used", True) for one in found)
