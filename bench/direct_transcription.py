@@ -1,6 +1,6 @@
 """The least time between two postures by direct transcription, which shares nothing with plans.
 
-Its results for some postures are the table of `test/pure/motion/test_minimum_time.py`.
+Its results for some postures are the table of `test/pure/motion/test_plans.py`.
 """
 
 import numpy as np

@@ -1,15 +1,16 @@
 """The guard, against a search everywhere on random paths, and in front of a moving base."""
 
 import re
-from dataclasses import dataclass, replace
+from collections import Counter
+from dataclasses import replace
 from itertools import count, islice
 
 import numpy as np
 import pytest
-from guard_oracle import least, looks, random_flight, shrinks
+from guard_oracle import Flight, least, looks, random_flight, shrinks
 from model_arms import random_arm
 
-from fss_arm_model.description import Arm, paper_arm
+from fss_arm_model.description import paper_arm
 from fss_arm_model.guard.guard import (
     EDGE,
     SELF,
@@ -32,75 +33,58 @@ BED = GuardSettings()
 FOLDED = np.radians([0.0, 85.0, 85.0, 85.0])
 
 
-@dataclass
-class Count:
-    """Results of checks of random paths."""
+def is_clear(guard, flight):
+    """Return True if the guard lets a path pass."""
+    try:
+        guard.check_path(
+            flight.times, flight.q, flight.qd, flight.base, flight.twist, flight.target
+        )
+    except GuardError:
+        return False
+    return True
 
-    clear: int = 0
-    refused: int = 0
-    missed: int = 0  # clear, said the guard, but there is a contact
-    false: int = 0  # refused, but there is none
-    nearly: float = 0.0  # the largest slack of those [m]
-    begun: int = 0  # refused for what begins too near
 
-
-def judged(arm: Arm, paths: int, seed: int) -> Count:
-    """Compare the guard with the oracle on random paths."""
-    guard, rng, found = Guard(arm, BED), np.random.default_rng(seed), Count()
-    for _ in range(paths):
-        flight = random_flight(arm, rng)
-        low = least(flight, arm, BED)
-        try:
-            guard.check_path(
-                flight.times, flight.q, flight.qd, flight.base, flight.twist, flight.target
-            )
-        except GuardError:
-            found.refused += 1
-            if low >= 0.0 and min(row[0] for row in next(looks(flight, arm, BED)).values()) < 0.0:
-                found.begun += 1
-            elif low >= 0.0:
-                found.false, found.nearly = found.false + 1, max(found.nearly, low)
-        else:
-            found.clear += 1
-            found.missed += low < 0.0
-    return found
+def begin_slack(flight, arm):
+    """Return the least slack at the begin of a path [m]."""
+    return min(row[0] for row in next(looks(flight, arm, BED)).values())
 
 
 @pytest.mark.parametrize(
-    ("n", "paths"),
-    [(2, 100), (7, 50), (4, 300), pytest.param(4, 100_000, marks=pytest.mark.slow)],
+    ("n", "paths"), [(7, 50), (4, 150), pytest.param(4, 100_000, marks=pytest.mark.slow)]
 )
 def test_no_contact_is_missed_and_hardly_any_is_seen_that_is_none(n, paths):
     arm = paper_arm()
     if n != arm.n:  # unlike links, off their lines
         arm = replace(random_arm(n, np.random.default_rng(n)), base=arm.base)
-    found = judged(arm, paths, seed=2026)
+    guard, rng, found = Guard(arm, BED), np.random.default_rng(2026), Counter()
+    for _ in range(paths):
+        flight = random_flight(arm, rng)
+        low, clear = least(flight, arm, BED), is_clear(guard, flight)
+        found["clear" if clear else "refused"] += 1
+        found["missed"] += clear and low < 0.0
+        if not clear and low >= 0.0:
+            begun = begin_slack(flight, arm) < 0.0  # refused for what begins too near
+            found["begun" if begun else "false"] += 1
+            assert begun or low < 1e-4
     print(found)
-    assert found.missed == 0
-    assert min(found.clear, found.refused) > 0.05 * paths
-    assert found.false <= 1e-3 * paths
-    assert found.nearly < 1e-4
+    assert found["missed"] == 0
+    assert min(found["clear"], found["refused"]) > 0.05 * paths
+    assert found["false"] <= 1e-3 * paths
 
 
-@pytest.mark.parametrize("paths", [50, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("paths", [20, pytest.param(2000, marks=pytest.mark.slow)])
 def test_what_grazes_a_margin_is_told_from_what_just_passes(paths):
     """Margins are set to the least gap of each path, 0.1 mm more and 0.1 mm less."""
     arm, rng, tried = paper_arm(), np.random.default_rng(7), 0
     while tried < paths:
         flight = replace(random_flight(arm, rng), target=None)
-        begin = min(row[0] for row in next(looks(flight, arm, BED)).values())
         low = least(flight, arm, BED)
-        if not 0.0 < low < begin - 0.001:
+        if not 0.0 < low < begin_slack(flight, arm) - 0.001:
             continue
         tried += 1
         for by in (low - 1e-4, low + 1e-4):
             s = replace(BED, margin=BED.margin + by, edge_margin=BED.edge_margin + by)
-            given = flight.times, flight.q, flight.qd, flight.base, flight.twist
-            if by < low:
-                Guard(arm, s).check_path(*given)
-            else:
-                with pytest.raises(GuardError):
-                    Guard(arm, s).check_path(*given)
+            assert is_clear(Guard(arm, s), flight) == (by < low)
 
 
 def test_it_names_bodies_joints_distance_and_margin():
@@ -127,21 +111,20 @@ def test_it_says_what_it_guards():
     assert caught.value.guards == (SELF, EDGE, TARGET)
     with pytest.raises(GuardError, match="table edge and gripper"):
         guard.check_posture(q, base=(0.6, 0, 0))
-    assert (
-        Guard(replace(paper_arm(), links=paper_arm().links[:1])).check_posture([0.0]).bodies == ()
-    )
+    alone = replace(paper_arm(), links=paper_arm().links[:1])
+    assert Guard(alone).check_posture([0.0]).bodies == ()
 
 
 def test_the_gripper_may_touch_the_target_and_no_other_body_may():
     guard, q = Guard(paper_arm()), np.zeros(4)
     x, y, heading = tip_pose(paper_arm().vector(), np.zeros(7))
-    for away, fits in ((0.19, True), (0.17, True), (0.15, False)):
-        target = (x + away * np.cos(heading), y + away * np.sin(heading), 0.0)
-        if fits:
-            guard.check_posture(q, (-0.5, 0.0, 0.0), np.array(target) - [0.5, 0.0, 0.0])
-        else:
-            with pytest.raises(GuardError, match="target and gripper"):
-                guard.check_posture(q, (-0.5, 0.0, 0.0), np.array(target) - [0.5, 0.0, 0.0])
+    touching, in_it = (
+        np.array([x - 0.5 + away * np.cos(heading), y + away * np.sin(heading), 0.0])
+        for away in (0.17, 0.15)
+    )
+    guard.check_posture(q, (-0.5, 0.0, 0.0), touching)
+    with pytest.raises(GuardError, match="target and gripper"):
+        guard.check_posture(q, (-0.5, 0.0, 0.0), in_it)
 
 
 def test_who_begins_too_near_may_get_clear_and_not_nearer():
@@ -161,18 +144,14 @@ def test_who_begins_too_near_may_get_clear_and_not_nearer():
 def test_random_paths_that_begin_too_near_pass_if_they_only_get_clearer():
     """A gap may also decrease by the motion of the bodies in the 5 ms between two checks."""
     guard, rng, dips, refusals = Guard(paper_arm()), np.random.default_rng(11), [], []
-    while len(dips) + len(refusals) < 120:
+    while len(dips) + len(refusals) < 30:
         flight = replace(random_flight(guard.arm, rng), target=None)
-        begin = min(row[0] for row in next(looks(flight, guard.arm, BED)).values())
-        if begin >= 0.0 or least(flight, guard.arm, BED) < 0.0:
+        if begin_slack(flight, guard.arm) >= 0.0 or least(flight, guard.arm, BED) < 0.0:
             continue
-        try:
-            guard.check_path(flight.times, flight.q, flight.qd, flight.base, flight.twist)
-            dips.append(shrinks(flight, guard.arm, BED))
-        except GuardError:
-            refusals.append(shrinks(flight, guard.arm, BED))
+        found = dips if is_clear(guard, flight) else refusals
+        found.append(shrinks(flight, guard.arm, BED))
     print(f"{len(dips)} pass, dip {max(dips):.4f}; {len(refusals)} do not, {min(refusals):.4f}")
-    assert min(len(dips), len(refusals)) > 5
+    assert min(len(dips), len(refusals)) > 2
     assert max(dips) < ALLOWED_DECREASE + 0.003
     assert min(refusals) > 0.9 * ALLOWED_DECREASE
 
@@ -198,7 +177,7 @@ def test_drift_is_the_time_to_the_margin():
     assert guard.drift((0.6, 0, 0), (-0.01, 0, 0), q) > 40.0
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_trapezoids_arrive_within_limits_and_brake_to_rest(seed):
     rng = np.random.default_rng(seed)
     q, way, qd = rng.normal(size=(3, 4)) * [[1.0], [0.5], [0.6]]
@@ -250,13 +229,8 @@ def test_many_paths_at_once_are_judged_as_each_alone():
     guard, rng = Guard(paper_arm(), BED), np.random.default_rng(9)
     times = np.cumsum(rng.uniform(0.5, 1.5, (60, 3)), axis=1)
     q, qd = rng.uniform(-1.6, 1.6, (60, 3, 4)), rng.uniform(-0.5, 0.5, (60, 3, 4))
-    base, alone = np.array([0.6, 0.4, 0.3]), []
-    for path in zip(times, q, qd, strict=True):
-        try:
-            guard.check_path(*path, base=base)
-            alone.append(True)
-        except GuardError:
-            alone.append(False)
+    base = np.array([0.6, 0.4, 0.3])
+    alone = [is_clear(guard, Flight(*path, base)) for path in zip(times, q, qd, strict=True)]
     assert 5 < sum(alone) < 55
     assert guard.clear(times, q, qd, base).tolist() == alone
 
@@ -277,13 +251,11 @@ PERIOD, REST = 0.1, 0.01  # of commands [s]; below it a joint is at rest [rad/s]
 
 
 def stopped(seed: int) -> tuple[bool, float, float]:
-    """Let a random stream move an arm whose base is near the edge until that is why it is refused.
+    """Move an arm at random, its base near the edge, until a command is refused for the edge.
 
-    Then the drives brake. Half of the bases drift, half move with their arms alone.
-
-    Returns:
-        Whether it was refused for the edge; the least gap to the edge [m] until all joints rest
-        and, without momentum, ten seconds beyond; the largest joint rate in the end [rad/s].
+    Then the drives brake. Half of the bases drift, half move with their arms alone. Return whether
+    it was refused; the least gap to the edge [m] until all joints rest and, without momentum, ten
+    seconds beyond; the largest joint rate in the end [rad/s].
     """
     rng, arm, drifts = np.random.default_rng(seed), paper_arm(), seed % 2 == 1
     guard = Guard(arm, BED)
@@ -325,7 +297,7 @@ def stopped(seed: int) -> tuple[bool, float, float]:
     return ended, nearest, float(rate)
 
 
-@pytest.mark.parametrize("runs", [4, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [2, pytest.param(100, marks=pytest.mark.slow)])
 def test_the_drifting_base_stops_before_the_edge(runs):
     """If the base keeps drifting, which no arm can stop, the arm rests before the margin."""
     found = islice((run for seed in count() if (run := stopped(seed))[0]), runs)
