@@ -1,6 +1,7 @@
 """A copy of the installed rclpy with other private names, as a later version may have."""
 
 import re
+from compileall import compile_dir
 from pathlib import Path
 
 import rclpy
@@ -33,4 +34,5 @@ def copy_with_renamed_privates(folder):
             copy.write_text(pattern.sub(r"\1_renamed", file.read_text()))
         else:
             copy.symlink_to(file)
+    compile_dir(folder, quiet=1)  # once, not in each process that imports it
     return names
