@@ -121,9 +121,11 @@ def test_the_end(tmp_path, hold, state):
 
 
 def test_it_repeats(tmp_path):
-    bench = Bench(make_bag(tmp_path, 3), rate=0.0, loop=True)
+    bench = Bench(make_bag(tmp_path, 6), rate=0.0, loop=True, start=0.03)
     while len(bench.published) < 9:
         bench.run(1)
+    recorded = [data for *_, data in bench.bags.raw([TOPIC])]
+    assert [data for *_, data in bench.published[:9]] == 3 * recorded[3:]
     assert "repeating from the start" in bench.lines
 
 
