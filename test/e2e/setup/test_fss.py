@@ -290,35 +290,6 @@ def test_a_ros2_that_stays_as_the_parent_of_what_it_runs_is_not_stopped_in_its_p
     assert not Path(f"/proc/{pid}").exists()
 
 
-def wrong_up(laboratory, text, **env):
-    """Run fss_up.sh with a configuration that it must refuse; return its line."""
-    lab = laboratory()
-    lab.config.write_text(text)
-    run = subprocess.run(
-        [SCRIPTS / "fss_up.sh", lab.config],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-        stdin=subprocess.DEVNULL,
-        env=os.environ | env,
-    )
-    assert run.returncode == 1, run.stdout
-    (line,) = run.stderr.splitlines()
-    return line
-
-
-def test_a_configuration_that_exits_is_refused(laboratory):
-    line = wrong_up(laboratory, "exit 0\nnode record fss_arm_bags record\n")
-    assert "lab.sh: stopped before its end" in line
-
-
-@pytest.mark.parametrize("domain", ["abc", "-1", "233", "99999"])
-def test_a_wrong_domain_is_refused(laboratory, domain):
-    line = wrong_up(laboratory, "node record fss_arm_bags record\n", ROS_DOMAIN_ID=domain)
-    assert f"ROS_DOMAIN_ID is '{domain}', expected a whole number from 0 to 232" in line
-
-
 def test_two_laboratories_do_not_share_a_domain(laboratory, tmp_path):
     node = f"node record fss_arm_bags record --ros-args -p output:={tmp_path / 'bags'}"
     first = laboratory(node)

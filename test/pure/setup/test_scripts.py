@@ -1,4 +1,7 @@
-"""The shell scripts: what they leave in a shell, and the one line that every failure ends in."""
+"""The shell scripts: what they leave in a shell, and the one line that every failure ends in.
+
+test_setup.py has those of setup.sh.
+"""
 
 import fcntl
 import os
@@ -72,7 +75,7 @@ BARE = {"PATH": "/usr/local/bin:/usr/bin:/bin", "HOME": "/nonexistent"}
 SOURCE = f". {ROOT}/scripts/env.sh"
 
 
-@pytest.mark.parametrize("options", ["", "set -u; ", "set -e; ", "set -eu; "])
+@pytest.mark.parametrize("options", ["", "set -eu; "])
 @pytest.mark.parametrize("shell", SHELLS)
 def test_env_leaves_the_shells_options_alone(shell, options):
     program = f'{options}before=$-; {SOURCE}; echo "<$before> <$->"; set | grep ^_fss || true'
@@ -197,37 +200,12 @@ def test_units_of_two_vehicles_are_told_apart(tmp_path):
     assert 'Environment="FSS_NAMESPACE=fss2"' in unit
 
 
-@pytest.mark.parametrize("command", [["fss_status.sh"], ["fss_arm.sh", "stop"]])
+@pytest.mark.parametrize("command", ["fss_up.sh", "fss_status.sh", "fss_arm.sh stop"])
 def test_a_configuration_that_is_nowhere_is_named(command):
-    script, *words = command
-    run = subprocess.run(
-        [ROOT / "scripts" / script, *words, "/nowhere/at/all.sh"], capture_output=True, text=True
-    )
-    assert run.returncode == 1
-    assert run.stderr == f"{script}: /nowhere/at/all.sh: no such configuration\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "has no node"),
-        ("node", "node '': expected letters"),
-        ("node a-b p x", "node 'a-b': expected letters"),
-        ("node a p", "node a: expected NAME PACKAGE EXECUTABLE"),
-        ("node a p x; node a p y", "node a is defined twice"),
-        ("node a p x", "node a: there is no executable 'x' in a package 'p'"),
-        (None, "no such configuration"),
-    ],
-)
-def test_a_wrong_configuration_ends_in_one_line(tmp_path, text, words):
-    config = tmp_path / "lab.sh"
-    if text is not None:
-        config.write_text(f"FSS_LOGS={tmp_path}/logs\n{text}\n")
-    shown = run("scripts/fss_up.sh", config, cwd=ROOT)
-    assert (shown.returncode, shown.stdout) == (1, "")
-    assert shown.stderr.startswith("fss_up.sh: ")
-    assert words in shown.stderr
-    assert shown.stderr.count("\n") == 1
+    name, *words = command.split()
+    shown = run(ROOT / "scripts" / name, *words, "/nowhere/at/all.sh")
+    assert shown.returncode == 1
+    assert shown.stderr == f"{name}: /nowhere/at/all.sh: no such configuration\n"
 
 
 VEHICLES = """
@@ -264,48 +242,67 @@ def test_nodes_are_in_the_namespace_of_their_vehicle(tmp_path, config, vehicle, 
 
 
 @pytest.mark.parametrize(
-    ("config", "vehicle", "words"),
+    ("text", "vehicle", "words"),
     [
+        ("", "", "has no node"),
+        ("node", "", "node '': expected letters"),
+        ("node a-b p x", "", "node 'a-b': expected letters"),
+        ("node a p", "", "node a: expected NAME PACKAGE EXECUTABLE"),
+        ("node a p x; node a p y", "", "node a is defined twice"),
+        ("node a p x", "", "node a: there is no executable 'x' in a package 'p'"),
+        ("exit 0", "", "lab.sh: stopped before its end"),
+        *(
+            (
+                f"ROS_DOMAIN_ID={domain}\nnode record fss_arm_bags record",
+                "",
+                f"ROS_DOMAIN_ID is '{domain}', expected a whole number from 0 to 232",
+            )
+            for domain in ("abc", "-1", "233")
+        ),
         (VEHICLES, "fss3", "has no node in the namespace fss3"),
         ("FSS_NAMESPACE=2nd; node a p x", "", "FSS_NAMESPACE is '2nd', expected the name of"),
         ("FSS_NAMESPACE=a-b; node a p x", "", "FSS_NAMESPACE is 'a-b', expected letters"),
     ],
 )
-def test_a_wrong_namespace_ends_in_one_line(tmp_path, config, vehicle, words):
-    (tmp_path / "lab.sh").write_text(f"FSS_LOGS={tmp_path}/logs\n{config}\n")
+def test_a_wrong_configuration_ends_in_one_line(tmp_path, text, vehicle, words):
+    (tmp_path / "lab.sh").write_text(f"FSS_LOGS={tmp_path}/logs\n{text}\n")
     option = ["--vehicle", vehicle] if vehicle else []
     shown = run("scripts/fss_up.sh", *option, tmp_path / "lab.sh", cwd=ROOT)
     assert (shown.returncode, shown.stdout) == (1, "")
+    assert shown.stderr.startswith("fss_up.sh: ")
     assert words in shown.stderr
     assert shown.stderr.count("\n") == 1
 
 
-def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_path):
-    status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
-    processes = status["Processes"](tmp_path, ["links", "arm"], ["vicon"])
-    ok = DiagnosticStatus(name="arm", level=DiagnosticStatus.OK, message="all is well")
-    listener = SimpleNamespace(reports={"arm": ok}, report={"arm": ok}.get)
-    screen = StringIO()
-    console = Console(file=screen, width=120)
-    with ExitStack() as files:
-        for name in ("links", "arm", "vicon"):
-            fcntl.flock(files.enter_context((tmp_path / f"{name}.node").open("w")), fcntl.LOCK_EX)
-        console.print(status["nodes"](processes, listener))
-    shown = {line.split()[0]: line for line in screen.getvalue().splitlines() if line.strip()}
-    assert "runs, but no node of this name reports" in shown["links"]
-    assert shown["arm"].rstrip().endswith("all is well")
-    assert "runs, but" not in shown["vicon"]
+@pytest.fixture
+def status(monkeypatch) -> dict[str, Any]:
+    """The names of fss_status.py."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", "64")
+    return runpy.run_path(str(ROOT / "scripts/fss_status.py"))
 
 
-def shown(status: dict[str, Any], processes: Any, listener: Any) -> list[str]:
-    """The lines of fss_status.sh, as a terminal of 80 columns has them."""
+def lines_of(shown: Any, width: int = 80) -> list[str]:
+    """Return the lines that something has on a terminal of this width."""
     screen = StringIO()
-    Console(file=screen, width=80).print(status["screen"](processes, listener))
+    Console(file=screen, width=width).print(shown)
     return [line.strip() for line in screen.getvalue().splitlines() if line.strip()]
 
 
-def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path):
-    status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
+def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_path, status):
+    processes = status["Processes"](tmp_path, ["links", "arm"], ["vicon"])
+    ok = DiagnosticStatus(name="arm", level=DiagnosticStatus.OK, message="all is well")
+    listener = SimpleNamespace(reports={"arm": ok}, report={"arm": ok}.get)
+    with ExitStack() as files:
+        for name in ("links", "arm", "vicon"):
+            fcntl.flock(files.enter_context((tmp_path / f"{name}.node").open("w")), fcntl.LOCK_EX)
+        lines = lines_of(status["nodes"](processes, listener), 120)
+    shown = {line.split()[0]: line for line in lines}
+    assert "runs, but no node of this name reports" in shown["links"]
+    assert shown["arm"].endswith("all is well")
+    assert "runs, but" not in shown["vicon"]
+
+
+def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path, status):
     kinds = {"/fss2/link_1/telemetry": LinkTelemetry, "/fss2/joint_states": JointState}
     heard = {topic: status["Received"](kind) for topic, kind in kinds.items()}
     link = LinkTelemetry(link=1, armed=True, position=1, flags=8, current=-120, battery=165)
@@ -316,20 +313,20 @@ def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path):
     heard["/fss2/link_1/telemetry"].add(serialize_message(link))
     listener = SimpleNamespace(measured=heard, results={}, reports={})
     listener.angles = partial(status["Listener"].angles, listener)
-    lines = shown(status, status["Processes"](tmp_path, [], []), listener)
+    shown = status["screen"](status["Processes"](tmp_path, [], []), listener)
+    lines = lines_of(shown)
     row = next(line for line in lines if line.startswith("fss2/link_1")).split()
     assert row[:5] == ["fss2/link_1", "armed", "-12.3", "-1.20", "16.5"]
 
 
-def test_a_failed_node_says_why_and_events_are_those_of_this_session(tmp_path, monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "64")
-    status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
+def test_a_failed_node_says_why_and_events_are_those_of_this_session(tmp_path, status):
     (tmp_path / "link.keep").write_text("failed\n")
     (tmp_path / "link.log").write_text("[INFO] begins\nlink: the port is taken\n\n")
     events = ["old link failed", "nodes are started: link", "link failed (1)"]
     (tmp_path / "events.log").write_text("\n".join(events) + "\n")
     listener = SimpleNamespace(measured={}, results={}, reports={}, report={}.get)
-    lines = shown(status, status["Processes"](tmp_path, ["link"], []), listener)
+    shown = status["screen"](status["Processes"](tmp_path, ["link"], []), listener)
+    lines = lines_of(shown)
     assert any(re.fullmatch(r"link +failed +link: the port is taken", line) for line in lines)
     assert lines[-2:] == events[1:]
     assert "no node reports in ROS domain 64" in lines
@@ -419,109 +416,3 @@ def test_two_workspaces_stand_ins_do_not_call_each_other(tmp_path):
     other = script(tmp_path / "other/ros2", STAND_IN.read_text())
     env = BARE | {"PATH": f"{STAND_IN.parent}:{BARE['PATH']}:{other.parent}"}
     assert run("timeout", "10", other, "topic", "list", env=env).returncode == 1
-
-
-# --- setup.sh ------------------------------------------------------------------------------------
-
-
-class Machine:
-    """A copy of the scripts, on a machine whose commands a test can take the place of."""
-
-    def __init__(self, folder: Path) -> None:
-        self.root, self.bin = folder / "workspace", folder / "bin"
-        shutil.copytree(ROOT / "scripts", self.root / "scripts")
-        self.bin.mkdir()
-        environment = {k: v for k, v in os.environ.items() if k not in {"ROS_DISTRO", "PYTHONPATH"}}
-        self.env = environment | {"PATH": f"{self.bin}:{os.environ['PATH']}"}
-
-    def replace(self, command: str, text: str) -> None:
-        script(self.bin / command, text)
-
-    def setup(self, *arguments: str, **env: str) -> str:
-        """The one line that the set-up ends in; it must end with an exit code that is not 0."""
-        shown = run(self.root / "scripts/setup.sh", *arguments, env=self.env | env)
-        assert shown.returncode == 1
-        assert shown.stdout == ""
-        last = [line for line in shown.stderr.splitlines() if "making .venv" not in line]
-        assert len(last) == 1, shown.stderr
-        return last[0]
-
-
-@pytest.fixture
-def machine(tmp_path: Path) -> Machine:
-    return Machine(tmp_path)
-
-
-def test_a_path_with_spaces_is_refused(tmp_path):
-    folder = tmp_path / "with space"
-    folder.mkdir()
-    assert "does not support spaces" in Machine(folder).setup()
-
-
-def test_the_wheels_own_environment_is_no_distribution(tmp_path):
-    """env.sh says that ROS is jazzy, for tools that ask; set-up stays with the wheels."""
-    text = (ROOT / "scripts/setup.sh").read_text()
-    probe = re.search(r"^DISTRIBUTION='\n(.*?)^'", text, re.M | re.S)
-    assert probe
-    assert run(ROOT / ".venv/bin/python", "-c", probe[1]).returncode == 1
-    rclpy = script(tmp_path / "rclpy/__init__.py", "")
-    env = BARE | {"PYTHONPATH": str(rclpy.parents[1])}
-    assert run("/usr/bin/python3", "-c", probe[1], env=env).returncode == 0
-
-
-def test_what_the_set_up_does_not_support_is_refused(machine):
-    assert "usage: scripts/setup.sh" in machine.setup("--fast")
-    assert machine.setup(ROS_DISTRO="humble").startswith("setup: ROS 2 humble is sourced")
-
-
-INSTALL = "install with: sudo apt-get .*--no-install-recommends"
-
-
-@pytest.mark.parametrize(
-    ("command", "text", "words"),
-    [
-        ("uname", "echo Linux aarch64", "source a ROS 2 Jazzy"),
-        ("df", "echo; echo /dev/x 9 9 102400 9% /", "too little disk: 100 MB are free"),
-        ("c++", "exit 127", rf"^setup: missing: a C\+\+ compiler; {INSTALL} g\+\+$"),
-        ("make", "exit 127", f"^setup: missing: make; {INSTALL} make$"),
-        ("cmake", "exit 127", f"^setup: missing: CMake 3.20 or later; {INSTALL} cmake$"),
-        ("cmake", "echo cmake version 3.9.6", "missing: CMake 3.20 or later"),
-    ],
-)
-def test_what_a_machine_lacks_is_named_with_the_next_step(machine, command, text, words):
-    machine.replace("id", "echo 1000")
-    machine.replace("apt-get", "exit 1")
-    machine.replace(command, text)
-    assert re.search(words, machine.setup())
-
-
-def test_root_installs_and_says_so(machine):
-    machine.replace("make", "exit 127")
-    machine.replace("id", "echo 0")
-    machine.replace("apt-get", 'echo "$*" >>"$(dirname "$0")/calls"; echo noise; exit 0')
-    shown = run(machine.root / "scripts/setup.sh", env=machine.env)
-    assert shown.returncode == 1
-    assert [line.partition(";")[0] for line in shown.stderr.splitlines()] == [
-        "setup: missing: make",
-        "setup: after the installation still missing: make",
-    ]
-    assert (machine.bin / "calls").read_text() == (
-        "update\ninstall -y --no-install-recommends make\n"
-    )
-
-
-@pytest.mark.slow
-def test_no_network_is_named_without_addresses(machine):
-    line = machine.setup(
-        PIP_INDEX_URL="http://127.0.0.1:9/simple", PIP_RETRIES="1", PIP_FIND_LINKS=""
-    )
-    assert "index cannot be reached" in line
-    assert "127.0.0.1" not in line
-    assert not (machine.root / ".venv/.stamp").exists()
-
-
-@pytest.mark.slow
-def test_a_missing_wheel_is_named(machine):
-    line = machine.setup(PIP_NO_INDEX="1", PIP_FIND_LINKS="")
-    assert line.startswith("setup: there is no wheel of setuptools==")
-    assert "for Python 3.1" in line

@@ -1,4 +1,4 @@
-"""setup.sh and env.sh with a sourced ROS 2 Jazzy: a folder takes the place of /opt/ros/jazzy."""
+"""setup.sh: what a machine lacks, and a sourced ROS 2 Jazzy, whose place a folder takes."""
 
 import os
 import re
@@ -76,6 +76,9 @@ class Machine:
         leave = shutil.ignore_patterns("__pycache__", "*.egg-info")
         shutil.copytree(ROOT / name, self.root / name, ignore=leave)
 
+    def replace(self, command, text):
+        write_script(self.bin / command, text)
+
     def run(self, *commands, **env):
         """Run commands in one bash, in the workspace."""
         return subprocess.run(
@@ -86,10 +89,88 @@ class Machine:
             text=True,
         )
 
+    def setup(self, arguments="", **env):
+        """Run the set-up, which must fail; return the lines that it ends in."""
+        ended = self.run(f"scripts/setup.sh {arguments}", **env)
+        assert (ended.returncode, ended.stdout) == (1, "")
+        return [line for line in ended.stderr.splitlines() if "making .venv" not in line]
+
 
 @pytest.fixture
 def machine(tmp_path):
     return Machine(tmp_path)
+
+
+def test_a_path_with_spaces_is_refused(tmp_path):
+    assert "does not support spaces" in Machine(tmp_path / "with space").setup()[-1]
+
+
+def test_what_the_set_up_does_not_support_is_refused(machine):
+    assert "usage: scripts/setup.sh" in machine.setup("--fast")[-1]
+    assert machine.setup(ROS_DISTRO="humble")[-1].startswith("setup: ROS 2 humble is sourced")
+
+
+@pytest.mark.parametrize(
+    ("command", "text", "words"),
+    [
+        ("uname", "echo Linux aarch64", "source a ROS 2 Jazzy"),
+        ("df", "echo; echo /dev/x 9 9 102400 9% /", "too little disk: 100 MB are free"),
+        (
+            "c++",
+            "exit 127",
+            r"^setup: missing: a C\+\+ compiler; install with: sudo apt-get .*"
+            r"--no-install-recommends g\+\+$",
+        ),
+        ("cmake", "echo cmake version 3.9.6", "missing: CMake 3.20 or later"),
+    ],
+)
+def test_what_a_machine_lacks_is_named_with_the_next_step(machine, command, text, words):
+    machine.replace("id", "echo 1000")
+    machine.replace("apt-get", "exit 1")
+    machine.replace(command, text)
+    (line,) = machine.setup()
+    assert re.search(words, line)
+
+
+def test_root_installs_and_says_so(machine):
+    machine.replace("make", "exit 127")
+    machine.replace("id", "echo 0")
+    machine.replace("apt-get", 'echo "$*" >>"$(dirname "$0")/calls"; echo noise; exit 0')
+    assert [line.partition(";")[0] for line in machine.setup()] == [
+        "setup: missing: make",
+        "setup: after the installation still missing: make",
+    ]
+    assert (machine.bin / "calls").read_text() == (
+        "update\ninstall -y --no-install-recommends make\n"
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            {"PIP_INDEX_URL": "http://127.0.0.1:9/simple", "PIP_RETRIES": "1"},
+            r"setup: (?!.*127\.0\.0\.1).*index cannot be reached.*",
+        ),
+        ({"PIP_NO_INDEX": "1"}, r"setup: there is no wheel of setuptools==.* for Python 3\.1.*"),
+    ],
+)
+def test_wheels_that_cannot_be_had_are_named_without_addresses(machine, given, said):
+    (line,) = machine.setup(PIP_FIND_LINKS="", **given)
+    assert re.fullmatch(said, line)
+    assert not (machine.root / ".venv/.stamp").exists()
+
+
+def test_the_wheels_own_environment_is_no_distribution(tmp_path):
+    """env.sh says that ROS is jazzy, for tools that ask; set-up stays with the wheels."""
+    text = (ROOT / "scripts/setup.sh").read_text()
+    (probe,) = re.findall(r"^DISTRIBUTION='\n(.*?)^'", text, re.M | re.S)
+    command = [VENV / "bin/python", "-c", probe]
+    assert subprocess.run(command, capture_output=True).returncode == 1
+    write_script(tmp_path / "rclpy/__init__.py", "")
+    env = {"PYTHONPATH": str(tmp_path)}
+    assert subprocess.run(["/usr/bin/python3", "-c", probe], env=env).returncode == 0
 
 
 @pytest.fixture
@@ -102,7 +183,17 @@ def empty(tmp_path):
     return distribution
 
 
+#: Answers the set-up's question for a Python by itself, and leaves pip to the Python below, if it
+#: has one: then the environment takes a second.
+QUICK_VENV = """
+case $2 in *_base_executable*) echo "$0"; exit ;; esac
+[ "$2" != venv ] || ! {python} -c "import pip" || set -- "$@" --without-pip
+exec {python} "$@"
+"""
+
+
 def test_the_environment_is_put_on_top_of_the_distribution(machine, empty):
+    machine.replace("python3", QUICK_VENV.format(python=os.path.realpath(sys.executable)))
     pins = machine.root / "scripts/requirements-jazzy.txt"
     pins.write_text(re.sub("^setuptools==.*", "setuptools==0.1", pins.read_text(), flags=re.M))
     ended = machine.run(f". {empty.prefix}/setup.bash", "scripts/setup.sh", **NO_WHEELS)
@@ -122,8 +213,8 @@ def test_packages_are_looked_for_in_every_prefix(machine, empty, tmp_path):
     for name in ("control_msgs", "tf2_msgs"):
         (empty.prefix / PACKAGES / name).unlink()
     overlay.add_packages("control_msgs")
-    write_script(machine.bin / "id", "echo 1000")
-    write_script(machine.bin / "apt-get", "exit 1")
+    machine.replace("id", "echo 1000")
+    machine.replace("apt-get", "exit 1")
     both = f"export AMENT_PREFIX_PATH={overlay.prefix}:{empty.prefix}"
     ended = machine.run(f". {empty.prefix}/setup.bash", both, "scripts/setup.sh")
     assert ended.stderr == (
@@ -135,7 +226,7 @@ def test_packages_are_looked_for_in_every_prefix(machine, empty, tmp_path):
 
 def test_a_distribution_without_rclpy_is_left_for_the_wheels(machine, empty):
     shutil.rmtree(empty.python_path / "rclpy")
-    write_script(machine.bin / "uname", "echo Linux aarch64")  # for which there are no wheels
+    machine.replace("uname", "echo Linux aarch64")  # for which there are no wheels
     ended = machine.run(f". {empty.prefix}/setup.bash", "scripts/setup.sh")
     first, last = ended.stderr.splitlines()
     assert first == "setup: ROS_DISTRO is jazzy, but no Python here can import rclpy: using wheels"
