@@ -81,21 +81,12 @@ UNDEFINED = Heard("/text", "std_msgs/msg/String", "", hash=definition("std_msgs/
 #: ... the feedback of an action, by `--include-hidden-topics`; and the events of services, one
 #: without and one with a type of a message in it.
 FEEDBACK = Heard("/arm/move/_action/feedback", "fss_arm_msgs/action/MoveArm_FeedbackMessage", "")
-EVENTS = (
-    Heard(
-        "/link_1/arm/_service_event",
-        "std_srvs/srv/SetBool_Event",
-        "unknown",
-        SET_BOOL,
-        of="std_srvs/srv/SetBool",
-    ),
-    Heard(
-        "/mode/_service_event",
-        "other/srv/SetMode_Event",
-        "ros2msg",
-        SET_MODE,
-        of="other/srv/SetMode",
-    ),
+EVENTS = tuple(
+    Heard(f"{service}/_service_event", f"{kind}_Event", encoding, text, of=kind)
+    for service, kind, encoding, text in (
+        ("/link_1/arm", "std_srvs/srv/SetBool", "unknown", SET_BOOL),
+        ("/mode", "other/srv/SetMode", "ros2msg", SET_MODE),
+    )
 )
 
 
@@ -104,7 +95,7 @@ class Standard:
     """How a bag is recorded: joint states 10 ms apart, and a message of each other topic."""
 
     storage: str = "mcap"
-    preset: str = ""  # of MCAP: zstd_fast, zstd_small, fastwrite; of SQLite: resilient
+    preset: str = ""  # of MCAP: zstd_fast, fastwrite; of SQLite: resilient
     mode: str = ""  # of compression: file or message
     each: int = 30  # joint states a file
     files: int = 1

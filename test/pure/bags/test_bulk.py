@@ -50,9 +50,8 @@ def swap_bytes(data: bytes) -> bytes:
     return b"\0\0\0\0" + struct.pack(">iII", *head) + data[16:28] + struct.pack(">7d", *numbers)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_batch_decoding_equals_single_decoding_bit_for_bit(seed):
-    messages = serialized(seed)
+def test_batch_decoding_equals_single_decoding_bit_for_bit():
+    messages = serialized(0)
     found = poses(messages)
     stamps, decoded = one_by_one(messages)
     assert found.stamp.tolist() == stamps

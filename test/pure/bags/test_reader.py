@@ -82,10 +82,6 @@ def test_several_paths_are_read_as_one(tmp_path):
     late, early = make_bag(tmp_path / "a", 10, first=10), make_bag(tmp_path / "b", 10)
     with open_bags([late, early / "bag_0.mcap"]) as bags:
         assert states(bags.messages()) == list(range(20))
-
-
-def test_a_missing_topic_has_no_messages(tmp_path):
-    with open_bags(make_bag(tmp_path)) as bags:
         assert list(bags.raw(["/no_such"])) == []
 
 
@@ -132,32 +128,22 @@ def test_a_file_cut_anywhere_keeps_its_complete_chunks(tmp_path):
         shutil.rmtree(bag)
 
 
-def test_zeros_at_the_end_as_after_a_loss_of_power(tmp_path):
-    bag = make_killed_bag(tmp_path)
-    with (bag / "bag_0.mcap").open("ab") as stream:
-        stream.write(bytes(4096))
-    with open_bags(bag) as bags:
-        assert states(bags.messages()) == list(range(100))
-
-
 def test_repair_makes_a_standard_bag_and_keeps_the_damaged_file(tmp_path):
+    """The file ends in zeros, as after a loss of power."""
     bag = make_killed_bag(tmp_path)
-    before = (bag / "bag_0.mcap").read_bytes()
+    before = (bag / "bag_0.mcap").read_bytes() + bytes(4096)
+    (bag / "bag_0.mcap").write_bytes(before)
     assert not is_sound(bag)
     recovered = repair(bag)
     assert recovered is not None
     assert recovered.messages == 101
     assert (bag / "bag_0.mcap.damaged").read_bytes() == before
-    assert sorted(p.name for p in bag.iterdir()) == [
-        "bag_0.mcap",
-        "bag_0.mcap.damaged",
-        "metadata.yaml",
-    ]
+    files = {p.name for p in bag.iterdir()}
+    assert files == {"bag_0.mcap", "bag_0.mcap.damaged", "metadata.yaml"}
     with Reader(bag) as reader:
         assert reader.message_count == 101
-        assert [c.ext.offered_qos_profiles for c in reader.connections if "joint" in c.topic] == [
-            [bag_qos(SENSOR)]
-        ]
+        (joints,) = (c for c in reader.connections if c.topic == "/joint_states")
+        assert joints.ext.offered_qos_profiles == [bag_qos(SENSOR)]
     assert repair(bag) is None
     with open_bags(tmp_path) as bags:
         assert states(bags.messages()) == list(range(100))
@@ -187,11 +173,7 @@ def test_repair_of_a_bag_whose_files_have_other_names(tmp_path, monkeypatch, pla
         monkeypatch.setattr("fss_arm_bags.doctor.repair.link", no_link)
     assert repair(bag).messages == 102
     assert [(bag / f"bag_{part}.mcap.damaged").read_bytes() for part in range(2)] == before
-    assert {p.name for p in bag.glob("[!m]*")} == {
-        "bag_0.mcap",
-        "bag_0.mcap.damaged",
-        "bag_1.mcap.damaged",
-    }
+    assert not (bag / "bag_1.mcap").exists()
     assert is_sound(bag)
     assert digest(bag) == digest(bag / "bag_0.mcap")
     with open_bags(bag) as bags:
@@ -248,6 +230,8 @@ def test_a_bag_still_being_recorded_is_not_repaired(tmp_path, capsys):
     said = capsys.readouterr().err
     assert said == f"doctor: {recording.path}: is being recorded; stop the recorder first\n"
     assert doctor([str(tmp_path)]) == 2  # reading is possible
+    with open_bags(recording.path) as bags:
+        assert states(bags.messages()) == list(range(40))
     recording.close()
     assert is_sound(recording.path)
     assert not list(recording.path.glob("*.damaged"))
@@ -274,19 +258,6 @@ def test_invalid_paths_are_named(tmp_path):
         open_bags([])
 
 
-def test_damaged_chunks_are_left_out_and_named(tmp_path):
-    bag = make_bag(tmp_path)
-    file = bag / "bag_0.mcap"
-    _, chunks = chunk_ends(file)
-    overwrite_with_zeros(file, chunks[0] + 200, chunks[2])
-    with open_bags(bag) as bags:
-        assert states(bags.messages()) == [*range(10), *range(30, 100)]
-        (recovered,) = bags.recovered
-    assert recovered.messages == 81
-    assert recovered.damage.startswith("its data are damaged, 20 messages are missing, ")
-    assert "byte" in recovered.damage
-
-
 def test_no_repair_is_advised_if_nothing_can_be_recovered(tmp_path, capsys):
     file = make_bag(tmp_path) / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:100])
@@ -299,17 +270,20 @@ def test_the_advised_repair_of_a_damaged_bag_works(tmp_path, capsys, chunks):
     bag = make_bag(tmp_path)
     make_bag(tmp_path, 10, first=100)
     first, last = chunks
-    _, ends = chunk_ends(bag / "bag_0.mcap")
-    overwrite_with_zeros(
-        bag / "bag_0.mcap", ends[first] - 300, ends[last] - 100
-    )  # and everything between them
+    kept = [k for k in range(110) if not 10 * first <= k < 10 * (last + 1)]
+    _, ends = chunk_ends(bag / "bag_0.mcap")  # of these chunks and of what is between them
+    overwrite_with_zeros(bag / "bag_0.mcap", ends[first] - 300, ends[last] - 100)
     before = {file.name: file.read_bytes() for file in bag.iterdir()}
+    with open_bags(bag) as bags:
+        assert states(bags.messages()) == [k for k in kept if k < 100]
+        (recovered,) = bags.recovered
+    lost = f"its data are damaged, {101 - recovered.messages} messages are missing, "
+    assert recovered.damage.startswith(lost if first else "its data are damaged")
     assert doctor([str(tmp_path)]) == 2
     assert "repair it with doctor --repair" in capsys.readouterr().out
     doctor([str(tmp_path), "--repair"])
     said = capsys.readouterr()
     assert said.err == ""
-    kept = [k for k in range(110) if not 10 * first <= k < 10 * (last + 1)]
     count = len(kept) - 10 + (first > 0)  # the text is in the first chunk
     assert re.search(f"repaired: {bag}: {count} messages recovered, [1-9]", said.out)
     assert {name: (bag / f"{name}.damaged").read_bytes() for name in before} == before
@@ -324,9 +298,8 @@ def test_the_advised_repair_of_a_damaged_bag_works(tmp_path, capsys, chunks):
 def test_messages_of_a_lost_type_count_as_lost(tmp_path, capsys):
     bag = make_killed_bag(tmp_path, 30)
     _, ends = chunk_ends(bag / "bag_0.mcap")
-    overwrite_with_zeros(
-        bag / "bag_0.mcap", ends[0] - 300, ends[0]
-    )  # the only chunk with schemas and channels
+    # The first chunk is the only one with schemas and channels.
+    overwrite_with_zeros(bag / "bag_0.mcap", ends[0] - 300, ends[0])
     with open_bags(bag) as bags:
         assert list(bags.raw()) == []
         (recovered,) = bags.recovered
@@ -350,14 +323,6 @@ def test_doctor_reports_and_sets_its_exit_code(tmp_path, capsys):
     assert doctor([str(bad)]) == 0
     assert doctor([str(tmp_path / "none")]) == 1
     assert "no such file" in capsys.readouterr().err
-
-
-def test_a_bag_still_being_recorded_can_be_read(tmp_path):
-    recording = Recording(tmp_path)
-    fill(recording, 45)
-    with open_bags(recording.path) as bags:
-        assert states(bags.messages()) == list(range(40))
-    recording.close()
 
 
 @pytest.mark.parametrize("limits", [Limits(size=20_000), Limits(span=SECOND)])

@@ -15,7 +15,6 @@ OPTIONS = {
     "mcap": Standard(),
     "fastwrite": Standard(preset="fastwrite"),
     "zstd_fast": Standard(preset="zstd_fast"),
-    "zstd_small": Standard(preset="zstd_small"),
     "mcap, each file packed": Standard(mode="file"),
     "sqlite3": Standard("sqlite3"),
     "sqlite3, each file packed": Standard("sqlite3", mode="file"),
@@ -31,14 +30,13 @@ def options(request):
     return request.param
 
 
-@pytest.mark.parametrize("files", [1, 3])
-def test_standard_bags_are_read_and_healthy(options, tmp_path, capsys, files):
-    bag = replace(options, files=files, others=(SILENT,)).record(tmp_path / "bag")
+def test_standard_bags_are_read_and_healthy(options, tmp_path, capsys):
+    bag = replace(options, files=3, others=(SILENT,)).record(tmp_path / "bag")
     with open_bags(bag) as bags:
         assert not bags.recovered
         assert not bags.left_out
-        assert states(bags.messages()) == list(range(30 * files))
-        assert bags.topics[JOINTS.name].messages == 30 * files
+        assert states(bags.messages()) == list(range(90))
+        assert bags.topics[JOINTS.name].messages == 90
         assert bags.topics[JOINTS.name].hash == JOINTS.hash
     assert doctor([str(bag)]) == 2
     wrong = [line for line in capsys.readouterr().out.splitlines() if line.startswith("/")]
@@ -69,18 +67,17 @@ def test_only_topics_that_cannot_be_decoded_are_left_out(options, tmp_path, caps
     assert f"{FEEDBACK.name} is left out" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("others", [(), (UNDEFINED, *LEFT_OUT)], ids=["", "others"])
-def test_a_bag_is_read_after_a_kill(options, tmp_path, capsys, others):
-    bag = replace(options, files=3, killed=True, others=others).record(tmp_path / "bag")
+def test_a_bag_is_read_after_a_kill(options, tmp_path, capsys):
+    others = (UNDEFINED, *LEFT_OUT)
+    bag = replace(options, files=2, killed=True, others=others).record(tmp_path / "bag")
     with open_bags(bag) as bags:
         (recovered,) = bags.recovered
         read = states(bags.messages())
-        assert (UNDEFINED.name in bags.topics) == bool(others)
-        assert not any(one.name in bags.topics for one in LEFT_OUT)
+        assert set(bags.topics) == {JOINTS.name, UNDEFINED.name}
     assert recovered.path == bag
     assert "it has no metadata.yaml" in str(recovered) or "without an index" in str(recovered)
     assert read == list(range(len(read)))
-    assert len(read) == 90 if options.storage == "sqlite3" else 60 < len(read) <= 90
+    assert len(read) == 60 if options.storage == "sqlite3" else 30 < len(read) <= 60
     assert doctor([str(bag)]) == 2
     can_repair = options.storage == "mcap" and not options.mode
     advice = "doctor --repair" if can_repair else "ros2 bag reindex"

@@ -16,7 +16,6 @@ from fss_arm_ros.convert import (
     joint_readings,
     planar_pose,
     pose_stamped,
-    seconds,
     stamp_ns,
     to_time,
 )
@@ -42,10 +41,6 @@ def test_a_joint_of_thousands_of_digits_is_another_arms():
     message = JointState(name=["joint_" + 5000 * "1", "joint_" + 5000 * "0" + "2"])
     message.position = [0.1, 0.2]
     assert [i for i, *_ in joint_readings(message)] == [111_111_111, 0]
-
-
-def test_seconds():
-    assert seconds(1_500_000_000) == 1.5
 
 
 @given(st.floats(-4, 4), st.floats(-4, 4), st.floats(-pi, pi, exclude_min=True))
