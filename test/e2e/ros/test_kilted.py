@@ -31,7 +31,7 @@ def copy_for_kilted(folder):
     )
     for name in listed.stdout.splitlines():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / name, folder / name)
+        shutil.copy(ROOT / name, folder / name, follow_symlinks=False)
     pins = folder / "scripts/requirements.txt"
     others = [line for line in pins.read_text().splitlines() if not line.startswith("ros-")]
     pins.write_text("\n".join([*others, PINS.read_text()]))
