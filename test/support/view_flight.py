@@ -35,7 +35,7 @@ def trapezoid(t, begin, angle, rate=0.5, acceleration=1.0):
 class Flight:
     """Joints that follow trapezoidal profiles, and a floating base with an initial twist."""
 
-    def __init__(self, arm, twist=(0.0, 0.0, 0.0), end=8.0):
+    def __init__(self, arm, twist=(0.0, 0.0, 0.0), end=6.0):
         p, n = arm.vector(), arm.n
         self.t = np.arange(0.0, end, STEP)
         angles = [radians(60), -radians(45), radians(30), -radians(20)]

@@ -117,7 +117,10 @@ def test_published_messages_are_shown(spin, flight, tmp_path):
         telemetry.publish(LinkTelemetry(link=2, sequence=sequence, current=120))
     stops.publish(Empty())
     thrust.publish(ThrusterCommand(on_time=[0.0, 9.0, *[0.0] * 6]))
-    mission.publish(MissionState(mission="capture", phase="reach"))
+    path = [0.5, 0.0, 0.0, 1.0, 0.5, 1.0]
+    mission.publish(MissionState(mission="capture", phase="reach", path=path, keep_out=0.6))
+    point = MultiDOFJointTrajectoryPoint(transforms=[Transform()])
+    base_path.publish(MultiDOFJointTrajectory(points=[point]))
     target.publish(pose_stamped(1, "world", (1.0, 1.0, 0.0)))
     dynamic.publish(
         DynamicCalibration(calibration=Calibration(verdict="fail", reason="no maneuvers"))
@@ -127,7 +130,10 @@ def test_published_messages_are_shown(spin, flight, tmp_path):
     )
     bench.play(400)
     spin([node, bench], lambda: node.own.losses[2].share)
-    spin([node, bench], lambda: {"thrusters", "target"} <= set(node.legend.names))
+    names, now = {"thrusters", "target", "path planned"}, node.own.scene.mission
+    spin([node, bench], lambda: names <= set(node.legend.names))
+    spin([node, bench], lambda: now.path(node.own.t) == [(0.5, 0.0), (1.0, 0.5)])
+    assert now.keep_out(node.own.t) == 0.6
     end = BEGIN + 390_000_000
     spin([node, bench], lambda: node.own.t >= end and node.sink.counts["shown"] >= 12)
     assert node.health().level == OK
@@ -148,40 +154,17 @@ def test_published_messages_are_shown(spin, flight, tmp_path):
         assert words in shown
 
 
-def capture_drawings(node):
-    """Return a dictionary that receives the newest drawing of each entity of a node."""
-    drawn = {}
-    node.sink.enqueue = lambda t, drawings: drawn.update(dict(drawings))
-    return drawn
-
-
-def test_a_mission_s_phase_path_and_zone_are_shown_while_published(ros, tmp_path):
-    node = view(mode="file", file=str(tmp_path / "view.rrd"), rate=1e9)
-    drawn, topics = capture_drawings(node), node.own
-
-    def strips(seconds):
-        t = BEGIN + int(seconds * SECOND)
-        topics.on_base(pose_stamped(t, "world", (0.1 * seconds, 0.0, 0.0)))
-        topics.on_target(pose_stamped(t, "world", (1.0, 1.0, 0.0)))
-        return [len(drawn[what][0].strips) for what in ("table/arm", "table/target")]
-
-    plain = strips(0.0)
-    path = [0.5, 0.0, 0.0, 1.0, 0.5, 1.0]
-    topics.on_mission(MissionState(mission="capture", phase="approach", path=path, keep_out=0.6))
-    route, zone = 2, 1  # from the base over two poses; about the target
-    assert strips(0.1) == [plain[0] + route, plain[1] + zone]
-    assert topics.scene.mission.text == "capture: approach"
-    assert "path planned" in node.legend.names
+def test_a_mission_s_end_has_its_reason_and_frees_the_drawing_for_the_base_s_path(ros, tmp_path):
+    node = view(mode="file", file=str(tmp_path / "view.rrd"))
+    topics, mission = node.own, node.own.scene.mission
+    topics.on_base(pose_stamped(BEGIN, "world", (0.0, 0.0, 0.0)))
     topics.on_mission(MissionState(mission="capture", phase="abort", reason="base lost"))
-    assert topics.scene.mission.text == "capture: abort, base lost"
-    assert strips(0.2) == [plain[0] + route, plain[1]]
-    assert strips(3.0) == plain
-    assert topics.scene.mission.text == ""
-    assert drawn["table/base_path"]
-    trajectory = MultiDOFJointTrajectory()
-    trajectory.points = [MultiDOFJointTrajectoryPoint(transforms=[Transform()]) for _ in range(3)]
-    topics.on_trajectory(trajectory)
-    assert strips(3.1)[0] == plain[0] + 3
+    assert mission.text == "capture: abort, base lost"
+    topics.on_base(pose_stamped(BEGIN + 3 * SECOND, "world", (0.3, 0.0, 0.0)))
+    assert mission.text == ""
+    point = MultiDOFJointTrajectoryPoint(transforms=[Transform()])
+    topics.on_trajectory(MultiDOFJointTrajectory(points=[point] * 3))
+    assert mission.path(topics.t) == [(0.0, 0.0)] * 3
     node.close()
     node.destroy_node()
 

@@ -46,6 +46,14 @@ def test_drawings_are_told_apart(vision):
     assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) > MIN_DISTANCE
 
 
+def test_no_two_drawings_have_one_color_and_none_is_red():
+    colors = [getattr(palette, name) for name in (*DRAWN, "BAND")]
+    shown = np.array([palette.rgb(c) for c in (*colors, *palette.AXES, *palette.LINKS)], float)
+    assert min(np.linalg.norm(a - b) for a, b in combinations(shown, 2)) > 25.0
+    red, green, blue = shown.T
+    assert not ((red > 180) & (green < 70) & (blue < 70)).any()  # red is for alarms
+
+
 @pytest.mark.parametrize(
     ("text", "fill"),
     [

@@ -17,14 +17,14 @@ from fss_arm_view.settings import ReactionSettings
 from fss_gnc.navigation import BodyState
 
 
-def simulate(reaction, flight, every, step=100):
+def simulate(reaction, flight, every, step=100, end=None):
     """Feed one joint's reading per millisecond, each joint `every` ms, and poses at 100 Hz.
 
-    A reaction is computed once a step [ms].
+    A reaction is computed once a step [ms], until the flight's end or an earlier one [ms].
     """
     found = []
     n = len(reaction.joints)
-    for k in range(len(flight.t)):
+    for k in range(end or len(flight.t)):
         t = k * 1_000_000
         for i in range(n):
             if (k - i) % every == 0:
@@ -44,35 +44,37 @@ def flight():
     return paper_flight()
 
 
+@pytest.fixture(scope="module")
+def reactions(flight):
+    """The reactions to the flight, with readings of each joint every 2 ms."""
+    return simulate(BaseReaction(paper_arm()), flight, 2)
+
+
 @pytest.mark.parametrize(("every", "bound"), [(200, 2e-3), (2, 5e-6)])
-def test_the_prediction_follows_the_base(flight, every, bound):
-    found = simulate(BaseReaction(paper_arm()), flight, every)
-    assert len(found) > 50
+def test_the_prediction_follows_the_base(flight, reactions, every, bound):
+    found = reactions if every == 2 else simulate(BaseReaction(paper_arm()), flight, every)
+    assert len(found) > 40
     for r in found:
         k = flight.index(r.t)
         np.testing.assert_allclose(r.predicted, flight.pose[k], rtol=0, atol=bound)
         np.testing.assert_allclose(r.measured, flight.pose[k], rtol=0, atol=1e-4)
     moved = flight.pose[flight.index(found[-1].t), 2]
     assert abs(moved) > 0.3  # the test needs a large motion
-    assert {r.anchor for r in found} != {
-        found[0].anchor
-    }  # the prediction restarts before the motion
+    assert len({r.anchor for r in found}) > 1  # the prediction restarts before the motion
 
 
-def test_momentum_equals_that_of_the_flight(flight):
-    found = simulate(BaseReaction(paper_arm()), flight, 2)
-    for r in found:
+def test_momentum_equals_that_of_the_flight(flight, reactions):
+    for r in reactions:
         # Twists 10 ms apart are interpolated, over jumps of the acceleration.
         np.testing.assert_allclose(r.momentum, flight.momentum, rtol=0, atol=5e-3)
-    np.testing.assert_allclose(found[-1].momentum_drift, 0.0, atol=1e-4)
+    np.testing.assert_allclose(reactions[-1].momentum_drift, 0.0, atol=1e-4)
 
 
-def test_the_force_at_the_first_joint_accelerates_the_base(flight):
+def test_the_force_at_the_first_joint_accelerates_the_base(flight, reactions):
     arm = paper_arm()
-    found = simulate(BaseReaction(arm), flight, 2)
     p = arm.vector()
     ramps = 0
-    for r in found:
+    for r in reactions:
         k = flight.index(r.t)
         qdd = flight.qdd[k - 110 : k + 111]
         if k < 120 or k + 120 > len(flight.t) or (qdd != qdd[0]).any():
@@ -93,7 +95,10 @@ def test_the_force_at_the_first_joint_accelerates_the_base(flight):
 def test_the_torque_does_not_depend_on_the_rate_of_computation(flight, half):
     settings = ReactionSettings(half_difference=half)
     frequent, rare = (
-        {r.t: r for r in simulate(BaseReaction(paper_arm(), settings=settings), flight, 10, step)}
+        {
+            r.t: r
+            for r in simulate(BaseReaction(paper_arm(), settings=settings), flight, 10, step, 5000)
+        }
         for step in (50, 400)
     )
     both = sorted(frequent.keys() & rare.keys())
@@ -189,7 +194,7 @@ def test_poses_at_a_single_time_give_no_drift():
 def test_the_difference_is_unknown_after_thrusters_fired(flight, fired, lasts, known):
     reaction = BaseReaction(paper_arm())
     reaction.add_thrust(int(fired * SECOND), [0.0, lasts])
-    last = simulate(reaction, flight, 2)[-1]
+    last = simulate(reaction, flight, 20, end=4000)[-1]
     assert np.isfinite(last.difference).all() == known
     if known:
         np.testing.assert_array_equal(last.difference, last.measured - last.predicted)
