@@ -11,6 +11,7 @@ import pytest
 from sim_rehearsal import Rehearsal
 
 from fss_arm_calib.acceptance import NOT_EVALUATED, PASS
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_driver.protocol import Slow
 from fss_sim.noise import VICON
 from fss_sim.vicon import Room
@@ -118,7 +119,7 @@ def check(case, rehearsal, result):
     assert result.verdict == case.verdict, result.reason
     if result.verdict == PASS:
         assert np.abs(rehearsal.errors(result)).max() < 3.0
-        assert len(result.used) >= 11
+        assert len(result.used) >= len(rehearsal.postures) - 2
     else:
         assert "observations" in result.reason or "not repeated" in result.reason
     dynamic = rehearsal.dynamic()
@@ -150,7 +151,7 @@ def test_with_all_faults_at_once_the_result_is_within_three_sigma():
     )
     script += script_for(["link_2"], "at: 12, fault: reset, duration: 1")
     script += script_for(["end_effector"], "at: 40, fault: frozen, duration: 2")
-    rehearsal = Rehearsal(CONFIG, script, torque_rate=10)
+    rehearsal = Rehearsal(CONFIG, script, postures=DEFAULT_POSTURES[:9], torque_rate=10)
     result = rehearsal.run()
     dynamic = check(Case(script, ("crc", "lost", "missed"), adopted=2), rehearsal, result)
     explained = any(words in dynamic.reason for words in ("rejected", "too uncertain"))
