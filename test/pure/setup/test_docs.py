@@ -62,7 +62,9 @@ def anchor(heading):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_within_the_repository_lead_somewhere(page):
+def test_links_within_the_repository_and_names_of_files_lead_somewhere(page):
+    place = r"\b(?:test|bench|src|config)/[\w/.]+\.(?:py|yaml|sh|msg|txt)\b"
+    assert not [name for name in re.findall(place, page.read_text()) if not (ROOT / name).exists()]
     for target, _, part in re.findall(r"\]\(([^)#]*)(#([^)]+))?\)", page.read_text()):
         if not target.startswith("http"):
             place = page.parent / target if target else page
@@ -82,14 +84,6 @@ def test_the_example_of_the_method_prints_each_parameter_with_its_deviation(caps
         value, sigma = table[name]
         assert abs(value - truth) < 4 * sigma, name
     assert last.startswith("residuals 0.00")
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_files_of_the_repository_that_are_named_are_there(page):
-    named = re.findall(
-        r"\b(?:test|bench|src|config)/[\w/.]+\.(?:py|yaml|sh|msg|txt)\b", page.read_text()
-    )
-    assert not [name for name in named if not (ROOT / name).exists()]
 
 
 @pytest.mark.parametrize(
@@ -178,14 +172,9 @@ def test_no_command_is_played_by_rosbag2_as_the_page_has_it():
 
 SOURCES = "".join(
     path.read_text()
-    for pattern in (
-        "src/*/fss_*/**/*.py",
-        "src/*/fss_*/**/*.js",
-        "scripts/**/*.sh",
-        "scripts/*.py",
-        "scripts/bin/ros2",
-    )
-    for path in ROOT.glob(pattern)
+    for folder in (*ROOT.glob("src/*/fss_*"), ROOT / "scripts")
+    for path in sorted(folder.rglob("*"))
+    if path.suffix in (".py", ".js", ".sh") or path.name == "ros2"
 )
 
 
