@@ -75,19 +75,25 @@ NAME = (
     "expected a letter and then letters, digits and _, as fss2; without it, stop is for all "
     "vehicles\n"
 )
-BAD_NAMES = ("a b", "~", "é", "", "1a", "..", "a/", "a//b", "__x", "a\nb", "-x", "x" * 1000)
+BAD_NAMES = ("a b", "é", "", "1a", "..", "a/", "a//b", "__x", "a\nb", "-x", "x" * 1000)
+
+
+@pytest.fixture(scope="module")
+def program():
+    """The names of the program."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(SCRIPT.parent)
+        yield runpy.run_path(str(SCRIPT))
 
 
 @pytest.fixture
-def refusal(monkeypatch, capsys):
+def refusal(program, monkeypatch, capsys):
     """refusal(*words): the one line in which the program refuses a command line."""
-    monkeypatch.syspath_prepend(SCRIPT.parent)
-    parsed = runpy.run_path(str(SCRIPT))["parsed"]
 
     def refuse(*words):
         monkeypatch.setattr(sys, "argv", [str(SCRIPT), *words])
         with pytest.raises(SystemExit) as ended:
-            parsed()
+            program["parsed"]()
         out, err = capsys.readouterr()
         assert (ended.value.code, out, err.count("\n")) == (2, "", 1)
         return err
@@ -102,10 +108,9 @@ def test_a_bad_name_of_a_vehicle_is_refused_in_one_line(refusal, name):
     assert refusal(f"--namespace={name}", "stop") == said + NAME
 
 
-@pytest.mark.parametrize("name", ["a b", "é", "x" * 1000])
-def test_a_bad_name_is_refused_before_the_configuration_is_read(domain, name):
-    said = f"fss_arm.sh: argument --vehicle/--namespace: {name!r} is no namespace of a vehicle, "
-    assert shell("--vehicle", name, "stop", "config/fss_sim.sh") == (2, "", said + NAME)
+def test_a_bad_name_is_refused_before_the_configuration_is_read(domain):
+    said = "fss_arm.sh: argument --vehicle/--namespace: 'a b' is no namespace of a vehicle, "
+    assert shell("--vehicle", "a b", "stop", "config/fss_sim.sh") == (2, "", said + NAME)
 
 
 @pytest.mark.parametrize(
@@ -125,8 +130,12 @@ def test_a_bad_name_is_refused_before_the_configuration_is_read(domain, name):
         (("move", "0", "1e18"), "argument ANGLE: '1e18' is given, expected an angle in degrees"),
         *(
             ((what, option, value), f"argument {option}: {value!r} is given, expected 0 to 3600 s")
-            for what, option in (("stop", "--wait"), ("home", "--within"), ("arm", "--seconds"))
-            for value in ("nan", "inf", "-1", "1e18", "x", "")
+            for what, option, *values in (
+                ("stop", "--wait", "nan", "inf", "-1", "1e18", "x", ""),
+                ("home", "--within", "-1"),
+                ("arm", "--seconds", "nan"),
+            )
+            for value in values
         ),
         *(
             (("stop", option), f"argument {option}: expected one argument")
@@ -255,9 +264,8 @@ def test_moves_are_refused_in_degrees_with_the_reason(moving, telling):
     assert telling(nodes, MOVE) == (2, "", wanted)
 
 
-def test_hints_repeat_the_vehicle_and_the_configuration(monkeypatch):
-    monkeypatch.syspath_prepend(SCRIPT.parent)
-    repeat_options = runpy.run_path(str(SCRIPT))["repeat_options"]
+def test_hints_repeat_the_vehicle_and_the_configuration(program, monkeypatch):
+    repeat_options = program["repeat_options"]
     said = "link 1 is not armed: scripts/fss_arm.sh arm; move there: scripts/fss_arm.sh move 1 2"
     assert repeat_options(said, Namespace(vehicle=None)) == said
     there = said.replace("arm.sh", "arm.sh --vehicle fss2")
@@ -370,44 +378,48 @@ def test_a_plan_that_starts_elsewhere_names_the_move_to_its_start(telling, plan_
     assert (code, err) == (1, f"{motion.message}; move there: scripts/fss_arm.sh move 0 0\n")
 
 
-def test_a_plan_that_is_interrupted_is_cancelled(spin, plan_file):
-    motion = FakeMotion("cancel")
-    process = subprocess.Popen([sys.executable, SCRIPT, "execute", plan_file])
-    try:
-        spin([motion], lambda: motion.files, 60.0)
-        process.send_signal(signal.SIGTERM)  # SIGINT is ignored in the background
-        spin([motion], lambda: process.poll() is not None, 20.0)
-    finally:
-        process.kill()
-    assert process.returncode == 130
+@pytest.fixture
+def interrupt(spin):
+    """interrupt(nodes, words, begun, how): a command's output; it is interrupted once it began."""
+
+    def run(nodes, words, begun, how=signal.SIGINT):
+        command = [sys.executable, SCRIPT, *words]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        with subprocess.Popen(command, **pipes) as process:
+            try:
+                spin(nodes, begun, 60.0)
+                process.send_signal(how)
+                spin(nodes, lambda: process.poll() is not None, 20.0)
+            finally:
+                process.kill()
+            assert process.returncode == 130
+            return process.communicate()
+
+    return run
+
+
+def test_a_plan_that_is_interrupted_is_cancelled(interrupt, plan_file):
+    motion = FakeMotion("cancel")  # by SIGTERM, as SIGINT is ignored in the background
+    interrupt([motion], ["execute", plan_file], lambda: motion.files, signal.SIGTERM)
     assert motion.cancelled
 
 
-def test_a_move_that_is_interrupted_comes_to_rest(spin, moving):
+def test_a_move_that_is_interrupted_comes_to_rest(spin, moving, interrupt):
     nodes, transports = moving
     for node in nodes[:2]:
         arm(spin, nodes, node)
-    with subprocess.Popen([*MOVE, "80", "80", "--seconds", "60"]) as process:
-        spin(nodes, lambda: transports[0].link.position > 100, 20.0)
-        process.send_signal(signal.SIGINT)
-        spin(nodes, lambda: process.poll() is not None)
-        assert process.returncode == 130
-        spin(nodes, lambda: not nodes[2].links.arbiter.current_name(nodes[2].links.now()))
-        assert transports[0].link.position < 240_000 / 360 * 70
+    words = "move", "80", "80", "--seconds", "60"
+    interrupt(nodes, words, lambda: transports[0].link.position > 100)
+    spin(nodes, lambda: not nodes[2].links.arbiter.current_name(nodes[2].links.now()))
+    assert transports[0].link.position < 240_000 / 360 * 70
 
 
-def test_homing_that_is_interrupted_says_so(spin, bench):
+def test_homing_that_is_interrupted_says_so(spin, bench, interrupt):
     nodes, transports = bench
     arm(spin, nodes, nodes[0])
     transports[0].link.take = lambda *_: None  # it never finds its reference
-    with subprocess.Popen(
-        [sys.executable, SCRIPT, "home"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        spin(nodes, lambda: nodes[0].session.progress is not None, 20.0)
-        process.send_signal(signal.SIGINT)
-        spin(nodes, lambda: process.poll() is not None)
-        assert process.returncode == 130
-        assert process.communicate() == ("link 1 searches for its reference\n", "interrupted\n")
+    said = interrupt(nodes, ["home"], lambda: nodes[0].session.progress is not None)
+    assert said == ("link 1 searches for its reference\n", "interrupted\n")
 
 
 STOP = sys.executable, SCRIPT, "stop"
@@ -494,11 +506,11 @@ def test_a_stop_is_confirmed_by_the_bases_boards_too(spin, telling):
 
 
 def test_a_stop_is_confirmed_in_simulated_time(spin, telling):
-    clock = Node("testbed").create_publisher(Clock, "/clock", SENSOR)
-    now = [10 * 10**9]
+    bed, now = Node("bed"), [10 * 10**9]
+    clock = bed.create_publisher(Clock, "/clock", SENSOR)
     transport = FakeTransport(1, clock=lambda: now[0])
     simulated = [Parameter("rate", value=RATE), Parameter("use_sim_time", value=True)]
-    node, bed = LinkNode(1, transport=transport, parameter_overrides=simulated), Node("bed")
+    node = LinkNode(1, transport=transport, parameter_overrides=simulated)
 
     def pass_time():
         now[0] += 10**7
