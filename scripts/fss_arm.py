@@ -1,15 +1,21 @@
 """Send a command to the arm, and print its answer.
 
-move ANGLE...: move all joints to these angles [deg], arriving together, in --seconds or as fast as
-their limits allow (arm/move); if interrupted, they come to rest.
-execute FILE: wait until the arm is ready, execute a plan that `plan` wrote (arm/execute), and
-compare the predicted and the measured motion of the base; if interrupted, the arm comes to rest.
-arm, disarm: arm or disarm all links (arm/enable). stop: stop all links of all vehicles at once, or
-of the one named; joints that are on hold, under power, until disarmed or armed again (arm/stop).
-It fails unless each link, and each base's board, confirms that it has stopped. home: each armed
-link without a reference finds it, one after the other. clear: disarm all links and clear their
-drives' latched faults. valves: enable the base's valves (base/arm), until stop.
-solve: each running calibration closes its present datum and solves. forget: each drops its data.
+move ANGLE...  move all joints to these angles [deg], arriving together, in
+               --seconds or as fast as their limits allow (arm/move)
+execute FILE   wait until the arm is ready, execute a plan that `plan` wrote
+               (arm/execute), compare predicted and measured motion of the base
+arm            arm all links (arm/enable)
+disarm         release the joints of all links (arm/enable)
+stop           brake all joints at once, of all vehicles or of the one named,
+               and hold those that are on, under power, until disarmed or armed
+               again (arm/stop); fails unless each link and board confirms
+home           each armed link without a reference searches for it, in turn
+clear          disarm all links and clear their drives' latched faults
+valves         enable the base's valves (base/arm), until stop
+solve          each running calibration ends the current rest or motion, and solves
+forget         each running calibration drops its data
+
+If move or execute is interrupted, the joints come to rest.
 """
 
 import argparse
@@ -167,9 +173,15 @@ def parsed() -> tuple[argparse.Namespace, str | None]:
 
     A wrong one ends the program.
     """
-    parser = Parser("fss_arm.sh", allow_abbrev=False, description=__doc__.replace("\n\n", "\n"))
+    parser = Parser(
+        "fss_arm.sh",
+        allow_abbrev=False,
+        description=__doc__,
+        epilog="Exit codes: 0 done, 1 not done, 2 wrong command line, 130 interrupted.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument(
-        "what", nargs="?", choices=COMMANDS, metavar="COMMAND", help=", ".join(COMMANDS)
+        "what", nargs="?", choices=COMMANDS, metavar="COMMAND", help="one of those above"
     )
     parser.add_argument(
         "arguments",
@@ -181,16 +193,23 @@ def parsed() -> tuple[argparse.Namespace, str | None]:
         "--vehicle",
         "--namespace",
         type=namespace,
-        help="namespace of the vehicle; by "
-        "default stop is for all vehicles, and other commands for the one in FSS_NAMESPACE",
+        help="namespace of the vehicle (default: the one in FSS_NAMESPACE; stop: all vehicles)",
     )
     parser.add_argument(
         "--wait", type=duration, help="timeout waiting for the node [s] (default 10; stop 2)"
     )
     parser.add_argument(
-        "--within", type=duration, default=60.0, help="timeout for a link's reference [s]"
+        "--within",
+        type=duration,
+        default=60.0,
+        help="timeout of home for each link [s] (default 60)",
     )
-    parser.add_argument("--seconds", type=duration, default=0.0, help="duration of a move [s]")
+    parser.add_argument(
+        "--seconds",
+        type=duration,
+        default=0.0,
+        help="shortest duration of a move [s] (default: as fast as limits allow)",
+    )
     options = parser.parse_intermixed_args()
     if options.what is None:
         also = f" (--vehicle is {options.vehicle!r})" if options.vehicle else ""

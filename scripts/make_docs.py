@@ -7,10 +7,10 @@ from dataclasses import MISSING, fields
 from importlib.metadata import distribution
 from inspect import getdoc
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import get_type_hints
 
 from fss_arm_model.description import Arm, Base, Drive, Link, TorqueSensor
-from fss_arm_model.settings import meaning
+from fss_arm_model.settings import default_text, meaning
 from fss_arm_ros.common_parameter import ABOUT, ALLOW
 from fss_arm_ros.program import Command, Program, named
 
@@ -115,7 +115,7 @@ def _parameters(settings: type) -> str:
         kind = getattr(hints[f.name], "__name__", str(hints[f.name]))
         if kind == "tuple":
             kind = f"list of {hints[f.name].__args__[0].__name__}"
-        default = _shown(f.default)
+        default = default_text(f.default)
         rows.append(_row(f"`{f.name}`", kind, default and f"`{default}`", meaning(f)))
     return "\n".join(rows)
 
@@ -138,21 +138,14 @@ def description() -> str:
         rows = ["| entry | default | |", "|---|---|---|"]
         for f in fields(kind):
             given = f.default is MISSING and f.default_factory is MISSING
-            default = "**required**" if given else "" if f.default is MISSING else _shown(f.default)
+            default = (
+                "**required**" if given else "" if f.default is MISSING else default_text(f.default)
+            )
             unit = f" [{f.metadata['unit']}]" if f.metadata["unit"] else ""
             words = f"{f.metadata['about']}{unit}".strip() or f.metadata["expected"]
             rows.append(_row(f"`{f.name}`", default, words))
         parts += [f"## {title}", (getdoc(kind) or "").split("\n\n")[0], "\n".join(rows)]
     return "\n\n".join(parts) + "\n"
-
-
-def _shown(default: Any) -> str:
-    """Return the value as in a parameters file; an empty string for an empty one."""
-    if isinstance(default, tuple):
-        return f"[{', '.join(map(_shown, default))}]"
-    if isinstance(default, float):
-        return min(repr(default), f"{default:.6g}", key=len) if default % 1 else repr(default)
-    return str(default).lower() if isinstance(default, bool) else str(default)
 
 
 def _row(*cells: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from fss_arm_model.settings import default_in, meaning
+from fss_arm_model.settings import default_in, default_text, meaning
 
 EPILOG = "Exit codes: 0 pass, 1 the command cannot be carried out, 2 fail, 3 not evaluated."
 
@@ -45,8 +45,12 @@ def add_settings(
             type=type(several[0] if several else f.default),
             nargs=len(several) or None,
             default=f.default,
-            metavar=f.name.split("_")[-1].upper(),
-            help=f"{about} (default: {'none' if f.default == '' else f.default})".replace(
-                "%", "%%"
-            ),
+            metavar=f.name.split("_")[-1].upper() if isinstance(f.default, str) else "N",
+            help=f"{about}{_default(f.default)}".replace("%", "%%"),
         )
+
+
+def _default(value: Any) -> str:
+    """Return a default as help shows it after the meaning, which names the effect of ''."""
+    words = " ".join(map(default_text, value)) if isinstance(value, tuple) else default_text(value)
+    return words and f" (default {words})"

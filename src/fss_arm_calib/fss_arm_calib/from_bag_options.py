@@ -14,6 +14,7 @@ from fss_arm_ros.command_line import Parser
 
 DEFAULT_KIND = "kinematic"  # kind of calibration if no option selects one
 
+USAGE = "from_bag [OPTION ...] BAG [BAG ...]"
 JOINT_DESCRIPTION = """Estimate one arm from all rests, maneuvers and drifts of one or more bags.
 Each bag is a session: tilt, hose and joint zeros may differ between bags, and after a homing within
 a bag."""
@@ -40,7 +41,8 @@ def parser(
     if kind is JOINT:
         return _joint_parser()
     unavailable = "".join(f" No {what}: {why}." for what, why in kind.unavailable.items())
-    p = Parser("from_bag", description=f"{__doc__} {kind.about}{unavailable}", epilog=EPILOG)
+    about = f"{__doc__} {kind.about}{unavailable}"
+    p = Parser("from_bag", usage=USAGE, description=about, epilog=EPILOG)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
     one = p.add_mutually_exclusive_group()
     for other in (*KINDS.values(), JOINT):
@@ -61,7 +63,7 @@ def parser(
 
 
 def _joint_parser() -> argparse.ArgumentParser:
-    p = Parser("from_bag", description=JOINT_DESCRIPTION, epilog=EPILOG)
+    p = Parser("from_bag", usage=USAGE, description=JOINT_DESCRIPTION, epilog=EPILOG)
     p.add_argument("--joint", action="store_true", help="estimate all parameters jointly")
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags: a session")
     add_output_options(p, "calibrated description")

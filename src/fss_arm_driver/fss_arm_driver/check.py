@@ -1,4 +1,4 @@
-"""Command `check`: finds each link, tests it, and writes the findings to a file."""
+"""Test links, one at a time, and write the findings to a file."""
 
 import argparse
 import json
@@ -52,16 +52,22 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = Parser(
         prog="check",
-        description="Test links, one at a time, and write the findings to a file.",
+        description=f"{__doc__} Joints turn by up to 20 degrees: keep the emergency "
+        "stop at hand. No driver of these links may run.",
         epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 a test was not carried out.",
     )
-    p.add_argument("urls", metavar="URL", nargs="+", help="URL of a link")
+    p.add_argument(
+        "urls",
+        metavar="URL",
+        nargs="+",
+        help="address of a link, such as udp://192.168.1.11:5001?bind=6001",
+    )
     p.add_argument("--arm", default="", help="the arm's description (default: the paper's)")
     p.add_argument("--keys", default="", help="file of the links' keys")
     p.add_argument(
-        "--current", type=float, default=0.1, help="first step of current [A] (default: 0.1)"
+        "--current", type=float, default=0.1, help="first step of current [A] (default 0.1)"
     )
-    p.add_argument("--output", default="check.yaml", help="file to write (default: check.yaml)")
+    p.add_argument("--output", default="check.yaml", help="file to write (default check.yaml)")
     return p
 
 

@@ -33,7 +33,8 @@ NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a st
 
 def between(low: float, high: float) -> Check:
     """Return a check for values from `low` to `high`, both included."""
-    return Check(f"{low:g} to {high:g}", lambda value: low <= value <= high, low, high)
+    expected = f"{low:.10g} to {high:.10g}"
+    return Check(expected, lambda value: low <= value <= high, low, high)
 
 
 def above(low: float, high: float) -> Check:
@@ -147,11 +148,23 @@ def converted(name: str, value: Any, hint: Any) -> Any:
     return value
 
 
+def default_text(value: Any) -> str:
+    """Return a default as help and pages show it: numbers with six digits, lists in brackets."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(default_text, value))}]"
+    if isinstance(value, float):
+        return min(repr(value), f"{value:.6g}", key=len) if value % 1 else repr(value)
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def meaning(f: "Field[Any]") -> str:
-    """Return a field's meaning, unit and bounds in one line, for help and `ros2 param describe`."""
+    """Return a field's meaning, unit and bounds in one line, for help and `ros2 param describe`.
+
+    All numbers must be finite, so FINITE is not mentioned.
+    """
     about, unit, check = (f.metadata[key] for key in ("about", "unit", "check"))
     text = f"{about} [{unit}]" if unit else about
     each = "each " if isinstance(f.default, tuple) else ""
-    text = f"{text}; {each}{check.expected}" if check else text
+    text = text if check in (None, FINITE) else f"{text}; {each}{check.expected}"
     within = default_in(f, "NAME") if f.metadata["within"] else ""
     return f"{text}; default in a namespace /NAME: {within}" if within else text

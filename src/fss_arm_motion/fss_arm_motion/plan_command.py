@@ -1,4 +1,4 @@
-"""Plan a motion of the arm on its floating base: the command `plan`."""
+"""Plan a motion of the arm on its floating base."""
 
 import argparse
 import sys
@@ -14,7 +14,7 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_model.files import write_text
-from fss_arm_model.settings import meaning
+from fss_arm_model.settings import default_text, meaning
 from fss_arm_motion.figures import draw, title
 from fss_arm_motion.kinds import KINDS, Kind
 from fss_arm_motion.limits import Limits, LimitSettings
@@ -34,7 +34,11 @@ def parser() -> argparse.ArgumentParser:
     kinds = p.add_subparsers(dest="kind", metavar="KIND", required=True, parser_class=Parser)
     for kind in KINDS.values():
         command = kinds.add_parser(
-            kind.name, help=kind.about, description=kind.about, epilog=EPILOG
+            kind.name,
+            help=kind.about,
+            usage=f"plan {kind.name} [OPTION ...]",
+            description=kind.about,
+            epilog=EPILOG,
         )
         for f in fields(kind.settings):
             add_option(command, f, get_type_hints(kind.settings)[f.name])
@@ -45,10 +49,10 @@ def parser() -> argparse.ArgumentParser:
 def add_common(p: argparse.ArgumentParser) -> None:
     """Add the options of all kinds: initial state, uncertainty of the arm, limits and outputs."""
     p.add_argument(
-        "--arm", default="paper", help="paper, cad, truth or a file (default: %(default)s)"
+        "--arm", default="paper", help="paper, cad, truth or a file (default %(default)s)"
     )
     p.add_argument(
-        "--q", type=float, nargs="+", metavar="DEG", help="initial joint readings (default: all 0)"
+        "--q", type=float, nargs="+", metavar="DEG", help="initial joint readings (default all 0)"
     )
     p.add_argument(
         "--pose",
@@ -56,7 +60,7 @@ def add_common(p: argparse.ArgumentParser) -> None:
         nargs=3,
         metavar=("X", "Y", "DEG"),
         default=(0.0, 0.0, 0.0),
-        help="initial pose of the base in the world (default: 0 0 0)",
+        help="initial pose of the base in the world (default 0 0 0)",
     )
     p.add_argument(
         "--momentum",
@@ -65,7 +69,7 @@ def add_common(p: argparse.ArgumentParser) -> None:
         metavar=("PX", "PY", "L"),
         default=(0.0, 0.0, 0.0),
         help="momentum of base and arm, L about their center of mass [N s, N s, N m s] "
-        "(default: 0 0 0)",
+        "(default 0 0 0)",
     )
     p.add_argument(
         "--deviation",
@@ -73,7 +77,7 @@ def add_common(p: argparse.ArgumentParser) -> None:
         default=0.01,
         metavar="SHARE",
         help="1 sigma of each mass, "
-        "inertia and center of mass, as a share, for the base's band (default: %(default)s)",
+        "inertia and center of mass, as a share, for the base's band (default %(default)s)",
     )
     for f in fields(LimitSettings):
         add_option(p, f, float)
@@ -92,16 +96,13 @@ def add_option(p: argparse.ArgumentParser, f: "Field[Any]", hint: Any) -> None:
     default: Any = f.default
     if in_degrees(f) and not several:
         default = float(np.degrees(default))
-    default_text = (
-        "" if several else f" (default: {default:g})" if hint is float else f" (default: {default})"
-    )
     p.add_argument(
         flag,
         type=float if several else hint,
         nargs="+" if several else None,
         default=f.default,
-        metavar=f.name.split("_")[-1].upper(),
-        help=f"{about}{default_text}",
+        metavar=f.name.split("_")[-1].upper() if hint is str else "N",
+        help=about if several else f"{about} (default {default_text(default)})",
         action=_Degrees if in_degrees(f) else "store",
     )
 

@@ -12,6 +12,7 @@ from fss_arm_ros.libraries import required_libraries
 P = ParamSpec("P")
 
 USER_ERROR = 1  # exit code; a verdict other than pass has another one
+INTERRUPTED = 130  # exit code after Ctrl-C
 
 
 class Parser(argparse.ArgumentParser):
@@ -36,7 +37,7 @@ def interrupt_at_end() -> None:
 
 
 def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
-    """Decorate a command's main: bad input or a missing library ends in one line (USER_ERROR)."""
+    """Decorate a command's main: bad input, a missing library and Ctrl-C end in one line."""
 
     def decorate(main: Callable[P, int]) -> Callable[P, int]:
         @wraps(main)
@@ -47,10 +48,18 @@ def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
             except (ValueError, OSError) as error:
                 print(f"{command}: {in_words(error)}", file=sys.stderr)
                 return USER_ERROR
+            except KeyboardInterrupt:
+                return report_interrupt(command)
 
         return guarded
 
     return decorate
+
+
+def report_interrupt(command: str) -> int:
+    """Report in one line that a command was interrupted; return the exit code."""
+    print(f"{command}: interrupted", file=sys.stderr)
+    return INTERRUPTED
 
 
 def in_words(error: object) -> str:

@@ -15,18 +15,19 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from fss_arm_model.settings import meaning
+from fss_arm_model.settings import default_text, meaning
+from fss_arm_ros.command_line import report_interrupt
 from fss_arm_ros.common_parameter import ABOUT, ALLOW
 from fss_arm_ros.libraries import required_libraries
 
 
-def _wrapped(text: str, margin: str = "") -> str:
+def _wrapped(text: str, margin: str = "", hanging: str = "") -> str:
     """Return a paragraph in lines of 80 columns; long words, such as addresses, stay whole."""
     return fill(
         text,
         80,
         initial_indent=margin,
-        subsequent_indent=margin,
+        subsequent_indent=hanging or margin,
         break_long_words=False,
         break_on_hyphens=False,
     )
@@ -65,8 +66,12 @@ class Command:
         given = sys.argv[1:] if args is None else list(args)
         if {"-h", "--help"} & set(given):
             named(self.parser)().parse_args(given)
-        with required_libraries(Path(sys.argv[0]).name):
-            code: int = named(self.main)(given)
+        name = Path(sys.argv[0]).name
+        try:
+            with required_libraries(name):
+                code: int = named(self.main)(given)
+        except KeyboardInterrupt:
+            return report_interrupt(name)
         return code
 
 
@@ -91,12 +96,14 @@ class Program:
         return "\n\n".join(filter(None, [said, words]))
 
     def usage(self, name: str) -> str:
-        """Return one screen of help: purpose and parameters with their defaults."""
+        """Return the help: purpose, and parameters with their defaults."""
         plain = " ".join([name, self.takes, *(f"[{flag}]" for flag in self.short)])
         lines = [" ".join(plain.split()) + " [--ros-args -p PARAMETER:=VALUE ...]", ""]
         lines += ["\n\n".join(map(_wrapped, self.about.split("\n\n"))), ""]
         for f in fields(named(self.settings)):
-            lines += [f"  {f.name} (default {_shown(f.default)})", _wrapped(meaning(f), "      ")]
+            default = default_text(f.default) or "''"
+            heading = _wrapped(f"{f.name} (default {default})", "  ", "      ")
+            lines += [heading, _wrapped(meaning(f), "      ")]
         lines += [f"  {ALLOW} (default false)", _wrapped(ABOUT, "      ")]
         return "\n".join(lines)
 
@@ -127,9 +134,3 @@ def _own_arguments(argv: Sequence[str]) -> list[str]:
         elif not for_ros:
             plain.append(word)
     return plain
-
-
-def _shown(default: Any) -> str:
-    if isinstance(default, tuple):
-        return f"[{', '.join(map(_shown, default))}]"
-    return str(default).lower() if isinstance(default, bool) else str(default) or "''"

@@ -2,6 +2,7 @@
 
 import argparse
 
+from fss_arm_model.settings import default_text
 from fss_arm_ros.command_line import Parser
 from fss_arm_workspace.analysis import AnalysisSettings
 from fss_arm_workspace.straight_path.redundancy import RULES
@@ -25,13 +26,13 @@ def parser() -> argparse.ArgumentParser:
         type=float,
         default=default.cell,
         metavar="M",
-        help="size of a map's cell [m] (default: %(default)s)",
+        help="size of a map's cell [m] (default %(default)s)",
     )
     p.add_argument(
         "--rule",
         choices=RULES[:3],
         default=default.redundancy,
-        help="rule for the redundancy of straight paths (default: %(default)s)",
+        help="rule for the redundancy of straight paths (default %(default)s)",
     )
     p.add_argument(
         "--start",
@@ -46,7 +47,8 @@ def parser() -> argparse.ArgumentParser:
         nargs=4,
         default=default.table,
         metavar="M",
-        help="table for straight paths: low x, low y, high x, high y (default: %(default)s)",
+        help="table for straight paths: low x, low y, high x, high y [m] "
+        f"(default {' '.join(map(default_text, default.table))})",
     )
     p.add_argument(
         "--true-angle",
@@ -58,6 +60,6 @@ def parser() -> argparse.ArgumentParser:
         type=int,
         default=1,
         metavar="N",
-        help="number of threads (default: %(default)s)",
+        help="number of threads (default %(default)s)",
     )
     return p

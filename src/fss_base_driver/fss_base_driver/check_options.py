@@ -1,4 +1,4 @@
-"""The command `check`: opens each valve in turn and compares the base's motion with the layout."""
+"""Open each valve in turn and compare the base's motion with the layout."""
 
 import argparse
 import os
@@ -25,14 +25,18 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--namespace",
         default=os.environ.get("FSS_NAMESPACE", ""),
-        help="namespace of the vehicle (default: $FSS_NAMESPACE)",
+        help="namespace of the vehicle (default $FSS_NAMESPACE)",
     )
     p.add_argument(
         "--base-topic",
         help=f"topic of the base's poses (default {BASE_TOPIC.default}, for vehicle V /vicon/V/V)",
     )
     p.add_argument(
-        "--q", type=float, nargs="+", help="joint angles [rad], if no node publishes them"
+        "--q",
+        type=float,
+        nargs="+",
+        metavar="RAD",
+        help="joint angles [rad], if no node publishes them",
     )
     p.add_argument(
         "--thrust", type=float, default=0.16, help="thrust of a thruster [N] (default 0.16)"
@@ -41,9 +45,15 @@ def parser() -> argparse.ArgumentParser:
         "--lever", type=float, default=0.11, help="lever of a thruster [m] (default 0.11)"
     )
     p.add_argument(
-        "--layout", type=float, nargs=3 * COUNT, help="layout, as the parameter of `base`"
+        "--layout",
+        type=float,
+        nargs="+",
+        metavar="N",
+        help=f"layout as the parameter of `base`, {3 * COUNT} numbers",
     )
-    p.add_argument("--valves", type=int, nargs="+", help="valves to test (default: all)")
+    p.add_argument(
+        "--valves", type=int, nargs="+", metavar="I", help="valves to test (default: all)"
+    )
     p.add_argument(
         "--on-time", type=float, default=1.0, help="length of each pulse [s] (default 1)"
     )
@@ -58,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
         "--yes", action="store_true", help="start without asking whether the base is free"
     )
     p.add_argument(
-        "--output", default="base_check.yaml", help="file to write (default: base_check.yaml)"
+        "--output", default="base_check.yaml", help="file to write (default base_check.yaml)"
     )
     return p
 
@@ -70,6 +80,8 @@ def parse(args: Sequence[str] | None) -> argparse.Namespace:
     for name in ("thrust", "lever", "on_time", "before", "after", "tolerance"):
         if not 0.0 < getattr(given, name) < 60.0:
             command.error(f"--{name.replace('_', '-')} is {getattr(given, name)}, expected above 0")
+    if len(given.layout or ()) not in (0, 3 * COUNT):
+        command.error(f"--layout has {len(given.layout)} numbers, expected {3 * COUNT}")
     if not set(given.valves or [1]) <= set(range(1, COUNT + 1)):
         command.error(f"--valves is {given.valves}, expected 1 to {COUNT}")
     return given

@@ -1,4 +1,4 @@
-"""The command `subjects`: visible subjects with rate, jitter, latency and longest gap."""
+"""List the subjects that motion capture sees, with rate, jitter, latency and longest gap."""
 
 import argparse
 

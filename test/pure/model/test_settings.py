@@ -1,10 +1,22 @@
 """Settings: a value's meaning, unit and bounds stand at its field."""
 
 from dataclasses import dataclass, fields
+from math import radians
 
 import pytest
 
-from fss_arm_model.settings import POSITIVE, SettingError, Settings, above, like, meaning, setting
+from fss_arm_model.settings import (
+    FINITE,
+    POSITIVE,
+    SettingError,
+    Settings,
+    above,
+    between,
+    default_text,
+    like,
+    meaning,
+    setting,
+)
 
 
 @dataclass(frozen=True)
@@ -34,3 +46,23 @@ def test_meaning_unit_and_bounds_are_told_in_one_line():
         "share that is full; above 0, at most 1",
         "sides [m]; each a positive number",
     ]
+    slope = setting(0.0, "slope", unit="rad", check=FINITE)
+    assert meaning(slope) == "slope [rad]"  # no number may be infinite
+    assert between(300, 4_000_000).expected == "300 to 4000000"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (radians(0.1), "0.00174533"),
+        (1e-5, "1e-05"),
+        (0.0, "0.0"),
+        (20e6, "20000000.0"),
+        ((1.5, 2.0), "[1.5, 2.0]"),
+        (True, "true"),
+        ((), "[]"),
+        ("", ""),
+    ],
+)
+def test_a_default_is_shown_as_in_a_parameters_file_without_needless_digits(value, text):
+    assert default_text(value) == text

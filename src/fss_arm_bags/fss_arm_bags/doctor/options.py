@@ -1,4 +1,4 @@
-"""Shows what bags hold and how healthy they are; repairs damage on request."""
+"""List what bags hold and how healthy they are; repair damage on request."""
 
 import argparse
 from pathlib import Path
@@ -10,8 +10,9 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = Parser(
         prog="doctor",
-        description=f"{__doc__} Exit code 0: healthy, perhaps after the repair; 1: not readable; "
-        "2: damaged, or with findings.",
+        description=__doc__,
+        epilog="Exit codes: 0 healthy, also after a repair, 1 not readable, 2 damaged or with "
+        "findings.",
     )
     p.add_argument(
         "bags",

@@ -1,4 +1,4 @@
-"""Propose maneuvers or postures and predict their results: the command `design`."""
+"""Propose maneuvers or postures and predict their results."""
 
 import argparse
 
@@ -13,14 +13,14 @@ CONDITIONS = ("duration", "rest", "repeats", *GUARD)  # available as options
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = Parser("design", description=__doc__)
+    p = Parser("design", usage="design [OPTION ...]", description=__doc__)
     p.add_argument(
         "--kinematic",
         action="store_true",
         help="propose postures for a kinematic calibration instead",
     )
     p.add_argument(
-        "--count", type=int, default=16, help="number of maneuvers or postures (default: 16)"
+        "--count", type=int, default=16, help="number of maneuvers or postures (default 16)"
     )
     p.add_argument(
         "--chosen", default="", help="parameters to determine best, e.g. 'b_1 b_2'; empty: all"
@@ -42,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
         help="result of a calibration to add to; its values and covariance are prior knowledge",
     )
     p.add_argument("--output", metavar="YAML", help="write the plan for `experiment`")
-    p.add_argument("--seed", type=int, default=0, help="seed of the candidates (default: 0)")
+    p.add_argument("--seed", type=int, default=0, help="seed of the candidates (default 0)")
     p.add_argument(
         "--compare", action="store_true", help="also compare the kinds at equal floating time"
     )
