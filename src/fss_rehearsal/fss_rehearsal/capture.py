@@ -344,9 +344,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=float,
         default=1.0,
-        help="speed of the simulation, in multiples of real time",
+        help="speed of the simulation, in multiples of real time (default 1)",
     )
-    help_text = f"mass of the target that the nodes assume [kg]; the true one is {TARGET.mass:g}"
+    help_text = (
+        f"mass of the target that the nodes assume [kg] (default {TARGET.mass:g}, the true one)"
+    )
     parser.add_argument("--assumed", type=float, default=TARGET.mass, help=help_text)
 
 
@@ -355,9 +357,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     arm = load(CONFIG / "arm.yaml")
     log_line = partial(console.print, soft_wrap=True, highlight=False)
     with isolated_domain() as domain, Nodes(out / "logs", log_line, domain) as nodes:
-        log_line(
-            f"starting simulator, drivers, recorder and guidance, in ROS domain {domain.number}"
-        )
+        log_line(f"starting test bed, drivers, recorder and guidance in ROS domain {domain.number}")
         start_all(nodes, CONFIG / "arm.yaml", out, options.seed, options.speed, options.assumed)
         operator = CaptureOperator(domain)
         operator.arm_all()

@@ -29,7 +29,7 @@ from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.qos import LATCHED
 from fss_rehearsal.domain import CONFIG, Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
-from fss_rehearsal.processes import Nodes, RehearsalError
+from fss_rehearsal.processes import Nodes, RehearsalError, short_path
 from fss_rehearsal.progress import counting_bar
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
@@ -177,7 +177,7 @@ def observe(
         while not nodes.has_finished("experiment"):
             if time.monotonic() > end_time:
                 limit = f"{options.deadline:.0f} s"
-                raise RehearsalError(f"not finished after {limit}, see {nodes.logs}")
+                raise RehearsalError(f"not finished after {limit}; logs: {short_path(nodes.logs)}")
             nodes.restart_killed()
             rclpy.spin_once(operator, timeout_sec=0.1)
             bar.update(task, completed=operator.done)
@@ -216,22 +216,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=float,
         default=1.0,
-        help="multiple of real time; two cores can reach 2, four can reach 5",
+        help="multiple of real time (default 1); two cores can reach 2, four 5",
     )
     parser.add_argument(
         "--postures",
         type=int,
         choices=range(7, len(DEFAULT_POSTURES) + 1),  # fewer observations rarely check each other
         default=len(DEFAULT_POSTURES),
-        help="number of postures to observe",
+        help="number of postures to observe (default %(default)s)",
     )
     parser.add_argument(
         "--preset",
         default="paper",
-        help="preset of the simulator: ideal, default, paper, laboratory",
+        help="preset of the simulator: ideal, default, paper (if not given), laboratory",
     )
     parser.add_argument(
-        "--deadline", type=float, default=600.0, help="timeout of the experiment [s]"
+        "--deadline", type=float, default=600.0, help="timeout of the experiment [s] (default 600)"
     )
 
 
@@ -239,8 +239,8 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Run the experiment, and solve again from its bag."""
     with isolated_domain() as domain:
         console.print(
-            f"starting simulator, {LINKS} drivers over UDP, recorder and calibration, "
-            f"in ROS domain {domain.number}",
+            f"starting test bed, {LINKS} drivers, recorder and calibration in ROS domain "
+            f"{domain.number}",
             soft_wrap=True,
         )
         result = observe(options, out, console, domain)

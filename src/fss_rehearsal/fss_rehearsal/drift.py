@@ -84,15 +84,20 @@ class DriftOperator(Operator):
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
     parser.add_argument(
-        "--seconds", type=float, default=90.0, help="simulated duration of the drift [s]"
+        "--seconds",
+        type=float,
+        default=90.0,
+        help="simulated duration of the drift [s] (default 90)",
     )
     parser.add_argument(
         "--speed",
         type=float,
         default=3.0,
-        help="speed of the simulation, in multiples of real time",
+        help="speed of the simulation, in multiples of real time (default 3)",
     )
-    parser.add_argument("--preset", default="laboratory", help="preset of the simulator")
+    parser.add_argument(
+        "--preset", default="laboratory", help="preset of the simulator (default %(default)s)"
+    )
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
@@ -136,7 +141,9 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Let the base drift, solve, and solve again from the bag."""
     with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
-        console.print(f"starting simulator, drivers, recorder and drift, in domain {domain.number}")
+        console.print(
+            f"starting test bed, drivers, recorder and drift in ROS domain {domain.number}"
+        )
         start_all(nodes, options, out)
         operator = DriftOperator(domain)
         live = operator.drift(options.seconds, options.speed)

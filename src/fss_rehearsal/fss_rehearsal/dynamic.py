@@ -37,7 +37,7 @@ from fss_arm_model.description_file import save
 from fss_arm_model.parameters import values
 from fss_rehearsal.domain import Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
-from fss_rehearsal.processes import Nodes, RehearsalError
+from fss_rehearsal.processes import Nodes, RehearsalError, short_path
 from fss_rehearsal.progress import counting_bar
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
@@ -161,7 +161,8 @@ def run_sessions(
             operator = Experimenter(domain)
             while not nodes.has_finished("experiment"):
                 if time.monotonic() > end_time:
-                    raise RehearsalError(f"not finished after {options.deadline:.0f} s, see {logs}")
+                    limit = f"{options.deadline:.0f} s"
+                    raise RehearsalError(f"not finished after {limit}; logs: {short_path(logs)}")
                 nodes.restart_killed()
                 rclpy.spin_once(operator, timeout_sec=0.1)
                 status = shorten(operator.status_message, MAX_STATUS, placeholder="...")
@@ -251,14 +252,20 @@ def summary(
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
     parser.add_argument(
-        "--noise", choices=list(NOISE), default="laboratory", help="noise of the cameras"
+        "--noise",
+        choices=list(NOISE),
+        default="laboratory",
+        help="noise of the cameras (default %(default)s)",
     )
-    parser.add_argument("--count", type=int, default=16, help="number of maneuvers")
+    parser.add_argument("--count", type=int, default=16, help="number of maneuvers (default 16)")
     parser.add_argument(
-        "--tilt", type=float, default=radians(0.001), help="tilt of the table [rad]"
+        "--tilt",
+        type=float,
+        default=radians(0.001),
+        help="tilt of the table [rad] (default %(default).3g)",
     )
     parser.add_argument(
-        "--deadline", type=float, default=1800.0, help="timeout of all maneuvers [s]"
+        "--deadline", type=float, default=1800.0, help="timeout of all maneuvers [s] (default 1800)"
     )
 
 
@@ -273,8 +280,8 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     predicted = expected_result(paper_arm(), plan, settings, PAUSE).deviations
     with isolated_domain() as domain:
         console.print(
-            "running them: simulator, drivers over UDP, recorder and calibration, "
-            f"in ROS domain {domain.number}",
+            "running them: test bed, drivers, recorder and calibration in ROS domain "
+            f"{domain.number}",
             soft_wrap=True,
         )
         run_sessions(options, out, cameras, console, domain)

@@ -102,7 +102,7 @@ class FirstDayOperator(Operator):
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
     parser.add_argument(
-        "--link", type=int, default=2, choices=range(1, LINKS + 1), help="link to check"
+        "--link", type=int, default=2, choices=range(1, LINKS + 1), help="link to check (default 2)"
     )
 
 
@@ -144,7 +144,7 @@ def run_check(operator: FirstDayOperator, url: str, out: Path) -> int | None:
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Check the link and read the findings."""
     with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
-        console.print(f"starting simulator and recorder, in ROS domain {domain.number}")
+        console.print(f"starting test bed and recorder in ROS domain {domain.number}")
         nodes.start("record", "fss_arm_bags", "record", output=out / "bag")
         q = np.zeros(LINKS)
         q[options.link - 1] = INITIAL_ANGLE

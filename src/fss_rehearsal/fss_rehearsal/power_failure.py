@@ -63,9 +63,15 @@ class Times(NamedTuple):
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
     parser.add_argument(
-        "--link", type=int, default=2, choices=range(1, LINKS + 1), help="link without power"
+        "--link",
+        type=int,
+        default=2,
+        choices=range(1, LINKS + 1),
+        help="link without power (default 2)",
     )
-    parser.add_argument("--outage", type=float, default=4.0, help="duration of the failure [s]")
+    parser.add_argument(
+        "--outage", type=float, default=4.0, help="duration of the failure [s] (default 4)"
+    )
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
@@ -111,7 +117,7 @@ def run_scenario(operator: PowerOperator, outage: float) -> Times:
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Cut and restore the power, then evaluate the bag."""
     with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
-        console.print(f"starting simulator, drivers and recorder, in ROS domain {domain.number}")
+        console.print(f"starting test bed, drivers and recorder in ROS domain {domain.number}")
         start_all(nodes, options, out)
         operator = PowerOperator(domain, options.link)
         times = run_scenario(operator, options.outage)

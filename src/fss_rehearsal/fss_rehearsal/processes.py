@@ -94,7 +94,7 @@ class Nodes:
         """Return the last line of the node's log, and the log's path."""
         log = self.logs / f"{name}.log"
         lines = log.read_text(errors="replace").splitlines() or ["(empty log)"]
-        return f"{lines[-1]} (see {log})"
+        return f"{lines[-1]} (see {short_path(log)})"
 
     def has_finished(self, name: str) -> bool:
         """Return True if the node has exited with code 0."""
@@ -129,6 +129,11 @@ class Nodes:
         self.close()
 
 
+def short_path(path: Path) -> Path:
+    """Return a path as messages show it: relative to the working directory if it is below it."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
 def results(folder: Path | None, name: str) -> Path:
     """Return the folder for results: the given one, or a new one named `name` and time in out/.
 
@@ -138,7 +143,7 @@ def results(folder: Path | None, name: str) -> Path:
     new = CONFIG.parent / "out" / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
     out = (folder or new).absolute()
     if out.exists():
-        raise RehearsalError(f"{out} exists already: choose another folder with --out")
+        raise RehearsalError(f"{short_path(out)} exists: choose another folder with --out")
     return out
 
 

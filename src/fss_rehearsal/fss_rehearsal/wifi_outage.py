@@ -58,7 +58,9 @@ class Times(NamedTuple):
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this rehearsal."""
-    parser.add_argument("--outage", type=float, default=6.0, help="duration of the outage [s]")
+    parser.add_argument(
+        "--outage", type=float, default=6.0, help="duration of the outage [s] (default 6)"
+    )
 
 
 def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
@@ -98,7 +100,7 @@ def run_scenario(operator: OutageOperator, outage: float) -> Times:
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Cut and restore the Wi-Fi, then evaluate the bag."""
     with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
-        console.print(f"starting simulator, drivers and recorder, in ROS domain {domain.number}")
+        console.print(f"starting test bed, drivers and recorder in ROS domain {domain.number}")
         start_all(nodes, options, out)
         operator = OutageOperator(domain)
         times = run_scenario(operator, options.outage)

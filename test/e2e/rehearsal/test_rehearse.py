@@ -36,10 +36,27 @@ def test_it_goes_as_expected(tmp_path, name):
 
 
 def test_what_there_is_is_said():
-    helped, unknown = rehearse("--help"), rehearse("lunch")
-    assert (helped.returncode, unknown.returncode) == (0, 2)
-    for told in (helped.stdout, unknown.stderr):
-        assert all(name in told for name in REHEARSALS)
+    helped = rehearse("--help")
+    assert helped.returncode == 0
+    assert all(name in helped.stdout for name in REHEARSALS)
+    assert not [line for line in helped.stdout.splitlines() if len(line) > 80]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "NAME is missing, expected one of demo, dynamic"),
+        (("lunch",), "no rehearsal 'lunch'; expected one of demo, dynamic"),
+        (("dynamics",), "no rehearsal 'dynamics'; is it dynamic?"),
+        (("demo", "--sped", "3"), "unrecognized arguments: --sped 3"),
+        (("demo", "--postures", "3"), "argument --postures: invalid choice: 3"),
+    ],
+)
+def test_a_wrong_command_line_is_an_error_and_no_failed_check(arguments, words):
+    done = rehearse(*arguments)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_page_says_what_was_not_as_expected(tmp_path):
