@@ -70,7 +70,7 @@ def segment_distance(a, d, b, e):  # type: ignore[no-untyped-def]
 
 @helper
 def body_gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
-    """Return the gap between two bodies, i < j [m], with base, pivots and tip at r (n + 2,)."""
+    """Return the gap between bodies i < j [m]; r (n + 2,) are the base, the joints and the tip."""
     n = r.size - 2
     last = r[n + 1] - r[n]
     if j <= n:
@@ -88,8 +88,8 @@ def body_gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
         return abs(target - r[0]) - radius - sizes[TARGET_RADIUS]
     if i == n + GRIPPER:
         return point_distance(r[n + 1], -(share + 1e-9) * last, target) - sizes[TARGET_RADIUS]
-    share = (1.0 - share) * last if i == n else r[i + 1] - r[i]
-    return point_distance(r[i], share, target) - radius - sizes[TARGET_RADIUS]
+    rest = (1.0 - share) * last if i == n else r[i + 1] - r[i]
+    return point_distance(r[i], rest, target) - radius - sizes[TARGET_RADIUS]
 
 
 @helper

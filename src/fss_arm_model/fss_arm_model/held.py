@@ -1,7 +1,9 @@
 """A body in the gripper as part of the last link, and the approach of the end effector to it.
 
-In all functions p (8 + 6 n,) is Arm.vector(), q and qd (3 + n,) the state and its rate. The
-notation is that of kinematics.py.
+In all functions p (8 + 6 n,) is Arm.vector(), q and qd (3 + n,) the state and its rate, and place
+(3,) the pose of the held body in the frame of the last link: x, y [m], heading [rad]. The origin of
+that frame is the last joint, its x axis points to the tip. The notation is that of kinematics.py:
+vectors are complex numbers.
 """
 
 from dataclasses import dataclass
@@ -57,60 +59,62 @@ def approach(p: Floats, q: Floats, qd: Floats, target: Target, state: Floats) ->
     """Return the approach of the arm p in state q, qd to the target at `state` (2, 3)."""
     x, y, heading = tip_pose(p, q)
     vx, vy, _ = tip_jacobian(p, q) @ qd
-    out = complex(*target.fixture[:2]) * np.exp(1j * state[0, 2])
-    apart = complex(*state[0, :2]) + out - complex(x, y)
-    moving = complex(*state[1, :2]) + 1j * state[1, 2] * out - complex(vx, vy)
+    fixture = complex(*target.fixture[:2]) * np.exp(1j * state[0, 2])
+    distance = complex(*state[0, :2]) + fixture - complex(x, y)
+    velocity = complex(*state[1, :2]) + 1j * state[1, 2] * fixture - complex(vx, vy)
     angle = heading - (state[0, 2] + target.fixture[2] + pi)
-    return Approach(abs(apart), float((angle + pi) % (2.0 * pi) - pi), abs(moving))
+    return Approach(abs(distance), float((angle + pi) % (2.0 * pi) - pi), abs(velocity))
 
 
 def payload_pose(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
-    """Return the pose of a body in the frame of the last link: x, y [m], heading [rad]."""
+    """Return the place of a body at a pose in the world."""
     x, y, heading = tip_pose(p, q)
     heading -= p[layout.TIP_ANGLE]
     body_x, body_y, body_heading = np.asarray(pose)
-    apart = (complex(body_x, body_y) - complex(x, y)) * np.exp(-1j * heading)
-    return np.array([apart.real + _length(p), apart.imag, body_heading - heading])
+    from_tip = (complex(body_x, body_y) - complex(x, y)) * np.exp(-1j * heading)
+    return np.array([from_tip.real + _length(p), from_tip.imag, body_heading - heading])
 
 
 def payload_positions(p: Floats, q: Floats, place: Floats) -> Floats:
-    """Return the positions (..., 2) of a body held at `place` in the last link's frame."""
+    """Return the positions (..., 2) in the world of a body held at `place`."""
     x, y, heading = np.moveaxis(tip_pose(p, q), -1, 0)
-    apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * (heading - p[layout.TIP_ANGLE]))
-    return np.stack([x + apart.real, y + apart.imag], axis=-1)
+    turn = np.exp(1j * (heading - p[layout.TIP_ANGLE]))
+    from_tip = complex(place[0] - _length(p), place[1]) * turn
+    return np.stack([x + from_tip.real, y + from_tip.imag], axis=-1)
 
 
 def payload_state(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
-    """Return pose and twist (2, 3) of a body held at `place` in the frame of the last link."""
+    """Return pose and twist (2, 3) in the world of a body held at `place`."""
     x, y, heading = tip_pose(p, q)
     heading -= p[layout.TIP_ANGLE]
-    apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
+    from_tip = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
     twist = payload_jacobian(p, q, place) @ qd
-    return np.array([[x + apart.real, y + apart.imag, heading + place[2]], twist])
+    return np.array([[x + from_tip.real, y + from_tip.imag, heading + place[2]], twist])
 
 
 def payload_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
     """Return the Jacobian (3, 3 + n) from qd to the twist of a body held at `place`."""
     J = tip_jacobian(p, q)
     heading = tip_pose(p, q)[2] - p[layout.TIP_ANGLE]
-    apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
-    J[0] -= apart.imag * J[2]
-    J[1] += apart.real * J[2]
+    from_tip = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
+    J[0] -= from_tip.imag * J[2]
+    J[1] += from_tip.real * J[2]
     return J
 
 
 def with_payload(p: Floats, target: Target, place: Floats) -> Floats:
     """Return the arm's parameters with the target at `place` added to the last link."""
     n = layout.count(p)
-    mass, moment, at = layout.mass(p, n), layout.inertia(p, n), layout.com(p, n)
+    mass, inertia, com = layout.mass(p, n), layout.inertia(p, n), layout.com(p, n)
     body = complex(place[0], place[1])
-    whole = mass + target.mass
-    middle = (mass * at + target.mass * body) / whole
-    moment += target.inertia + mass * abs(at - middle) ** 2 + target.mass * abs(body - middle) ** 2
+    total = mass + target.mass
+    common = (mass * com + target.mass * body) / total  # centre of mass of link and body
+    parallel = mass * abs(com - common) ** 2  # parallel-axis theorem
+    inertia += target.inertia + parallel + target.mass * abs(body - common) ** 2
     p = p.copy()
     link = p[layout.LINK_SIZE * n :]
-    link[layout.LINK_MASS], link[layout.LINK_INERTIA] = whole, moment
-    link[layout.G], link[layout.LATERAL] = middle.real, middle.imag
+    link[layout.LINK_MASS], link[layout.LINK_INERTIA] = total, inertia
+    link[layout.G], link[layout.LATERAL] = common.real, common.imag
     return p
 
 
@@ -132,7 +136,7 @@ def combined_momentum(
     (x, y, _), (vx, vy, omega) = np.asarray(state, dtype=float)
     px, py, L = momentum(p, q, qd)
     mass, M = float(inertia_matrix(p, q)[0, 0]), target.mass
-    apart = complex(x, y) - complex(*system_com(p, q))
-    past = complex(vx, vy) - complex(px, py) / mass
-    about = mass * M / (mass + M) * (np.conj(apart) * past).imag  # of the two as point masses
-    return np.array([px + M * vx, py + M * vy, L + target.inertia * omega + about])
+    offset = complex(x, y) - complex(*system_com(p, q))
+    velocity = complex(vx, vy) - complex(px, py) / mass
+    orbital = mass * M / (mass + M) * (np.conj(offset) * velocity).imag  # of two point masses
+    return np.array([px + M * vx, py + M * vy, L + target.inertia * omega + orbital])

@@ -111,7 +111,7 @@ def _tip_regressor(p: Floats, q: Floats, _t: Floats, _x: Floats, Phi: Floats) ->
     Phi[0, 2 * n - 1] = Phi[1, 2 * n] = 1.0
 
 
-# They give kernels the sizes of outputs that no input has.
+# Arguments without a value, whose sizes are those of kernels' outputs.
 SIZE_TWO, SIZE_THREE = np.empty(2), np.empty(3)
 
 

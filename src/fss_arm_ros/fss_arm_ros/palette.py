@@ -13,14 +13,14 @@ TIP = "#0fa57b"  # end effector
 TARGET = "#cc79a7"  # target and its keep-out circle
 THRUST = "#70c8f8"  # thrusters that fire
 DIFFERENCE = "#5b1a3c"  # measured minus predicted
-AXES = "#303030", "#a5780a"  # x, y
+AXES = "#303030", "#a5780a"  # x and y axis of a frame
 #: By link or joint.
 LINKS = (
     *("#82552d", "#eb96be", "#7d8719", "#5f3c96", "#46a08c", "#c86e5a"),
     *("#9696c8", "#3c5a3c", "#beb46e", "#6e8296", "#aa3c6e", "#cdcd32"),
 )
 
-# States.
+# States: good (healthy, passed), attention (warning), danger (error, failed).
 POSITIVE, ATTENTION, DANGER = "#1b7a3d", "#8a6100", "#b3261e"  # as text, and below white text
 POSITIVE_FILL, ATTENTION_FILL = "#e0f2e5", "#ffe8b0"  # below dark text
 

@@ -1,4 +1,4 @@
-"""Model of a vehicle that is alone on its table."""
+"""Model of a single vehicle on its table."""
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from fss_sim.plant.vehicle import Vehicle, World
 
 
 class Plant(Vehicle):
-    """Vehicle that is alone on the table, except for an optional target.
+    """Single vehicle on its table, with an optional target.
 
     Args:
         arm, q, qd, world, propellant: as in Vehicle.
@@ -31,25 +31,27 @@ class Plant(Vehicle):
         propellant: float = 0.0,
     ) -> None:
         super().__init__(arm, q, qd, world, propellant)
-        self._target_state, its = np.array(target, dtype=float), self.world
-        targets = [PassiveTarget(its.target, target, its.surroundings)] if its.target else []
-        self.closed = holds
+        self._target_state = np.array(target, dtype=float)  # returned if there is no target
+        targets = []
+        if body := self.world.target:
+            targets.append(PassiveTarget(body, target, self.world.surroundings))
+        self.closed = holds  # the gripper
         if holds and targets:
             self.attach(targets[0])
-        self.bed = Bed([self], targets, its.contact, its.tolerance)
+        self.bed = Bed([self], targets, self.world.contact, self.world.tolerance)
 
     def advance(self, seconds: float) -> None:
-        """Advance the simulation by a time, in whole steps of the drives."""
+        """Advance the simulation by a time [s], in whole steps of the drives."""
         self.bed.advance(seconds)
 
     @property
     def approach(self) -> Approach:
-        """Approach of the end effector to the thing held or nearest; infinitely far if none."""
+        """Approach of the end effector to the body held, else to the nearest; infinite if none."""
         return self.bed.within_reach(self)[1]
 
     @property
     def target(self) -> Floats:
-        """Pose and twist of the target in the world frame, (2, 3)."""
+        """Pose (x, y [m], heading [rad]) and twist of the target in the world frame, (2, 3)."""
         return self.bed.targets[0].state if self.bed.targets else self._target_state
 
     @property
