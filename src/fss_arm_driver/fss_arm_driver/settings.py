@@ -25,13 +25,13 @@ class LinkSettings(Settings):
     rate: float = setting(
         5.0,
         "rate at which the current command is repeated; doubled on a path if below 10",
-        unit="1/s",
+        unit="Hz",
         check=between(0.1, 1000.0),
     )
     max_rate: float = setting(
         50.0,
         "largest rate of commands to the link; users' commands are sent at once",
-        unit="1/s",
+        unit="Hz",
         check=between(0.1, 1000.0),
     )
     timeout: float = setting(
@@ -42,7 +42,7 @@ class LinkSettings(Settings):
     )
     watchdog: float = setting(
         2.0,
-        "silence of the driver after which the link brakes and holds, disarmed",
+        "silence of the driver after which the link disarms itself, brakes and holds",
         unit="s",
         check=between(0.001, 65.535),
     )
@@ -94,7 +94,7 @@ class ArmSettings(GuardSettings):
     rate: float = setting(
         5.0,
         "rate of each link's commands during a move or a trajectory",
-        unit="1/s",
+        unit="Hz",
         check=between(0.1, 1000.0),
     )
     time_to_live: float = setting(
@@ -136,7 +136,7 @@ class ArmSettings(GuardSettings):
     state_rate: float = setting(
         20.0,
         "rate of arm/joint_states and of the transforms",
-        unit="1/s",
+        unit="Hz",
         check=between(0.1, 1000.0),
     )
     max_extrapolation: float = setting(

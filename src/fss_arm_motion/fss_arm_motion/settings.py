@@ -10,7 +10,9 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, se
 class MotionSettings(Settings):
     """The parameters of a MotionNode."""
 
-    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
+    arm: str = setting(
+        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+    )
     lead: float = setting(
         1.0,
         "time from a plan to the start of its motion, in which the links receive it",

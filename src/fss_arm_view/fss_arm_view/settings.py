@@ -61,7 +61,9 @@ class ReactionSettings(SensorErrors):
 class BaseReactionSettings(ReactionSettings):
     """Parameters of a BaseReactionNode."""
 
-    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
+    arm: str = setting(
+        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+    )
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
     base_topic: str = like(Vehicle, "base_topic")
     gyro_topic: str = setting("fog/imu", "topic of the base's rate")
@@ -106,7 +108,9 @@ class ViewSettings(Settings):
         "maximum number of drawings that wait for the viewer; more are dropped",
         check=at_least(1),
     )
-    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
+    arm: str = setting(
+        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+    )
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
     base_topic: str = like(Vehicle, "base_topic")
     tip_topic: str = like(Vehicle, "tip_topic")

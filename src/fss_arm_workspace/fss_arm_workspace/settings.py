@@ -14,7 +14,7 @@ class WorkspaceSettings(AnalysisSettings):
     arm: str = setting(
         "", "description YAML until a calibration is received; empty: the paper's arm"
     )
-    rate: float = setting(10.0, "rate of the ellipsoids", unit="1/s", check=POSITIVE)
+    rate: float = setting(10.0, "rate of the ellipsoids", unit="Hz", check=POSITIVE)
     scale: float = setting(0.25, "size of drawn ellipsoids", unit="m per m/rad", check=POSITIVE)
     base_frame: str = like(Vehicle, "base_frame")
     world_frame: str = setting(

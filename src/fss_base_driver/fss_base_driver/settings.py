@@ -79,7 +79,7 @@ class MocapSettings(Settings):
         super().__post_init__()
         if not self.system and not self.relays:
             raise SettingError(
-                f"system is '' and relays is empty, expected one of {', '.join(SYSTEMS)}, or topics"
+                f"no source of poses: set system (one of {', '.join(SYSTEMS)}) or relays (topics)"
             )
         if self.system not in ("", "mock") and not self.host:
             raise SettingError(f"host is '', expected the address of the {self.system} computer")
@@ -105,13 +105,13 @@ class BaseSettings(Settings):
     rate: float = setting(
         20.0,
         "rate at which the current command is repeated",
-        unit="1/s",
+        unit="Hz",
         check=between(1.0, 1000.0),
     )
     max_rate: float = setting(
         50.0,
         "largest rate of commands to the board; users' commands are sent at once",
-        unit="1/s",
+        unit="Hz",
         check=between(1.0, 1000.0),
     )
     timeout: float = setting(
@@ -122,7 +122,7 @@ class BaseSettings(Settings):
     )
     watchdog: float = setting(
         0.5,
-        "silence of the driver after which the board closes its valves, disarmed",
+        "silence of the driver after which the board disarms itself and closes its valves",
         unit="s",
         check=between(0.001, 65.535),
     )
@@ -132,7 +132,9 @@ class BaseSettings(Settings):
         unit="V",
         check=NOT_NEGATIVE,
     )
-    keys: str = setting("", "file of keys, the board's under 0; empty: frames are not signed")
+    keys: str = setting(
+        "", "file of keys, in which the board has number 0; empty: frames are not signed"
+    )
     base_frame: str = like(Vehicle, "base_frame")
     frame_prefix: str = like(Vehicle, "frame_prefix")
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
@@ -234,10 +236,14 @@ class BaseSettings(Settings):
 
 @dataclass(frozen=True)
 class ValveSettings(Settings):
-    """Parameters of one valve that can change at runtime; stuck valves get no share of wrenches."""
+    """Parameters of a valve that can change at runtime; a stuck valve gets no share of a wrench."""
 
-    stuck_open: float = setting(0.0, "1: the valve does not close", check=between(0.0, 1.0))
-    stuck_closed: float = setting(0.0, "1: the valve does not open", check=between(0.0, 1.0))
+    stuck_open: float = setting(
+        0.0, "1: the valve does not close, 0: it does", check=between(0.0, 1.0)
+    )
+    stuck_closed: float = setting(
+        0.0, "1: the valve does not open, 0: it does", check=between(0.0, 1.0)
+    )
 
 
 @dataclass(frozen=True)
@@ -260,7 +266,9 @@ class FogSettings(Settings):
     """Parameters of a FogNode."""
 
     device: str = setting("/dev/ttyUSB0", "serial port of the gyro")
-    baud: int = setting(BAUD, "rate of the serial port", unit="1/s", check=between(300, 4_000_000))
+    baud: int = setting(
+        BAUD, "bit rate of the serial port", unit="bit/s", check=between(300, 4_000_000)
+    )
     base_frame: str = like(BaseSettings, "base_frame")
     gyro_noise: float = like(BaseSettings, "gyro_noise")
     latency: float = setting(

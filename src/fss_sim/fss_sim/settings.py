@@ -262,10 +262,10 @@ class TestbedSettings(PlantSettings):
         "", "path of the board's pseudo-terminal (like RS-232), in place of a port"
     )
     board_rate: float = setting(
-        20.0, "rate of the board's telemetry frames", unit="1/s", check=above(0.0, RATE)
+        20.0, "rate of the board's telemetry frames", unit="Hz", check=above(0.0, RATE)
     )
     telemetry_rate: float = setting(
-        5.0, "rate of each link's telemetry frames", unit="1/s", check=above(0.0, RATE)
+        5.0, "rate of each link's telemetry frames", unit="Hz", check=above(0.0, RATE)
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     seed: int = setting(1, "seed of all sensor errors", check=at_least(0))
@@ -294,7 +294,7 @@ class TestbedSettings(PlantSettings):
     torque_rate: int = setting(
         80,
         "sample rate of a torque converter",
-        unit="1/s",
+        unit="Hz",
         check=Check("10 or 80", lambda rate: rate in (10, 80), 10, 80),
     )
     clock_drift: float = _preset_setting(Noise, "clock_drift")
@@ -326,7 +326,7 @@ class TestbedSettings(PlantSettings):
     )
     paused: bool = setting(False, "true: start with the published clock paused, to be stepped")
     truth_rate: float = setting(
-        10.0, "rate of sim/truth and gripper/state", unit="1/s", check=above(0.0, RATE)
+        10.0, "rate of sim/truth and gripper/state", unit="Hz", check=above(0.0, RATE)
     )
     state_file: str = setting(
         "", "file in which the state is saved, to resume from it; empty: none"

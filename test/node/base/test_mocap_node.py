@@ -275,7 +275,7 @@ def test_a_subject_that_is_wanted_and_never_seen_is_named(spin):
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ({}, "system is '' and relays is empty"),
+        ({}, "no source of poses: set system"),
         ({"system": "viconn"}, "system is 'viconn', expected one of"),
         ({"system": "vicon"}, "host is '', expected the address of the vicon computer"),
         ({"system": "mock", "options": ["x"]}, "options holds 'x', expected OPTION=VALUE"),

@@ -29,7 +29,7 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     fresh_rate: float = setting(
         10.0,
         "rate of poses with independent errors, for the deviation of averages",
-        unit="1/s",
+        unit="Hz",
         check=POSITIVE,
     )
     torque_deviation: float = setting(

@@ -76,7 +76,7 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
     fresh_rate: float = setting(
         10.0,
         "rate of poses with independent errors, for the deviation of averages",
-        unit="1/s",
+        unit="Hz",
         check=POSITIVE,
     )
     path_timing: float = setting(

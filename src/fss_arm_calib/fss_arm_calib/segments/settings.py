@@ -73,7 +73,7 @@ class ManeuverSettings(RestSettings):
     path_rate: float = setting(
         0.0,
         "rate of base poses used during the motion, for stiff joints only; 0: none",
-        unit="1/s",
+        unit="Hz",
         check=NOT_NEGATIVE,
     )
     time_offset: float = setting(

@@ -15,7 +15,7 @@ class ControlSettings(PoseGains):
 
     arm: str = setting("", "arm to control: paper, cad, truth or a file; empty: paper")
     rate: float = setting(
-        10.0, "publishing rate of base/wrench", unit="1/s", check=between(1.0, 200.0)
+        10.0, "publishing rate of base/wrench", unit="Hz", check=between(1.0, 200.0)
     )
     timeout: float = setting(
         1.0,

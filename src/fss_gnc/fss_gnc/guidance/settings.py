@@ -11,12 +11,17 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, between, like, settin
 class GuidanceSettings(Extents):
     """Parameters of a GuidanceNode, without those of the missions."""
 
-    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
+    arm: str = setting(
+        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+    )
     rate: float = setting(
-        10.0, "rate of the guidance and of base/trajectory", unit="1/s", check=between(1.0, 100.0)
+        10.0,
+        "rate at which base/trajectory is computed and published",
+        unit="Hz",
+        check=between(1.0, 100.0),
     )
     horizon: float = setting(
-        2.0, "length of each base/trajectory", unit="s", check=between(1.0, 60.0)
+        2.0, "time that each base/trajectory covers", unit="s", check=between(1.0, 60.0)
     )
     max_age: float = setting(
         0.5,

@@ -12,7 +12,7 @@ class ControllerSettings(Settings):
     """Parameters of a ControllerNode."""
 
     law: str = setting("", "control law: MODULE:CLASS, FILE.py:CLASS or LIBRARY.so")
-    rate: float = setting(50.0, "steps of the law per second", unit="1/s", check=between(1.0, 1e3))
+    rate: float = setting(50.0, "steps of the law per second", unit="Hz", check=between(1.0, 1e3))
     time_to_live: float = setting(
         0.3,
         "age of a command's inputs at which valves close and joints stop unless the law has "

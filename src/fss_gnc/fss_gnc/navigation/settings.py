@@ -162,7 +162,9 @@ class NavigationSettings(EstimatorSettings, MassErrors):
         unit="Hz",
         check=between(1.0, 100.0),
     )
-    arm: str = setting("", "initial arm: paper, cad, truth or a file; empty: paper")
+    arm: str = setting(
+        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+    )
     base_topic: str = like(Vehicle, "base_topic")
     target_topic: str = like(Vehicle, "target_topic")
     gyro_topic: str = setting("fog/imu", "topic of the gyro")
