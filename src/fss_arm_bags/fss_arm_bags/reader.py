@@ -23,7 +23,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 
 from fss_arm_bags.chunks import Received, indexed_chunks, read_in_order
 from fss_arm_bags.inspection import Inspection, inspect
-from fss_arm_bags.layout import storage_files
+from fss_arm_bags.layout import STORAGE_SUFFIXES, storage_files
 from fss_arm_bags.readers import TopicReader
 from fss_arm_bags.recovery import BagError, Recovered, recover
 from fss_arm_bags.unpacking import make_readable
@@ -248,6 +248,8 @@ def find_bags(path: Path) -> list[Path]:
     """
     if not path.exists():
         raise BagError(f"{path}: no such file or folder")
+    if path.is_file() and not path.name.endswith(STORAGE_SUFFIXES):
+        raise BagError(f"{path}: no bag, expected a folder or a file {', '.join(STORAGE_SUFFIXES)}")
     if path.is_file() or (path / "metadata.yaml").exists() or storage_files(path):
         return [path]
     inner = [p for p in path.iterdir() if p.is_dir() and not p.name.startswith(".")]

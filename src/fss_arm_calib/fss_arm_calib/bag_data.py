@@ -1,6 +1,7 @@
 """Data that a finder obtains from bags, found as in a node, and the recorded streams themselves."""
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 from itertools import zip_longest
 from math import nan
 from typing import TypeVar
@@ -104,13 +105,20 @@ def topic_name(bags: Bags, one: Input, namespace: str = "", needed: bool = True)
     if topic in bags.topics and bags.topics[topic].msgtype != one.type:
         raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {one.type}")
     if topic not in bags.topics and one.needed and needed:
-        there = ", ".join(bags.topics) or "no topics"
         where = ", ".join(map(str, bags.paths))
+        hint = namespace_hint(bags, one.topic) or _name_hint(bags, topic, one.type)
         damaged = "".join(f"; damaged: {bag}" for bag in bags.recovered)
-        raise BagError(
-            f"no {topic} in {where}, which has {there}{namespace_hint(bags, one.topic)}{damaged}"
-        )
+        raise BagError(f"no {topic} in {where}{hint}{damaged}")
     return topic
+
+
+def _name_hint(bags: Bags, topic: str, kind: str) -> str:
+    """Suggest the topics of a type that the name of a missing topic may mean."""
+    there = [name for name, found in bags.topics.items() if found.msgtype == kind]
+    near = get_close_matches(topic, there, n=1)
+    if near:
+        return f"; is it {near[0]}?"
+    return f", which has {', '.join(there) or 'no topic'} of type {kind}"
 
 
 def namespace_hint(bags: Bags, topic: str) -> str:

@@ -116,6 +116,8 @@ def read_yaml(source: str | Path) -> Any:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = f"line {mark.line + 1}" if mark else "text"
+        if mark and source[mark.index : mark.index + 1] == "\t":
+            raise ContentError(where, "indented with a tab", "spaces") from None
         raise ContentError(where, error.problem, "YAML") from None
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         raise ContentError("text", str(error).splitlines()[0], "YAML") from None

@@ -4,6 +4,7 @@ import atexit
 import faulthandler
 import gc
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -22,6 +23,7 @@ from fss_arm_ros.subscription_set import relax_events
 MAX_DOMAIN = 232  # the ports of a higher one do not exist
 MAX_SHUTDOWN_TIME = 5.0  # after all nodes are closed [s]
 SWITCH_INTERVAL = 0.0005  # between Python's threads: a stop waits no longer for a computation [s]
+ROS_FLAGS = ("-p", "--param", "-r", "--remap", "--params-file", "--log-level", "--enclave")
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -55,11 +57,9 @@ def run(
     except UnknownROSArgsError as error:
         return _failed(name, f"{error} is not understood after --ros-args", 2)
     except RCLError as error:
-        return _failed(
-            name, str(error).split(", at /")[0], 2
-        )  # the rest are places in rcl's source
+        return _failed(name, _argument_problem(error), 2)
     if plain and not takes:
-        return _failed(name, f"{plain[0]!r} is not understood; try --help", 2)
+        return _failed(name, f"{plain[0]!r} is not understood; {_next_step(plain[0])}", 2)
     try:
         check_domain()
     except ValueError as error:
@@ -129,6 +129,22 @@ def check_domain() -> None:
         raise ValueError(
             f"ROS_DOMAIN_ID is {given!r}, expected a whole number from 0 to {MAX_DOMAIN}"
         )
+
+
+def _argument_problem(error: RCLError) -> str:
+    """Return what rcl says of a command line, without places in its source and its parser."""
+    words = str(error).split(", at /")[0]
+    if rule := re.search(r"(override|remap) rule: '(.*?)'", words):
+        form = "-p NAME:=VALUE" if rule[1] == "override" else "-r NAME:=NEW_NAME"
+        return f"{rule[2]!r} is not understood, expected {form}"
+    return words
+
+
+def _next_step(argument: str) -> str:
+    """Return what to do about a plain argument that a node does not take."""
+    if argument in ROS_FLAGS:
+        return f"give it after --ros-args: --ros-args {argument} ..."
+    return f"give it as --ros-args -p {argument}" if ":=" in argument else "try --help"
 
 
 def _tune_process() -> None:

@@ -231,8 +231,15 @@ def test_a_missing_topic_is_named(lab, tmp_path):
     for missing in lab.topics:
         topics = [topic for topic in lab.topics if topic != missing]
         bag = lab.record(tmp_path / missing.replace("/", "_"), lab.samples[:1000], topics)
-        with pytest.raises(BagError, match=f"no /{missing} in .*, which has "):
+        with pytest.raises(BagError, match=f"no /{missing} in .*(, which has |; is it )"):
             lab.solve(bag)
+
+
+def test_a_misspelt_topic_is_named_with_the_right_one(lab, tmp_path):
+    bag = lab.record(tmp_path / "bags", lab.samples[:1000])
+    with pytest.raises(BagError) as error:
+        lab.solve(bag, base_topic="vicon/fs/fss")
+    assert str(error.value) == f"no /vicon/fs/fss in {bag}; is it /vicon/fss/fss?"
 
 
 @pytest.mark.parametrize(

@@ -136,9 +136,13 @@ def test_defaults_tell_vehicles_apart(ros, namespace, topic, prefix):
         ("--ros-args -p rate:=-1", 1, "thing: rate is -1.0 Hz, expected a positive number"),
         ("--ros-args -p rate:=[]", 1, "thing: rate is None, expected a number"),
         ("--ros-args -p names:=[] -p count:=0", 0, ""),
-        ("--ros-args -p rate", 2, "thing: Failed to parse ROS arguments"),
+        ("--ros-args -p rate", 2, "thing: '-p rate' is not understood, expected -p NAME"),
         ("--ros-args --no-such", 2, "thing: ['--no-such'] is not understood after --ros-args"),
-        ("rate:=1", 2, "thing: 'rate:=1' is not understood"),
+        ("rate:=1", 2, "'rate:=1' is not understood; give it as --ros-args -p rate:=1"),
+        ("-p rate:=1", 2, "'-p' is not understood; give it after --ros-args: --ros-args -p ..."),
+        ("lunch", 2, "thing: 'lunch' is not understood; try --help"),
+        ("--ros-args -p rate=1", 2, "'-p rate=1' is not understood, expected -p NAME:=VALUE"),
+        ("--ros-args -r a", 2, "'-r a' is not understood, expected -r NAME:=NEW_NAME"),
     ],
 )
 def test_every_end_has_its_exit_code_and_at_most_one_line(capfd, args, code, said):

@@ -248,7 +248,7 @@ def test_invalid_paths_are_named(tmp_path):
         (tmp_path / "none", "no such file"),
         (empty, "contains no bag"),
         (text, "not an MCAP file"),
-        (other, "text.txt"),
+        (other, r"no bag, expected a folder or a file \.mcap, \.db3"),
     ]:
         with pytest.raises(BagError, match=wrong) as error:
             open_bags(path)

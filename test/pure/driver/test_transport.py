@@ -1,9 +1,11 @@
 """Frames over UDP, TCP and a pseudo-terminal: one suite for all, then what is each one's own."""
 
+import errno
 import os
 import resource
 import socket
 import termios
+from pathlib import Path
 from threading import Event, Thread
 from types import SimpleNamespace
 
@@ -321,6 +323,24 @@ def test_a_dead_serial_port_is_named(device, words):
     with pytest.raises(TransportError) as error:
         open_transport(url)
     assert str(error.value) == f"url {url!r} cannot be opened: {words}"
+
+
+@pytest.mark.parametrize(
+    ("group", "words"),
+    [
+        ("dialout", "Permission denied: run sudo usermod -aG dialout $USER, then log in again"),
+        ("root", "Permission denied"),
+    ],
+)
+def test_a_serial_port_without_permission_is_named_with_the_remedy(monkeypatch, group, words):
+    def refused(*_):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(Path, "group", lambda _: group)
+    monkeypatch.setattr("serial.serialposix.os.open", refused)
+    with pytest.raises(TransportError) as error:
+        open_transport("serial:///dev/ttyUSB0")
+    assert str(error.value) == f"url 'serial:///dev/ttyUSB0' cannot be opened: {words}"
 
 
 @pytest.mark.parametrize("end", ["pty"], indirect=True)

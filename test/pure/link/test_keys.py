@@ -36,5 +36,5 @@ def test_a_file_of_keys_must_be_its_owners_alone(tmp_path):
     path.chmod(0o600)
     assert load_keys(path) == {1: KEY}
     path.chmod(0o640)
-    with pytest.raises(KeyFileError, match="has mode 640, expected 600"):
+    with pytest.raises(KeyFileError, match=r"mode 640, expected 600\): chmod 600 /"):
         load_keys(path)

@@ -110,6 +110,14 @@ def test_a_file_is_named_and_bounded(tmp_path):
         read_text("/dev/zero")
 
 
+@pytest.mark.parametrize(("text", "line"), [("a:\n\tb: 1", 2), ("a: 1\n\tb: 2", 2), ("\ta: 1", 1)])
+def test_a_tab_is_named(text, line):
+    with pytest.raises(
+        ContentError, match=f"^line {line} is 'indented with a tab', expected spaces"
+    ):
+        read_yaml(text)
+
+
 def test_a_file_is_the_old_one_or_the_new_one(tmp_path, monkeypatch):
     file = tmp_path / "new" / "text"
     write_text(file, "old")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.libraries import LIBRARIES
 from fss_arm_ros.program import Command, Program, docstring, named
 
@@ -59,7 +60,7 @@ def test_help_has_the_words_of_what_it_runs_for_users(entry):
     assert told
     assert " ".join(told.split()) in " ".join(usage.split())
     assert not [line for line in usage.splitlines() if len(line) > 80]
-    assert not re.search(r"\d{10}", usage)  # an angle converted from degrees
+    assert not re.search(r"\.\d{11}", usage)  # an angle converted from degrees
     assert not re.search(r"^(Args|Raises|Returns):", told, re.MULTILINE)
 
 
@@ -93,6 +94,18 @@ def test_a_flag_is_short_for_its_parameter(monkeypatch):
     program = Program("collections:Counter", "collections:Counter", short={"--hold": "hold:=true"})
     assert program(["replay", "--hold", "bag"]) == 3
     assert ran == [["replay", "bag", "--ros-args", "-p", "hold:=true"]]
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+
+def test_an_interrupted_command_ends_in_one_line(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["/somewhere/from_bag"])
+    assert Command(f"{__name__}:interrupt", "argparse:ArgumentParser")([]) == 130
+    assert capsys.readouterr().err == "from_bag: interrupted\n"
+    assert in_one_line("plan")(interrupt)() == 130
+    assert capsys.readouterr().err == "plan: interrupted\n"
 
 
 def test_a_command_runs_with_its_arguments():

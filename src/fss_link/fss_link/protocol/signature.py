@@ -76,6 +76,6 @@ def load_keys(path: str | Path) -> Mapping[int, bytes]:
         mode = stat.S_IMODE(Path(path).stat().st_mode)
         if mode & 0o077:
             raise KeyFileError(
-                f"{path} has mode {mode:o}, expected 600: only its owner may have access"
+                f"{path} can be read by others (mode {mode:o}, expected 600): chmod 600 {path}"
             )
         return parse_keys(file.read(), str(path))

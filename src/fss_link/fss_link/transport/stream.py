@@ -7,6 +7,7 @@ import termios
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from threading import Event, Lock
 from typing import TYPE_CHECKING
 
@@ -169,9 +170,20 @@ def open_port(device: str, baud: int) -> "Serial":
         number = getattr(error, "errno", None)
         if number == errno.EAGAIN:
             raise OSError("another process has it open") from None
+        if number == errno.EACCES:
+            raise OSError(_permission_problem(device)) from None
         if number:
             raise OSError(number, os.strerror(number)) from None
         raise OSError(f"it is no serial port, or does not support {baud} baud") from None
+
+
+def _permission_problem(device: str) -> str:
+    """Return why a user may not open a device, and how to join the group that may, if any."""
+    group = Path(device).group()
+    why = os.strerror(errno.EACCES)
+    if group == "root":
+        return why
+    return f"{why}: run sudo usermod -aG {group} $USER, then log in again"
 
 
 def set_rate(port: "Serial", baud: int) -> None:
