@@ -231,6 +231,15 @@ def _searched_place(node: Node) -> str:
     return domain if node.get_namespace() == "/" else f" in {node.get_namespace()},{domain}"
 
 
+def _next_step(node: Node) -> str:
+    """Return what to do if a node does not answer: name another vehicle, or start the nodes."""
+    found = vehicles(node)
+    if others := [v for v in found if v != node.get_namespace()]:
+        return f"; --vehicle is one of {', '.join(others)}"
+    start = "name the configuration that runs, or start one with scripts/fss_up.sh CONFIG"
+    return "" if found else f": {start}"
+
+
 def main() -> int:
     """Run; the exit code is 0 if the arm did so, 1 if not, 130 if interrupted before."""
     options, vehicle = parsed()
@@ -255,9 +264,7 @@ def main() -> int:
             words = f"{vehicle}: {words}" if vehicle and len(node.get_namespace()) > 1 else words
         code = 0 if done else 1
     except NoAnswerError as error:
-        others = [v for v in vehicles(node) if v != node.get_namespace()]
-        also = f"; --vehicle is one of {', '.join(others)}" if others else ""
-        words = f"{error}{_searched_place(node)}{also}"
+        words = f"{error}{_searched_place(node)}{_next_step(node)}"
     except (KeyboardInterrupt, ExternalShutdownException):
         code, words = 130, "interrupted"
     except RCLError:

@@ -1,5 +1,6 @@
 """Stop of all vehicles in the graph, or of one, confirmed by each link and base."""
 
+import os
 import re
 from collections.abc import Iterable
 from math import inf
@@ -99,12 +100,14 @@ class Stop:
                 also = f" ({stopped}: stopped)" if stopped else ""
                 return False, f"{_name_list(silent)}: stop not confirmed{also}; {EMERGENCY}"
             if not self.after and now - self.start > wait:
-                return False, f"there is no link to confirm the stop; {EMERGENCY}"
+                domain = os.environ.get("ROS_DOMAIN_ID") or 0
+                return False, f"no link in ROS domain {domain} confirms the stop; {EMERGENCY}"
 
 
 def vehicles(node: Node) -> list[str]:
     """Return the namespaces that contain a driven arm."""
-    found = (TOPIC.fullmatch(topic) for topic, _ in node.get_topic_names_and_types())
+    topics = [topic for topic, _ in node.get_topic_names_and_types()]
+    found = (TOPIC.fullmatch(topic) for topic in topics if node.count_publishers(topic))
     return sorted({one["namespace"] or "/" for one in found if one and one["link"]})
 
 

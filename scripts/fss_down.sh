@@ -46,8 +46,10 @@ gone() {
   done
 }
 
+stopped=
 stop() {
   held "$1.keep" || held "$1.node" || return 0
+  stopped=yes
   session=$(cat "$FSS_LOGS/$1.keep") || session=0
   # Its keeper stops the node; a node without a keeper gets the signal itself.
   if held "$1.keep"; then send TERM "$1.keep"; else send TERM "$1.node"; fi
@@ -83,4 +85,5 @@ for space in $driving; do
   fi
 done
 for name in $reversed; do stop "$name"; done
+[ "$stopped" ] || say "no node of $fss_config runs on this computer"
 exit $status

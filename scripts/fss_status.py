@@ -6,6 +6,7 @@ Exit code 0: every node runs and none reports an error; 1: otherwise.
 import argparse
 import fcntl
 import os
+import re
 import sys
 import time
 from collections import deque
@@ -40,6 +41,7 @@ RATE_WINDOW = 2.0  # over which rates are averaged [s]
 REPORT_TIMEOUT = 3.0  # older reports of a node are not shown [s]
 MAX_EVENTS = 5  # shown
 SESSION_START = "nodes are started: "  # this event starts a session; older events are not shown
+LOG_PREFIX = re.compile(r"\[\w+\] \[[\d.]+\] (?=\[)")  # level and time of a ROS log
 LOG_TAIL = 4096  # part of a node's log that is searched for its last line [bytes]
 MAX_READINGS = 64  # messages of joint_states kept; each link publishes its own
 LEVELS = {
@@ -179,7 +181,8 @@ class Processes:
         with log.open("rb") as file:
             file.seek(max(0, log.stat().st_size - LOG_TAIL))
             lines = file.read().decode(errors="replace").splitlines()
-        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+        line = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        return LOG_PREFIX.sub("", line)
 
     @staticmethod
     def _is_locked(path: Path) -> bool:
@@ -215,7 +218,8 @@ def nodes(processes: Processes, listener: Listener) -> Table:
         report = escape(status.message) if status else ""
         if state in LOST:  # what reports under this name is another process
             elsewhere = "another process reports under this name; " if status else ""
-            status, report = None, escape(elsewhere + processes.last_log_line(name))
+            why = processes.last_log_line(name) if state != "stopped" else ""
+            status, report = None, escape(elsewhere + why)
         word, tone = LEVELS[status.level] if status else ("", "")
         if state == "up" and not status and name not in processes.mute:
             report = "runs, but no node of this name reports"

@@ -22,7 +22,8 @@ vehicle() {
 read_config() {
   fss_root=$(CDPATH='' cd -- "$fss_scripts/.." && pwd -P)
   fss_config=$(readlink -f -- "${1:-$fss_root/config/fss.sh}") || fss_config=   # the folder does not exist either
-  [ -f "$fss_config" ] || fail "${1:-config/fss.sh}: no such configuration"
+  [ -f "$fss_config" ] ||
+    fail "${1:-config/fss.sh}: no such configuration; there are $(cd "$fss_root" && echo config/*.sh)"
   cd "$fss_root" || exit 1
   fss_name=${fss_config##*/} fss_name=${fss_name%.sh}
   FSS_LOGS=log/$fss_name   # of all nodes

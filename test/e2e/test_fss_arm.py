@@ -54,7 +54,8 @@ def test_nobody_there_is_said_in_one_line(domain):
         ("home", "no driver of a link runs"),
         ("solve", "no calibration runs"),
     ):
-        said += f" in ROS domain {DOMAIN}\n"
+        said += f" in ROS domain {DOMAIN}: name the configuration that runs, or start one with "
+        said += "scripts/fss_up.sh CONFIG\n"
         assert shell(what, "--wait", "1") == (1, "", said)
 
 
@@ -149,7 +150,7 @@ def test_a_wrong_command_line_is_refused_in_one_line(refusal, words, said):
 
 def test_a_stop_of_all_vehicles_needs_no_name(domain):
     """The name in the environment is for all other commands."""
-    no_link = "there is no link to confirm the stop; use the emergency stop\n"
+    no_link = f"no link in ROS domain {DOMAIN} confirms the stop; use the emergency stop\n"
     for name in ("a b", "", "fss2"):
         assert shell("stop", "--wait", "0.1", FSS_NAMESPACE=name) == (1, "", no_link)
     said = "fss_arm.sh: FSS_NAMESPACE: 'a b' is no namespace of a vehicle, "
@@ -448,7 +449,7 @@ def test_a_stop_that_only_a_recorder_hears_is_none(spin, telling):
     recorder = Node("recorder")
     recorder.create_subscription(Empty, "arm/stop", lambda _: None, 10)
     recorder.create_subscription(LinkTelemetry, "link_1/telemetry", lambda _: None, SENSOR)
-    nobody = "there is no link to confirm the stop; use the emergency stop\n"
+    nobody = f"no link in ROS domain {DOMAIN} confirms the stop; use the emergency stop\n"
     assert telling([recorder], STOP) == (1, "", nobody)
 
 

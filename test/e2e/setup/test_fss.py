@@ -337,3 +337,8 @@ def test_without_a_name_the_running_configuration_is_meant(laboratory, tmp_path)
     lab.run("up")
     assert re.search(r"record +up", run("status").stdout)
     assert run("down").stdout == "record has stopped\n"
+    again = lab.run("down")
+    assert (again.returncode, again.stdout) == (
+        0,
+        f"no node of {lab.config} runs on this computer\n",
+    )

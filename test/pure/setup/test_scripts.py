@@ -205,7 +205,9 @@ def test_a_configuration_that_is_nowhere_is_named(command):
     name, *words = command.split()
     shown = run(ROOT / "scripts" / name, *words, "/nowhere/at/all.sh")
     assert shown.returncode == 1
-    assert shown.stderr == f"{name}: /nowhere/at/all.sh: no such configuration\n"
+    there = " ".join(f"config/{path.name}" for path in sorted((ROOT / "config").glob("*.sh")))
+    problem = f"/nowhere/at/all.sh: no such configuration; there are {there}"
+    assert shown.stderr == f"{name}: {problem}\n"
 
 
 VEHICLES = """
@@ -322,12 +324,17 @@ def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path, status):
 def test_a_failed_node_says_why_and_events_are_those_of_this_session(tmp_path, status):
     (tmp_path / "link.keep").write_text("failed\n")
     (tmp_path / "link.log").write_text("[INFO] begins\nlink: the port is taken\n\n")
+    for name, state in (("arm", "failed"), ("record", "stopped")):
+        (tmp_path / f"{name}.keep").write_text(f"{state}\n")
+        (tmp_path / f"{name}.log").write_text(f"[ERROR] [1795718826.249418224] [{name}]: lost\n")
     events = ["old link failed", "nodes are started: link", "link failed (1)"]
     (tmp_path / "events.log").write_text("\n".join(events) + "\n")
     listener = SimpleNamespace(measured={}, results={}, reports={}, report={}.get)
-    shown = status["screen"](status["Processes"](tmp_path, ["link"], []), listener)
+    shown = status["screen"](status["Processes"](tmp_path, ["link", "arm", "record"], []), listener)
     lines = lines_of(shown)
     assert any(re.fullmatch(r"link +failed +link: the port is taken", line) for line in lines)
+    assert any(re.fullmatch(r"arm +failed +\[arm\]: lost", line) for line in lines)
+    assert any(re.fullmatch(r"record +stopped", line) for line in lines)  # as requested
     assert lines[-2:] == events[1:]
     assert "no node reports in ROS domain 64" in lines
 
