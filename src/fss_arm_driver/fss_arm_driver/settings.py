@@ -42,7 +42,7 @@ class LinkSettings(Settings):
     )
     watchdog: float = setting(
         2.0,
-        "silence of the driver after which the link disarms itself: it brakes and holds, under power",
+        "silence of the driver after which the link disarms itself, brakes and holds under power",
         unit="s",
         check=between(0.001, 65.535),
     )
