@@ -94,6 +94,7 @@ def check_joint_names(streams: Streams, arm: Arm) -> Check:
     """Check that no readings were received of a joint that the arm does not have."""
     unknown = streams.unknown
     reason = f"received {', '.join(unknown)}, but {arm.name!r} has {format_count(arm.n, 'joint')}"
+    reason += "; give the description of the arm in use"
     verdict = NOT_EVALUATED if unknown else PASS
     return Check("joints", verdict, arm.n + len(unknown), arm.n, reason if unknown else "")
 

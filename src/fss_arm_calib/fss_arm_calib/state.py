@@ -125,7 +125,7 @@ def restore(path: str | Path, kind: str, joints: int, datum: type[D]) -> tuple[l
         data = _convert(tuple[datum, ...], saved["data"], "data")  # type: ignore[valid-type]
         return list(data), _convert(Flags, saved["flags"], "flags")
     except ValueError as error:
-        raise StateError(f"{path}: {error}") from None
+        raise StateError(f"{path}: {error}; move the file away to start without its data") from None
 
 
 class FileWriter:

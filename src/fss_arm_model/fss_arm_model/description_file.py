@@ -9,6 +9,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass, replace
+from difflib import get_close_matches
 from itertools import dropwhile
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,9 @@ SERIAL_NAME = re.compile(r"(a|theta_0|m|b|I)_#(\d+)")
 #: Standard deviation of an unknown angle after another link was mounted first [rad].
 UNKNOWN_ANGLE_SIGMA = math.radians(5.0)
 
+#: Largest values in files by their unit, and the unit that a larger one probably has.
+LARGEST = {"m": (10.0, "millimetres"), "kg": (1000.0, "grams")}
+
 #: Descriptions in the package, by the name that settings use.
 ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
 
@@ -50,7 +54,9 @@ def _build(kind: type[Any], given: Any) -> Any:
     known = {f.name: f for f in fields(kind)}
     for key, value in given.items():
         if key not in known:
-            raise DescriptionError(short(str(key)), value, f"only {_entries(kind)}")
+            near = get_close_matches(str(key), known, n=1)
+            expected = f"the entry {near[0]}" if near else f"only {_entries(kind)}"
+            raise DescriptionError(short(str(key)), value, expected)
     for f in known.values():
         required = f.default is MISSING and f.default_factory is MISSING
         if required and f.name not in given:
@@ -179,7 +185,23 @@ def load(path: str | os.PathLike[str]) -> Arm:
     with error_context(""):
         text = read_text(path)
     with error_context(str(path)):
-        return from_yaml(text, Path(path).parent)
+        arm = from_yaml(text, Path(path).parent)
+        with error_context("base"):
+            _check_units(arm.base)
+        for i, link in enumerate(arm.links, 1):
+            with error_context(f"link {i}"):
+                _check_units(link)
+    return arm
+
+
+def _check_units(part: Base | Link) -> None:
+    """Raise DescriptionError if a length or a mass is so large that its unit must be wrong."""
+    for f in fields(part):
+        value, unit = getattr(part, f.name), f.metadata["unit"]
+        largest, wrong_unit = LARGEST.get(unit, (math.inf, ""))
+        if isinstance(value, float) and abs(value) > largest:
+            expected = f"at most {largest:g} [{unit}]; in {wrong_unit}?"
+            raise DescriptionError(f.name, value, expected)
 
 
 def described(arm: str) -> Arm:
@@ -200,10 +222,10 @@ def described(arm: str) -> Arm:
 
 def _installed() -> Path:
     """Return the folder of the descriptions in ARMS, in the source tree or where installed."""
-    mounted_names = Path(__file__).resolve()
-    if (mounted_names.parents[1] / "package.xml").exists():
-        return mounted_names.parents[1] / "config"
-    places = (folder / "share/fss_arm_model/config" for folder in mounted_names.parents)
+    here = Path(__file__).resolve()
+    if (here.parents[1] / "package.xml").exists():
+        return here.parents[1] / "config"
+    places = (folder / "share/fss_arm_model/config" for folder in here.parents)
     return next(filter(Path.is_dir, places))
 
 

@@ -67,6 +67,7 @@ WRONG = [
     (["base", "inertia"], math.nan, "base: inertia", "a positive number [kg m^2]"),
     (["base", "com"], [0.0], "base: com", "two finite numbers (x, y) [m]"),
     (["base", "mount"], [0.0, math.inf, 0.0], "base: mount", "three finite numbers"),
+    (["links", 1, "inertai"], 0.03, "link 2: inertai", "the entry inertia"),
     (["base", "wheels"], 4, "base: wheels", "only the entries mass, inertia, com, mount"),
     (["base"], 3, "base", "a base"),
     (["theta_E"], [0.1], "theta_E", "a finite number [rad]"),
@@ -110,6 +111,29 @@ def test_wrong_entry_is_named_with_value_and_expectation(where, value, field, ex
 def test_a_mount_in_degrees_is_refused():
     with pytest.raises(DescriptionError, match=r"^mount is 18.211, expected -6.283 to 6.283 \[rad"):
         Base(10.0, 0.25, mount=(0.2058, 0.0155, 18.211))
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "words"),
+    [
+        ("a: 0.4", "a: 400", "link 2: a is 400.0, expected at most 10 [m]; in millimetres?"),
+        ("mass: 3", "mass: 3000", "link 2: mass is 3000.0, expected at most 1000 [kg]; in grams?"),
+        ("b: 0.2", "b: -200", "link 2: b is -200.0, expected at most 10 [m]; in millimetres?"),
+        ("mass: 12", "mass: 12e3", "base: mass is 12000.0, expected at most 1000 [kg]; in grams?"),
+    ],
+)
+def test_a_file_in_other_units_is_refused(tmp_path, was, becomes, words):
+    link = "{a: 0.4, theta_0: 0.0, mass: 3, inertia: 0.04, b: 0.2}"
+    text = (
+        f"name: mine\nbase: {{mass: 12, inertia: 0.3}}\nlinks: [{link.replace('4', '3')}, {link}]"
+    )
+    file = tmp_path / "arm.yaml"
+    file.write_text(text)
+    assert load(file).n == 2
+    file.write_text(was.join(text.split(was)[:-1]) + becomes + text.split(was)[-1])
+    with pytest.raises(DescriptionError) as caught:
+        load(file)
+    assert str(caught.value) == f"{file}: {words}"
 
 
 def test_thirteen_links_are_too_many():
