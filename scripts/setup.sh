@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Sets up the workspace: .venv, the colcon build, the compiled kernels.
 # Steps whose inputs have not changed are skipped.
-# usage: setup.sh [--dev]     --dev adds the packages for the tests
+# usage: setup.sh [--dev] [--ros2cli]
+# --dev adds the packages for the tests, --ros2cli the real `ros2` command line, which the wheels lack.
 set -euo pipefail
 
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
@@ -34,13 +35,15 @@ end() {
   rm -f "$log"*
 }
 
-dev=
-case "$*" in
-  '') ;;
-  --dev) dev=-dev ;;
-  -h | --help) sed -n '2,/^[^#]/s/^# \{0,1\}//p' "$0"; exit 0 ;;
-  *) die "unknown argument '$*'; usage: scripts/setup.sh [--dev]" ;;
-esac
+dev='' ros2cli=
+for argument in "$@"; do
+  case $argument in
+    --dev) dev=-dev ;;
+    --ros2cli) ros2cli=1 ;;
+    -h | --help) sed -n '2,/^[^#]/s/^# \{0,1\}//p' "$0"; exit 0 ;;
+    *) die "unknown argument '$argument'; usage: scripts/setup.sh [--dev] [--ros2cli]" ;;
+  esac
+done
 [[ $root != *[[:space:]]* ]] ||
   die "colcon does not support spaces in paths; move the workspace out of '$root'"
 [[ -w $root ]] || die "cannot write to $root"
@@ -289,12 +292,34 @@ compile_kernels() {
   touch "$warm"
 }
 
+# --- the ros2 command line -----------------------------------------------------------------------
+
+# Tags of the repositories below https://github.com/ros2, the newest of Jazzy.
+ROS2CLI=0.32.2 ROSIDL_RUNTIME_PY=0.13.1
+
+clone() {   # clone NAME TAG
+  git clone --quiet --depth 1 --branch "$2" "https://github.com/ros2/$1" "$sources/$1" >"$log" 2>&1 ||
+    die "cannot clone https://github.com/ros2/$1: $(grep -m 1 '^fatal:' "$log" || tail -n 1 "$log")"
+}
+
+add_ros2cli() (
+  command -v git >/dev/null || die "missing: git; install it with your system's package manager"
+  say "installing the ros2 command line $ROS2CLI"
+  sources=$(mktemp -d)
+  trap 'rm -rf "$sources"' EXIT
+  clone ros2cli "$ROS2CLI"
+  clone rosidl_runtime_py "$ROSIDL_RUNTIME_PY"
+  pip "$sources/rosidl_runtime_py" "$sources"/ros2cli/ros2{cli,action,interface,node,param,pkg,run,service,topic}
+  echo "$ROS2CLI" >"$venv/.stamp-ros2cli"
+)
+
 # --- in order ------------------------------------------------------------------------------------
 
 log=$(mktemp) jobs=()
 trap end EXIT
 
 choose_ros
+[[ ! $ros2cli || $ros == wheels ]] || die "ROS 2 Jazzy has a ros2: apt-get install ros-jazzy-ros2cli-common-extensions"
 requirements=$root/scripts/requirements
 [[ $ros == wheels ]] || requirements+=-jazzy
 kind="$ros $root"
@@ -335,3 +360,4 @@ fi
 [[ -e $warm ]] || compile_kernels
 echo "$pins" >"$venv/.stamp-packages"
 [[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"
+[[ ! $ros2cli ]] || current "$venv/.stamp-ros2cli" "$ROS2CLI" || add_ros2cli

@@ -384,7 +384,7 @@ def test_executables_are_listed(ros2, package):
     ("arguments", "words"),
     [
         ((), "stand-in has only"),
-        (("topic", "list"), "stand-in has only"),
+        (("topic", "list"), "for the others: scripts/setup.sh --ros2cli"),
         (("pkg", "list"), "stand-in has only"),
         (("run",), "stand-in has only"),
         (("run", "pkg"), "usage"),

@@ -304,3 +304,77 @@ def test_the_workspace_is_built_on_the_distribution(machine, full, domain):
     assert missing == "doctor: mcap is missing"
     assert command.endswith("-c scripts/requirements-jazzy.txt mcap")
     assert "/joint_states" in machine.run(command, doctor).stdout
+
+
+# --- the ros2 command line -----------------------------------------------------------------------
+
+ROS2_PACKAGES = ["cli", "action", "interface", "node", "param", "pkg", "run", "service", "topic"]
+
+
+def repository(folder: Path, tag: str, packages: dict[str, str]) -> None:
+    """Make a bare repository with one tag, of Python packages by their folders."""
+    work = folder.with_suffix(".work")
+    for place, name in packages.items():
+        entry = f"{{'console_scripts': ['ros2 = {name}:main']}}" if name == "ros2cli" else "{}"
+        module = "def main():\n    print('the real one')\n"
+        (work / place).mkdir(parents=True)
+        (work / place / f"{name}.py").write_text(module)
+        (work / place / "setup.py").write_text(
+            "from setuptools import setup\n"
+            f"setup(name={name!r}, version='1', py_modules=[{name!r}], entry_points={entry})\n"
+        )
+    me = ["-c", "user.name=test", "-c", "user.email=test@example.org"]
+    for command in (
+        ["init", "-q"], ["add", "."], [*me, "commit", "-q", "-m", "all"], ["tag", tag],
+        ["clone", "-q", "--bare", ".", str(folder)],
+    ):  # fmt: skip
+        assert run("git", *command, cwd=work).returncode == 0
+
+
+@pytest.fixture
+def small(machine: Machine) -> Machine:
+    """A workspace whose set-up takes seconds: two packages, and nothing to build."""
+    pins = machine.root / "scripts/requirements.txt"
+    wanted = re.findall(r"^(?:setuptools|numpy)==.*\n", pins.read_text(), re.M)
+    pins.write_text("".join(wanted))
+    shutil.copy(ROOT / "colcon.meta", machine.root)
+    model = machine.root / "src/fss_arm_model/fss_arm_model"
+    script(model / "warm.py", '"""\n@kernel(\n"""')
+    (model / "__init__.py").touch()
+    machine.replace("cmake", "echo cmake version 3.30.0")
+    build = "mkdir -p install log/build && ln -sfn build log/latest_build"
+    machine.replace("colcon", build)
+    machine.env["NUMBA_CACHE_DIR"] = str(machine.root / "cache")
+    return machine
+
+
+@pytest.mark.slow
+def test_the_real_ros2_is_added_by_one_command(small, tmp_path):
+    def sources(folder: Path) -> dict[str, str]:
+        """Git's own way to take a mirror in the place of a host."""
+        return {
+            "GIT_CONFIG_COUNT": "1",
+            "GIT_CONFIG_KEY_0": f"url.file://{folder}/.insteadOf",
+            "GIT_CONFIG_VALUE_0": "https://github.com/ros2/",
+        }
+
+    setup = (small.root / "scripts/setup.sh").read_text()
+    tags = dict(re.findall(r"(\w+)=(0\.\d+\.\d+)", setup))
+    names = {f"ros2{name}": f"ros2{name}" for name in ROS2_PACKAGES}
+    repository(tmp_path / "mirror/ros2cli", tags["ROS2CLI"], names)
+    own = {".": "rosidl_runtime_py"}
+    repository(tmp_path / "mirror/rosidl_runtime_py", tags["ROSIDL_RUNTIME_PY"], own)
+
+    command = [small.root / "scripts/setup.sh", "--ros2cli"]
+    unreachable = run(*command, env=small.env | sources(tmp_path / "nowhere"))
+    assert unreachable.returncode == 1
+    last = unreachable.stderr.splitlines()[-1]
+    assert last.startswith("setup: cannot clone https://github.com/ros2/ros2cli: fatal: ")
+    ros2 = small.root / ".venv/bin/ros2"
+    assert not ros2.exists()
+
+    added = run(*command, env=small.env | sources(tmp_path / "mirror"))
+    assert added.returncode == 0, added.stderr
+    assert run(ros2).stdout == "the real one\n"
+    again = run(*command, env=small.env | sources(tmp_path / "nowhere"))
+    assert (again.returncode, again.stderr) == (0, "")
