@@ -1,8 +1,10 @@
 """The contract of a control law, and the C header that is generated from it."""
 
+import re
 import subprocess
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from fss_gnc.law.contract import MAX_JOINTS, STRUCTURES, from_record, members, t
 from fss_gnc.law.header import STRUCTURE_NAMES, header
 
 LAWS = Path(__file__).parents[3] / "docs/examples/laws"
+PAGE = (LAWS.parents[1] / "how-to/controller.md").read_text()
+EXAMPLES = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
 TARGET = {"target_pose": np.arange(3.0), "target_twist": np.array([0.1, 0.2, 0.3])}
 
 
@@ -92,6 +96,27 @@ def test_structures_are_laid_out_as_the_c_compiler_does(tmp_path):
 
 
 def test_the_page_names_each_quantity():
-    page = (LAWS.parents[1] / "how-to/controller.md").read_text()
     for kind in (Inputs, Outputs):
-        assert not [f.name for f in fields(kind) if f"`{f.name}`" not in page]
+        assert not [f.name for f in fields(kind) if f"`{f.name}`" not in PAGE]
+
+
+def test_the_loop_of_the_page_brings_the_base_home_and_draws_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names: dict[str, Any] = {}
+    exec(compile(EXAMPLES[0], "controller.md", "exec"), names)
+    poses = np.array(names["poses"])
+    assert np.hypot(*poses[0, :2]) > 0.1
+    after = poses[names["times"] > 30.0]
+    assert np.hypot(after[:, 0], after[:, 1]).max() < 0.02  # [m]; joint 1 swings meanwhile
+    assert np.abs(after[:, 2]).max() < np.radians(3.0)
+    assert np.ptp(after, axis=0).min() > 0.0
+    assert (tmp_path / "hold.png").stat().st_size > 10_000
+
+
+def test_the_law_of_the_page_is_one():
+    names: dict[str, Any] = {}
+    exec(compile(EXAMPLES[1], "controller.md", "exec"), names)
+    outputs = names["MyLaw"](4, 0.02).step(inputs(4))
+    outputs.require_finite()
+    assert outputs.wrench.shape == (3,)

@@ -311,7 +311,7 @@ def test_the_workspace_is_built_on_the_distribution(machine, full, domain):
 ROS2_PACKAGES = ["cli", "action", "interface", "node", "param", "pkg", "run", "service", "topic"]
 
 
-def repository(folder: Path, tag: str, packages: dict[str, str]) -> None:
+def repository(folder, tag, packages):
     """Make a bare repository with one tag, of Python packages by their folders."""
     work = folder.with_suffix(".work")
     for place, name in packages.items():
@@ -328,18 +328,18 @@ def repository(folder: Path, tag: str, packages: dict[str, str]) -> None:
         ["init", "-q"], ["add", "."], [*me, "commit", "-q", "-m", "all"], ["tag", tag],
         ["clone", "-q", "--bare", ".", str(folder)],
     ):  # fmt: skip
-        assert run("git", *command, cwd=work).returncode == 0
+        subprocess.run(["git", *command], cwd=work, check=True)
 
 
 @pytest.fixture
-def small(machine: Machine) -> Machine:
+def small(machine):
     """A workspace whose set-up takes seconds: two packages, and nothing to build."""
     pins = machine.root / "scripts/requirements.txt"
     wanted = re.findall(r"^(?:setuptools|numpy)==.*\n", pins.read_text(), re.M)
     pins.write_text("".join(wanted))
     shutil.copy(ROOT / "colcon.meta", machine.root)
     model = machine.root / "src/fss_arm_model/fss_arm_model"
-    script(model / "warm.py", '"""\n@kernel(\n"""')
+    write_script(model / "warm.py", '"""\n@kernel(\n"""')
     (model / "__init__.py").touch()
     machine.replace("cmake", "echo cmake version 3.30.0")
     build = "mkdir -p install log/build && ln -sfn build log/latest_build"
@@ -350,7 +350,7 @@ def small(machine: Machine) -> Machine:
 
 @pytest.mark.slow
 def test_the_real_ros2_is_added_by_one_command(small, tmp_path):
-    def sources(folder: Path) -> dict[str, str]:
+    def sources(folder):
         """Git's own way to take a mirror in the place of a host."""
         return {
             "GIT_CONFIG_COUNT": "1",
@@ -365,16 +365,16 @@ def test_the_real_ros2_is_added_by_one_command(small, tmp_path):
     own = {".": "rosidl_runtime_py"}
     repository(tmp_path / "mirror/rosidl_runtime_py", tags["ROSIDL_RUNTIME_PY"], own)
 
-    command = [small.root / "scripts/setup.sh", "--ros2cli"]
-    unreachable = run(*command, env=small.env | sources(tmp_path / "nowhere"))
+    command = "scripts/setup.sh --ros2cli"
+    unreachable = small.run(command, **sources(tmp_path / "nowhere"))
     assert unreachable.returncode == 1
     last = unreachable.stderr.splitlines()[-1]
     assert last.startswith("setup: cannot clone https://github.com/ros2/ros2cli: fatal: ")
     ros2 = small.root / ".venv/bin/ros2"
     assert not ros2.exists()
 
-    added = run(*command, env=small.env | sources(tmp_path / "mirror"))
+    added = small.run(command, **sources(tmp_path / "mirror"))
     assert added.returncode == 0, added.stderr
-    assert run(ros2).stdout == "the real one\n"
-    again = run(*command, env=small.env | sources(tmp_path / "nowhere"))
+    assert small.run(str(ros2)).stdout == "the real one\n"
+    again = small.run(command, **sources(tmp_path / "nowhere"))
     assert (again.returncode, again.stderr) == (0, "")
