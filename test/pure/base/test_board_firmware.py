@@ -87,7 +87,7 @@ def same_as(board, table, measured):
 
 
 @pytest.mark.parametrize("key", [None, KEY])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_it_does_what_the_table_says_to_the_microsecond(core, seed, key):
     limits = TIGHT if seed % 3 else Limits()
     board = FirmwareBoard(core, key=key, limits=limits)
@@ -126,33 +126,23 @@ def test_it_does_what_the_table_says_to_the_microsecond(core, seed, key):
 # --- by itself -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("hangs", [False, True])
-@pytest.mark.parametrize("on_time", [1, 77, 1000, 10_000])
-def test_a_valve_closes_by_itself_within_a_step_of_the_timer(board, on_time, hangs):
-    assert board.send(QUIET)
-    assert board.send(opens((on_time, *7 * (0,)), watchdog=5000))
-    board.run(2 * SECOND, hangs)
-    assert 100 * on_time <= board.opened()[0] <= 100 * on_time + 100
-    assert board.opened()[1:] == 7 * [0]
+#: What ends a pulse of all valves: changes of its command, when [us], flags after a second.
+ENDINGS = [
+    *(({"on_times": 8 * (n,)}, 100 * n, BaseState.ARMED) for n in (1, 77, 10_000)),
+    *(({"watchdog": n}, MS * n, BaseState.WATCHDOG) for n in (100, 500)),
+    ({"expiry": SECOND + 60 * MS}, 60 * MS, BaseState.ARMED),
+]
 
 
 @pytest.mark.parametrize("hangs", [False, True])
-@pytest.mark.parametrize("watchdog", [100, 500])
-def test_in_silence_all_close_within_the_watchdog_though_its_loop_hangs(board, watchdog, hangs):
+@pytest.mark.parametrize(("changes", "end", "flags"), ENDINGS)
+def test_valves_close_by_themselves_though_the_loop_hangs(board, changes, end, flags, hangs):
     assert board.send(QUIET)
-    assert board.send(opens(8 * (10_000,), watchdog=watchdog))
+    assert board.send(opens(**{"on_times": 8 * (10_000,), "watchdog": 5000, **changes}))
     assert board.valves().driven == 255
-    board.run(SECOND, hangs)
-    assert board.valves()[:2] == (0, BaseState.WATCHDOG)
-    assert max(board.opened()) <= MS * watchdog + 100
-
-
-def test_a_command_that_expires_closes_though_the_loop_hangs(board):
-    assert board.send(QUIET)
-    assert board.send(opens(8 * (10_000,), expiry=board.clock + 60 * MS))
-    board.run(400 * MS, hangs=True)
-    assert board.valves()[:2] == (0, BaseState.ARMED)
-    assert max(board.opened()) <= 60 * MS + 100
+    board.run(SECOND + 100, hangs)
+    assert board.valves()[:2] == (0, flags)
+    assert all(end <= opened <= end + 100 for opened in board.opened())  # a step of the timer
 
 
 @pytest.mark.parametrize("hangs", [False, True])
@@ -189,22 +179,17 @@ def test_it_measures_twenty_times_a_second_whatever_arrives(board):
     }  # fmt: skip
 
 
-def test_of_the_gyro_nothing_is_lost_between_frames(board):
+def test_no_sample_of_the_gyro_is_lost_though_the_loop_hangs(board):
     board.tell("gyro -300 1")
-    frames = board.run(10 * SECOND)
-    for frame, later in [(frames[0], frames[1]), (frames[3], frames[170])]:
+    frames = board.run(5 * SECOND)
+    board.run(SECOND, hangs=True)
+    frames += board.run(50_000)
+    for frame, later in [(frames[0], frames[1]), (frames[3], frames[-1])]:
         samples = (later.gyro_samples - frame.gyro_samples) & 0xFFFF
         total = (later.gyro_sum - frame.gyro_sum + (1 << 31)) % (1 << 32) - (1 << 31)
         assert samples == (later.clock - frame.clock) // 1000
         assert total == -300 * samples
-
-
-def test_a_gyro_is_sampled_though_the_loop_hangs_and_one_that_is_silent_adds_nothing(board):
-    before = board.run(50_000)[-1]
-    board.run(SECOND, hangs=True)
-    after = board.run(50_000)[-1]
-    assert after.gyro_samples - before.gyro_samples == (after.clock - before.clock) // 1000
-    board.tell("gyro 5 0")
+    board.tell("gyro 5 0")  # it does not answer
     frames = board.run(SECOND)
     assert frames[-1].gyro_samples == frames[0].gyro_samples
 
@@ -246,21 +231,10 @@ def test_the_gripper_takes_its_time_and_is_not_opened_by_a_stop(board):
     assert board.send(opens(gripper=Gripper.CLOSE))
     assert board.run(100 * MS)[-1].gripper == GripperFlag.COMMANDED_CLOSED
     assert board.send(replace(STOP, sequence=3))
-    assert (
-        board.run(400 * MS)[-1].gripper
-        == GripperFlag.COMMANDED_CLOSED | GripperFlag.CLOSED | GripperFlag.HOLDS
-    )
+    closed = GripperFlag.COMMANDED_CLOSED | GripperFlag.CLOSED | GripperFlag.HOLDS
+    assert board.run(400 * MS)[-1].gripper == closed
     assert board.send(opens(gripper=Gripper.OPEN, sequence=4))
     assert board.run(400 * MS)[-1].gripper & GripperFlag.COMMANDED_CLOSED
-
-
-def test_the_tank_empties_by_what_is_open(board):
-    assert board.send(QUIET)
-    assert board.send(opens(8 * (5000,), watchdog=2000))
-    assert {f.slow_value for f in board.run(400 * MS) if f.slow_id == BaseSlow.SUPPLY} <= {6600}
-    frames = board.run(SECOND)
-    (tank,) = {frame.slow_value for frame in frames if frame.slow_id == BaseSlow.TANK}
-    assert tank == 20_000 - 40
 
 
 # --- on the Due's processor ----------------------------------------------------------------------

@@ -40,7 +40,7 @@ def fly(
     return poses, rates
 
 
-@pytest.mark.parametrize("valve", range(8))
+@pytest.mark.parametrize("valve", [0, 5])
 def test_without_noise_it_is_the_thrusters_own(valve):
     poses, rates = fly(valve, "ideal")
     found = estimate(Body.of(ARM, Q), poses, rates, TIME_BEFORE + 0.005, ON_TIME)
@@ -51,8 +51,8 @@ def test_without_noise_it_is_the_thrusters_own(valve):
 
 def test_with_default_errors_on_a_tilted_table_its_deviation_is_honest():
     body, off = Body.of(ARM, Q), []
-    for seed in range(12):
-        valve = seed % 8
+    for seed in range(8):
+        valve = seed
         found = estimate(body, *fly(valve, seed=seed, tilt=(1e-4, -5e-5)), TIME_BEFORE, ON_TIME)
         wrong = np.array([*found.force, found.torque]) - VALVES[valve]
         off.append(wrong / [found.deviation[0], found.deviation[0], found.deviation[1]])
@@ -64,14 +64,10 @@ def test_with_default_errors_on_a_tilted_table_its_deviation_is_honest():
     assert np.sqrt(np.mean(np.square(off))) < 2.0
 
 
-def test_without_a_gyro_the_heading_alone_tells():
-    poses, _ = fly(0)
+def test_the_heading_is_enough_but_not_a_track_that_is_too_short():
+    poses, rates = fly(0)
     found = estimate(Body.of(ARM, Q), poses, [], TIME_BEFORE, ON_TIME)
     assert found.torque == pytest.approx(VALVES[0, 2], abs=0.02)
-
-
-def test_a_track_that_is_too_short_is_named():
-    poses, rates = fly(0)
     with pytest.raises(TrackError, match="0 poses before the pulse and"):
         estimate(Body.of(ARM, Q), poses, rates, 0.0, ON_TIME)
 
@@ -83,28 +79,24 @@ def test_valves_are_tried_in_an_order_that_leaves_the_base_slow():
     assert np.abs(total[1::2]).max() < 1e-12  # each second one undoes the one before
 
 
-def measured_thrust(force, torque, deviation=(0.002, 0.0005)):
-    return Thrust(tuple(force), torque, deviation)
+def scaled(force, torque=None, valve=0):
+    x, y, about = VALVES[valve]
+    return Thrust((force * x, force * y), about * (torque or force), (0.002, 0.0005))
 
 
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        (measured_thrust(VALVES[0, :2], VALVES[0, 2]), ""),
-        (measured_thrust(0.9 * VALVES[0, :2], 0.9 * VALVES[0, 2]), ""),
-        (measured_thrust((0.0, 0.003), 0.0), "no thrust: 0.003 N, expected 0.160 N"),
-        (measured_thrust(VALVES[3, :2], VALVES[3, 2]), "pushes as valve 4 should"),
-        (
-            measured_thrust(0.5 * VALVES[0, :2], 0.5 * VALVES[0, 2]),
-            "thrust is 0.080 N, expected 0.160 N",
-        ),
-        (
-            measured_thrust(VALVES[0, :2], 1.6 * VALVES[0, 2]),
-            "torque is 0.0282 N m, expected 0.0176 N m",
-        ),
-        (measured_thrust((-0.11, -0.11), 0.0176), r"pushes along \(-0.110, -0.110\) N, expected"),
+        (scaled(1.0), ""),
+        (scaled(0.9), ""),
+        (scaled(0.02), "no thrust: 0.003 N, expected 0.160 N"),
+        (scaled(1.0, valve=3), "pushes as valve 4 should"),
+        (scaled(0.5), "thrust is 0.080 N, expected 0.160 N"),
+        (scaled(1.0, 1.6), "torque is 0.0282 N m, expected 0.0176 N m"),
+        (Thrust((-0.11, -0.11), 0.0176, (0.002, 0.0005)),
+         r"pushes along \(-0.110, -0.110\) N, expected"),
     ],
-)
+)  # fmt: skip
 def test_what_does_not_fit_is_said(found, words):
     got = verdict(found, VALVES, 0)
     assert re.match(words, got) if words else not got

@@ -28,7 +28,7 @@ def test_components_in_the_plane_are_returned():
     assert planar_wrench(nearly, "fss", LIMIT) == (1.0, -2.0, 0.5)
 
 
-@pytest.mark.parametrize("value", [nan, inf, -inf, 1e9, -1e9, 1e18, -1e18, 1e300])
+@pytest.mark.parametrize("value", [nan, -inf, 1e9, -1e300])
 @pytest.mark.parametrize("name", [*IN_PLANE, *OUT_OF_PLANE])
 def test_a_component_that_makes_no_sense_is_named(name, value):
     largest = "1280" if name in IN_PLANE else "0.001"

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import WrenchStamped
 
 from fss_arm_model.units import SECOND
 from fss_base_driver.protocol import VALVES
@@ -20,12 +21,9 @@ SETTINGS = BaseSettings()  # a period of 0.1 s, a lifetime of 0.3 s
 
 def push(x):
     """A wrench along the base's x axis."""
-    return SimpleNamespace(
-        header=SimpleNamespace(frame_id="fss"),
-        wrench=SimpleNamespace(
-            force=SimpleNamespace(x=x, y=0.0, z=0.0), torque=SimpleNamespace(x=0.0, y=0.0, z=0.0)
-        ),
-    )
+    message = WrenchStamped()
+    message.header.frame_id, message.wrench.force.x = "fss", x
+    return message
 
 
 class Session:
