@@ -129,6 +129,7 @@ def test_it_does_what_the_table_says_to_the_microsecond(core, seed, key):
 #: What ends a pulse of all valves: changes of its command, when [us], flags after a second.
 ENDINGS = [
     *(({"on_times": 8 * (n,)}, 100 * n, BaseState.ARMED) for n in (1, 77, 10_000)),
+    ({"on_times": MAX_ON_TIMES}, SECOND, BaseState.ARMED | BaseState.LIMITED),
     *(({"watchdog": n}, MS * n, BaseState.WATCHDOG) for n in (100, 500)),
     ({"expiry": SECOND + 60 * MS}, 60 * MS, BaseState.ARMED),
 ]

@@ -323,12 +323,14 @@ def test_it_takes_arms_and_trips_as_the_simulated_link_does(core, seed, key):
     link.run(0.999)  # so that nothing is taken at the very time of a measurement
     simulated = LinkElectronics(2, paper_arm().links[1], BOOT, key=key)
     rest = Motion(q=0.0, qd=0.0, current=0.0, torque=0.0)
-    rng, sequence, seen = random.Random(seed), 0, set()
+    rng, sequence, stamp, seen = random.Random(seed), 0, STAMP, set()
     for _ in range(200):
         command = clumsy_command(rng, link.clock, sequence)
+        if rng.random() < 0.1:
+            command = replace(command, clock=stamp)  # that of the last accepted one
         taken = link.send(command)
         assert simulated.receive(encode(command, key), link.clock) == taken
-        sequence = command.sequence if taken else sequence
+        sequence, stamp = (command.sequence, command.clock) if taken else (sequence, stamp)
         segment, refused = clumsy_segment(rng, link.clock), simulated.gate.refused.total()
         assert not simulated.receive(encode(segment, key), link.clock)
         kept = simulated.gate.refused.total() == refused
