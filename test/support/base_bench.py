@@ -89,5 +89,8 @@ class Bench:
         self.board.valves(self.transport.clock())
         return self.board.state.opened
 
+    def is_open(self):
+        return self.board.valves(self.transport.clock())
+
     def values(self):
         return {pair.key: pair.value for pair in self.user.health[-1].status[0].values}

@@ -4,11 +4,14 @@ import fcntl
 import os
 import shutil
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
+from running import free_port
 
 from fss_arm_driver import protocol
 
@@ -41,6 +44,24 @@ def build(target: str, package: str = LINK) -> Path:
         )
     assert made.returncode == 0, made.stdout + made.stderr
     return path
+
+
+@contextmanager
+def firmware_url(package: str, way: str, keys: Path) -> Iterator[str]:
+    """Run a firmware as a process, reached by `--udp 0`, `--tcp 0` or `--pty`; yield its URL."""
+    program = [build("fss_link"), "--link", "1"] if package == LINK else [build("fss_base", BASE)]
+    command = [*program, *way.split(), "--keys", str(keys)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        # "link 1 at udp 40001, signed"
+        kind, place = process.stdout.readline().partition(" at ")[2].split()[:2]
+        place = place.rstrip(",")
+        yield {
+            "udp": f"udp://127.0.0.1:{place}?bind={free_port()}",
+            "tcp": f"tcp://127.0.0.1:{place}",
+            "serial": f"serial://{place}",
+        }[kind]
+        process.kill()
 
 
 # A Cortex-M3 whose program reads and writes this computer's pipes (semihosting).

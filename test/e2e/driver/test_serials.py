@@ -23,6 +23,7 @@ def arm_file(tmp_path):
     return path
 
 
+@pytest.mark.slow  # by default: node/driver/test_link_node.py
 def test_swapped_and_replaced_links_are_refused_and_the_others_armed(spin, tmp_path, arm_file):
     user = Node("user")
     clients = [user.create_client(SetBool, f"link_{i}/arm") for i in (1, 2, 3, 4)]

@@ -5,16 +5,15 @@ import time
 from math import inf, isnan, nan
 
 import pytest
-from base_bench import Bench, User
-from base_link import GYRO_RATE, FakeBoard, FakeBoardTransport
+from base_bench import Bench
+from base_link import GYRO_RATE, FakeBoardTransport
 from diagnostic_msgs.msg import DiagnosticStatus
-from driver_wire import ENDS
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from running import wait_until
 from std_msgs.msg import Bool, Empty
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from fss_arm_model.units import SECOND
 from fss_arm_msgs.msg import ThrusterCommand, ThrusterHealth
@@ -127,12 +126,9 @@ def test_a_stop_passes_an_executor_that_is_busy(armed):
     stop = armed.user.create_publisher(Empty, "arm/stop", 10)
     armed.until(stop.get_subscription_count)
     armed.user.open(1.0)
-    armed.until(lambda: armed.board.valves(armed.transport.clock()))
+    armed.until(armed.is_open)
     stop.publish(Empty())
-    published = time.monotonic()
-    board, clock = armed.board, armed.transport.clock
-    wait_until(lambda: not board.valves(clock()), 0.8, lambda: time.sleep(0.01))
-    print(f"closed after {time.monotonic() - published:.3f} s")
+    wait_until(lambda: not armed.is_open(), 0.8, lambda: time.sleep(0.01))
     assert armed.node.session.arming is Arming.STOPPED
 
 
@@ -151,16 +147,9 @@ HALF_COMMAND = serialize_message(ThrusterCommand(on_time=8 * [0.1]))[:40]
 REFUSED = {
     "without stamp": lambda user: user.open(0.1, stamped=False),
     "old": lambda user: user.open(0.1, age=0.8),
-    "of the future": lambda user: user.open(0.1, age=-5.0),
-    "not a number": lambda user: user.open(nan),
     "infinite": lambda user: user.open(inf),
-    "huge": lambda user: user.open(1e11),
-    "negative": lambda user: user.open(-0.1),
-    "beyond the longest": lambda user: user.open(1.2),
     "an old wrench": lambda user: user.push(1.0, age=0.5),
     "a wrench that is no number": lambda user: user.push(1.0, nan),
-    "a wrench in another frame": lambda user: user.push(1.0, frame="world"),
-    "a wrench without end": lambda user: user.push(torque=inf),
     "a frame of 70,000 letters": lambda user: user.push(1.0, frame=70_000 * "x"),
     "half a command": lambda user: user.thrust.publish(HALF_COMMAND),
 }
@@ -189,10 +178,10 @@ def test_a_stop_closes_and_latches_even_from_a_best_effort_publisher(armed, topi
     stop = armed.user.create_publisher(Empty, topic, best_effort)
     armed.until(stop.get_subscription_count)
     armed.user.open(1.0)
-    armed.until(lambda: armed.board.valves(armed.transport.clock()))
+    armed.until(armed.is_open)
     stop.publish(Empty())
     armed.until(lambda: armed.board.state.flags() == BaseState.STOPPED, 0.8)
-    assert armed.board.valves(armed.transport.clock()) == 0
+    assert not armed.is_open()
     assert armed.opened[0] < 900_000
     assert armed.node.session.arming is Arming.STOPPED
     armed.until(lambda: len(armed.user.pulses) == 2)  # that it was closed before its time
@@ -203,14 +192,6 @@ def test_a_stop_closes_and_latches_even_from_a_best_effort_publisher(armed, topi
     assert armed.arm().success
     armed.user.open(0.1)
     armed.until(lambda: armed.board.state.pulse == 2)
-
-
-def test_disarming_closes(armed):
-    armed.user.open(1.0)
-    armed.until(lambda: armed.board.valves(armed.transport.clock()))
-    answer = armed.arm(False)
-    assert answer.success, answer.message
-    assert armed.board.valves(armed.transport.clock()) == 0
 
 
 def test_a_wrench_is_shared_out_and_dies_without_who_wants_it(armed):
@@ -237,13 +218,6 @@ def test_a_wrench_is_shared_out_and_dies_without_who_wants_it(armed):
     assert sum(sum(pulse.on_time) for pulse in user.pulses) == pytest.approx(sum(opened), abs=0.11)
 
 
-def test_a_zero_wrench_closes_at_once(armed):
-    armed.user.open(1.0)
-    armed.until(lambda: armed.board.valves(armed.transport.clock()))
-    armed.user.push()
-    armed.until(lambda: not armed.board.valves(armed.transport.clock()), 0.5)
-
-
 def test_a_wrench_beyond_what_the_valves_give_is_reported(armed):
     user = armed.user
 
@@ -259,22 +233,23 @@ def test_a_wrench_beyond_what_the_valves_give_is_reported(armed):
     armed.until(lambda: reported(0.3, "the base's board is armed"))
 
 
-def pushes_back_without_valve_1(armed):
+def test_wrenches_do_without_a_valve_that_is_said_or_found_to_be_stuck(armed):
+    health = armed.user.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
+    health.publish(ThrusterHealth(stuck_closed=7 * [False] + [True]))
+    armed.until(lambda: armed.values().get("valve_8 is detected as") == "stuck closed")
+    armed.node.set_parameters([Parameter("valve_1.stuck_closed", value=1.0)])
+    armed.until(lambda: armed.values().get("valve_1 is configured as") == "stuck closed")
     begin = armed.transport.clock()
 
-    def going():
-        armed.user.push(-0.05)  # valves 1 and 7 push back
-        return armed.transport.clock() - begin > SECOND
+    def push_back():  # valves 1 and 7
+        armed.user.push(-0.05)
+        return armed.transport.clock() - begin > 0.5 * SECOND
 
-    armed.until(going)
-    assert armed.opened[0] == 0
-    assert armed.opened[6] > 100_000
-
-
-def test_wrenches_do_without_a_valve_that_is_said_to_be_stuck(armed):
-    armed.node.set_parameters([Parameter("valve_1.stuck_closed", value=1.0)])
-    pushes_back_without_valve_1(armed)
-    armed.until(lambda: armed.values().get("valve_1 is configured as") == "stuck closed")
+    armed.until(push_back)
+    assert armed.opened[0] == armed.opened[7] == 0
+    assert armed.opened[6] > 50_000
+    health.publish(ThrusterHealth())
+    armed.until(lambda: "valve_8 is detected as" not in armed.values())
 
 
 def test_parameters_that_are_set_together_are_all_taken_or_none(bench):
@@ -283,15 +258,6 @@ def test_parameters_that_are_set_together_are_all_taken_or_none(bench):
     assert not answer.successful
     assert bench.node.get_parameter("valve_1.stuck_closed").value == 0.0
     assert bench.node.live["valve_1"].stuck_closed == 0.0
-
-
-def test_wrenches_do_without_a_valve_that_is_found_to_be_stuck(armed):
-    told = armed.user.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
-    told.publish(ThrusterHealth(stuck_closed=[True] + 7 * [False]))
-    armed.until(lambda: armed.values().get("valve_1 is detected as") == "stuck closed")
-    pushes_back_without_valve_1(armed)
-    told.publish(ThrusterHealth())
-    armed.until(lambda: "valve_1 is detected as" not in armed.values())
 
 
 def test_the_gripper_closes_and_says_so(armed):
@@ -331,10 +297,7 @@ def test_a_silent_board_is_reported(spin):
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        (
-            {"url": "copley://ttyUSB0"},
-            "or serial://DEVICE.baud=RATE: unknown scheme",
-        ),
+        ({"url": "copley://ttyUSB0"}, "or serial://DEVICE.baud=RATE: unknown scheme"),
         ({"layout": [1.0]}, "layout has 1 numbers, expected 24"),
         ({"watchdog": 0.04}, "watchdog is 0.04 s, expected more than the 0.05 s"),
         ({"minimum_on_time": 0.1}, "minimum_on_time is 0.1 s, expected below wrench_period"),
@@ -353,9 +316,9 @@ def test_wrong_parameters_are_named(ros, parameters, words):
 
 def test_a_node_that_ends_closes_the_valves(armed):
     armed.user.open(1.0)
-    armed.until(lambda: armed.board.valves(armed.transport.clock()))
+    armed.until(armed.is_open)
     armed.node.close()
-    assert not armed.board.valves(armed.transport.clock())
+    assert not armed.is_open()
     assert armed.board.state.flags() == 0
 
 
@@ -367,29 +330,3 @@ def test_a_check_that_is_interrupted_leaves_the_board_disarmed(bench, start):
     assert check.process.returncode == 130, check.output
     assert check.output == "check: interrupted\n"
     assert not bench.board.state.armed
-
-
-@pytest.mark.parametrize("kind", ENDS)
-def test_a_pulse_goes_over_udp_tcp_and_rs232(spin, tmp_path, kind):
-    end, board = ENDS[kind](tmp_path), FakeBoard(boot=2, born=time.time_ns() - SECOND)
-    values = {"url": end.url, "timeout": 5.0, "watchdog": 2.0}
-    overrides = [Parameter(name, value=value) for name, value in values.items()]
-    node, user = BaseNode(parameter_overrides=overrides), User()
-
-    def serve(condition):
-        if frame := end.receive(0.0):
-            board.take(frame, time.time_ns())
-            end.send(board.telemetry(time.time_ns()))
-        return condition()
-
-    def until(condition):
-        spin([node, user], lambda: serve(condition), 15.0)
-
-    until(lambda: len(user.telemetry) > 3 and user.arm.service_is_ready())
-    answer = user.arm.call_async(SetBool.Request(data=True))
-    until(answer.done)
-    assert answer.result().success, answer.result().message
-    until(user.thrust.get_subscription_count)
-    user.open(0.05)
-    until(lambda: board.state.opened[0] == 50_000)
-    end.close()

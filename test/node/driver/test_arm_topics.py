@@ -20,7 +20,7 @@ from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from running import wait_until
 from scipy.interpolate import CubicSpline
 from sensor_msgs.msg import JointState
@@ -92,10 +92,14 @@ class Bench:
 
 
 @pytest.fixture
-def bench(spin):
-    bench = Bench(spin)
+def bench(spin, request):
+    bench = Bench(spin, **getattr(request, "param", {}))
     yield bench
     bench.client.action.destroy()
+
+
+def with_parameters(**values):
+    return pytest.mark.parametrize("bench", [values], indirect=True)
 
 
 # --- state ---------------------------------------------------------------------------------------
@@ -192,10 +196,9 @@ def test_transforms_lead_from_the_base_to_the_tip_as_the_description_does(bench)
     np.testing.assert_allclose([x, y, theta], expected, atol=1e-3)
 
 
-def test_without_publish_tf_robot_state_publisher_has_the_transforms(spin):
-    bench = Bench(spin, publish_tf=False)
+@with_parameters(publish_tf=False)
+def test_without_publish_tf_robot_state_publisher_has_the_transforms(bench):
     assert bench.arm.count_publishers("/tf") == bench.arm.count_publishers("/tf_static") == 0
-    bench.client.action.destroy()
 
 
 def test_the_described_base_is_lighter_by_the_propellant_used(bench):
@@ -240,8 +243,8 @@ def test_the_description_follows_a_calibration_that_passes(bench):
 # --- streams -------------------------------------------------------------------------------------
 
 
-def test_a_stream_is_passed_on_at_once(spin):
-    bench = Bench(spin, rate=0.5)  # a tick every 2 s
+@with_parameters(rate=0.5)  # a tick every 2 s
+def test_a_stream_is_passed_on_at_once(bench):
     begun = bench.links.now()
     bench.client.command(("joint_4", "joint_2"), effort=(0.4, -0.2))
     bench.until(lambda: len(bench.links.taken) == 2)
@@ -251,19 +254,14 @@ def test_a_stream_is_passed_on_at_once(spin):
     assert (first.set_point, second.set_point) == (pytest.approx(0.5), pytest.approx(-0.25))
     assert first.time_to_live == 0.5
     assert stamp_ns(first.header.stamp) >= begun
-    bench.client.action.destroy()
 
 
 def test_what_is_refused_moves_nothing_and_is_counted(bench):
     now = bench.client.get_clock().now()
     bench.client.command(stamp=now - Duration(seconds=2.0), position=THERE)
     bench.client.command(stamp=now + Duration(seconds=2.0), position=THERE)
-    bench.until(
-        lambda: (
-            bench.health.get("commands refused: old") == "1"
-            or bench.health.get("commands refused: future") == "1"
-        )
-    )
+    refused = [f"commands refused: {kind}" for kind in ("old", "future")]
+    bench.until(lambda: any(bench.health.get(name) == "1" for name in refused))
     for fields in ({"position": (nan, 0.0, 0.0, 0.0)}, {"position": THERE, "velocity": THERE}):
         refused = bench.arm.streams.stream.refused.total()
         bench.client.command(**fields)
@@ -357,29 +355,28 @@ def test_all_links_get_one_path_with_one_begin_and_the_commands_to_follow_it(ben
 def test_a_number_goes_on_after_those_that_links_still_hold(bench):
     bench.links.paths[2][65_535] = None
     bench.until(lambda: bench.arm.links.states[3].path == 65_535)
-    bench.execute(bench.client.goal([(0.8, THERE)]))
+    bench.client.topic.publish(bench.client.trajectory([(0.8, THERE)]))
+    bench.until(lambda: bench.links.taken)
     assert bench.links.last(1).path == 1
+    bench.until(lambda: bench.client.near(dict(zip(JOINTS, THERE, strict=True))))
 
 
-def test_a_joint_off_its_path_ends_it_and_all_come_to_rest(bench):
+#: What ends a trajectory: the trouble, and the words of the result.
+TROUBLES = {
+    "joint_2 is off by 0.0200 rad, at most 0.01": lambda links: links.off.__setitem__(1, 0.02),
+    "link 2 is silent": lambda links: links.silent.add(2),
+}
+
+
+@with_parameters(time_to_live=1.5)
+@pytest.mark.parametrize("words", TROUBLES)
+def test_a_link_in_trouble_ends_a_trajectory_and_all_come_to_rest(bench, words):
     handle = bench.send_goal(bench.client.goal([(5.0, THERE)], path=[("joint_2", 0.01)]))
     bench.until(lambda: bench.links.q[0] > 0.02)
-    bench.links.off[1] = 0.02
-    ended = bench.end(handle)
-    assert ended.result.error_code == ENDED.PATH_TOLERANCE_VIOLATED
-    assert ended.result.error_string == "joint_2 is off by 0.0200 rad, at most 0.01"
+    TROUBLES[words](bench.links)
+    ended = bench.end(handle).result
+    assert ended.error_string.startswith(words)
     bench.until(lambda: all(bench.links.last(i).mode == LinkCommand.VELOCITY for i in (1, 2, 3, 4)))
-
-
-def test_a_link_that_breaks_off_ends_it(spin):
-    bench = Bench(spin, time_to_live=1.0)
-    handle = bench.send_goal(bench.client.goal([(5.0, THERE)]))
-    bench.until(lambda: bench.links.q[0] > 0.02)
-    bench.links.broken[3] = True
-    ended = bench.end(handle)
-    assert ended.result.error_code == ENDED.PATH_TOLERANCE_VIOLATED
-    assert ended.result.error_string.startswith("link 4 left its path")
-    bench.client.action.destroy()
 
 
 def test_the_result_gives_the_reason_of_a_link_that_refuses_its_path(bench):
@@ -396,14 +393,7 @@ def test_the_result_gives_the_reason_of_a_link_that_refuses_its_path(bench):
     assert ended.result.error_string == "the path is refused by link 3: its buffer is full"
 
 
-def test_a_goal_that_is_missed_ends_in_time(bench):
-    bench.links.off[2] = 0.02
-    ended = bench.execute(bench.client.goal([(0.8, THERE)], time=0.5))
-    assert ended.result.error_code == ENDED.GOAL_TOLERANCE_VIOLATED
-    assert ended.result.error_string.startswith("joint_3 is off by 0.0200 rad, at most 0.005, 0.5")
-
-
-def test_a_stop_and_a_silent_link_end_it(bench):
+def test_a_stop_or_a_cancel_ends_it_and_a_goal_needs_armed_links(bench):
     stopper = bench.client.create_publisher(Empty, "arm/stop", 10)
     bench.until(stopper.get_subscription_count)
     handle = bench.send_goal(bench.client.goal([(5.0, THERE)]))
@@ -413,9 +403,15 @@ def test_a_stop_and_a_silent_link_end_it(bench):
     assert (ended.error_code, ended.error_string) == (ENDED.INVALID_GOAL, "stopped")
     assert bench.links.last(1).mode == LinkCommand.PATH  # its driver stops by itself
     handle = bench.send_goal(bench.client.goal([(20.0, THERE)]))
-    bench.links.silent = {2}
-    ended = bench.end(handle).result
-    assert ended.error_string == "link 2 is silent"
+    bench.until(lambda: bench.links.last(1).path == 2)
+    bench.after(handle.cancel_goal_async())
+    assert bench.end(handle).status == GoalStatus.STATUS_CANCELED
+    bench.until(lambda: bench.links.last(1).mode == LinkCommand.VELOCITY)
+    bench.links.armed = 4 * [False]
+    bench.until(lambda: not any(link.armed for link in bench.arm.links.states.values()))
+    ended = bench.execute(bench.client.goal([(2.0, THERE)])).result
+    assert ended.error_code == ENDED.INVALID_GOAL
+    assert "not armed: scripts/fss_arm.sh arm" in ended.error_string
 
 
 def test_oversized_goals_are_rejected_in_one_line(bench, monkeypatch):
@@ -423,7 +419,6 @@ def test_oversized_goals_are_rejected_in_one_line(bench, monkeypatch):
     monkeypatch.setattr(bench.arm.get_logger(), "warning", said.append)
     point = bench.client.goal([(1.0, THERE)]).trajectory.points[0]
     for sec, count, words in (
-        (2**31 - 1, 1, "time_from_start of point 0 is 2147483647 s, expected 0 to 3600 s"),
         (10**6, 1, "time_from_start of point 0 is 1000000 s, expected 0 to 3600 s"),
         (1, 10_001, "points has 10001 elements, expected 1 to 10000"),
     ):
@@ -466,15 +461,8 @@ def test_while_a_goal_is_received_the_node_and_a_motion_continue(bench, monkeypa
 
 @pytest.mark.slow  # keeps time, so it runs alone
 def test_the_longest_goal_runs_and_heartbeats_are_never_older_than_a_second(start, spin):
-    start(
-        "fss_arm_driver.arm_node",
-        "--ros-args",
-        "-p",
-        "time_to_live:=3.0",
-        "-p",
-        "lead:=0.3",
-        ROS_PYTHON_CHECK_FIELDS="0",
-    )
+    settings = "--ros-args", "-p", "time_to_live:=3.0", "-p", "lead:=0.3"
+    start("fss_arm_driver.arm_node", *settings, ROS_PYTHON_CHECK_FIELDS="0")
     links, client, beats = FakeLinks(), StandardClient(), []
 
     def on_health(message):
@@ -516,12 +504,9 @@ def test_a_new_goal_goes_on_from_where_the_old_one_will_be(bench):
     assert bench.end(second).status == GoalStatus.STATUS_SUCCEEDED
 
 
-def test_a_topic_is_listened_to_by_best_effort_and_reliable_publishers(bench):
-    names = bench.arm.get_subscriptions_info_by_topic("/arm/joint_commands")
-    assert len(names) == 1
-    loose = bench.client.create_publisher(
-        JointState, "arm/joint_commands", QoSProfile(depth=1, reliability=2)
-    )
+def test_a_topic_is_listened_to_by_best_effort_publishers(bench):
+    qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    loose = bench.client.create_publisher(JointState, "arm/joint_commands", qos)
     bench.until(loose.get_subscription_count)
 
 
@@ -571,7 +556,7 @@ def test_a_path_ends_when_the_base_drifts_to_the_edge(bench):
     bench.until(lambda: bench.links.last(1).mode == LinkCommand.VELOCITY)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("late", [0.0, 0.3])
 def test_a_path_under_way_is_judged_from_when_the_base_was_seen(ros, late):
     """A base that gives way to joints turns quickly: what comes late is of another momentum."""
     node = Node("guarding")
@@ -596,15 +581,8 @@ def test_a_path_under_way_is_judged_from_when_the_base_was_seen(ros, late):
 
 
 def test_one_process_hosts_the_arm_and_its_links(start, spin):
-    program = start(
-        "fss_arm_driver.driver_node",
-        "--ros-args",
-        "-p",
-        "time_to_live:=2.0",
-        "-p",
-        "urls:=['udp://127.0.0.1:9', 'udp://127.0.0.1:9', 'udp://127.0.0.1:9', "
-        "'udp://127.0.0.1:9']",
-    )
+    settings = "-p", "time_to_live:=2.0", "-p", f"urls:={4 * ['udp://127.0.0.1:9']}"
+    program = start("fss_arm_driver.driver_node", "--ros-args", *settings)
     ears = Node("ears")
     names = {"arm", "link_1", "link_2", "link_3", "link_4"}
     spin(ears, lambda: names <= set(ears.get_node_names()), 60.0)
@@ -621,7 +599,6 @@ def test_the_joints_rest_soon_after_the_example_of_a_client_is_killed(bench):
         process.wait()
     killed = time.monotonic()
     bench.until(lambda: not bench.arm.links.arbiter.current_name(bench.arm.links.now()))
-    print(f"its motion ended after {time.monotonic() - killed:.2f} s")
     assert time.monotonic() - killed < 2.5  # it would last 4 s
     bench.until(bench.client.resting)
     assert not bench.client.near({"joint_1": 0.3})

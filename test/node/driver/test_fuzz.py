@@ -12,8 +12,8 @@ from dataclasses import replace
 from math import pi, sin
 
 import pytest
-from driver_frames import with_crc
 from driver_link import FakeLink
+from firmware_vectors import damaged
 from running import memory
 
 from fss_arm_driver.messages import SampleMessages
@@ -32,28 +32,13 @@ def truth(seconds):
     return 1.4 * sin(0.5 * seconds)
 
 
-def flip(rng, data):
-    """Up to 8 flipped bits."""
-    damaged = int.from_bytes(data, "little")
-    for _ in range(rng.randint(1, 8)):
-        damaged ^= 1 << rng.randrange(8 * len(data))
-    return damaged.to_bytes(len(data), "little")
-
-
 def damage(rng, true_frames, ahead):
     """One datagram: noise, a repetition, or a true frame damaged; half with a new CRC."""
     kind = rng.random()
-    frame = rng.choice(true_frames) if kind < 0.995 else ahead
-    if kind < 0.15:
+    if kind < 0.1:
         return rng.randbytes(rng.randint(0, 100))
-    if kind < 0.25:
-        return frame
-    if kind < 0.3:
-        return frame[: rng.randrange(72)] + rng.randbytes(rng.choice((0, 1, 72)))
-    if kind < 0.4:
-        return with_crc(frame[:4] + rng.randbytes(52) + bytes(16))
-    damaged = flip(rng, frame[:56]) + frame[56:] if kind < 0.9 else flip(rng, frame)
-    return with_crc(damaged) if rng.random() < 0.5 else damaged
+    frame = ahead if kind > 0.995 else rng.choice(true_frames)
+    return frame if kind < 0.2 else damaged(rng, frame, None)
 
 
 class Judge:
