@@ -14,6 +14,7 @@ from threading import Event
 
 import pytest
 from running import DOMAIN, OWN, wait_until
+from shell_scripts import script_package
 
 from fss_arm_bags.inspection import is_sound
 from fss_arm_bags.reader import find_bags, open_bags
@@ -160,21 +161,6 @@ def test_a_node_that_ends_well_is_not_missed(laboratory):
 
 
 @pytest.mark.slow
-def test_a_node_that_does_not_stop_is_killed(laboratory, tmp_path):
-    lab = laboratory(
-        "FSS_STOP_TIMEOUT=1",
-        f"node record fss_arm_bags record --ros-args -p output:={tmp_path}/bags",
-    )
-    assert lab.run("up").returncode == 0
-    pid = lab.pid("record")
-    os.kill(pid, signal.SIGSTOP)
-    down = lab.run("down")
-    assert down.returncode == 1
-    assert "record did not stop and was killed" in lab.events()
-    assert lab.pid("record") is None
-
-
-@pytest.mark.slow
 def test_a_node_that_lost_its_keeper_is_stopped_all_the_same(laboratory, tmp_path):
     lab = laboratory(f"node record fss_arm_bags record --ros-args -p output:={tmp_path}/bags")
     assert lab.run("up").returncode == 0
@@ -226,19 +212,6 @@ def test_links_that_are_not_known_to_be_disarmed_show_in_the_exit_code(armed):
     assert "a joint that is on will be held, under power" in down.stderr
     assert down.stdout.splitlines() == ["link_1 has stopped", "testbed has stopped"]
     assert not [pid for session in sessions for pid in members(session)]
-
-
-def script_package(folder, **programs):
-    """A package `pkg` with shell scripts as its executables; its prefix."""
-    marker = folder / "share/ament_index/resource_index/packages/pkg"
-    marker.parent.mkdir(parents=True)
-    marker.touch()
-    for name, text in programs.items():
-        program = folder / "lib/pkg" / name
-        program.parent.mkdir(parents=True, exist_ok=True)
-        program.write_text(f"#!/bin/sh\n{text}\n")
-        program.chmod(0o755)
-    return folder
 
 
 def test_what_a_node_leaves_behind_is_ended_too(laboratory, tmp_path):

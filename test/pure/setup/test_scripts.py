@@ -25,6 +25,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import serialize_message
 from rich.console import Console
 from sensor_msgs.msg import JointState
+from shell_scripts import script_package, write_script
 
 from fss_arm_msgs.msg import LinkTelemetry
 
@@ -43,13 +44,6 @@ def run(
     return subprocess.run(
         [str(part) for part in command], env=env, cwd=cwd, capture_output=True, text=True
     )
-
-
-def script(path: Path, text: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"#!/bin/sh\n{text}\n")
-    path.chmod(0o755)
-    return path
 
 
 def test_shellcheck_finds_nothing():
@@ -116,7 +110,7 @@ def test_env_keeps_what_the_user_chose():
 
 
 def test_env_says_in_one_line_what_it_lacks(tmp_path):
-    script(tmp_path / "scripts/env.sh", (ROOT / "scripts/env.sh").read_text())
+    write_script(tmp_path / "scripts/env.sh", (ROOT / "scripts/env.sh").read_text())
     shown = run("bash", "-c", f"set -u; . {tmp_path}/scripts/env.sh || echo $? $-", env=BARE)
     assert shown.stderr == (f"env.sh: there is no .venv yet; run {tmp_path}/scripts/setup.sh\n")
     assert shown.stdout.startswith("1 ")
@@ -353,12 +347,8 @@ def test_help_is_what_the_script_says_of_itself(name):
 @pytest.fixture
 def prefix(tmp_path: Path) -> Path:
     """An ament prefix with the package `pkg`, whose executables are `hello` and `other`."""
-    prefix = tmp_path / "ament prefix"
-    marker = prefix / "share/ament_index/resource_index/packages/pkg"
-    marker.parent.mkdir(parents=True)
-    marker.touch()
-    script(prefix / "lib/pkg/hello", 'printf "<%s>" "$@"; exit 3')
-    script(prefix / "lib/pkg/other", "exit 0")
+    programs = {"hello": 'printf "<%s>" "$@"; exit 3', "other": "exit 0"}
+    prefix = script_package(tmp_path / "ament prefix", **programs)
     (prefix / "lib/pkg/data.txt").touch()
     return prefix
 
@@ -404,15 +394,15 @@ def test_what_it_cannot_do_ends_in_one_line(ros2, arguments, words):
 
 
 def test_it_steps_aside_for_the_real_one(tmp_path):
-    real = script(tmp_path / "real/ros2", 'echo "real $*"')
+    real = write_script(tmp_path / "real/ros2", 'echo "real $*"')
     env = BARE | {"PATH": f"{STAND_IN.parent}:{BARE['PATH']}:{real.parent}"}
     assert run(STAND_IN, "topic", "list", env=env).stdout == "real topic list\n"
 
 
 def test_what_it_runs_it_becomes_whatever_the_real_one_does(tmp_path, prefix):
-    real = script(tmp_path / "real/ros2", 'echo "real $*"')
+    real = write_script(tmp_path / "real/ros2", 'echo "real $*"')
     env = {"PATH": f"{real.parent}:{BARE['PATH']}", "AMENT_PREFIX_PATH": str(prefix)}
-    script(prefix / "lib/pkg/hello", "echo $$")
+    write_script(prefix / "lib/pkg/hello", "echo $$")
     with subprocess.Popen([STAND_IN, "run", "pkg", "hello"], env=env, stdout=subprocess.PIPE) as it:
         assert it.stdout is not None
         assert it.stdout.read() == f"{it.pid}\n".encode()
@@ -420,6 +410,6 @@ def test_what_it_runs_it_becomes_whatever_the_real_one_does(tmp_path, prefix):
 
 
 def test_two_workspaces_stand_ins_do_not_call_each_other(tmp_path):
-    other = script(tmp_path / "other/ros2", STAND_IN.read_text())
+    other = write_script(tmp_path / "other/ros2", STAND_IN.read_text())
     env = BARE | {"PATH": f"{STAND_IN.parent}:{BARE['PATH']}:{other.parent}"}
     assert run("timeout", "10", other, "topic", "list", env=env).returncode == 1

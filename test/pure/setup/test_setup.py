@@ -9,6 +9,7 @@ from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
+from shell_scripts import mark_packages, write_script
 
 ROOT = Path(__file__).parents[3]
 VENV = ROOT / ".venv"
@@ -19,12 +20,6 @@ NEEDED = (
     *("common_interfaces", "control_msgs", "tf2_msgs"),
 )
 NO_WHEELS = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": ""}
-
-
-def write_script(path, text):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"#!/bin/sh\n{text}\n")
-    path.chmod(0o755)
 
 
 class Distribution:
@@ -47,13 +42,6 @@ class Distribution:
         ]
         (prefix / "local_setup.bash").write_text("\n".join(exports) + "\n")
         (prefix / "setup.bash").write_text(f". {prefix}/local_setup.bash\n")
-
-    def add_packages(self, *names):
-        """Add the markers of ROS packages."""
-        for name in names:
-            marker = self.prefix / PACKAGES / name
-            marker.parent.mkdir(parents=True, exist_ok=True)
-            marker.touch()
 
 
 class Machine:
@@ -179,7 +167,7 @@ def empty(tmp_path):
     distribution = Distribution(tmp_path / "jazzy")
     (distribution.python_path / "rclpy").mkdir()
     (distribution.python_path / "rclpy/__init__.py").touch()
-    distribution.add_packages(*NEEDED)
+    mark_packages(distribution.prefix, *NEEDED)
     return distribution
 
 
@@ -212,7 +200,7 @@ def test_packages_are_looked_for_in_every_prefix(machine, empty, tmp_path):
     overlay = Distribution(tmp_path / "overlay")
     for name in ("control_msgs", "tf2_msgs"):
         (empty.prefix / PACKAGES / name).unlink()
-    overlay.add_packages("control_msgs")
+    mark_packages(overlay.prefix, "control_msgs")
     machine.replace("id", "echo 1000")
     machine.replace("apt-get", "exit 1")
     both = f"export AMENT_PREFIX_PATH={overlay.prefix}:{empty.prefix}"
