@@ -144,7 +144,7 @@ def test_a_node_that_offers_what_another_does_is_refused_before_it_spins(named, 
 
 
 def test_a_node_that_was_killed_is_started_again_at_once(named):
-    for _ in range(3):
+    for _ in range(2):
         program = named()
         spun(program)
         program.stop(signal.SIGKILL)

@@ -89,23 +89,14 @@ def test_a_node_counts_what_it_refuses_and_goes_on(spin):
     subscribe(node, JointState, "joint_states", heard.append, 10)
     publisher = node.create_publisher(JointState, "joint_states", 10)
     spin(node, publisher.get_subscription_count)
-    for position in ([1.0], [1.0, 2.0], 9000 * [1.0], [3.0]):
+    for position in ([1.0], [1.0, 2.0], 9000 * [1.0]):
         publisher.publish(JointState(name=["joint_1"], position=position))
-    spin(node, lambda: len(heard) == 2)
-    assert [message.position[0] for message in heard] == [1.0, 3.0]
-    assert refusals(node) == {"refused on joint_states": 2}
-
-
-def test_bytes_that_are_no_message_are_refused(spin):
-    node, heard = Node("listener"), []
-    subscribe(node, Imu, "fog/imu", heard.append, 10)
-    publisher = node.create_publisher(Imu, "fog/imu", 10)
-    spin(node, publisher.get_subscription_count)
-    whole = serialize_message(stamped(1))
-    for data in (whole, whole[:100], b"\0\1", whole):
+    last = serialize_message(JointState(name=["joint_1"], position=[3.0], effort=[0.0]))
+    for data in (last[:40], b"\0\1", last):
         publisher.publish(data)
     spin(node, lambda: len(heard) == 2)
-    assert refusals(node) == {"refused on fog/imu": 2}
+    assert [message.position[0] for message in heard] == [1.0, 3.0]
+    assert refusals(node) == {"refused on joint_states": 4}
 
 
 def test_what_is_refused_between_what_is_not_is_logged_but_once_in_a_while(ros, monkeypatch):
