@@ -90,22 +90,11 @@ class Page:
 
 
 class Picture:
-    """The colours of a PNG; a part of it is left, top, right, bottom as shares of its size."""
+    """The colours of a PNG."""
 
     def __init__(self, png: bytes) -> None:
         self.pixels = matplotlib.image.imread(BytesIO(png), format="png")[..., :3]
 
-    def part(self, left: float, top: float, right: float, bottom: float) -> np.ndarray:
-        """The pixels of a part, (rows, columns, 3), 0 to 1."""
-        height, width = self.pixels.shape[:2]
-        rows = slice(int(top * height), int(bottom * height))
-        return self.pixels[rows, int(left * width) : int(right * width)]
-
-    def count(self, colour: tuple[int, int, int], *part: float) -> int:
-        """How many pixels of a part have a colour, or nearly."""
-        return int((np.abs(self.part(*part) - np.array(colour) / 255.0) < 0.06).all(-1).sum())
-
-    def colours(self, *part: float) -> int:
-        """How many different colours there are in a part, told apart by sixteenths."""
-        coarse = (self.part(*part) * 15.99).astype(int).reshape(-1, 3)
-        return len(np.unique(coarse, axis=0))
+    def count(self, colour: tuple[int, int, int]) -> int:
+        """How many pixels have a colour, or nearly."""
+        return int((np.abs(self.pixels - np.array(colour) / 255.0) < 0.06).all(-1).sum())

@@ -70,18 +70,23 @@ def test_each_node_may_do_what_it_does_and_hardly_more(spin, nodes):
 OPTIONAL = ("rt/vicon/*", "rt/clock", "rt/tf")
 
 
-def keystore(folder, *lines):
-    """A keystore for a configuration; its folder."""
-    config = folder / "lab.sh"
-    config.write_text("\n".join([f"export ROS_DOMAIN_ID={DOMAIN}", *lines]) + "\n")
-    made = subprocess.run(
-        [SCRIPTS / "fss_security.sh", folder / "keys", config],
+def run(*command, **env):
+    """Run a command to its end."""
+    return subprocess.run(
+        command,
         capture_output=True,
         text=True,
         timeout=120,
         check=False,
-        env={**os.environ, "FSS_LOGS": str(folder)},
+        env={**os.environ, **env},
     )
+
+
+def keystore(folder, *lines):
+    """A keystore for a configuration; its folder."""
+    config = folder / "lab.sh"
+    config.write_text("\n".join([f"export ROS_DOMAIN_ID={DOMAIN}", *lines]) + "\n")
+    made = run(SCRIPTS / "fss_security.sh", folder / "keys", config, FSS_LOGS=str(folder))
     assert made.returncode == 0, made.stderr
     assert f"{len(lines) + 2} enclaves for domain {DOMAIN}" in made.stdout
     return folder / "keys"
@@ -105,9 +110,7 @@ def test_a_keystore_is_made_once_and_permissions_follow_the_nodes(tmp_path):
         ):
             subprocess.run(["openssl", *command], check=True, capture_output=True)
     assert {f.stat().st_mode & 0o077 for f in keys.rglob("key.pem")} == {0}
-    refused = subprocess.run(
-        [SCRIPTS / "fss_security.sh", "/dev/null/keys"], capture_output=True, text=True, check=False
-    )
+    refused = run(SCRIPTS / "fss_security.sh", "/dev/null/keys")
     assert refused.returncode == 1
     assert re.fullmatch(r"fss_security.sh: .*Not a directory.*\n", refused.stderr)
 
@@ -141,14 +144,7 @@ print(json.dumps({"heard": len(heard), "armed": heard[-1:], "refused": refused, 
 def said_by(enclave, env):
     """What becomes of a program that listens, stops and commands."""
     given = ["--ros-args", "--enclave", enclave] if enclave else []
-    done = subprocess.run(
-        [sys.executable, "-c", SAY, *given],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={**os.environ, **env},
-    )
+    done = run(sys.executable, "-c", SAY, *given, **env)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -167,48 +163,20 @@ def test_a_stranger_neither_commands_nor_stops_nor_reads(start, tmp_path):
         "ROS_SECURITY_STRATEGY": "Enforce",
     }
     probe = "import rclpy, sys; rclpy.init(args=sys.argv); rclpy.create_node('probe')"
-    probed = subprocess.run(
-        [sys.executable, "-c", probe, "--ros-args", "--enclave", "/lab/link_1"],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-        env={**os.environ, **secure},
-    )
+    arguments = "--ros-args", "--enclave", "/lab/link_1"
+    probed = run(sys.executable, "-c", probe, *arguments, **secure)
     if "doesn't have the security libraries" in probed.stderr:
         pytest.skip("this middleware is built without DDS security")
     assert probed.returncode == 0, probed.stderr
-    start(
-        "fss_sim.testbed_node",
-        "--ros-args",
-        "--enclave",
-        "/lab/bed",
-        "-p",
-        f"ports:={ports}",
-        **secure,
-    )
-    start(
-        "fss_arm_driver.link_node",
-        "--ros-args",
-        "--enclave",
-        "/lab/link_1",
-        "-p",
-        f"url:=udp://127.0.0.1:{ports[0]}?bind=0",
-        **secure,
-    )
+    link = f"url:=udp://127.0.0.1:{ports[0]}?bind=0"
+    for module, enclave, parameter in (
+        ("fss_sim.testbed_node", "/lab/bed", f"ports:={ports}"),
+        ("fss_arm_driver.link_node", "/lab/link_1", link),
+    ):
+        start(module, "--ros-args", "--enclave", enclave, "-p", parameter, **secure)
     person = secure | {"ROS_SECURITY_ENCLAVE_OVERRIDE": "/person"}
 
-    def tell(*command):
-        return subprocess.run(
-            [sys.executable, "-c", ARM, *command],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-            env={**os.environ, **person},
-        )
-
-    armed = tell()
+    armed = run(sys.executable, "-c", ARM, **person)
     assert armed.returncode == 0, armed.stdout + armed.stderr
 
     nothing = {"heard": 0, "armed": [], "refused": [], "topics": []}
@@ -217,14 +185,7 @@ def test_a_stranger_neither_commands_nor_stops_nor_reads(start, tmp_path):
     assert view["heard"] > 5
     assert view["armed"] == [True]  # whoever may only listen has not stopped it either
     assert view["refused"] == ["arm/stop", "link_1/command"]
-    stopped = subprocess.run(
-        [sys.executable, SCRIPTS / "fss_arm.py", "stop"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={**os.environ, **person},
-    )
+    stopped = run(sys.executable, SCRIPTS / "fss_arm.py", "stop", **person)
     assert stopped.stdout.startswith("link_1: stopped after "), stopped.stderr
 
 

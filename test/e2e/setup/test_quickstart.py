@@ -25,6 +25,14 @@ def typed(page):
     return re.sub(r"\\\n *", "", "".join(blocks))
 
 
+def replaced(text, changes):
+    """Return a text with each of these words replaced, all of which it has."""
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, str(new))
+    return text
+
+
 def shell(text, timeout):
     """Run it line by line, up to the first that fails; what it said."""
     run = subprocess.run(
@@ -42,22 +50,14 @@ def shell(text, timeout):
 @pytest.mark.slow
 def test_without_hardware(tmp_path):
     ports = OWN.ports(4)
-    config = (ROOT / "config/fss_sim.sh").read_text()
-    for old, new in (
-        (
-            'ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"',
-            f"ROS_DOMAIN_ID={DOMAIN} FSS_LOGS={tmp_path / 'logs'}",
-        ),
-        ("out/fss_sim", str(tmp_path / "out")),
-        ("preset:=paper", f"preset:=paper -p ports:=[{','.join(map(str, ports))}]"),
-        (
-            "in 1 2 3 4; do",
-            f"in 1 2 3 4; do port=$(echo {' '.join(map(str, ports))} | cut -d' ' -f$i)",
-        ),
-        ("500$i?bind=600$i", "$port?bind=0"),
-    ):
-        assert old in config
-        config = config.replace(old, new)
+    changes = {
+        'ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"': f"ROS_DOMAIN_ID={DOMAIN} FSS_LOGS={tmp_path}/logs",
+        "out/fss_sim": tmp_path / "out",
+        "preset:=paper": f"preset:=paper -p ports:=[{','.join(map(str, ports))}]",
+        "in 1 2 3 4; do": f"in 1 2 3 4; do port=$(({ports[0]} + $i - 1))",
+        "500$i?bind=600$i": "$port?bind=0",
+    }
+    config = replaced((ROOT / "config/fss_sim.sh").read_text(), changes)
     (tmp_path / "lab.sh").write_text(config)
     text = typed("start/simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
     text = text.replace("out/fss_sim", str(tmp_path / "out"))
@@ -124,15 +124,14 @@ def test_by_hand(tmp_path):
     calib_rig.record(tmp_path / "monday", calib_rig.Rig(DEFAULT_POSTURES[:8], rate=50.0).samples())
     readme = typed("../README.md")
     text = readme[readme.index("ros2 run fss_arm_driver link") :]
-    for old, new in (
-        ("output:=bags/monday", f"output:={tmp_path / 'new'}"),
-        ("bags/monday", str(tmp_path / "monday")),
-        ("calibrated.yaml", str(tmp_path / "arm.yaml")),
-        ("my_arm.yaml", "config/cad.yaml"),
-        ("--report fit", f"--report {tmp_path / 'fit'}"),
-    ):
-        assert old in text
-        text = text.replace(old, new)
+    changes = {
+        "output:=bags/monday": f"output:={tmp_path / 'new'}",
+        "bags/monday": tmp_path / "monday",
+        "calibrated.yaml": tmp_path / "arm.yaml",
+        "my_arm.yaml": "config/cad.yaml",
+        "--report fit": f"--report {tmp_path / 'fit'}",
+    }
+    text = replaced(text, changes)
     said = shell(re.sub(r"^(scripts/.*)", r"! \1", watched(text), flags=re.M), 200)
     assert "pass" in said
     assert load(tmp_path / "arm.yaml").n == 4
@@ -146,19 +145,15 @@ def test_dynamics(tmp_path):
     text = typed("explanation/dynamic.md")
     text = text.replace("scripts/rehearse.sh dynamic", ":")  # has a test of its own
     text = re.sub(r"^.*(--goal|tuesday).*\n", "", text, flags=re.M)  # of other bags and results
-    for old, new in (
-        ("--report report", f"--report {tmp_path / 'report'} || [ $? -ge 2 ]"),
-        ("--kinematic bags/sunday", "--kinematic bags/sunday || [ $? -ge 2 ]"),
-        ("bags/sunday", str(tmp_path / "sunday")),
-        ("bags/monday", str(tmp_path / "monday")),
-        ("calibrated.yaml", str(tmp_path / "calibrated.yaml")),
-        ("kinematics.yaml", str(tmp_path / "kinematics.yaml")),
-        ("plan.yaml", str(tmp_path / "plan.yaml")),
-        ("=arm.yaml", "=config/arm.yaml"),
-        (" arm.yaml", " config/arm.yaml"),
-    ):
-        assert old in text
-        text = text.replace(old, new)
+    changes = {
+        "--report report": f"--report {tmp_path / 'report'} || [ $? -ge 2 ]",
+        "--kinematic bags/sunday": "--kinematic bags/sunday || [ $? -ge 2 ]",
+        **{f"bags/{day}": tmp_path / day for day in ("sunday", "monday")},
+        **{f"{of}.yaml": tmp_path / f"{of}.yaml" for of in ("calibrated", "kinematics", "plan")},
+        "=arm.yaml": "=config/arm.yaml",
+        " arm.yaml": " config/arm.yaml",
+    }
+    text = replaced(text, changes)
     said = shell(watched(text), 400)
     assert "b_4" in said
     assert list((tmp_path / "report").glob("*.html"))

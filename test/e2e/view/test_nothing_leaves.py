@@ -68,7 +68,7 @@ while not drawn and time.monotonic() < deadline:
     if sys.argv[3] == "live":
         drawn = "y" in browser.text("strips")
         continue
-    drawn = Picture(png).count((255, 0, 0), 0.0, 0.0, 1.0, 1.0) > 100
+    drawn = Picture(png).count((255, 0, 0)) > 100
     if sys.argv[3] == "bare" and sent:
         break
     time.sleep(1.0)

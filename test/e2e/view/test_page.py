@@ -43,7 +43,7 @@ def test_the_page_draws_the_scene_and_says_how_old_it_is(start, spin, domain, tm
         (tmp_path / "view.png").write_bytes(png)
         picture = Picture(png)
         colors = {name: palette.rgb(getattr(palette, name)) for name in WANTED}
-        found = {name: picture.count(color, 0, 0, 1, 1) for name, color in colors.items()}
+        found = {name: picture.count(color) for name, color in colors.items()}
         return all(found[name] >= least for name, least in WANTED.items())
 
     try:
