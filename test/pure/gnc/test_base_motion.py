@@ -14,7 +14,6 @@ from fss_gnc.reference import Body
 CRAFT = Craft(paper_arm())
 FOLDED = np.array([1.5, -1.5, -1.5, 1.5])
 PERIOD = 0.1
-TO_THE_SIDE = np.array([0.12, 0.0, 0.0])
 
 
 def observed(t=0.0, pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0), target=None, **known):
@@ -23,18 +22,17 @@ def observed(t=0.0, pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0), target=None, **
     return Observation(t, base, body, FOLDED, np.zeros(4), **known)
 
 
-def fly(activity, until=lambda t: None, target=None, end_time=300.0):
+def fly(activity, until=lambda t: None, start=None, target_at=lambda t: None):
     """Step an activity to its end; return its phases, last commands and last observation."""
-    now, phases, path = observed(target=target), [], activity.path
-    while now.t < end_time:
+    now, phases = start or observed(), []
+    while now.t < 300.0:
         until(now.t)
-        commands = activity.step(now)
+        commands = activity.step(replace(now, target=target_at(now.t)))
         if commands.phase not in phases:
             phases.append(commands.phase)
         if commands.outcome:
-            return phases, commands, now
-        path = commands.path
-        reference = path.at(now.t + PERIOD)
+            break
+        reference = commands.path.at(now.t + PERIOD)
         now = replace(now, t=now.t + PERIOD, base=Body(reference.pose, reference.twist))
     return phases, commands, now
 
@@ -50,37 +48,23 @@ def test_go_to_stays_within_the_limits_and_holds():
     assert last.t == pytest.approx(motion.path.end_time + 5.0, abs=2 * PERIOD)
 
 
-def test_go_to_takes_the_shorter_turn():
-    motion = go_to(CRAFT, observed(pose=(0.0, 0.0, 3.0)), [0.0, 0.0, -3.0], 0.0, 0.0)
-    assert motion.path.knots[-1, 0, 2] == pytest.approx(2 * np.pi - 3.0)
-
-
-def test_go_to_starts_from_a_moving_base():
-    motion = go_to(CRAFT, observed(twist=(0.0, 0.03, 0.02)), [0.5, 0.0, 0.0], 0.0, 0.0)
+def test_go_to_starts_from_a_moving_base_and_takes_the_shorter_turn():
+    start = observed(pose=(0.0, 0.0, 3.0), twist=(0.0, 0.03, 0.02))
+    motion = go_to(CRAFT, start, [0.5, 0.0, -3.0], 0.0, 0.0)
     np.testing.assert_allclose(motion.path.at(0.0).twist, [0.0, 0.03, 0.02])
-    assert fly(motion)[1].outcome.success
+    assert motion.path.knots[-1, 0, 2] == pytest.approx(2 * np.pi - 3.0)
 
 
 def test_given_duration_is_kept_or_rejected():
     assert go_to(CRAFT, observed(), [0.5, 0.0, 0.0], 90.0, 0.0).path.end_time == 90.0
     with pytest.raises(ActivityError, match=r"duration is 3 s, expected at least \d+\.\d s"):
         go_to(CRAFT, observed(), [0.5, 0.0, 0.0], 3.0, 0.0)
-    with pytest.raises(ActivityError, match="duration is inf s, expected 0 to 86400 s"):
-        go_to(CRAFT, observed(), [0.5, 0.0, 0.0], np.inf, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("pose", "message"),
-    [
-        ((1.9, 0.0, 0.0), "would be -?0.* m from the table's edge in .* s, expected at least 0.05"),
-        ((0.0, -2.01, 0.0), r"pose\[1\] is -2.01 m, expected -2 to 2 m"),
-        ((0.0, 0.0, 1e18), r"pose\[2\] is 1e.18 rad, expected -1000 to 1000 rad"),
-        ((0.0, 0.0), "pose has 2 numbers, expected 3"),
-    ],
-)
-def test_invalid_goal_is_rejected(pose, message):
+def test_goal_beyond_the_edge_is_rejected():
+    message = r"would be -?0.* m from the table's edge in .* s, expected at least 0.05"
     with pytest.raises(ActivityError, match=message):
-        go_to(CRAFT, observed(), pose, 0.0, 0.0)
+        go_to(CRAFT, observed(), (1.9, 0.0, 0.0), 0.0, 0.0)
 
 
 def test_path_through_the_keep_out_zone_is_rejected_unless_the_target_is_held_or_leaves():
@@ -112,28 +96,6 @@ def test_held_target_is_not_carried_beyond_the_edge():
         go_to(CRAFT, gripping(state), goal, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("state", "target", "message"),
-    [
-        (observed(pose=(-1.72, 0.0, 0.0)), None, "base would be -0.0.* m from the table's edge"),
-        (
-            observed(pose=(-0.6, 0.0, 0.0)),
-            (np.array([-1.15, 0.0, 0.0]), np.zeros(3)),
-            "keep-out zone",
-        ),
-    ],
-)
-def test_hold_pose_without_free_space_is_rejected(state, target, message):
-    with pytest.raises(ActivityError, match=message):
-        hold(
-            CRAFT,
-            replace(state, target=target and Body(*target)),
-            state.base.pose - TO_THE_SIDE,
-            0.0,
-        )
-    hold(CRAFT, state, state.base.pose + TO_THE_SIDE, 0.0)
-
-
 def test_base_too_near_the_edge_may_only_move_away():
     state = observed(pose=(-1.79, 0.0, 0.0))
     go_to(CRAFT, state, [-1.0, 0.0, 0.0], 0.0, 0.0)
@@ -142,13 +104,9 @@ def test_base_too_near_the_edge_may_only_move_away():
 
 
 def test_base_brakes_before_a_target_on_its_path():
-    motion = go_to(CRAFT, observed(pose=(-1.5, 0.0, 0.0)), [0.8, 0.0, 0.0], 0.0, 0.0)
-    commands, now = None, observed(pose=(-1.5, 0.0, 0.0))
-    while not (commands and commands.outcome):
-        target = Body(np.array([0.4, 0.0, 0.0]), np.zeros(3)) if now.t > 8.0 else None
-        commands = motion.step(replace(now, target=target))
-        reference = commands.path.at(now.t + PERIOD)
-        now = replace(now, t=now.t + PERIOD, base=Body(reference.pose, reference.twist))
+    start, body = observed(pose=(-1.5, 0.0, 0.0)), Body(np.array([0.4, 0.0, 0.0]), np.zeros(3))
+    motion = go_to(CRAFT, start, [0.8, 0.0, 0.0], 0.0, 0.0)
+    _, commands, now = fly(motion, start=start, target_at=lambda t: body if t > 8.0 else None)
     assert not commands.outcome.success
     assert "from the keep-out zone" in commands.outcome.message
     np.testing.assert_allclose(now.base.twist, 0.0, atol=1e-9)
@@ -163,11 +121,10 @@ def test_cancel_brakes_a_motion_and_ends_a_hold():
     assert last.t > 9.0
     np.testing.assert_allclose(last.base.twist, 0.0, atol=1e-9)
 
-    motion = go_to(CRAFT, observed(), [0.1, 0.0, 0.0], 0.0, 60.0)
-    cancel_time = motion.path.end_time + 5.0
-    phases, commands, last = fly(motion, lambda t: t > cancel_time and motion.cancel("cancelled"))
-    assert commands.outcome == (True, "")
-    assert last.t == pytest.approx(cancel_time, abs=2 * PERIOD)
+    motion = hold(CRAFT, observed(), [0.0, 0.0, 0.05], 0.0)
+    assert motion.step(observed(1e5)).outcome is None  # endless
+    motion.cancel("cancelled")
+    assert motion.step(observed(1e5 + 1)).outcome == (True, "")
 
 
 @pytest.mark.parametrize("arrived", [False, True])
@@ -193,21 +150,10 @@ def test_hold_stops_and_holds_a_moving_base():
     moving = observed(twist=(0.02, 0.0, 0.02))
     motion = hold(CRAFT, moving, [], 10.0)
     assert limit_use(CRAFT.settings, motion.path).share <= 1.0
-    now, commands = moving, motion.step(moving)
-    while not commands.outcome:
-        reference = commands.path.at(now.t + PERIOD)
-        now = replace(now, t=now.t + PERIOD, base=Body(reference.pose, reference.twist))
-        commands = motion.step(now)
+    _, commands, now = fly(motion, start=moving)
     assert commands.outcome.success
     np.testing.assert_allclose(now.base.pose, motion.path.knots[-1, 0])
     assert motion.largest_offset.max() < 1e-9
-
-
-def test_cancelled_endless_hold_succeeds():
-    motion = hold(CRAFT, observed(), [0.0, 0.0, 0.05], 0.0)
-    assert motion.step(observed(1e5)).outcome is None
-    motion.cancel("cancelled")
-    assert motion.step(observed(1e5 + 1)).outcome.success
 
 
 def test_hold_pose_must_be_near():
@@ -254,10 +200,7 @@ def test_follow_takes_the_shorter_turns():
     ("changes", "message"),
     [
         ({"times": np.linspace(0.0, 30.0, 25)}, "the path's .* expected at most"),
-        ({"times": np.linspace(1.0, 120.0, 25)}, r"time\[0\] is 1 s, expected 0 s"),
-        ({"times": np.zeros(25)}, r"time\[1\] is 0 s, expected more than 0.001 s"),
         ({"poses": (CIRCLE_POSES + 0.5).ravel()}, "the first pose is 0.707 m and 28.6 deg"),
-        ({"twists": [0.0, 0.0]}, "twist has 2 numbers, expected 75, or none"),
         ({"twists": np.eye(75)[4] * -2.0}, r"twist\[4\] is -2 m/s, expected -1 to 1 m/s"),
         ({"poses": (3.15 * CIRCLE_POSES * [1, 1, 0]).ravel(), "times": np.linspace(0.0, 900.0, 25)},
          "the table's edge"),

@@ -1,9 +1,13 @@
-"""The filter of one body, on simulated motions."""
+"""The filter of one body, on simulated motions; publication of its state, and problems."""
 
 import numpy as np
 import pytest
 
-from fss_gnc.navigation import BodyFilter, SensorErrors
+from fss_arm_model.description import paper_arm
+from fss_gnc.navigation import BodyFilter, Navigation, SensorErrors
+from fss_gnc.navigation.health import diagnostic_values, find_problems, valve_problems
+from fss_gnc.navigation.tracked_body import TrackedBody
+from fss_gnc.navigation.valve_faults import Faults
 
 MS = 1_000_000
 
@@ -47,24 +51,18 @@ def resting(poses=100, **errors):
     return filter_
 
 
-def test_outliers_are_rejected_and_a_moved_body_restarts_the_filter():
-    filter_ = resting()
-    assert not any(filter_.update_pose(10 * MS * k, 1.0, 1.0, 1.0) for k in range(100, 105))
-    assert all(filter_.update_pose(10 * MS * k, 0.0, 0.0, 0.0) for k in range(105, 200))
-    assert filter_.rejected == {"pose": 5}
+def test_outliers_are_rejected_and_only_a_moved_body_restarts_the_filter():
+    filter_, rng = resting(), np.random.default_rng(1)
+    random = rng.uniform(0.5, 2.0, (50, 3))
+    assert not any(filter_.update_pose(10 * MS * (100 + k), *pose) for k, pose in enumerate(random))
+    assert all(filter_.update_pose(10 * MS * k, 0.0, 0.0, 0.0) for k in range(150, 200))
+    assert filter_.rejected == {"pose": 50}
+    assert filter_.start_count == 1
     assert np.abs(filter_.state().pose).max() < 1e-6
     accepted = [filter_.update_pose(10 * MS * k, 1.0, 1.0, 1.0) for k in range(200, 260)]
     assert accepted.index(True) == 30  # after the settle time
     assert filter_.start_count == 2
     np.testing.assert_allclose(filter_.state().pose, 1.0, atol=1e-6)
-
-
-def test_random_poses_never_restart_the_filter():
-    filter_, rng = resting(), np.random.default_rng(1)
-    for k in range(100, 300):
-        filter_.update_pose(10 * MS * k, *rng.uniform(-2.0, 2.0, 3))
-    assert filter_.start_count == 1
-    assert filter_.rejected["pose"] > 195
 
 
 def test_filter_follows_a_kick():
@@ -129,16 +127,81 @@ def test_state_is_lost_after_an_outage_and_found_again():
     assert filter_.lost_reason(4001 * MS) == ""
 
 
-def test_nan_covariance_counts_as_lost():
-    filter_ = resting()
-    filter_.events[-1].P[:] = np.nan
-    assert (
-        filter_.lost_reason(1000 * MS)
-        == "position uncertain: 1 sigma is nan m, expected at most 0.02 m"
-    )
-
-
 def test_uncertain_state_is_lost_before_the_outage_timeout():
     filter_ = resting(acceleration=0.05)
     filter_.predict(1990 * MS)
     assert filter_.lost_reason(1990 * MS).startswith("position uncertain: 1 sigma is 0.0")
+    filter_.events[-1].P[:] = np.nan
+    assert filter_.lost_reason(1990 * MS).startswith("position uncertain: 1 sigma is nan m")
+
+
+# --- publication of the state, and problems -------------------------------------------------------
+
+BEGIN, INTERVAL = 500_000 * MS, 25 * MS
+AT_REST = (0.1, 0.2, 0.3)
+
+
+def tracked(filter_=None):
+    filter_, states = filter_ or BodyFilter(), []
+    return TrackedBody(filter_, filter_.update_pose, states.append), states
+
+
+def test_each_accepted_pose_is_published():
+    body, states = tracked()
+    assert body.lost_reason == "not observed yet"
+    for k in range(20):
+        body.update_pose(BEGIN + k * 10 * MS, AT_REST)
+    times = [BEGIN + k * 10 * MS for k in range(3, 20)]  # the speed is unknown before
+    assert [state.t for state in states] == times
+    np.testing.assert_allclose(states[-1].pose, AT_REST, atol=1e-6)
+    assert not body.lost_reason
+    body.update_pose(BEGIN + 200 * MS, (5.0, 5.0, 0.0))  # an outlier
+    assert len(states) == len(times)
+
+
+def test_a_prediction_is_published_once_poses_are_missing_and_until_it_is_unknown():
+    body, states = tracked()
+    for k in range(20):
+        body.update_pose(BEGIN + k * 10 * MS, AT_REST)
+        body.publish_if_due(BEGIN + k * 10 * MS + 5 * MS, INTERVAL, body.filter.predict)
+    measured = len(states)
+    for k in range(20, 1000):
+        body.publish_if_due(BEGIN + k * 10 * MS, INTERVAL, body.filter.predict)
+    assert np.diff([state.t for state in states[measured:]]).min() > INTERVAL
+    assert 100 * MS < states[-1].t - body.filter.last_pose_time <= 2000 * MS
+    assert body.lost_reason
+
+
+def test_problems_and_values_of_a_new_navigation():
+    navigation = Navigation(paper_arm())
+    base, target = tracked(navigation.base)[0], tracked(navigation.target)[0]
+    bodies = navigation, base, target
+    assert find_problems(*bodies, BEGIN) == [
+        "base not observed yet",
+        "readings of a joint are missing: motion of the arm unknown",
+    ]
+    values = diagnostic_values(*bodies, 3, {"fog/imu from the future": 2})
+    assert (values["base"], values["pulses received"]) == ("not observed yet", 3)
+    assert values["fog/imu from the future"] == 2
+    assert "gyro bias [rad/s]" not in values
+    for i in range(4):
+        navigation.add_joint_reading(i, BEGIN, 0.1, 0.0)
+    for k in range(60):
+        base.update_pose(BEGIN + k * 10 * MS, AT_REST)
+    now = BEGIN + 600 * MS
+    assert find_problems(*bodies, now) == [
+        "no gyro: heading from motion capture only",
+        "readings of a joint are missing: motion of the arm unknown",
+    ]
+    values = diagnostic_values(*bodies, 0, {})
+    assert (values["base"], values["filter restarts"]) == ("known", 0)
+    assert "gyro bias [rad/s]" in values
+
+
+def test_faulty_valves_are_numbered_from_one():
+    assert valve_problems(Faults(frozenset({2}), frozenset({0, 7}), True)) == [
+        "valve 3 does not close",
+        "valve 1 does not open",
+        "valve 8 does not open",
+        "an unknown force pushes the base",
+    ]

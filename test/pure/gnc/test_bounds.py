@@ -30,10 +30,7 @@ def path(times, x, speed=None, acceleration=None):
             "points[0].accelerations[0].linear.y is -5 m/s^2, expected -1 to 1 m/s^2",
         ),
         (path([0, 0.1], [0, 0.9]), "reference at 0 s, linear.y is 9 m/s, expected -1 to 1 m/s"),
-        (
-            path([0, 60], [0, 0], [0.9, -0.9]),
-            "reference at 4.6875 s, y is 3.88916 m, expected",
-        ),
+        (path([0, 60], [0, 0], [0.9, -0.9]), "reference at 4.6875 s, y is 3.88916 m, expected"),
         (path([-1, 0], [0, 0]), "points[0].time_from_start is -1 s, expected 0 to 86400 s"),
         (path([0, 1e5], [0, 0]), "points[1].time_from_start is 100000 s, expected 0 to 86400 s"),
     ],
@@ -48,6 +45,7 @@ def test_infeasible_reference_is_rejected(reference, words):
     "reference",
     [
         path([0], [1.0]),
+        Path.between(Reference.at_rest([0.0, -0.9, 0.0]), [1.9, 0.9, 3.0], 0.0, 100.0),
         path([0, 10], [-1.0, 1.0]),
         path([0, 1], [0.9, 1.1], [0.3, 0.1]),  # beyond the edge: a base that brakes too late
     ],
@@ -56,7 +54,7 @@ def test_reference_on_the_table_is_accepted(reference):
     check_reference(reference, TABLE)
 
 
-@pytest.mark.parametrize("speed", [0.05, 0.2, 0.8])
+@pytest.mark.parametrize("speed", [0.05, 0.8])
 def test_braking_is_accepted_until_the_base_has_passed_the_edge(speed):
     settings, start = GuidanceSettings(), np.array([0.0, 0.7, 3.0])
     way = braking(settings, Body(start, np.array([0.0, speed, 0.5])))
@@ -67,18 +65,12 @@ def test_braking_is_accepted_until_the_base_has_passed_the_edge(speed):
         check_reference(messages.path(message), TABLE)
 
 
-def test_path_between_two_poses_at_rest_is_accepted():
-    path = Path.between(Reference.at_rest([0.0, -0.9, 0.0]), [1.9, 0.9, 3.0], 0.0, 100.0)
-    check_reference(path, TABLE)
-
-
 PRESENT = 100 * SECOND  # [ns]
 
 
 @pytest.mark.parametrize(
     ("stamp", "end", "words"),
     [
-        (PRESENT, 0.0, ""),
         (PRESENT - SECOND, 0.0, ""),
         (PRESENT - 60 * SECOND, 59.5, ""),
         (PRESENT + SECOND, 5.0, ""),

@@ -1,4 +1,4 @@
-"""Execution of an activity: its start, reasons to end, and what is published at the end."""
+"""Execution of an activity: start, reasons to end, resources, feedback, and what is published."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,8 +8,10 @@ import pytest
 
 from fss_arm_model.description import paper_arm
 from fss_gnc.guidance.activity import ActivityError, Commands, Craft, Observation, Outcome
+from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.execution import Kind, start_activity
 from fss_gnc.guidance.kinds import KINDS
+from fss_gnc.guidance.mission_monitor import MissionMonitor
 from fss_gnc.guidance_topics import command_messages, end_messages
 from fss_gnc.reference import Body
 
@@ -130,3 +132,67 @@ def test_at_the_end_the_valves_close_and_joints_stop_unless_another_follows(move
         assert ended["arm/joint_commands"].velocity.tolist() == [0.0] * 4
     state = ended["mission/state"]
     assert (state.mission, state.phase, state.reason) == ("capture", "abort", "stopped")
+
+
+FOLDED = replace(observation(), q=np.array([1.5, -1.5, -1.5, 1.5]), holds=True)
+GOAL_FIELDS = {
+    "base/go_to": {"pose": [0.1, 0.0, 0.0]},
+    "base/follow": {"time": [0.0, 9.0], "pose": 6 * [0.0]},
+}
+DONE = {
+    "base/hold": "held",
+    "base/go_to": "reached",
+    "base/follow": "reached",
+    "mission/capture": "stopped",
+    "mission/detumble": "stopped",
+    "mission/abort": "safe",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_feedback_and_results_fit_their_actions(kind):
+    goal = kind.action.Goal(**GOAL_FIELDS.get(kind.name, {}))
+    if kind.name == "mission/capture":
+        goal.detumble = True
+    activity = kind.start(CRAFT, FOLDED, goal)
+    kind.action.Feedback(**kind.feedback(activity, activity.step(FOLDED)))
+    for success in (False, True):
+        fields = kind.result(activity, Budget(CRAFT), Outcome(success))
+        result = kind.action.Result(message="", **fields)
+        assert getattr(result, DONE[kind.name]) == (success or kind.name == "mission/abort")
+
+
+@pytest.mark.parametrize(
+    ("reason", "shown"),
+    [("", "requested by the operator"), ("lost\nit", "lost it"), (9000 * "x", 200 * "x")],
+)
+def test_abort_shortens_any_reason_to_one_line(reason, shown):
+    kind = KINDS[-1]
+    assert kind.start(CRAFT, FOLDED, kind.action.Goal(reason=reason)).reason == shown
+
+
+def with_torques(t, *torques):
+    return Observation(t, AT_REST, None, np.zeros(4), np.zeros(4), np.array(torques))
+
+
+def test_missing_torque_of_a_joint_hides_no_other():
+    budget = Budget(CRAFT)
+    budget.update(with_torques(0.0, 0.5, np.nan, -1.5, 0.0))
+    budget.update(with_torques(0.1, np.nan, np.nan, np.nan, np.nan))
+    assert budget.largest_torque == pytest.approx(1.5)
+
+
+def test_lasting_overload_of_a_joint_is_reported():
+    monitor = MissionMonitor(CRAFT)
+    reasons = [
+        monitor.abort_reason(with_torques(t, 0.0, np.nan, -3.2, 0.0), None, "reach", 60.0, 0.0)
+        for t in (0.0, 0.2, 0.4)
+    ]
+    assert reasons == ["", "", "torque of joint 3 is 3.20 N m, expected at most 3 N m"]
+
+
+def test_phase_timeout_is_reported():
+    reason = MissionMonitor(CRAFT).abort_reason(
+        with_torques(7.0, *4 * [0.0]), None, "reach", 5.0, 1.0
+    )
+    assert reason == "phase reach took longer than its timeout of 5 s"

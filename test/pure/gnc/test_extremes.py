@@ -1,5 +1,6 @@
 """Invalid values in every field of the references, plans and goals of `control` and `guidance`."""
 
+import re
 from math import inf, nan
 
 import numpy as np
@@ -20,7 +21,7 @@ from fss_gnc.reference import Body, Path
 
 DENORMAL = 5e-324
 NOT_FINITE = (nan, inf, -inf)
-HUGE = (1e9, -1e9, 1e18, -1e18)
+HUGE = (1e9, -1e18)
 MILLION = 1_000_000
 STAMP = 1_700_000_000 * SECOND
 HOLD, GO_TO, FOLLOW = BASE
@@ -31,28 +32,31 @@ PARTS = ("transforms[0].translation", "velocities[0].linear", "accelerations[0].
 VECTORS = (*PARTS, "velocities[0].angular", "accelerations[0].angular")
 NUMBERS = [f"{vector}.{axis}" for vector in VECTORS for axis in "xyz"]
 TURN = [f"transforms[0].rotation.{axis}" for axis in "xyzw"]
-#: Field of a point, and value.
-POINT_FIELDS = [
-    *[(name, value) for name in NUMBERS for value in NOT_FINITE + HUGE],
-    *[(name, value) for name in TURN for value in (*NOT_FINITE, 1e18)],
-    *[(f"{PARTS[0]}.{axis}", value) for axis in "xy" for value in (5.0, -2.1)],
-    *[(f"{part}.z", 0.002) for part in PARTS[1:]],
-    *[(f"{vector}.{axis}", 0.002) for vector in VECTORS[3:] for axis in "xy"],
-    ("transforms[0].rotation", Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)),
-    ("transforms[0].rotation", Quaternion(x=1.0, y=0.0, z=0.0, w=0.0)),
-    *[("time_from_start", Duration(sec=sec)) for sec in (-1, 86_401, 2**31 - 1)],
-    *[(part, []) for part in ("transforms", "velocities", "accelerations")],
+#: Fields of a point of a reference, with invalid values.
+POINT = [
+    *[(name, (*NOT_FINITE, *HUGE)) for name in NUMBERS],
+    *[(name, (*NOT_FINITE, 1e18)) for name in TURN],
+    *[(f"{PARTS[0]}.{axis}", (5.0, -2.1)) for axis in "xy"],
+    *[(f"{part}.z", (0.002,)) for part in PARTS[1:]],
+    *[(f"{vector}.{axis}", (0.002,)) for vector in VECTORS[3:] for axis in "xy"],
+    ("transforms[0].rotation", (Quaternion(w=0.0), Quaternion(x=1.0, w=0.0))),
+    ("time_from_start", [Duration(sec=sec) for sec in (-1, 86_401, 2**31 - 1)]),
+    *[(part, ([],)) for part in ("transforms", "velocities", "accelerations")],
 ]
-#: Field of the message itself, and value.
-MESSAGE_FIELDS = [
-    ("header.stamp", Time(sec=-1)),
-    *[("header.frame_id", frame) for frame in ("", "fss", 9000 * "x")],
-    *[("joint_names", names) for names in ([], ["joint_1"], 2 * ["fss"], 9000 * ["fss"])],
+REFERENCE = [
+    *[(f"points[{k}].{name}", values) for name, values in POINT for k in (0, 1)],
+    ("header.stamp", (Time(sec=-1),)),
+    ("header.frame_id", ("", "fss", 9000 * "x")),
+    ("joint_names", ([], ["joint_1"], 2 * ["fss"], 9000 * ["fss"])),
 ]
-#: Each number of a plan of the joints, and its other fields.
-PLANS = [
-    *[("velocities", i, value) for i in range(4) for value in NOT_FINITE + HUGE],
-    *[(name, 0, nan) for name in ("positions", "accelerations", "effort")],
+#: Fields of a plan of the joints, with invalid values.
+PLAN = [
+    *[(f"points[{k}].velocities[{i}]", (*NOT_FINITE, *HUGE)) for k in (0, 1) for i in range(4)],
+    *[(f"points[1].{name}", (4 * [nan],)) for name in ("positions", "accelerations", "effort")],
+    ("points[1].velocities", ([], [0.0], 5 * [0.0], 9000 * [0.0])),
+    ("points[0].time_from_start", [Duration(sec=sec) for sec in (-1, 1, 2**31 - 1)]),
+    ("joint_names", ([], ["joint_1"], 9000 * ["joint_1"])),
+    ("points", ([],)),
 ]
 
 
@@ -61,12 +65,25 @@ def resting():
     return messages.trajectory(Path(np.arange(2.0), np.zeros((2, 3, 3))), 0.0, STAMP, 1.0, 1.0)
 
 
+def plan():
+    message = JointTrajectory(joint_names=[f"joint_{i}" for i in range(1, 5)])
+    message.header.stamp = to_time(STAMP)
+    message.points = [
+        JointTrajectoryPoint(velocities=4 * [0.0], time_from_start=Seconds(seconds=k).to_msg())
+        for k in range(2)
+    ]
+    return message
+
+
 def set_field(message, name, value):
-    """Set a field by its path, such as transforms[0].translation.x."""
-    *path, last = name.replace("[0]", ".0").split(".")
+    """Set a field by its path, such as points[0].transforms[0].translation.x."""
+    *path, last = re.findall(r"\w+", name)
     for part in path:
-        message = message[0] if part == "0" else getattr(message, part)
-    setattr(message, last, value)
+        message = message[int(part)] if part.isdigit() else getattr(message, part)
+    if last.isdigit():
+        message[int(last)] = value
+    else:
+        setattr(message, last, value)
 
 
 def validated(message):
@@ -83,82 +100,33 @@ def reference(message):
     return path
 
 
-def spoilt_references():
-    for name, value in POINT_FIELDS:
-        for k in (0, 1):
-            message = resting()
-            set_field(message.points[k], name, value)
-            yield f"points[{k}].{name} = {value}", message
-    for name, value in MESSAGE_FIELDS:
-        message = resting()
-        set_field(message, name, value)
-        yield f"{name} = {str(value)[:40]}", message
+def rates(message):
+    return messages.planned_rates(validated(message), paper_arm())[2]
 
 
-def test_invalid_references_are_rejected():
-    reference(resting())
-    for what, message in spoilt_references():
-        try:
-            reference(message)
-        except ValueError:
-            continue
-        pytest.fail(f"{what} is not rejected")
+@pytest.mark.parametrize(
+    ("read", "make", "invalid"), [(reference, resting, REFERENCE), (rates, plan, PLAN)]
+)
+def test_invalid_references_and_plans_are_rejected(read, make, invalid):
+    read(make())
+    for name, values in invalid:
+        for value in values:
+            message = make()
+            set_field(message, name, value)
+            with pytest.raises(ValueError):  # noqa: PT011
+                pytest.fail(f"{name} = {str(value)[:40]} is not rejected: {read(message)}")
 
 
-@pytest.mark.parametrize("name", NUMBERS + TURN[:3])
-def test_denormal_numbers_in_a_reference_count_as_zero(name):
+def test_denormal_numbers_in_a_reference_count_as_zero():
     message = resting()
-    set_field(message.points[0], name, DENORMAL)
+    for name in NUMBERS + TURN[:3]:
+        set_field(message.points[0], name, DENORMAL)
     np.testing.assert_allclose(reference(message).knots, 0.0, atol=1e-300)
-
-
-def plan(**fields):
-    message = JointTrajectory(joint_names=[f"joint_{i}" for i in range(1, 5)])
-    message.header.stamp = to_time(STAMP)
-    message.points = [
-        JointTrajectoryPoint(velocities=4 * [0.0], time_from_start=Seconds(seconds=k).to_msg())
-        for k in range(2)
-    ]
-    for name, value in fields.items():
-        setattr(message, name, value)
-    return message
-
-
-def spoilt_plans():
-    for name, i, value in PLANS:
-        for k in (0, 1):
-            message, numbers = plan(), 4 * [0.0]
-            numbers[i] = value
-            setattr(message.points[k], name, numbers)
-            yield f"points[{k}].{name}[{i}] = {value}", message
-    for velocities in ([], [0.0], 5 * [0.0], 9000 * [0.0]):
-        message = plan()
-        message.points[1].velocities = velocities
-        yield f"{len(velocities)} velocities", message
-    for sec in (-1, 0, 2**31 - 1):
-        message = plan()
-        message.points[0].time_from_start = Duration(sec=sec)
-        message.points[1].time_from_start = Duration(sec=0)
-        yield f"points[0].time_from_start = {sec} s", message
-    for names in ([], ["joint_1"], 9000 * ["joint_1"]):
-        yield f"{names[:2]}", plan(joint_names=names)
-    yield "no points", plan(points=[])
-
-
-def test_invalid_joint_plans_are_rejected():
-    arm = paper_arm()
-    assert not messages.planned_rates(validated(plan()), arm)[2].any()
-    for what, message in spoilt_plans():
-        try:
-            messages.planned_rates(validated(message), arm)
-        except ValueError:
-            continue
-        pytest.fail(f"{what} is not rejected")
 
 
 # --- guidance -----------------------------------------------------------------------------------
 
-DURATIONS = (*NOT_FINITE, 1e18, 1e300, -1.0, -DENORMAL)
+DURATIONS = (*NOT_FINITE, 1e18, -1.0, -DENORMAL)
 KNOTS = {"time": [0.0, 5.0], "pose": 6 * [0.0], "twist": 6 * [0.0]}
 
 
@@ -174,10 +142,10 @@ GOALS = [
         (kind, {"pose": with_one(3 * [0.0], i, value)}, f"pose[{i}]")
         for kind in (HOLD, GO_TO)
         for i in range(3)
-        for value in (*NOT_FINITE, *HUGE, 1e300)
+        for value in (*NOT_FINITE, *HUGE)
     ],
     *[(kind, {"pose": [5.0, 0.0, 0.0]}, "pose[0]") for kind in (HOLD, GO_TO)],
-    *[(HOLD, {"pose": count * [0.0]}, "pose has") for count in (1, 2, 4, MILLION)],
+    *[(HOLD, {"pose": count * [0.0]}, "pose has") for count in (2, MILLION)],
     (HOLD, {"pose": [0.0, 0.0, 2.0]}, "pose is"),
     *[(HOLD, {"duration": value}, "duration") for value in DURATIONS],
     *[
@@ -190,21 +158,17 @@ GOALS = [
         (FOLLOW, KNOTS | {name: with_one(numbers, i, value)}, f"{name}[{i}]")
         for name, numbers in KNOTS.items()
         for i in (0, len(numbers) - 1)
-        for value in (*NOT_FINITE, *HUGE, 1e300)
+        for value in (*NOT_FINITE, *HUGE)
     ],
     *[(FOLLOW, KNOTS | {"time": [0.0, step]}, "time[1]") for step in (0.0, DENORMAL, 1e-6, -1.0)],
     (FOLLOW, KNOTS | {"time": [DENORMAL, 5.0]}, "time[0]"),
     *[
-        (FOLLOW, KNOTS | {name: count * [0.0]}, f"{field} has")
-        for name, field, count in (
-            ("time", "time", 1), ("time", "pose", 7), ("time", "time", MILLION),
-            ("pose", "pose", 1), ("pose", "pose", 7), ("pose", "pose", MILLION),
-            ("twist", "twist", 1), ("twist", "twist", 7), ("twist", "twist", MILLION),
-        )
+        (FOLLOW, KNOTS | {name: count * [0.0]}, f"{name} has")
+        for name in KNOTS
+        for count in (1, MILLION)
     ],
     (FOLLOW, {}, "time has 0 knots"),
-    (FOLLOW, KNOTS | {"pose": []}, "pose has 0 numbers"),
-]  # fmt: skip
+]
 #: Goals with numbers that count as 0.
 AS_ZERO = [
     (HOLD, {"pose": 3 * [DENORMAL], "duration": DENORMAL}),
@@ -213,20 +177,21 @@ AS_ZERO = [
     (FOLLOW, {"time": [0.0, 1.0], "pose": 6 * [DENORMAL], "twist": 6 * [DENORMAL]}),
 ]
 
+CRAFT = Craft(paper_arm())
 AT_ORIGIN = Observation(
     0.0, Body(np.zeros(3), np.zeros(3)), None, np.array([1.5, -1.5, -1.5, 1.5]), np.zeros(4)
 )
 
 
-@pytest.mark.parametrize(("kind", "goal", "field"), GOALS)
-def test_invalid_goals_are_rejected_with_field_and_expected_value(kind, goal, field):
-    with pytest.raises(ActivityError, match=r"expected") as error:
-        kind.start(Craft(paper_arm()), AT_ORIGIN, kind.action.Goal(**goal))
-    assert field in str(error.value)
-    assert len(str(error.value)) < 200
+def test_invalid_goals_are_rejected_with_field_and_expected_value():
+    for kind, goal, field in GOALS:
+        with pytest.raises(ActivityError, match=r"expected") as error:
+            kind.start(CRAFT, AT_ORIGIN, kind.action.Goal(**goal))
+        assert field in str(error.value)
+        assert len(str(error.value)) < 200
 
 
 @pytest.mark.parametrize(("kind", "goal"), AS_ZERO)
 def test_numbers_of_a_goal_that_count_as_zero_leave_the_base_where_it_is(kind, goal):
-    motion = kind.start(Craft(paper_arm()), AT_ORIGIN, kind.action.Goal(**goal))
+    motion = kind.start(CRAFT, AT_ORIGIN, kind.action.Goal(**goal))
     np.testing.assert_allclose(motion.path.knots, 0.0, atol=1e-6)

@@ -20,7 +20,7 @@ EXAMPLES = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
 TARGET = {"target_pose": np.arange(3.0), "target_twist": np.array([0.1, 0.2, 0.3])}
 
 
-@pytest.mark.parametrize("joints", [1, 4, MAX_JOINTS])
+@pytest.mark.parametrize("joints", [1, MAX_JOINTS])
 @pytest.mark.parametrize("changes", [{}, TARGET, {"propellant": None, "valves_armed": False}])
 def test_inputs_survive_their_structure(joints, changes):
     given = inputs(joints, **changes)
@@ -55,20 +55,17 @@ def test_contradictory_outputs_are_refused():
         from_record(Outputs, record, 4)
 
 
-def test_a_wrong_shape_names_the_command():
+def test_a_wrong_shape_or_number_names_the_command():
     with pytest.raises(ValueError, match=r"joint_velocities has shape \(3,\), expected \(4,\)"):
         to_record(Outputs(joint_velocities=np.zeros(3)), 4)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_number_that_is_not_finite_names_the_command(value):
     with pytest.raises(ValueError, match="joint_currents is"):
-        Outputs(joint_currents=np.array([0.0, value])).require_finite()
+        Outputs(joint_currents=np.array([0.0, np.inf])).require_finite()
 
 
-def test_each_quantity_has_a_meaning_and_each_number_a_unit():
+def test_each_quantity_has_a_meaning_and_a_place_on_the_page_and_each_number_a_unit():
     for kind in (Inputs, Outputs):
         for f in fields(kind):
+            assert f"`{f.name}`" in PAGE
             assert f.metadata["about"]
             plain = f.metadata["kind"] is not float or f.name == "base_covariance"
             assert plain or f.metadata["unit"], f.name
@@ -93,11 +90,6 @@ def test_structures_are_laid_out_as_the_c_compiler_does(tmp_path):
     subprocess.run(["cc", f"-I{LAWS}", "-o", program, source], check=True)
     printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
     assert list(map(int, printed.split())) == expected
-
-
-def test_the_page_names_each_quantity():
-    for kind in (Inputs, Outputs):
-        assert not [f.name for f in fields(kind) if f"`{f.name}`" not in PAGE]
 
 
 def test_the_loop_of_the_page_brings_the_base_home_and_draws_it(tmp_path, monkeypatch):

@@ -66,6 +66,8 @@ def test_a_law_runs_step_by_step(start):
         ("Leak", "^MemoryError"),
         ("NotANumber", r"^wrench is \[0.01, nan, 0.01\], expected finite numbers$"),
         ("Exiting", "^exit code 3$"),
+        ("Short", r"joint_velocities has shape \(2,\), expected \(4,\)"),
+        ("Broken", r"^ValueError: no gains \(faulty_laws.py:\d+\)$"),
     ],
 )
 def test_a_fault_is_reported_by_its_name(start, name, reason):
@@ -81,19 +83,6 @@ def test_a_killed_process_is_reported_by_its_signal(start):
     with pytest.raises(LawError, match=r"^SIGKILL$"):
         answer(process)
     process.send(inputs())  # changes nothing
-
-
-def test_outputs_of_another_shape_are_refused(start):
-    process = start("Short")
-    answer(process)
-    process.send(inputs())
-    with pytest.raises(LawError, match=r"joint_velocities has shape \(2,\), expected \(4,\)"):
-        answer(process)
-
-
-def test_a_law_that_fails_at_its_start_is_reported(start):
-    with pytest.raises(LawError, match=r"^ValueError: no gains \(faulty_laws.py:\d+\)$"):
-        answer(start("Broken"))
 
 
 def test_an_endless_law_ends_when_it_is_closed(start):
@@ -124,13 +113,8 @@ sleep(60)
 def test_an_endless_law_ends_when_its_node_is_killed():
     code = NODE.format(law=f"{LAWS}:Endless", steps=GOOD_STEPS)
     path = os.pathsep.join([str(LAWS.parent), os.environ.get("PYTHONPATH", "")])
-    node = subprocess.Popen(
-        [sys.executable, "-c", code],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": path},
-    )
-    with node:
+    env, command = {**os.environ, "PYTHONPATH": path}, [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as node:
         pid = int(node.stdout.readline())
         assert is_running(pid)
         node.kill()
