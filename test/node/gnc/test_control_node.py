@@ -27,11 +27,6 @@ def bench(spin):
     return Bench(spin)
 
 
-def test_no_wrench_without_a_trajectory(bench):
-    bench.until(lambda: "thrusters idle: waiting for base/trajectory" in bench.words)
-    assert not bench.wrenches
-
-
 def test_wrench_points_to_the_reference_in_the_base_s_axes(bench):
     bench.pose = np.array([0.0, 0.0, np.pi / 2])
     bench.path = at(0.05, 0.0, np.pi / 2)
@@ -52,40 +47,10 @@ def test_reference_moves_with_time(bench):
     assert bench.acts()[0] == pytest.approx(expected, rel=0.1)
 
 
-def test_stale_base_state_closes_the_valves(bench):
-    bench.acts()
-    bench.silent |= {"base/state"}
-    bench.stops("thrusters idle: base/state is ", within=1.0)
-
-
-def test_stale_joints_are_assumed_at_rest(bench):
-    bench.acts()
-    bench.silent |= {"arm/joint_states"}
-    bench.until(lambda: "arm/joint_states is " in bench.control.controller.problem)
-    at_rest = bench.acts()
-    assert np.isfinite(at_rest).all()
-    words = bench.control.health()
-    assert words.message.startswith("joints assumed at rest: arm/joint_states is ")
-
-
 def test_age_counts_from_the_stamp_and_not_from_the_arrival(bench):
     bench.acts()
     bench.late = 2.0
     bench.stops("thrusters idle: base/state is 2.0 s old", within=1.0)
-
-
-def test_trajectory_expires_after_its_timeout(bench):
-    bench.acts()
-    bench.silent |= {"base/trajectory"}
-    start = bench.now()
-    bench.stops("thrusters idle: base/trajectory is ")
-    assert (bench.now() - start) / SECOND > 0.9
-
-
-def test_trajectory_without_points_closes_the_valves_at_once(bench):
-    bench.acts()
-    bench.path = None
-    bench.stops("thrusters idle: base/trajectory has no points", within=0.3)
 
 
 def test_states_with_nan_are_ignored(bench):

@@ -19,7 +19,7 @@ from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.thrusters import layout
 from fss_arm_msgs.msg import GripperState, MassProperties, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
-from fss_arm_ros.diagnostics import OK, WARN
+from fss_arm_ros.diagnostics import OK
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
 from fss_arm_ros.validation import refusals
 from fss_gnc.navigation_node import NavigationNode
@@ -197,21 +197,6 @@ def test_swapped_poses_of_base_and_target_are_reported_and_rejected(fly, spin):
     spin([node, bench], lambda: node.health().values["base: pose of the target rejected"] == 400)
 
 
-def test_swapped_poses_after_an_outage_are_rejected(fly, spin):
-    node, bench = fly(1.0)
-    fly(3.0, seen=False)
-    fly(0.3, swapped=True)
-    assert node.base.filter.start_count == node.target_body.filter.start_count == 1
-    spin([node, bench], lambda: node.health().values["base: pose of the target rejected"] == 30)
-    assert node.health().level == WARN
-
-
-def test_missing_joint_readings_are_reported(fly, spin):
-    node, bench = fly(1.0, joints=False)
-    assert node.health().message.startswith("readings of a joint are missing")
-    spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == bench.now)
-
-
 def test_known_thrust_is_predicted_through_an_outage(fly, spin):
     node, bench = fly(1.0)
     on_time = np.zeros(8)
@@ -281,18 +266,6 @@ def test_invalid_messages_are_rejected(fly, spin):
     assert rejected["refused on vicon/fss/fss"] == rejected["refused on vicon/target/target"] == 5
     assert values["thrusters/pulses rejected"] == 5
     assert values["base: late rejected"] >= 5
-
-
-def test_joint_stamp_from_the_future_does_not_shift_the_present(fly, spin):
-    node, bench = fly(1.0)
-    message = JointState(name=["joint_1"], position=[0.1], velocity=[0.0])
-    message.header.stamp = to_time(bench.now + 9 * SECOND // 10)
-    bench.joints.publish(message)
-    spin([node, bench], lambda: node.navigation.inputs.joints_at(bench.now)[0][0] == 0.1)
-    fly(0.5)
-    spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == bench.now)
-    # A pose may be handled before the message of /clock that was sent with it.
-    assert 0 <= node.stamps.now() - bench.now <= SECOND // 100
 
 
 def test_timers_use_the_steady_clock(spin):

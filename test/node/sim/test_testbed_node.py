@@ -105,28 +105,6 @@ def test_services_pause_step_and_resume_time(spin, listener, call):
     spin([bed, listener], lambda: bed.testbed.frame > start_frame + 260)
 
 
-def test_ros_time_cannot_be_paused(spin, listener, call):
-    bed = testbed()
-    for answer in (
-        call(bed, "sim/pause", SetBool, data=True),
-        call(bed, "sim/step", StepTime, frames=1),
-    ):
-        assert not answer.success
-        assert "start the test bed with -p keep_clock:=true" in answer.message
-
-
-def test_a_node_started_while_paused_receives_the_time(spin, call):
-    bed = testbed(keep_clock=True, paused=True)
-    call(bed, "sim/step", StepTime, frames=3)
-    late = Node("late", parameter_overrides=[Parameter("use_sim_time", value=True)])
-    spin([bed, late], lambda: late.get_clock().now().nanoseconds == 1_030_000_000)
-
-
-def test_full_speed_waits_only_for_drivers(spin, listener):
-    bed = testbed(keep_clock=True, speed=0.0)
-    spin([bed], lambda: bed.testbed.frame > 1000)
-
-
 SCRIPT = """
 - {at: 0.1, part: fss, fault: dropout, value: 0.3, duration: 0.5}
 - {at: 0.1, part: end_effector, fault: occlusion, value: 0.3}
