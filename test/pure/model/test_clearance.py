@@ -24,7 +24,7 @@ BED = Extents()
 RADII = BED.base_radius, BED.link_radius
 
 
-@pytest.mark.parametrize("n", [2, 3, 4, 6])
+@pytest.mark.parametrize("n", [2, 6])
 def test_gaps_are_those_between_points_of_the_bodies(n):
     rng = np.random.default_rng(n)
     p, q = random_arm(n, rng).vector(), random_states(n, 8, rng)[0]
@@ -39,11 +39,8 @@ def test_gaps_are_those_between_points_of_the_bodies(n):
             for b in lines[i + 2 :]
         ]
         assert gap == pytest.approx(min(own + others), abs=5e-3)
-
-
-def test_one_link_has_nothing_to_collide_with():
-    p = random_arm(1, np.random.default_rng(0)).vector()
-    assert clearance(p, np.zeros(4), *RADII) == np.inf
+    alone = random_arm(1, rng).vector()
+    assert clearance(alone, np.zeros(4), *RADII) == np.inf
 
 
 def test_the_edge_is_as_far_as_the_outermost_body():

@@ -62,23 +62,21 @@ def test_defaults_need_not_be_written():
 WRONG = [
     # where in the paper's description, value, field as named, what was expected
     (["base", "mass"], -1.0, "base: mass", "a positive number [kg]"),
-    (["base", "mass"], "heavy", "base: mass", "a positive number [kg]"),
-    (["base", "inertia"], 0, "base: inertia", "a positive number [kg m^2]"),
     (["base", "inertia"], math.nan, "base: inertia", "a positive number [kg m^2]"),
     (["base", "com"], [0.0], "base: com", "two finite numbers (x, y) [m]"),
     (["base", "mount"], [0.0, math.inf, 0.0], "base: mount", "three finite numbers"),
     (["links", 1, "inertai"], 0.03, "link 2: inertai", "the entry inertia"),
+    (["base", "mount"], [0.2058, 0.0155, 18.211], "base: mount", "-6.283 to 6.283 [rad]"),
     (["base", "wheels"], 4, "base: wheels", "only the entries mass, inertia, com, mount"),
     (["base"], 3, "base", "a base"),
     (["theta_E"], [0.1], "theta_E", "a finite number [rad]"),
     (["name"], "", "name", "a printable text that is not empty"),
     (["links"], 4, "links", "a list of links"),
-    (["links", 1], [1.0], "links", "a list of links"),
     (["links", 1, "drive"], None, "link 2: drive", "a drive"),
     (["links"], [], "links", "1 to 12 links"),
+    (["links"], 13 * [yaml.safe_load(to_yaml(paper_arm()))["links"][0]], "links", "1 to 12 links"),
     (["links", 0, "theta_0"], 0.1, "link 1: theta_0", "0, as theta_BJ1 takes its place"),
     (["links", 1, "a"], 0.0, "link 2: a", "a positive number [m]"),
-    (["links", 3, "mass"], None, "link 4: mass", "a positive number [kg]"),
     (["links", 3, "q_max"], -2.0, "link 4: q_max", "more than q_min = -1.5707963267948966 [rad]"),
     (["links", 0, "q_min"], -90.0, "link 1: q_min", "in degrees? -90 deg are -1.571 rad"),
     (["links", 1, "theta_0"], 6.3, "link 2: theta_0", "-6.283 to 6.283 [rad]; in degrees?"),
@@ -108,11 +106,6 @@ def test_wrong_entry_is_named_with_value_and_expectation(where, value, field, ex
     )
 
 
-def test_a_mount_in_degrees_is_refused():
-    with pytest.raises(DescriptionError, match=r"^mount is 18.211, expected -6.283 to 6.283 \[rad"):
-        Base(10.0, 0.25, mount=(0.2058, 0.0155, 18.211))
-
-
 @pytest.mark.parametrize(
     ("was", "becomes", "words"),
     [
@@ -136,18 +129,11 @@ def test_a_file_in_other_units_is_refused(tmp_path, was, becomes, words):
     assert str(caught.value) == f"{file}: {words}"
 
 
-def test_thirteen_links_are_too_many():
-    with pytest.raises(DescriptionError, match="links is 13, expected 1 to 12 links"):
-        random_arm(13, np.random.default_rng(0))
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "arm is missing, expected the entries name, base, links, theta_E"),
-        ("[]", "arm is [], expected the entries name, base, links, theta_E"),
         ("name: [", "line "),
-        ("\0", "text is"),
         ("name: 2020-13-45", "text is"),
         ("{[1]: 2}", "line 1 is"),
         ("name: !!python/object:os.system x", "line 1 is"),
@@ -173,11 +159,15 @@ def test_load_names_the_file(tmp_path):
         load(file)
 
 
-def test_vector_holds_base_and_links_in_order():
+def test_vector_and_kinematic_names_follow_the_paper():
     p = paper_arm().vector()
     assert p[:8] == pytest.approx([10.0, 0.25, 0.0, 0.0, 0.2058, 0.0155, math.radians(18.211), 0])
     assert p[14:20] == pytest.approx([0.3825, math.radians(5.801), 2.88, 0.034, 0.1915, 0.0])
     assert p.shape == (8 + 6 * 4,)
+    assert " ".join(kinematic_names(2)) == "a_1 a_2 theta_0_2 x_BJ1 y_BJ1 theta_BJ1"
+    values = dict(zip(kinematic_names(4), p[kinematic_index(4)], strict=True))
+    assert values["a_4"] == 0.3351
+    assert math.degrees(values["theta_0_3"]) == pytest.approx(-3.402)
 
 
 @pytest.mark.parametrize("n", [1, 4])
@@ -189,14 +179,6 @@ def test_kinematic_parameters_are_part_of_the_vector(n):
     other = arm.with_kinematics(xi + 0.01)
     assert other.vector()[kinematic_index(n)].tolist() == (xi + 0.01).tolist()
     assert [k.b for k in other.links] == [k.b for k in arm.links]
-
-
-def test_kinematic_names_follow_the_paper():
-    assert " ".join(kinematic_names(2)) == "a_1 a_2 theta_0_2 x_BJ1 y_BJ1 theta_BJ1"
-    values = dict(zip(kinematic_names(4), paper_arm().vector()[kinematic_index(4)], strict=True))
-    assert values["a_4"] == 0.3351
-    assert math.degrees(values["theta_0_3"]) == pytest.approx(-3.402)
-    assert math.degrees(values["theta_BJ1"]) == pytest.approx(18.211)
 
 
 def test_kinematic_parameters_that_cannot_be_are_refused():

@@ -27,7 +27,7 @@ def drawn(n):
     return p, q, qd, payload_pose(p, q, rng.uniform(-1.0, 1.0, 3))
 
 
-@pytest.mark.parametrize("n", [1, 4, 7])
+@pytest.mark.parametrize("n", [1, 4])
 def test_its_jacobian_is_the_derivative_of_its_pose(n):
     p, q, qd, place = drawn(n)
     step = 1e-6
@@ -36,7 +36,7 @@ def test_its_jacobian_is_the_derivative_of_its_pose(n):
     np.testing.assert_allclose(payload_jacobian(p, q, place) @ qd, moved, atol=1e-8)
 
 
-@pytest.mark.parametrize("n", [1, 4, 7])
+@pytest.mark.parametrize("n", [1, 4])
 def test_arm_and_body_together_have_the_inertia_of_both(n):
     p, q, _, place = drawn(n)
     J = payload_jacobian(p, q, place)
@@ -45,7 +45,7 @@ def test_arm_and_body_together_have_the_inertia_of_both(n):
     np.testing.assert_allclose(whole, inertia_matrix(p, q) + J.T @ M @ J, rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("n", [1, 4, 7])
+@pytest.mark.parametrize("n", [1, 4])
 def test_a_body_that_moves_with_the_last_link_has_the_momentum_of_one_held(n):
     p, q, qd, place = drawn(n)
     both = combined_momentum(p, q, qd, TARGET, payload_state(p, q, qd, place))

@@ -13,7 +13,7 @@ from fss_arm_model.integration import STEP
 from fss_arm_model.momentum import momentum
 from fss_arm_model.rollout import rollout
 
-STEPS = 3000
+STEPS = 1000
 
 
 def driven(n, rng, steps=STEPS):
@@ -38,8 +38,8 @@ def runge_kutta(rate, q, qd, tau, step=STEP):
     return q, qd
 
 
-@pytest.mark.parametrize("n", range(1, 9))
-def test_three_driven_seconds_end_where_pinocchio_ends(n):
+@pytest.mark.parametrize("n", [1, 4, 8])
+def test_a_driven_second_ends_where_pinocchio_ends(n):
     arm, q, qd, tau = driven(n, np.random.default_rng(n))
     model = pinocchio_model(arm)
     data = model.createData()
@@ -48,7 +48,7 @@ def test_three_driven_seconds_end_where_pinocchio_ends(n):
     assert_allclose([x[-1] for x in ours], theirs, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("n", range(1, 9))
+@pytest.mark.parametrize("n", [1, 4, 8])
 def test_a_hundred_free_seconds_keep_momentum_and_energy(n):
     rng = np.random.default_rng(n)
     arm = paper_arm() if n == 4 else random_arm(n, rng)
@@ -63,7 +63,7 @@ def test_a_hundred_free_seconds_keep_momentum_and_energy(n):
     assert np.abs(q_end - q)[3:].max() > 0.5  # it did move
 
 
-@pytest.mark.parametrize("n", [1, 4, 12, 32])
+@pytest.mark.parametrize("n", [1, 12, 32])
 def test_rotors_add_what_their_kinetic_energy_says(n):
     """(H + H_rotors) qdd + h = tau, by a dense solution in joint coordinates."""
     rng = np.random.default_rng(n)
@@ -82,7 +82,7 @@ def test_rotors_add_what_their_kinetic_energy_says(n):
     assert_allclose(ours, qdd, rtol=0, atol=1e-5 * np.abs(qdd).max())
 
 
-@pytest.mark.parametrize("count", [1, 3, 4, 5, 15, 16, 17, 37])
+@pytest.mark.parametrize("count", [1, 3, 16, 37])
 def test_a_batch_of_arms_is_their_rollouts_whatever_the_threads_and_lanes(count):
     rng = np.random.default_rng(count)
     p = np.array([random_arm(5, rng).vector() for _ in range(count)])
@@ -103,7 +103,7 @@ def test_a_lane_that_turns_far_leaves_the_others_as_they_are():
     assert_allclose([x[0] for x in together], rollout(arm.vector(), q, qd, tau), rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("n", [1, 4, 12])
+@pytest.mark.parametrize("n", [1, 4])
 def test_what_acts_from_around_acts_as_in_pinocchio(n):
     """A slope as gravity, an air film that takes from each mass element, a hose on the base."""
     arm, q, qd, tau = driven(n, np.random.default_rng(n), steps=500)

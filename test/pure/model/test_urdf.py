@@ -54,14 +54,11 @@ def test_joints_have_the_names_of_joint_states_and_the_drives_limits():
     assert float(limit["upper"]) == pytest.approx(np.pi / 2)
 
 
-def test_a_name_with_signs_of_xml_is_kept():
+def test_a_reader_of_text_gets_any_name_no_encoding_and_a_root_without_mass():
     arm = replace(paper_arm(), name='a "quick" <arm> & more')
-    assert ElementTree.fromstring(urdf(arm)).get("name") == arm.name
-
-
-def test_a_reader_of_text_gets_no_encoding_and_a_root_without_mass():
-    text = urdf(paper_arm())
+    text = urdf(arm)
     assert not text.startswith("<?xml")
+    assert ElementTree.fromstring(text).get("name") == arm.name
     links = {link.get("name"): link for link in ElementTree.fromstring(text).iter("link")}
     assert links["fss"].find("inertial") is None
     assert float(links["fss_body"].find("inertial/mass").get("value")) == paper_arm().base.mass
