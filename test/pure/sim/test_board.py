@@ -134,8 +134,15 @@ def test_a_valve_that_sticks_open_pushes_and_one_that_sticks_closed_does_not():
     assert not any(flight.bed.plant.valves)
 
 
-def test_a_dead_gyro_adds_no_samples():
-    flight = Flight().armed()
+def test_telemetry_has_its_rate_and_all_slow_fields_and_a_dead_gyro_adds_no_samples():
+    flight = Flight("default").armed()
+    flight.received.clear()
+    flight.frames(200)
+    assert len(flight.received) == pytest.approx(200 * FRAME * 20e-9, abs=1)
+    slow = flight.session.slow
+    assert slow.keys() == set(BaseSlow)
+    assert (slow[BaseSlow.TANK], slow[BaseSlow.SUPPLY]) == (20_000, 7000)
+    assert slow[BaseSlow.TEMPERATURE] == pytest.approx(198, abs=1)
     flight.bed.faults.set("fog", "dropout", 1.0)
     flight.frames(20)
     samples = flight.session.frame.gyro_samples
@@ -154,14 +161,3 @@ def test_the_gripper_obeys_commands_and_keeps_its_state_without_power():
     flight.bed.faults.set("board", "dead", 0.0)
     flight.frames(50)
     assert flight.bed.plant.closed
-
-
-def test_telemetry_has_its_rate_and_all_slow_fields():
-    flight = Flight("default").armed()
-    flight.received.clear()
-    flight.frames(200)
-    assert len(flight.received) == pytest.approx(200 * FRAME * 20e-9, abs=1)
-    assert flight.session.slow.keys() == set(BaseSlow)
-    assert flight.session.slow[BaseSlow.TANK] == 20_000
-    assert flight.session.slow[BaseSlow.SUPPLY] == 7000
-    assert flight.session.slow[BaseSlow.TEMPERATURE] == pytest.approx(198, abs=1)

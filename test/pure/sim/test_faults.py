@@ -49,7 +49,6 @@ def test_a_script_overrides_faults_set_by_hand_while_it_is_active():
         ("- {at: 1, part: link_1, fault: loss, duration: 0}", "above 0"),
         ("- {at: 1, part: link_1, fault: loss, until: 3}", "until"),
         ("- [1, 2", "invalid fault script"),
-        ("- 3", "expected at"),
     ],
 )
 def test_an_invalid_script_is_rejected_in_one_line(text, words):
@@ -58,17 +57,14 @@ def test_an_invalid_script_is_rejected_in_one_line(text, words):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("event", "words"),
-    [
+def test_an_impossible_fault_is_rejected_before_the_start():
+    for event, words in (
         (Event(1.0, "link_3", "loss"), "there is no part 'link_3', expected one of link_1, link_2"),
         (Event(1.0, "link_1", "swap"), "link_1 has no fault 'swap', expected one of loss"),
         (Event(1.0, "fss", "dropout", 1.5), "fss.dropout is 1.5, expected 0 to 1"),
-    ],
-)
-def test_an_impossible_fault_is_rejected_before_the_start(event, words):
-    with pytest.raises(FaultError, match=words):
-        Faults(2, [event])
+    ):
+        with pytest.raises(FaultError, match=words):
+            Faults(2, [event])
 
 
 def send_all(faults, count=2000, period=SECOND // 5):
@@ -118,11 +114,9 @@ def test_a_reordered_datagram_comes_after_the_next():
 
 def test_a_corrupted_datagram_has_one_bit_flipped():
     got = send_all(LinkFaults(corruption=0.3))
-    flipped = [
-        bin(int.from_bytes(data, "big") ^ int.from_bytes(k.to_bytes(4, "big") + bytes(68), "big"))
-        for k, (_, data) in enumerate(got)
-    ]
-    bits = Counter(word.count("1") for word in flipped)
+    sent = [int.from_bytes(k.to_bytes(4, "big") + bytes(68), "big") for k in range(2000)]
+    received = [int.from_bytes(data, "big") for _, data in got]
+    bits = Counter((a ^ b).bit_count() for a, b in zip(sent, received, strict=True))
     assert bits.keys() == {0, 1}
     assert bits[1] / 2000 == pytest.approx(0.3, abs=0.042)
 
@@ -137,6 +131,4 @@ def test_the_documentation_names_each_fault_and_no_other():
 
 
 def test_the_example_is_a_script():
-    events = read_script((ROOT / "config/faults.yaml").read_text())
-    Faults(4, events)
-    assert len(events) == 7
+    Faults(4, read_script((ROOT / "config/faults.yaml").read_text()))

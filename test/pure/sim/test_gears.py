@@ -46,29 +46,27 @@ def motors(plant):
     return np.array([motion[:2] for motion in plant.motions()])
 
 
-@pytest.mark.parametrize("tolerance", [0.0, 1e-12])
-@pytest.mark.parametrize("n", [1, 4])
-def test_motors_and_springs_move_as_in_mujoco(n, tolerance):
+@pytest.mark.parametrize(
+    ("n", "tolerance", "joints"),
+    [(1, 0.0, BARE), (4, 1e-12, BARE), (4, 1e-11, replace(BARE, dead_band=0.002))],
+)
+def test_motors_and_springs_move_as_in_mujoco(n, tolerance, joints):
     """Same integrator and step in other coordinates; with a tolerance, the converged solution."""
     rng = np.random.default_rng(n)
     arm = random_arm(n, rng)
-    model = mujoco_model(arm, BARE)
+    model = mujoco_model(arm, joints)
     model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 0.2 * STEP
-    data, joints, motor = (
-        mujoco.MjData(model),
-        mujoco_index(model, "q", n),
-        mujoco_index(model, "m", n),
-    )
-    place, N = [0, 1, 2, *joints], BARE.gear_ratio
+    data, motor = mujoco.MjData(model), mujoco_index(model, "m", n)
+    place, N = [0, 1, 2, *mujoco_index(model, "q", n)], joints.gear_ratio
     q, qd = rng.uniform(-0.5, 0.5, (2, 3 + n))
     torques = rng.uniform(-0.4, 0.4, n)
     data.qpos[place], data.qvel[place] = q, qd
     data.qpos[motor], data.qvel[motor] = N * q[3:], N * qd[3:]
     data.qfrc_applied[motor] = torques / N
-    plant = Plant(arm, q, qd, World(BARE, WIDE, tolerance=tolerance))
+    plant = Plant(arm, q, qd, World(joints, WIDE, tolerance=tolerance))
     for joint, torque in enumerate(torques):
         plant.command(joint, Demand(MODE_CURRENT, torque / arm.links[joint].drive.torque_constant))
-    for _ in range(4):
+    for _ in range(2):
         plant.advance(0.1)
         for _ in range(500):
             mujoco.mj_step(model, data)
@@ -79,23 +77,7 @@ def test_motors_and_springs_move_as_in_mujoco(n, tolerance):
     assert np.abs(plant.q[3:] - motors(plant)[:, 0]).max() > 1e-4  # the gears are twisted
 
 
-def test_a_dead_band_agrees_with_mujoco():
-    joints, torques = replace(BARE, dead_band=0.002), np.array([0.3, -0.2, 0.1, 0.05])
-    model = mujoco_model(paper_arm(), joints)
-    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 0.1 * STEP
-    data, motor = mujoco.MjData(model), mujoco_index(model, "m", 4)
-    data.qfrc_applied[motor] = torques / joints.gear_ratio
-    plant = Plant(paper_arm(), np.zeros(7), None, World(joints, WIDE, tolerance=1e-11))
-    for joint, torque in enumerate(torques):
-        plant.command(joint, Demand(MODE_CURRENT, torque / 0.8))
-    plant.advance(0.3)
-    for _ in range(3000):
-        mujoco.mj_step(model, data)
-    place = [0, 1, 2, *mujoco_index(model, "q", 4)]
-    np.testing.assert_allclose(plant.q, data.qpos[place], rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("speed", [0.01, 0.03, 0.06, 0.1, 0.4])
+@pytest.mark.parametrize("speed", [0.01, 0.06, 0.4])
 def test_friction_follows_stribecks_curve(speed):
     joints = replace(REAL, ripple=0.0, dead_band=0.0, current_bandwidth=0.0, static=0.5)
     plant, torques = bed(joints), []
@@ -135,7 +117,7 @@ def test_motors_come_to_rest_exactly_and_energy_never_grows():
     assert (motors(plant) == rest).all()
 
 
-@pytest.mark.parametrize("n", [1, 4, 6])
+@pytest.mark.parametrize("n", [1, 6])
 def test_the_audit_balances_with_springs_and_friction(n):
     """Within 1e-9 with error control; with fixed steps of 1 ms, within their error."""
     rng = np.random.default_rng(n)
@@ -179,9 +161,8 @@ def test_a_current_follows_its_command_at_the_loops_bandwidth():
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, 30.0])
-@pytest.mark.parametrize("posture", [(1.0, -0.5, 0.2, 0.6), (-1.4, 1.4, -1.3, 1.4)])
-def test_a_move_ends_within_the_friction_band(posture, bandwidth):
-    plant = bed(replace(REAL, current_bandwidth=bandwidth))
+def test_a_move_ends_within_the_friction_band(bandwidth):
+    plant, posture = bed(replace(REAL, current_bandwidth=bandwidth)), (-1.4, 1.4, -1.3, 1.4)
     for joint, target in enumerate(posture):
         plant.command(joint, Demand(MODE_POSITION, target, 0.8, 1.0))
     plant.advance(6.0)

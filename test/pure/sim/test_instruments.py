@@ -15,7 +15,7 @@ ERROR = radians(150 / 3600)
 
 
 def test_an_encoder_has_the_stated_error_and_an_exact_inverse():
-    encoder, q = Encoder(ERROR, 1.0), np.linspace(-pi / 2, pi / 2, 5001)
+    encoder, q = Encoder(ERROR, 1.0), np.linspace(-pi / 2, pi / 2, 2001)
     off = np.array([encoder.reading(x) - x for x in q])
     assert np.abs(off).max() == pytest.approx(ERROR, rel=1e-3)
     assert off.std() == pytest.approx(ERROR / 2**0.5, rel=1e-3)
@@ -23,22 +23,15 @@ def test_an_encoder_has_the_stated_error_and_an_exact_inverse():
     np.testing.assert_allclose(back, q, rtol=0, atol=0.1 * 2 * pi / 240_000)
 
 
-def test_an_eccentric_encoder_has_one_error_period_per_turn():
-    centred, off = (
-        Encoder(ERROR, 1.0),
-        Encoder(ERROR, 1.0, eccentricity=0.0003, eccentricity_phase=0.5),
-    )
+def test_an_eccentric_encoder_has_one_more_error_period_per_turn_and_reads_its_rate():
+    centred, off = Encoder(ERROR, 1.0), Encoder(ERROR, 1.0, 0.0003, 0.5)
+    step = 1e-6
     for q in np.linspace(-pi, pi, 13):
         more = off.reading(q) - centred.reading(q)
         assert more == pytest.approx(0.0003 * np.sin(q + 0.5), abs=1e-12)
         assert off.angle(off.reading(q)) == pytest.approx(q, abs=0.1 * 2 * pi / 240_000)
-
-
-def test_the_rate_read_is_the_derivative_of_the_reading():
-    encoder, step = Encoder(ERROR, 0.3, 0.0003, 0.5), 1e-6
-    for q in np.linspace(-1.0, 1.0, 7):
-        change = encoder.reading(q + step) - encoder.reading(q - step)
-        assert encoder.rate(q, 0.8) == pytest.approx(0.8 * change / (2 * step), rel=1e-6)
+        change = off.reading(q + step) - off.reading(q - step)
+        assert off.rate(q, 0.8) == pytest.approx(0.8 * change / (2 * step), rel=1e-6)
 
 
 @pytest.mark.parametrize("rate", [10, 80])

@@ -43,19 +43,16 @@ def test_its_voltage_solves_the_circuit_and_stays_above_the_converters_minimum()
         assert battery.volts == pytest.approx(
             battery.open_circuit_voltage - 0.5 * (current + power / battery.volts), rel=1e-12
         )
+    warm = Battery()
+    for _ in range(600):
+        warm.draw(4.0, 0.0, 1.0)
+    assert warm.temperature > 28.0
+    assert warm.open_circuit_voltage - warm.volts < 4.0 * 0.1  # its resistance decreases
     given = battery.draw(0.25, 60.0, 0.0, 3.9)
     assert battery.volts == pytest.approx(MIN_INPUT_VOLTAGE)
     assert given == pytest.approx(
         MIN_INPUT_VOLTAGE * (battery.open_circuit_voltage - 1.0 - MIN_INPUT_VOLTAGE) / 4.0
     )
-
-
-def test_it_warms_up_and_its_resistance_decreases():
-    battery = Battery()
-    for _ in range(600):
-        battery.draw(4.0, 0.0, 1.0)
-    assert battery.temperature > 28.0
-    assert battery.open_circuit_voltage - battery.volts < 4.0 * 0.1
 
 
 def test_consumption_depends_on_the_active_loads():
@@ -103,8 +100,3 @@ def test_an_empty_battery_switches_everything_off_until_it_is_charged():
     run(supply, DRIVE_OFF, 0.02)
     assert supply.regulator_on
     assert supply.volts == pytest.approx(24.0)
-
-
-def test_without_a_load_no_charge_is_used():
-    supply = run(Supply(charge=0.5), None, 10.0)
-    assert (supply.battery.charge, supply.volts) == (0.5, 0.0)

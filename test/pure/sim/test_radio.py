@@ -14,11 +14,8 @@ from fss_sim.faults import Event, LinkFaults
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.radio import HEADERS, Radio, RadioChannel
 from fss_sim.noise import PRESETS
-from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.vehicle import Vehicle, World
 from fss_sim.testbed import State
 
-WIDE = World(surroundings=Surroundings(table=(20.0, 20.0)))
 CLEAN = Radio(loss=0.0, burst_interval=0.0)
 START = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
 
@@ -67,18 +64,6 @@ def test_interference_delays_datagrams():
     assert most - free == pytest.approx(0.8 / 0.2 * foreign, rel=0.15)
 
 
-def test_utilization_is_the_airtime_of_all_stations():
-    channel, now = RadioChannel(CLEAN, "1"), 0
-    stations = [channel.station(str(i)) for i in range(4)]
-    for k in range(200):
-        now = k * SECOND // 100
-        stations[k % 4].transmit(FRAME_SIZE, now)
-    assert channel.utilization(now) == pytest.approx(
-        100 * channel.airtime(FRAME_SIZE) / SECOND, rel=0.02
-    )
-    assert channel.utilization(now + 2 * SECOND) == 0.0
-
-
 def test_retries_lose_what_fails_each_time_and_cost_time():
     for retries in (0, 1, 3):
         delays_ = delays(replace(CLEAN, loss=0.5, retries=retries), 20.0, seconds=200)
@@ -96,6 +81,8 @@ def test_each_station_has_bursts_of_loss_of_the_stated_length_and_share():
     shares = lost.mean(axis=0)
     np.testing.assert_allclose(shares, 0.5 / 5.5, rtol=0.25)  # of some 360 bursts
     assert (lost[:, 0] & lost[:, 1]).mean() < 0.3 * shares.mean()  # each has its own
+    same = [RadioChannel(radio, "1").station(f"{vehicle} 1") for vehicle in "ab"]
+    assert any(same[0].loss(t) != same[1].loss(t) for t in range(0, 60 * SECOND, SECOND))
     edges = np.flatnonzero(np.diff(lost[:, 0].astype(int)))
     runs = np.diff(edges)[0 if lost[edges[0] + 1, 0] else 1 :: 2] / 20
     assert runs.mean() == pytest.approx(0.5, rel=0.25)
@@ -129,39 +116,14 @@ def telemetry(seconds, script=(), radio=CLEAN, rate=20.0):
 
 
 def test_a_bed_with_radio_delivers_all_frames_reproducibly_unless_crowded():
-    frames, bed = telemetry(10)
-    assert all(198 <= len(of_link) <= 201 for of_link in frames)
+    frames, bed = telemetry(5)
+    assert all(98 <= len(of_link) <= 101 for of_link in frames)
     assert bed.radio_channel.utilization(bed.now) == pytest.approx(
         100 * bed.radio_channel.airtime(72) / SECOND, rel=0.05
     )
-    assert telemetry(10)[0] == frames
-    crowded, _ = telemetry(10, [Event(0.0, "radio", "interference", 0.95)])
+    assert bed.radio_channel.utilization(bed.now + 2 * SECOND) == 0.0
+    assert telemetry(5)[0] == frames
+    crowded, _ = telemetry(5, [Event(0.0, "radio", "interference", 0.95)])
     assert sum(map(len, crowded)) < 0.9 * sum(map(len, frames))
-    bursts, _ = telemetry(10, radio=Radio(burst_interval=1.0, burst_length=1.0, burst_loss=1.0))
-    assert 0.2 * 800 < sum(map(len, bursts)) < 0.8 * 800
-
-
-def test_vehicles_of_a_table_share_the_radio_channel():
-    channel, arm = RadioChannel(CLEAN, "1, 1"), paper_arm()
-    states = [replace(START, q=(x, *START.q[1:3], *4 * (0.0,))) for x in (-5.0, 5.0)]
-    plants = [Vehicle(arm, s.q, s.qd, WIDE, name=n) for n, s in zip("ab", states, strict=True)]
-    bed = testbed.place_on_table(plants, states)
-    beds = [
-        testbed.Testbed(
-            arm, PRESETS["ideal"], 1, state, 20.0, bed=bed, number=k, radio_channel=channel
-        )
-        for k, state in enumerate(states)
-    ]
-    for _ in range(300):
-        testbed.step(beds)
-    assert channel.utilization(beds[0].now) == pytest.approx(
-        160 * channel.airtime(72) / SECOND, rel=0.05
-    )
-    assert channel.interference == 0.0
-    beds[1].faults.set("radio", "interference", 0.5)
-    testbed.step(beds)
-    assert channel.interference == 0.5
-    times = range(0, 60 * SECOND, SECOND)
-    burst = replace(CLEAN, burst_interval=5.0)
-    stations = [RadioChannel(burst, "1").station(f"{name} 1") for name in "ab"]
-    assert [stations[0].loss(t) for t in times] != [stations[1].loss(t) for t in times]
+    bursts, _ = telemetry(5, radio=Radio(burst_interval=1.0, burst_length=1.0, burst_loss=1.0))
+    assert 0.2 * 400 < sum(map(len, bursts)) < 0.8 * 400

@@ -39,7 +39,7 @@ def total(bed):
     return own.momentum + momentum, energy
 
 
-@pytest.mark.parametrize("n", [1, 2, 4, 8])
+@pytest.mark.parametrize("n", [1, 4])
 def test_momentum_is_conserved_by_capture_and_release(n):
     bed = before_capture(random_arm(n, np.random.default_rng(n)), np.random.default_rng(n))
     before, energy = total(bed)
@@ -90,29 +90,13 @@ def test_a_gripper_rejects_a_large_angle():
     assert not Gripper().can_grip(Approach(0.0, -0.6, 0.0))
 
 
-@pytest.mark.parametrize("gripper", [Gripper(0.005, 3.2, 10.0), Gripper(0.05, 3.2, 0.001)])
-def test_a_gripper_rejects_a_large_distance_or_speed(gripper):
+@pytest.mark.parametrize("limits", [(0.005, 3.2, 10.0), (0.05, 3.2, 0.001)])
+def test_a_gripper_rejects_a_large_distance_or_speed(limits):
+    gripper = Gripper(*limits)
     bed = before_capture(paper_arm(), np.random.default_rng(1), gripper=gripper)
     bed.closed = True
     bed.advance(0.001)
     assert not bed.holds
-
-
-def test_a_closing_gripper_waits_for_the_target():
-    arm, world = paper_arm(), World(surroundings=SURROUNDINGS, target=Target())
-    x, y, heading = tip_pose(arm.vector(), np.zeros(7))
-    along = np.exp(1j * heading)
-    c = complex(x, y) + (0.19 + 0.10) * along
-    twist = [-0.05 * along.real, -0.05 * along.imag, 0.0]
-    bed = Plant(arm, np.zeros(7), None, world, [[c.real, c.imag, heading + np.pi], twist])
-    bed.closed = True
-    bed.advance(1.0)
-    assert not bed.holds
-    for _ in range(100):
-        bed.advance(0.01)
-    assert bed.holds
-    assert bed.approach.distance == pytest.approx(0.03, abs=0.001)
-    assert bed.approach.speed < 1e-6  # both rotate slightly
 
 
 def test_without_a_target_nothing_is_held():
@@ -120,13 +104,6 @@ def test_without_a_target_nothing_is_held():
     bed.closed = True
     bed.advance(0.01)
     assert not bed.holds
-
-
-def test_a_free_target_follows_the_slope_of_the_table():
-    around = Surroundings((1e-3, 0.0), table=(20.0, 20.0))
-    bed = Plant(paper_arm(), np.zeros(7), None, World(surroundings=around, target=Target()))
-    bed.advance(2.0)
-    np.testing.assert_allclose(bed.target[0], [0.5 * 9.81e-3 * 4.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_a_target_without_mass_is_rejected():

@@ -15,7 +15,7 @@ from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant.joints import PRESETS as JOINTS
 from fss_sim.plant.joints import outboard_momentum
 from fss_sim.plant.vehicle import World
-from fss_sim.sensors import NO_SUBJECT_FAULTS, RATE, Sensors, compose
+from fss_sim.sensors import NO_SUBJECT_FAULTS, RATE, Sensors
 from fss_sim.testbed import OUTAGE_FRAMES, State, StateError
 
 BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7, boot_offset=0)
@@ -50,13 +50,6 @@ def test_the_error_of_a_rest_is_constant():
     np.testing.assert_allclose(white, [3e-4, 3e-4, math.radians(0.05)], rtol=0.2)
 
 
-def test_without_noise_the_true_poses_are_reported():
-    sensors = Sensors(PRESETS["ideal"], seed=1)
-    readings = sensors.observe(5, (0.1, 0.2, 0.3), (1.0, 0.5, 0.2), 0.7, RESTING)
-    tip = compose((0.1, 0.2, 0.3), (1.0, 0.5, 0.2))
-    assert (readings.base.pose, readings.tip.pose, readings.rate) == ((0.1, 0.2, 0.3), tip, 0.7)
-
-
 def run(bed, frames):
     return [bed.step() for _ in range(frames)]
 
@@ -87,31 +80,17 @@ def test_the_boot_number_changes_no_measurement_and_no_fault():
         Event(0.1, "link_3", "reset", duration=0.1),
         Event(0.1, "board", "duplication", 0.5),
     ]
-    first, other = (
-        run(
-            testbed.Testbed(
-                paper_arm(),
-                PRESETS["paper"],
-                1,
-                replace(BEGIN, boot_offset=offset),
-                20.0,
-                script=script,
-                board_rate=20.0,
-            ),
-            100,
-        )
-        for offset in (0, 40_000)
-    )
-    assert [r.readings for r in first] == [r.readings for r in other]
-    telemetry = [[frames_without_boot(r) for r in reports] for reports in (first, other)]
-    assert telemetry[0] == telemetry[1]
-    assert sum(map(len, telemetry[0])) > 100
-
-
-def frames_without_boot(report):
-    """Frames of a report without boot number and CRC."""
-    sent = [datagram.data for each in (*report.telemetry, report.board) for datagram in each]
-    return [data[:6] + data[8:52] for data in sent]
+    options = {"rate": 20.0, "script": script, "board_rate": 20.0}
+    readings, frames = [], []
+    for offset in (0, 40_000):
+        state = replace(BEGIN, boot_offset=offset)
+        reports = run(testbed.Testbed(paper_arm(), PRESETS["paper"], 1, state, **options), 100)
+        readings.append([r.readings for r in reports])
+        sent = [d.data for r in reports for each in (*r.telemetry, r.board) for d in each]
+        frames.append([data[:6] + data[8:52] for data in sent])  # without boot number and CRC
+    assert readings[0] == readings[1]
+    assert frames[0] == frames[1]
+    assert len(frames[0]) > 100
 
 
 def test_torque_sensors_measure_shear_by_crosstalk():
@@ -162,15 +141,6 @@ def test_it_resumes_after_the_last_reported_time_with_restarted_links(tmp_path):
     assert decode(report.telemetry[0][0].data).boot == 2
 
 
-def test_a_link_whose_battery_was_empty_starts_again_when_charged():
-    bed = testbed.Testbed(paper_arm(), PRESETS["ideal"], 1, BEGIN, charge=3e-5)  # 1.5 s at rest
-    run(bed, 300)
-    assert not any(link.electronics for link in bed.links)
-    bed.charge()
-    reports = run(bed, 100)
-    assert {decode(r.telemetry[3][0].data).boot for r in reports if r.telemetry[3]} == {5}
-
-
 def test_a_state_file_without_a_boot_offset_is_read(tmp_path):
     BEGIN.save(tmp_path / "state.json")
     given = json.loads((tmp_path / "state.json").read_text())
@@ -182,12 +152,9 @@ def test_a_state_file_without_a_boot_offset_is_read(tmp_path):
 @pytest.mark.parametrize(
     "text",
     [
-        "",
         "{}",
-        "[1]",
         10**5 * "[",
         '{"frame": .inf, "boots": 1, "rests": 0}',
-        "\0",
         '{"frame": 1, "boots": 1, "rests": 0, "q": [0], "qd": [0]}',
     ],
 )
@@ -201,22 +168,11 @@ def test_an_invalid_state_file_is_rejected_by_name(tmp_path, text):
 
 
 def observe_with_faults(faults, frames=2000, of_target=NO_SUBJECT_FAULTS, **gyro):
-    sensors = Sensors(PRESETS["ideal"], seed=1)
-    return [
-        sensors.observe(
-            k,
-            (0.01 * k, 0.0, 0.5),
-            (1.0, 0.0, 0.0),
-            0.1,
-            RESTING,
-            faults,
-            NO_SUBJECT_FAULTS,
-            GyroFaults(**gyro),
-            target=(3.0, 2.0, 1.0),
-            target_faults=of_target,
-        )
-        for k in range(frames)
-    ]
+    sensors, at_rest = Sensors(PRESETS["ideal"], seed=1), ((1.0, 0.0, 0.0), 0.1, RESTING)
+    injected = faults, NO_SUBJECT_FAULTS, GyroFaults(**gyro)
+    target = {"target": (3.0, 2.0, 1.0), "target_faults": of_target}
+    poses = [(0.01 * k, 0.0, 0.5) for k in range(frames)]
+    return [sensors.observe(k, pose, *at_rest, *injected, **target) for k, pose in enumerate(poses)]
 
 
 def test_dropouts_occlusions_and_swaps_have_the_given_shares_and_are_independent():
@@ -239,36 +195,27 @@ def test_vicon_poses_can_be_late_turned_or_frozen():
     np.testing.assert_allclose(late[20:], 0.01 * np.arange(80), atol=1e-12)
     swapped = observe_with_faults(SubjectFaults(swap=1.0), 3)[-1]
     assert swapped.base == swapped.tip != observe_with_faults(NO_SUBJECT_FAULTS, 3)[-1].base
-    assert observe_with_faults(SubjectFaults(turn=math.pi / 2), 3)[-1].base.pose == (
-        0.02,
-        0.0,
-        0.5 + math.pi / 2,
-    )
-    sensors = Sensors(PRESETS["default"], seed=1)
-    poses = [
-        sensors.observe(
-            k, (0.01 * k, 0, 0), (1, 0, 0), 0.0, RESTING, SubjectFaults(frozen=k >= 5)
-        ).base
-        for k in range(10)
-    ]
+    turned = observe_with_faults(SubjectFaults(turn=math.pi / 2), 3)[-1].base.pose
+    assert turned == (0.02, 0.0, 0.5 + math.pi / 2)
+    sensors, poses = Sensors(PRESETS["default"], seed=1), []
+    for k in range(10):
+        faults = SubjectFaults(frozen=k >= 5)
+        seen = sensors.observe(k, (0.01 * k, 0, 0), (1, 0, 0), 0.0, RESTING, faults)
+        poses.append(seen.base)
     assert len(set(poses[:5])) == 5
     assert set(poses[4:]) == {poses[4]}
 
 
 def test_the_gyro_has_bias_random_walk_and_scale_error():
-    assert [s.rate for s in observe_with_faults(NO_SUBJECT_FAULTS, 3, bias=0.02)] == pytest.approx(
-        [0.12] * 3
-    )
-    assert sum(
-        s.rate is None for s in observe_with_faults(NO_SUBJECT_FAULTS, dropout=0.5)
-    ) == pytest.approx(1000, abs=90)
+    biased = [s.rate for s in observe_with_faults(NO_SUBJECT_FAULTS, 3, bias=0.02)]
+    assert biased == pytest.approx([0.12] * 3)
+    missed = [s.rate is None for s in observe_with_faults(NO_SUBJECT_FAULTS, dropout=0.5)]
+    assert sum(missed) == pytest.approx(1000, abs=90)
     scales, walks = [], []
     for seed in range(300):
         sensors = Sensors(Noise(gyro_scale=1e-3, gyro_walk=1e-4), seed)
-        seen = [
-            sensors.observe(k, (0, 0, 0), (1, 0, 0), 1.0, RESTING).rate - 1.0
-            for k in (0, 2500, 2550)
-        ]
+        at_rest = (0, 0, 0), (1, 0, 0), 1.0, RESTING
+        seen = [sensors.observe(k, *at_rest).rate - 1.0 for k in (0, 2500, 2550)]
         scales.append(seen[0])
         walks.append(seen[1] - seen[0])
         assert abs(seen[2] - seen[1]) < 5e-4  # no step

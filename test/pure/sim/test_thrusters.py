@@ -31,7 +31,7 @@ def test_pairs_give_each_force_and_torque_alone():
         np.testing.assert_allclose(turning.sum(axis=0), [0, 0, sign * 4 * 0.0176], atol=1e-15)
 
 
-@pytest.mark.parametrize("on_time", [0.010, 0.025, 0.4])
+@pytest.mark.parametrize("on_time", [0.010, 0.4])
 def test_a_pulse_gives_its_impulse_and_takes_its_propellant(on_time):
     bed = Plant(paper_arm(), np.zeros(7))
     numbers = [i for i in range(8) if bed.thrusters.layout[i, 0] > 0.0]
@@ -43,14 +43,6 @@ def test_a_pulse_gives_its_impulse_and_takes_its_propellant(on_time):
     np.testing.assert_allclose(bed.audit.balance, 0.0, atol=1e-9)
 
 
-def test_a_pulse_below_the_minimum_does_nothing():
-    bed = Plant(paper_arm(), np.zeros(7))
-    bed.thrust(pulse(0, 1, seconds=0.009))
-    bed.advance(0.1)
-    assert not bed.audit.impulse.any()
-    assert bed.thrusters.propellant_used == 0.0
-
-
 @pytest.mark.parametrize(
     ("commands", "is_open"),
     [
@@ -58,11 +50,12 @@ def test_a_pulse_below_the_minimum_does_nothing():
         ({100: 1.0, 600: 0.0}, range(105, 605)),
         ({700: 1.0, 703: 0.0, 707: 0.0}, range(705, 715)),  # never shorter than the minimum
         ({0: 0.05, 40: 0.05}, range(5, 95)),
+        ({0: 0.009}, range(0)),  # below the minimum
         ({0: 0.1, 100: 0.0}, range(5, 105)),
         ({0: 0.2, 200: 0.2, 400: 0.2, 600: 0.2}, range(5, 805)),
     ],
 )
-@pytest.mark.parametrize("delay", [0, 5, 50])
+@pytest.mark.parametrize("delay", [0, 50])
 def test_a_valve_is_open_as_commanded_after_its_delay(commands, is_open, delay):
     """Commands are on times [s] by the time [ms] at which they come."""
     valves, found = Thrusters(Propulsion(valve_delay=0.001 * delay)), []
@@ -71,11 +64,6 @@ def test_a_valve_is_open_as_commanded_after_its_delay(commands, is_open, delay):
             valves.command(pulse(3, seconds=commands[now]), now)
         found += [now + 5 - delay] if valves.open_valves(now)[3] else []
     assert found == list(is_open)
-
-
-def test_more_used_than_a_tank_holds_is_an_empty_tank():
-    valves = Thrusters(Propulsion(tank_volume=1e-4), used=1.0)
-    assert (valves.pressure, valves.thrust) == (0.0, 0.0)
 
 
 def test_an_empty_tank_gives_no_thrust():
@@ -132,7 +120,7 @@ def test_bearings_empty_the_tank_in_the_time_that_their_flow_says():
 
 def test_bearings_fed_from_outside_never_fail():
     tank = Thrusters(used=1.0)
-    assert tank.pressure == 0.0
+    assert (tank.pressure, tank.thrust) == (0.0, 0.0)
     assert tank.floats
     assert tank.use_bearing_air(1000) == 0.0
 
@@ -180,20 +168,3 @@ def test_the_audit_balances_without_air_and_nothing_creeps():
     )
     bed.advance(5.0)
     assert np.abs(bed.q[:2] - before).max() < 1e-3  # 0.2 N against 40 N
-
-
-def test_a_vehicle_floats_until_its_tank_is_empty():
-    small = Propulsion(bearing_flow=1e-3, tank_volume=0.43e-5)  # 1 g
-    around = Surroundings(table=(20.0, 20.0))
-    world = World(propulsion=small, surroundings=around)
-    bed = Plant(paper_arm(), np.zeros(7), [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], world)
-    mass = bed._p[0]
-    bed.advance(0.5)
-    assert bed.thrusters.floats
-    assert bed.qd[0] == pytest.approx(0.1)
-    for _ in range(100):
-        bed.advance(0.01)
-    assert not bed.thrusters.floats
-    assert abs(bed.qd[0]) < 1e-4
-    assert mass - bed._p[0] == pytest.approx(bed.thrusters.propellant_used)
-    assert np.abs(bed.imbalance).max() < 1e-6

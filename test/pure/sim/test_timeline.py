@@ -1,10 +1,11 @@
-"""Time of the test bed: frames that are due, pauses and steps, with a simulation of the test."""
+"""Time of the test bed: frames that are due at a pace, pauses and steps."""
 
 import time
 
 import pytest
 
 from fss_arm_model.units import SECOND
+from fss_sim.pace import ClockPace
 from fss_sim.testbed import FRAME
 from fss_sim.timeline import (
     FRAMES_PER_CLOCK,
@@ -110,21 +111,15 @@ def test_a_paused_clock_is_repeated_and_steps(real_time):
     assert bench.frame == 3
 
 
-@pytest.mark.parametrize(
-    ("keep_clock", "paused", "frames", "reason"),
-    [
+def test_impossible_steps_and_pauses_are_refused():
+    for keep_clock, paused, frames, reason in (
         (False, False, 1, "the test bed uses ROS time"),
         (True, False, 1, "the clock is running: pause it first"),
         (True, True, MAX_FRAMES + 1, f"{MAX_FRAMES + 1} frames requested, expected at most"),
-    ],
-)
-def test_impossible_steps_are_refused(keep_clock, paused, frames, reason):
-    bench = Bench(keep_clock, paused=paused)
-    assert bench.timeline.step(frames).startswith(reason)
-    assert bench.frame == 0
-
-
-def test_ros_time_cannot_be_paused():
+    ):
+        bench = Bench(keep_clock, paused=paused)
+        assert bench.timeline.step(frames).startswith(reason)
+        assert bench.frame == 0
     bench = Bench()
     assert bench.timeline.pause(True).startswith("the test bed uses ROS time")
     assert not bench.timeline.paused
@@ -138,3 +133,19 @@ def test_a_slow_simulation_is_reported(real_time):
         status = bench.timeline.status()
         assert (status.state, status.is_slow) == (state, state == "too slow")
         assert status.values["speed"] == pytest.approx(frames / 100)
+
+
+@pytest.mark.parametrize("speed", [0.5, 10.0])
+def test_frames_follow_a_clock_at_the_given_speed_and_skip_its_jumps(speed):
+    now, frame = 0, 0
+    limits = {"max_behind": SECOND, "max_ahead": 10 * SECOND, "speed": speed}
+    pace = ClockPace(lambda: round(speed * now), 0, **limits)
+    for _ in range(200):  # 2 s of real time
+        now += SECOND // 100
+        frame += pace.due_frames(frame)
+    assert frame == round(2 * speed * SECOND) // FRAME
+    now += 30 * SECOND
+    assert pace.due_frames(frame) == 0
+    assert pace.jumps == 1
+    now += 4 * FRAME
+    assert pace.due_frames(frame) == 4 * speed

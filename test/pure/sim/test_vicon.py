@@ -24,7 +24,7 @@ def cameras(room=None, seed=1, **noise):
     return Vicon(Noise(**noise), room or Room(), seed, KINDS)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [BASE, TIP])
 def test_noise_decreases_with_number_of_markers_and_subject_size(kind):
     vicon, sigma, room = cameras(marker_noise=0.0005), 0.0005, Room()
     errors = np.array([vicon.take_picture(k, POSES)[kind].error for k in range(4000)])
@@ -57,8 +57,10 @@ def test_the_distortion_grows_to_the_edge_and_is_constant():
 ONE = Room(cameras=(3.0, 0.0, 3.0, 3.0, 0.1, 3.0))  # both on one side
 
 
-def bodies(*rows):
-    return [[x, y, x, y, radius, height] for x, y, radius, height in rows]
+def bodies(x, y, radius, height, length=0.0):
+    """Return the row of a body that is `length` long across the line of sight."""
+    half = 0.5 * length
+    return [[x, y - half, x, y + half, radius, height]]
 
 
 def test_a_body_between_a_subject_and_its_cameras_hides_it():
@@ -66,35 +68,27 @@ def test_a_body_between_a_subject_and_its_cameras_hides_it():
     poses = [(0.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.5, 0.0)]
     # From x = -1, 0.33 m up, sight rises by 2.67 m in 4 m: at x = -0.8 it is 0.46 m up.
     tall, low, beside = (-0.7, 0.0, 0.15, 0.6), (-0.7, 0.0, 0.15, 0.4), (-0.7, 0.5, 0.15, 0.6)
-    for obstacle, seen in ((tall, False), (low, True), (beside, True)):
-        base, tip, target = vicon.take_picture(0, poses, bodies(obstacle))
+    link, link_beside = (-0.75, 0.1, 0.06, 0.6, 0.6), (-0.75, -0.6, 0.06, 0.6, 0.6)
+    for obstacle, seen in (
+        (tall, False), (low, True), (beside, True), (link, False), (link_beside, True),
+    ):  # fmt: skip
+        base, tip, target = vicon.take_picture(0, poses, bodies(*obstacle))
         assert (base.visible, tip.visible, target.visible) == (True, seen, True), obstacle
     # With cameras all around, it is seen from the other side.
-    assert cameras(vicon_occlusion=1.0).take_picture(0, poses, bodies(tall))[TIP].visible
-    assert cameras(ONE).take_picture(0, poses, bodies(tall))[TIP].visible  # without occlusion
-
-
-def test_a_link_hides_along_its_whole_length():
-    vicon = cameras(ONE, vicon_occlusion=1.0)
-    poses = [(0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.5, 0.0)]
-    for y, seen in ((0.1, False), (-0.6, True)):
-        row = [[-0.75, y - 0.3, -0.75, y + 0.3, 0.06, 0.6]]
-        assert vicon.take_picture(0, poses, row)[TIP].visible == seen
+    assert cameras(vicon_occlusion=1.0).take_picture(0, poses, bodies(*tall))[TIP].visible
+    assert cameras(ONE).take_picture(0, poses, bodies(*tall))[TIP].visible  # without occlusion
 
 
 def test_with_fewer_visible_markers_the_pose_is_worse():
     room = replace(ONE, tip_markers=(-0.3, 0.0, 0.0, 0.1, 0.3, 0.0, 0.0, -0.1))
     vicon = cameras(room, vicon_occlusion=1.0, marker_noise=0.001)
     poses = [(0.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.5, 0.0)]
-    hides = bodies((-0.9, 0.0, 0.05, 0.6))  # hides only the rearmost marker
-    counts, errors = [], []
-    for k in range(2000):
-        result = vicon.take_picture(k, poses, hides)[TIP]
-        counts.append(result.markers)
-        errors.append(result.error)
-    assert set(counts) == {3}
-    whole = [vicon.take_picture(k, poses)[TIP].error for k in range(2000)]
-    assert np.std(errors, axis=0)[2] > 1.2 * np.std(whole, axis=0)[2]
+    hides = bodies(-0.9, 0.0, 0.05, 0.6)  # hides only the rearmost marker
+    partial = [vicon.take_picture(k, poses, hides)[TIP] for k in range(500)]
+    assert {result.markers for result in partial} == {3}
+    whole = [vicon.take_picture(k, poses)[TIP] for k in range(500)]
+    few, all_ = (np.std([result.error for result in each], axis=0)[2] for each in (partial, whole))
+    assert few > 1.2 * all_
 
 
 def tip_and_target(distance):
@@ -118,7 +112,7 @@ def test_markers_that_are_too_close_are_lost_to_both_subjects():
 def test_a_merge_swaps_its_subjects_or_does_not_until_it_ends():
     room, poses = tip_and_target(0.02)
     swapped = 0
-    for seed in range(400):
+    for seed in range(200):
         vicon = cameras(room, seed=seed, vicon_merge_distance=0.03, vicon_merge_swap=0.3)
         during = {
             tuple(result.identified_as for result in vicon.take_picture(k, poses)) for k in range(5)
@@ -128,7 +122,7 @@ def test_a_merge_swaps_its_subjects_or_does_not_until_it_ends():
         swapped += during == {(0, 2, 1)}
         after = vicon.take_picture(5, tip_and_target(0.2)[1])
         assert [result.identified_as for result in after] == KINDS
-    assert swapped / 400 == pytest.approx(0.3, abs=4 * math.sqrt(0.21 / 400))
+    assert swapped / 200 == pytest.approx(0.3, abs=4 * math.sqrt(0.21 / 200))
 
 
 def observed(noise, frames, target=None, **room):
@@ -160,7 +154,12 @@ def test_the_sensors_report_the_results_of_the_cameras():
     assert readings.tip.pose[0] == pytest.approx(tip[0] + 0.02)
 
 
-def test_stamps_have_random_delays_and_never_decrease():
+def test_stamps_have_random_delays_never_decrease_and_do_not_tell_the_latency():
+    sensors = Sensors(Noise(vicon_jitter=0.002, vicon_latency=0.03), 1)
+    for k in range(300):  # it moves at 1 m/s
+        seen = sensors.observe(k, (k / RATE, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0, RESTING).base
+        age = k / RATE - 1e-9 * seen.age - seen.pose[0]
+        assert k < 5 or 0.03 <= age <= 0.04
     sights, _ = observed(Noise(vicon_jitter=0.002), 1000)
     late = np.array([1.0 / RATE - 1e-9 * s.base.age for s in sights])
     assert late.min() >= 0.0
@@ -169,14 +168,6 @@ def test_stamps_have_random_delays_and_never_decrease():
     stamps = [k * FRAME - s.base.age for k, s in enumerate(sights)]
     assert (np.diff(stamps) > 0).all()
     assert all(s.base.age == 0 for s in observed(PRESETS["default"], 20)[0])
-
-
-def test_a_pose_is_older_than_its_stamp_by_latency_and_jitter():
-    sensors = Sensors(Noise(vicon_jitter=0.002, vicon_latency=0.03), 1)
-    for k in range(300):  # it moves at 1 m/s
-        seen = sensors.observe(k, (k / RATE, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0, RESTING).base
-        age = k / RATE - 1e-9 * seen.age - seen.pose[0]
-        assert k < 5 or 0.03 <= age <= 0.04
 
 
 def make_beds_on_one_table(noise, room, *vehicles):
@@ -224,10 +215,7 @@ def test_vehicles_whose_markers_merge_may_be_swapped():
     ("given", "error"),
     [
         ({"cameras": (1.0, 2.0)}, "cameras has 2 numbers, expected 3 for each of at least 2"),
-        (
-            {"tip_markers": (0.0,) * 4},
-            "tip_markers has 4 numbers, expected 2 for each of at least 3",
-        ),
+        ({"tip_markers": 4 * (0.0,)}, "has 4 numbers, expected 2 for each of at least 3"),
     ],
 )
 def test_a_room_with_too_few_cameras_or_markers_is_rejected(given, error):
