@@ -141,17 +141,18 @@ def test_who_begins_too_near_may_get_clear_and_not_nearer():
         guard.check_path([0.0, 4.0, 8.0], back, np.zeros((3, 4)))
 
 
+@pytest.mark.slow
 def test_random_paths_that_begin_too_near_pass_if_they_only_get_clearer():
     """A gap may also decrease by the motion of the bodies in the 5 ms between two checks."""
     guard, rng, dips, refusals = Guard(paper_arm()), np.random.default_rng(11), [], []
-    while len(dips) + len(refusals) < 30:
+    while len(dips) + len(refusals) < 120:
         flight = replace(random_flight(guard.arm, rng), target=None)
         if begin_slack(flight, guard.arm) >= 0.0 or least(flight, guard.arm, BED) < 0.0:
             continue
         found = dips if is_clear(guard, flight) else refusals
         found.append(shrinks(flight, guard.arm, BED))
     print(f"{len(dips)} pass, dip {max(dips):.4f}; {len(refusals)} do not, {min(refusals):.4f}")
-    assert min(len(dips), len(refusals)) > 2
+    assert min(len(dips), len(refusals)) > 5
     assert max(dips) < ALLOWED_DECREASE + 0.003
     assert min(refusals) > 0.9 * ALLOWED_DECREASE
 
