@@ -101,6 +101,15 @@ def test_mirrored_arms_are_recognized_and_folded_back(turned, theta_e):
     assert np.abs(result.values - exact.initial).max() < 1e-9
 
 
+def test_the_regressor_holds_the_derivatives_of_the_predictions():
+    exact = problem(paper_arm(), DEFAULT_POSTURES, FULL, theta_e=True)
+    xi, h = exact.initial + 0.01, 1e-6
+    for column, step in zip(model.regressor(exact, xi).T, h * np.eye(len(xi)), strict=True):
+        change = model.residuals(exact, xi - step) - model.residuals(exact, xi + step)
+        slope = model.whiten_residuals(exact, change).ravel() / (2.0 * h)
+        assert column == pytest.approx(slope, abs=1e-6)
+
+
 def test_a_turned_subject_biases_the_last_offset_unless_it_is_estimated():
     turned = replace(paper_arm(), theta_E=np.radians(2.0))
     biased = solve(problem(turned, DEFAULT_POSTURES, EQUAL, paper_arm()))
