@@ -45,8 +45,7 @@ def offset_seen(rng, delta, noise=0.0, n=4, search=1.0):
     return estimate_offset(np.array([delta, end + delta]), q, seen, psi, search)
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-3, 1.2e-2])
-@pytest.mark.parametrize("delta", [-0.7, -0.1, 0.0, 0.05, 0.6])
+@pytest.mark.parametrize(("delta", "noise"), [(-0.7, 0.0), (0.0, 1e-3), (0.05, 1.2e-2)])
 def test_the_offset_of_a_move_is_found_within_its_deviation(delta, noise):
     rng = np.random.default_rng(3)
     found = [offset_seen(rng, delta, noise) for _ in range(20)]
@@ -59,19 +58,15 @@ def test_the_offset_of_a_move_is_found_within_its_deviation(delta, noise):
     assert np.median(deviations) < 0.0015 + noise
 
 
-@pytest.fixture(scope="module", params=[1e-3, 5e-3])
-def many_moves(request):
-    """What is found of 300 moves, late by 0.05 s, with so much noise."""
+@pytest.mark.parametrize("n", [5, 30])
+def test_the_deviation_of_the_mean_of_n_moves_is_true(n):
+    """Of 300 moves, late by 0.05 s."""
     rng = np.random.default_rng(11)
-    found = (offset_seen(rng, 0.05, request.param) for _ in range(340))
-    return [offset for offset in found if offset.deviation < 0.05][:300]
-
-
-@pytest.mark.parametrize("n", [5, 12, 30])
-def test_the_deviation_of_the_mean_of_n_moves_is_true(many_moves, n):
+    found = (offset_seen(rng, 0.05, 5e-3) for _ in range(340))
+    many = [offset for offset in found if offset.deviation < 0.05][:300]
     rng, squares = np.random.default_rng(4), []
     for _ in range(1000):
-        mean = mean_offset([many_moves[i] for i in rng.integers(0, len(many_moves), n)])
+        mean = mean_offset([many[i] for i in rng.integers(0, len(many), n)])
         squares.append(((mean.value - 0.05) / mean.deviation) ** 2)
     assert 0.6 < np.mean(squares) < 1.25
 
@@ -152,19 +147,13 @@ def observed(rig, late):
     return finder, feed(finder, shifted)
 
 
-@pytest.mark.parametrize("late", [-1.5, 3.0])
-def test_clocks_too_far_apart_are_told(late):
-    rig = Rig(DEFAULT_POSTURES[:9], rest=2.6, rate=50.0)
-    streams = observed(rig, late)[0].streams()
-    assert streams.offset.deviation == np.inf
-    assert streams.offset_lower_bound == 1.0
-
-
-@pytest.mark.parametrize("late", [-0.9, 0.04, 0.9])
+@pytest.mark.parametrize("late", [-0.9, 0.04])
 def test_the_finder_allows_for_the_offset(late):
     """All joints' stamps are late: the windows of poses would reach into the next move."""
     rig = Rig(np.array([*POSTURES, *DEFAULT_POSTURES[:5]]), rest=2.6)
     finder, found = observed(rig, late)
+    far = observed(rig, 3.0)[0].streams()
+    assert (far.offset.deviation, far.offset_lower_bound) == (np.inf, 1.0)
     offset = finder.streams().offset
     assert finder.streams().offset_lower_bound == 0.0
     assert offset.value == pytest.approx(late, abs=0.003)

@@ -26,16 +26,9 @@ def found(samples):
     return calibrate(feed(finder, samples), paper_arm(), streams=finder.streams())
 
 
-def test_nothing_is_doubted_of_good_streams(samples):
-    outcome = found(samples)
-    assert outcome.verdict == PASS
-    assert outcome.streams.problems == ()
-
-
 @pytest.mark.parametrize(
     ("by", "words"),
     [
-        (3600 * SECOND, r"3600 s (an hour) ahead of"),
         (-7200 * SECOND, r"7200 s (2 hours) behind"),
         (-1_699_990_000 * SECOND, r"53.9 years (does it count from its start?) behind"),
     ],
@@ -57,15 +50,15 @@ def test_a_subject_on_another_clock_is_not_only_silent(samples):
 def test_a_subject_that_fell_silent_is_not_on_another_clock(samples):
     lost = [s for s in samples if s.stream != BASE or s.t < samples[0].t + 9 * SECOND]
     assert not any("clock" in doubt for doubt in found(lost).streams.problems)
+    good = found(samples)
+    assert good.verdict == PASS
+    assert good.streams.problems == ()
 
 
 def test_joints_read_too_rarely_are_named(samples):
-    rare, last = [], {}
-    for s in samples:
-        if isinstance(s.stream, str) or s.t - last.get(s.stream, 0) >= 2 * SECOND:
-            last[s.stream] = s.t
-            rare.append(s)
-    outcome = found(rare)
+    joints = [s for s in samples if not isinstance(s.stream, str)]
+    rare = {id(s) for i in range(1, 5) for s in [s for s in joints if s.stream == i][::10]}
+    outcome = found([s for s in samples if isinstance(s.stream, str) or id(s) in rare])
     assert outcome.verdict == NOT_EVALUATED
     assert outcome.reasons[0].startswith(f"{JOINTS} sampled only every 2")
     assert outcome.reasons[0].endswith("s: joint_gap (1 s) is less")
