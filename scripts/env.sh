@@ -24,8 +24,8 @@ _fss_load() {
   fi
   if [ ! -x "$_fss_root/.venv/bin/python" ]; then
     if [ -h "$_fss_root/.venv/bin/python" ]; then
-      echo "env.sh: $(id -un) cannot run $(readlink "$_fss_root/.venv/bin/python"), the Python of" \
-        "$_fss_root/.venv; set up a clone of your own with its scripts/setup.sh" >&2
+      echo "env.sh: $(id -un) cannot run the Python of $_fss_root/.venv; make a clone of your own" \
+        "and run its scripts/setup.sh" >&2
     else
       echo "env.sh: there is no .venv yet; run $_fss_root/scripts/setup.sh" >&2
     fi

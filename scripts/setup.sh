@@ -46,7 +46,7 @@ for argument in "$@"; do
 done
 [[ $root != *[[:space:]]* ]] ||
   die "colcon does not support spaces in paths; move the workspace out of '$root'"
-[[ -w $root ]] || die "cannot write to $root"
+[[ -w $root ]] || die "cannot write to $root, which is $(stat -c %U "$root")'s: make a clone of your own"
 
 # Variables of another Python must not affect this one.
 unset PYTHONHOME PYTHONDONTWRITEBYTECODE _ROS_WHEELS_BOOTSTRAP_COMPLETE

@@ -43,7 +43,10 @@ read_config() {
   [ "$fss_nodes" ] || fail "$fss_config: has no node${FSS_NAMESPACE:+ in the namespace $FSS_NAMESPACE}"
   case $fss_spaces in *' /'*) ;; *) FSS_NAMESPACE=${fss_spaces#/} ;; esac
   export FSS_NAMESPACE
-  for fss_space in $fss_spaces; do mkdir -p "$FSS_LOGS$fss_space" || exit 1; done
+  for fss_space in $fss_spaces; do
+    fss_said=$(mkdir -p "$FSS_LOGS$fss_space" 2>&1) ||
+      fail "$fss_said$([ -w . ] || echo '; make a clone of your own')"
+  done
   FSS_LOGS=$(readlink -f -- "$FSS_LOGS")
   export ROS_LOG_DIR="$FSS_LOGS/ros" FSS_EVENTS="$FSS_LOGS/events.log"
   . scripts/env.sh || exit 1
@@ -99,9 +102,10 @@ hold() {
 }
 
 # log_event WORDS: writes to the log of events, and to the terminal from which the nodes were started.
+# Sets $fss_unwritten if the log cannot be written.
 log_event() {
   fss_line="$(date '+%F %T') $*"
-  echo "$fss_line" >>"$FSS_EVENTS"
+  { echo "$fss_line" >>"$FSS_EVENTS"; } 2>/dev/null || fss_unwritten=yes
   # In a separate process, so that a terminal that hangs or is closed does no harm.
   [ -z "${FSS_TTY:-}" ] || { printf '\r%s\r\n' "$fss_line" >"$FSS_TTY"; } 2>/dev/null 9>&- &
 }

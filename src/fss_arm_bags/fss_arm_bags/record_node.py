@@ -45,7 +45,11 @@ class RecordNode(Node):
         self.topics = {self.resolve_topic_name(topic) for topic in settings.topics}
         names = settings.namespace, *filter(None, settings.shared)
         self.prefixes = [f"/{name.strip('/')}".rstrip("/") for name in names]
-        self.recording = Recording(Path(settings.output), LIMITS)
+        try:
+            self.recording = Recording(Path(settings.output), LIMITS)
+        except OSError as error:  # a write does not know its file
+            error.filename = error.filename or settings.output
+            raise
         self.subscribed: dict[str, Subscription] = {}
         self.unknown_types: set[str] = set()
         self.counts: Counter[str] = Counter()

@@ -63,7 +63,7 @@ def report_interrupt(command: str) -> int:
 
 
 def in_words(error: object) -> str:
-    """Return an error as one line; for an OSError, with the file's name."""
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
+    """Return an error as one line; for an OSError, with the file's name if it is known."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join(str(error).split())

@@ -29,7 +29,7 @@ from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.qos import LATCHED
 from fss_rehearsal.domain import CONFIG, Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
-from fss_rehearsal.processes import Nodes, RehearsalError, short_path
+from fss_rehearsal.processes import Nodes
 from fss_rehearsal.progress import counting_bar
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
@@ -176,8 +176,7 @@ def observe(
         task = bar.add_task("postures observed", total=options.postures)
         while not nodes.has_finished("experiment"):
             if time.monotonic() > end_time:
-                limit = f"{options.deadline:.0f} s"
-                raise RehearsalError(f"not finished after {limit}; logs: {short_path(nodes.logs)}")
+                raise nodes.overdue("experiment", options.deadline)
             nodes.restart_killed()
             rclpy.spin_once(operator, timeout_sec=0.1)
             bar.update(task, completed=operator.done)
@@ -187,7 +186,7 @@ def observe(
         # Results of earlier observations may still arrive.
         while (live := operator.published_outcome()) is None or len(live.used) < options.postures:
             if time.monotonic() > end_time:
-                raise RehearsalError(f"no solution in time: {nodes.last_log_line('kinematic')}")
+                raise nodes.overdue("kinematic", options.deadline)
             nodes.restart_killed()
             operator.call_service(operator.solve, Trigger.Request())
             rclpy.spin_once(operator, timeout_sec=0.5)

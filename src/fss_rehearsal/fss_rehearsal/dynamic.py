@@ -37,7 +37,7 @@ from fss_arm_model.description_file import save
 from fss_arm_model.parameters import values
 from fss_rehearsal.domain import Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
-from fss_rehearsal.processes import Nodes, RehearsalError, short_path
+from fss_rehearsal.processes import Nodes
 from fss_rehearsal.progress import counting_bar
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
@@ -161,8 +161,7 @@ def run_sessions(
             operator = Experimenter(domain)
             while not nodes.has_finished("experiment"):
                 if time.monotonic() > end_time:
-                    limit = f"{options.deadline:.0f} s"
-                    raise RehearsalError(f"not finished after {limit}; logs: {short_path(logs)}")
+                    raise nodes.overdue("experiment", options.deadline)
                 nodes.restart_killed()
                 rclpy.spin_once(operator, timeout_sec=0.1)
                 status = shorten(operator.status_message, MAX_STATUS, placeholder="...")

@@ -93,8 +93,15 @@ class Nodes:
     def last_log_line(self, name: str) -> str:
         """Return the last line of the node's log, and the log's path."""
         log = self.logs / f"{name}.log"
-        lines = log.read_text(errors="replace").splitlines() or ["(empty log)"]
+        lines = log.read_text(errors="replace").splitlines() or ["empty"]
         return f"{lines[-1]} (see {short_path(log)})"
+
+    def overdue(self, name: str, deadline: float) -> RehearsalError:
+        """Return the error for a node that has not finished its job by a deadline [s]."""
+        return RehearsalError(
+            f"node {name} is not finished after {deadline:.0f} s; on a busy computer raise "
+            f"--deadline; its log: {self.last_log_line(name)}"
+        )
 
     def has_finished(self, name: str) -> bool:
         """Return True if the node has exited with code 0."""

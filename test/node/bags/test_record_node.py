@@ -225,6 +225,12 @@ def test_a_full_disk_at_the_end_is_reported(spin, tmp_path):
         record.close()
 
 
+def test_a_disk_that_is_full_at_the_start_is_named(ros, tmp_path):
+    with file_size_limit(0), pytest.raises(OSError, match="File too large") as error:
+        recorder(tmp_path / "bags")
+    assert error.value.filename == str(tmp_path / "bags")
+
+
 def test_a_split_into_an_existing_bag_is_reported(ros, tmp_path, monkeypatch):
     record = recorder(tmp_path)
     monkeypatch.setattr("fss_arm_bags.recorder.next_bag", lambda folder: folder / "bag_0")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fss_arm_ros.command_line import in_one_line
+from fss_arm_ros.command_line import in_one_line, in_words
 from fss_arm_ros.libraries import LIBRARIES
 from fss_arm_ros.program import Command, Program, docstring, named
 
@@ -106,6 +106,19 @@ def test_an_interrupted_command_ends_in_one_line(monkeypatch, capsys):
     assert capsys.readouterr().err == "from_bag: interrupted\n"
     assert in_one_line("plan")(interrupt)() == 130
     assert capsys.readouterr().err == "plan: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(28, "No space left on device", "a.yaml"), "a.yaml: No space left on device"),
+        (OSError(28, "No space left on device"), "No space left on device"),
+        (OSError("no answer"), "no answer"),
+        (ValueError("two\nlines"), "two lines"),
+    ],
+)
+def test_an_error_is_one_line_without_its_number(error, words):
+    assert in_words(error) == words
 
 
 def test_a_command_runs_with_its_arguments():

@@ -17,6 +17,7 @@ from io import StringIO
 from itertools import pairwise
 from math import radians
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any
 
@@ -339,6 +340,52 @@ def test_help_is_what_the_script_says_of_itself(name):
     assert told.returncode == 0
     assert f"usage: fss_{name}.sh" in told.stdout
     assert not told.stdout.startswith("#")
+
+
+def test_a_full_disk_is_named_before_a_node_is_started(tmp_path):
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs/events.log").symlink_to("/dev/full")
+    config = tmp_path / "lab.sh"
+    node = "node record fss_arm_bags record"
+    config.write_text(f"FSS_LOGS={tmp_path}/logs\n{node} --ros-args -p output:={tmp_path}/bags\n")
+    up = run("scripts/fss_up.sh", config, cwd=ROOT)
+    assert up.returncode == 1
+    assert up.stderr.startswith(f"fss_up.sh: cannot write to {tmp_path}/logs: is the disk full?")
+    assert up.stderr.count("\n") == 1
+    assert not (tmp_path / "logs/record.keep").exists()
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("setup.sh", "setup: cannot write to .*, which is root's: make a clone of your own"),
+        ("fss_up.sh config/fss.sh", "fss_up.sh: mkdir: .*denied; make a clone of your own"),
+        ("fss_arm.sh arm", "env.sh: .* cannot run the Python of .*; make a clone of your own and"),
+    ],
+)
+def test_an_ordinary_user_in_a_clone_of_root_is_told_to_make_another(command, words):
+    name, *arguments = command.split()
+    with TemporaryDirectory() as folder:
+        root = Path(folder)
+        root.chmod(0o755)
+        for part in ("scripts", "config"):
+            shutil.copytree(ROOT / part, root / part)
+        (root / ".venv/bin").mkdir(parents=True)
+        (root / ".venv/bin/python").symlink_to("/root/python3")
+        ended = subprocess.run(
+            [root / "scripts" / name, *arguments],
+            user=65534,
+            group=65534,
+            extra_groups=[],
+            env=BARE,
+            cwd=root,
+            capture_output=True,
+            text=True,
+        )
+    assert ended.returncode == 1
+    assert re.match(words, ended.stderr)
+    assert ended.stderr.count("\n") == 1
 
 
 # --- the stand-in for ros2 -----------------------------------------------------------------------

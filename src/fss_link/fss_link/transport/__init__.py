@@ -1,5 +1,6 @@
 """Transports of frames to electronics. Nodes use `Transport`; a URL selects the kind."""
 
+import errno
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 from urllib.parse import SplitResult, parse_qs, urlsplit
@@ -103,7 +104,10 @@ def open_transport(url: str, schemes: Mapping[str, Scheme] = SCHEMES) -> Transpo
             raise ValueError("unknown scheme")
         return scheme.open(urlsplit(url))
     except OSError as error:
-        raise TransportError(f"url {url!r} cannot be opened: {error.strerror or error}") from None
+        why = error.strerror or error
+        if error.errno == errno.EADDRINUSE:
+            why = f"{why}; another driver of this link runs, or choose another bind=PORT"
+        raise TransportError(f"url {url!r} cannot be opened: {why}") from None
     except ValueError as error:
         expected = scheme.form if scheme else forms
         raise TransportError(f"url is {url!r}, expected {expected}: {error}") from None

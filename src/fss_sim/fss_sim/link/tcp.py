@@ -34,7 +34,10 @@ class LinkListener:
             self._listener.listen(MAX_CONNECTIONS)
         except OSError as error:
             self._listener.close()
-            raise OSError(f"TCP port {port} of {host} cannot be opened: {error.strerror}") from None
+            raise OSError(
+                f"TCP port {port} of {host} cannot be opened: {error.strerror}; another test bed "
+                "runs, or choose other ports"
+            ) from None
 
     @property
     def port(self) -> int:

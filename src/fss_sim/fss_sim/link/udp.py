@@ -22,7 +22,10 @@ class LinkSocket:
             self._socket.bind((host, port))
         except OSError as error:
             self._socket.close()
-            raise OSError(f"UDP port {port} of {host} cannot be opened: {error.strerror}") from None
+            raise OSError(
+                f"UDP port {port} of {host} cannot be opened: {error.strerror}; another test bed "
+                "runs, or choose other ports"
+            ) from None
 
     @property
     def port(self) -> int:
