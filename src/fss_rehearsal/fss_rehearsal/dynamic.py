@@ -243,7 +243,7 @@ def summary(
     largest = 1e3 * max(result.deviations[names.index(f"b_{i}")] for i in range(1, LINKS + 1))
     lines.append(
         f"{len(result.used)} maneuvers of at most {max(p.length for p in plan):.1f} s; "
-        f"largest deviation of a b {largest:.1f} mm"
+        f"largest 1 sigma of b_1 .. b_{LINKS}: {largest:.1f} mm"
     )
     return "\n".join(lines)
 
