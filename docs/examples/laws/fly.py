@@ -102,7 +102,7 @@ def main() -> int:
     print("time [s]  position error [mm]  heading error [deg]  propellant [g]")
     for k, step in enumerate(fly(law, options.duration)):
         if k % round(5.0 * RATE) == 0 or k == round(options.duration * RATE) - 1:
-            away, turn = 1e3 * np.hypot(*step.error[:2]), degrees(step.error[2])
+            away, turn = 1e3 * np.hypot(*step.error[:2]), round(degrees(step.error[2]), 2) + 0.0
             gas, time = 1e3 * step.propellant, step.inputs.time
             print(f"{time:8.1f}  {away:19.1f}  {turn:19.2f}  {gas:14.3f}")
     return 0

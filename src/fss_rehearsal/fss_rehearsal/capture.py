@@ -83,18 +83,18 @@ class CaptureOperator(Operator):
         Raises:
             RehearsalError: they are not armed within TIMEOUT.
         """
-        self.wait(self.arm.service_is_ready, "node `arm` is not running")
+        self.wait(self.arm.service_is_ready, "node `arm` offers no service")
         deadline = time.monotonic() + self.TIMEOUT
         while not all(self.armed.values()):
             if time.monotonic() > deadline:
-                raise RehearsalError(f"links are not armed: {self.armed}")
+                raise RehearsalError(f"{self.disarmed} cannot be armed (waited {self.TIMEOUT:g} s)")
             self.keep_armed()
             rclpy.spin_once(self, timeout_sec=0.05)
-        self.wait(self.base.service_is_ready, "node `base` is not running")
+        self.wait(self.base.service_is_ready, "node `base` offers no service")
         request, answer = SetBool.Request(data=True), None
         while answer is None or not answer.success:
             if time.monotonic() > deadline:
-                raise RehearsalError(f"the base is not armed: {answer and answer.message}")
+                raise RehearsalError(f"the base cannot be armed: {answer and answer.message}")
             answer = self.result_of(self.base.call_async(request), "node `base` does not respond")
 
     def run_capture(self) -> Capture.Result:
@@ -103,12 +103,11 @@ class CaptureOperator(Operator):
         Raises:
             RehearsalError: the guidance does not respond, or the mission does not end in time.
         """
-        self.wait(self.capture.server_is_ready, "node `guidance` is not running")
+        self.wait(self.capture.server_is_ready, "node `guidance` offers no action")
         sent = self.capture.send_goal_async(Capture.Goal(detumble=True))
         handle = self.result_of(sent, "node `guidance` does not respond")
         answer = handle.get_result_async()
-        error = f"the mission does not end within {MAX_DURATION:g} s"
-        return self.result_of(answer, error, MAX_DURATION).result
+        return self.result_of(answer, "the mission does not end", MAX_DURATION).result
 
 
 def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assumed: float) -> None:

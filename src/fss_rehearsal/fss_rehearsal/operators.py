@@ -75,6 +75,12 @@ class Operator(Node):
         self.response, self.retry_at = Future(), 0.0
         self.parameter_client = self.create_client(SetParameters, "testbed/set_parameters")
 
+    @property
+    def disarmed(self) -> str:
+        """Links that are not armed, such as `links 2, 3`; empty: all are armed."""
+        numbers = [str(i) for i, armed in self.armed.items() if not armed]
+        return f"link{'s' * (len(numbers) > 1)} {', '.join(numbers)}" if numbers else ""
+
     def now(self) -> int:
         """Return the current time [ns]."""
         return int(self.get_clock().now().nanoseconds)
@@ -85,10 +91,11 @@ class Operator(Node):
         Raises:
             RehearsalError: it does not hold within `timeout` [s] (0: TIMEOUT).
         """
-        deadline = time.monotonic() + (timeout or self.TIMEOUT)
+        limit = timeout or self.TIMEOUT
+        deadline = time.monotonic() + limit
         while not condition():
             if time.monotonic() > deadline:
-                raise RehearsalError(error)
+                raise RehearsalError(f"{error} (waited {limit:g} s)")
             rclpy.spin_once(self, timeout_sec=0.02)
 
     def wait_until(self, time_ns: int) -> None:
