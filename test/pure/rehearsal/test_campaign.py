@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 from fss_arm_model.settings import POSITIVE, Settings, setting
 from fss_rehearsal.campaign.arguments import Arguments
 from fss_rehearsal.campaign.function import perform
+from fss_rehearsal.campaign.options import parser
 from fss_rehearsal.campaign.plan import CampaignError, read_campaign
 from fss_rehearsal.campaign.results import Results, check_rows, differences, read_rows
 from fss_rehearsal.campaign.summary import summarize, wilson_interval
@@ -188,3 +189,14 @@ def test_report_has_rates_and_the_worst_runs(file):
     worst = report.tables[-1]
     assert worst.rows[0][1] == "crashed"
     assert report.below == [f"repeat a run: campaign study.yaml --replay {worst.rows[0][0]}"]
+
+
+@pytest.mark.parametrize("option", ["--runs", "--workers"])
+@pytest.mark.parametrize("value", ["0", "-1", "two"])
+def test_a_campaign_needs_runs_and_workers(capsys, option, value):
+    """With no worker it would wait for ever."""
+    with pytest.raises(SystemExit) as ended:
+        parser().parse_args(["study.yaml", f"{option}={value}"])
+    assert ended.value.code == 1
+    said = capsys.readouterr().err
+    assert said == f"campaign: argument {option}: '{value}' is given, expected 1 or more\n"

@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -71,8 +72,8 @@ def run(campaign: Campaign, out: Path, options: argparse.Namespace, console: Con
     folder = [] if options.out is None else ["--out", str(options.out)]
     command = " ".join(["ros2 run fss_rehearsal campaign", str(options.file), *folder])
     summary = summarize(campaign, [results.rows[k] for k in sorted(results.rows)], command)
-    console.print(report.printable(summary))
-    console.print("\n".join(summary.below), soft_wrap=True)
+    console.print(report.printable(replace(summary, below=())))
+    console.print("\n".join(summary.below), soft_wrap=True)  # commands stay in one line
     page = report.write(out / "report", summary)
     for file in (path, page):
         console.print(f"  {file}", soft_wrap=True)
@@ -92,12 +93,14 @@ def replay(campaign: Campaign, number: int, path: Path, console: Console) -> int
     row = expected_columns(one) | perform(
         campaign.function, campaign.file.parent, number, one.seed, one.values, picture
     )
+    width = max(map(len, row))
     for name, value in row.items():
-        console.print(f"{name:>30}  {value}", soft_wrap=True)
+        shown = f"{value:.4g}" if isinstance(value, float) else value
+        console.print(f"{name:>{width}}  {shown}", soft_wrap=True)
     if picture.exists():
         console.print(f"{picture}")
     if number not in before:
-        console.print(f"{path} has no such run to compare with")
+        console.print(f"not compared: {path} does not contain this run", soft_wrap=True)
         return 0
     changed = differences(row, before[number])
     console.print("the same as before" if not changed else f"differs: {'; '.join(changed)}")

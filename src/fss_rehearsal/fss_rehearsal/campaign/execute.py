@@ -55,7 +55,10 @@ def open_client(scheduler: str, workers: int) -> "Iterator[Client]":
                 yield client
             return
         cluster = LocalCluster(
-            n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=50
+            n_workers=workers,
+            threads_per_worker=1,
+            dashboard_address="127.0.0.1:0",  # any port: another campaign may run
+            silence_logs=50,
         )
         with cluster, Client(cluster) as client:
             yield client

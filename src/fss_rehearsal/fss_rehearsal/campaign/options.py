@@ -11,6 +11,17 @@ from pathlib import Path
 from fss_arm_ros.command_line import Parser
 
 
+def positive(text: str) -> int:
+    """Return a number of runs or workers.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not a positive integer.
+    """
+    if not (text.isascii() and text.isdecimal() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is given, expected 1 or more")
+    return int(text)
+
+
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     found = Parser(
@@ -23,13 +34,13 @@ def parser() -> argparse.ArgumentParser:
         "--out", type=Path, help="folder of the results (default out/NAME of the file)"
     )
     found.add_argument(
-        "--runs", type=int, help="number of runs, spread over the grid (default: all)"
+        "--runs", type=positive, help="number of runs, spread over the grid (default: all)"
     )
     found.add_argument("--resume", action="store_true", help="continue a campaign that ended early")
     found.add_argument("--replay", type=int, metavar="RUN", help="repeat one run and compare it")
     found.add_argument(
         "--workers",
-        type=int,
+        type=positive,
         default=os.cpu_count(),
         help="processes on this computer (default %(default)s)",
     )
