@@ -312,7 +312,9 @@ def parse_settings(parameters: str, kind: type[C], section: str = "") -> C:
     given = given.get(section, given) if isinstance(given, dict) else given
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]  # a dataclass
     if not isinstance(given, dict):
-        raise ContentError("parameters", parameters, f"those of {kind.__name__} as YAML")
+        expected = f"those of {kind.__name__} as YAML"
+        expected += "" if parameters else "; earlier versions did not record them: use from_bag"
+        raise ContentError("parameters", parameters, expected)
     for name in sorted(FORMER_SETTINGS.keys() & given.keys() - known):
         if (value := given.pop(name)) != FORMER_SETTINGS[name]:
             raise ContentError(name, value, f"{FORMER_SETTINGS[name]:g}, a constant now")

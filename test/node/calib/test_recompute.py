@@ -89,7 +89,7 @@ def test_of_an_earlier_version_it_is_said_in_a_line_what_is_in_the_way(capsys):
     assert main([str(FIRST)]) == 1
     assert capsys.readouterr().err == (
         "recompute: a result on /calibration/kinematic: parameters is '', expected those of "
-        "KinematicSettings as YAML\n"
+        "KinematicSettings as YAML; earlier versions did not record them: use from_bag\n"
     )
 
 

@@ -1,9 +1,10 @@
-"""The command `doctor`."""
+"""Command `doctor`: list what bags hold and how healthy they are, and repair damage."""
 
 import sys
 from collections.abc import Sequence
 from math import isnan
 from pathlib import Path
+from textwrap import fill
 
 from rich import box
 from rich.console import Console
@@ -19,6 +20,7 @@ from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import seconds
 
 HEALTHY, UNHEALTHY = 0, 2  # exit codes
+WIDTH = 80  # [columns]
 
 
 @in_one_line("doctor")
@@ -44,6 +46,7 @@ def examine(path: Path, with_repair: bool, console: Console) -> bool:
         console.print(table(path, bags, by_topic))
         problems = [f"damaged: {one}; {remedy(one)}" for one in bags.recovered]
         problems += bags.left_out
+        remarks: dict[str, list[str]] = {}  # topics by what is remarkable about them
         if not bags.starts:
             problems.append(f"{path}: contains no messages")
         for bag in bags.unchecked:
@@ -54,7 +57,10 @@ def examine(path: Path, with_repair: bool, console: Console) -> bool:
                 f"{name}: {problem}" for problem in findings(topic, by_topic[name], bags.span[0])
             ]
             if note := remark(topic):
-                console.print(f"{name} {note}")
+                remarks.setdefault(note, []).append(name)
+    for note, names in remarks.items():
+        line = f"{note}: {', '.join(names)}"
+        console.print(fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False))
     for line in problems:
         console.print(escape(line), style="red")
     console.print("[red]not healthy[/]" if problems else "[green]healthy[/]")
@@ -78,13 +84,16 @@ def table(path: Path, bags: Bags, by_topic: dict[str, Stream]) -> Table:
         title=escape(f"{path}: {count} messages, {span}{several}"),
         box=box.SIMPLE,
         title_justify="left",
+        pad_edge=False,
+        collapse_padding=True,
     )
     rows.add_column("topic", overflow="fold")
     rows.add_column("type", overflow="fold")
-    for heading in ("messages", "rate [Hz]", "longest gap [s]"):
+    for heading in ("count", "rate\n[Hz]", "longest\ngap [s]"):
         rows.add_column(escape(heading), justify="right")
     for name, topic in bags.topics.items():
         rate, gap = by_topic[name].rate, by_topic[name].longest_gap
         numbers = ("-" if isnan(rate) else f"{rate:.2f}", "-" if isnan(gap) else f"{gap:.3f}")
-        rows.add_row(name, topic.msgtype.replace("/msg/", "/"), str(topic.messages), *numbers)
+        kind = topic.msgtype.rpartition("/")[2]
+        rows.add_row(name, kind, str(topic.messages), *numbers)
     return rows

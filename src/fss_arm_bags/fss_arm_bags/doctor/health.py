@@ -105,7 +105,7 @@ def remark(topic: Topic) -> str:
         or not extends(topic.msgtype, topic.definition)
     ):
         return ""
-    return "has an earlier version of its type; replay gives the missing fields their defaults"
+    return "earlier version of the type; replay gives the missing fields their defaults"
 
 
 def findings(topic: Topic, stream: Stream, start: int) -> Iterator[str]:
