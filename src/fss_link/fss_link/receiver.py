@@ -6,7 +6,7 @@ in one process that costs more than the rest of the processing of a datagram.
 Only one thread of a process runs Python at a time. Telemetry is the only work whose rate this
 process does not control; without a limit, commands and stops would have to wait. So the receivers
 of a process run one after the other and for at most CPU_SHARE of the time. When it is used up they
-rest. After that each tells its node to shed telemetry, and processes only the newest frames; both
+rest. After that each asks its node to shed telemetry, and processes only the newest frames; both
 are counted. A paused process has not used its share: it processes all that was buffered.
 """
 
