@@ -21,6 +21,7 @@ from fss_arm_ros.rclpy_compat import RCLError, UnknownROSArgsError
 from fss_arm_ros.subscription_set import relax_events
 
 MAX_DOMAIN = 232  # the ports of a higher one do not exist
+MAX_CLOSE_TIME = 30.0  # of all nodes [s]
 MAX_SHUTDOWN_TIME = 5.0  # after all nodes are closed [s]
 SWITCH_INTERVAL = 0.0005  # between Python's threads: a stop waits no longer for a computation [s]
 ROS_FLAGS = ("-p", "--param", "-r", "--remap", "--params-file", "--log-level", "--enclave")
@@ -48,7 +49,8 @@ def run(
     Returns:
         The exit code: 0 after SIGINT, SIGTERM or shutdown, but 130 if they interrupted a job; 1 if
         the node cannot be created (its ValueError or OSError is printed in one line), 2 for a wrong
-        command line. If the middleware blocks at shutdown, the process ends with 1 and a traceback.
+        command line. While nodes close, further SIGINTs are ignored. If a node or the middleware
+        blocks then, the process ends with 1 and a traceback.
     """
     argv = list(sys.argv if args is None else args)
     name = argv[0].rsplit("/", 1)[-1]
@@ -72,6 +74,8 @@ def run(
         signal.signal(signal.SIGINT, _interrupt_next)
         rclpy.init(args=argv)
         initialized = True
+        if signal.getsignal(signal.SIGINT) is not _interrupt_next:
+            raise KeyboardInterrupt  # received before rclpy could handle it
         with duplicates.looking():
             made = make_node(*plain)
             nodes = made if isinstance(made, Sequence) else [made]
@@ -101,6 +105,10 @@ def run(
         ):  # an action raises ValueError in a context that is shut down
             return _failed(name, error, 1)
     finally:
+        # A thread that waits in rclpy when Python ends aborts the process (ros2/rclpy issue 1484).
+        # So nothing may keep the nodes from ending their threads.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        faulthandler.dump_traceback_later(MAX_CLOSE_TIME, exit=True, file=2)
         for node in nodes:
             getattr(node, "close", lambda: None)()
         # Fast DDS 2.14 sometimes blocks indefinitely when many processes end at the same time.

@@ -78,6 +78,61 @@ def test_a_node_that_cannot_leave_is_ended_and_says_where():
     assert "in destroy_node" in ended.stderr
 
 
+IMPATIENT = """
+import os, signal, sys, time
+from rclpy.node import Node
+from fss_arm_ros.run import run
+from fss_arm_ros.subscriptions import SubscriptionThread, stop_topics
+
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.01)
+
+class Closing(Node):
+    def __init__(self):
+        super().__init__("closing")
+        self.thread = SubscriptionThread(self, stop_topics(print, "stop"))
+        self.create_timer(0.01, interrupt)
+
+    def close(self):
+        for _ in range(3):
+            interrupt()
+        self.thread.close()
+        print("closed")
+
+sys.exit(run(Closing))
+"""
+
+
+def test_further_interrupts_do_not_keep_a_node_from_closing():
+    code = [sys.executable, "-W", "ignore", "-c", IMPATIENT]
+    ended = subprocess.run(code, capture_output=True, text=True, timeout=30)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "closed\n", "")
+
+
+EARLY = """
+import os, signal, sys
+import rclpy
+from rclpy.node import Node
+from fss_arm_ros.run import run
+
+init = rclpy.init
+
+def interrupted_init(**options):
+    os.kill(os.getpid(), signal.SIGINT)
+    init(**options)
+
+rclpy.init = interrupted_init
+sys.exit(run(lambda: Node("early")))
+"""
+
+
+def test_an_interrupt_just_before_rclpy_handles_them_is_not_lost():
+    code = [sys.executable, "-W", "ignore", "-c", EARLY]
+    ended = subprocess.run(code, capture_output=True, text=True, timeout=30)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 NAMED = """
 import sys
 from dataclasses import dataclass
