@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import problem_with_priors
+from fss_arm_calib.dynamic.solve import DynamicResult
 from fss_arm_calib.dynamic.solve import solve as solve_dynamics
 from fss_arm_calib.experiment.design import design, expected_result
 from fss_arm_calib.experiment.planned import Planned, batch_law, torque_limited_duration

@@ -62,6 +62,7 @@ IMPORTS_BY_WORD = {
 
 # Libraries that a package needs beyond its row.
 FURTHER_LIBRARIES = {
+    "fss_arm_ros": {"rich"},
     "fss_arm_bags": {"backports", "rich"},
     "fss_arm_driver": {"serial"},
     "fss_base_driver": {"scipy", "rich"},
@@ -84,8 +85,7 @@ def within(package: str, names: str) -> set[str]:
 
 SHARED = within(
     "fss_arm_calib",
-    "estimation segments acceptance calibration codec messages outcome "
-    "report report_figures report_tables settings",
+    "estimation segments acceptance calibration codec messages outcome report_parts settings",
 )
 ROOMS = {
     "fss_arm_bags": {ARRAYS, "fss_arm_ros", *within("fss_arm_model", "files settings")},
@@ -146,7 +146,7 @@ ROOMS = {
 EDGES = {
     *("settings", "codec", "messages", "health", "kind", "kinds", "from_bag", "from_bag_options"),
     *("check_command", "design_command", "plan_command", "recompute", "programs", "from_bags"),
-    *("bag_command", "bag_data"),
+    "bag_data",
 }
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
 MATHEMATICS = {*PACKAGES} - {"fss_arm_ros", "fss_arm_bags", "fss_rehearsal"}

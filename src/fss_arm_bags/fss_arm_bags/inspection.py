@@ -1,4 +1,7 @@
-"""Inspect a bag for damage before it is read."""
+"""Inspect a bag for damage before it is read: its files, and then its metadata.yaml.
+
+A damaged MCAP file must be recovered. A wrong metadata.yaml can be rewritten from the files.
+"""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -19,58 +22,56 @@ from fss_arm_model.files import short
 
 @dataclass(frozen=True)
 class Inspection:
-    """The state of a bag."""
+    """State of a bag."""
 
-    files: list[Path]  # to read
-    messages: int = 0  # by their indexes
-    checked: bool = False  # checksums cover all of it
-    damage: str = ""  # damage of a file that must be recovered
-    metadata: str = ""  # problem of metadata.yaml alone
+    files: list[Path]  # files to read
+    messages: int = 0  # number of messages, according to the indexes of the files
+    checked: bool = False  # True if checksums cover all data
+    damage: str = ""  # damage of a file, which must be recovered; empty: none
+    metadata: str = ""  # problem of metadata.yaml, which only needs to be rewritten; empty: none
 
 
 def inspect(path: Path, *, thorough: bool = False) -> Inspection:
     """Check a bag for damage, as far as its checksums and redundant data show it.
 
     Args:
-        path: the bag.
+        path: the bag, a file or a folder with metadata.yaml.
         thorough: check also data that readers do not use.
 
     Raises:
         BagError: it is damaged and of a kind that cannot be recovered.
         OSError: it cannot be read.
     """
-    files = storage_files(path)
-    about: Mapping[str, Any] = {}
-    problem = ""
+    files, metadata, problem = storage_files(path), dict[str, Any](), ""
     if path.is_dir():
         try:
-            about = read_metadata(path)
+            metadata = dict(read_metadata(path))
         except DamageError as error:
             problem = str(error)
     if not files:
         raise BagError(f"{path}: contains no .mcap or .db3 file")
     if any(file.suffix != ".mcap" for file in files):
-        return _inspect_sqlite(path, files, about, problem)
-    contents_by_file: dict[Path, Contents] = {}
+        return _inspect_sqlite(path, files, metadata, problem)
+    contents: dict[Path, Contents] = {}
     for file in files:
         try:
-            contents_by_file[file] = examine(file, thorough=thorough)
+            contents[file] = examine(file, thorough=thorough)
         except DamageError as error:
             name = f"{file.name}: " if len(files) > 1 else ""
             return Inspection(files, damage=f"{name}{error}")
-    checked = all(contents.checked for contents in contents_by_file.values())
-    count = sum(c.statistics.message_count for c in contents_by_file.values() if c.statistics)
     if path.is_dir() and not problem:
-        problem = metadata_problem(about, contents_by_file, _hashes(contents_by_file))
-    if path.is_dir() and not problem and thorough and not about.get("compression_mode"):
+        problem = metadata_problem(metadata, contents, _hashes(contents))
+    if path.is_dir() and not problem and thorough and not metadata.get("compression_mode"):
         problem = _open_error(path)
+    count = sum(one.statistics.message_count for one in contents.values() if one.statistics)
+    checked = all(one.checked for one in contents.values())
     return Inspection(files, count, checked, metadata=problem)
 
 
 def _inspect_sqlite(
-    path: Path, files: list[Path], about: Mapping[str, Any], problem: str
+    path: Path, files: list[Path], metadata: Mapping[str, Any], problem: str
 ) -> Inspection:
-    """Return the state of a bag of SQLite files."""
+    """Return the state of a bag of SQLite files, which have no checksums and are not recovered."""
     count = 0
     for file in files:
         try:
@@ -79,8 +80,8 @@ def _inspect_sqlite(
         except Exception as error:  # rosbags parses without checks, so any exception is possible
             place = path if file == path else f"{path}: {file.name}"
             raise BagError(f"{place}: {short(str(error))}") from None
-    if about and not problem:
-        problem = file_list_problem(about, files)
+    if metadata and not problem:
+        problem = file_list_problem(metadata, files)
     return Inspection(files, count, metadata=problem)
 
 
@@ -95,7 +96,7 @@ def is_sound(path: Path) -> bool:
 
 
 def _open_error(path: Path) -> str:
-    """Return the reason why rosbags does not open a bag; empty: it does."""
+    """Return the reason why rosbags does not open a bag; empty if it does."""
     try:
         with Reader(path):
             return ""

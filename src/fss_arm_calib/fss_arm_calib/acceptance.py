@@ -1,4 +1,9 @@
-"""Acceptance checks that all kinds of calibration share, and the verdict that follows."""
+"""Acceptance of a calibration: checks, and the verdict that follows from them.
+
+Each check compares a value with a threshold. A calibration passes if all its checks pass; it fails
+if one fails; it is not evaluated if data for a needed check are missing. The checks here serve
+several kinds of calibration.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,14 +42,61 @@ class Check:
     brief: str = ""  # key number of a pass, or the reason in few words if it needs several lines
 
 
+def decide_verdict(checks: Sequence[Check]) -> tuple[str, tuple[str, ...]]:
+    """Return the verdict of all checks and its reasons: causes, missing data, failures, notes.
+
+    If a needed check could not be evaluated, the verdict is "not evaluated" even if others failed,
+    because the missing data may be the cause. The reasons of a pass are those of the checks passed.
+    """
+    verdict, deciding = _decide(checks)
+    reasons = tuple(check.reason for check in deciding)
+    return verdict, reasons if verdict == PASS else tuple(dict.fromkeys(reasons))[:MAX_REASONS]
+
+
+def _decide(checks: Sequence[Check]) -> tuple[str, list[Check]]:
+    """Return the verdict and the checks that give its reasons, the most important one first."""
+    causes = [c for c in checks if c.name == CAUSE]
+    others = [c for c in checks if c.name != CAUSE]
+    missing = [c for c in others if c.verdict == NOT_EVALUATED and c.needed]
+    failed = [c for c in others if c.verdict == FAIL]
+    notes = [c for c in others if c.verdict == NOT_EVALUATED and not c.needed]
+    verdict = NOT_EVALUATED if missing else FAIL if failed else PASS
+    deciding = others if verdict == PASS else [*causes, *missing, *failed, *notes]
+    return verdict, [c for c in deciding if c.reason]
+
+
+def summarize(checks: Sequence[Check], uncertain: Mapping[str, float] | None = None) -> str:
+    """Return the reason of a verdict in one line: the first one, or the key numbers of a pass.
+
+    In a pass, `uncertain`, the relative deviations of parameters too uncertain to use, takes the
+    place of the second number.
+    """
+    verdict, deciding = _decide(checks)
+    numbers = [c.brief for c in deciding if c.brief] if verdict == PASS else []
+    if verdict == PASS and uncertain:
+        return "; ".join([*numbers[:1], f"record more to use {format_uncertain(uncertain)}"])
+    reasons = ((c.brief if len(c.reason) > MAX_LENGTH else "") or c.reason for c in deciding)
+    return ", ".join(numbers) or next(reasons, "")
+
+
+def format_uncertain(uncertain: Mapping[str, float]) -> str:
+    """Format parameters with their relative deviations; after MAX_NAMED only their number."""
+    words = [
+        f"{name} (± {100 * share:.0f} %)" if share < inf else f"{name} (not determined)"
+        for name, share in uncertain.items()
+    ]
+    more = f" and {len(words) - MAX_NAMED} more" if len(words) > MAX_NAMED else ""
+    return f"{', '.join(words[:MAX_NAMED])}{more}"
+
+
 def check_limit(
     name: str, value: float, threshold: float, reason: str, failure_text: str = ""
 ) -> Check:
     """Return a check that passes if value <= threshold; `failure_text` explains a failure."""
-    passed = value <= threshold  # False for NaN
-    words = reason if passed or not failure_text else f"{failure_text}: {reason}"
-    brief = "" if passed else failure_text
-    return Check(name, PASS if passed else FAIL, value, threshold, words, brief=brief)
+    if value <= threshold:  # False for NaN
+        return Check(name, PASS, value, threshold, reason)
+    words = f"{failure_text}: {reason}" if failure_text else reason
+    return Check(name, FAIL, value, threshold, words, brief=failure_text)
 
 
 def check_chi_square(
@@ -57,25 +109,17 @@ def check_chi_square(
 ) -> Check:
     """Return a check that fails if residuals this large are less probable than `min_probability`.
 
-    Args:
-        name: name of the check.
-        chi_square: sum of the squared residuals, in standard deviations.
-        freedom: degrees of freedom of `chi_square`.
-        min_probability: smallest accepted probability.
-        failure_text: explanation of a failure.
-        deviation_freedom: degrees of freedom of the estimated deviations; inf: known deviations.
+    `chi_square` is the sum of the squared residuals in standard deviations. These deviations are
+    known, or estimated with `deviation_freedom` degrees of freedom.
     """
     chance = probability(chi_square, freedom, deviation_freedom)
-    facts = (
-        f"chi-square {chi_square:.4g} for {freedom:.4g} degrees of freedom, "
-        f"probability {chance:.2g} (at least {min_probability:g})"
-    )
-    passed = chance >= min_probability
-    reason = facts if passed else f"{failure_text}: {facts}"
-    number = f"chi-square of the fit {chi_square:.4g} for {freedom:.4g} degrees of freedom"
-    brief = failure_text if not passed else number if name == FIT else ""
-    verdict = PASS if passed else FAIL
-    return Check(name, verdict, chance, min_probability, reason, brief=brief)
+    size = f"{chi_square:.4g} for {freedom:.4g} degrees of freedom"
+    facts = f"chi-square {size}, probability {chance:.2g} (at least {min_probability:g})"
+    if chance >= min_probability:
+        brief = f"chi-square of the fit {size}" if name == FIT else ""
+        return Check(name, PASS, chance, min_probability, facts, brief=brief)
+    words = f"{failure_text}: {facts}"
+    return Check(name, FAIL, chance, min_probability, words, brief=failure_text)
 
 
 def check_fit(
@@ -85,18 +129,19 @@ def check_fit(
     check = check_chi_square(FIT, chi_square, freedom, min_probability, failure_text)
     if noise.is_given.all():
         return check
-    return replace(
-        check, reason=f"{check.reason}; deviations estimated from the residuals: {noise}"
-    )
+    words = f"{check.reason}; deviations estimated from the residuals: {noise}"
+    return replace(check, reason=words)
 
 
 def check_joint_names(streams: Streams, arm: Arm) -> Check:
     """Check that no readings were received of a joint that the arm does not have."""
-    unknown = streams.unknown
-    reason = f"received {', '.join(unknown)}, but {arm.name!r} has {format_count(arm.n, 'joint')}"
+    count = arm.n + len(streams.unknown)
+    if not streams.unknown:
+        return Check("joints", PASS, count, arm.n, "")
+    names, known = ", ".join(streams.unknown), format_count(arm.n, "joint")
+    reason = f"received {names}, but {arm.name!r} has {known}"
     reason += "; give the description of the arm in use"
-    verdict = NOT_EVALUATED if unknown else PASS
-    return Check("joints", verdict, arm.n + len(unknown), arm.n, reason if unknown else "")
+    return Check("joints", NOT_EVALUATED, count, arm.n, reason)
 
 
 def check_clocks(streams: Streams, max_jump: float) -> Check:
@@ -115,25 +160,6 @@ def check_clocks(streams: Streams, max_jump: float) -> Check:
         )
     verdict = NOT_EVALUATED if reason else PASS
     return Check("clocks", verdict, jump, max_jump, reason, needed=bad)
-
-
-def stream_causes(streams: Streams) -> list[Check]:
-    """Return possible causes of a verdict in the streams themselves, the most likely one first."""
-    words = [*streams.problems]
-    if streams.silent and streams.other_names:
-        silent, received = ", ".join(streams.silent), ", ".join(streams.other_names)
-        words.append(f"nothing received from {silent}, but from {received}: wrong names?")
-    if differ := frame_mismatch(streams):
-        words.append(differ)
-    return [cause_check(one) for one in words]
-
-
-def frame_mismatch(streams: Streams) -> str:
-    """Describe the frames of the subjects' poses if they differ; empty if they do not."""
-    if len(set(streams.frames.values())) < 2:
-        return ""
-    frames = " and ".join(f"{name} in {frame!r}" for name, frame in streams.frames.items())
-    return f"poses are in different frames: {frames}"
 
 
 def check_data_amount(
@@ -158,12 +184,8 @@ def check_identifiability(
 ) -> Check:
     """Check that the data determine all parameters.
 
-    Args:
-        undetermined: names of the parameters that the data do not determine.
-        missing: number of combinations of these that are not determined.
-        condition: condition number of the column-scaled regressor.
-        max_condition: largest accepted condition number.
-        hint: possible cause, appended to the reason.
+    `missing` combinations of the `undetermined` parameters are not determined. The condition number
+    is that of the column-scaled regressor. `hint` is a possible cause.
     """
     facts = f"condition number {condition:.3g} (at most {max_condition:g})"
     if not undetermined:
@@ -185,16 +207,7 @@ def check_convergence(
 def check_outliers(
     errors: Floats, kept: Mask, limit: float, max_outliers: int, noun: str, error_name: str
 ) -> Check:
-    """Check that each datum that was not rejected agrees with the others.
-
-    Args:
-        errors: (s,) error of each datum, in its deviations.
-        kept: (s,) True if the datum was not rejected.
-        limit: largest accepted error.
-        max_outliers: number of data that may be rejected.
-        noun: name of a datum.
-        error_name: name of the error.
-    """
+    """Check that the errors (s,) [deviations] of all data that were not rejected are small."""
     largest = float(np.max(errors[kept]))
     words = f"largest {error_name} {largest:.3g} (at most {limit:g})"
     if rejected := np.flatnonzero(~kept).tolist():
@@ -205,20 +218,13 @@ def check_outliers(
 
 
 def check_redundancy(redundancy: Floats, kept: Mask, min_redundancy: float, noun: str) -> Check:
-    """Check that each datum is verified by the others, so that an error in it would show.
-
-    Args:
-        redundancy: (k,) redundancy of each datum that was kept, see estimation.statistics.
-        kept: (s,) True if the datum was not rejected.
-        min_redundancy: smallest accepted redundancy.
-        noun: name of a datum.
-    """
+    """Check that each datum kept is verified by the others, so that an error in it would show."""
     worst = int(np.argmin(redundancy))
-    which = format_indices([int(np.flatnonzero(kept)[worst])], noun)
     value = float(redundancy[worst])
-    facts = f"redundancy {value:.2g} (at least {min_redundancy:g})"
     if value >= min_redundancy:
         return Check("redundancy", PASS, value, min_redundancy, "")
+    which = format_indices([int(np.flatnonzero(kept)[worst])], noun)
+    facts = f"redundancy {value:.2g} (at least {min_redundancy:g})"
     reason = f"{which} poorly verified by the others: {facts}"
     return Check("redundancy", NOT_EVALUATED, value, min_redundancy, reason)
 
@@ -228,53 +234,23 @@ def cause_check(words: str, verdict: str = FAIL) -> Check:
     return Check(CAUSE, verdict, nan, nan, words, needed=False)
 
 
-def decide_verdict(checks: Sequence[Check]) -> tuple[str, tuple[str, ...]]:
-    """Return the verdict of all checks and its reasons: causes, missing data, failures, notes.
-
-    If a needed check could not be evaluated, the verdict is "not evaluated" even if others failed,
-    because the missing data may be the cause. The reasons of a pass are those of the checks passed.
-    """
-    verdict, deciding = _decide(checks)
-    reasons = tuple(s.reason for s in deciding)
-    return verdict, reasons if verdict == PASS else tuple(dict.fromkeys(reasons))[:MAX_REASONS]
-
-
-def _decide(checks: Sequence[Check]) -> tuple[str, list[Check]]:
-    """Return the verdict and the checks that give its reasons, the most important one first."""
-    causes = [s for s in checks if s.name == CAUSE]
-    missing = [s for s in checks if s.verdict == NOT_EVALUATED and s.needed and s not in causes]
-    failed = [s for s in checks if s.verdict == FAIL and s not in causes]
-    verdict = NOT_EVALUATED if missing else FAIL if failed else PASS
-    if verdict == PASS:
-        return verdict, [s for s in checks if s.reason and s not in causes]
-    notes = [s for s in checks if s.verdict == NOT_EVALUATED and s not in [*missing, *causes]]
-    return verdict, [s for s in [*causes, *missing, *failed, *notes] if s.reason]
+def stream_causes(streams: Streams) -> list[Check]:
+    """Return possible causes of a verdict in the streams themselves, the most likely one first."""
+    words = [*streams.problems]
+    if streams.silent and streams.other_names:
+        silent, received = ", ".join(streams.silent), ", ".join(streams.other_names)
+        words.append(f"nothing received from {silent}, but from {received}: wrong names?")
+    if differ := frame_mismatch(streams):
+        words.append(differ)
+    return [cause_check(one) for one in words]
 
 
-def summarize(checks: Sequence[Check], uncertain: Mapping[str, float] | None = None) -> str:
-    """Return the reason of a verdict in one line: the first one, or the key numbers of a pass.
-
-    Args:
-        checks: checks that decide the verdict.
-        uncertain: relative deviations of parameters too uncertain to use, by name; a pass names
-            them in place of the second number.
-    """
-    verdict, deciding = _decide(checks)
-    numbers = [s.brief for s in deciding if s.brief] if verdict == PASS else []
-    if verdict == PASS and uncertain:
-        return "; ".join([*numbers[:1], f"record more to use {format_uncertain(uncertain)}"])
-    reasons = ((s.brief if len(s.reason) > MAX_LENGTH else "") or s.reason for s in deciding)
-    return ", ".join(numbers) or next(reasons, "")
-
-
-def format_uncertain(uncertain: Mapping[str, float]) -> str:
-    """Format parameters with their relative deviations; after MAX_NAMED only their number."""
-    words = [
-        f"{name} (± {100 * share:.0f} %)" if share < inf else f"{name} (not determined)"
-        for name, share in uncertain.items()
-    ]
-    more = f" and {len(words) - MAX_NAMED} more" if len(words) > MAX_NAMED else ""
-    return f"{', '.join(words[:MAX_NAMED])}{more}"
+def frame_mismatch(streams: Streams) -> str:
+    """Describe the frames of the subjects' poses if they differ; empty if they do not."""
+    if len(set(streams.frames.values())) < 2:
+        return ""
+    frames = " and ".join(f"{name} in {frame!r}" for name, frame in streams.frames.items())
+    return f"poses are in different frames: {frames}"
 
 
 def hide_pass_reason(check: Check) -> Check:

@@ -13,8 +13,8 @@ from sensor_msgs.msg import Imu, JointState
 from fss_arm_bags.bulk import batches, spatial_poses, turn_rates
 from fss_arm_bags.reader import BagError, Bags, digest
 from fss_arm_calib.calibration import Finder, Input
-from fss_arm_calib.outcome import Datum
 from fss_arm_calib.segments.recorded import Recorded, Track
+from fss_arm_calib.segments.streams import Datum
 from fss_arm_ros.convert import SECOND, stamp_ns
 
 D = TypeVar("D", bound=Datum)
@@ -24,20 +24,15 @@ CHUNK = 0.2  # part of a bag that is read at once, as a fraction of the horizon 
 
 def describe_source(bags: Bags) -> str:
     """Return the names of the bags, the SHA-256 of their data and the losses of damaged bags."""
-    lost = {
-        r.path: f" ({r.messages} messages recovered, {r.lost} bytes lost)" for r in bags.recovered
-    }
+    words = "({0.messages} messages recovered, {0.lost} bytes lost)"
+    lost = {one.path: f" {words.format(one)}" for one in bags.recovered}
     return ", ".join(f"{path.name} {digest(path)}{lost.get(path, '')}" for path in bags.paths)
 
 
 def find_data(
     bags: Bags, finder: Finder[D], inputs: Sequence[Input], horizon: float, namespace: str = ""
 ) -> list[D]:
-    """Feed the messages of the bags to a finder and return the data that it finds.
-
-    Raises:
-        BagError: a topic is missing or of another type.
-    """
+    """Feed the messages of the bags to a finder and return the data that it finds."""
     topics = {topic_name(bags, one, namespace): one for one in inputs}
     found: list[D] = []
     for piece in batches(bags.raw(set(topics)), round(CHUNK * horizon * SECOND)):
@@ -52,44 +47,37 @@ def find_data(
 
 
 def recorded_streams(bags: Bags, inputs: Sequence[Input], namespace: str = "") -> Recorded:
-    """Return the recorded streams of joints, subjects and gyro, for another replay.
-
-    Raises:
-        BagError: a topic is missing or of another type.
-    """
+    """Return the recorded streams of joints, subjects and gyro, for another replay."""
     topics = {topic_name(bags, one, namespace): one for one in inputs}
-    wanted = {
-        topic for topic, one in topics.items() if one.message in (JointState, PoseStamped, Imu)
-    }
-    data: dict[str, list[bytes]] = {topic: [] for topic in wanted}
-    receipts: dict[str, list[int]] = {topic: [] for topic in wanted}
+    kinds = JointState, PoseStamped, Imu
+    wanted = {topic for topic, one in topics.items() if one.message in kinds}
+    received: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in wanted}
     for topic, _, receipt, message in bags.raw(wanted):
-        data[topic].append(message)
-        receipts[topic].append(receipt)
+        received[topic].append((receipt, message))
     joints: dict[str, list[tuple[int, int, float, float]]] = {}
     poses, rates = {}, {}
-    for topic, messages in data.items():
-        one, heard = topics[topic], np.array(receipts[topic], dtype=np.int64)
+    for topic, rows in received.items():
+        one, receipts = topics[topic], np.array([receipt for receipt, _ in rows], dtype=np.int64)
+        messages = [message for _, message in rows]
         if one.message is JointState:
-            for received, message in zip(receipts[topic], messages, strict=True):
+            for receipt, message in rows:
                 state = bags.deserialize(message, one.type)
                 readings = zip_longest(state.name, state.position, state.velocity, fillvalue=nan)
                 for joint, q, qd in readings:
-                    row = stamp_ns(state.header.stamp), received, float(q), float(qd)
+                    row = stamp_ns(state.header.stamp), receipt, float(q), float(qd)
                     joints.setdefault(str(joint), []).append(row)
         elif one.message is PoseStamped and messages:
             stamps, numbers = spatial_poses(messages)
-            poses[one.subject] = Track(stamps, heard, numbers)
+            poses[one.subject] = Track(stamps, receipts, numbers)
         elif messages:
             stamps, turns = turn_rates(messages)
-            rates["gyro"] = Track(stamps, heard, turns[:, None])
-    return Recorded({joint: _track(rows) for joint, rows in joints.items()}, poses, rates)
-
-
-def _track(rows: Sequence[tuple[int, int, float, float]]) -> Track:
-    stamps, receipts, q, qd = zip(*rows, strict=True)
-    t, heard = (np.array(part, dtype=np.int64) for part in (stamps, receipts))
-    return Track(t, heard, np.column_stack([q, qd]))
+            rates["gyro"] = Track(stamps, receipts, turns[:, None])
+    readings_of = {}
+    for joint, samples in joints.items():
+        t, heard, *values = zip(*samples, strict=True)
+        stamps, receipts = np.array([t, heard], dtype=np.int64)
+        readings_of[joint] = Track(stamps, receipts, np.column_stack(values))
+    return Recorded(readings_of, poses, rates)
 
 
 def topic_name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> str:

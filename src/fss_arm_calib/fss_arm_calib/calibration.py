@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from fss_arm_calib.acceptance import Check, check_clocks
-from fss_arm_calib.estimation.measurements import Measurements
-from fss_arm_calib.outcome import Datum, Outcome
-from fss_arm_calib.report import Report, Table
-from fss_arm_calib.report_tables import table_report
-from fss_arm_calib.segments.streams import Streams
+from fss_arm_calib.estimation.least_squares import Measurements
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report_parts import table_report
+from fss_arm_calib.segments.streams import Datum, Streams
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import from_yaml
 from fss_arm_model.files import write_text
 from fss_arm_model.settings import Settings
 from fss_arm_model.urdf import urdf
+from fss_arm_ros.report import Report, Table
 
 CAUSES = "search for causes"  # a key of Calibration.unavailable
 
@@ -102,12 +102,7 @@ class Calibration(Generic[D, C]):
     prior_results: Mapping[str, type[Any]] = field(default_factory=dict)
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:
-        """Return the report of an outcome, with the features that this kind does not have.
-
-        Args:
-            outcome: outcome of this kind of calibration.
-            truth: simulated arm to compare with.
-        """
+        """Return the report of an outcome, with the features that this kind does not have."""
         report = self.report(outcome, truth)
         if not self.unavailable:
             return report
@@ -116,13 +111,7 @@ class Calibration(Generic[D, C]):
         return replace(report, details=[*report.details, table])
 
     def problem(self, outcome: Outcome[D, Any], streams: Streams, settings: C) -> str:
-        """Return why no valid result can be expected from live streams; empty if nothing is known.
-
-        Args:
-            outcome: the latest outcome.
-            streams: state of the streams.
-            settings: settings of the node.
-        """
+        """Return why the latest outcome cannot be valid, from the live streams; empty if it can."""
         if streams.silent:
             return f"waiting for {', '.join(streams.silent)}"
         if streams.unknown:
@@ -132,26 +121,12 @@ class Calibration(Generic[D, C]):
         return self.stale(outcome, streams)
 
     def write(self, path: str, outcome: Outcome[D, Any]) -> None:
-        """Write the output of a calibration that has passed.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
-        write_description(path, outcome) if self.has_urdf else write_text(
-            path, self.output(outcome)
-        )
+        """Write the output of a calibration that has passed; beside a description its URDF."""
+        write_text(path, self.output(outcome))
+        if self.has_urdf:
+            write_text(Path(path).with_suffix(".urdf"), urdf(from_yaml(outcome.description)))
 
     @property
     def topic(self) -> str:
         """Topic of the results."""
         return f"calibration/{self.name}"
-
-
-def write_description(path: str, outcome: Outcome[Any, Any]) -> None:
-    """Write the description of a calibration that has passed, and its URDF next to it.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
-    write_text(path, outcome.description)
-    write_text(Path(path).with_suffix(".urdf"), urdf(from_yaml(outcome.description)))

@@ -19,7 +19,7 @@ import numpy as np
 from fss_arm_calib.acceptance import CAUSE, PASS, cause_check
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report_tables import difference
+from fss_arm_calib.report_parts import difference
 from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_calib.segments.recorded import Recorded, Track, planar_poses
 from fss_arm_calib.segments.samples import MAX_VALUE, describe_clock_error
@@ -53,7 +53,9 @@ class Hypothesis:
     settings: Any
 
 
-Maker = Callable[[Recorded, Arm, Any], Iterator[tuple[str, str, Recorded | dict[str, Any]]]]
+#: Errors that a maker tests: the error, its remedy, and the corrected recording or settings.
+Errors = Iterator[tuple[str, str, Recorded | dict[str, Any]]]
+Maker = Callable[[Recorded, Arm, Any], Errors]
 
 
 def explain_failure(
@@ -61,8 +63,7 @@ def explain_failure(
 ) -> Outcome[Any, Any]:
     """Return the outcome with the likely cause of its verdict, if one is found.
 
-    There is no search after a pass, for data that agree with the model but are insufficient, or
-    without recorded streams.
+    There is no search for data that agree with the model but are insufficient, or without streams.
     """
     failing = {check.name for check in outcome.checks if check.needed and check.verdict != PASS}
     if outcome.verdict == PASS or failing - {CAUSE} <= PRECISION_CHECKS or not recorded.tracks:
@@ -84,17 +85,14 @@ def find_cause(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: R
         return ""  # the cause is not in the recorded streams
     lacking = as_it_is is None or as_it_is.solution is None
     for one in hypotheses(recorded, arm, settings, lacking):
-        if process_time() > until:
+        if process_time() > until or nearest < 1.0:
             break
         outcome = calibrate_under(kind, arm, one)
         if outcome is None or outcome.verdict != PASS:
             continue
-        away = description_error(outcome)
-        if away < nearest:
+        if (away := description_error(outcome)) < nearest:
             residual = 1e3 * outcome.estimate.position_residual
             best, nearest = f"{one.words} {one.remedy}, the residuals are {residual:.2g} mm", away
-        if away < 1.0:
-            break
     return best
 
 
@@ -113,12 +111,8 @@ def calibrate_under(
 def description_error(outcome: Outcome[Any, Any]) -> float:
     """Return the largest distance of the estimates from the description, over MAX_ERRORS."""
     e = outcome.estimate
-    away = [
-        abs(difference(value, initial, unit)) / MAX_ERRORS[unit]
-        for value, initial, unit in zip(e.values, e.initial, e.units, strict=True)
-        if unit in MAX_ERRORS
-    ]
-    return max(away, default=0.0)
+    each = (one for one in zip(e.values, e.initial, e.units, strict=True) if one[2] in MAX_ERRORS)
+    return max((abs(difference(*one)) / MAX_ERRORS[one[2]] for one in each), default=0.0)
 
 
 def hypotheses(recorded: Recorded, arm: Arm, settings: Any, lacking: bool) -> Iterator[Hypothesis]:
@@ -131,7 +125,7 @@ def hypotheses(recorded: Recorded, arm: Arm, settings: Any, lacking: bool) -> It
                 yield Hypothesis(words, remedy, recorded, replace(settings, **change))
 
 
-def _name_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+def _name_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     wanted = [f"joint_{i}" for i in range(1, arm.n + 1)]
     heard = sorted(recorded.joints, key=_last_number)
     if len(heard) == arm.n and heard != wanted:
@@ -145,33 +139,30 @@ def _last_number(name: str) -> tuple[int, str]:
     return int(digits[-1][:9]) if digits else 0, name
 
 
-def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     largest = {n: _typical_size(track.values[:, :3]) for n, track in recorded.poses.items()}
     far = [name for name, size in largest.items() if size > MAX_POSITION]
     if far:
         whose = "" if len(far) == len(largest) else f" of {', '.join(far)}"
-        scale = np.array([1e-3] * 3 + [1.0] * 4)
-        changed = recorded.change(
-            poses=lambda n, t: t._replace(values=t.values * scale) if n in far else t
-        )
-        yield f"position{whose} in millimeters?", "with a factor of 0.001", changed
+        scale = _scaling(far, np.array([1e-3] * 3 + [1.0] * 4))
+        words = f"position{whose} in millimeters?"
+        yield words, "with a factor of 0.001", recorded.change(poses=scale)
     wide = {n: _typical_size(track.values[:, :1]) for n, track in recorded.joints.items()}
     turned = [name for name, size in wide.items() if size > MAX_READING]
     if turned:
         whose = "joints" if len(turned) == len(wide) else ", ".join(turned)
         counts = [_all_integers(recorded.joints[name].values[:, 0]) for name in turned]
+        remedy = "converted to radians"
         if not all(counts):
-            changed = _scale_joints(recorded, turned, radians(1.0))
-            yield f"{whose} in degrees?", "converted to radians", changed
-        per_count = {
-            f"joint_{i}": 2.0 * np.pi * link.drive.direction / link.drive.counts_per_turn
-            for i, link in enumerate(arm.links, 1)
-        }
+            changed = recorded.change(joints=_scaling(turned, radians(1.0)))
+            yield f"{whose} in degrees?", remedy, changed
         if all(counts) or max(wide.values()) > MAX_VALUE:
             changed = recorded
-            for name in turned:
-                changed = _scale_joints(changed, [name], per_count.get(name, 1.0))
-            yield f"{whose} in counts?", "converted to radians", changed
+            for i, drive in enumerate((link.drive for link in arm.links), 1):
+                radian = 2.0 * np.pi * drive.direction / drive.counts_per_turn
+                here = [name for name in turned if name == f"joint_{i}"]
+                changed = changed.change(joints=_scaling(here, radian))
+            yield f"{whose} in counts?", remedy, changed
 
 
 def _typical_size(values: Floats) -> float:
@@ -183,13 +174,12 @@ def _all_integers(q: Floats) -> bool:
     return bool(np.all(q == np.round(q)))
 
 
-def _scale_joints(recorded: Recorded, names: Sequence[str], by: float) -> Recorded:
-    return recorded.change(
-        joints=lambda n, t: t._replace(values=t.values * by) if n in names else t
-    )
+def _scaling(names: Sequence[str], by: Floats | float) -> Callable[[str, Track], Track]:
+    """Return a change that scales the values of the named streams."""
+    return lambda n, track: track._replace(values=track.values * by) if n in names else track
 
 
-def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     """Yield clock errors, found from the times of receipt and of the motions."""
     late = {
         name: float(np.median(track.receipt - track.t)) / SECOND
@@ -201,9 +191,7 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, s
     right = min(late.values(), key=abs)
     off = {name: by - right for name, by in late.items() if abs(by - right) > MIN_CLOCK_OFFSET}
     if off:
-        changed = recorded.change(
-            joints=_stamp_by_receipt, poses=_stamp_by_receipt, rates=_stamp_by_receipt
-        )
+        changed = recorded.change(**dict.fromkeys(("joints", "poses", "rates"), _stamp_by_receipt))
         every = off.keys() >= recorded.joints.keys()
         whose = [name for name in off if not every or name not in recorded.joints]
         who = ", ".join([*["the joints"] * every, *whose])
@@ -213,8 +201,12 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, s
     by = _estimate_lag(recorded)
     if abs(by) > MIN_CLOCK_OFFSET:
         words = f"clock of the joints {describe_clock_error(by)} the subjects'?"
-        later = partial(_shift_stamps, by=-by)
-        yield words, "with shifted stamps", recorded.change(joints=later, rates=later)
+        earlier = round(by * SECOND)
+
+        def shift(_: str, track: Track) -> Track:
+            return track._replace(t=track.t - earlier)
+
+        yield words, "with shifted stamps", recorded.change(joints=shift, rates=shift)
 
 
 def _stamp_by_receipt(_: str, track: Track) -> Track:
@@ -223,10 +215,6 @@ def _stamp_by_receipt(_: str, track: Track) -> Track:
         return track
     by = int(np.min(track.receipt - track.t))
     return track._replace(t=track.t + by)
-
-
-def _shift_stamps(_: str, track: Track, by: float) -> Track:
-    return track._replace(t=track.t + round(by * SECOND))
 
 
 def _estimate_lag(recorded: Recorded) -> float:
@@ -254,11 +242,8 @@ def _estimate_lag(recorded: Recorded) -> float:
     there = changes(1, base, _unwrap_headings(seen))
     here = np.sum([changes(0, track, track.values[:, 0]) for track in joints], axis=0)
     size = len(here) + len(there)
-    found = np.fft.irfft(
-        np.fft.rfft(here - here.mean(), size) * np.conj(np.fft.rfft(there - there.mean(), size)),
-        size,
-    )
-    k = int(np.argmax(found))
+    spectra = (np.fft.rfft(part - part.mean(), size) for part in (here, there))
+    k = int(np.argmax(np.fft.irfft(next(spectra) * np.conj(next(spectra)), size)))
     later = LAG_STEP * (k if k < len(here) else k - size)
     return later + float(begins[0] - begins[1]) / SECOND
 
@@ -271,17 +256,14 @@ def _unwrap_headings(heading: Floats) -> Floats:
     return np.interp(np.arange(len(heading)), seen, np.unwrap(heading[seen]))
 
 
-def _pose_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+def _pose_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     """Yield errors in the poses of the subjects."""
     values = [track.values for track in recorded.poses.values()]
     flat = all(np.nanmean(v[:, 3] ** 2 + v[:, 4] ** 2) < MAX_TILT for v in values if len(v))
     if BASE in recorded.poses and TIP in recorded.poses:
-        swapped = {BASE: recorded.poses[TIP], TIP: recorded.poses[BASE]}
-        yield (
-            "base and end effector are swapped?",
-            "swapped back",
-            replace(recorded, poses={**recorded.poses, **swapped}),
-        )
+        swapped = {**recorded.poses, BASE: recorded.poses[TIP], TIP: recorded.poses[BASE]}
+        changed = replace(recorded, poses=swapped)
+        yield "base and end effector are swapped?", "swapped back", changed
     for words, remedy, columns, signs in (() if flat else TILTED_FRAMES) + REVERSED_AXES:
         turn = partial(_rearrange_columns, columns=columns, signs=signs)
         yield words, remedy, recorded.change(poses=turn)
@@ -315,9 +297,8 @@ def _tip_from_base(recorded: Recorded) -> Recorded:
         return recorded
     at, seen = planar_poses(base.values), planar_poses(tip.values)
     t, since = (track.t - base.t[0] for track in (tip, base))
-    x, y, heading = (
-        np.interp(t, since, column) for column in (*at.T[:2], _unwrap_headings(at[:, 2]))
-    )
+    columns = *at.T[:2], _unwrap_headings(at[:, 2])
+    x, y, heading = (np.interp(t, since, column) for column in columns)
     away = (seen[:, 0] + 1j * seen[:, 1]) * np.exp(1j * heading)
     half, none = 0.5 * (heading + seen[:, 2]), np.zeros(len(t))
     pose = [x + away.real, y + away.imag, none, none, none, np.sin(half), np.cos(half)]
@@ -325,17 +306,17 @@ def _tip_from_base(recorded: Recorded) -> Recorded:
     return replace(recorded, poses=poses)
 
 
-def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     """Yield errors in the joint readings."""
     names = [f"joint_{i}" for i in range(1, arm.n + 1) if f"joint_{i}" in recorded.joints]
     jumps = [n for n in names if (np.abs(np.diff(recorded.joints[n].values[:, 0])) > np.pi).any()]
     if jumps:
         changed = recorded.change(joints=lambda n, t: _unwrap_readings(t) if n in jumps else t)
         yield f"{', '.join(jumps)} wrapped?", "unwrapped", changed
-    if len(names) > 1:
-        yield "all joints with the wrong sign?", "reversed", _scale_joints(recorded, names, -1.0)
-    for name in names:
-        yield f"{name} with the wrong sign?", "reversed", _scale_joints(recorded, [name], -1.0)
+    for which in ([names] if len(names) > 1 else []) + [[name] for name in names]:
+        who = which[0] if len(which) == 1 else "all joints"
+        changed = recorded.change(joints=_scaling(which, -1.0))
+        yield f"{who} with the wrong sign?", "reversed", changed
     for a, b in combinations(names, 2):
         tracks = {**recorded.joints, a: recorded.joints[b], b: recorded.joints[a]}
         yield f"{a} and {b} swapped?", "swapped back", replace(recorded, joints=tracks)
@@ -350,16 +331,10 @@ def _unwrap_readings(track: Track) -> Track:
     return track._replace(values=values)
 
 
-def _setting_errors(
-    recorded: Recorded, arm: Arm, s: Any
-) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _setting_errors(recorded: Recorded, arm: Arm, s: Any) -> Errors:
     """Yield settings that these data cannot meet."""
-    periods = [
-        float(np.median(np.diff(track.t))) / SECOND
-        for track in recorded.joints.values()
-        if len(track.t) > 2
-    ]
-    slow = max(periods, default=0.0)
+    steps = (np.diff(track.t) for track in recorded.joints.values() if len(track.t) > 2)
+    slow = max((float(np.median(step)) / SECOND for step in steps), default=0.0)
     if 2.0 * slow > s.joint_gap:
         gap = 3.0 * slow
         words = f"joints sampled only every {slow:.2g} s, but joint_gap is {s.joint_gap:g} s?"
@@ -373,20 +348,12 @@ def _setting_errors(
     yield "rests too short?", "with settle_time and min_duration 0.2", short
 
 
-def _length_errors(
-    recorded: Recorded, arm: Arm, s: Any
-) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _length_errors(recorded: Recorded, arm: Arm, s: Any) -> Errors:
     if getattr(s, "parametrization", "full") != "full":
         words = f"links of different lengths, but parametrization is {s.parametrization}?"
         yield words, "with parametrization full", {"parametrization": "full"}
 
 
-MAKERS: tuple[Maker, ...] = (
-    _name_errors,
-    _unit_errors,
-    _length_errors,
-    _clock_errors,
-    _pose_errors,
-    _joint_errors,
-)
-FEW_DATA_MAKERS: tuple[Maker, ...] = (_setting_errors,)  # used only if there are too few data
+MAKERS: list[Maker] = [_name_errors, _unit_errors, _length_errors]
+MAKERS += [_clock_errors, _pose_errors, _joint_errors]
+FEW_DATA_MAKERS: list[Maker] = [_setting_errors]  # used only if there are too few data

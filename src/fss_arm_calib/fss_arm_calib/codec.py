@@ -14,7 +14,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 import numpy as np
 
 from fss_arm_calib.calibration import Data
-from fss_arm_calib.outcome import Datum
+from fss_arm_calib.segments.streams import Datum
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import stamp_ns, to_time
 from fss_arm_ros.rules import ANY_FIELD, Rule
@@ -96,11 +96,7 @@ def _element_class(field_type: str) -> Any:
 
 
 def decode(message: Any, kind: type[T]) -> T:
-    """Return a message as a dataclass, all fields of which the message has.
-
-    Raises:
-        ValueError: the length of an array does not fit.
-    """
+    """Return a message as a dataclass, whose fields it has; ValueError: an array does not fit."""
     hints = get_type_hints(kind)
     return kind(**{name: _decode_field(message, name, hint) for name, hint in hints.items()})
 

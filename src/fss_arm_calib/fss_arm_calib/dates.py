@@ -36,12 +36,9 @@ def now() -> str:
 
 
 def calibrated_name(arm: str, source: str, end: int) -> str:
-    """Return the name of a calibrated arm.
+    """Return the name of a calibrated arm, from that of the initial one, which may be calibrated.
 
-    Args:
-        arm: name of the initial description, which may be calibrated, too.
-        source: `live`, or names and SHA-256 of bags.
-        end: end of the data [ns].
+    The data end at `end` [ns]; their source is `live`, or names and SHA-256 of bags.
     """
     bags = BAG_HASH.findall(source)
     origin = f"from {', '.join(bags)}" if bags else source

@@ -8,7 +8,6 @@ from typing import Any
 from fss_arm_calib.bag_options import EPILOG, add_output_options, add_settings, default_settings
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.joint.kind import JOINT
-from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import KINDS
 from fss_arm_ros.command_line import Parser
 
@@ -33,16 +32,10 @@ def parser(
 ) -> argparse.ArgumentParser:
     """Return the parser of the command line: the bags, the output files and the node's settings.
 
-    Args:
-        kind: kind of calibration; None: the one that sys.argv selects.
-        namespace: namespace of the vehicle, which changes the defaults.
+    Without `kind`, it is the one that sys.argv selects. The namespace changes the defaults.
     """
     kind = kind or selected_kind(sys.argv)
-    if kind is JOINT:
-        return _joint_parser()
-    unavailable = "".join(f" No {what}: {why}." for what, why in kind.unavailable.items())
-    about = f"{__doc__} {kind.about}{unavailable}"
-    p = Parser("from_bag", usage=USAGE, description=about, epilog=EPILOG)
+    p = Parser("from_bag", usage=USAGE, description=_description(kind), epilog=EPILOG)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
     one = p.add_mutually_exclusive_group()
     for other in (*KINDS.values(), JOINT):
@@ -50,7 +43,13 @@ def parser(
             about = f"{other.about} See --{other.name} --help"
             one.add_argument(f"--{other.name}", action="store_true", help=about)
     add_output_options(p, kind.output_name)
-    if kind.prior_results:
+    if kind is JOINT:
+        p.add_argument(
+            "--params",
+            metavar="YAML",
+            help="parameter file with settings of kinematic, dynamic and drift, as for their nodes",
+        )
+    elif kind.prior_results:
         p.add_argument(
             "--kinematic",
             metavar="FROM",
@@ -62,15 +61,8 @@ def parser(
     return p
 
 
-def _joint_parser() -> argparse.ArgumentParser:
-    p = Parser("from_bag", usage=USAGE, description=JOINT_DESCRIPTION, epilog=EPILOG)
-    p.add_argument("--joint", action="store_true", help="estimate all parameters jointly")
-    p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags: a session")
-    add_output_options(p, "calibrated description")
-    p.add_argument(
-        "--params",
-        metavar="YAML",
-        help="parameter file with settings of kinematic, dynamic and drift, as for their nodes",
-    )
-    add_settings(p, JointSettings)
-    return p
+def _description(kind: Calibration[Any, Any]) -> str:
+    if kind is JOINT:
+        return JOINT_DESCRIPTION
+    unavailable = "".join(f" No {what}: {why}." for what, why in kind.unavailable.items())
+    return f"{__doc__} {kind.about}{unavailable}"

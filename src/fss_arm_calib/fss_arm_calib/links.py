@@ -8,11 +8,11 @@ from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fss_arm_calib import report
 from fss_arm_calib.dates import is_simulated
 from fss_arm_calib.result import read_passed
 from fss_arm_model.description_file import from_yaml, link_file, load, read_link, save_links
 from fss_arm_model.files import ContentError
+from fss_arm_ros import report
 from fss_arm_ros.command_line import Parser, in_one_line
 
 if TYPE_CHECKING:
@@ -58,7 +58,6 @@ def write_back(path: Path, found: Mapping[str, Any]) -> None:
 
     Raises:
         ContentError: the result is of other links, or the links have no serial numbers.
-        OSError: a file cannot be written.
     """
     arm, calibrated = load(path), from_yaml(found["description"])
     here, there = ([link.serial for link in one.links] for one in (arm, calibrated))
@@ -77,11 +76,7 @@ def write_back(path: Path, found: Mapping[str, Any]) -> None:
 
 
 def links_table(path: Path) -> "Table":
-    """Tabulate the links of an arm, those with a file in the same folder, and their calibrations.
-
-    Raises:
-        ValueError: no link has a serial number, or a file is invalid.
-    """
+    """Tabulate the links of an arm, those with a file beside it, and their calibrations."""
     from rich.markup import escape  # imported here because --help does not need it
     from rich.table import Table
 
@@ -94,9 +89,8 @@ def links_table(path: Path) -> "Table":
     files = map(read_link, path.parent.glob("link_*.yaml"))
     known |= {link.serial: (link, history) for link, history in files}
     if not known:
-        raise ContentError(
-            f"{path}: serials of the links", [0] * arm.n, "one at least that is not 0"
-        )
+        where, expected = f"{path}: serials of the links", "one at least that is not 0"
+        raise ContentError(where, [0] * arm.n, expected)
     for link, history in sorted(known.values(), key=lambda one: one[0].serial):
         now = [f"{getattr(link, ATTRIBUTES.get(name, name)):.5g}" for name in ESTIMATED]
         table.add_row(f"{link.serial}", places.get(link.serial, "-"), "now", "", *now)

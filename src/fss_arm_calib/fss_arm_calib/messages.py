@@ -23,19 +23,9 @@ AnyFinder = Finder[Any, Any]
 MAX_LISTED_NAMES = 20  # most unknown joint names that are reported of a message
 
 #: Fields of Calibration.msg that are computed from the data alone.
-COMPUTED_FIELDS = (
-    "values",
-    "deviations",
-    "covariance",
-    "residuals",
-    "weights",
-    "leverage",
-    "errors",
-    "position_residual",
-    "heading_residual",
-    "chi_square",
-    "condition_number",
-)
+COMPUTED_FIELDS = ["values", "deviations", "covariance", "residuals", "weights", "leverage"]
+COMPUTED_FIELDS += ["errors", "position_residual", "heading_residual", "chi_square"]
+COMPUTED_FIELDS += ["condition_number"]
 
 
 def joints_input(topic: str) -> Input:
@@ -54,10 +44,7 @@ def joints_input(topic: str) -> Input:
 
 
 def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
-    """Return the input of a subject's planar poses: geometry_msgs/PoseStamped.
-
-    If `needed`, a bag must have the topic.
-    """
+    """Return the input of a subject's planar poses, PoseStamped; a bag must have it if `needed`."""
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
         finder.sensors.subjects[subject].frame = str(message.header.frame_id)

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import nan, radians
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from fss_arm_calib.acceptance import (
     summarize,
 )
 from fss_arm_calib.dates import calibrated_name, format_time
-from fss_arm_calib.segments.streams import Streams
+from fss_arm_calib.segments.streams import Datum, Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
@@ -40,26 +40,6 @@ FORMER_SETTINGS = {
 
 MAX_USABLE_DEVIATION = 0.25  # of a mass or inertia, relative; more is too uncertain to use
 LIVE = "live"  # source of data received from topics
-
-
-class Datum(Protocol):
-    """Datum of a calibration: used in the solution, or kept for the reason why not."""
-
-    @property
-    def start(self) -> int:
-        """Start of the datum [ns]."""
-
-    @property
-    def end(self) -> int:
-        """End of the datum [ns]."""
-
-    @property
-    def used(self) -> bool:
-        """True if the datum may be used in a solution."""
-
-    @property
-    def reason(self) -> str:
-        """Reason why the datum is not used."""
 
 
 D = TypeVar("D", bound=Datum)
@@ -127,6 +107,24 @@ class Estimate:
             if unit in ("kg", "kg m^2") and share > MAX_USABLE_DEVIATION
         }
         return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def estimate_of_fit(r: Any, **more: Any) -> Estimate:
+    """Return the estimate of a Fit with its covariance (p, p), and with `more` fields."""
+    problem, m = r.problem, r.minimum
+    return Estimate(
+        problem.names,
+        problem.units,
+        problem.guess,
+        r.values,
+        r.covariance,
+        undetermined=r.undetermined,
+        at_bound=r.at_bound,
+        degrees_of_freedom=problem.degrees_of_freedom,
+        iterations=m.iterations,
+        last_update=m.last_update,
+        **more,
+    )
 
 
 @dataclass(frozen=True)
@@ -225,19 +223,9 @@ def make_outcome(
 ) -> Outcome[D, S]:
     """Assemble the outcome of a calibration: provenance, additional checks and description.
 
-    Args:
-        data: all data found.
-        used: data used in the solution.
-        arrays: numbers of the used data, from which the hash is computed.
-        arm: the initial guess.
-        settings: the settings of the kind, or those of its node, which has more.
-        kind: class of the settings that are recorded.
-        streams: state of the streams that the data were found in.
-        source: source of the data.
-        checks: checks of the kind.
-        estimate: the estimate.
-        solution: additional results of the kind.
-        calibrated: returns the calibrated arm; called only if the verdict is pass.
+    The hash is computed from `arrays`, the numbers of the data that are `used` in the solution. Of
+    the settings, those of class `kind` are recorded. `calibrated` returns the calibrated arm; it is
+    called only if the verdict is pass.
     """
     digest = hashlib.sha256()
     for array in arrays:
@@ -260,18 +248,8 @@ def make_outcome(
     if calibrated and passed:
         named = replace(calibrated(), name=calibrated_name(arm.name, source, provenance.end))
         description = to_yaml(named, list(_origin_lines(provenance, checks, estimate)))
-    return Outcome(
-        tuple(data),
-        tuple(used),
-        arm,
-        settings,
-        streams,
-        tuple(checks),
-        provenance,
-        estimate,
-        solution,
-        description,
-    )
+    found = tuple(data), tuple(used), arm, settings, streams, tuple(checks)
+    return Outcome(*found, provenance, estimate, solution, description)
 
 
 def _origin_lines(
@@ -297,10 +275,7 @@ def _to_yaml_type(value: Any) -> Any:
 def parse_settings(parameters: str, kind: type[C], section: str = "") -> C:
     """Return the settings in a Provenance; those that are constants now must have their values.
 
-    Args:
-        parameters: settings as YAML, from the Provenance.
-        kind: class of the settings.
-        section: name of the section, if the YAML has several.
+    Their class is `kind`. If the YAML has several sections, theirs has the name `section`.
 
     Raises:
         ValueError: the parameters are not those of `kind`.

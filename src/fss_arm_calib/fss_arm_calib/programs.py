@@ -2,31 +2,21 @@
 
 from fss_arm_ros.program import Command, Program
 
-kinematic = Program(
-    "fss_arm_calib.calibration_node:CalibrationNode",
-    "fss_arm_calib.node_settings:KinematicNodeSettings",
-    of="fss_arm_calib.kinds:KINEMATIC",
-)
-drives = Program(
-    "fss_arm_calib.calibration_node:CalibrationNode",
-    "fss_arm_calib.node_settings:DrivesNodeSettings",
-    of="fss_arm_calib.kinds:DRIVES",
-)
-dynamic = Program(
-    "fss_arm_calib.calibration_node:CalibrationNode",
-    "fss_arm_calib.node_settings:DynamicNodeSettings",
-    of="fss_arm_calib.kinds:DYNAMIC",
-)
-drift = Program(
-    "fss_arm_calib.calibration_node:CalibrationNode",
-    "fss_arm_calib.node_settings:DriftNodeSettings",
-    of="fss_arm_calib.kinds:DRIFT",
-)
-joint = Program(
-    "fss_arm_calib.calibration_node:CalibrationNode",
-    "fss_arm_calib.node_settings:JointNodeSettings",
-    of="fss_arm_calib.joint.kind:JOINT",
-)
+
+def _calibration(kind: str, module: str = "kinds") -> Program:
+    """Return the node of a kind of calibration."""
+    return Program(
+        "fss_arm_calib.calibration_node:CalibrationNode",
+        f"fss_arm_calib.node_settings:{kind.title()}NodeSettings",
+        of=f"fss_arm_calib.{module}:{kind.upper()}",
+    )
+
+
+kinematic = _calibration("kinematic")
+drives = _calibration("drives")
+dynamic = _calibration("dynamic")
+drift = _calibration("drift")
+joint = _calibration("joint", "joint.kind")
 experiment = Program(
     "fss_arm_calib.experiment.experiment_node:ExperimentNode",
     "fss_arm_calib.experiment.settings:ExperimentSettings",

@@ -57,25 +57,15 @@ def recalibrate(kind: Calibration[Any, Any], result: Any, data: Any) -> Outcome[
 
 
 def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison | None:
-    """Recompute a published result and compare; None if it was computed from other data.
-
-    Raises:
-        ValueError: the result does not contain its settings or its initial guess.
-    """
+    """Recompute a published result and compare; None if it was computed from other data."""
     outcome, found = recalibrate(kind, result, data), calibration_part(result)
     if outcome.provenance.data_hash != found.provenance.data_hash:
         return None
     message = kind.to_message(outcome, "")
-    sides = [
-        (found, calibration_part(message), COMPUTED_FIELDS),
-        (result, message, kind.compared_fields),
-    ]
-    difference = max(
-        _difference(getattr(then, name), getattr(now, name))
-        for then, now, names in sides
-        for name in names
-        if hasattr(then, name)  # earlier versions may have fewer fields
-    )
+    common = [(found, calibration_part(message), name) for name in COMPUTED_FIELDS]
+    every = [*common, *((result, message, name) for name in kind.compared_fields)]
+    known = [one for one in every if hasattr(one[0], one[2])]  # earlier versions have fewer fields
+    difference = max(_difference(getattr(a, name), getattr(b, name)) for a, b, name in known)
     return Comparison(format_count(len(outcome.used), kind.data.noun), found.verdict, difference)
 
 
@@ -88,11 +78,7 @@ def _difference(a: Any, b: Any) -> float:
 
 
 def _reader(bags: Bags, topic: str) -> Callable[[Any], Any]:
-    """Return a function that converts recorded messages of a topic to the installed version.
-
-    Raises:
-        BagError: the installed version does not extend the recorded one.
-    """
+    """Return a function that converts recorded messages of a topic to the installed version."""
     about = bags.topics[topic]
     if about.hash in ("", definition(about.msgtype).hash):
         return lambda message: message
@@ -110,14 +96,12 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
 
     Raises:
         BagError: there is no result, or one without its data or of an incompatible version.
-        ValueError: a result does not contain its settings.
     """
     found = []
     space = f"/{namespace.strip('/')}/".replace("//", "/")
     kinds = [*KINDS.values(), JOINT]
     for kind in kinds:
         results, source = f"{space}{kind.topic}", f"{space}{kind.data.topic}"
-        parts = f"{kind.data.noun}s"
         of = {topic: _reader(bags, topic) for topic in {results, source} & bags.topics.keys()}
         read = [(topic, m) for topic, _, _, m in bags.messages(of)]
         data = [of[topic](m) for topic, m in read if topic == source]
@@ -131,10 +115,9 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
             except ValueError as error:
                 raise ValueError(f"a result on {results}: {error}") from None
             if same is None:
+                what = f"{kind.data.noun}s of a result on {results}"
                 begin = calibration_part(result).provenance.data_hash[:8]
-                raise BagError(
-                    f"the bag lacks the {parts} of a result on {results} (hash {begin}...)"
-                )
+                raise BagError(f"the bag lacks the {what} (hash {begin}...)")
             found.append(same)
     if not found:
         topics = " or ".join(f"{space}{kind.topic}" for kind in kinds)

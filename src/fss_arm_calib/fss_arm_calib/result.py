@@ -9,6 +9,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fss_arm_calib import state
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.dates import now
@@ -19,16 +21,11 @@ from fss_arm_model.files import ContentError, write_text
 
 SCHEMA = "fss_arm_calib/result/1"
 
-#: Fields of an Estimate that are stored under `fit`.
-FIT_FIELDS = (
-    "position_residual",
-    "heading_residual",
-    "chi_square",
-    "degrees_of_freedom",
-    "condition_number",
-    "iterations",
-    "last_update",
-)
+#: Fields of an Estimate that are stored as lists, and under `fit`.
+LISTS = ["names", "units", "initial", "values", "deviations", "covariance"]
+LISTS += ["undetermined", "at_bound"]
+FIT_FIELDS = ["position_residual", "heading_residual", "chi_square", "degrees_of_freedom"]
+FIT_FIELDS += ["condition_number", "iterations", "last_update"]
 
 
 def contents(kind: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:
@@ -42,14 +39,7 @@ def contents(kind: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:
         "verdict": outcome.verdict,
         "reason": outcome.reason,
         "checks": [asdict(check) for check in outcome.checks],
-        "names": list(e.names),
-        "units": list(e.units),
-        "initial": e.initial.tolist(),
-        "values": e.values.tolist(),
-        "deviations": e.deviations.tolist(),
-        "covariance": e.covariance.tolist(),
-        "undetermined": list(e.undetermined),
-        "at_bound": list(e.at_bound),
+        **{name: np.array(getattr(e, name)).tolist() for name in LISTS},
         "fit": {name: getattr(e, name) for name in FIT_FIELDS},
         "used": outcome.accepted,
         "left_out": outcome.left_out,
@@ -73,11 +63,7 @@ def table(outcome: Outcome[Any, Any]) -> str:
 
 
 def write(path: str | Path, kind: str, outcome: Outcome[Any, Any]) -> None:
-    """Write a result as JSON, and as CSV next to it.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
+    """Write a result as JSON, and as CSV next to it."""
     state.write(path, contents(kind, outcome))
     write_text(Path(path).with_suffix(".csv"), table(outcome))
 
@@ -87,7 +73,6 @@ def read_passed(path: str | Path, kind: str = "") -> dict[str, Any]:
 
     Raises:
         ContentError: the file is not such a result, or the result has not passed.
-        OSError: the file cannot be read.
     """
     found = state.read(path, None)
     if found is None:
@@ -101,10 +86,5 @@ def read_passed(path: str | Path, kind: str = "") -> dict[str, Any]:
 
 
 def read_arm(path: str | Path, kind: str = "") -> Arm:
-    """Read the calibrated arm, with its covariance, from a result of a kind; empty: of any kind.
-
-    Raises:
-        ContentError: the file is not such a result, or the result has not passed.
-        OSError: the file cannot be read.
-    """
+    """Read the calibrated arm, with its covariance; arguments and errors as of `read_passed`."""
     return from_yaml(str(read_passed(path, kind).get("description")))

@@ -1,10 +1,11 @@
 """Settings that several kinds of calibration share."""
 
 from dataclasses import dataclass
+from math import radians
 
 from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, LOSSES, SQUARE
-from fss_arm_calib.segments.settings import RestSettings, StreamSettings
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, like, one_of, setting
+from fss_arm_calib.segments.settings import RestSettings, StreamSettings, positive, sigma
+from fss_arm_model.settings import NOT_NEGATIVE, Check, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 
 FRACTION = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low=0.0, high=1.0)
@@ -31,8 +32,11 @@ class CalibrationSettings(RestSettings, KindSettings):
     min_probability: float = setting(
         1e-3, "smallest accepted chi-square probability of the residuals", check=FRACTION
     )
-    outlier: float = setting(
-        5.0, "error of a datum above which it is an outlier", unit="deviations", check=POSITIVE
+    outlier: float = positive(
+        5.0,
+        "deviations",
+        "error of a datum above which it is an outlier; of a maneuver or drift, when predicted "
+        "from the others",
     )
     max_outliers: int = setting(
         0,
@@ -43,6 +47,28 @@ class CalibrationSettings(RestSettings, KindSettings):
         0.0,
         "smallest redundancy: squared share of a datum's error that its residual shows",
         check=FRACTION,
+    )
+
+
+@dataclass(frozen=True)
+class NoiseSettings(CalibrationSettings):
+    """Deviations of positions and headings that are given, or estimated from the residuals."""
+
+    position_deviation: float = sigma(
+        0.0, "m", "a position of the base, each axis; 0: estimated from the residuals"
+    )
+    heading_deviation: float = sigma(
+        0.0, "rad", "an observed heading; 0: estimated from the residuals"
+    )
+    max_position_deviation: float = positive(
+        0.001,
+        "m",
+        "largest accepted estimate of position_deviation; assumed for a plan, or with too few data",
+    )
+    max_heading_deviation: float = positive(
+        radians(0.5),
+        "rad",
+        "largest accepted estimate of heading_deviation; assumed for a plan, or with too few data",
     )
 
 

@@ -1,27 +1,17 @@
 """Persistent state of a node: JSON files, replaced atomically."""
 
 import json
-import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
-from itertools import accumulate
 from math import isfinite, nan
 from pathlib import Path
-from reprlib import Repr
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.files import write_text
+from fss_arm_model.files import ContentError, short, write_text
 
 MAX_FILE_SIZE = 2**26  # largest state file [bytes]: for drives whose links report at 100 Hz
-MAX_DEPTH = 10  # deepest nesting of lists and objects
-MAX_SHOWN = 200  # most characters of a value in an error message
-
-_TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
-_STEPS = {"[": 1, "{": 1, "]": -1, "}": -1}
-
-_shown = Repr()
-_shown.maxstring = _shown.maxother = _shown.maxlong = MAX_SHOWN
 
 D = TypeVar("D")
 
@@ -31,21 +21,12 @@ class StateError(ValueError):
 
 
 def write(path: str | Path, state: Any, indent: int | None = 1) -> None:
-    """Replace the file by a state; numbers that are not finite become null.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Replace the file by a state; numbers that are not finite become null."""
     write_text(path, json.dumps(_without_nan(state), indent=indent))
 
 
 def read(path: str | Path, default: Any) -> Any:
-    """Read the state in a file; return `default` if there is no file.
-
-    Raises:
-        StateError: the file is too large, nested too deeply, or not JSON.
-        OSError: the file cannot be read.
-    """
+    """Read the state in a file, `default` if there is none; StateError: it is no valid JSON."""
     path = Path(path)
     try:
         with path.open("rb") as file:
@@ -55,13 +36,11 @@ def read(path: str | Path, default: Any) -> Any:
     if len(data) > MAX_FILE_SIZE:
         raise StateError(f"{path} cannot be read: more than {MAX_FILE_SIZE} bytes")
     try:
-        text = data.decode()
-        steps = (_STEPS.get(token[0], 0) for token in _TOKENS.findall(text))
-        if max(accumulate(steps), default=0) > MAX_DEPTH:
-            raise ValueError(f"nested more than {MAX_DEPTH} deep")
-        return json.loads(text, parse_constant=_no_constant)
+        return json.loads(data.decode(), parse_constant=_no_constant)
+    except RecursionError:
+        raise StateError(f"{path} cannot be read: nested too deeply") from None
     except ValueError as error:
-        raise StateError(f"{path} cannot be read: {str(error)[:MAX_SHOWN]}") from None
+        raise StateError(f"{path} cannot be read: {short(str(error))}") from None
 
 
 @dataclass(frozen=True)
@@ -80,51 +59,38 @@ class Flags:
 
     def and_then(self, streams: Streams) -> Streams:
         """Return the state of the streams combined with these earlier flags."""
-        back, counts = dict(streams.set_back), dict(streams.rejected)
-        for name, by in self.set_back.items():
-            back[name] = max(by, back.get(name, 0.0))
-        for why, number in self.rejected.items():
-            counts[why] = number + counts.get(why, 0)
-        unknown = tuple(dict.fromkeys([*self.unknown, *streams.unknown]))
-        return replace(streams, unknown=unknown, set_back=back, rejected=counts)
+        a, b = self, streams
+        back = {k: max(a.set_back.get(k, 0.0), x) for k, x in {**a.set_back, **b.set_back}.items()}
+        rejected = {**b.rejected, **Counter(a.rejected) + Counter(b.rejected)}
+        unknown = tuple(dict.fromkeys([*a.unknown, *b.unknown]))
+        return replace(streams, unknown=unknown, set_back=back, rejected=rejected)
 
 
 def save(path: str | Path, kind: str, joints: int, data: Sequence[Any], flags: Flags) -> None:
-    """Save the data of a calibration and the flags of its streams.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Save the data of a calibration and the flags of its streams."""
     saved = [asdict(one) for one in data]
     whole = {"kind": kind, "joints": joints, "data": saved, "flags": asdict(flags)}
     write(path, whole, indent=None)  # otherwise mostly spaces
 
 
 def restore(path: str | Path, kind: str, joints: int, datum: type[D]) -> tuple[list[D], Flags]:
-    """Restore the data and flags of a calibration; both are empty if there is no file.
-
-    Args:
-        path: path of the file; empty: none.
-        kind: kind of calibration that the file must be of.
-        joints: number of joints of the arm that the file must be of.
-        datum: dataclass of the data.
+    """Restore data, of class `datum`, and flags of a calibration; both are empty without a file.
 
     Raises:
-        StateError: the file has other contents.
-        OSError: the file cannot be read.
+        StateError: the file is not of this kind and number of joints, or has other contents.
     """
     saved = read(path, None) if path else None
     if saved is None:
         return [], Flags()
     try:
         if not isinstance(saved, dict) or set(saved) != {"kind", "joints", "data", "flags"}:
-            raise _content_error("it", saved, "an object of kind, joints, data and flags")
+            raise ContentError("it", saved, "an object of kind, joints, data and flags")
         for name, value in (("kind", kind), ("joints", joints)):
             if saved[name] != value:
-                raise _content_error(name, saved[name], repr(value))
+                raise ContentError(name, saved[name], repr(value))
         data = _convert(tuple[datum, ...], saved["data"], "data")  # type: ignore[valid-type]
         return list(data), _convert(Flags, saved["flags"], "flags")
-    except ValueError as error:
+    except (RecursionError, ValueError) as error:
         raise StateError(f"{path}: {error}; move the file away to start without its data") from None
 
 
@@ -156,46 +122,33 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
-def _content_error(where: str, value: Any, expected: str) -> ValueError:
-    return ValueError(f"{where} is {_shown.repr(value)[:MAX_SHOWN]}, expected {expected}")
-
-
 def _convert(hint: Any, value: Any, where: str) -> Any:
-    """Convert a JSON value to a type: a dataclass, tuple, mapping, float, int, bool or str.
-
-    Raises:
-        ValueError: the value is of another type; the message names the place.
-    """
-    if is_dataclass(hint) and isinstance(hint, type):
-        return _convert_dataclass(hint, value, where)
+    """Convert a JSON value to a type: a dataclass, tuple, mapping, float, int, bool or str."""
     kind, args = get_origin(hint), get_args(hint)
+    if is_dataclass(hint) and isinstance(hint, type):
+        hints = get_type_hints(hint)
+        given = (f.default is not MISSING or f.default_factory is not MISSING for f in fields(hint))
+        needed = {name for name, optional in zip(hints, given, strict=True) if not optional}
+        if not isinstance(value, dict) or not needed <= value.keys() <= hints.keys():
+            raise ContentError(where, value, f"an object of {', '.join(hints)}")
+        return hint(
+            **{name: _convert(hints[name], one, f"{where}.{name}") for name, one in value.items()}
+        )
     if kind is tuple:
         if not isinstance(value, list):
-            raise _content_error(where, value, "a list")
+            raise ContentError(where, value, "a list")
         return tuple(_convert(args[0], one, f"{where}[{k}]") for k, one in enumerate(value))
     if kind is not None:  # a mapping
         if not isinstance(value, dict):
-            raise _content_error(where, value, "an object")
-        return {
-            key: _convert(args[1], one, f"{where}.{key[:MAX_SHOWN]}") for key, one in value.items()
-        }
+            raise ContentError(where, value, "an object")
+        return {key: _convert(args[1], one, f"{where}.{short(key)}") for key, one in value.items()}
     if hint is float:
         if value is None:
             return nan
         if type(value) not in (int, float) or not -1e300 < value < 1e300:
-            raise _content_error(where, value, "a number")
+            raise ContentError(where, value, "a number")
         return float(value)
     if type(value) is not hint or (hint is int and not 0 <= value < 2**63):
         expected = {int: "an integer from 0 on", bool: "true or false", str: "a string"}[hint]
-        raise _content_error(where, value, expected)
+        raise ContentError(where, value, expected)
     return value
-
-
-def _convert_dataclass(kind: type[Any], value: Any, where: str) -> Any:
-    hints = get_type_hints(kind)
-    needed = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
-    if not isinstance(value, dict) or not set(needed) <= value.keys() <= hints.keys():
-        raise _content_error(where, value, f"an object of {', '.join(hints)}")
-    return kind(
-        **{name: _convert(hints[name], one, f"{where}.{name}") for name, one in value.items()}
-    )

@@ -7,7 +7,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
-from fss_arm_calib import report
+from fss_arm_ros import report
 from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_rehearsal.processes import rehearse, results, short_path
 

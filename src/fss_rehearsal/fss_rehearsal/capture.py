@@ -20,7 +20,6 @@ from rich.console import Console
 from std_srvs.srv import SetBool
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_calib.report import Figure
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import load
 from fss_arm_model.held import Target, payload_pose
@@ -30,6 +29,7 @@ from fss_arm_msgs.msg import MassProperties, MissionState
 from fss_arm_ros import palette
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.report import Figure
 from fss_rehearsal.animation import animation
 from fss_rehearsal.domain import CONFIG, Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain

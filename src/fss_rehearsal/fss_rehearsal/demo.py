@@ -14,7 +14,6 @@ from rclpy.parameter import Parameter
 from rich.console import Console
 from std_srvs.srv import SetBool, Trigger
 
-from fss_arm_calib import report
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.from_bag import solve_bag
@@ -26,6 +25,7 @@ from fss_arm_calib.recompute import recalibrate
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.description_file import load
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
+from fss_arm_ros import report
 from fss_arm_ros.qos import LATCHED
 from fss_rehearsal.domain import CONFIG, Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain

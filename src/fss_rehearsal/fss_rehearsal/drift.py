@@ -21,11 +21,11 @@ from fss_arm_calib.drift.kind import DRIFT
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report import Figure
 from fss_arm_model.units import GRAVITY
 from fss_arm_msgs.msg import DriftCalibration, SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.report import Figure
 from fss_rehearsal.domain import CONFIG, Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes

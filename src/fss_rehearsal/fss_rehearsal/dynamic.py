@@ -20,7 +20,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rich.console import Console
 
-from fss_arm_calib import report
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.dynamic.calibrate import calibrate
 from fss_arm_calib.dynamic.kind import DYNAMIC
@@ -35,6 +34,7 @@ from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.description_file import save
 from fss_arm_model.parameters import values
+from fss_arm_ros import report
 from fss_rehearsal.domain import Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes

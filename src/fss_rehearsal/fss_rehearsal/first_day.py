@@ -17,10 +17,10 @@ from ament_index_python.packages import get_package_prefix
 from rich.console import Console
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_calib.report import Figure
 from fss_arm_model.files import read_yaml
 from fss_arm_msgs.msg import SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.report import Figure
 from fss_rehearsal.domain import Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes

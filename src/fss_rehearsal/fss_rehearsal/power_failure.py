@@ -14,11 +14,11 @@ import numpy as np
 from rich.console import Console
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_calib.report import Figure
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros import palette
 from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.report import Figure
 from fss_rehearsal.domain import Domain
 from fss_rehearsal.operators import LINKS, Mover, isolated_domain
 from fss_rehearsal.processes import Nodes

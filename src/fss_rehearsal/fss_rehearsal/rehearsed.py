@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from fss_arm_calib.report import Figure, Report, Table
+from fss_arm_ros.report import Figure, Report, Table
 
 
 class Check(NamedTuple):

@@ -8,9 +8,8 @@ import pytest
 from browser import CHROMIUM, Page, Picture
 from running import wait_until
 
-from fss_arm_calib import report
 from fss_arm_model.description import paper_arm
-from fss_arm_ros import palette
+from fss_arm_ros import palette, report
 from fss_rehearsal.animation import animation
 from fss_rehearsal.rehearsed import Rehearsed
 

@@ -6,9 +6,9 @@ import sys
 import numpy as np
 import pytest
 
-from fss_arm_calib import report
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros import report
 from fss_arm_ros.convert import SECOND, to_time
 from fss_rehearsal import first_day, power_failure
 from fss_rehearsal.__main__ import REHEARSALS

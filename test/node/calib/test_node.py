@@ -12,11 +12,10 @@ from std_srvs.srv import Trigger
 
 from fss_arm_bags.recorder import Recording
 from fss_arm_calib.acceptance import FAIL, Check
-from fss_arm_calib.bag_command import EXIT_CODES
 from fss_arm_calib.calibration import CAUSES
 from fss_arm_calib.drives.kind import DRIVES
+from fss_arm_calib.from_bag import EXIT_CODES, solve_bag
 from fss_arm_calib.from_bag import main as from_bag
-from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.from_bag_options import parser
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.messages import calibration_part

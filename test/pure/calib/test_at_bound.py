@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from calib_joint import ARM, DRIFT, DYNAMIC, SETTINGS, day, drifts, maneuvers
 
-from fss_arm_calib import report, result
+from fss_arm_calib import result
 from fss_arm_calib.drift.calibrate import calibrate as calibrate_drift
 from fss_arm_calib.drift.kind import DRIFT as DRIFT_KIND
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
@@ -17,7 +17,8 @@ from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import JOINT_SOURCES
 from fss_arm_calib.messages import common_message
-from fss_arm_calib.report_tables import table_report
+from fss_arm_calib.report_parts import table_report
+from fss_arm_ros import report
 
 # Its last link's centre of mass is behind its joint, and the base is pushed as it moves.
 IMPOSSIBLE = replace(ARM, links=(*ARM.links[:3], replace(ARM.links[3], b=-0.08)))

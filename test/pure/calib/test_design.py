@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from fss_arm_calib.dynamic.information import information, propagate_covariance
+from fss_arm_calib.dynamic.identifiability import information, propagate_covariance
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.design import (
     candidates,

@@ -26,9 +26,8 @@ def test_the_motion_is_the_simulated_one():
     found, _ = drifts(1)
     one = problem(found, com=0.0)
     result = solve(one)
-    own = result.minimum.x[None, 5:13]
-    poses, _ = one.motion(0, SHARED[None], own)
-    away = np.array(found[0].poses) - poses[0]
+    x = np.concatenate([SHARED, result.minimum.x[5:]])
+    away = np.array(found[0].poses) - one.sensitivities(x)[0].poses
     assert np.abs(away.mean(axis=0)).max() < 1e-3  # noise of 0.4 mm and 0.004 rad, averaged
 
 
@@ -39,8 +38,8 @@ def test_derivatives_are_those_of_the_motion():
     linear, step = one.linearize(x), np.zeros(13)
     step[:] = 1e-6 * np.random.default_rng(0).standard_normal(13)
     step[2] *= 0.01  # a torque moves the base far
-    (up, *_), (down, *_) = one.derivatives(x + step)[0], one.derivatives(x - step)[0]
-    by = one.derivatives(x)[0][1]
+    (up, *_), (down, *_) = one.sensitivities(x + step)[0], one.sensitivities(x - step)[0]
+    by = one.sensitivities(x)[0].poses_by
     np.testing.assert_allclose(0.5 * (up - down), by @ step, rtol=1e-3, atol=1e-9)
     change = 0.5 * (one.linearize(x + step).cost - one.linearize(x - step).cost)
     along = -2.0 * linear.residuals @ linear.regressor @ step

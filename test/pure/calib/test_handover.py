@@ -24,7 +24,7 @@ from calib_joint import (
 from numpy.testing import assert_allclose
 
 from fss_arm_calib import result
-from fss_arm_calib.drift.solution import body_deviations
+from fss_arm_calib.drift.calibrate import body_deviations
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_model.description import DescriptionError, Known

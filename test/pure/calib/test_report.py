@@ -13,7 +13,6 @@ from calib_float import Float, feed, postures
 from calib_rests import ARM, SETTINGS, outcome, with_outlier
 from rich.console import Console
 
-from fss_arm_calib import report
 from fss_arm_calib.acceptance import FAIL, PASS, Check, summarize
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic.report import dynamic_report
@@ -23,9 +22,10 @@ from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, OFFSETS
 from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.outcome import Estimate
-from fss_arm_calib.report_tables import next_steps, table_report
+from fss_arm_calib.report_parts import next_steps, table_report
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_model.kinematics import joint_positions
+from fss_arm_ros import report
 from fss_rehearsal.dynamic import maneuvers_done
 from fss_rehearsal.rehearsed import Check as Expectation
 from fss_rehearsal.rehearsed import Rehearsed

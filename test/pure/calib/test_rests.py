@@ -178,8 +178,8 @@ def test_a_subject_that_flickers_makes_no_work():
     for begin in np.arange(0.8, 40.0, 1.5):
         samples = without(samples, {TIP}, begin, begin + 0.4)
     finder, looks = RestFinder(4), []
-    look = finder.search.observe
-    finder.search.observe = lambda *rest: looks.append(rest) or look(*rest)
+    look = finder.observe
+    finder.observe = lambda *rest: looks.append(rest) or look(*rest)
     found = find(samples, finder=finder)
     assert [o.used for o in found] == [True] * 3
     assert SECOND < found[0].end - found[0].start < 1.2 * SECOND

@@ -54,7 +54,7 @@ def state(**changed):
 HOSTILE = {
     "broken": ("{", "cannot be read: Expecting"),
     "not text": ("\udcff", "cannot be read: 'utf-8' codec"),
-    "deep": ("[" * 100_000 + "]" * 100_000, "nested more than 10 deep"),
+    "deep": ("[" * 100_000 + "]" * 100_000, "nested too deeply"),
     "large": (" " * (MAX_FILE_SIZE + 1), f"more than {MAX_FILE_SIZE} bytes"),
     "infinite": (state().replace('"end": 1', '"end": Infinity'), "Infinity is no number"),
     "too late": (state(datum={"end": 2**63}), "expected an integer from 0 on"),

@@ -14,8 +14,7 @@ from fss_arm_calib.drives.problem import MIN_MOVING_TIME
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic import model
-from fss_arm_calib.kinematic.calibrate import calibrate
-from fss_arm_calib.kinematic.checks import SAME_POSTURE
+from fss_arm_calib.kinematic.calibrate import SAME_POSTURE, calibrate
 from fss_arm_calib.kinematic.problem import (
     EQUAL,
     FULL,

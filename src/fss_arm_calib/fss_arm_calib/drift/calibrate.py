@@ -1,19 +1,60 @@
-"""Drift calibration: solution, checks, and parameters for other nodes."""
+"""Drift calibration: solution, acceptance checks, and parameters for other nodes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 import yaml
 
-from fss_arm_calib.acceptance import PASS, check_clocks, check_joint_names
-from fss_arm_calib.drift import checks
+from fss_arm_calib.acceptance import (
+    FIT,
+    PASS,
+    Check,
+    check_chi_square,
+    check_clocks,
+    check_convergence,
+    check_data_amount,
+    check_identifiability,
+    check_joint_names,
+    check_limit,
+    check_outliers,
+    check_redundancy,
+    hide_pass_reason,
+)
+from fss_arm_calib.drift.problem import (
+    NAMES,
+    TOLERANCE,
+    UNITS,
+    DriftMeasurements,
+    DriftProblem,
+    DriftResult,
+    solve,
+)
 from fss_arm_calib.drift.settings import DriftSettings
-from fss_arm_calib.drift.solution import Solution, estimate_of, solution_of
-from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
+from fss_arm_calib.estimation.least_squares import MAX_CONDITION, Mask
+from fss_arm_calib.estimation.outliers import expand, reject_outliers, solve_robustly
+from fss_arm_calib.estimation.statistics import root_mean_square
+from fss_arm_calib.outcome import LIVE, Estimate, Outcome, estimate_of_fit, make_outcome
 from fss_arm_calib.segments.drifts import Drift
+from fss_arm_calib.segments.poses import count_independent
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.drifting import single_body, single_body_sensitivities
+from fss_arm_model.parameters import parameter_names, to_vector
 from fss_arm_model.units import GRAVITY
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Result, and the drifts (of s) that it uses."""
+
+    result: DriftResult  # from the drifts that were not rejected
+    kept: Mask  # (s,) drifts that were not rejected
+    weights: Floats  # (s,) 1: used; 0: rejected; between: weight of a robust loss
+    reasons: tuple[str, ...]  # (s,) reason for the rejection, else empty
+    errors: Floats  # (s,) when predicted from the others, or at its rejection [deviations]
 
 
 def calibrate(
@@ -23,35 +64,130 @@ def calibrate(
     streams: Streams | None = None,
     source: str = LIVE,
 ) -> Outcome[Drift, Solution]:
-    """Solve for the external forces and torques on the base, and check the result.
+    """Solve for the external forces and torques on base and arm, and check the result.
 
     Even very short drifts are solved. The standard deviations are then large.
-
-    Args:
-        drifts: in order of time.
-        arm: arm with the masses and inertias that move.
-        settings: prior knowledge and criteria.
-        streams: events in the streams that the drifts come from.
-        source: name of the source of the drifts.
     """
     s, streams = settings or DriftSettings(), streams or Streams()
     used, known = [one for one in drifts if one.used], check_joint_names(streams, arm)
-    found = [known, check_clocks(streams, s.joint_gap), checks.check_time(used, streams, s)]
+    checks = [known, check_clocks(streams, s.joint_gap), check_time(used, streams, s)]
     solution = solution_of(used, arm, s) if used and known.verdict == PASS else None
-    found += checks.evaluate(solution, s) if solution else []
+    checks += evaluate(solution, s) if solution else []
     parts = [(one.q, one.times, one.poses, one.frames, one.seconds) for one in used]
-    return make_outcome(
-        drifts,
-        used,
-        [np.array(part) for one in parts for part in one],
-        arm,
-        s,
-        DriftSettings,
-        streams,
-        source,
-        found,
-        estimate_of(used, solution),
-        solution,
+    arrays = [np.array(part) for one in parts for part in one]
+    estimate = estimate_of(used, solution)
+    origin = arm, s, DriftSettings, streams, source
+    return make_outcome(drifts, used, arrays, *origin, checks, estimate, solution)
+
+
+def check_time(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> Check:
+    """Check that the base drifted for long enough."""
+    total = sum(drift.times[-1] for drift in drifts)
+    brief = f"{total:.0f} s of drift"
+    reason = f"{brief}, at least {s.min_time:g} s needed"
+    return check_data_amount("time", total, s.min_time, reason, streams, brief)
+
+
+def evaluate(solution: Solution, s: DriftSettings) -> Iterator[Check]:
+    """Yield the checks of a solution."""
+    r, m, kept = solution.result, solution.result.minimum, solution.kept
+    condition = r.condition_number, MAX_CONDITION
+    yield hide_pass_reason(check_identifiability(r.undetermined, r.missing, *condition))
+    yield check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE)
+    words = "another force moved the base, or its poses have larger errors than assumed"
+    freedom = r.problem.degrees_of_freedom
+    yield check_chi_square(FIT, m.cost, freedom, s.min_probability, words)
+    words = "normalized prediction error"
+    yield check_outliers(solution.errors, kept, s.outlier, s.max_outliers, "drift", words)
+    yield check_redundancy(r.cross_checks.redundancy, kept, s.min_redundancy, "drift")
+    tilt = float(np.sqrt(np.diag(r.covariance)[:2]).max()) / GRAVITY
+    limit = np.degrees(s.max_tilt)
+    words = f"tilt known to {np.degrees(tilt):.2g} degrees (at most {limit:.2g})"
+    yield check_limit("tilt", tilt, s.max_tilt, words, "drift for longer")
+    torque = r.hose_torque[1]
+    words = f"hose torque known to {torque:.2g} N m (at most {s.max_torque:g})"
+    yield check_limit("torque", torque, s.max_torque, words, "drift for longer")
+
+
+def body_deviations(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[float, float]:
+    """Return the deviations of the common centre of mass [m], and the relative ones of the mass.
+
+    The latter are of mass and inertia. If the description has a covariance of all parameters, both
+    are the largest at any drift; otherwise they are those of the settings.
+    """
+    names = parameter_names(arm.n)
+    if not drifts or not set(arm.known.names).issuperset(names):
+        return s.com_deviation, s.mass_deviation
+    C = arm.known.covariance_of(names, np.zeros(len(names)))
+    p, q = arm.vector(), np.array([one.q for one in drifts])
+    J = single_body_sensitivities(p, q) @ to_vector(arm.n)
+    sigma = np.sqrt(np.einsum("kij,jl,kil->ki", J, C, J))
+    relative = sigma[:, :2] / single_body(p, q)[:, :2]
+    return float(sigma[:, 2:].max()), float(relative.max())
+
+
+def pose_deviations(drifts: Sequence[Drift], s: DriftSettings, weights: Floats) -> list[Floats]:
+    """Return the deviations (m, 3) of each drift's poses, scaled by the drift's weight."""
+    of_one = np.array([s.position_deviation, s.position_deviation, s.heading_deviation])
+    counts = [count_independent(one.frames, one.seconds, s.fresh_rate) for one in drifts]
+    weighted = zip(counts, weights, strict=True)
+    return [of_one / np.sqrt(count * weight)[:, None] for count, weight in weighted]
+
+
+def measurements_of(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> DriftMeasurements:
+    """Return the measurements of drifts, for the joint estimate."""
+    return DriftMeasurements(drifts, pose_deviations(drifts, s, np.ones(len(drifts))), arm.n)
+
+
+def problem_of(
+    drifts: Sequence[Drift], arm: Arm, s: DriftSettings, weights: Floats
+) -> DriftProblem:
+    """Return the drift problem of weighted drifts."""
+    bodies = single_body(arm.vector(), np.array([drift.q for drift in drifts]))
+    hose = s.torque_deviation, s.twist_deviation, s.drag_deviation
+    sigma = pose_deviations(drifts, s, weights)
+    return DriftProblem(drifts, bodies, sigma, *hose, *body_deviations(drifts, arm, s))
+
+
+def solution_of(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> Solution:
+    """Solve with the loss of the settings, and reject outliers one by one up to the limit."""
+    weights = np.zeros(len(drifts))
+
+    def solved(mask: Mask) -> tuple[DriftResult, Floats]:
+        some = [drift for drift, kept in zip(drifts, mask, strict=True) if kept]
+
+        def weigh(weight: Floats) -> tuple[DriftResult, Floats]:
+            result = solve(problem_of(some, arm, s, weight))
+            return result, result.cross_checks.errors
+
+        weights[:] = 0.0
+        result, weights[mask], errors = solve_robustly(weigh, len(some), s.loss)
+        return result, errors
+
+    found = reject_outliers(solved, len(drifts), s.outlier, s.max_outliers, 1, "error")
+    return Solution(found.result, found.mask, weights, found.reasons, found.errors)
+
+
+def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
+    """Convert the solution to the estimate that all kinds of calibration share."""
+    if solution is None:
+        return Estimate(NAMES, UNITS, np.zeros(len(NAMES)), reasons=len(drifts) * ("",))
+    r = solution.result
+    every = [np.full((len(drift.times), 3), nan) for drift in drifts]
+    for k, rows in zip(np.flatnonzero(solution.kept), r.residuals, strict=True):
+        every[k] = rows
+    residuals = np.concatenate(every)
+    return estimate_of_fit(
+        r,
+        residuals=residuals,
+        weights=solution.weights,
+        leverage=expand(r.cross_checks.leverage, solution.kept, 0.0),
+        errors=solution.errors,
+        reasons=solution.reasons,
+        position_residual=root_mean_square(residuals[:, :2]),
+        heading_residual=root_mean_square(residuals[:, 2]),
+        chi_square=r.minimum.cost,
+        condition_number=r.condition_number,
     )
 
 

@@ -4,11 +4,10 @@ from math import nan
 
 from fss_arm_calib.calibration import Calibration, Input
 from fss_arm_calib.codec import fieldwise_data, flatten
-from fss_arm_calib.drift.calibrate import calibrate, parameters
-from fss_arm_calib.drift.measurements import measurements
+from fss_arm_calib.drift.calibrate import Solution, calibrate, measurements_of, parameters
 from fss_arm_calib.drift.report import drift_report
 from fss_arm_calib.drift.settings import DriftSettings
-from fss_arm_calib.drift.solution import Solution
+from fss_arm_calib.estimation.outliers import expand
 from fss_arm_calib.messages import common_message, joints_input, poses_input
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.drifts import Drift, DriftFinder
@@ -29,14 +28,14 @@ def to_message(outcome: Outcome[Drift, Solution], frame_id: str) -> msg.DriftCal
     if found := outcome.solution:
         message.hose_torque, message.hose_torque_deviation = found.result.hose_torque
         values, deviations = found.result.momenta
-        message.momenta = flatten(found.expand(values))
-        message.momentum_deviations = flatten(found.expand(deviations))
+        message.momenta = flatten(expand(values, found.kept))
+        message.momentum_deviations = flatten(expand(deviations, found.kept))
     return message
 
 
 def rest_status(finder: DriftFinder) -> dict[str, object]:
     """Report the time for which the arm has been at rest."""
-    begin, end = finder.search.current_rest
+    begin, end = finder.current_rest
     return {"arm at rest for [s]": (end - begin) / SECOND}
 
 
@@ -57,7 +56,7 @@ DRIFT = Calibration(
     inputs=inputs,
     finder=lambda arm, s, _: DriftFinder(arm.n, s),
     calibrate=calibrate,
-    measurements=measurements,
+    measurements=measurements_of,
     message=msg.DriftCalibration,
     to_message=to_message,
     compared_fields=("hose_torque", "hose_torque_deviation", "momenta", "momentum_deviations"),

@@ -1,48 +1,90 @@
 """Drift problem: effects of the table's tilt and of the hose while base and arm drift.
 
-With the arm at rest, base and arm are one rigid body (fss_arm_model.drifting). All drifts share
-the parameters of tilt and hose. Each drift has its own pose and twist at the start and its own
-centre of mass. Errors of the masses scale torque and momentum.
+While the arm rests, base and arm are one rigid body (fss_arm_model.drifting). Its motion depends on
+
+    5 shared unknowns: tilt of the table; torque, damping and drag of the hose (NAMES)
+    8 unknowns of each drift: pose (3) and twist (3) at its start, centre of mass in the base (2)
+
+and on mass and inertia. These are assumed here, so that their errors scale torque and momentum. In
+the joint estimate (DriftMeasurements), the body follows from the arm's parameters.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import compress
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import (
-    MAX_UNDETERMINED_SHARE,
     Decomposition,
+    Fit,
     Linear,
     Mask,
-    Minimum,
+    compress_rows,
+    eliminate,
     minimize,
 )
 from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_calib.segments.drifts import Drift
-from fss_arm_model import drifting
+from fss_arm_model import drifting, layout
 from fss_arm_model.arrays import Floats
-from fss_arm_model.drifting import SURROUNDINGS
 
-NAMES = SURROUNDINGS
+NAMES = drifting.SURROUNDINGS
 UNITS = ("m/s^2", "m/s^2", "N m", "N m s", "N s/m")
-UNKNOWNS_PER_DRIFT = 8  # unknowns of each drift: pose, twist, centre of mass in the base
+SHARED_COUNT, STATE_COUNT, OWN_COUNT = (
+    5,
+    6,
+    8,
+)  # numbers of unknowns: shared; pose and twist; all of one drift
+BODY = [13, 14, 11, 12]  # indices of mass, inertia and centre of mass after these unknowns
 
-#: Half differences for numerical derivatives: far above rounding, with negligible curvature.
+#: Half differences for numerical derivatives: far above rounding, with negligible curvature. The
+#: last two are for mass and inertia.
 DIFFERENCE_STEPS = np.array(
-    [1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2]
+    [1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2, 1e-3, 1e-4]
 )
 ZERO_REDUNDANCY = 1e-9  # redundancy below which one drift alone determines a direction
 TOLERANCE = 1e-4  # largest last update [deviations]; integration errors are smaller
+
+
+class Sensitivity(NamedTuple):
+    """Motion predicted for one drift, with derivatives by the first k of its unknowns."""
+
+    poses: Floats  # (m, 3)
+    poses_by: Floats  # (m, 3, k)
+    spin: float  # gain of angular momentum during the drift [N m s]
+    spin_by: Floats  # (k,)
+
+    def rows(self, drift: Drift) -> Floats:
+        """Return the derivatives of all poses and, in the last column, residuals (m, 3, k + 1)."""
+        off = np.array(drift.poses) - self.poses
+        return np.concatenate([self.poses_by, off[..., None]], axis=-1)
+
+
+def differentiate(drift: Drift, unknowns: Floats, k: int) -> Sensitivity:
+    """Predict a drift from its 15 unknowns, mass and inertia last; differentiate by the first k."""
+    steps = np.eye(k, len(unknowns)) * DIFFERENCE_STEPS
+    u = unknowns + np.concatenate([np.zeros((1, len(unknowns))), steps, -steps])
+    own = u[:, SHARED_COUNT : SHARED_COUNT + STATE_COUNT]
+    found = drifting.drift(u[:, BODY], u[:, :SHARED_COUNT], own, np.array(drift.times))
+    spin = u[:, BODY[1]] * (found[:, -1, 3] - own[:, 5])
+    poses, width = found[..., :3], 2.0 * DIFFERENCE_STEPS[:k]
+    poses_by = np.moveaxis(poses[1 : k + 1] - poses[k + 1 :], 0, -1) / width
+    spin_by = (spin[1 : k + 1] - spin[k + 1 :]) / width
+    return Sensitivity(poses[0], poses_by, float(spin[0]), spin_by)
 
 
 def mean_motion(drift: Drift) -> Floats:
     """Return the first pose of a drift and its mean twist, (6,)."""
     first, last = np.array(drift.poses[0]), np.array(drift.poses[-1])
     return np.concatenate([first, (last - first) / (drift.times[-1] - drift.times[0])])
+
+
+def own_unknowns(k: int) -> slice:
+    """Return the slice of the unknowns of drift k among all unknowns."""
+    return slice(SHARED_COUNT + OWN_COUNT * k, SHARED_COUNT + OWN_COUNT * (k + 1))
 
 
 @dataclass(frozen=True)
@@ -52,6 +94,9 @@ class DriftProblem:
     Deviations are 1 sigma about 0; a deviation of 0 means that the value is 0.
     """
 
+    names: ClassVar = NAMES
+    units: ClassVar = UNITS
+    guess: ClassVar = np.zeros(SHARED_COUNT)
     drifts: Sequence[Drift]
     bodies: Floats  # (s, 4) base and arm as one body, see drifting.single_body
     sigma: Sequence[Floats]  # (m, 3) standard deviations of each drift's poses
@@ -64,66 +109,49 @@ class DriftProblem:
     @cached_property
     def start(self) -> Floats:
         """Initial values of all unknowns: no external effects, and each drift's mean twist."""
-        parts: list[Floats] = [np.zeros(len(NAMES))]
-        for drift, body in zip(self.drifts, self.bodies, strict=True):
-            parts += [mean_motion(drift), body[2:]]
-        return np.concatenate(parts)
-
-    def motion(self, k: int, shared: Floats, own: Floats) -> tuple[Floats, Floats]:
-        """Return poses (c, m, 3) of drift k and its gain of spin K (omega_end - omega_start) (c,).
-
-        Args:
-            k: index of the drift.
-            shared: (c, 5) shared parameters, a row for each set of unknowns.
-            own: (c, 8) the drift's own unknowns.
-        """
-        body = np.empty((len(own), 4))
-        body[:, :2], body[:, 2:] = self.bodies[k, :2], own[:, 6:]
-        found = drifting.drift(body, shared, own[:, :6], np.array(self.drifts[k].times))
-        return found[..., :3], self.bodies[k, 1] * (found[:, -1, 3] - own[:, 5])
-
-    def derivatives(self, unknowns: Floats) -> list[tuple[Floats, Floats, float, Floats]]:
-        """Return poses (m, 3), gain of spin and their derivatives by 13 unknowns, per drift."""
-        found = []
-        steps = DIFFERENCE_STEPS * np.vstack([np.zeros((1, 13)), np.eye(13), -np.eye(13)])
-        for k in range(len(self.drifts)):
-            own = unknowns[5 + UNKNOWNS_PER_DRIFT * k : 5 + UNKNOWNS_PER_DRIFT * (k + 1)]
-            moved = np.concatenate([unknowns[:5], own]) + steps
-            poses, gains = self.motion(k, moved[:, :5], moved[:, 5:])
-            by = np.moveaxis(poses[1:14] - poses[14:], 0, -1) / (2.0 * DIFFERENCE_STEPS)
-            gains_by = (gains[1:14] - gains[14:]) / (2.0 * DIFFERENCE_STEPS)
-            found.append((poses[0], by, float(gains[0]), gains_by))
-        return found
-
-    def linearize(self, unknowns: Floats) -> Linear:
-        """Linearize observations and priors, divided by their standard deviations."""
-        residuals, rows = [], []
-        for k, (poses, by, _, _) in enumerate(self.derivatives(unknowns)):
-            weight = 1.0 / self.sigma[k].ravel()
-            off = (np.array(self.drifts[k].poses) - poses).ravel() * weight
-            every = np.column_stack([by.reshape(-1, 13) * weight[:, None], off])
-            few: Floats = np.linalg.qr(every)[1]  # one row per column, without loss
-            residuals.append(few[:, -1])
-            J = np.zeros((len(few), len(unknowns)))
-            J[:, :5] = few[:, :5]
-            J[:, 5 + UNKNOWNS_PER_DRIFT * k : 5 + UNKNOWNS_PER_DRIFT * (k + 1)] = few[:, 5:13]
-            rows.append(J)
-        J, r = np.concatenate(rows), np.concatenate(residuals)
-        known = self.prior_deviations
-        J[:, known == 0.0] = 0.0
-        with_prior = np.flatnonzero((known > 0.0) & np.isfinite(known))
-        expected = np.concatenate([np.zeros(5), self.start[5:]])
-        off = (expected - unknowns)[with_prior] / known[with_prior]
-        J = np.concatenate([J, np.eye(len(unknowns))[with_prior] / known[with_prior, None]])
-        r = np.concatenate([r, off])
-        return Linear(r, J, r @ r)
+        pairs = zip(self.drifts, self.bodies, strict=True)
+        own = [part for drift, body in pairs for part in (mean_motion(drift), body[2:])]
+        return np.concatenate([np.zeros(SHARED_COUNT), *own])
 
     @cached_property
     def prior_deviations(self) -> Floats:
         """Prior standard deviations of all unknowns; inf: no prior."""
-        none = [np.inf] * 6
         shared = [np.inf, np.inf, self.torque, self.twist_damping, self.drag]
-        return np.array([*shared, *[*none, self.com, self.com] * len(self.drifts)])
+        return np.array(
+            [*shared, *[*[np.inf] * STATE_COUNT, self.com, self.com] * len(self.drifts)]
+        )
+
+    def sensitivities(self, unknowns: Floats) -> list[Sensitivity]:
+        """Return the motion of each drift, with its derivatives by shared and own unknowns."""
+        return [
+            differentiate(
+                drift,
+                np.concatenate([unknowns[:SHARED_COUNT], unknowns[own_unknowns(k)], body[:2]]),
+                SHARED_COUNT + OWN_COUNT,
+            )
+            for k, (drift, body) in enumerate(zip(self.drifts, self.bodies, strict=True))
+        ]
+
+    def linearize(self, unknowns: Floats) -> Linear:
+        """Linearize observations and priors, divided by their standard deviations."""
+        residuals, regressors = [], []
+        for k, one in enumerate(self.sensitivities(unknowns)):
+            weighted = one.rows(self.drifts[k]) * (1.0 / self.sigma[k])[..., None]
+            rows = compress_rows(weighted.reshape(-1, weighted.shape[-1]))
+            J = np.zeros((len(rows), len(unknowns)))
+            J[:, :SHARED_COUNT], J[:, own_unknowns(k)] = (
+                rows[:, :SHARED_COUNT],
+                rows[:, SHARED_COUNT:-1],
+            )
+            regressors.append(J)
+            residuals.append(rows[:, -1])
+        sigma = self.prior_deviations
+        known = np.flatnonzero((sigma > 0.0) & np.isfinite(sigma))
+        priors = np.eye(len(unknowns))[known] / sigma[known, None]
+        J = np.concatenate([*regressors, priors])
+        J[:, sigma == 0.0] = 0.0
+        r = np.concatenate([*residuals, (self.start - unknowns)[known] / sigma[known]])
+        return Linear(r, J, r @ r)
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -141,27 +169,21 @@ class CrossChecks(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DriftResult:
+class DriftResult(Fit):
     """Result of a drift calibration: external effects and initial momenta, with 1 sigma each."""
 
     problem: DriftProblem
-    minimum: Minimum
     scatter: Floats = field(repr=False)  # covariance of all unknowns
-
-    @property
-    def values(self) -> Floats:
-        """Values (5,) of the parameters NAMES in UNITS."""
-        return self.minimum.x[:5]
 
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (5, 5), including the error of mass and inertia, which scales the forces."""
         scaled = np.concatenate([np.zeros(2), self.values[2:]]) * self.problem.mass
-        return np.asarray(self.scatter[:5, :5] + np.outer(scaled, scaled))
+        return np.asarray(self.scatter[:SHARED_COUNT, :SHARED_COUNT] + np.outer(scaled, scaled))
 
     @cached_property
-    def _predicted(self) -> list[tuple[Floats, Floats, float, Floats]]:
-        return self.problem.derivatives(self.minimum.x)
+    def _predicted(self) -> list[Sensitivity]:
+        return self.problem.sensitivities(self.minimum.x)
 
     @property
     def _free(self) -> Mask:
@@ -171,13 +193,7 @@ class DriftResult:
     @property
     def undetermined(self) -> tuple[str, ...]:
         """Names of external effects that the drifts do not separate."""
-        lost = (self.minimum.basis.undetermined() > MAX_UNDETERMINED_SHARE) & self._free
-        return tuple(compress(NAMES, lost))
-
-    @property
-    def at_bound(self) -> tuple[str, ...]:
-        """Names of external effects that the drifts would make negative."""
-        return tuple(compress(NAMES, self.minimum.at_bound))
+        return tuple(compress(NAMES, self.minimum.basis.lost() & self._free))
 
     @property
     def missing(self) -> int:
@@ -187,18 +203,17 @@ class DriftResult:
     @property
     def condition_number(self) -> float:
         """Condition number of the column-scaled regressor of the estimated unknowns."""
-        Phi = self.minimum.linear.regressor[:, self._free]
-        return Decomposition.of(Phi).condition
+        return Decomposition.of(self.minimum.linear.regressor[:, self._free]).condition
 
     @cached_property
     def _hat(self) -> list[tuple[Floats, Floats]]:
         """Hat matrix and residuals of each drift, after elimination of its own unknowns."""
-        linear, shared, found = self.minimum.linear, self.scatter[:5, :5], []
+        linear, shared, found = self.minimum.linear, self.scatter[:SHARED_COUNT, :SHARED_COUNT], []
         for k in range(len(self.problem.drifts)):
-            own = np.arange(5 + UNKNOWNS_PER_DRIFT * k, 5 + UNKNOWNS_PER_DRIFT * (k + 1))
+            own = np.arange(len(self.minimum.x))[own_unknowns(k)]
             own = own[self.problem.prior_deviations[own] > 0.0]
             rows = np.flatnonzero(linear.regressor[:, own].any(axis=1))
-            A, r = linear.regressor[rows, :5], linear.residuals[rows]
+            A, r = linear.regressor[rows, :SHARED_COUNT], linear.residuals[rows]
             Q = np.linalg.qr(linear.regressor[np.ix_(rows, own)])[0]
             A, r = A - Q @ (Q.T @ A), r - Q @ (Q.T @ r)
             found.append((A @ shared @ A.T, r))
@@ -212,22 +227,20 @@ class DriftResult:
         error here is its root mean square over the coordinates. Directions that only this drift
         determines leave no residual, so they do not contribute.
         """
-        free = [sigma.size - 6 for sigma in self.problem.sigma]
-        inverses = [
-            np.linalg.pinv(np.eye(len(r)) - H, ZERO_REDUNDANCY, hermitian=True)
+        squares = [
+            r @ np.linalg.pinv(np.eye(len(r)) - H, ZERO_REDUNDANCY, hermitian=True) @ r
             for H, r in self._hat
         ]
-        squares = [r @ inverse @ r for inverse, (_, r) in zip(inverses, self._hat, strict=True)]
-        errors = np.sqrt(np.array(squares) / free)
+        free = [sigma.size - STATE_COUNT for sigma in self.problem.sigma]
         controlled = np.array([redundancy(H[None])[0] for H, _ in self._hat])
         leverage = np.array([np.trace(H) for H, _ in self._hat])
-        return CrossChecks(leverage, errors, controlled)
+        return CrossChecks(leverage, np.sqrt(np.array(squares) / free), controlled)
 
     @cached_property
     def residuals(self) -> list[Floats]:
         """Residuals (m, 3) of each drift, observed minus predicted [m, m, rad]."""
         pairs = zip(self.problem.drifts, self._predicted, strict=True)
-        return [np.array(drift.poses) - poses for drift, (poses, *_) in pairs]
+        return [np.array(drift.poses) - one.poses for drift, one in pairs]
 
     @cached_property
     def hose_torque(self) -> tuple[float, float]:
@@ -237,10 +250,10 @@ class DriftResult:
         """
         total = sum(drift.times[-1] for drift in self.problem.drifts)
         by, mean = np.zeros(len(self.minimum.x)), 0.0
-        for k, (_, _, gain, gain_by) in enumerate(self._predicted):
-            mean += gain / total
-            by[:5] += gain_by[:5] / total
-            by[5 + UNKNOWNS_PER_DRIFT * k : 5 + UNKNOWNS_PER_DRIFT * (k + 1)] += gain_by[5:] / total
+        for k, one in enumerate(self._predicted):
+            mean += one.spin / total
+            by[:SHARED_COUNT] += one.spin_by[:SHARED_COUNT] / total
+            by[own_unknowns(k)] += one.spin_by[SHARED_COUNT:] / total
         variance = float(by @ self.scatter @ by) + (self.problem.mass * mean) ** 2
         return mean, float(np.sqrt(variance))
 
@@ -252,17 +265,17 @@ class DriftResult:
         """
         values, deviations = np.empty((2, len(self.problem.drifts), 3))
         for k, (mass, inertia, *_) in enumerate(self.problem.bodies.tolist()):
-            at = slice(5 + UNKNOWNS_PER_DRIFT * k, 5 + UNKNOWNS_PER_DRIFT * (k + 1))
-            _, _, theta, vx, vy, omega, cx, cy = self.minimum.x[at]
+            own = own_unknowns(k)
+            _, _, theta, vx, vy, omega, cx, cy = self.minimum.x[own]
             turn = np.exp(1j * theta)
             lever = turn * complex(cx, cy)
             P = mass * (complex(vx, vy) + 1j * omega * lever)
             values[k] = P.real, P.imag, inertia * omega
-            J = np.zeros((3, UNKNOWNS_PER_DRIFT))
+            J = np.zeros((3, OWN_COUNT))
             by = [-omega * lever, 1.0, 1j, 1j * lever, 1j * omega * turn, -omega * turn]
             J[:2, 2:] = mass * np.array([np.real(by), np.imag(by)])
             J[2, 5] = inertia
-            variance = np.diag(J @ self.scatter[at, at] @ J.T)
+            variance = np.diag(J @ self.scatter[own, own] @ J.T)
             deviations[k] = np.sqrt(variance + (self.problem.mass * values[k]) ** 2)
         return values, deviations
 
@@ -272,11 +285,45 @@ def solve(problem: DriftProblem) -> DriftResult:
 
     The first solution is without resistances, so that the steps from a rough start are short.
     """
-    plain = replace(problem, twist_damping=0.0, drag=0.0, com=0.0)
     x = problem.start
-    for one in (plain, problem):
-        low, high = np.full(len(x), -np.inf), np.full(len(x), np.inf)
-        low[3:5] = 0.0
+    low, high = np.full(len(x), -np.inf), np.full(len(x), np.inf)
+    low[3:5] = 0.0
+    for one in (replace(problem, twist_damping=0.0, drag=0.0, com=0.0), problem):
         minimum = minimize(one.linearize, x, (low, high), TOLERANCE)
         x = minimum.x
     return DriftResult(problem, minimum, minimum.basis.covariance())
+
+
+@dataclass(frozen=True)
+class DriftMeasurements:
+    """Drifts in the joint estimate, of the arm's parameters and each drift's pose and twist."""
+
+    drifts: Sequence[Drift]
+    sigma: Sequence[Floats]  # (m, 3) standard deviations of each drift's poses
+    n: int  # number of links
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of coordinates of the poses, less the drifts' own unknowns."""
+        return sum(sigma.size - STATE_COUNT for sigma in self.sigma)
+
+    def initial_unknowns(self) -> Floats:
+        """Return the initial guess: each drift has its mean twist."""
+        return np.concatenate([mean_motion(one) for one in self.drifts])
+
+    def linearize(self, z: Floats, unknowns: Floats) -> Linear:
+        """Linearize the residuals of the base's poses, divided by their standard deviations."""
+        size, q = layout.size(self.n), np.array([one.q for one in self.drifts])
+        states = unknowns.reshape(-1, STATE_COUNT)
+        bodies = drifting.single_body(z[:size], q)
+        found = []
+        for k, one in enumerate(self.drifts):
+            mass, inertia, *com = bodies[k]
+            u = np.array([*z[size:], *states[k], *com, mass, inertia])
+            weighted = differentiate(one, u, len(u)).rows(one) / self.sigma[k][..., None]
+            found.append(compress_rows(weighted.reshape(-1, len(u) + 1)))
+        rows = np.array(found)
+        A = np.zeros((*rows.shape[:2], len(z)))
+        A[..., size:] = rows[..., :SHARED_COUNT]
+        A[..., :size] = rows[..., BODY] @ drifting.single_body_sensitivities(z[:size], q)
+        return eliminate(A, rows[..., SHARED_COUNT : SHARED_COUNT + STATE_COUNT], rows[..., -1])

@@ -3,14 +3,14 @@
 import numpy as np
 
 from fss_arm_calib.acceptance import format_count
-from fss_arm_calib.drift.solution import Solution
+from fss_arm_calib.drift.calibrate import Solution
+from fss_arm_calib.estimation.outliers import expand
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report import Report, Table
-from fss_arm_calib.report_figures import common_figures
-from fss_arm_calib.report_tables import display_name, format_number, make_report
+from fss_arm_calib.report_parts import common_figures, display_name, format_number, make_report
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import Arm
 from fss_arm_model.units import GRAVITY
+from fss_arm_ros.report import Report, Table
 
 #: Texts for the parameters 2 to 4 of the problem.
 EXPLANATIONS = "of the hose at rest", "resistance to rotation", "resistance to translation"
@@ -36,37 +36,28 @@ def _parameters(outcome: Outcome[Drift, Solution]) -> Table:
         (display_name(e.names[k], e, words), e.units[k], e.values[k], e.deviations[k])
         for k, words in enumerate(EXPLANATIONS, 2)
     ]
-    rows = [[name, unit, *_pair(value, sigma)] for name, unit, value, sigma in acting]
+    rows = [
+        [name, unit, *(format_number(number, ".6f") for number in numbers)]
+        for name, unit, *numbers in acting
+    ]
     weak = [k for k, (*_, value, sigma) in enumerate(acting) if abs(value) <= 2.0 * sigma]
     head = ["", "unit", "estimate", "± 1 sigma"]
     note = (
         "amber: not significant (within two standard deviations of 0); at its bound: the data give "
         "a negative value, so it is not determined."
     )
-    return Table(
-        "External forces and torques on the base", head, rows, words=2, note=note, weak=weak
-    )
+    title = "External forces and torques on the base"
+    return Table(title, head, rows, words=2, note=note, weak=weak)
 
 
 def _momenta(outcome: Outcome[Drift, Solution]) -> Table:
     found, rows = outcome.solution, []
-    values, deviations = map(found.expand, found.result.momenta) if found else ((), ())
-    for k, (one, value, deviation) in enumerate(
-        zip(outcome.used, values, deviations, strict=bool(found))
-    ):
+    momenta = found.result.momenta if found else ()
+    values, deviations = (expand(x, found.kept) for x in momenta) if found else ((), ())
+    each = zip(outcome.used, values, deviations, strict=bool(found))
+    for k, (one, value, deviation) in enumerate(each):
         pairs = (f"{v:#.4g} ± {d:.2g}" for v, d in zip(value, deviation, strict=True))
-        rows.append(
-            [
-                str(k + 1),
-                f"{one.times[-1]:.0f}",
-                *pairs,
-                f"{outcome.estimate.errors[k]:.2f}",
-                outcome.estimate.reasons[k],
-            ]
-        )
+        fit = f"{outcome.estimate.errors[k]:.2f}", outcome.estimate.reasons[k]
+        rows.append([str(k + 1), f"{one.times[-1]:.0f}", *pairs, *fit])
     head = ["drift", "time [s]", "x [N s]", "y [N s]", "angular [N m s]", "error", ""]
     return Table("Momentum at the start of each drift", head, rows)
-
-
-def _pair(value: float, deviation: float) -> list[str]:
-    return [format_number(value, ".6f"), format_number(deviation, ".6f")]

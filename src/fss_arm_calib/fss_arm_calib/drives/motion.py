@@ -109,9 +109,7 @@ class Motion:
             q, qd = remove_ripple(s, periods, estimate_ripple(s, periods))
             step = max(1, round(KNOT_SPACING / s.period))
             self._splines.append(CubicHermiteSpline(s.t[::step], q[::step], qd[::step]))
-        self.width = [
-            max(KNOT_SPACING, s.period) for s in samples
-        ]  # step to differentiate rates [s]
+        self.width = [max(KNOT_SPACING, s.period) for s in samples]  # to differentiate rates [s]
         margin = 2.0 * max(self.width)
         every = ((begin + margin, end - margin) for begin, end in common_intervals(samples, gap))
         self.runs = [(begin, end) for begin, end in every if begin < end]  # known motion [s]
@@ -137,11 +135,9 @@ def transmitted_loads(arm: Arm, m: ArmMotion) -> tuple[Floats, Floats]:
 
         H_b a_b = -(H_bm qdd + h_b),    H_b v_b = -H_bm qd
 
-    For each link, torque and force are those that accelerate its mass and all masses beyond it. A
-    tilt of the table accelerates all masses equally and has no effect.
-
-    Returns:
-        torque (k, n) [N m], and the force across each link (k, n) [N].
+    Returned are the torque (k, n) [N m] and the force across each link (k, n) [N] that accelerate
+    its mass and all masses beyond it. A tilt of the table accelerates all masses equally and has no
+    effect.
     """
     p = arm.vector()
     state = np.concatenate([np.zeros((len(m.q), 3)), m.q], axis=1)

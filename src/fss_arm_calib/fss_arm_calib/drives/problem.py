@@ -30,7 +30,7 @@ blocks determines the degrees of freedom of the Student distribution.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -65,7 +65,6 @@ NAMES = {
 KT, GAIN, ZERO, CROSS, VISCOUS, COULOMB, STATIC, SPEED, ROTOR, STIFFNESS, BAND = range(len(NAMES))
 
 
-_NAMES = tuple(NAMES)
 AVERAGING_TIME = 0.2  # time over which dense samples are averaged [s]
 GAUSS_NEWTON_STEPS = 8
 MAX_DENSE_PERIOD = 0.015  # largest time between frames that resolves the links' swinging [s]
@@ -163,14 +162,8 @@ def sensor(w: Windows, one: Samples, j: int) -> Equations:
     seen, counts = w.average_sensor(one)
     keep = counts >= 0.7 * w.length / one.period
     t = w.t[keep]
-    columns = [
-        np.ones(len(t)),
-        w.torque[keep, j],
-        (t - t.mean()) / 100.0,
-        w.force[keep, j],
-        -w.swing[keep, j],
-    ]
-    A = np.column_stack(columns)
+    drift, rigid = (t - t.mean()) / 100.0, (w.force[keep, j], -w.swing[keep, j])
+    A = np.column_stack([np.ones(len(t)), w.torque[keep, j], drift, *rigid])
     return Equations(A, seen[keep], t, A)
 
 
@@ -194,22 +187,20 @@ class Turning:
         """Number of samples that are averaged into one."""
         return self.every.shape[1]
 
-    def equations(self, shown: Floats, speed: float, more: float = 0.0) -> Equations:
-        """Return the equations of the current, with a Stribeck curve.
+    def equations(self, sensor_fit: Floats, speed: float, height: float = 0.0) -> Equations:
+        """Return the equations of the current, with a Stribeck curve of a speed [rad/s].
 
-        Args:
-            shown: (5,) solution of the equations of `sensor`.
-            speed: speed of the Stribeck curve [rad/s].
-            more: height of the curve [A], for its derivative by the speed; 0: that column is 0.
+        `sensor_fit` (5,) is the solution of the equations of `sensor`. The curve's height [A] gives
+        its derivative by the speed. At height 0, that column is 0.
         """
-        torque = self.torque - shown[CROSSTALK] * self.force
+        torque = self.torque - sensor_fit[CROSSTALK] * self.force
         bell = np.sign(self.every) * np.exp(-((self.every / speed) ** 2))
-        slope = more * 2.0 * self.every**2 / speed**3 * bell
+        slope = height * 2.0 * self.every**2 / speed**3 * bell
         curve = bell.mean(axis=1), slope.mean(axis=1)
         if self.rotor is None:
             A = Z = np.column_stack([torque, self.others, *curve, self.gain])
         else:
-            torque += shown[SCALE] * self.rotor * self.gain
+            torque += sensor_fit[SCALE] * self.rotor * self.gain
             A = np.column_stack([torque, self.others, *curve])
             Z = np.column_stack([self.rigid_torque, A[:, 1:]])
         return Equations(A, self.current, self.t, Z)
@@ -231,30 +222,19 @@ def _collect_turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Tur
     torque = transmitted_loads(w.arm, w.motion.at(t - 0.5 * one.age[which]))[0][:, j]
     seen = (_interpolate_torques(one) if dense else one.torque)[which]
     phase = s.periods * m.q[:, j]
-    others = [
-        np.ones(len(v)),
-        (t - one.t.mean()) / 100.0,
-        v,
-        np.sign(v),
-        np.sin(phase),
-        np.cos(phase),
-    ]
+    force = transmitted_loads(w.arm, m)[1][:, j]
+    gain = (after - before)[which] / (2.0 * gap)
+    drift = (t - one.t.mean()) / 100.0
+    others = np.ones(len(v)), drift, v, np.sign(v), np.sin(phase), np.cos(phase)
 
-    def means(x: Floats) -> Floats:
+    def mean(x: Floats) -> Floats:
         return np.asarray(x.reshape(-1, averaged).mean(axis=1))
 
-    return Turning(
-        means(t),
-        means(v),
-        means(one.current[which]),
-        means(seen),
-        means(torque),
-        means(transmitted_loads(w.arm, m)[1][:, j]),
-        means((after - before)[which] / (2.0 * gap)),
-        np.column_stack([means(x) for x in others]),
-        v.reshape(-1, averaged),
-        None if dense else s.rotor_inertia,
-    )
+    names = "t", "v", "current", "torque", "rigid_torque", "force", "gain"
+    samples = t, v, one.current[which], seen, torque, force, gain
+    means: dict[str, Any] = dict(zip(names, map(mean, samples), strict=True))
+    columns, rotor = np.column_stack([*map(mean, others)]), None if dense else s.rotor_inertia
+    return Turning(**means, others=columns, every=v.reshape(-1, averaged), rotor=rotor)
 
 
 def _interpolate_torques(one: Samples) -> Floats:
@@ -268,18 +248,13 @@ def _interpolate_torques(one: Samples) -> Floats:
 
 
 def solve(arm: Arm, samples: Sequence[Samples], s: DrivesSettings) -> list[Drive]:
-    """Estimate the drives of all joints.
-
-    Args:
-        arm: the described arm; its masses set the scale.
-        samples: samples of each link.
-        s: prior knowledge and required precision.
-    """
+    """Estimate the drives of all joints; the masses of the described arm set the scale."""
     w = Windows(arm, samples, s)
     return [_drive(w, arm, samples[j], j, s) for j in range(arm.n)]
 
 
 def _drive(w: Windows, arm: Arm, one: Samples, j: int, s: DrivesSettings) -> Drive:
+    """Estimate the drive of joint j, counted from 0."""
     rows = _collect_turning(w, one, j, s)
     moving = one.period * rows.averaged * len(rows.t)
     if moving < MIN_MOVING_TIME:
@@ -287,38 +262,45 @@ def _drive(w: Windows, arm: Arm, one: Samples, j: int, s: DrivesSettings) -> Dri
         nothing = np.full((len(NAMES),) * 2, np.nan)
         return Drive(nothing[0], nothing, dict.fromkeys(NAMES, reason), moving, (np.nan, np.nan))
     windows = sensor(w, one, j)
-    shown = windows.solve()
+    sensor_fit = windows.solve()
+    speed, height = _stribeck_curve(rows, sensor_fit)
 
-    def squares(speed: float) -> float:
-        left = _residuals(rows.equations(shown, speed))
-        return float(left @ left)
-
-    speed, more = min(STRIBECK_SPEEDS.tolist(), key=squares), 0.0
-    for k in range(GAUSS_NEWTON_STEPS):  # Gauss-Newton iterations from the best candidate
-        fit = rows.equations(shown, speed, more).solve()
-        more = fit[EXCESS]
-        if k:
-            speed += float(np.clip(fit[SPEED_STEP], -0.3 * speed, 0.4 * speed))
-            speed = float(np.clip(speed, STRIBECK_SPEEDS[0], STRIBECK_SPEEDS[-1]))
-
-    def found(without: float = -1.0, rows: Turning = rows) -> Floats:
+    def parameters(without: float = -1.0, rows: Turning = rows) -> Floats:
         first = windows.solve(without)
-        second = rows.equations(first, speed, more).solve(without)
+        second = rows.equations(first, speed, height).solve(without)
         return _parameters(first, second, speed, arm, j)
 
-    values, turning = found(), np.unique(rows.t // BLOCK_DURATION)
+    values, turning = parameters(), np.unique(rows.t // BLOCK_DURATION)
     blocks = np.unique(np.concatenate([windows.t // BLOCK_DURATION, turning]))
-    shifts = np.array([found(block) for block in blocks]) - values
+    shifts = np.array([parameters(block) for block in blocks]) - values
     freedom = len(turning) - 1
     student = freedom / max(freedom - 2, 1)  # variance of the Student distribution
     covariance = student * freedom / len(turning) * shifts.T @ shifts
     if rows.rotor is not None:
-        other = found(rows=replace(rows, rotor=(1.0 + ROTOR_DEVIATION) * rows.rotor)) - values
-        covariance += np.outer(other, other)
-    left = _residuals(windows), _residuals(rows.equations(shown, speed, more))
+        other = replace(rows, rotor=(1.0 + ROTOR_DEVIATION) * rows.rotor)
+        shift = parameters(rows=other) - values
+        covariance += np.outer(shift, shift)
+    left = _residuals(windows), _residuals(rows.equations(sensor_fit, speed, height))
     torque, current = (float(np.sqrt(np.mean(each**2))) for each in left)
     refused = _refuse_uncertain(values, covariance, rows, one, s)
     return Drive(values, covariance, refused, moving, (torque, current))
+
+
+def _stribeck_curve(rows: Turning, sensor_fit: Floats) -> tuple[float, float]:
+    """Return the speed [rad/s] and height [A] of the Stribeck curve that fits best."""
+
+    def squares(speed: float) -> float:
+        left = _residuals(rows.equations(sensor_fit, speed))
+        return float(left @ left)
+
+    speed, height = min(STRIBECK_SPEEDS.tolist(), key=squares), 0.0
+    for k in range(GAUSS_NEWTON_STEPS):  # Gauss-Newton iterations from the best candidate
+        fit = rows.equations(sensor_fit, speed, height).solve()
+        height = fit[EXCESS]
+        if k:
+            speed += float(np.clip(fit[SPEED_STEP], -0.3 * speed, 0.4 * speed))
+            speed = float(np.clip(speed, STRIBECK_SPEEDS[0], STRIBECK_SPEEDS[-1]))
+    return speed, height
 
 
 def _residuals(e: Equations) -> Floats:
@@ -326,13 +308,13 @@ def _residuals(e: Equations) -> Floats:
     return e.y - e.A @ e.solve()
 
 
-def _parameters(shown: Floats, x: Floats, speed: float, arm: Arm, j: int) -> Floats:
+def _parameters(fit: Floats, x: Floats, speed: float, arm: Arm, j: int) -> Floats:
     """Return the parameters (11,) from the two regressions of a joint and the Stribeck speed."""
-    g = shown[SCALE]
+    g = fit[SCALE]
     K = 1.0 / (g * x[0])
     found = np.full(len(NAMES), np.nan)
     found[KT], found[GAIN] = K, arm.links[j].torque_sensor.gain / g
-    found[ZERO], found[CROSS] = shown[0] / g, shown[CROSSTALK] / g
+    found[ZERO], found[CROSS] = fit[0] / g, fit[CROSSTALK] / g
     found[VISCOUS], found[COULOMB] = K * x[3:5]
     found[STATIC], found[SPEED] = K * (x[4] + x[EXCESS]), speed + x[SPEED_STEP]
     found[ROTOR] = K * x[INERTIA] if len(x) > INERTIA else np.nan
@@ -345,9 +327,10 @@ def _refuse_uncertain(
     """Return the reason for each refused parameter, by name, and set its value to NaN."""
     sigma = np.sqrt(np.diag(covariance))
     why: dict[str, str] = {}
+    names = tuple(NAMES)
     for k in (KT, GAIN, VISCOUS, COULOMB, STATIC):
         if not sigma[k] <= s.max_relative * abs(values[k]):
-            why[_NAMES[k]] = f"{values[k]:.3g} ± {sigma[k]:.1g} (at most {s.max_relative:.0%})"
+            why[names[k]] = f"{values[k]:.3g} ± {sigma[k]:.1g} (at most {s.max_relative:.0%})"
     speed = values[SPEED]
     below = one.period * rows.averaged * np.count_nonzero(np.abs(rows.v) < 0.05)
     excess = values[STATIC] - values[COULOMB]
@@ -373,7 +356,7 @@ def _refuse_uncertain(
     )
     why["stiffness"] = "the encoder is on the motor and does not measure the twist of the gear"
     for name in why:
-        k = _NAMES.index(name)
+        k = names.index(name)
         values[k] = np.nan
         covariance[k], covariance[:, k] = np.nan, np.nan
     return why

@@ -6,53 +6,41 @@ import numpy as np
 
 from fss_arm_calib.drives.problem import NAMES, Drive
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report import Report, Table
-from fss_arm_calib.report_tables import format_number, make_report
+from fss_arm_calib.report_parts import format_number, make_report
 from fss_arm_model.description import Arm
+from fss_arm_ros.report import Report, Table
 
 
 def drives_report(outcome: Outcome[Any, list[Drive]], truth: Arm | None = None) -> Report:
     """Report the calibration; `truth` is the simulated arm to compare with."""
-    title = f"Drive parameters of {outcome.arm.name}"
-    found = outcome.solution
-    tables = [_parameters(outcome, truth)]
-    if found is None:
-        return make_report(title, outcome, tables)
-    return make_report(title, outcome, [*tables, _undetermined(found)], [_data(found)])
+    title, found = f"Drive parameters of {outcome.arm.name}", outcome.solution
+    tables = [_parameters(outcome, truth), *([_undetermined(found)] if found else [])]
+    return make_report(title, outcome, tables, [_data(found)] if found else [])
 
 
 def _parameters(outcome: Outcome[Any, list[Drive]], truth: Arm | None) -> Table:
-    e = outcome.estimate
+    """Tabulate the parameters that are determined, beside the true values if known."""
+    e, rows, weak = outcome.estimate, list[list[str]](), list[int]()
     true = {}
     for i, link in enumerate(truth.links if truth else (), 1):
         true[f"torque_constant_{i}"] = link.drive.torque_constant
         true[f"torque_gain_{i}"] = link.torque_sensor.gain
-    rows: list[list[str]] = []
-    weak: list[int] = []
-    for name, unit, *numbers in zip(
-        e.names, e.units, e.initial, e.values, e.deviations, strict=True
-    ):
-        if np.isnan(numbers[1]):
+    each = zip(e.names, e.units, e.initial, e.values, e.deviations, strict=True)
+    for name, unit, guess, value, sigma in each:
+        if np.isnan(value):
             continue
-        off = (numbers[1] - true.get(name, np.nan)) / numbers[2]
-        rows.append(
-            [
-                name,
-                unit,
-                *(format_number(x, ".4g") for x in numbers[:2]),
-                format_number(numbers[2], ".2g"),
-            ]
-        )
-        if abs(numbers[1]) <= 2.0 * numbers[2]:
-            weak.append(len(rows) - 1)
+        if abs(value) <= 2.0 * sigma:
+            weak.append(len(rows))
+        numbers = [(guess, ".4g"), (value, ".4g"), (sigma, ".2g")]
         if truth:
-            rows[-1].append(format_number(off, "+.1f"))
-    head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
+            numbers.append(((value - true.get(name, np.nan)) / sigma, "+.1f"))
+        rows.append([name, unit, *(format_number(*number) for number in numbers)])
+    head = ["parameter", "unit", "guess", "estimate", "± 1 sigma", *["off [sigma]"] * bool(truth)]
     note = (
         "The described masses set the scale of the torques; amber: not significant (within two "
         "standard deviations of 0)."
     )
-    return Table("Parameters", head + (["off [sigma]"] if truth else []), rows, 2, note, weak)
+    return Table("Parameters", head, rows, 2, note, weak)
 
 
 def _undetermined(found: list[Drive]) -> Table:
@@ -62,15 +50,10 @@ def _undetermined(found: list[Drive]) -> Table:
         for name, reason in one.undetermined.items():
             joints.setdefault((name, reason), []).append(str(i))
     order = list(NAMES)
-    rows = [
-        [name, ", ".join(which), reason]
-        for (name, reason), which in sorted(
-            joints.items(), key=lambda row: (order.index(row[0][0]), row[1])
-        )
-    ]
-    return Table(
-        "Parameters not determined by these data", ["parameter", "joints", "reason"], rows, 3
-    )
+    every = sorted(joints.items(), key=lambda row: (order.index(row[0][0]), row[1]))
+    rows = [[name, ", ".join(which), reason] for (name, reason), which in every]
+    head = ["parameter", "joints", "reason"]
+    return Table("Parameters not determined by these data", head, rows, 3)
 
 
 def _data(found: list[Drive]) -> Table:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from fss_arm_calib.segments.settings import ExcitationSettings
+from fss_arm_calib.segments.settings import ExcitationSettings, positive
 from fss_arm_calib.settings import KindSettings, max_data
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
 
@@ -20,9 +20,7 @@ class DrivesSettings(ExcitationSettings, KindSettings):
     arm: str = setting("", "description YAML, whose masses set the scale; empty: the paper's arm")
     max_excitations: int = max_data(600, "excitations")
     gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
-    window: float = setting(
-        1.6, "time over which torques are compared with the arm's motion", unit="s", check=POSITIVE
-    )
+    window: float = positive(1.6, "s", "time over which torques are compared with the arm's motion")
     rotor_inertia: float = setting(
         0.0026,
         "inertia of each motor at its joint, from its data sheet; assumed if frames are "

@@ -10,12 +10,15 @@ of mass and inertias (see fss_arm_model.base_motion):
 
 from dataclasses import dataclass
 from math import inf
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from fss_arm_calib.dynamic.information import information
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
-from fss_arm_calib.dynamic.result import DynamicResult
+from fss_arm_calib.dynamic.problem import DynamicProblem
+from fss_arm_calib.dynamic.solve import DynamicResult
+from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_pose_sensitivities
 from fss_arm_model.description import Arm
@@ -59,24 +62,14 @@ class Combination:
 
 
 def invisible_directions(arm: Arm, choice: Choice, scale: Floats) -> Floats:
-    """Return combinations of the chosen parameters that no maneuver depends on.
+    """Return combinations (k, p) of the chosen parameters that no maneuver depends on.
 
-    They are computed from the sensitivities of random maneuvers that excite every observable
-    combination.
-
-    Args:
-        arm: arm at which the sensitivities are evaluated.
-        choice: the p parameters.
-        scale: (p,) unit of each parameter.
-
-    Returns:
-        (k, p) orthonormal directions in these units.
+    They are orthonormal in the units `scale` (p,). They are computed from the sensitivities, at
+    `arm`, of random maneuvers that excite every observable combination.
     """
     rng = np.random.default_rng(0)
-    paths = [
-        path(_random_swing(arm.n, rng), np.arange(5.0), [0.0, 2.0, 4.0])
-        for _ in range(len(scale) + 4)
-    ]
+    laws = [_random_swing(arm.n, rng) for _ in range(len(scale) + 4)]
+    paths = [path(law, np.arange(5.0), [0.0, 2.0, 4.0]) for law in laws]
     J = base_pose_sensitivities(arm.vector(), stack(paths), np.zeros(8))[1]
     J = J[..., :-8] @ (to_vector(arm.n) @ choice.basis * scale)
     _, s, Vt = np.linalg.svd(J.reshape(-1, len(scale)))
@@ -115,34 +108,29 @@ def directions(result: DynamicResult, knowledge: Knowledge) -> list[Direction]:
     seen = np.eye(len(scale)) - unseen.T @ unseen
     gains, vectors = np.linalg.eigh(seen @ N @ seen)
     order = np.argsort(-gains)[: len(scale) - len(unseen)]
-    found = []
-    for k in order:
-        gain = float(np.sqrt(max(gains[k], 0.0)))
-        found.append(Direction(vectors[:, k], gain, VISIBLE if gain >= 1.0 else HARDLY_SEEN))
+    gains = np.sqrt(np.maximum(gains[order], 0.0))
+    found = [
+        Direction(weights, gain, VISIBLE if gain >= 1.0 else HARDLY_SEEN)
+        for weights, gain in zip(vectors.T[order], gains.tolist(), strict=True)
+    ]
     return found + [Direction(weights, 0.0, INVISIBLE) for weights in unseen]
 
 
-def _combination_gradients(arm: Arm) -> tuple[Floats, Floats]:
-    """Return the 2 n + 1 combinations and their derivatives by all parameters.
-
-    The derivatives have shape (2 n + 1, 5 n + 6).
-    """
-    n, v = arm.n, values(arm)
+def _combine(v: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:
+    """Return m, S_j and K_j, (2 n + 1,), of all parameters (5 n + 6,), real or complex."""
     a, m, b, inertia = v[4 : 4 + n], *v[2 * n + 6 :].reshape(3, n)
     g, beyond = a - b, np.cumsum(m[::-1])[::-1] - m
-    combined = np.concatenate([[m.sum()], m * g + a * beyond, inertia + m * g**2 + a**2 * beyond])
-    G = np.zeros((2 * n + 1, len(v)))
-    by_a, by_m, by_b, by_I = 4, 2 * n + 6, 3 * n + 6, 4 * n + 6
-    G[0, by_m : by_m + n] = 1.0
-    for j in range(n):
-        S, K = 1 + j, 1 + n + j
-        G[S, by_m + j], G[K, by_m + j] = g[j], g[j] ** 2
-        G[S, by_m + j + 1 : by_m + n], G[K, by_m + j + 1 : by_m + n] = a[j], a[j] ** 2
-        G[S, by_b + j], G[K, by_b + j] = -m[j], -2.0 * m[j] * g[j]
-        G[S, by_a + j] = m[j] + beyond[j]
-        G[K, by_a + j] = 2.0 * (m[j] * g[j] + a[j] * beyond[j])
-        G[K, by_I + j] = 1.0
-    return combined, G
+    return np.concatenate([[m.sum()], m * g + a * beyond, inertia + m * g**2 + a**2 * beyond])
+
+
+def _combination_gradients(arm: Arm) -> tuple[Floats, Floats]:
+    """Return the 2 n + 1 combinations and their derivatives by the 5 n + 6 parameters.
+
+    The derivatives are by complex steps, which are exact for polynomials.
+    """
+    v, step = values(arm), 1e-20
+    steps = v + 1j * step * np.eye(len(v))
+    return _combine(v, arm.n), np.array([_combine(one, arm.n).imag / step for one in steps]).T
 
 
 def combinations(result: DynamicResult) -> list[Combination]:
@@ -152,30 +140,49 @@ def combinations(result: DynamicResult) -> list[Combination]:
     combined, G = _combination_gradients(result.calibrated())
     size = chosen.shape[1]
     by_x, by_assumed = G @ chosen, G[:, result.assumed]
-    through = by_x @ result.influence[:size] - by_assumed
-    assumed = problem.assumed[np.ix_(result.assumed, result.assumed)]
+    through, assumed = by_x @ result.influence[:size] - by_assumed, result.assumed_covariance
     known = by_x**2 @ np.minimum(problem.prior_deviations[:size], 1e150) ** 2
     before = known + np.einsum("ij,jk,ik->i", by_assumed, assumed, by_assumed)
     now = np.einsum("ij,jk,ik->i", by_x, result.random[:size, :size], by_x)
     now += np.einsum("ij,jk,ik->i", through, assumed, through)
-    lost = _are_undetermined(result, by_x)
+    before = np.where(before < 1e100, np.sqrt(before), inf)
+    now = np.where(_are_undetermined(result, by_x), inf, np.sqrt(now))
     names = ["m", *(f"{kind}_{j}" for kind in "SK" for j in range(1, n + 1))]
-    kinds = ["kg", *["kg m"] * n, *["kg m^2"] * n]
-    return [
-        Combination(
-            name,
-            kind,
-            float(combined[k]),
-            float(np.sqrt(before[k])) if before[k] < 1e100 else inf,
-            inf if lost[k] else float(np.sqrt(now[k])),
-        )
-        for k, (name, kind) in enumerate(zip(names, kinds, strict=True))
-    ]
+    units = ["kg", *["kg m"] * n, *["kg m^2"] * n]
+    columns = names, units, combined.tolist(), before.tolist(), now.tolist()
+    return [Combination(*row) for row in zip(*columns, strict=True)]
 
 
-def _are_undetermined(result: DynamicResult, by_x: Floats) -> list[bool]:
-    """Return, for each gradient, True if it has components in undetermined directions."""
+def _are_undetermined(result: DynamicResult, by_x: Floats) -> Mask:
+    """Return a mask of the gradients with components in undetermined directions."""
     basis, size = result.minimum.basis, by_x.shape[1]
     rows = np.pad(by_x, ((0, 0), (0, len(result.values) - size))) / basis.scale
     rest = rows - rows @ basis.Vt.T @ basis.Vt
-    return list(np.linalg.norm(rest, axis=1) > 1e-6 * np.linalg.norm(rows, axis=1))
+    return np.asarray(np.linalg.norm(rest, axis=1) > 1e-6 * np.linalg.norm(rows, axis=1))
+
+
+def information(problem: DynamicProblem, unknowns: npt.ArrayLike | None = None) -> Floats:
+    """Return Phi' W Phi of the observations (M, p + c, p + c) for each maneuver, without priors.
+
+    It is information on the estimated and the assumed parameters; the unknowns of the maneuver are
+    eliminated. The information of several maneuvers is the sum.
+    """
+    x = problem.start if unknowns is None else np.asarray(unknowns, dtype=float)
+    columns = np.concatenate([problem.to_model, problem.uncertain_to_model], axis=1)
+    Phi = problem.eliminate_states(x, columns).regressor
+    Phi = Phi.reshape(len(problem.poses), -1, columns.shape[1])
+    return np.asarray(np.swapaxes(Phi, 1, 2) @ Phi)
+
+
+def propagate_covariance(problem: DynamicProblem, total: Floats) -> Floats:
+    """Return the covariance (..., p, p) of an estimate, with that of the assumed parameters.
+
+    `total` (..., p + c, p + c) is the information of all observations. It need not be regular by
+    itself, only together with the priors.
+    """
+    p, rows, S = len(problem.names), problem.prior_rows, problem.uncertain
+    random = np.linalg.inv(total[..., :p, :p] + rows.T @ rows)
+    influence = random @ total[..., :p, p:]
+    shared = random @ (rows.T @ problem.prior_with(S)) @ np.swapaxes(influence, -1, -2)
+    moved = influence @ problem.assumed[np.ix_(S, S)] @ np.swapaxes(influence, -1, -2)
+    return np.asarray(random + moved - shared - np.swapaxes(shared, -1, -2))

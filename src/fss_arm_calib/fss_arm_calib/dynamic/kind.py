@@ -3,10 +3,10 @@
 from fss_arm_calib.calibration import Calibration, Input
 from fss_arm_calib.codec import fieldwise_data, flatten
 from fss_arm_calib.dynamic.calibrate import calibrate
-from fss_arm_calib.dynamic.measurements import measurements
+from fss_arm_calib.dynamic.problem import ManeuverMeasurements
 from fss_arm_calib.dynamic.report import dynamic_report
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.dynamic.solution import Solution
+from fss_arm_calib.dynamic.solution import Solution, problem_of
 from fss_arm_calib.messages import (
     common_message,
     joints_input,
@@ -74,7 +74,7 @@ DYNAMIC = Calibration(
     inputs=inputs,
     finder=lambda arm, s, _: ManeuverFinder(arm.n, s),
     calibrate=calibrate,
-    measurements=measurements,
+    measurements=lambda maneuvers, arm, s: ManeuverMeasurements(problem_of(maneuvers, arm, s)),
     message=msg.DynamicCalibration,
     to_message=to_message,
     compared_fields=("combination_values", "momenta"),

@@ -11,10 +11,11 @@ from math import radians
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_calib.segments.settings import sigma
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.parameters import parameter_names
-from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
+from fss_arm_model.settings import Settings, setting
 
 GROUPS = {
     "com_0": ("x_com", "y_com"),
@@ -30,52 +31,24 @@ class Knowledge(Settings):
     values. For all other parameters it does so only if `told` is set.
     """
 
-    mass_deviation: float = setting(
-        0.005, "1 sigma of a link's mass, as measured with a scale", unit="kg", check=NOT_NEGATIVE
+    mass_deviation: float = sigma(0.005, "kg", "a link's mass, as measured with a scale")
+    b_deviation: float = sigma(0.02, "m", "a link's center of mass, as known from its geometry")
+    inertia_deviation: float = sigma(0.02, "kg m^2", "a link's inertia")
+    base_mass_deviation: float = sigma(0.05, "kg", "the base's mass, including propellant")
+    base_inertia_deviation: float = sigma(0.025, "kg m^2", "the base's inertia")
+    base_com_deviation: float = sigma(0.01, "m", "the base's center of mass, each axis")
+    length_deviation: float = sigma(
+        0.0005, "m", "a link's length, unless the description gives one"
     )
-    b_deviation: float = setting(
-        0.02,
-        "1 sigma of a link's center of mass, as known from its geometry",
-        unit="m",
-        check=NOT_NEGATIVE,
+    offset_deviation: float = sigma(
+        radians(0.1), "rad", "an encoder's offset, unless the description gives one"
     )
-    inertia_deviation: float = setting(
-        0.02, "1 sigma of a link's inertia", unit="kg m^2", check=NOT_NEGATIVE
+    mount_deviation: float = sigma(
+        0.0005, "m", "the first joint's position, each axis, unless the description gives one"
     )
-    base_mass_deviation: float = setting(
-        0.05, "1 sigma of the base's mass, including propellant", unit="kg", check=NOT_NEGATIVE
+    mount_angle_deviation: float = sigma(
+        radians(0.1), "rad", "the first joint's heading, unless the description gives one"
     )
-    base_inertia_deviation: float = setting(
-        0.025, "1 sigma of the base's inertia", unit="kg m^2", check=NOT_NEGATIVE
-    )
-    base_com_deviation: float = setting(
-        0.01, "1 sigma of the base's center of mass, each axis", unit="m", check=NOT_NEGATIVE
-    )
-    length_deviation: float = setting(
-        0.0005,
-        "1 sigma of a link's length, unless the description gives one",
-        unit="m",
-        check=NOT_NEGATIVE,
-    )
-    offset_deviation: float = setting(
-        radians(0.1),
-        "1 sigma of an encoder's offset, unless the description gives one",
-        unit="rad",
-        check=NOT_NEGATIVE,
-    )
-    mount_deviation: float = setting(
-        0.0005,
-        "1 sigma of the first joint's position, each axis, unless the description gives one",
-        unit="m",
-        check=NOT_NEGATIVE,
-    )
-    mount_angle_deviation: float = setting(
-        radians(0.1),
-        "1 sigma of the first joint's heading, unless the description gives one",
-        unit="rad",
-        check=NOT_NEGATIVE,
-    )
-
     told: bool = setting(
         False,
         "whether the description's uncertainty of masses, centers of mass and inertias is prior "
@@ -97,17 +70,16 @@ class Knowledge(Settings):
         The kinematic part is that of the arm's kinematic calibration. The description's covariance
         of masses is ignored unless `told` is set, because it may come from the same maneuvers.
         """
-        sigma, which = self.deviations(arm.n), slice(4, 2 * arm.n + 6)
-        which = slice(None) if self.told else which
-        C = np.diag(sigma**2)
-        C[which, which] = arm.known.covariance_of(parameter_names(arm.n)[which], sigma[which])
+        deviations = self.deviations(arm.n)
+        which = slice(None) if self.told else slice(4, 2 * arm.n + 6)
+        C = np.diag(deviations**2)
+        C[which, which] = arm.known.covariance_of(parameter_names(arm.n)[which], deviations[which])
         return C
 
     def prior_indices(self, arm: Arm, words: str) -> npt.NDArray[np.intp]:
         """Return indices (k,) of parameters with a prior: named by words, or covered by `told`."""
-        chosen = np.empty(0, dtype=np.intp)
-        if words.strip():
-            chosen = Choice.of(words, arm.n, "priors").indices
+        none = np.empty(0, dtype=np.intp)
+        chosen = Choice.of(words, arm.n, "priors").indices if words.strip() else none
         names = arm.known.names if self.told else ()
         return np.union1d(chosen, np.flatnonzero(np.isin(parameter_names(arm.n), names)))
 
@@ -121,11 +93,7 @@ class Choice:
 
     @classmethod
     def of(cls, words: str, n: int, setting: str = "estimate") -> "Choice":
-        """Parse the words of a setting.
-
-        Raises:
-            ValueError: a word names nothing, or a parameter is named twice.
-        """
+        """Parse the words of a setting; ValueError: one names nothing, or a parameter twice."""
         every = parameter_names(n)
         names: list[str] = []
         columns: list[Floats] = []

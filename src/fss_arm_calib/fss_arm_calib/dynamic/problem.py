@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.estimation.least_squares import Linear, eliminate
+from fss_arm_model import layout
 from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_pose_sensitivities, base_poses
 from fss_arm_model.description import Arm
@@ -36,11 +37,7 @@ TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
 
 @dataclass(frozen=True)
 class DynamicProblem:
-    """Problem with M maneuvers of m marks each, and prior knowledge; deviations are 1 sigma.
-
-    Raises:
-        ValueError: an array has the wrong shape, or nothing is observed.
-    """
+    """Problem with M maneuvers of m marks each, and prior knowledge; deviations are 1 sigma."""
 
     path: Path  # M paths of the joints
     poses: Floats  # (M, m, 3) of the base at the marks [m, m, rad], headings not wrapped
@@ -54,24 +51,21 @@ class DynamicProblem:
     tilt: float = 0.0  # deviation of the table's tilt [m/s^2]; 0: level
 
     def __post_init__(self) -> None:
-        count = len(self.path.nodes)
-        shape = (count, self.path.marks.shape[-2], 3)
+        shape = (len(self.path.nodes), self.path.marks.shape[-2], 3)
         for name, given in (("poses", self.poses.shape), ("sigma", self.sigma.shape)):
             if given != shape:
                 raise ValueError(f"{name} has shape {given}, expected {shape}")
         if not np.isfinite(self.poses[np.isfinite(self.sigma)]).all():
             raise ValueError("a pose is not finite")
-        if count and not np.isfinite(self.sigma[..., 2]).any():
+        if len(self.poses) and not np.isfinite(self.sigma[..., 2]).any():
             raise ValueError("no heading is observed")
-
-    def with_scaled_noise(self, factors: Floats) -> "DynamicProblem":
-        """Return the problem with deviations of positions and headings scaled by factors (2,)."""
-        return replace(self, sigma=self.sigma * factors[[0, 0, 1]])
 
     def select(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "DynamicProblem":
         """Return the problem with only some of the maneuvers."""
         path = Path(*(part[which] for part in self.path))
         return replace(self, path=path, poses=self.poses[which], sigma=self.sigma[which])
+
+    # The estimated parameters.
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -84,10 +78,22 @@ class DynamicProblem:
         return tuple(unit(name) for name in self.names)
 
     @cached_property
-    def state_unknowns(self) -> npt.NDArray[np.intp]:
-        """Indices (k,), 0 to 5, of initial pose and momentum that are unknowns of each maneuver."""
-        seen = np.isfinite(self.sigma).any(axis=(0, 1))
-        return np.flatnonzero(np.concatenate([seen, seen & (self.momentum > 0.0)]))
+    def guess(self) -> Floats:
+        """Initial values (p,): shared parameters are averaged, and the table is level."""
+        basis = self.choice.basis
+        x = basis.T @ values(self.arm) / basis.sum(axis=0)
+        return np.concatenate([x, np.zeros(len(self.names) - len(x))])
+
+    @cached_property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lower and upper bounds, (p,) each; a shared parameter meets the bounds of all members."""
+        low, high = bounds(self.arm)
+        members = self.choice.basis.T > 0.0
+        free = np.full(len(self.names) - len(members), inf)
+        low = np.where(members, low, -inf).max(axis=1)
+        return np.append(low, -free), np.append(np.where(members, high, inf).min(axis=1), free)
+
+    # Their priors, as rows of the regressor.
 
     @cached_property
     def prior_deviations(self) -> Floats:
@@ -120,21 +126,19 @@ class DynamicProblem:
         between = self._prior_weights @ self.assumed[:, assumed]
         return np.asarray(self.prior_rows[:, self.prior_indices] @ between)
 
-    @cached_property
-    def guess(self) -> Floats:
-        """Initial values (p,): shared parameters are averaged, and the table is level."""
-        basis = self.choice.basis
-        x = basis.T @ values(self.arm) / basis.sum(axis=0)
-        return np.concatenate([x, np.zeros(len(self.names) - len(x))])
+    # Unknowns: the parameters, then pose and momentum at the start of each maneuver.
 
     @cached_property
-    def bounds(self) -> tuple[Floats, Floats]:
-        """Lower and upper bounds, (p,) each; a shared parameter meets the bounds of all members."""
-        low, high = bounds(self.arm)
-        members = self.choice.basis.T > 0.0
-        free = np.full(len(self.names) - len(members), inf)
-        low = np.where(members, low, -inf).max(axis=1)
-        return np.append(low, -free), np.append(np.where(members, high, inf).min(axis=1), free)
+    def state_unknowns(self) -> npt.NDArray[np.intp]:
+        """Indices (k,), 0 to 5, of initial pose and momentum that are unknowns of each maneuver."""
+        seen = np.isfinite(self.sigma).any(axis=(0, 1))
+        return np.flatnonzero(np.concatenate([seen, seen & (self.momentum > 0.0)]))
+
+    @cached_property
+    def prior_momenta(self) -> npt.NDArray[np.intp]:
+        """Indices of the momentum components that are unknowns with a prior."""
+        momenta = self.state_unknowns[self.state_unknowns >= 3] - 3
+        return momenta[np.isfinite(self.momentum[momenta])]
 
     @cached_property
     def start(self) -> Floats:
@@ -143,12 +147,13 @@ class DynamicProblem:
         first = np.concatenate([pose, np.zeros_like(pose)], axis=-1)[:, self.state_unknowns]
         return np.concatenate([self.guess, first.ravel()])
 
+    # From the unknowns to the model: Arm.vector() and the states of base_motion.
+
     @cached_property
     def to_model(self) -> Floats:
         """Matrix (8 + 6 n + 8, p) from the parameters to Arm.vector() and base_motion's state."""
         chosen = to_vector(self.arm.n) @ self.choice.basis
-        p = len(self.names)
-        columns = np.zeros((len(chosen) + 8, p))
+        columns = np.zeros((len(chosen) + 8, len(self.names)))
         columns[: len(chosen), : chosen.shape[1]] = chosen
         if self.tilt > 0.0:
             columns[-2:, -2:] = np.eye(2)
@@ -165,16 +170,11 @@ class DynamicProblem:
         """Matrix (8 + 6 n + 8, c) from these parameters to Arm.vector() and the state."""
         return np.pad(to_vector(self.arm.n)[:, self.uncertain], ((0, 8), (0, 0)))
 
-    @cached_property
-    def origin(self) -> Floats:
-        """Arm.vector() (8 + 6 n,) with the estimated parameters set to 0."""
-        chosen = self.choice.basis.any(axis=1) * values(self.arm)
-        return self.arm.vector() - to_vector(self.arm.n) @ chosen
-
     def vector(self, unknowns: Floats) -> Floats:
         """Return Arm.vector() (8 + 6 n,) with the estimated parameters in place of the guess."""
-        size, p = len(self.origin), self.to_model.shape[1]
-        return self.origin + unknowns[:p] @ self.to_model[:size].T
+        chosen = self.choice.basis.any(axis=1) * values(self.arm)
+        origin = self.arm.vector() - to_vector(self.arm.n) @ chosen
+        return origin + unknowns[: len(self.names)] @ self.to_model[: len(origin)].T
 
     def states(self, unknowns: Floats) -> Floats:
         """Return the states (M, 8) of base_motion: initial pose and momentum, the table's tilt."""
@@ -185,9 +185,7 @@ class DynamicProblem:
             states[:, 6:] = unknowns[p - 2 : p]
         return states
 
-    def predict(self, unknowns: Floats) -> Floats:
-        """Return the predicted poses at the marks, (M, m, 3)."""
-        return base_poses(self.vector(unknowns), self.path, self.states(unknowns))
+    # Residuals of the poses.
 
     @cached_property
     def observed_indices(self) -> npt.NDArray[np.intp]:
@@ -199,19 +197,27 @@ class DynamicProblem:
         """Weights 1 / sigma of the observed coordinates, (M, rows)."""
         return 1.0 / self.sigma.reshape(len(self.sigma), -1)[:, self.observed_indices]
 
-    @cached_property
-    def prior_momenta(self) -> npt.NDArray[np.intp]:
-        """Indices of the momentum components that are unknowns with a prior."""
-        momenta = self.state_unknowns[self.state_unknowns >= 3] - 3
-        return momenta[np.isfinite(self.momentum[momenta])]
+    def predict(self, unknowns: Floats) -> Floats:
+        """Return the predicted poses at the marks, (M, m, 3)."""
+        return base_poses(self.vector(unknowns), self.path, self.states(unknowns))
+
+    def linearize(self, unknowns: Floats) -> Linear:
+        """Linearize the problem in the p parameters, priors included."""
+        linear = self.eliminate_states(unknowns, self.to_model)
+        if not self.prior_indices.size:
+            return linear
+        off = self.prior_rows @ (self.guess - unknowns[: len(self.guess)])
+        return linear._replace(
+            residuals=np.concatenate([linear.residuals, off]),
+            regressor=np.concatenate([linear.regressor, self.prior_rows]),
+            cost=linear.cost + np.sum(off**2),
+        )
 
     def eliminate_states(self, unknowns: Floats, columns: Floats) -> Linear:
         """Linearize the observations and eliminate each maneuver's own unknowns.
 
-        Args:
-            unknowns: values of all unknowns.
-            columns: (8 + 6 n + 8, c) matrix from the columns of the regressor to Arm.vector() and
-                the state, as to_model.
+        `columns` (8 + 6 n + 8, c) maps the columns of the regressor to Arm.vector() and the state,
+        as to_model does.
         """
         return self.linearize_at(self.vector(unknowns), self.states(unknowns), columns)
 
@@ -231,18 +237,6 @@ class DynamicProblem:
             B = np.concatenate([B, np.broadcast_to(prior, (count, *prior.shape))], axis=-2)
         return eliminate(A, B, r)
 
-    def linearize(self, unknowns: Floats) -> Linear:
-        """Linearize the problem in the p parameters, priors included."""
-        linear = self.eliminate_states(unknowns, self.to_model)
-        if not self.prior_indices.size:
-            return linear
-        off = self.prior_rows @ (self.guess - unknowns[: len(self.guess)])
-        return linear._replace(
-            residuals=np.concatenate([linear.residuals, off]),
-            regressor=np.concatenate([linear.regressor, self.prior_rows]),
-            cost=linear.cost + np.sum(off**2),
-        )
-
     @property
     def freedom_by_maneuver(self) -> npt.NDArray[np.intp]:
         """Number of observations of each maneuver, less its own unknowns, (M,)."""
@@ -253,3 +247,31 @@ class DynamicProblem:
     def degrees_of_freedom(self) -> int:
         """Number of observations and priors, less the unknowns."""
         return int(self.freedom_by_maneuver.sum() + self.prior_indices.size - len(self.names))
+
+
+@dataclass(frozen=True)
+class ManeuverMeasurements:
+    """Maneuvers in the joint estimate; unknown for each are its pose and momentum at the start."""
+
+    problem: DynamicProblem
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of coordinates of the poses, less the unknowns without a prior."""
+        return int(self.problem.freedom_by_maneuver.sum())
+
+    def initial_unknowns(self) -> Floats:
+        """Return the initial guess: each maneuver starts at rest at its first observed pose."""
+        return self.problem.start[len(self.problem.names) :]
+
+    def linearize(self, z: Floats, unknowns: Floats) -> Linear:
+        """Linearize the residuals of the base's poses, divided by their standard deviations."""
+        problem, size = self.problem, layout.size(self.problem.arm.n)
+        states = np.zeros((len(problem.poses), 8))
+        states[:, :3] = problem.poses[:, 0]
+        states[:, problem.state_unknowns] = unknowns.reshape(len(states), -1)
+        states[:, 6:] = z[size : size + 2]
+        columns = np.zeros((size + 8, len(z)))
+        columns[:size, :size] = np.eye(size)
+        columns[-2:, size : size + 2] = np.eye(2)
+        return problem.linearize_at(z[:size], states, columns)

@@ -1,32 +1,39 @@
-"""Report of a dynamic calibration."""
+"""Report of a dynamic calibration: tables and drawings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.dynamic.figures import draw_motion, draw_residuals
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report import Figure, Report, Table
-from fss_arm_calib.report_figures import common_figures
-from fss_arm_calib.report_tables import (
+from fss_arm_calib.report_parts import (
+    common_figures,
+    empty_figure,
     format_number,
     format_value,
     make_report,
     mask_undetermined,
     parameter_table,
     relative_errors,
+    residual_table,
 )
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.arrays import Floats
+from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.parameters import values
+from fss_arm_ros import palette
+from fss_arm_ros.report import Figure, Report, Table
 
 PAPER_HEADING_RESIDUAL = float(np.radians(1.54))  # section 4.2
+DRAWN_POSES = 100  # number of predicted poses drawn for a maneuver
+MANEUVER_GAP = 2.0  # gap drawn between two maneuvers [s]
+SCALES = np.array([1e3, 1e3, np.degrees(1.0)])  # to mm, mm, deg
 
 
 def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = None) -> Report:
@@ -37,12 +44,13 @@ def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = Non
         Figure("dynamic_residuals", "Residuals of the base's poses", lambda: draw_residuals(o)),
         *common_figures(o, "dynamic", "maneuver", "error predicted from others [deviations]"),
     )
-    tables = (_parameter_table(o, truth), _combination_table(o), _residual_table(o))
-    details = (
-        (_maneuver_table(o, found), _direction_table(o, found), _bias_table(o, found))
-        if found
-        else ()
-    )
+    residuals = {
+        "paper": (np.nan, PAPER_HEADING_RESIDUAL),
+        "this result": (o.estimate.position_residual, o.estimate.heading_residual),
+    }
+    tables = _parameter_table(o, truth), _combination_table(o), residual_table("base", residuals)
+    makers = _maneuver_table, _direction_table, _bias_table
+    details = [make(o, found) for make in makers] if found else []
     return make_report(f"Dynamic calibration of {o.arm.name}", o, tables, details, figures)
 
 
@@ -59,12 +67,7 @@ def _parameter_values(arm: Arm, names: Sequence[str]) -> Floats:
 
 
 def _read_promised(plan: str) -> Mapping[str, float]:
-    """Return the standard deviations that a plan of `design` promised, by name.
-
-    Raises:
-        ContentError: the file is not such a plan.
-        OSError: the file cannot be read.
-    """
+    """Return the standard deviations that a plan of `design` promised, by name."""
     found = read_yaml(Path(plan))
     if not isinstance(found, dict) or "maneuvers" not in found:
         raise ContentError(f"plan {plan}", found, "maneuvers, as `design` writes them")
@@ -79,9 +82,9 @@ def _parameter_table(outcome: Outcome[Maneuver, Solution], truth: Arm | None) ->
     e, paper = outcome.estimate, paper_arm()
     r = outcome.solution.result if outcome.solution else None
     share = mask_undetermined(e, r.prior_share if r else e.deviations)
+    known = 1.0 if outcome.arm.n == paper.n else np.nan
     columns = {
-        "Table 4": _parameter_values(paper, e.names)
-        * (1.0 if outcome.arm.n == paper.n else np.nan),
+        "Table 4": known * _parameter_values(paper, e.names),
         "guess": e.initial,
         **({"truth": _parameter_values(truth, e.names)} if truth else {}),
         "estimate": e.values,
@@ -116,33 +119,13 @@ def _combination_table(outcome: Outcome[Maneuver, Solution]) -> Table:
     return Table("Link parameters that motion determines", head, rows, words=2, note=note)
 
 
-def _residual_table(outcome: Outcome[Maneuver, Solution]) -> Table:
-    rows = [
-        ["position", "m", "-", format_value(outcome.estimate.position_residual, "m")],
-        [
-            "heading",
-            "deg",
-            format_value(PAPER_HEADING_RESIDUAL, "rad"),
-            format_value(outcome.estimate.heading_residual, "rad"),
-        ],
-    ]
-    head = ["base", "unit", "paper", "this result"]
-    return Table("Standard deviation of the residuals", head, rows, words=2)
-
-
 def _maneuver_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
     e = outcome.estimate
-    rows = [
-        [
-            str(k + 1),
-            *(format_number(value, "+#.4g") for value in momentum),
-            f"{e.leverage[k]:.2f}",
-            format_number(e.errors[k], ".2f"),
-            f"{e.weights[k]:.2f}",
-            e.reasons[k],
-        ]
-        for k, momentum in enumerate(found.momenta)
-    ]
+    rows = []
+    for k, momentum in enumerate(found.momenta):
+        numbers = [format_number(value, "+#.4g") for value in momentum]
+        numbers += [format_number(x[k], ".2f") for x in (e.leverage, e.errors, e.weights)]
+        rows.append([str(k + 1), *numbers, e.reasons[k]])
     head = ["", "p_x [N s]", "p_y [N s]", "L [N m s]", "leverage", "error", "weight", ""]
     note = (
         "Momentum at the start; error of the maneuver predicted from the others, in its deviations."
@@ -171,6 +154,67 @@ def _bias_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
     note = (
         "Shift of each value, in its deviations, if an assumed parameter is truly 1 sigma higher."
     )
-    return Table(
-        "Bias due to assumed parameters", ["", *found.result.assumed_names], rows, note=note
-    )
+    head = ["", *found.result.assumed_names]
+    return Table("Bias due to assumed parameters", head, rows, note=note)
+
+
+def draw_motion(outcome: Outcome[Maneuver, Solution]) -> Any:
+    """Plot the base's pose in each maneuver: measured at its marks, predicted throughout."""
+    drawing = empty_figure((14, 9))
+    axes = drawing.subplots(3, 1, sharex=True)
+    begin, middles = 0.0, []
+    for number, one, times, predicted in _predictions(outcome):
+        t, marks = begin + times - times[0], begin + np.array(one.marks) - times[0]
+        path, seen = (SCALES * (poses - predicted[0]) for poses in (predicted, np.array(one.poses)))
+        for k, axis in enumerate(axes):
+            axis.plot(t, path[:, k], color=palette.PREDICTED, linewidth=1.5)
+            axis.plot(marks, seen[:, k], ".", color=palette.MEASURED, markersize=7, zorder=3)
+            axis.axvline(t[-1] + 0.5 * MANEUVER_GAP, color="0.85", linewidth=0.8)
+        middles.append((begin + 0.5 * np.ptp(times), str(number)))
+        begin = t[-1] + MANEUVER_GAP
+    for axis, label in zip(axes, ("x [mm]", "y [mm]", "heading [deg]"), strict=True):
+        axis.set_ylabel(f"change of {label}")
+        axis.grid(axis="y", alpha=0.25)
+    words = "predicted", "measured"
+    drawing.legend(axes[0].lines[:2], words, loc="outside upper right", ncols=2)
+    axes[2].set_xlim(-0.5 * MANEUVER_GAP, begin - 0.5 * MANEUVER_GAP)
+    axes[2].set_xticks(*zip(*middles, strict=True))
+    axes[2].set_xlabel(f"maneuver, each over its time; all together {begin:.0f} s")
+    return drawing
+
+
+def _predictions(
+    outcome: Outcome[Maneuver, Solution],
+) -> Iterator[tuple[int, Maneuver, Floats, Floats]]:
+    """Yield each kept maneuver with its number, times (k,) [s] and predicted poses (k, 3)."""
+    if outcome.solution is None:
+        return
+    problem, x = outcome.solution.result.problem, outcome.solution.result.minimum.x
+    vector, kept = problem.vector(x), np.flatnonzero(outcome.solution.kept).tolist()
+    for k, state in zip(kept, problem.states(x), strict=True):
+        one = outcome.used[k]
+        times = np.union1d(one.marks, np.linspace(one.marks[0], one.marks[-1], DRAWN_POSES))
+        yield k + 1, one, times, base_poses(vector, one.path_at(times), state)
+
+
+def draw_residuals(outcome: Outcome[Maneuver, Solution]) -> Any:
+    """Plot the residual of each pose, with the maneuvers side by side."""
+    rows, counts = outcome.estimate.residuals, [len(one.marks) for one in outcome.used]
+    edges = np.cumsum([0, *counts])  # index of each maneuver's first row, and number of rows
+    drawing = empty_figure((14, 6))
+    position, heading = drawing.subplots(2, 1, sharex=True)
+    which = np.arange(len(rows)) + 0.5
+    for column, (name, color) in enumerate(zip("xy", palette.AXES, strict=True)):
+        position.plot(which, 1e3 * rows[:, column], ".", color=color, label=name)
+    heading.plot(which, np.degrees(rows[:, 2]), ".", color=palette.DIFFERENCE)
+    for axes, label in ((position, "position residual [mm]"), (heading, "heading residual [deg]")):
+        axes.axhline(0.0, color="0.3", linewidth=0.8)
+        for edge in edges[1:-1]:
+            axes.axvline(edge, color="0.85", linewidth=0.8)
+        axes.set_ylabel(label)
+        axes.grid(axis="y", alpha=0.25)
+    position.legend(loc="upper right")
+    heading.set_xticks(0.5 * (edges[1:] + edges[:-1]), range(1, len(edges)))
+    heading.set_xlim(0, edges[-1])
+    heading.set_xlabel("maneuver, its poses side by side")
+    return drawing

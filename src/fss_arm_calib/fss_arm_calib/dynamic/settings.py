@@ -5,24 +5,16 @@ from math import radians
 from typing import ClassVar
 
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
-from fss_arm_calib.segments.settings import ManeuverSettings
-from fss_arm_calib.settings import FRACTION, CalibrationSettings, max_data
-from fss_arm_model.settings import (
-    NOT_NEGATIVE,
-    POSITIVE,
-    SettingError,
-    at_least,
-    like,
-    one_of,
-    setting,
-)
+from fss_arm_calib.segments.settings import ManeuverSettings, positive, sigma
+from fss_arm_calib.settings import CalibrationSettings, NoiseSettings, max_data
+from fss_arm_model.settings import POSITIVE, SettingError, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 
 POSE, HEADING = "pose", "heading"
 
 
 @dataclass(frozen=True)
-class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
+class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     """Settings of a dynamic calibration: prior knowledge, estimated parameters and checks."""
 
     ABOUT: ClassVar = (
@@ -49,88 +41,35 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         f"{POSE}: position and heading of the base; {HEADING}: heading only, as in the paper",
         check=one_of(POSE, HEADING),
     )
-    position_deviation: float = setting(
-        0.0,
-        "1 sigma of a position of the base, each axis; 0: estimated from the residuals",
-        unit="m",
-        check=NOT_NEGATIVE,
+    fresh_rate: float = positive(
+        10.0, "Hz", "rate of poses with independent errors, for the deviation of averages"
     )
-    heading_deviation: float = setting(
-        0.0,
-        "1 sigma of a heading of the base; 0: estimated from the residuals",
-        unit="rad",
-        check=NOT_NEGATIVE,
+    path_timing: float = sigma(
+        0.002, "s", "the timing of base poses in motion, relative to the joints"
     )
-    max_position_deviation: float = setting(
-        0.001,
-        "largest accepted estimate of position_deviation; also assumed for a plan",
-        unit="m",
-        check=POSITIVE,
+    momentum_deviation: float = sigma(
+        1.0, "N s", "the momentum at the start of a maneuver, about 0; 0: at rest"
     )
-    max_heading_deviation: float = setting(
-        radians(0.5),
-        "largest accepted estimate of heading_deviation; also assumed for a plan",
-        unit="rad",
-        check=POSITIVE,
+    spin_deviation: float = sigma(
+        0.5, "N m s", "the angular momentum at the start of a maneuver, about 0; 0: none"
     )
-    fresh_rate: float = setting(
-        10.0,
-        "rate of poses with independent errors, for the deviation of averages",
-        unit="Hz",
-        check=POSITIVE,
-    )
-    path_timing: float = setting(
-        0.002,
-        "1 sigma of the timing of base poses in motion, relative to the joints",
-        unit="s",
-        check=NOT_NEGATIVE,
-    )
-    momentum_deviation: float = setting(
-        1.0,
-        "1 sigma, about 0, of the momentum at the start of a maneuver; 0: at rest",
-        unit="N s",
-        check=NOT_NEGATIVE,
-    )
-    spin_deviation: float = setting(
-        0.5,
-        "1 sigma, about 0, of the angular momentum at the start of a maneuver; 0: none",
-        unit="N m s",
-        check=NOT_NEGATIVE,
-    )
-    tilt_deviation: float = setting(
-        radians(0.02),
-        "1 sigma, about 0, of the table's tilt, each axis; 0: level",
-        unit="rad",
-        check=NOT_NEGATIVE,
+    tilt_deviation: float = sigma(
+        radians(0.02), "rad", "the table's tilt, each axis, about 0; 0: level"
     )
     min_maneuvers: int = setting(
         6, "number of maneuvers needed to accept a result", check=at_least(1)
     )
-    outlier: float = setting(
-        3.0,
-        "error of a maneuver predicted from the others above which it is an outlier",
-        unit="deviations",
-        check=POSITIVE,
-    )
-    min_redundancy: float = setting(
-        1e-3,
-        "smallest redundancy: squared share of a maneuver's error that its residual shows",
-        check=FRACTION,
-    )
-    max_tip_error: float = setting(
-        0.03,
-        "largest distance of the end effector from its described position, root mean square",
-        unit="m",
-        check=POSITIVE,
+    outlier: float = like(CalibrationSettings, "outlier", 3.0)
+    min_redundancy: float = like(CalibrationSettings, "min_redundancy", 1e-3)
+    max_tip_error: float = positive(
+        0.03, "m", "largest distance of the end effector from its described position (RMS)"
     )
     max_relative: float = setting(
         1.0,
         "largest deviation of a mass or an inertia, relative to the described value",
         check=POSITIVE,
     )
-    max_place: float = setting(
-        0.02, "largest deviation of a length or a center of mass", unit="m", check=POSITIVE
-    )
+    max_place: float = positive(0.02, "m", "largest deviation of a length or a center of mass")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf, nan
+from functools import partial
+from math import inf
 
 import numpy as np
 
@@ -10,9 +11,8 @@ from fss_arm_calib.acceptance import UPDATE_TOLERANCE
 from fss_arm_calib.dynamic.identifiability import Combination, Direction, combinations, directions
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.problem import DynamicProblem
-from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
-from fss_arm_calib.dynamic.solve import solve
+from fss_arm_calib.dynamic.solve import DynamicResult, solve
 from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.estimation.noise import (
     Noise,
@@ -21,9 +21,9 @@ from fss_arm_calib.estimation.noise import (
     assumed_noise,
     solve_with_noise,
 )
-from fss_arm_calib.estimation.outliers import reject_outliers, solve_robustly
+from fss_arm_calib.estimation.outliers import expand, reject_outliers, solve_robustly
 from fss_arm_calib.estimation.statistics import root_mean_square
-from fss_arm_calib.outcome import Estimate
+from fss_arm_calib.outcome import Estimate, estimate_of_fit
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.poses import count_independent
 from fss_arm_model.arrays import Floats
@@ -35,14 +35,10 @@ from fss_arm_model.units import GRAVITY
 def problem_of(
     maneuvers: Sequence[Maneuver], arm: Arm, settings: DynamicSettings
 ) -> DynamicProblem:
-    """Return the dynamic problem of maneuvers with poses.
-
-    Raises:
-        ValueError: the maneuvers do not match the arm, or a word names no parameter.
-    """
-    s, n = settings, arm.n
-    if others := [len(one.times) for one in maneuvers if len(one.times) != n]:
-        raise ValueError(f"a maneuver is of {others[0]} joints, expected {n}")
+    """Return the dynamic problem of maneuvers with poses; ValueError: they are of another arm."""
+    s = settings
+    if others := [len(one.times) for one in maneuvers if len(one.times) != arm.n]:
+        raise ValueError(f"a maneuver is of {others[0]} joints, expected {arm.n}")
     most = max(len(one.marks) for one in maneuvers)
     poses = np.zeros((len(maneuvers), most, 3))
     sigma = np.full_like(poses, inf)
@@ -51,9 +47,8 @@ def problem_of(
         pose[: len(one.marks)] = one.poses
         fresh = count_independent(one.frames, one.seconds, s.fresh_rate)
         spread[: len(one.marks)] = deviations / np.sqrt(fresh)[:, None]
-        if (way := one.in_motion).any():
+        if (rows := np.flatnonzero(one.in_motion)).size:
             late = s.path_timing * np.gradient(np.array(one.poses), one.marks, axis=0)
-            rows = np.flatnonzero(way)
             spread[rows] = np.hypot(spread[rows], late[rows])
     return problem_with_priors(arm, s, stack([one.path for one in maneuvers]), poses, sigma)
 
@@ -113,51 +108,34 @@ class Solution:
     @property
     def momenta(self) -> Floats:
         """Momentum (M, 3) at the start of each maneuver [N s, N s, N m s]; NaN if rejected."""
-        momenta = np.full((len(self.kept), 3), nan)
-        momenta[self.kept] = self.result.momenta
-        return momenta
+        return expand(self.result.momenta, self.kept)
 
 
 def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
     """Solve with the loss of the settings, and reject outliers one by one up to the limit."""
     s, size = settings, len(problem.poses)
-    weights = np.zeros(size)
-
-    largest, seen = (
-        assumed_noise(s).deviations,
-        np.asarray(np.isfinite(problem.sigma[..., 1:]).any(axis=(0, 1))),
-    )
+    weights, largest = np.zeros(size), assumed_noise(s).deviations
+    seen = np.asarray(np.isfinite(problem.sigma[..., 1:]).any(axis=(0, 1)))
 
     def solved(mask: Mask) -> tuple[NoiseSolution[DynamicResult], Floats]:
-        weights[:] = 0.0
+        weights[:], errors = 0.0, np.empty(np.count_nonzero(mask))
+        some = problem.select(mask)
 
         def with_noise(deviations: Floats) -> tuple[DynamicResult, ResidualSums]:
-            those = problem.select(mask).with_scaled_noise(deviations / largest)
-            result, weights[mask], errors[:] = solve_robustly(
-                lambda weight: _solve_weighted(those, weight), len(errors), s.loss
-            )
+            factors = (deviations / largest)[[0, 0, 1]]
+            those = replace(some, sigma=some.sigma * factors)
+            weigh = partial(_solve_weighted, those)
+            result, weights[mask], errors[:] = solve_robustly(weigh, len(errors), s.loss)
             return result, result.residual_sums
 
-        errors = np.empty(np.count_nonzero(mask))
-        found = solve_with_noise(s, with_noise, seen)
-        return found, errors
+        return solve_with_noise(s, with_noise, seen), errors
 
     found = reject_outliers(solved, size, s.outlier, s.max_outliers, s.min_maneuvers, "error")
     result, noise, first = found.result
-    leverage = np.zeros(size)
-    leverage[found.mask] = result.checks[0]
-    return Solution(
-        result,
-        found.mask,
-        weights,
-        found.reasons,
-        found.errors,
-        leverage,
-        tuple(directions(result, s)),
-        tuple(combinations(result)),
-        noise,
-        first,
-    )
+    leverage = expand(result.checks[0], found.mask, 0.0)
+    seen_motion = tuple(directions(result, s)), tuple(combinations(result))
+    data = found.mask, weights, found.reasons, found.errors, leverage
+    return Solution(result, *data, *seen_motion, noise, first)
 
 
 def _solve_weighted(problem: DynamicProblem, weights: Floats) -> tuple[DynamicResult, Floats]:
@@ -175,34 +153,23 @@ def estimate_of(
         reasons = len(used) * ("",)
         return Estimate(problem.names, problem.units, problem.guess, reasons=reasons)
     r = solution.result
-    problem, residuals = r.problem, r.residuals
-    return Estimate(
-        problem.names,
-        problem.units,
-        problem.guess,
-        r.values,
-        r.covariance,
-        r.deviations,
-        undetermined=r.inseparable,
-        at_bound=r.at_bound,
+    return estimate_of_fit(
+        r,
+        deviations=r.deviations,
         residuals=_pose_residuals(solution, used),
         weights=solution.weights,
         leverage=solution.leverage,
         errors=solution.errors,
         reasons=solution.reasons,
-        position_residual=root_mean_square(residuals[..., :2]),
-        heading_residual=root_mean_square(residuals[..., 2]),
+        position_residual=root_mean_square(r.residuals[..., :2]),
+        heading_residual=root_mean_square(r.residuals[..., 2]),
         chi_square=r.chi_square,
-        degrees_of_freedom=problem.degrees_of_freedom,
         condition_number=r.condition_number,
-        iterations=r.minimum.iterations,
-        last_update=r.minimum.last_update,
     )
 
 
 def _pose_residuals(solution: Solution, used: Sequence[Maneuver]) -> Floats:
     """Return the residuals (sum of marks, 3) of all maneuvers; NaN for rejected ones."""
-    every = np.full((len(used), solution.result.residuals.shape[1], 3), nan)
-    every[solution.kept] = solution.result.residuals
+    every = expand(solution.result.residuals, solution.kept)
     rows = zip(every, used, strict=True)
     return np.concatenate([residuals[: len(one.marks)] for residuals, one in rows])

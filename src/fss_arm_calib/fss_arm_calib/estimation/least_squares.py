@@ -6,8 +6,9 @@ inverse of Phi' Phi is the covariance of the estimate.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import compress
 from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -43,18 +44,10 @@ LOSSES = {
 }
 
 
-#: Steps below this are rounding errors, in the unit of the parameter.
-ROUNDING_ERROR = 1e-13
-
-#: A smaller step is accepted without a check that it lowers the sum of squares [deviations].
-UNCHECKED_STEP = 1e-6
-
-#: Above this condition number of the column-scaled regressor, rounding errors dominate.
-MAX_CONDITION = 1e6
-
-#: Share of a parameter in undetermined directions above which the parameter is reported.
-MAX_UNDETERMINED_SHARE = 1e-6
-
+ROUNDING_ERROR = 1e-13  # steps below this are rounding errors [unit of the parameter]
+UNCHECKED_STEP = 1e-6  # smaller steps are not checked to lower the sum of squares [deviations]
+MAX_CONDITION = 1e6  # of the column-scaled regressor; above, rounding errors dominate
+MAX_UNDETERMINED_SHARE = 1e-6  # of a parameter in omitted directions; above, it is not known
 MAX_ITERATIONS = 50
 
 
@@ -90,9 +83,9 @@ class Decomposition(NamedTuple):
         root = self.Vt.T / self.s / self.scale[:, None]
         return root @ root.T
 
-    def undetermined(self) -> Floats:
-        """Return the share (p,) of each parameter in the omitted directions, 0 to 1."""
-        return 1.0 - np.sum(self.Vt**2, axis=0)
+    def lost(self, max_share: float = MAX_UNDETERMINED_SHARE) -> Mask:
+        """Return a mask (p,) of parameters with a larger share in the omitted directions."""
+        return np.asarray(1.0 - np.sum(self.Vt**2, axis=0) > max_share)
 
 
 class Linear(NamedTuple):
@@ -121,6 +114,30 @@ class Minimum:
     def cost(self) -> float:
         """Sum of squares at the minimum."""
         return float(self.linear.cost)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of a problem with p parameters: the minimum of its sum of squares."""
+
+    problem: Any  # with `names` (p)
+    minimum: Minimum
+
+    @property
+    def values(self) -> Floats:
+        """Estimates (p,) in the order of problem.names."""
+        return self.minimum.x[: len(self.problem.names)]
+
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Names of parameters that the data would move out of their bounds."""
+        return tuple(compress(self.problem.names, self.minimum.at_bound))
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of parameters that the data do not separate, except those at a bound."""
+        lost = self.minimum.basis.lost() & ~self.minimum.at_bound
+        return tuple(compress(self.problem.names, lost))
 
 
 def minimize(
@@ -201,10 +218,8 @@ def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
     With B = Q R of a block, its rows are projected: r - Q Q' r and A - Q Q' A. For a step dx of the
     shared parameters, the step of the block's own unknowns is R^-1 Q' (r - A dx).
 
-    Args:
-        A: (blocks, rows, p) regressors of the shared parameters.
-        B: (blocks, rows, k) regressors of each block's own unknowns, of full rank; k may be 0.
-        r: (blocks, rows) residuals.
+    A (blocks, rows, p) are the regressors of the shared parameters, B (blocks, rows, k) those of
+    each block's own unknowns, of full rank, k possibly 0; r (blocks, rows) are the residuals.
     """
     Q, R = np.linalg.qr(B)
     rows = np.concatenate([A, r[..., None]], axis=-1)
@@ -222,3 +237,26 @@ def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
         extend=extend,
         absorbed=np.sum(Q**2, axis=-1).ravel(),
     )
+
+
+def compress_rows(rows: Floats) -> Floats:
+    """Reduce the number of rows by a QR decomposition; products of columns are unchanged."""
+    return np.linalg.qr(rows)[1] if len(rows) > len(rows.T) else rows
+
+
+class Measurements(Protocol):
+    """Measurements of one kind in the joint estimate, with own unknowns of no other data.
+
+    All other quantities that they depend on are in z, (8 + 6 n + 5): Arm.vector(), then
+    SURROUNDINGS of fss_arm_model.drifting.
+    """
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of observations and of priors on the own unknowns, minus these unknowns."""
+
+    def initial_unknowns(self) -> Floats:
+        """Return initial values of the own unknowns."""
+
+    def linearize(self, z: Floats, unknowns: Floats) -> Linear:
+        """Linearize the residuals in z; `extend` appends the step of the own unknowns."""

@@ -14,7 +14,7 @@ parameters is on average as large as their squared errors, although f itself is 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -30,30 +30,6 @@ MAX_CHANGE = 1e-4  # relative change of the deviations below which they have con
 
 R = TypeVar("R")
 S = TypeVar("S", bound=Any)
-
-
-class NoiseSettings(Protocol):
-    """Settings for the deviations of positions and headings."""
-
-    @property
-    def position_deviation(self) -> float:
-        """Standard deviation of a position [m]; 0: estimate it."""
-
-    @property
-    def heading_deviation(self) -> float:
-        """Standard deviation of a heading [rad]; 0: estimate it."""
-
-    @property
-    def max_position_deviation(self) -> float:
-        """Largest accepted estimate of the position deviation [m]."""
-
-    @property
-    def max_heading_deviation(self) -> float:
-        """Largest accepted estimate of the heading deviation [rad]."""
-
-    @property
-    def min_probability(self) -> float:
-        """Probability of residuals below which they are not explained by noise alone."""
 
 
 class ResidualSums(NamedTuple):
@@ -104,8 +80,11 @@ class NoiseSolution(NamedTuple, Generic[R]):
     nominal: R  # with the given deviations, and the largest accepted ones of those to estimate
 
 
-def assumed_noise(s: NoiseSettings) -> Noise:
-    """Return the given deviations, and the largest accepted ones of those to estimate."""
+def assumed_noise(s: Any) -> Noise:
+    """Return the given deviations, and the largest accepted ones of those to estimate.
+
+    `s` has the fields of NoiseSettings, of fss_arm_calib.settings.
+    """
     given = np.array([s.position_deviation, s.heading_deviation])
     largest = np.array([s.max_position_deviation, s.max_heading_deviation])
     deviations = np.where(given > 0.0, given, largest)
@@ -113,7 +92,7 @@ def assumed_noise(s: NoiseSettings) -> Noise:
 
 
 def solve_with_noise(
-    s: NoiseSettings,
+    s: Any,
     solve: Callable[[Floats], tuple[R, ResidualSums | None]],
     used: Mask | None = None,
 ) -> NoiseSolution[R]:
@@ -123,7 +102,7 @@ def solve_with_noise(
     noise alone; the largest accepted deviations are then kept.
 
     Args:
-        s: given deviations and limits of the estimated ones.
+        s: given deviations and limits of the estimated ones, as NoiseSettings.
         solve: solves with deviations of positions and headings (2,); returns the result and its
             residuals, or None in their place if these are not known.
         used: (2,) True if positions, headings are observed.

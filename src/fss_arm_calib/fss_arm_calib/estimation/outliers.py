@@ -1,6 +1,7 @@
 """Solutions that reject data which contradict the others, or give them less weight."""
 
 from collections.abc import Callable
+from math import nan
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -23,6 +24,13 @@ class OutlierSolution(NamedTuple, Generic[R]):
     errors: Floats  # (s,) error of each datum; of a rejected one when it was rejected [deviations]
 
 
+def expand(values: Floats, kept: Mask, missing: float = nan) -> Floats:
+    """Return a row for each of s data from the rows of the data kept, with `missing` elsewhere."""
+    every = np.full((len(kept), *values.shape[1:]), missing)
+    every[kept] = values
+    return every
+
+
 def reject_outliers(
     solve: Callable[[Mask], tuple[R, Floats]],
     size: int,
@@ -31,15 +39,10 @@ def reject_outliers(
     min_count: int,
     error_name: str,
 ) -> OutlierSolution[R]:
-    """Solve, and reject outliers one by one up to the allowed number.
+    """Solve, and reject outliers one by one: at most `max_outliers`, so that `min_count` remain.
 
-    Args:
-        solve: takes a mask (size,) of data; returns the result and the errors of these data.
-        size: number of data.
-        limit: error above which a datum is an outlier, in its deviations.
-        max_outliers: largest number of data to reject.
-        min_count: number of data that must remain.
-        error_name: name of the error, for the reasons.
+    `solve` takes a mask of `size` data and returns the result and the errors of these data, in
+    their deviations. An outlier has an error above `limit`, with `error_name` in the reason.
     """
     mask, reasons, errors = np.ones(size, dtype=bool), [""] * size, np.zeros(size)
     while True:
@@ -56,16 +59,11 @@ def reject_outliers(
 def solve_robustly(
     solve: Callable[[Floats], tuple[R, Floats]], size: int, loss: str
 ) -> tuple[R, Floats, Floats]:
-    """Solve with each datum weighted by a loss of its error.
+    """Solve with each datum weighted by a loss of its error, one of LOSSES for three coordinates.
 
-    Args:
-        solve: takes weights (size,); returns the result and the weighted error of each datum, the
-            root mean square of its coordinates.
-        size: number of data.
-        loss: one of LOSSES, for three coordinates.
-
-    Returns:
-        The result, the weights and the unweighted errors (size,) in deviations.
+    `solve` takes weights (size,) and returns the result and the weighted error of each datum, the
+    root mean square of its coordinates. Returned are the result, the weights and the unweighted
+    errors (size,) in deviations.
     """
     weights = np.ones(size)
     for _ in range(1 if loss == SQUARE else REWEIGHTINGS):

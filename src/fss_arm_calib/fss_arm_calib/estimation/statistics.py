@@ -16,12 +16,8 @@ def root_mean_square(values: Floats) -> float:
 def probability(chi_square: float, freedom: float, noise_freedom: float = inf) -> float:
     """Return the probability of a sum of squared normal errors at least this large.
 
-    The probability is 1 if there are no degrees of freedom.
-
-    Args:
-        chi_square: the sum, in deviations.
-        freedom: its degrees of freedom.
-        noise_freedom: degrees of freedom of the estimated deviations; inf: they are known.
+    The errors are in deviations, known or estimated with `noise_freedom` degrees of freedom. The
+    probability is 1 if there are no degrees of freedom.
     """
     from scipy.special import fdtrc, gammaincc
 
@@ -35,10 +31,7 @@ def probability(chi_square: float, freedom: float, noise_freedom: float = inf) -
 def equivalent_error(error: float, freedom: float, noise_freedom: float) -> float:
     """Return the error in known deviations that has the same probability as this one.
 
-    Args:
-        error: length of the error, in estimated deviations.
-        freedom: degrees of freedom of its square.
-        noise_freedom: degrees of freedom of the estimated deviations; inf: they are known.
+    The square of `error` has `freedom` degrees of freedom; its deviations have `noise_freedom`.
     """
     from scipy.special import chdtri, fdtrc
 
@@ -51,11 +44,8 @@ def equivalent_error(error: float, freedom: float, noise_freedom: float) -> floa
 def redundancy(hat: Floats) -> Floats:
     """Return the smallest squared share (s,) of a datum's error that its residual shows.
 
-    This is the smallest eigenvalue of 1 - hat, for each datum's diagonal block of the hat matrix.
-    An error e (in deviations) along its eigenvector has a normalized residual of
+    This is the smallest eigenvalue of 1 - hat, for each datum's diagonal block (s, k, k) of the hat
+    matrix. An error e (in deviations) along its eigenvector has a normalized residual of
     e sqrt(redundancy). If the redundancy is 0, the error changes only the parameters.
-
-    Args:
-        hat: (s, k, k) diagonal blocks of the hat matrix.
     """
     return np.maximum(1.0 - np.linalg.norm(hat, 2, axis=(1, 2)), 0.0)  # >= 0 despite rounding

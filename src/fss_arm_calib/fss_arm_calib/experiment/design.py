@@ -11,17 +11,17 @@ unknowns, and the table may be tilted, so only information that remains with a d
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import compress
 from math import inf
 
 import numpy as np
 
-from fss_arm_calib.dynamic.information import information, propagate_covariance
+from fss_arm_calib.dynamic.identifiability import information, propagate_covariance
 from fss_arm_calib.dynamic.problem import DynamicProblem
-from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import pose_deviations, problem_with_priors
-from fss_arm_calib.dynamic.solve import solve
+from fss_arm_calib.dynamic.solve import DynamicResult, solve
 from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.experiment.planned import (
     PAUSE,
@@ -114,10 +114,7 @@ def _are_clear(guard: Guard, plan: Sequence[Planned]) -> Mask:
 def windowed_paths(
     plan: Sequence[Planned], settings: DynamicSettings, rest: float
 ) -> tuple[Path, float]:
-    """Return the paths with marks in the windows before and after each maneuver.
-
-    The second value is the number of independent poses at each mark.
-    """
+    """Return paths with marks in the windows around each maneuver, and independent poses a mark."""
     window = min(settings.max_duration, (rest - settings.settle_time) / 2.0)
     bins = max(1, round(window / settings.bin))
     middles = window / bins * (np.arange(bins) + 0.5)
@@ -135,25 +132,17 @@ def predicted_problem(
 ) -> DynamicProblem:
     """Return the dynamic problem after a plan, with the poses predicted for the described arm.
 
-    Args:
-        arm: the arm as currently known.
-        plan: the maneuvers.
-        settings: parameters to estimate and prior knowledge.
-        rest: rest before and after a maneuver [s].
-        before: maneuvers already executed.
+    `rest` is the time before and after a maneuver [s], `before` are maneuvers already executed.
     """
     batch, fresh = windowed_paths(plan, settings, rest)
     sigma = np.tile(pose_deviations(settings) / np.sqrt(fresh), (*batch.marks.shape[:2], 1))
     if before:
         paths = [Path(*rows) for part in (batch, before.path) for rows in zip(*part, strict=True)]
         batch, parts = stack(paths), (sigma, before.sigma)
-        most = batch.marks.shape[1]
-        sigma = np.concatenate(
-            [
-                np.pad(s, ((0, 0), (0, most - s.shape[1]), (0, 0)), constant_values=inf)
-                for s in parts
-            ]
-        )
+        rows = [np.full((len(s), batch.marks.shape[1], 3), inf) for s in parts]
+        for padded, part in zip(rows, parts, strict=True):
+            padded[:, : part.shape[1]] = part
+        sigma = np.concatenate(rows)
     poses = base_poses(arm.vector(), batch, np.zeros(8))
     return problem_with_priors(arm, settings, batch, poses, sigma)
 
@@ -183,21 +172,12 @@ def design(
     progress: Callable[[int], None] = lambda _: None,
     stop_when: Callable[[Sequence[Planned]], bool] = lambda _: False,
 ) -> list[Planned]:
-    """Choose maneuvers, each of which starts where the last one ended.
+    """Choose at most `count` maneuvers, each of which starts where the last one ended.
 
-    Args:
-        arm: the arm as currently known.
-        count: largest number of maneuvers.
-        settings: parameters to estimate and prior knowledge.
-        conditions: conditions that all maneuvers satisfy.
-        chosen: names of the parameters that matter; all estimated ones by default.
-        goal: requested deviations by name; if given, its names replace `chosen`.
-        before: maneuvers already executed.
-        begin: (n) initial posture of the arm [rad]; 0 by default.
-        seed: seed of the random candidates.
-        tried: number of candidates for each maneuver.
-        progress: called with the number of maneuvers found.
-        stop_when: returns True if a plan suffices; the design then stops.
+    The first one starts at `begin` (n) [rad], by default 0. The parameters that matter are those of
+    the `goal`, the requested deviations by name, or else the `chosen` ones, by default all. For
+    each maneuver, `tried` candidates are drawn. `progress` is called with the number of maneuvers
+    found; the design stops early when `stop_when` returns True for a plan.
 
     Raises:
         NoManeuver: no candidate satisfies the conditions.
@@ -256,22 +236,13 @@ def design_for_goal(
     If none promises them, return the first plan. Arguments and errors are those of `design`.
     """
     best: list[Planned] = []
+    choose = partial(design, arm, count, settings, goal=goal, before=before, progress=progress)
 
     def promises_goal(plan: Sequence[Planned]) -> bool:
         return meets_goal(expected_result(arm, plan, settings, conditions.rest, before), goal)
 
     for k in range(MAX_PLANS):
-        plan = design(
-            arm,
-            count,
-            settings,
-            conditions,
-            goal=goal,
-            before=before,
-            seed=(seed, k),
-            progress=progress,
-            stop_when=promises_goal,
-        )
+        plan = choose(conditions=conditions, seed=(seed, k), stop_when=promises_goal)
         if plan and (promises_goal(plan) or not best):
             best = plan
             if promises_goal(plan):  # the next plan must be shorter
@@ -306,8 +277,7 @@ def meets_goal(result: DynamicResult, goal: Mapping[str, float]) -> bool:
 def _weak_priors(model: DynamicProblem, settings: DynamicSettings) -> Floats:
     """Return the information (p + c, p + c) of weak priors for parameters without a prior.
 
-    The first few maneuvers cannot determine all parameters. Without weak priors they could not be
-    ranked.
+    They make it possible to rank the first few maneuvers, which cannot determine all parameters.
     """
     basis = model.choice.basis
     typical = basis.T @ settings.deviations(model.arm.n) / basis.sum(axis=0)
@@ -317,10 +287,7 @@ def _weak_priors(model: DynamicProblem, settings: DynamicSettings) -> Floats:
 
 
 def _log_size(covariance: Floats, asked: Floats) -> Floats:
-    """Return the logarithm of the size of a covariance.
-
-    The size is the determinant or, with a goal, the sum of variances relative to requested ones.
-    """
+    """Return the logarithm of the determinant or, with a goal, of the sum of relative variances."""
     if len(asked):
         shares = np.diagonal(covariance, axis1=-2, axis2=-1) / asked**2
         return np.asarray(np.log(shares.sum(axis=-1)))

@@ -4,6 +4,7 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from functools import partial
 from itertools import compress
 from pathlib import Path
 from typing import NamedTuple
@@ -14,13 +15,12 @@ from rich.console import Console
 from rich.progress import Progress
 
 from fss_arm_bags.reader import BagError, open_bags
-from fss_arm_calib import report
 from fss_arm_calib.bag_data import find_data
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.problem import DynamicProblem
-from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import problem_of, problem_without_data
+from fss_arm_calib.dynamic.solve import DynamicResult
 from fss_arm_calib.estimation.noise import assumed_noise
 from fss_arm_calib.experiment import postures
 from fss_arm_calib.experiment.design import (
@@ -38,9 +38,11 @@ from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve
 from fss_arm_calib.outcome import LIVE
 from fss_arm_calib.result import read_arm
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described, from_yaml
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_ros import report
 from fss_arm_ros.command_line import in_one_line
 
 MAX_MANEUVERS = 1000  # maneuvers, more than the time allows
@@ -55,11 +57,7 @@ class PriorKnowledge(NamedTuple):
 
 
 def prior_from_bag(bag: str, arm: Arm, settings: DynamicSettings) -> PriorKnowledge:
-    """Return the knowledge from a bag's maneuvers: the noise and, if accepted, the arm.
-
-    Raises:
-        BagError: the bag cannot be read, or none of its maneuvers can be used.
-    """
+    """Return the knowledge from a bag's maneuvers: the noise and, if accepted, the arm."""
     with open_bags(bag) as bags:
         finder = DYNAMIC.finder(arm, settings, [])
         found = find_data(bags, finder, DYNAMIC.inputs(settings, arm.n), settings.horizon)
@@ -78,26 +76,23 @@ def prior_from_bag(bag: str, arm: Arm, settings: DynamicSettings) -> PriorKnowle
 def plan_table(plan: Sequence[Planned]) -> report.Table:
     """Tabulate the maneuvers of a plan."""
     rows = [
-        [
-            str(k),
-            one.kind,
-            f"{one.length:.1f}",
-            "  ".join(str(np.degrees(q).round().astype(int).tolist()) for q in one.waypoints[1:]),
-        ]
+        [str(k), one.kind, f"{one.length:.1f}", "  ".join(map(_in_degrees, one.waypoints[1:]))]
         for k, one in enumerate(plan, 1)
     ]
     return report.Table("Maneuvers", ["", "kind", "time [s]", "to [deg]"], rows, words=2)
 
 
+def _in_degrees(q: Floats) -> str:
+    return str(np.degrees(q).round().astype(int).tolist())
+
+
 def expected_table(result: DynamicResult) -> report.Table:
     """Tabulate the expected standard deviations."""
-    names, units = result.problem.names, result.problem.units
-    random = np.sqrt(np.diag(result.random))
+    names, units, random = result.problem.names, result.problem.units, np.diag(result.random)
+    numbers = result.values, result.deviations, np.sqrt(random), result.prior_share
     rows = [
         [name, unit, f"{value:.5g}", f"{total:.2g}", f"{part:.2g}", f"{100 * share:.0f} %"]
-        for name, unit, value, total, part, share in zip(
-            names, units, result.values, result.deviations, random, result.prior_share, strict=True
-        )
+        for name, unit, value, total, part, share in zip(names, units, *numbers, strict=True)
     ]
     head = ["parameter", "unit", "assumed", "± 1 sigma", "random part", "from prior"]
     return report.Table("Expected result", head, rows, words=2)
@@ -106,10 +101,7 @@ def expected_table(result: DynamicResult) -> report.Table:
 def comparison_table(
     arm: Arm, settings: DynamicSettings, given: Conditions, count: int
 ) -> report.Table:
-    """Compare the kinds of maneuvers at equal floating time.
-
-    The time is that of `count` maneuvers of the longest duration.
-    """
+    """Compare the kinds of maneuvers at the floating time of `count` of the longest ones."""
     total = count * (given.duration + given.rest)
     names: tuple[str, ...] = ()
     columns, head = [], ["parameter"]
@@ -131,26 +123,17 @@ def propose_postures(
     """Propose postures for the kinematic calibration."""
     q = postures.design_postures(arm, options.count, options.seed, settings=conditions)
     result = solve(KinematicProblem(q, tip_in_base(arm.vector(), q), arm, FULL))
+    names = result.problem.names, result.problem.units
     rows = [
         [name, unit, f"{value:.5g}", f"{deviation:.2g}"]
         for name, unit, value, deviation in zip(
-            result.problem.names,
-            result.problem.units,
-            result.values,
-            result.deviations,
-            strict=True,
+            *names, result.values, result.deviations, strict=True
         )
     ]
-    steps = [
-        [str(k), str(np.degrees(row).round().astype(int).tolist())] for k, row in enumerate(q, 1)
-    ]
-    _print_tables(
-        console,
-        report.Table("Postures", ["", "q [deg]"], steps),
-        report.Table(
-            "Expected result", ["parameter", "unit", "assumed", "± 1 sigma"], rows, words=2
-        ),
-    )
+    steps = [[str(k), _in_degrees(row)] for k, row in enumerate(q, 1)]
+    columns = ["parameter", "unit", "assumed", "± 1 sigma"]
+    console.print(report.Table("Postures", ["", "q [deg]"], steps))
+    console.print(report.Table("Expected result", columns, rows, words=2))
     if options.output:
         given = {"ros__parameters": {"postures": q.ravel().round(6).tolist()}}
         text = yaml.safe_dump({"experiment": given}, default_flow_style=None)
@@ -164,7 +147,7 @@ def propose_excitation(
 ) -> None:
     """Propose moves of single joints for the calibration of drives."""
     plan = plan_excitation(arm, conditions.repeats, conditions, options.seed)
-    _print_tables(console, plan_table(plan))
+    console.print(plan_table(plan))
     minutes = sum(one.length + conditions.rest for one in plan) / 60.0
     console.print(f"{len(plan)} maneuvers, {minutes:.1f} min; their result is not predicted")
     if options.output:
@@ -182,16 +165,15 @@ def _write_plan(
 
 def propose(options: argparse.Namespace, console: Console) -> None:
     """Choose maneuvers, show the expected deviations, and write the plan."""
-    settings = DynamicSettings(
-        **{f.name: getattr(options, f.name) for f in fields(DynamicSettings)}
-    )
+    given = {f.name: getattr(options, f.name) for f in fields(DynamicSettings)}
+    settings = DynamicSettings(**given)
     arm = described(settings.arm)
-    given = {name: getattr(options, name) for name in CONDITIONS}
-    given["table"] = tuple(given["table"])
+    limits = {name: getattr(options, name) for name in CONDITIONS}
+    limits["table"] = tuple(limits["table"])
     if options.kinds == JOINT:
-        propose_excitation(options, arm, Conditions(**given), console)
+        propose_excitation(options, arm, Conditions(**limits), console)
         return
-    conditions = Conditions(kinds=tuple(options.kinds.split()), **given)
+    conditions = Conditions(kinds=tuple(options.kinds.split()), **limits)
     if options.kinematic:
         propose_postures(options, arm, conditions, console)
         return
@@ -202,38 +184,24 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         before = PriorKnowledge(read_arm(options.result), replace(settings, told=True))
     arm, settings, maneuvers = before
     goal = parse_goal(options.goal, problem_without_data(arm, settings).names)
+    chosen = options.chosen.split()
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("choosing maneuvers", total=options.count)
 
         def progress(k: int) -> None:
             bar.update(task, completed=k)
 
-        if goal:
-            plan = design_for_goal(
-                arm, options.count, settings, conditions, goal, maneuvers, options.seed, progress
-            )
-        else:
-            plan = design(
-                arm,
-                options.count,
-                settings,
-                conditions,
-                options.chosen.split(),
-                before=maneuvers,
-                seed=options.seed,
-                progress=progress,
-            )
+        given = {"before": maneuvers, "seed": options.seed, "progress": progress}
+        choose = partial(design_for_goal, goal=goal) if goal else partial(design, chosen=chosen)
+        plan = choose(arm, options.count, settings, conditions, **given)
     result = expected_result(arm, plan, settings, conditions.rest, maneuvers)
-    tables = [plan_table(plan), expected_table(result)]
+    for table in (plan_table(plan), expected_table(result)):
+        console.print(table)
     if options.compare:
-        tables.append(comparison_table(arm, settings, conditions, options.count))
-    _print_tables(console, *tables)
+        console.print(comparison_table(arm, settings, conditions, options.count))
     if goal:
-        words = (
-            "promised"
-            if meets_goal(result, goal)
-            else f"not met by {describe_shortfall(result, plan, goal)}"
-        )
+        missed = "" if meets_goal(result, goal) else describe_shortfall(result, plan, goal)
+        words = f"not met by {missed}" if missed else "promised"
         minutes = sum(one.length + conditions.rest for one in plan) / 60.0
         console.print(f"goal {options.goal}: {words}, in {minutes:.1f} min", soft_wrap=True)
     noise = assumed_noise(settings).deviations[:2]
@@ -249,27 +217,16 @@ def propose(options: argparse.Namespace, console: Console) -> None:
 def describe_shortfall(
     result: DynamicResult, plan: Sequence[Planned], goal: Mapping[str, float]
 ) -> str:
-    """Return a text with the parameter that misses the goal most, and its main cause.
-
-    The cause is the assumed parameter with the largest influence on it.
-    """
-    names = result.problem.names
-    k = max(
-        (names.index(name) for name in goal), key=lambda k: result.deviations[k] / goal[names[k]]
-    )
+    """Name the parameter that misses the goal most, and the assumed one that matters most to it."""
+    names, sigma = result.problem.names, result.deviations
+    k = max(map(names.index, goal), key=lambda k: sigma[k] / goal[names[k]])
     words = f"{len(plan)} maneuvers: {names[k]} reaches {result.deviations[k]:.2g}"
     shifts = np.abs(result.bias[k])
     if not len(shifts):
         return words
     j = int(np.argmax(shifts))
-    sigma = result.assumed_deviations[j]
-    cause = result.assumed_names[j]
-    return f"{words}, {shifts[j]:.2g} of it because {cause} is known only to {sigma:.2g}"
-
-
-def _print_tables(console: Console, *tables: report.Table) -> None:
-    for one in tables:
-        console.print(one)
+    cause = f"{result.assumed_names[j]} is known only to {result.assumed_deviations[j]:.2g}"
+    return f"{words}, {shifts[j]:.2g} of it because {cause}"
 
 
 @in_one_line("design")

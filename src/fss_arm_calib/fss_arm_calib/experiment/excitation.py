@@ -24,13 +24,9 @@ DURATION_VARIATION = 0.1  # largest relative variation of the durations
 def plan_excitation(
     arm: Arm, repeats: int = 1, settings: GuardSettings | None = None, seed: int = 0
 ) -> list[Planned]:
-    """Plan one maneuver of back-and-forth moves for each posture and joint.
+    """Plan one maneuver of back-and-forth moves for each posture and joint, `repeats` times.
 
-    Args:
-        arm: the arm, with the limits of its drives and joints.
-        repeats: number of repeats of all maneuvers.
-        settings: settings of the guard; the base is at the table's centre.
-        seed: seed of the durations.
+    For the guard, the base is at the table's centre. The seed is that of the durations.
 
     Raises:
         NoManeuver: a joint cannot move even with reduced amplitudes.
@@ -48,24 +44,18 @@ def plan_excitation(
 def _plan_joint(
     guard: Guard, begin: Floats, j: int, span: tuple[float, float], rng: np.random.Generator
 ) -> Planned:
-    """Plan the largest moves of a joint that keep the arm clear, towards its farther limit first.
-
-    Raises:
-        NoManeuver: no moves keep the arm clear.
-    """
+    """Plan the largest moves of a joint that keep the arm clear; first try its farther limit."""
     sides = sorted((span[0] - begin[j], span[1] - begin[j]), key=abs, reverse=True)
     for share in (1.0, 0.5, 0.25):
         for side in sides:
             ways = np.sign(side) * np.minimum(share * np.array(AMPLITUDES), abs(side))
             waypoints = np.tile(begin, (2 * len(ways) + 1, 1))
             waypoints[1::2, j] += ways
-            durations = np.array(
-                [
-                    time * rng.uniform(1.0, 1.0 + DURATION_VARIATION)
-                    for way, least in zip(ways, MIN_DURATIONS, strict=True)
-                    for time in [_move_duration(guard.arm, begin, j, way, least)] * 2
-                ]
-            )
+            away = np.tile(begin, (len(ways), 1))
+            away[:, j] += ways
+            least = np.maximum(torque_limited_duration(guard.arm, begin, away), MIN_DURATIONS)
+            varied = rng.uniform(1.0, 1.0 + DURATION_VARIATION, 2 * len(ways))
+            durations = np.repeat(least, 2) * varied
             planned = Planned(JOINT, waypoints, durations)
             law, edges = planned.law()
             try:
@@ -75,9 +65,3 @@ def _plan_joint(
                 continue
             return planned
     raise NoManeuver(f"joint {j + 1} has no room to move alone from {np.round(begin, 2).tolist()}")
-
-
-def _move_duration(arm: Arm, begin: Floats, j: int, way: float, least: float) -> float:
-    away = begin.copy()
-    away[j] += way
-    return max(least, float(torque_limited_duration(arm, begin, away)))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -49,9 +50,8 @@ class Planned:
 def moves_law(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
     """Return angles and rates of successive moves over time, and the edges of smooth parts.
 
-    Args:
-        waypoints: (..., w + 1, n) joint readings [rad].
-        durations: (..., w) duration of each move [s]; infinite for padding of a batch.
+    The moves are between waypoints (..., w + 1, n) [rad], with durations (..., w) [s]. An infinite
+    duration is padding of a batch.
     """
     way, real = np.diff(waypoints, axis=-2), np.isfinite(durations)
     begins = np.cumsum(durations + PAUSE, axis=-1)
@@ -130,29 +130,19 @@ def torque_limited_duration(arm: Arm, begin: Floats, end: Floats) -> Floats:
 
 def plan_to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None) -> str:
     """Write a plan for `experiment`, with the promised deviations for a later report."""
-    rows = [
-        {
-            "kind": one.kind,
-            "q": np.round(one.waypoints, 6).tolist(),
-            "durations": np.round(one.durations, 3).tolist(),
-        }
-        for one in plan
-    ]
+    rows = []
+    for one in plan:
+        q, durations = np.round(one.waypoints, 6), np.round(one.durations, 3)
+        rows.append({"kind": one.kind, "q": q.tolist(), "durations": durations.tolist()})
     head = "# Maneuvers: joint readings, starting with the first posture [rad]; durations [s].\n"
-    deviations = (
-        {"promised": {k: float(f"{x:.4g}") for k, x in promised.items()}} if promised else {}
-    )
-    given = {"maneuvers": rows, **deviations}
+    given: dict[str, Any] = {"maneuvers": rows}
+    if promised:
+        given["promised"] = {name: float(f"{x:.4g}") for name, x in promised.items()}
     return head + yaml.safe_dump(given, sort_keys=False, default_flow_style=None)
 
 
 def read_plan(path: str | Path, n: int) -> list[Planned]:
-    """Read a plan from a file written by to_yaml.
-
-    Raises:
-        ContentError: the file is not a plan, or has another number of joints.
-        OSError: the file cannot be read.
-    """
+    """Read a plan for n joints from a file of `plan_to_yaml`; ContentError: it is none."""
     given = read_yaml(Path(path))
     rows = given.get("maneuvers") if isinstance(given, dict) else None
     try:
@@ -163,14 +153,11 @@ def read_plan(path: str | Path, n: int) -> list[Planned]:
     except (TypeError, KeyError, ValueError):
         plan = []
     if not plan:
-        raise ContentError(
-            f"{path}: maneuvers", rows, "rows of kind, q and durations, as written by `design`"
-        )
+        expected = "rows of kind, q and durations, as written by `design`"
+        raise ContentError(f"{path}: maneuvers", rows, expected)
     for k, one in enumerate(plan, 1):
         if one.waypoints.shape != (len(one.durations) + 1, n) or not (one.durations > 0.0).all():
-            raise ContentError(
-                f"{path}: maneuver {k}",
-                f"q of {one.waypoints.shape}, {len(one.durations)} durations",
-                f"q of (w + 1, {n}) and w durations above 0",
-            )
+            given = f"q of {one.waypoints.shape}, {len(one.durations)} durations"
+            expected = f"q of (w + 1, {n}) and w durations above 0"
+            raise ContentError(f"{path}: maneuver {k}", given, expected)
     return plan

@@ -12,9 +12,7 @@ from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.kinematics import tip_regressor
 
 MIN_DIFFERENCE = np.radians(45.0)  # least difference of two postures in at least one joint
-MAX_ROUNDS = (
-    20  # most rounds of exchanges: about five suffice, except for many postures of one joint
-)
+MAX_ROUNDS = 20  # of exchanges; about five suffice, except for many postures of one joint
 
 #: Result of design(paper_arm(), seed=5), for the paper's arm and similar ones, (13, 4) [rad].
 DEFAULT_POSTURES: Floats = np.radians(
@@ -38,11 +36,9 @@ DEFAULT_POSTURES: Floats = np.radians(
 
 def default_postures(arm: Arm, settings: GuardSettings | None = None) -> Floats:
     """Return postures for an arm, (s, n) [rad]: DEFAULT for four links, else a design for it."""
-    return (
-        DEFAULT_POSTURES
-        if arm.n == 4
-        else design_postures(arm, max(13, 2 * arm.n + 2), settings=settings)
-    )
+    if arm.n == 4:
+        return DEFAULT_POSTURES
+    return design_postures(arm, max(13, 2 * arm.n + 2), settings=settings)
 
 
 def design_postures(
@@ -53,16 +49,14 @@ def design_postures(
     reach: float = np.radians(85.0),
     settings: GuardSettings | None = None,
 ) -> Floats:
-    """Choose postures by their joint information about all 2n+2 parameters (D-optimality).
+    """Choose postures (count, n) by their information about all 2n+2 parameters (D-optimality).
 
     Candidates are seeded random postures within the joints' limits and +-`reach`, for which the
     guard finds the arm clear of itself and of the base. One posture after the other is replaced by
-    the candidate that increases det(Phi' W Phi) most, among those that are APART from the others.
-    This is repeated until nothing changes, at most ROUNDS times. The first posture is the candidate
-    nearest to zero. Finally the postures are put in an order of short moves that keep clear, too.
-
-    Returns:
-        (count, n) postures [rad], in whole multiples of 5 degrees.
+    the candidate that increases det(Phi' W Phi) most, among those that differ enough from the
+    others. This is repeated until nothing changes, at most MAX_ROUNDS times. The first posture is
+    the candidate nearest to zero. Finally the postures are put in an order of short moves that keep
+    clear, too.
 
     Raises:
         ValueError: too few candidates keep the arm clear.
@@ -96,7 +90,7 @@ def design_postures(
 
 
 def _are_different(q: Floats, others: Floats) -> np.ndarray:
-    """Return a mask (c,) of postures that differ from all others by APART in at least one joint.
+    """Return a mask (c,) of postures that differ from all others by MIN_DIFFERENCE in a joint.
 
     If there is none, as with few joints and many postures, the limit is smaller.
     """

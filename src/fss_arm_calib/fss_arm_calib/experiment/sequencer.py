@@ -95,10 +95,8 @@ class Sequencer:
     def step(self, now: int, is_ready: bool, result: Any = None) -> bool:
         """Advance the experiment; return True if the move to `waypoint` is to be requested.
 
-        Args:
-            now: present time [ns].
-            is_ready: the arm can receive a request.
-            result: result of the move requested last, as in MoveArm; None: it has not ended.
+        At time `now` [ns], the arm can receive a request if it `is_ready`. The result is that of
+        the move requested last, as in MoveArm; None: it has not ended.
         """
         self.progress = replace(self.progress, begun=self.progress.begun or now)
         self._last_departure = self._last_departure or now
@@ -131,13 +129,9 @@ class Sequencer:
     def compare_with_goal(
         self, stamp: int, verdict: str, reason: str, deviations: Mapping[str, float]
     ) -> None:
-        """Compare a calibration result with the goal.
+        """Compare a calibration result, whose data end at `stamp` [ns], with the goal.
 
-        Args:
-            stamp: end of its data [ns].
-            verdict: of the calibration.
-            reason: of the verdict.
-            deviations: standard deviations of the estimated parameters by name.
+        `deviations` are those of the estimated parameters by name.
 
         Raises:
             ValueError: a parameter of the goal is not estimated.
@@ -230,10 +224,7 @@ class Sequencer:
         self._enter(Phase.REQUEST, 0)
 
     def _repeat_rejected(self) -> bool:
-        """Append the postures of rejected rests; return True if there are any.
-
-        The verdict of the calibration requires that these rests are repeated.
-        """
+        """Append the postures of rejected rests, which the verdict requires; return True if any."""
         missing = [
             rest.q
             for rest in self.rests

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from math import inf, nan
 
+from fss_arm_calib.segments.settings import positive
 from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.settings import (
     FINITE,
-    POSITIVE,
     Check,
     SettingError,
     Settings,
@@ -23,11 +23,7 @@ JOINT = "joint"  # kind of maneuvers for the calibration of drives
 
 
 def parse_goal_words(goal: str) -> list[tuple[str, float]]:
-    """Parse the names and deviations of a goal, such as `b_i 0.002 I_4 0.001`.
-
-    Raises:
-        SettingError: a name is not followed by a positive number.
-    """
+    """Parse names and deviations, such as `b_i 0.002 I_4 0.001`; SettingError: others are given."""
     words, found = goal.split(), []
     for name, value in zip_longest(words[::2], words[1::2], fillvalue=""):
         try:
@@ -59,28 +55,16 @@ class ExperimentSettings(Settings):
         "standard deviations at which to stop early, e.g. 'b_i 0.002 I_4 0.001', in SI units; "
         "of calibration/dynamic for maneuvers, of calibration/kinematic for postures; empty: none",
     )
-    pause: float = setting(5.2, "rest before and after a maneuver", unit="s", check=POSITIVE)
-    tolerance: float = setting(
-        0.0175,
-        "largest difference between a posture and its observation",
-        unit="rad",
-        check=POSITIVE,
+    pause: float = positive(5.2, "s", "rest before and after a maneuver")
+    tolerance: float = positive(
+        0.0175, "rad", "largest difference between a posture and its observation"
     )
-    rest: float = setting(
-        3.0, "rest at each posture if no calibration node observes", unit="s", check=POSITIVE
-    )
-    observation_timeout: float = setting(
-        20.0, "longest wait for an observation", unit="s", check=POSITIVE
-    )
-    retry: float = setting(
-        1.0, "wait before a failed move is requested again", unit="s", check=POSITIVE
-    )
-    silence: float = setting(3.0, "timeout of a move without feedback", unit="s", check=POSITIVE)
-    keep_alive: float = setting(
-        0.5,
-        "timeout of the keep-alive in real time, after which the arm stops",
-        unit="s",
-        check=POSITIVE,
+    rest: float = positive(3.0, "s", "rest at each posture if no calibration node observes")
+    observation_timeout: float = positive(20.0, "s", "longest wait for an observation")
+    retry: float = positive(1.0, "s", "wait before a failed move is requested again")
+    silence: float = positive(3.0, "s", "timeout of a move without feedback")
+    keep_alive: float = positive(
+        0.5, "s", "timeout of the keep-alive in real time, after which the arm stops"
     )
     base_radius: float = like(GuardSettings, "base_radius")
     link_radius: float = like(GuardSettings, "link_radius")
@@ -92,10 +76,7 @@ class ExperimentSettings(Settings):
         parse_goal_words(self.goal)
 
     def guarded(self) -> GuardSettings:
-        """Return the guard settings that keep the arm clear of itself.
-
-        The experiment does not know where the base is on the table.
-        """
+        """Return settings to keep the arm clear of itself; where the base is, is not known."""
         return GuardSettings(
             base_radius=self.base_radius, link_radius=self.link_radius, margin=self.margin
         )
@@ -103,14 +84,10 @@ class ExperimentSettings(Settings):
 
 @dataclass(frozen=True)
 class Conditions(GuardSettings):
-    """Conditions on a maneuver; the base starts at rest at the table's centre.
+    """Conditions on a maneuver; the base starts at rest at the table's centre."""
 
-    Raises:
-        SettingError: a condition is impossible.
-    """
-
-    duration: float = setting(8.0, "longest maneuver", unit="s", check=POSITIVE)
-    rest: float = setting(5.0, "rest before and after a maneuver", unit="s", check=POSITIVE)
+    duration: float = positive(8.0, "s", "longest maneuver")
+    rest: float = positive(5.0, "s", "rest before and after a maneuver")
     repeats: int = setting(3, "largest number of repeats of a closed loop", check=at_least(1))
     total: float = setting(
         inf,

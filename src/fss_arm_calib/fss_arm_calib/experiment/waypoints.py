@@ -26,24 +26,16 @@ class Waypoint(NamedTuple):
 
 
 def read_waypoints(settings: ExperimentSettings, arm: Arm) -> list[Waypoint]:
-    """Return the stops in order.
-
-    Raises:
-        ValueError: the stops do not match the arm, or a move between two of them is not clear.
-        OSError: a file cannot be read.
-    """
+    """Return the stops in order; ValueError: they do not match the arm, or a move is not clear."""
     s = settings
     if s.maneuvers:
         found = maneuver_waypoints(read_plan(s.maneuvers, arm.n), s.pause)
     elif len(s.postures) % arm.n:
         raise ValueError(f"postures has {len(s.postures)} numbers, expected {arm.n} a row")
+    elif s.postures:
+        found = [Waypoint(q) for q in np.reshape(s.postures, (-1, arm.n))]
     else:
-        rows = (
-            np.reshape(s.postures, (-1, arm.n))
-            if s.postures
-            else default_postures(arm, s.guarded())
-        )
-        found = [Waypoint(q) for q in rows]
+        found = [Waypoint(q) for q in default_postures(arm, s.guarded())]
     check_waypoints(np.array([stop.q for stop in found]).reshape(-1, arm.n), arm, s.guarded())
     return found
 

@@ -1,6 +1,6 @@
 """Joint estimate from the data of several sessions: the solution and its checks."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -27,8 +27,8 @@ from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.estimation.least_squares import MAX_CONDITION
 from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, make_outcome
-from fss_arm_calib.segments.streams import Streams
+from fss_arm_calib.outcome import LIVE, Estimate, Outcome, estimate_of_fit, make_outcome
+from fss_arm_calib.segments.streams import Datum, Streams
 from fss_arm_calib.segments.telemetry import rehomed_joints
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
@@ -81,10 +81,7 @@ class StagedResults:
 def run_stages(
     session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]
 ) -> StagedResults:
-    """Run each kind of calibration on a session's data.
-
-    Each starts from the arm of the last calibration that passed.
-    """
+    """Calibrate a session by kinds, each from the arm of the last one that passed."""
     used, outcomes, known = {}, {}, dict(settings)
     for name, kind in kinds.items():
         data = session.data.get(name, ())
@@ -136,45 +133,20 @@ def problem_of(
     settings: Mapping[str, Any],
     session_settings: Sequence[Mapping[str, Any]] = (),
 ) -> JointProblem:
-    """Return the joint problem of the data of all sessions.
+    """Return the joint problem of the data `used` of each session, by kind.
 
-    Args:
-        used: the data of each session, by kind.
-        arm: the initial guess.
-        s: prior knowledge.
-        kinds: table of the calibration kinds.
-        settings: settings of the kinds.
-        session_settings: settings of each session, if deviations differ between sessions.
-
-    Raises:
-        ValueError: the data do not match the arm.
+    `settings` are those of the kinds; `session_settings` those of each session, if the deviations
+    of observations differ.
     """
     sessions = []
     for data, its in zip(used, session_settings or len(used) * [settings], strict=True):
         every = ((name, kinds[name].measurements) for name in data)
         sessions.append({name: make(data[name], arm, its[name]) for name, make in every if make})
-    n = arm.n
-    size = 5 * n + 6 + s.theta_e
-    prior = np.zeros((size, size))
-    prior[: 5 * n + 6, : 5 * n + 6] = s.covariance(arm)
-    tilt, drifting = settings["dynamic"].tilt_deviation, settings["drift"]
-    return JointProblem(
-        arm,
-        sessions,
-        prior,
-        s.prior_indices(arm, s.priors),
-        surroundings=np.array(
-            [
-                GRAVITY * tilt,
-                GRAVITY * tilt,
-                drifting.torque_deviation,
-                drifting.twist_deviation,
-                drifting.drag_deviation,
-            ]
-        ),
-        zeros=s.zero_deviation,
-        theta_e=s.theta_e,
-    )
+    prior = np.pad(s.covariance(arm), (0, int(s.theta_e)))
+    tilt, hose = GRAVITY * settings["dynamic"].tilt_deviation, settings["drift"]
+    acting = [tilt, tilt, hose.torque_deviation, hose.twist_deviation, hose.drag_deviation]
+    known, surroundings = s.prior_indices(arm, s.priors), np.array(acting)
+    return JointProblem(arm, sessions, prior, known, surroundings, s.zero_deviation, s.theta_e)
 
 
 def initial_unknowns(problem: JointProblem, arms: Sequence[Arm]) -> Floats:
@@ -198,18 +170,9 @@ def calibrate(
     of_kinds: Mapping[str, Any],
     source: str = LIVE,
 ) -> Outcome[Datum, Solution]:
-    """Solve for one arm from all data and check the result.
+    """Solve for one arm from the sessions, in order of time, and check the result.
 
-    Args:
-        sessions: in order of time.
-        arm: the initial guess, with its covariance.
-        settings: prior knowledge and criteria.
-        kinds: table of the calibration kinds.
-        of_kinds: settings of the kinds.
-        source: name of the source of the data.
-
-    Raises:
-        ValueError: the data do not match the arm, or a setting is impossible.
+    It starts from `arm` with its covariance. `of_kinds` are the settings of the kinds.
     """
     s = settings
     kinematic = replace(of_kinds["kinematic"], theta_e=s.theta_e)
@@ -218,19 +181,19 @@ def calibrate(
     found = [(one, run_stages(one, arm, kinds, of_kinds)) for one in parts]
     found = [(one, stage) for one, stage in found if stage.used]
     used = [stage.used for _, stage in found]
-    kinds_seen = sorted({kind for data in used for kind in data})
-    heard = [one for session in sessions for one in session.streams.values()]
-    odd = (one for one in heard if one.silent or one.unknown)
-    streams = next(odd, heard[0] if heard else Streams())
+    received = [one for session in sessions for one in session.streams.values()]
+    odd = (one for one in received if one.silent or one.unknown)
+    streams = next(odd, received[0] if received else Streams())
     words = _format_counts(used, kinds) if found else "no rest, maneuver or drift can be used"
-    found_checks = [
+    count = len({kind for data in used for kind in data})
+    number = format_count(len(used), "session")
+    checks = [
         check_joint_names(streams, arm),
         _check_session_clocks(sessions, of_kinds),
-        check_data_amount(
-            "data", len(kinds_seen), 1, words, streams, format_count(len(used), "session")
-        ),
+        check_data_amount("data", count, 1, words, streams, number),
     ]
-    solution = None
+    solution: Solution | None = None
+    calibrated: Callable[[], Arm] | None = None
     session_settings = [stage.settings for _, stage in found]
     problem = problem_of(used, arm, s, kinds, of_kinds, session_settings)
     estimate = Estimate(problem.names, problem.units, problem.guess)
@@ -239,30 +202,19 @@ def calibrate(
         result = solve(problem, start)
         numbers = tuple({kind: len(some) for kind, some in data.items()} for data in used)
         solution = Solution(result, tuple(one.name for one, _ in found), numbers)
-        found_checks += evaluate(result, s)
-        estimate = estimate_of(result)
+        checks += evaluate(result, s)
+        calibrated, cost = result.calibrated, result.minimum.cost
+        condition = result.minimum.basis.condition
+        estimate = estimate_of_fit(result, chi_square=cost, condition_number=condition)
     hashes = [o.provenance.data_hash for _, stage in found for o in stage.outcomes.values()]
-    outcome = make_outcome(
-        [one for part in parts for some in part.data.values() for one in some],
-        sorted((one for data in used for some in data.values() for one in some), key=_end_of),
-        [np.frombuffer("".join(hashes).encode(), dtype=np.uint8)],
-        arm,
-        s,
-        JointSettings,
-        streams,
-        source,
-        found_checks,
-        estimate,
-        solution,
-        solution.result.calibrated if solution else None,
-    )
-    return replace(
-        outcome, provenance=replace(outcome.provenance, parameters=_settings_yaml(s, of_kinds))
-    )
-
-
-def _end_of(one: Datum) -> int:
-    return one.end
+    arrays = [np.frombuffer("".join(hashes).encode(), dtype=np.uint8)]
+    every = [one for part in parts for some in part.data.values() for one in some]
+    in_time: list[Datum] = [one for data in used for some in data.values() for one in some]
+    in_time.sort(key=lambda one: one.end)
+    context = arm, s, JointSettings, streams, source
+    outcome = make_outcome(every, in_time, arrays, *context, checks, estimate, solution, calibrated)
+    origin = replace(outcome.provenance, parameters=_settings_yaml(s, of_kinds))
+    return replace(outcome, provenance=origin)
 
 
 def _check_session_clocks(sessions: Sequence[Session], of_kinds: Mapping[str, Any]) -> Check:
@@ -291,40 +243,21 @@ def _settings_yaml(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
     return yaml.safe_dump(settings, sort_keys=False)
 
 
-def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
-    """Evaluate the checks of a result."""
-    m, problem = r.minimum, r.problem
-    held = r.at_bound
-    words = f"at a physical bound: {', '.join(held)}" if held else ""
+def evaluate(r: JointResult, s: JointSettings) -> Iterator[Check]:
+    """Yield the checks of a result."""
+    m, held = r.minimum, r.at_bound
     missing = len(r.values) - len(m.basis.s) - len(held)
-    each = [
-        hide_pass_reason(
-            check_chi_square(
-                f"fit_{kind}",
-                cost,
-                free,
-                s.min_probability,
-                f"residuals of {kind} data are larger than the deviations allow",
-            )
-        )
-        for kind, (cost, free) in r.fits.items()
-    ]
-    return [
-        hide_pass_reason(
-            check_identifiability(r.undetermined, missing, m.basis.condition, MAX_CONDITION)
-        ),
-        check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE),
-        Check("bounds", FAIL if held else PASS, len(held), 0, words),
-        check_chi_square(
-            FIT,
-            m.cost,
-            problem.degrees_of_freedom,
-            s.min_probability,
-            "residuals are larger than the deviations allow",
-        ),
-        *each,
-        _check_precision(r, s),
-    ]
+    condition = m.basis.condition, MAX_CONDITION
+    yield hide_pass_reason(check_identifiability(r.undetermined, missing, *condition))
+    yield check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE)
+    words = f"at a physical bound: {', '.join(held)}" if held else ""
+    yield Check("bounds", FAIL if held else PASS, len(held), 0, words)
+    words = "residuals are larger than the deviations allow"
+    yield check_chi_square(FIT, m.cost, r.problem.degrees_of_freedom, s.min_probability, words)
+    for kind, fit in r.fits.items():
+        words = f"residuals of {kind} data are larger than the deviations allow"
+        yield hide_pass_reason(check_chi_square(f"fit_{kind}", *fit, s.min_probability, words))
+    yield _check_precision(r, s)
 
 
 def _check_precision(r: JointResult, s: JointSettings) -> Check:
@@ -339,22 +272,3 @@ def _check_precision(r: JointResult, s: JointSettings) -> Check:
     words = f"{r.problem.names[k]} has a deviation of {sigma[k]:.2g} {units[k]} "
     words += f"(at most {limits[k]:.2g})"
     return check_limit("precision", float(sigma[k] / limits[k]), 1.0, words, "too uncertain")
-
-
-def estimate_of(r: JointResult) -> Estimate:
-    """Convert the result to the estimate that all kinds of calibration share."""
-    m = r.minimum
-    return Estimate(
-        r.problem.names,
-        r.problem.units,
-        r.problem.guess,
-        r.values,
-        r.covariance,
-        undetermined=r.undetermined,
-        at_bound=r.at_bound,
-        chi_square=m.cost,
-        degrees_of_freedom=r.problem.degrees_of_freedom,
-        condition_number=m.basis.condition,
-        iterations=m.iterations,
-        last_update=m.last_update,
-    )

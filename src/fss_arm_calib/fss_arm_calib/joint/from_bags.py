@@ -1,26 +1,20 @@
 """Joint estimate from all rests, maneuvers and drifts of one or more bags: `from_bag --joint`."""
 
-import argparse
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from fss_arm_bags.reader import open_bags
-from fss_arm_calib.bag_command import report_outcome
 from fss_arm_calib.bag_data import describe_source, find_data, topic_name
 from fss_arm_calib.bag_options import default_settings
 from fss_arm_calib.calibration import Input
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
-from fss_arm_calib.joint.kind import JOINT
-from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import JOINT_SOURCES
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import Arm
-from fss_arm_model.description_file import described, load
+from fss_arm_model.description_file import described
 from fss_arm_model.files import ContentError, read_yaml
 
 
@@ -29,7 +23,6 @@ def kind_settings(path: str | None, namespace: str) -> dict[str, Any]:
 
     Raises:
         ValueError: the file has other content, or a setting is impossible.
-        OSError: the file cannot be read.
     """
     given: Any = read_yaml(Path(path)) if path else {}
     if not isinstance(given, dict) or not all(isinstance(one, dict) for one in given.values()):
@@ -49,22 +42,18 @@ def kind_settings(path: str | None, namespace: str) -> dict[str, Any]:
 def read_session(
     path: str, arm: Arm, settings: Mapping[str, Any], namespace: str
 ) -> tuple[Session, str]:
-    """Return the data of all kinds in a bag, and a text that names its source.
-
-    Kinds whose topics are missing have no data.
+    """Return the data in a bag of all kinds whose topics it has, and the name of its source.
 
     Raises:
-        BagError: the bag cannot be read, lacks the topics of all kinds, or a topic has a wrong
-            type.
+        BagError: the bag cannot be read, lacks the topics of all kinds, or has one of a wrong type.
     """
     data, streams, missing = {}, {}, list[Input]()
     with open_bags(path) as bags:
         for kind in JOINT_SOURCES.values():
             s = settings[kind.name]
             inputs = kind.inputs(s, arm.n)
-            there = [
-                one for one in inputs if topic_name(bags, one, namespace, False) in bags.topics
-            ]
+            names = {topic_name(bags, one, namespace, needed=False): one for one in inputs}
+            there = [one for name, one in names.items() if name in bags.topics]
             if lacking := [one for one in inputs if one.needed and one not in there]:
                 missing += lacking
                 continue
@@ -76,21 +65,12 @@ def read_session(
         return Session(Path(path).name, data, streams), describe_source(bags)
 
 
-def estimate_from_bags(options: argparse.Namespace, console: Console) -> Outcome[Any, Solution]:
-    """Solve, show the result, and write the requested files.
-
-    Raises:
-        ValueError: a bag or a file has other content, or a setting is impossible.
-        OSError: a file cannot be read or written.
-    """
-    s = JointSettings(**{f.name: getattr(options, f.name) for f in fields(JointSettings)})
-    truth = load(options.truth) if options.truth else None
-    arm, settings = described(s.arm), kind_settings(options.params, options.namespace)
-    read = [read_session(bag, arm, settings, options.namespace) for bag in options.bags]
-    read.sort(
-        key=lambda one: min((d.start for some in one[0].data.values() for d in some), default=0)
-    )
+def estimate_from_bags(
+    bags: Sequence[str], s: JointSettings, params: str | None, namespace: str
+) -> Outcome[Any, Solution]:
+    """Estimate from the data of all bags, each a session."""
+    arm, settings = described(s.arm), kind_settings(params, namespace)
+    read = [read_session(bag, arm, settings, namespace) for bag in bags]
+    read.sort(key=lambda one: min((d.start for d in chain(*one[0].data.values())), default=0))
     sources = ", ".join(source for _, source in read)
-    outcome = calibrate([one for one, _ in read], arm, s, JOINT_SOURCES, settings, sources)
-    report_outcome(outcome, joint_report(outcome, truth), JOINT, options, console)
-    return outcome
+    return calibrate([one for one, _ in read], arm, s, JOINT_SOURCES, settings, sources)

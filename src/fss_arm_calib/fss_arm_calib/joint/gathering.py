@@ -4,11 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from fss_arm_calib.outcome import Datum
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
-from fss_arm_calib.segments.streams import Streams
+from fss_arm_calib.segments.streams import Datum, Streams
 
 
 @dataclass(frozen=True)
@@ -20,6 +19,8 @@ class SessionData:
     drift: tuple[Drift, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)  # by kind, as Provenance has them
     set_back: Mapping[str, float] = field(default_factory=dict)  # by kind: backward clock jump [s]
+    used: bool = True  # always: the nodes mark the single data that are not used
+    reason: str = ""
 
     @property
     def data(self) -> dict[str, tuple[Datum, ...]]:
@@ -36,27 +37,13 @@ class SessionData:
         """End of the last datum [ns]."""
         return max((one.end for some in self.data.values() for one in some), default=0)
 
-    @property
-    def used(self) -> bool:
-        """Always True: the nodes mark the single data that are not used."""
-        return True
-
-    @property
-    def reason(self) -> str:
-        """Always empty: a session is never rejected as a whole."""
-        return ""
-
 
 class SessionCollector:
     """Collector of the data of the other nodes; it returns a session whenever they change.
 
     A message of a node replaces its previous one, so data that the node discarded are discarded
-    here, too. The last message of a node that stopped, or of a previous run, is kept.
-
-    Args:
-        n: number of joints of the arm; other data are rejected.
-        kinds: names of the nodes.
-        kept: sessions kept by a previous run.
+    here, too. The last message of a node that stopped, or of a previous run, is kept. Data of arms
+    with another number of joints than n are rejected.
     """
 
     def __init__(self, n: int, kinds: Sequence[str], kept: Sequence[SessionData] = ()) -> None:
@@ -67,8 +54,7 @@ class SessionCollector:
 
     def data(self, kind: str, found: Sequence[Any]) -> list[SessionData]:
         """Take all data of a kind; data of another arm are rejected."""
-        others = (joints for joints in map(_joint_count, found) if joints != self.n)
-        self._joints[kind] = next(others, self.n)
+        self._joints[kind] = next((len(one.q) for one in found if len(one.q) != self.n), self.n)
         if self._joints[kind] != self.n:
             self.reject(f"{kind} data of another arm")
             return []
@@ -81,15 +67,9 @@ class SessionCollector:
     def result(self, kind: str, settings: str, back: float) -> list[SessionData]:
         """Take a node's settings and its backward clock jump, if excessive [s]."""
         before = self.gathered
-        self.gathered = replace(
-            before,
-            settings={**before.settings, kind: settings},
-            set_back={**before.set_back, kind: back},
-        )
-        same = (before.settings, before.set_back) == (
-            self.gathered.settings,
-            self.gathered.set_back,
-        )
+        known, jumps = {**before.settings, kind: settings}, {**before.set_back, kind: back}
+        self.gathered = replace(before, settings=known, set_back=jumps)
+        same = (before.settings, before.set_back) == (known, jumps)
         return [] if same or not getattr(before, kind) else [self.gathered]
 
     def reject(self, what: str) -> None:
@@ -110,11 +90,6 @@ class SessionCollector:
             unknown=tuple(f"joint_{i}" for i in range(self.n + 1, most + 1)),
             rejected=dict(self.rejected),
         )
-
-
-def _joint_count(one: Any) -> int:
-    """Return the number of joints of a datum."""
-    return len(one.q)
 
 
 def _identity(one: Datum) -> tuple[int, int, bool, str]:

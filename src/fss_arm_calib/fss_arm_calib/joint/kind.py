@@ -67,25 +67,13 @@ def calibrate_session(
     of_kinds = {name: kind.settings() for name, kind in JOINT_SOURCES.items()}
     for name, parameters in one.settings.items():
         of_kinds[name] = parse_settings(parameters, JOINT_SOURCES[name].settings)
-    each = {
-        name: replace(streams, set_back={name: one.set_back.get(name, 0.0)})
-        for name in JOINT_SOURCES
-    }
+    back = {name: {name: one.set_back.get(name, 0.0)} for name in JOINT_SOURCES}
+    each = {name: replace(streams, set_back=jump) for name, jump in back.items()}
     outcome = calibrate([Session(source, one.data, each)], arm, s, JOINT_SOURCES, of_kinds, source)
+    used = sessions[-1:] if outcome.used else ()
     origin = replace(outcome.provenance, begin=one.start, end=one.end)
-    used = tuple(sessions[-1:]) if outcome.used else ()
-    return Outcome(
-        tuple(sessions),
-        used,
-        arm,
-        s,
-        outcome.streams,
-        outcome.checks,
-        origin,
-        outcome.estimate,
-        outcome.solution,
-        outcome.description,
-    )
+    found: Any = replace(outcome, data=tuple(sessions), used=tuple(used), provenance=origin)
+    return found
 
 
 def to_message(outcome: JointOutcome, frame_id: str) -> msg.JointCalibration:
@@ -119,7 +107,7 @@ def sessions_from_message(message: msg.CalibrationSession) -> list[SessionData]:
         return []
     settings = dict(zip(message.kinds, message.settings, strict=True))
     set_back = dict(zip(message.kinds, map(float, message.set_back), strict=True))
-    data = {
+    data: dict[str, Any] = {
         name: tuple(kind.data.from_message(getattr(message, _message_field(kind))))
         for name, kind in JOINT_SOURCES.items()
     }

@@ -17,7 +17,6 @@ includes the uncertainty of all other unknowns.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress
 from math import inf
 from typing import NamedTuple
 
@@ -25,14 +24,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.estimation.least_squares import (
-    MAX_UNDETERMINED_SHARE,
     Decomposition,
+    Fit,
     Linear,
-    Minimum,
+    Measurements,
+    compress_rows,
     eliminate,
     minimize,
 )
-from fss_arm_calib.estimation.measurements import Measurements
 from fss_arm_model import layout
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
@@ -103,10 +102,7 @@ class JointProblem:
         return T
 
     def session_names(self, session: int) -> tuple[str, ...]:
-        """Return the names of a session's own parameters: zeros and external effects.
-
-        The last session has no zeros of its own.
-        """
+        """Return the names of a session's own parameters: zeros, but of the last, and effects."""
         zeros = [*parameter_names(self.arm.n)[4 + self.arm.n : 3 + 2 * self.arm.n], "theta_BJ1"]
         moved = zeros if self.zeros > 0.0 and session < len(self.sessions) - 1 else []
         acting = zip(SURROUNDINGS, self.surroundings, strict=True)
@@ -147,9 +143,8 @@ class JointProblem:
     def start(self, moved: Sequence[Floats] = (), arm: Floats | None = None) -> Floats:
         """Return initial values of all unknowns; those of the data are fitted to the others.
 
-        Args:
-            moved: each session's own parameters; 0 by default.
-            arm: (p,) parameters of the arm; the guess by default.
+        Each session's own parameters are `moved`, by default 0; the parameters (p,) of the arm are
+        by default the guess.
         """
         parts = [self.guess if arm is None else arm]
         for k, session in enumerate(self.sessions):
@@ -170,21 +165,19 @@ class JointProblem:
 
     def parts(self, x: Floats, session: int) -> list[LinearizedData]:
         """Linearize a session's data, by kind."""
-        z, (_, places) = self.z(x, session), self._places[session]
-        every = self.sessions[session].items()
-        return [
-            LinearizedData(kind, one.linearize(z, x[places[kind]]), places[kind])
-            for kind, one in every
-        ]
+        z, found = self.z(x, session), []
+        for kind, one in self.sessions[session].items():
+            own = self._places[session][1][kind]
+            found.append(LinearizedData(kind, one.linearize(z, x[own]), own))
+        return found
 
     def rows(
         self, x: Floats, session: int, parts: Sequence[LinearizedData]
     ) -> tuple[Floats, Floats, Floats]:
         """Return a session's regressors by the arm's and by its own parameters, and residuals."""
         own, sigma = x[self.session_slice(session)], self.session_deviations(session)
-        R = np.concatenate(
-            [*(part.linear.regressor for part in parts), np.zeros((0, len(self.by_arm)))]
-        )
+        none = np.zeros((0, len(self.by_arm)))
+        R = np.concatenate([*(part.linear.regressor for part in parts), none])
         r = np.concatenate([*(part.linear.residuals for part in parts), -own / sigma])
         A = np.concatenate([R @ self.by_arm, np.zeros((len(sigma), len(self.names)))])
         return A, np.concatenate([R @ self.by_session(session), np.diag(1.0 / sigma)]), r
@@ -198,22 +191,16 @@ class JointProblem:
         return rows
 
     def linearize(self, x: Floats, without: str = "") -> Linear:
-        """Linearize the problem in the p parameters of the arm.
-
-        Args:
-            x: values of all unknowns.
-            without: kind of data to leave out.
-        """
+        """Linearize the problem in the p parameters of the arm, `without` the data of a kind."""
         p, cost, few, found = len(self.names), np.zeros(()), [], []
         for k in range(len(self.sessions)):
             parts = [part for part in self.parts(x, k) if part.kind != without]
             A, B, r = self.rows(x, k, parts)
             reduced = eliminate(A[None], B[None], r[None])
-            few.append(_compress(np.column_stack([reduced.regressor, reduced.residuals])))
+            few.append(compress_rows(np.column_stack([reduced.regressor, reduced.residuals])))
             found.append((k, parts, reduced))
-            cost = (
-                cost + np.sum(r[len(r) - len(B.T) :] ** 2) + sum(one.linear.cost for one in parts)
-            )
+            cost = cost + np.sum(r[len(r) - len(B.T) :] ** 2)
+            cost = cost + sum(one.linear.cost for one in parts)
         off = self.prior_rows @ (self.guess - x[:p])
         rows = np.concatenate([*few, np.column_stack([self.prior_rows, off])])
 
@@ -234,10 +221,7 @@ class JointProblem:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of observations and priors, less the unknowns.
-
-        Each of a session's own parameters has a prior, so these cancel.
-        """
+        """Number of observations and priors, less the unknowns; those of sessions have priors."""
         every = [one for session in self.sessions for one in session.values()]
         observed = sum(one.degrees_of_freedom for one in every)
         return observed + len(self.prior_indices) - len(self.names)
@@ -249,38 +233,16 @@ def _data_step(linear: Linear, dz: Floats) -> Floats:
     return linear.extend(dz)[len(dz) :]
 
 
-def _compress(rows: Floats) -> Floats:
-    """Reduce the number of rows by a QR decomposition; products of columns are unchanged."""
-    return np.linalg.qr(rows)[1] if len(rows) > len(rows.T) else rows
-
-
 @dataclass(frozen=True)
-class JointResult:
+class JointResult(Fit):
     """Estimate of the arm's p parameters and of each session's own, with the uncertainty."""
 
     problem: JointProblem
-    minimum: Minimum
-
-    @property
-    def values(self) -> Floats:
-        """Estimates (p,) in the order and units of problem.names and problem.units."""
-        return self.minimum.x[: len(self.problem.names)]
 
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (p, p) of the values."""
         return self.minimum.basis.covariance()
-
-    @cached_property
-    def undetermined(self) -> tuple[str, ...]:
-        """Names of parameters that the data do not separate, except those at a bound."""
-        lost = (self.minimum.basis.undetermined() > MAX_UNDETERMINED_SHARE) & ~self.minimum.at_bound
-        return tuple(compress(self.problem.names, lost))
-
-    @property
-    def at_bound(self) -> tuple[str, ...]:
-        """Names of parameters that the data would move out of their bounds."""
-        return tuple(compress(self.problem.names, self.minimum.at_bound))
 
     def session(self, k: int) -> tuple[Floats, Floats]:
         """Return values and standard deviations of a session's own parameters."""
@@ -306,18 +268,12 @@ class JointResult:
         """Standard deviations (p,) without the data of each kind; inf: not determined."""
         found = {}
         for kind in self.problem.kinds:
-            Phi = self.problem.linearize(self.minimum.x, kind).regressor
-            basis = Decomposition.of(Phi)
-            lost = basis.undetermined() > MAX_UNDETERMINED_SHARE
-            found[kind] = np.where(lost, inf, np.sqrt(np.diag(basis.covariance())))
+            basis = Decomposition.of(self.problem.linearize(self.minimum.x, kind).regressor)
+            found[kind] = np.where(basis.lost(), inf, np.sqrt(np.diag(basis.covariance())))
         return found
 
     def calibrated(self) -> Arm:
-        """Return the initial arm with all estimates and their covariance.
-
-        Raises:
-            DescriptionError: a value is impossible.
-        """
+        """Return the arm with all estimates; DescriptionError: a value is impossible."""
         problem, size = self.problem, 5 * self.problem.arm.n + 6
         arm = with_values(problem.arm, self.values[:size])
         theta_E = float(self.values[-1]) if problem.theta_e else arm.theta_E
@@ -325,17 +281,10 @@ class JointResult:
         return replace(arm, theta_E=theta_E, known=known)
 
 
-def solve(
-    problem: JointProblem,
-    start: Floats | None = None,
-    bounded: bool = True,
-) -> JointResult:
-    """Solve for the most probable values of all unknowns.
+def solve(problem: JointProblem, start: Floats | None = None, bounded: bool = True) -> JointResult:
+    """Solve for the most probable values of all unknowns, from problem.start() by default.
 
-    Args:
-        problem: the data and the prior knowledge.
-        start: initial values of all unknowns; problem.start() by default.
-        bounded: keep to problem.bounds; deviations are correct only if no bound is active.
+    If `bounded`, keep to problem.bounds; deviations are correct only if no bound is active.
     """
     begin = problem.start() if start is None else start
     bounds = problem.bounds if bounded else None

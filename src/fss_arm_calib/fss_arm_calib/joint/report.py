@@ -8,8 +8,7 @@ import numpy as np
 from fss_arm_calib.estimation.statistics import probability
 from fss_arm_calib.joint.calibrate import Solution
 from fss_arm_calib.outcome import Outcome
-from fss_arm_calib.report import Report, Table
-from fss_arm_calib.report_tables import (
+from fss_arm_calib.report_parts import (
     display_unit,
     make_report,
     mask_undetermined,
@@ -18,6 +17,7 @@ from fss_arm_calib.report_tables import (
 )
 from fss_arm_model.description import Arm
 from fss_arm_model.parameters import values
+from fss_arm_ros.report import Report, Table
 
 
 def joint_report(outcome: Outcome[Any, Solution], truth: Arm | None = None) -> Report:
@@ -52,36 +52,23 @@ def _parameter_table(outcome: Outcome[Any, Solution], found: Solution, truth: Ar
 
 def _fit_table(found: Solution) -> Table:
     """Tabulate how well the data of each kind fit."""
-    rows = [
-        [
-            kind,
-            str(sum(one.get(kind, 0) for one in found.number)),
-            f"{cost:.1f}",
-            str(free),
-            f"{probability(cost, free):.2g}",
-        ]
-        for kind, (cost, free) in found.result.fits.items()
-    ]
+    rows = []
+    for kind, (cost, free) in found.result.fits.items():
+        number = sum(one.get(kind, 0) for one in found.number)
+        chance = f"{probability(cost, free):.2g}"
+        rows.append([kind, str(number), f"{cost:.1f}", str(free), chance])
     head = ["kind", "data", "chi-square", "observations minus own unknowns", "probability"]
     return Table("Residuals by kind of data", head, rows)
 
 
 def _session_table(found: Solution) -> Table:
     """Tabulate the parameters of each session."""
-    rows = [
-        [
-            one.session,
-            one.name,
-            display_unit(one.unit),
-            _format_small(one.value, one.unit),
-            _format_small(one.deviation, one.unit),
-        ]
-        for one in found.session_parameters()
-    ]
+    rows = []
+    for one in found.session_parameters():
+        numbers = np.array([one.value, one.deviation])
+        shown = np.degrees(numbers) if one.unit == "rad" else numbers
+        texts = (f"{x:.3g}" for x in shown)
+        rows.append([one.session, one.name, display_unit(one.unit), *texts])
     head = ["session", "parameter", "unit", "estimate", "± 1 sigma"]
     note = "zeros of joints relative to those of the last session"
     return Table("Parameters of each session", head, rows, words=3, note=note)
-
-
-def _format_small(value: float, kind: str) -> str:
-    return f"{np.degrees(value) if kind == 'rad' else value:.3g}"

@@ -6,7 +6,8 @@ from typing import ClassVar
 
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_model.settings import NOT_NEGATIVE, like, setting
+from fss_arm_calib.segments.settings import sigma
+from fss_arm_model.settings import like, setting
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,8 @@ class JointSettings(Knowledge):
         "parameters whose described value counts as an observation, e.g. 'b_i I_0'",
     )
     theta_e: bool = setting(False, "estimate the heading offset of the end effector's subject, too")
-    zero_deviation: float = setting(
-        radians(5.0),
-        "1 sigma of the change of a joint's zero between sessions; 0: no change",
-        unit="rad",
-        check=NOT_NEGATIVE,
+    zero_deviation: float = sigma(
+        radians(5.0), "rad", "the change of a joint's zero between sessions; 0: no change"
     )
     min_probability: float = like(DynamicSettings, "min_probability")
     max_relative: float = like(DynamicSettings, "max_relative")

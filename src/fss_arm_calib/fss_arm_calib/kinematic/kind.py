@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from fss_arm_calib.calibration import Calibration, Input
 from fss_arm_calib.codec import fieldwise_data, flatten
 from fss_arm_calib.kinematic.calibrate import calibrate
-from fss_arm_calib.kinematic.measurements import measurements
 from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_calib.kinematic.solution import Solution
+from fss_arm_calib.kinematic.solution import Solution, problem_of
+from fss_arm_calib.kinematic.solve import RestMeasurements
 from fss_arm_calib.messages import common_message, joints_input, poses_input, telemetry_inputs
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.poses import BASE, TIP
@@ -71,7 +71,7 @@ KINEMATIC = Calibration(
     inputs=inputs,
     finder=finder,
     calibrate=calibrate,
-    measurements=measurements,
+    measurements=lambda rests, arm, s: RestMeasurements(problem_of(rests, arm, s)),
     message=KinematicCalibration,
     to_message=to_message,
     compared_fields=("held_out_residuals", "held_out_normalized"),

@@ -15,7 +15,7 @@ from fss_arm_calib.estimation.noise import (
     assumed_noise,
     solve_with_noise,
 )
-from fss_arm_calib.estimation.outliers import reject_outliers
+from fss_arm_calib.estimation.outliers import expand, reject_outliers
 from fss_arm_calib.estimation.statistics import equivalent_error
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import (
@@ -25,9 +25,8 @@ from fss_arm_calib.kinematic.problem import (
     FULL,
     KinematicProblem,
 )
-from fss_arm_calib.kinematic.result import KinematicResult, Prediction
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_calib.kinematic.solve import NotIdentifiable, fit, solve
+from fss_arm_calib.kinematic.solve import KinematicResult, Prediction, fit
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.arrays import Floats
@@ -55,11 +54,7 @@ class Solution:
 
 
 def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> KinematicProblem:
-    """Return the kinematic problem of the used observations.
-
-    Raises:
-        ValueError: the observations do not match the arm.
-    """
+    """Return the kinematic problem of the used observations; ValueError if the arm is another."""
     position, heading = assumed_noise(s).deviations.tolist()
     return KinematicProblem(
         q=np.array([o.q for o in used]).reshape(len(used), -1 if used else arm.n),
@@ -90,19 +85,16 @@ def min_observations(problem: KinematicProblem, s: KinematicSettings) -> int:
 
 def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solution:
     """Solve, reject outliers one by one up to the limit, and predict held-out observations."""
-    s = settings
-
-    largest = problem.sigma[1:].tolist()
+    s, largest = settings, problem.sigma[1:].tolist()
+    fewest = min_observations(problem, s)
 
     def solved_only(mask: Mask) -> NoiseSolution[KinematicResult]:
         those = problem.select(mask)
 
         def with_noise(deviations: Floats) -> tuple[KinematicResult, ResidualSums | None]:
-            weighed = those.with_deviations(deviations)
-            most = (
-                s.max_condition if weighed.sigma[1:].tolist() == largest else RELAXED_MAX_CONDITION
-            )
-            result = fit(weighed, UPDATE_TOLERANCE, max_condition=most)
+            assumed = deviations.tolist() == largest
+            most = s.max_condition if assumed else RELAXED_MAX_CONDITION
+            result = fit(those.with_deviations(deviations), UPDATE_TOLERANCE, max_condition=most)
             return result, result.residual_sums
 
         return solve_with_noise(s, with_noise)
@@ -110,7 +102,7 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
     def solved(mask: Mask) -> tuple[NoiseSolution[KinematicResult], Floats]:
         found = solved_only(mask)
         errors = found.result.normalized_residuals
-        if not found.noise.is_given.all() and np.sum(mask) > min_observations(problem, s):
+        if not found.noise.is_given.all() and np.sum(mask) > fewest:
             # Judge the worst by the noise of the others: an outlier inflates the estimated
             # deviation and so hides itself.
             worst, others = int(np.argmax(errors)), mask.copy()
@@ -122,18 +114,12 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
         return found, errors
 
     found = reject_outliers(
-        solved,
-        len(problem.q),
-        s.outlier,
-        s.max_outliers,
-        min_observations(problem, s),
-        "normalized residual",
+        solved, len(problem.q), s.outlier, s.max_outliers, fewest, "normalized residual"
     )
     result, noise, first = found.result
     problem = problem.with_deviations(noise.deviations)
     errors = np.where(found.mask, found.errors, result.predict(problem).normalized)
-    most = s.max_condition if noise.is_given.all() else RELAXED_MAX_CONDITION
-    held_out = _held_out(problem, result, found.mask, s, most)
+    held_out = _held_out(problem, result, found.mask, s, noise)
     return Solution(problem, result, found.mask, found.reasons, errors, *held_out, noise, first)
 
 
@@ -142,20 +128,17 @@ def _held_out(
     result: KinematicResult,
     kept: Mask,
     s: KinematicSettings,
-    max_condition: float,
+    noise: Noise,
 ) -> tuple[npt.NDArray[np.intp], Prediction]:
     """Predict held-out observations by a solution without them; none if too few remain."""
-    held_out = (
-        np.flatnonzero(kept)[s.held_out - 1 :: s.held_out] if s.held_out else np.array([], int)
-    )
+    held_out = np.flatnonzero(kept)[s.held_out - 1 :: s.held_out] if s.held_out else np.arange(0)
     rest = kept.copy()
     rest[held_out] = False
     if len(held_out) and np.sum(rest) >= min_observations(problem, s):
-        try:
-            without = solve(problem.select(rest), UPDATE_TOLERANCE, max_condition=max_condition)
+        most = s.max_condition if noise.is_given.all() else RELAXED_MAX_CONDITION
+        without = fit(problem.select(rest), UPDATE_TOLERANCE, max_condition=most)
+        if not without.undetermined:
             return held_out, without.predict(problem.select(held_out))
-        except NotIdentifiable:
-            pass
     return held_out[:0], result.predict(problem.select(held_out[:0]))
 
 
@@ -164,12 +147,10 @@ def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimat
     names, units, initial = problem.names, problem.units, problem.initial
     if solution is None:
         freedom = max(problem.tip.size - len(names), 0)
-        return Estimate(
-            names, units, initial, reasons=len(problem.q) * ("",), degrees_of_freedom=freedom
-        )
-    r, kept = solution.result, solution.kept
-    weights, leverage = np.zeros((2, len(kept)))
-    weights[kept], leverage[kept] = r.weights, r.leverage
+        reasons = len(problem.q) * ("",)
+        return Estimate(names, units, initial, reasons=reasons, degrees_of_freedom=freedom)
+    r = solution.result
+    weights, leverage = (expand(x, solution.kept, 0.0) for x in (r.weights, r.leverage))
     return Estimate(
         names,
         units,

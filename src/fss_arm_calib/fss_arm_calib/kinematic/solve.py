@@ -1,16 +1,160 @@
-"""Solver for the lengths and angles that fit the observations best (Eq. 4)."""
+"""Solver for the lengths and angles that fit the observations best (Eq. 4), and its result."""
 
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import Minimum, minimize
+from fss_arm_calib.estimation.least_squares import Linear, Minimum, minimize
+from fss_arm_calib.estimation.noise import ResidualSums
+from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem
-from fss_arm_calib.kinematic.result import KinematicResult
+from fss_arm_model import layout
 from fss_arm_model.arrays import Floats
+from fss_arm_model.description import Arm
+from fss_arm_model.kinematics import tip_regressor
 from fss_arm_model.planar import wrap
+
+
+class Prediction(NamedTuple):
+    """Prediction of k observations that the result was not estimated from."""
+
+    residuals: Floats  # (k, 3) observed minus predicted [m, m, rad]
+    normalized: Floats  # (k,) lengths, normalized by their covariance, as in KinematicResult
+    chi_square: float  # of all k observations, with 3k degrees of freedom
+
+
+@dataclass(frozen=True)
+class KinematicResult:
+    """Estimate of p parameters from s observations, with its uncertainty.
+
+    With a robust loss the covariance is that of the weighted observations.
+    """
+
+    problem: KinematicProblem
+    values: Floats  # (p,) in the order and units of problem.names and problem.units
+    covariance: Floats  # (p, p)
+    weighted: Floats  # (p, p) part of it due to observation errors, (Phi_k' W Phi_k)^-1
+    residuals: Floats  # (s, 3) observed minus predicted [m, m, rad]
+    weights: Floats  # (s,) weights of the loss: less than 1 for large residuals
+    chi_square: float  # weighted sum of squared residuals
+    condition_number: float  # of the column-scaled regressor
+    iterations: int
+    last_update: float  # largest change in the last iteration, in standard deviations
+    converged: bool
+    undetermined: tuple[str, ...] = ()  # parameters that the observations do not separate
+    missing: int = 0  # number of undetermined combinations of them
+
+    @property
+    def deviations(self) -> Floats:
+        """Standard deviation of each parameter, (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Degrees of freedom, 3s - p."""
+        return self.residuals.size - self.values.size
+
+    @property
+    def position_residual(self) -> float:
+        """Standard deviation of the 2s position residuals: root mean square about zero [m]."""
+        return root_mean_square(self.residuals[:, :2])
+
+    @property
+    def heading_residual(self) -> float:
+        """Standard deviation of the s heading residuals: root mean square about zero [rad]."""
+        return root_mean_square(self.residuals[:, 2])
+
+    def _prediction_covariance(self, problem: KinematicProblem, covariance: Floats) -> Floats:
+        """Return the whitened covariance (s, 3, 3) of predictions due to the parameters."""
+        Phi = model.regressor(problem, self.values).reshape(-1, 3, len(self.values))
+        return np.asarray(Phi @ covariance @ np.swapaxes(Phi, 1, 2))
+
+    @cached_property
+    def _hat(self) -> Floats:
+        """Whitened covariance (s, 3, 3) of the observations' own predictions."""
+        return self._prediction_covariance(self.problem, self.weighted)
+
+    @property
+    def residual_sums(self) -> ResidualSums | None:
+        """Squared residuals and degrees of freedom of positions and headings."""
+        if self.undetermined:
+            return None
+        hat = np.diagonal(self._hat, axis1=1, axis2=2)
+        squares = self.weights[:, None] * model.whiten_residuals(self.problem, self.residuals) ** 2
+        freedom = self.weights[:, None] * (1.0 - self.weights[:, None] * hat)
+        parts = [np.array([np.sum(x[:, :2]), np.sum(x[:, 2])]) for x in (squares, freedom)]
+        return ResidualSums(*parts)
+
+    @cached_property
+    def leverage(self) -> Floats:
+        """Leverage (s,): mean diagonal of the hat matrix, 0 to 1; the average is p / 3s."""
+        return np.asarray(self.weights * np.trace(self._hat, axis1=1, axis2=2) / 3.0)
+
+    @cached_property
+    def normalized_residuals(self) -> Floats:
+        """Lengths (s,) of the residuals, normalized by their own covariance, 1 - hat."""
+        hat = self.weights[:, None, None] * self._hat
+        return _mahalanobis(model.whiten_residuals(self.problem, self.residuals), np.eye(3) - hat)
+
+    def predict(self, problem: KinematicProblem) -> Prediction:
+        """Predict observations that were not used for the estimate."""
+        residuals = model.residuals(problem, self.values)
+        z, Phi = model.whiten_residuals(problem, residuals), model.regressor(problem, self.values)
+        # z' (1 + Phi C Phi')^-1 z, by the matrix inversion lemma
+        v, C = Phi.T @ z.ravel(), self.covariance
+        off = v @ np.linalg.solve(np.eye(len(v)) + C @ Phi.T @ Phi, C @ v)
+        normalized = _mahalanobis(z, np.eye(3) + self._prediction_covariance(problem, C))
+        return Prediction(residuals, normalized, float(np.sum(z**2) - off))
+
+    def calibrated(self) -> Arm:
+        """Return the arm with the estimates; DescriptionError: a length is not positive."""
+        problem, basis, fixed = self.problem, self.problem.basis, self.problem.fixed_covariance
+        *values, theta_E = model.all_parameters(problem, self.values).tolist()
+        cross = basis @ model.influence(problem, self.values, self.weighted) @ fixed
+        C = basis @ self.covariance @ basis.T + fixed - cross - cross.T
+        uncertain = np.flatnonzero(np.diag(C) > 0.0)
+        names = [problem.all_names[k] for k in uncertain]
+        known = problem.arm.known.updated(names, C[np.ix_(uncertain, uncertain)])
+        return replace(problem.arm.with_kinematics(values), theta_E=theta_E, known=known)
+
+
+def _mahalanobis(z: Floats, covariance: Floats) -> Floats:
+    """Return sqrt(z' covariance^-1 z) of each, (s,), where the covariance is not singular."""
+    inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
+    return np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", z, inverse, z), 0.0))
+
+
+@dataclass(frozen=True)
+class RestMeasurements:
+    """Rests in the joint estimate; they have no unknowns of their own."""
+
+    problem: KinematicProblem
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of coordinates of the poses."""
+        return self.problem.tip.size
+
+    def initial_unknowns(self) -> Floats:
+        """Return an empty vector: rests have no unknowns of their own."""
+        return np.empty(0)
+
+    def linearize(self, z: Floats, unknowns: Floats) -> Linear:
+        """Linearize the pose residuals near z, divided by their standard deviations."""
+        problem, n = self.problem, self.problem.arm.n
+        p = z[: layout.size(n)]
+        J = np.zeros((*problem.tip.shape, len(z)))
+        J[..., layout.kinematic_index(n)] = tip_regressor(p, problem.q)
+        J[:, 2, layout.TIP_ANGLE] = 1.0
+        r = model.whiten_residuals(problem, model.pose_errors(problem, p)).ravel()
+        rows = model.whiten(problem, J).reshape(len(r), len(z))
+        return Linear(r, rows, r @ r, lambda dz: dz)
+
 
 #: A parameter is reported if its share in the undetermined directions is larger.
 MAX_UNDETERMINED_SHARE = 1e-3
@@ -35,11 +179,7 @@ def solve(
     max_condition: float = 1e3,
     start: npt.ArrayLike | None = None,
 ) -> KinematicResult:
-    """Fit as `fit` does, and require that all parameters are determined.
-
-    Raises:
-        NotIdentifiable: the observations are too few or too similar for all parameters.
-    """
+    """Fit as `fit` does; NotIdentifiable: the observations do not determine all parameters."""
     result = fit(problem, tolerance, max_condition, start)
     if result.undetermined:
         raise NotIdentifiable(result.undetermined, result.missing, result.condition_number)
@@ -54,16 +194,10 @@ def fit(
 ) -> KinematicResult:
     """Iterate Eq. 4 (Gauss-Newton) from several starts and return the solution of lowest cost.
 
-    One start is the guess, with lengths and mount solved linearly for the guessed angles. The
-    other start is the closed form. Mirrored solutions are folded back. The result names the
-    parameters that are not identifiable.
-
-    Args:
-        problem: observations and initial guess.
-        tolerance: update below which the iteration has converged, in standard deviations.
-        max_condition: condition number of the column-scaled regressor above which parameters
-            count as inseparable.
-        start: (p,) guess in place of the arm's, which cannot have lengths of zero.
+    One start is the guess, of the arm or `start` (p,), with lengths and mount solved linearly for
+    the guessed angles. The other start is the closed form. Mirrored solutions are folded back. The
+    result names the parameters that are not identifiable. Tolerance and limit of the condition
+    number are those of `minimize`.
     """
     guess = problem.initial if start is None else np.asarray(start, dtype=float)
     starts = [_linear_start(problem, guess), *_closed_form_start(problem)]
@@ -71,18 +205,12 @@ def fit(
     fits: list[Minimum] = []
 
     def iterate(xi: Floats) -> Minimum:
-        fits.append(
-            minimize(
-                lambda x: model.linearize(problem, x),
-                model.unmirror(problem, xi),
-                tolerance=tolerance,
-                max_iterations=MAX_ITERATIONS,
-                max_condition=max_condition,
-            )
-        )
-        return fits[-1]
+        start, linearize = model.unmirror(problem, xi), partial(model.linearize, problem)
+        found = minimize(linearize, start, None, tolerance, MAX_ITERATIONS, max_condition)
+        fits.append(found)
+        return found
 
-    for xi in sorted(starts, key=lambda xi: model.cost(problem, xi)):
+    for xi in sorted(starts, key=partial(model.cost, problem)):
         fit = iterate(xi)
         if model.is_mirrored(problem, fit.x):
             fit = iterate(fit.x)
@@ -90,16 +218,15 @@ def fit(
             break  # any better minimum would be better only by chance
     best = min(fits, key=lambda fit: (not fit.converged, fit.cost))
     missing = len(best.x) - len(best.basis.s)
-    lost = best.basis.undetermined() > MAX_UNDETERMINED_SHARE
+    lost = best.basis.lost(MAX_UNDETERMINED_SHARE)
     angles = np.array(problem.units) == "rad"
     weights, P = model.weights(problem, best.x), best.basis.covariance()
     G = model.influence(problem, best.x, P)
+    repeated = model.repeated_error_covariance(problem, best.x, P)
     return KinematicResult(
         problem=problem,
         values=np.where(angles, wrap(best.x), best.x),
-        covariance=P
-        + model.repeated_error_covariance(problem, best.x, P)
-        + G @ problem.fixed_covariance @ G.T,
+        covariance=P + repeated + G @ problem.fixed_covariance @ G.T,
         weighted=P,
         residuals=model.residuals(problem, best.x),
         weights=weights,
@@ -119,10 +246,7 @@ def _link_phasors(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
 
 
 def _linear_start(problem: KinematicProblem, xi: Floats) -> Floats:
-    """Return a start with the angles of xi and the best lengths and mount for them.
-
-    Lengths and mount that the observations do not determine keep their values in xi.
-    """
+    """Return a start with the angles of xi, and the lengths and mount that fit best to them."""
     n = problem.arm.n
     values = model.all_parameters(problem, xi)
     headings = np.cumsum([values[-2], *values[n : 2 * n - 1]])
@@ -158,8 +282,5 @@ def _closed_form_start(problem: KinematicProblem) -> list[Floats]:
     headings = np.angle(z[1:])
     seen = np.exp(1j * (problem.tip[:, 2] - headings[-1])) / turns[:, -1]
     mount = [z[0].real, z[0].imag, headings[0], np.angle(np.mean(seen))]
-    return [
-        model.estimated_parameters(
-            problem, np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount])
-        )
-    ]
+    values = np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount])
+    return [model.estimated_parameters(problem, values)]

@@ -49,11 +49,11 @@ def estimate_offset(
         q: stamps [s] and readings [rad] of each joint, from before the move until after it.
         stamps: (k,) stamps of motion capture [s].
         psi: (k,) the end effector's heading in the base's frame, unwrapped [rad].
-        search: largest offset to search for [s].
+        search: largest offset to search for [s]; beyond it, the result is this limit with infinite
+            deviation.
 
     Returns:
-        The offset; NaN if the move hardly turns the end effector. If the offset lies outside the
-        search, a limit of the search with infinite deviation.
+        The offset; NaN if the move hardly turns the end effector.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -93,14 +93,10 @@ def find_last_move(joints: Sequence[Joint], end: int, threshold: float) -> tuple
 
 
 class Alignment:
-    """Mean offset of the newest moves.
-
-    Args:
-        search: largest offset to search for [s].
-    """
+    """Mean offset of the newest moves."""
 
     def __init__(self, search: float) -> None:
-        self.search = search
+        self.search = search  # largest offset to search for [s]
         self.offset = Offset()
         self.moves: deque[Offset] = deque(maxlen=MAX_MOVES)  # with a finite offset
 
@@ -109,9 +105,8 @@ class Alignment:
         if isfinite(move.value):
             self.moves.append(move)
         if move.deviation <= MAX_OFFSET_DEVIATION:
-            self.offset = mean_offset(
-                [move for move in self.moves if move.deviation <= MAX_OFFSET_DEVIATION]
-            )
+            good = [one for one in self.moves if one.deviation <= MAX_OFFSET_DEVIATION]
+            self.offset = mean_offset(good)
 
     @property
     def lower_bound(self) -> float:
@@ -124,8 +119,7 @@ class Alignment:
 def mean_offset(moves: Collection[Offset]) -> Offset:
     """Return the weighted mean of the moves; their scatter gives its deviation if they suffice.
 
-    The ratio of the error to the deviation from a scatter of n moves is distributed as Student's t
-    with n - 1 degrees of freedom, of variance (n - 1) / (n - 3).
+    The error over the deviation from n moves is Student's t with variance (n - 1) / (n - 3).
     """
     values = np.array([move.value for move in moves])
     weights = np.array([move.deviation for move in moves]) ** -2.0

@@ -41,12 +41,13 @@ class Interval(NamedTuple):
     end: int
 
 
-class DriftSearch:
-    """Search for drifts: rests of the arm in which the base is seen."""
+class DriftFinder(Finder[Interval, Drift]):
+    """Finder of drifts, rests of the arm in which the base is seen, in the samples of n joints."""
 
-    def __init__(self, sensors: Sensors, averaging_time: float) -> None:
-        self.sensors = sensors
-        self.averaging_time = averaging_time  # of a pose [s]
+    def __init__(self, n: int, settings: DriftFinderSettings | None = None) -> None:
+        s = settings or DriftFinderSettings()
+        super().__init__(Sensors(n, s))
+        self.averaging_time = s.bin  # of a pose [s]
         self._queued_until = -1  # end of the last interval that became a candidate [ns]
 
     @property
@@ -71,9 +72,6 @@ class DriftSearch:
         self._queued_until = max(self._queued_until, end)
         return [Interval(begin, end)] if end - begin >= self.sensors.min_duration else []
 
-    def align(self, candidate: Interval) -> None:
-        """Leave the clocks unchanged: the offset does not matter at rest."""
-
     def observe(self, candidate: Interval, closing: bool) -> Drift | None:
         """Return the drift in a rest; None if readings of a joint or enough poses are missing."""
         base, end = self.sensors.base, candidate.end
@@ -96,14 +94,3 @@ class DriftSearch:
     def oldest_needed(self, next_candidate: Interval | None) -> int:
         """Return the start of the next candidate, or else of the present rest [ns]."""
         return (next_candidate or self.current_rest).begin
-
-
-class DriftFinder(Finder[Interval, Drift]):
-    """Finder of drifts in the samples of n joints and the base."""
-
-    search: DriftSearch
-
-    def __init__(self, n: int, settings: DriftFinderSettings | None = None) -> None:
-        s = settings or DriftFinderSettings()
-        sensors = Sensors(n, s)
-        super().__init__(sensors, DriftSearch(sensors, s.bin))

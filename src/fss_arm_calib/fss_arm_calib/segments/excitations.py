@@ -95,13 +95,7 @@ class FrameQueue(Stream):
 
 
 class ExcitationFinder:
-    """Finder of excitations in the telemetry frames of an arm's links.
-
-    Args:
-        arm: arm whose encoder resolutions convert velocities.
-        settings: definition of an excitation.
-        kept: excitations of a previous run; frames until their end are too late.
-    """
+    """Finder of excitations in the links' frames, after those `kept` by a previous run."""
 
     def __init__(
         self,

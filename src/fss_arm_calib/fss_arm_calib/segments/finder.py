@@ -6,15 +6,16 @@
 4. Align: the offset between the clocks is updated from the samples around it.
 5. Observe: the samples of the candidate become a segment, or are rejected.
 
-A Search defines steps 2, 4 and 5 for one kind of segment. Each stream arrives in its own order and
+Subclasses define steps 2, 4 and 5. Each stream arrives in its own order and
 rate, interleaved with the others in any way. The result therefore depends on the data alone: it is
 the same live, replayed and read from a file, as long as no stream lags another by more than
 `horizon`. The timeout of an optional stream that falls silent is half of `horizon`.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from math import nan
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from fss_arm_calib.segments.joints import Rest
 from fss_arm_calib.segments.samples import Stamps
@@ -25,58 +26,46 @@ from fss_arm_model.arrays import Floats
 CLEANUP_INTERVAL = 1000  # samples between two removals of old data
 
 
-class Candidate(Protocol):
-    """Candidate for a segment."""
-
-    @property
-    def end(self) -> int:
-        """Time that all streams must have passed before it is observed [ns]."""
-
-
-C = TypeVar("C", bound=Candidate)
+#: A candidate for a segment: observed when all streams have passed its `end` [ns].
+C = TypeVar("C", bound=Any)
 S = TypeVar("S")  # a segment
-S_co = TypeVar("S_co", covariant=True)
 
 
-class Search(Protocol[C, S_co]):
-    """Steps of a finder that depend on the kind of segment."""
-
-    def candidates(self, ended_rest: Rest | None) -> Sequence[C]:
-        """Return the candidates that a merged reading completes; it ends a rest, or None."""
-
-    def current_candidate(self, closing: bool) -> C | None:
-        """Return a candidate in the present rest; called if no other candidate waits."""
-
-    def align(self, candidate: C) -> None:
-        """Update the offset between the clocks before a candidate is observed."""
-
-    def observe(self, candidate: C, closing: bool) -> S_co | None:
-        """Return the segment of a candidate; None if it is none."""
-
-    def oldest_needed(self, next_candidate: C | None) -> int:
-        """Return the time of the oldest sample that is still needed [ns]."""
-
-
-class Finder(Generic[C, S]):
+class Finder(ABC, Generic[C, S]):
     """Finder of segments in the samples of all sensors.
 
     Each method that takes samples returns the segments that they complete, in order of time. Stamps
     are integer nanoseconds.
-
-    Args:
-        sensors: buffers of the samples.
-        search: steps that depend on the kind of segment.
     """
 
-    def __init__(self, sensors: Sensors, search: Search[C, S]) -> None:
-        self.sensors, self.search = sensors, search
+    def __init__(self, sensors: Sensors) -> None:
+        self.sensors = sensors
         self.pending: list[C] = []  # candidates that wait for streams to pass them
         self._until_cleaning = CLEANUP_INTERVAL
+
+    @abstractmethod
+    def candidates(self, ended_rest: Rest | None) -> Sequence[C]:
+        """Return the candidates that a merged reading completes; it ends a rest, or None."""
+
+    @abstractmethod
+    def current_candidate(self, closing: bool) -> C | None:
+        """Return a candidate in the present rest; called if no other candidate waits."""
+
+    def align(self, candidate: C) -> None:
+        """Update the offset between the clocks before a candidate is observed, if it matters."""
+
+    @abstractmethod
+    def observe(self, candidate: C, closing: bool) -> S | None:
+        """Return the segment of a candidate; None if it is none."""
+
+    @abstractmethod
+    def oldest_needed(self, next_candidate: C | None) -> int:
+        """Return the time of the oldest sample that is still needed [ns]."""
 
     def add_reading(self, i: int, t: int, q: float, qd: float = nan) -> list[S]:
         """Add a reading q [rad] and rate qd [rad/s] of joint i, 1 to n; NaN: rate not known."""
         for ended_rest in self.sensors.rests.add(i, t, q, qd):
-            self.pending += self.search.candidates(ended_rest)
+            self.pending += self.candidates(ended_rest)
         return self._collect_and_clean()
 
     def add_pose(self, subject: str, t: int, pose: tuple[float, float, float] | None) -> list[S]:
@@ -108,7 +97,7 @@ class Finder(Generic[C, S]):
     def close(self) -> list[S]:
         """Return the segments if no samples follow, including the last rest."""
         for ended_rest in self.sensors.rests.drain():
-            self.pending += self.search.candidates(ended_rest)
+            self.pending += self.candidates(ended_rest)
         return self._collect(closing=True)
 
     def streams(self) -> Streams:
@@ -121,13 +110,13 @@ class Finder(Generic[C, S]):
         if self._until_cleaning <= 0:
             self._until_cleaning = CLEANUP_INTERVAL
             next_candidate = self.pending[0] if self.pending else None
-            self.sensors.drop_before(self.search.oldest_needed(next_candidate))
+            self.sensors.drop_before(self.oldest_needed(next_candidate))
         return found
 
     def _collect(self, closing: bool = False) -> list[S]:
         """Return the segments of the candidates that are ready, and of the present rest."""
         found = self._observe_ready(closing)
-        if not self.pending and (current := self.search.current_candidate(closing)):
+        if not self.pending and (current := self.current_candidate(closing)):
             self.pending.append(current)
             found += self._observe_ready(closing)
         return found
@@ -135,7 +124,7 @@ class Finder(Generic[C, S]):
     def _observe_ready(self, closing: bool) -> list[S]:
         found: list[S] = []
         while self.pending and self._is_ready(self.pending[0], closing):
-            segment = self.search.observe(self.pending.pop(0), closing)
+            segment = self.observe(self.pending.pop(0), closing)
             found += [segment] if segment else []
         return found
 
@@ -143,5 +132,5 @@ class Finder(Generic[C, S]):
         """Return True if all streams have passed a candidate, with the clocks aligned."""
         if not closing and not self.sensors.have_passed(candidate.end):
             return False
-        self.search.align(candidate)
+        self.align(candidate)
         return closing or self.sensors.have_passed(candidate.end)  # with the new offset

@@ -64,16 +64,10 @@ class Gyro(Stream):
         return products / squares if squares > MIN_ROTATION_SQUARES else nan
 
     def unwrap(self, t: Stamps, heading: Floats, step: int, gap: int) -> Floats | tuple[int, int]:
-        """Unwrap headings (k,); the rates give the turns between poses that are far apart.
+        """Unwrap headings (k,) at stamps t; the rates give the turns between poses far apart.
 
-        Args:
-            t: (k,) stamps of the headings [ns].
-            heading: (k,) wrapped headings [rad].
-            step: time in which the base turns by less than half a turn [ns].
-            gap: longest accepted gap in the rates [ns].
-
-        Returns:
-            (k,) unwrapped headings; or an interval in which the base may have turned unseen.
+        In a time `step` [ns], the base turns by less than half a turn. If a longer one has a gap in
+        the rates longer than `gap` [ns], return the interval in which the base may have turned.
         """
         bridge = np.zeros(len(t))
         for k in np.flatnonzero(np.diff(t) > step):

@@ -99,11 +99,17 @@ class Motion(NamedTuple):
         return self.after.end
 
 
-class ManeuverSearch:
-    """Search for maneuvers: motions of the arm between two rests."""
+class ManeuverFinder(Finder[Motion, Maneuver]):
+    """Finder of maneuvers in the samples of n joints, the base and its gyro.
 
-    def __init__(self, sensors: Sensors, settings: ManeuverSettings) -> None:
-        self.sensors, self.settings = sensors, settings
+    The gyro is optional: it is needed only where the base was not seen for long. Also optional are
+    the end effector, which only identifies the arm, and the links' telemetry.
+    """
+
+    def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
+        s = self.settings = settings or ManeuverSettings()
+        super().__init__(Sensors(n, s, search=0.5))
+        self.sensors.set_offset(s.time_offset)
         self._rest_before: Rest | None = None  # the rest before the next maneuver
 
     def candidates(self, ended_rest: Rest | None) -> list[Motion]:
@@ -140,9 +146,6 @@ class ManeuverSearch:
         arrival = Window(settled, settled + self._window_length(rest), rest.last_motion)
         return Motion(departure, arrival)
 
-    def align(self, candidate: Motion) -> None:
-        """Leave the clocks unchanged: a maneuver that is used aligns them for the next ones."""
-
     def observe(self, candidate: Motion, closing: bool) -> Maneuver | None:
         """Return the maneuver between two rests; None if no joint moved far enough."""
         s, start, end = self.sensors, candidate.before.begin, candidate.end
@@ -156,9 +159,8 @@ class ManeuverSearch:
         travel = max(float(np.ptp(q)) if len(q) else 0.0 for _, q, _ in series)
         if not gaps and travel < MIN_TRAVEL:
             return None
-        times, q, qd = (
-            tuple(tuple(part.tolist()) for part in parts) for parts in zip(*series, strict=True)
-        )
+        columns = zip(*series, strict=True)
+        times, q, qd = (tuple(tuple(part.tolist()) for part in parts) for parts in columns)
         maneuver = Maneuver(start, end, times, q, qd)
         gaps += self._frozen_windows(candidate)
         if reason := str(gaps[0]) if gaps else self._rejection_reason(maneuver):
@@ -166,9 +168,8 @@ class ManeuverSearch:
         tip = relative_poses(s.base, s.tip, start, candidate.before.end)[1]
         if len(tip) > 1:
             maneuver = replace(maneuver, tip=tuple(mean_pose(tip).tolist()))
-        maneuver = replace(
-            self._average_poses(maneuver, candidate), time_offset=s.base.lag / SECOND
-        )
+        averaged = self._average_poses(maneuver, candidate)
+        maneuver = replace(averaged, time_offset=s.base.lag / SECOND)
         self._align_clocks(start, end)
         return maneuver
 
@@ -224,12 +225,11 @@ class ManeuverSearch:
                 return replace(maneuver, used=False, reason=str(Gap(begin, end, BASE)))
             rows += window
         if rate := self.settings.path_rate:
-            limits = motion.before.end, motion.after.begin - POSE_AVERAGING_TIME
-            for begin in range(*limits, max(POSE_AVERAGING_TIME, round(SECOND / rate))):
-                width = POSE_AVERAGING_TIME / SECOND
-                rows += average_bins(
-                    t, poses, begin, begin + POSE_AVERAGING_TIME, width, maneuver.start
-                )
+            width = POSE_AVERAGING_TIME
+            limits = motion.before.end, motion.after.begin - width
+            for begin in range(*limits, max(width, round(SECOND / rate))):
+                span = begin, begin + width
+                rows += average_bins(t, poses, *span, width / SECOND, maneuver.start)
         rows.sort()
         marks, means, frames, seconds = zip(*rows, strict=True)
         return replace(maneuver, marks=marks, poses=means, frames=frames, seconds=seconds)
@@ -254,20 +254,6 @@ class ManeuverSearch:
         """Return the start of the window before the next maneuver, with a margin [ns]."""
         rest = next_candidate.before if next_candidate else self._rest_before or self.sensors.rests
         return rest.end - 2 * self.sensors.max_duration - SECOND
-
-
-class ManeuverFinder(Finder[Motion, Maneuver]):
-    """Finder of maneuvers in the samples of n joints, the base and its gyro.
-
-    The gyro is optional: it is needed only where the base was not seen for long. Also optional are
-    the end effector, which only identifies the arm, and the links' telemetry.
-    """
-
-    def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
-        s = settings or ManeuverSettings()
-        sensors = Sensors(n, s, search=0.5)
-        sensors.set_offset(s.time_offset)
-        super().__init__(sensors, ManeuverSearch(sensors, s))
 
 
 def joint_path(

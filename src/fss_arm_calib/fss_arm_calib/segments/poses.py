@@ -8,7 +8,7 @@ from array import array
 from collections.abc import Iterator
 from itertools import pairwise
 from math import hypot, isfinite
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -44,10 +44,6 @@ class Poses(Stream):
     Methods take and return times of the joints' clock, `lag` later than motion capture's. A pose
     that has not changed since before `last_motion`, a time at which the subject was moving, is
     frozen.
-
-    Args:
-        name: name of the subject.
-        horizon: as in Stream [ns].
     """
 
     def __init__(self, name: str, horizon: int) -> None:
@@ -104,19 +100,13 @@ class Poses(Stream):
             return False
         seconds = np.diff(t, prepend=self.newest) / SECOND
         step = np.diff(poses, axis=0, prepend=[self.xyh[-3:]])
-        return bool(
-            np.all(np.hypot(step[:, 0], step[:, 1]) <= POSITION_NOISE + MAX_SPEED * seconds)
-            and np.all(np.abs(wrap(step[:, 2])) <= HEADING_NOISE + MAX_TURN_RATE * seconds)
-        )
+        way, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(wrap(step[:, 2]))
+        return bool(np.all(_is_possible(way, turn, seconds)))
 
     def _is_jump(self, t: int, x: float, y: float, heading: float) -> bool:
-        seconds = (t - self.newest) / SECOND
         before = self.xyh[-3:]
-        turn = abs(float(wrap(heading - before[2])))
-        return (
-            hypot(x - before[0], y - before[1]) > POSITION_NOISE + MAX_SPEED * seconds
-            or turn > HEADING_NOISE + MAX_TURN_RATE * seconds
-        )
+        way, turn = hypot(x - before[0], y - before[1]), abs(float(wrap(heading - before[2])))
+        return not _is_possible(way, turn, (t - self.newest) / SECOND)
 
     def samples_within(self, begin: int, end: int, last_motion: int = -1) -> tuple[Stamps, Floats]:
         """Return stamps and poses (k, 3) in an interval, without frozen ones."""
@@ -133,12 +123,8 @@ class Poses(Stream):
 
     def count_frozen(self, begin: int, end: int, last_motion: int) -> int:
         """Return the number of frozen poses in an interval."""
-        return int(
-            np.sum(
-                np.array(self.unchanged_since[self.slice_within(begin, end)])
-                <= last_motion - self.lag
-            )
-        )
+        since = np.array(self.unchanged_since[self.slice_within(begin, end)])
+        return int(np.sum(since <= last_motion - self.lag))
 
     def gaps(self, begin: int, end: int, max_gap: int, last_motion: int = -1) -> list[Gap]:
         """Return the gaps longer than `max_gap` [ns] that overlap an interval."""
@@ -149,21 +135,24 @@ class Poses(Stream):
         ]
 
 
+def _is_possible(way: Any, turn: Any, seconds: Any) -> Any:
+    """Return True where a subject can move by `way` [m] and `turn` [rad] in a time [s]."""
+    far, turned = POSITION_NOISE + MAX_SPEED * seconds, HEADING_NOISE + MAX_TURN_RATE * seconds
+    return (way <= far) & (turn <= turned)
+
+
 def relative_poses(
     base: Poses, other: Poses, begin: int, end: int, last_motion: int = -1
 ) -> tuple[Stamps, Floats]:
-    """Return stamps and poses (k, 3) of one subject in the frame of another, in an interval.
-
-    Poses that are frozen since before `last_motion`, a time at which the subjects were moving, are
-    omitted.
-    """
+    """Return stamps and poses (k, 3) of a subject in the frame of another, without frozen ones."""
     t, others = other.samples_around(begin, end, last_motion)
     t_base, poses = base.samples_around(begin, end, last_motion)
     if not len(t_base):
         return t[:0], others[:0]
     paired = (t >= max(begin, t_base[0])) & (t <= min(end, t_base[-1]))
     t, others = t[paired], others[paired]
-    x, y, heading = _interpolate(t - begin, t_base - begin, poses).T
+    columns = poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])
+    x, y, heading = (np.interp(t - begin, t_base - begin, column) for column in columns)
     relative = ((others[:, 0] - x) + 1j * (others[:, 1] - y)) * np.exp(-1j * heading)
     return t, np.column_stack([relative.real, relative.imag, wrap(others[:, 2] - heading)])
 
@@ -194,10 +183,7 @@ class Bin(NamedTuple):
 def average_bins(
     t: Stamps, poses: Floats, begin: int, end: int, width: float, origin: int
 ) -> Iterator[Bin]:
-    """Yield poses (k, 3) in an interval averaged over about `width` [s], timed from `origin` [ns].
-
-    Bins with fewer than two poses are omitted.
-    """
+    """Yield averages of poses (k, 3) over about `width` [s], timed from `origin` [ns]."""
     edges = np.linspace(begin, end, max(1, round((end - begin) / SECOND / width)) + 1)
     for low, high in pairwise(edges):
         inside = (t >= low) & (t < high)
@@ -211,9 +197,3 @@ def average_bins(
 def count_independent(frames: npt.ArrayLike, seconds: npt.ArrayLike, rate: float) -> Floats:
     """Return the number of independent poses in averages (m,), for a rate of such poses [1/s]."""
     return np.minimum(frames, np.maximum(1.0, rate * np.asarray(seconds)))
-
-
-def _interpolate(t: Stamps, stamps: Stamps, poses: Floats) -> Floats:
-    """Interpolate poses at other times; where the stamps are equal, the poses are unchanged."""
-    columns = [poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])]
-    return np.column_stack([np.interp(t, stamps, column) for column in columns])

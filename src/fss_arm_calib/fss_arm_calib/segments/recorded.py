@@ -49,10 +49,7 @@ class Recorded:
         return [*self.joints.values(), *self.poses.values(), *self.rates.values()]
 
     def change(self, **changes: Callable[[str, Track], Track]) -> "Recorded":
-        """Return the recording with modified `joints`, `poses` or `rates`, by a function of each.
-
-        The function takes the name of a stream and the stream.
-        """
+        """Return the recording with `joints`, `poses` or `rates` changed by functions of each."""
         changed = {
             part: {name: change(name, track) for name, track in getattr(self, part).items()}
             for part, change in changes.items()
@@ -63,11 +60,11 @@ class Recorded:
         """Return the last `duration` [s], thinned to periods of `joints` and `poses` [s]."""
         ends = [int(track.receipt[-1]) for track in self.tracks if len(track.t)]
         begin = max(ends, default=0) - round(duration * SECOND)
-        return self.change(
-            joints=lambda _, track: track.received_since(begin).thin(joints),
-            poses=lambda _, track: track.received_since(begin).thin(poses),
-            rates=lambda _, track: track.received_since(begin).thin(poses),
-        )
+
+        def thinned(period: float) -> Callable[[str, Track], Track]:
+            return lambda _, track: track.received_since(begin).thin(period)
+
+        return self.change(joints=thinned(joints), poses=thinned(poses), rates=thinned(poses))
 
     def replay(self, finder: Finder[Any, Any]) -> Sequence[Any]:
         """Replay the streams to a finder and return the segments that it finds."""

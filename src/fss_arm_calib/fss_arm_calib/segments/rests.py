@@ -54,16 +54,13 @@ class Observation:
 def rejected_without_repeat(
     observations: Sequence[Observation], tolerance: float
 ) -> list[Observation]:
-    """Return the rejected observations for which no observation of the same posture is used.
-
-    Postures are the same if all readings agree within `tolerance` [rad].
-    """
+    """Return the rejected observations without a used one of the same posture [rad]."""
     postures = [np.array(o.q) for o in observations if o.used]
-    return [
-        o
-        for o in observations
-        if not o.used and not any(np.all(np.abs(q - o.q) <= tolerance) for q in postures)
-    ]
+
+    def is_repeated(o: Observation) -> bool:
+        return any(np.all(np.abs(q - o.q) <= tolerance) for q in postures)
+
+    return [o for o in observations if not o.used and not is_repeated(o)]
 
 
 def average_rest(s: Sensors, rest: Rest, begin: int, end: int) -> Observation:
@@ -106,14 +103,22 @@ def reject_rest(s: Sensors, rest: Rest, reason: str) -> Observation:
     )
 
 
-class RestSearch:
-    """Search for observations: intervals at rest without a gap in any stream.
+class RestFinder(Finder[Rest, Observation]):
+    """Finder of observations, intervals at rest without a gap, for n joints and two subjects.
 
-    The present rest is observed as soon as it contains an interval of full length.
+    The present rest is observed as soon as it contains an interval of full length. If the arm has
+    not moved since the last observation before the start, of posture `resting_at` (n), it is not
+    observed again.
     """
 
-    def __init__(self, sensors: Sensors, resting_at: Sequence[float] | None) -> None:
-        self.sensors = sensors
+    def __init__(
+        self,
+        n: int,
+        settings: RestSettings | None = None,
+        resting_at: Sequence[float] | None = None,
+    ) -> None:
+        s = settings or RestSettings()
+        super().__init__(Sensors(n, s, (BASE, TIP), search=s.settle_time + s.min_duration))
         self._is_observed = False  # True if the current rest has been observed
         self._last_gap_end = 0  # end of the last known gap in the current rest [ns]
         self._aligned_rest = 0  # start of the last rest for which the clocks were aligned [ns]
@@ -221,24 +226,3 @@ class RestSearch:
             since = min(since, rests.begin)
         search = self.sensors.alignment.search
         return since - round((MAX_MOVE_DURATION + 2.0 * search) * SECOND)
-
-
-class RestFinder(Finder[Rest, Observation]):
-    """Finder of observations in the samples of n joints and two subjects.
-
-    Args:
-        n: number of joints.
-        settings: definition of a rest.
-        resting_at: (n) posture of the last observation before the finder was started; if the arm
-            has not moved since, it is not observed again.
-    """
-
-    def __init__(
-        self,
-        n: int,
-        settings: RestSettings | None = None,
-        resting_at: Sequence[float] | None = None,
-    ) -> None:
-        s = settings or RestSettings()
-        sensors = Sensors(n, s, (BASE, TIP), search=s.settle_time + s.min_duration)
-        super().__init__(sensors, RestSearch(sensors, resting_at))

@@ -75,9 +75,8 @@ class Stream:
                 return ()
             if 0 < since <= self.horizon:
                 self.suspects.append((t, value))
-                return (
-                    self._confirm_suspects() if t - self.suspects[0][0] >= CONFIRMATION_TIME else ()
-                )
+                confirmed = t - self.suspects[0][0] >= CONFIRMATION_TIME
+                return self._confirm_suspects() if confirmed else ()
             self.rejected[ISOLATED] += len(self.suspects)
             self.suspects.clear()
         step = t - self.newest

@@ -19,11 +19,8 @@ OPTIONAL_TIMEOUT = 0.5  # timeout of optional streams, as a fraction of the hori
 class Sensors:
     """Samples of n joints, two subjects, the base's gyro and the links' telemetry.
 
-    Args:
-        n: number of joints.
-        settings: definition of a rest.
-        needed: subjects that segments require, the first one being the base.
-        search: largest offset between the clocks to search for [s].
+    Segments require the subjects `needed`, the first one being the base. The offset between the
+    clocks is searched for up to `search` [s].
     """
 
     def __init__(
@@ -124,18 +121,14 @@ class Sensors:
         for words, names in clock_errors.items():
             yield f"clock of {', '.join(names)} is {words} that of {subjects[0].name}"
         periods = {joint.name: joint.period for joint in self.joints}
-        slow = [name for name, period in periods.items() if period > self.settings.joint_gap]
-        if slow:
-            period, gap = max(periods.values()), self.settings.joint_gap
+        gap = self.settings.joint_gap
+        if slow := [name for name, period in periods.items() if period > gap]:
+            period = max(periods.values())
             words = f"sampled only every {period:.2g} s: joint_gap ({gap:g} s) is less"
             yield f"{', '.join(slow)} {words}"
         min_rest = self.settle_time + self.min_duration
-        moving = [
-            joint.name
-            for joint in self.joints
-            if joint.longest_rest < min_rest
-            and joint.newest - joint.first_stamp > self.horizon // 2
-        ]
+        known = [one for one in self.joints if one.newest - one.first_stamp > self.horizon // 2]
+        moving = [joint.name for joint in known if joint.longest_rest < min_rest]
         if moving:
             least, threshold = min_rest / SECOND, self.settings.motion_threshold
             words = f"never at rest for {least:g} s with a motion_threshold of {threshold:g} rad"

@@ -1,42 +1,51 @@
 """Settings that define a rest, a maneuver, a drift and an excitation."""
 
 from dataclasses import dataclass
+from typing import Any
 
-from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
+from fss_arm_model.settings import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SettingError,
+    Settings,
+    like,
+    setting,
+)
+
+
+def positive(default: float, unit: str, about: str) -> Any:
+    """Create a setting for a positive quantity."""
+    return setting(default, about, unit=unit, check=POSITIVE)
+
+
+def sigma(default: float, unit: str, what: str) -> Any:
+    """Create a setting for the standard deviation of `what`, 0 or more."""
+    return setting(default, f"1 sigma of {what}", unit=unit, check=NOT_NEGATIVE)
 
 
 @dataclass(frozen=True)
 class StreamSettings(Settings):
     """Settings for the gaps and lags of streams."""
 
-    joint_gap: float = setting(
-        1.0,
-        "longest time without a reading of a joint; a longer one is a gap",
-        unit="s",
-        check=POSITIVE,
+    joint_gap: float = positive(
+        1.0, "s", "longest time without a sample of a joint; a longer one is a gap"
     )
-    horizon: float = setting(
-        60.0, "largest lag of a stream behind the others", unit="s", check=POSITIVE
-    )
+    horizon: float = positive(60.0, "s", "largest lag of a stream behind the others")
 
 
 @dataclass(frozen=True)
 class RestSettings(StreamSettings):
     """Settings that define a rest."""
 
-    motion_threshold: float = setting(
-        1e-3, "largest change of a joint's reading at rest", unit="rad", check=POSITIVE
-    )
+    motion_threshold: float = positive(1e-3, "rad", "largest change of a joint's reading at rest")
     settle_time: float = setting(
         0.5, "time after the last motion that is discarded", unit="s", check=NOT_NEGATIVE
     )
-    min_duration: float = setting(0.5, "shortest averaging time", unit="s", check=POSITIVE)
-    max_duration: float = setting(2.0, "longest averaging time", unit="s", check=POSITIVE)
-    vicon_gap: float = setting(
-        0.25,
-        "longest time without a pose of a VICON subject; a longer one is a gap",
-        unit="s",
-        check=POSITIVE,
+    min_duration: float = positive(0.5, "s", "shortest averaging time")
+    max_duration: float = positive(2.0, "s", "longest averaging time")
+    vicon_gap: float = positive(
+        0.25, "s", "longest time without a pose of a VICON subject; a longer one is a gap"
     )
 
     def __post_init__(self) -> None:
@@ -49,27 +58,16 @@ class RestSettings(StreamSettings):
 
 @dataclass(frozen=True)
 class ManeuverSettings(RestSettings):
-    """Settings that define a maneuver."""
+    """Settings that define a maneuver; a gap rejects it."""
 
-    max_duration: float = setting(
-        2.0,
-        "longest window before and after a maneuver, at most half of the rest",
-        unit="s",
-        check=POSITIVE,
+    max_duration: float = positive(
+        2.0, "s", "longest window before and after a maneuver, at most half of the rest"
     )
-    joint_gap: float = setting(
-        0.5,
-        "longest time without a reading of a joint; a longer one rejects a maneuver",
-        unit="s",
-        check=POSITIVE,
+    joint_gap: float = like(StreamSettings, "joint_gap", 0.5)
+    horizon: float = positive(
+        60.0, "s", "largest lag of a stream behind the others, and longest duration of a maneuver"
     )
-    horizon: float = setting(
-        60.0,
-        "largest lag of a stream behind the others, and longest duration of a maneuver",
-        unit="s",
-        check=POSITIVE,
-    )
-    bin: float = setting(0.5, "averaging time of the poses in a window", unit="s", check=POSITIVE)
+    bin: float = positive(0.5, "s", "averaging time of the poses in a window")
     path_rate: float = setting(
         0.0,
         "rate of base poses used during the motion, for stiff joints only; 0: none",
@@ -96,28 +94,15 @@ class ManeuverSettings(RestSettings):
 class DriftFinderSettings(RestSettings):
     """Settings that define a drift."""
 
-    min_duration: float = setting(
-        20.0, "shortest rest of the arm that is a drift", unit="s", check=POSITIVE
+    min_duration: float = positive(20.0, "s", "shortest rest of the arm that is a drift")
+    max_duration: float = positive(
+        120.0, "s", "longest drift; a longer rest of the arm is split into several drifts"
     )
-    max_duration: float = setting(
-        120.0,
-        "longest drift; a longer rest of the arm is split into several drifts",
-        unit="s",
-        check=POSITIVE,
-    )
-    bin: float = setting(0.5, "averaging time of the poses", unit="s", check=POSITIVE)
+    bin: float = positive(0.5, "s", "averaging time of the poses")
 
 
 @dataclass(frozen=True)
 class ExcitationSettings(StreamSettings):
-    """Settings that define an excitation."""
+    """Settings that define an excitation; a gap in the frames of a link rejects it."""
 
-    joint_gap: float = setting(
-        1.0,
-        "longest time without a frame of a link; a longer one rejects an excitation",
-        unit="s",
-        check=POSITIVE,
-    )
-    min_speed: float = setting(
-        0.01, "speed below which a joint is at rest", unit="rad/s", check=POSITIVE
-    )
+    min_speed: float = positive(0.01, "rad/s", "speed below which a joint is at rest")

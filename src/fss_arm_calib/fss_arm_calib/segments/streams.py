@@ -26,18 +26,30 @@ class Streams:
     homings: tuple[int, ...] = ()
 
 
-class Found(Protocol):
-    """Datum found by a finder: used in a solution, or kept for the reason why not."""
+class Datum(Protocol):
+    """Datum of a calibration: used in the solution, or kept for the reason why not."""
+
+    @property
+    def start(self) -> int:
+        """Start of the datum [ns]."""
+
+    @property
+    def end(self) -> int:
+        """End of the datum [ns]."""
 
     @property
     def used(self) -> bool:
-        """True if it is used in a solution."""
+        """True if the datum may be used in a solution."""
+
+    @property
+    def reason(self) -> str:
+        """Reason why the datum is not used."""
 
 
-F = TypeVar("F", bound=Found)
+D = TypeVar("D", bound=Datum)
 
 
-def keep_newest(found: Sequence[F], max_count: int) -> list[F]:
+def keep_newest(found: Sequence[D], max_count: int) -> list[D]:
     """Return the newest used data, and at most as many unused data since the first of these.
 
     Rejected data therefore never displace used data. The function can be called whenever data are

@@ -4,7 +4,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
 from operator import itemgetter
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from fss_arm_calib.segments.samples import Stream
 
@@ -30,11 +30,8 @@ class LinkTelemetry(Stream):
         """Append the state of a link; 0 homings: the drive has not reported them yet."""
         for stamp, (is_armed, reference) in self.admit(t, (armed, (boot, homings))):
             self.newest = stamp
-            last = (
-                self.states[-1]
-                if self.states
-                else LinkState(stamp, not is_armed, UNKNOWN_REFERENCE)
-            )
+            unlike = LinkState(stamp, not is_armed, UNKNOWN_REFERENCE)
+            last = self.states[-1] if self.states else unlike
             state = LinkState(stamp, is_armed, reference if reference[1] else last.reference)
             if state[1:] != last[1:]:
                 self.states.append(state)
@@ -55,10 +52,7 @@ class LinkTelemetry(Stream):
         return [(a, b - 1) for state, (a, b) in parts if not state.armed]
 
     def was_homed(self, begin: int, end: int) -> bool:
-        """Return True if in an interval the drive was homed again, or the electronics restarted.
-
-        The drive may have restarted with the electronics.
-        """
+        """Return True if in an interval the drive was homed again, or its link restarted."""
         states = self._during(begin, end)
         return len({state.reference for state in states if state.reference[1]}) > 1
 
@@ -72,28 +66,13 @@ class LinkTelemetry(Stream):
         del self.states[: max(bisect_right(self.states, before, key=itemgetter(0)) - 1, 0)]
 
 
-class Referenced(Protocol):
-    """Datum with the references of the joints' zeros."""
-
-    @property
-    def boots(self) -> tuple[int, ...]:
-        """Start of each link's electronics (n); 0: not known."""
-
-    @property
-    def homings(self) -> tuple[int, ...]:
-        """Number of homings of each drive since then (n); 0: not known."""
-
-
-def rehomed_joints(before: Referenced, after: Referenced) -> list[int]:
-    """Return the numbers of the joints whose zeros may have changed between two data.
-
-    Either the drive was homed again, or the link's electronics restarted, perhaps with the drive.
-    """
+def rehomed_joints(before: Any, after: Any) -> list[int]:
+    """Return the numbers of the joints whose drives were homed, or links restarted, in between."""
     keys = zip(before.boots, before.homings, after.boots, after.homings, strict=False)
     return [i for i, (a, m, b, n) in enumerate(keys, 1) if m and n and (a, m) != (b, n)]
 
 
-R = TypeVar("R", bound=Referenced)
+R = TypeVar("R")  # a datum with `boots` and `homings` (n); 0: not known
 
 
 def keep_since_homing(found: Sequence[R]) -> list[R]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from fss_arm_calib import report
+from fss_arm_ros import report
 from fss_arm_ros.command_line import in_words
 from fss_rehearsal.campaign.execute import execute, open_client
 from fss_rehearsal.campaign.function import perform, source_version

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.report import Figure, Report, Table
+from fss_arm_ros.report import Figure, Report, Table
 from fss_rehearsal.campaign.function import CRASHED, SUCCESS, Row
 from fss_rehearsal.campaign.plan import Campaign
 

@@ -1,18 +1,20 @@
-"""Tables shared by the reports of all kinds of calibration, and the default report."""
+"""Tables and drawings shared by the reports of all kinds of calibration, and the default report."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, format_count
+from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
 from fss_arm_calib.dates import format_period, now
 from fss_arm_calib.outcome import Estimate, Outcome
-from fss_arm_calib.report import Figure, Report, Table
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.planar import wrap
+from fss_arm_ros import palette
+from fss_arm_ros.report import Figure, Report, Table
 
 
 def make_report(
@@ -63,14 +65,9 @@ NEXT_STEPS = {
 
 def table_report(outcome: Outcome[Any, Any], truth: Arm | None = None) -> Report:
     """Return the default report of a calibration: its parameters and its checks."""
-    what = (
-        format_count(len(outcome.used), "datum")
-        if len(outcome.used) == 1
-        else f"{len(outcome.used)} data"
-    )
-    return make_report(
-        f"Calibration of {outcome.arm.name} from {what}", outcome, [parameter_table(outcome)]
-    )
+    what = f"{len(outcome.used)} {'datum' if len(outcome.used) == 1 else 'data'}"
+    title = f"Calibration of {outcome.arm.name} from {what}"
+    return make_report(title, outcome, [parameter_table(outcome)])
 
 
 def parameter_table(
@@ -81,16 +78,11 @@ def parameter_table(
     note: str = "",
     weak: Sequence[int] = (),
 ) -> Table:
-    """Return the table of the parameters.
+    """Return the table of the p parameters.
 
-    Args:
-        outcome: the outcome with p parameters.
-        columns: (p,) values in the parameters' units, by head; by default the initial guess, the
-            estimate and its deviation.
-        ratios: (p,) further numbers and their format, by head.
-        labels: names to show in place of others.
-        note: explanation.
-        weak: indices of parameters shown in amber.
+    `columns` are values (p,) in the parameters' units, by head: by default the initial guess, the
+    estimate and its deviation. `ratios` are further numbers (p,) and their format, by head.
+    `labels` are shown in place of names. `weak` parameters are shown in amber.
     """
     e, ratios, labels = outcome.estimate, ratios or {}, labels or {}
     columns = columns or {"guess": e.initial, "estimate": e.values, "± 1 sigma": e.deviations}
@@ -101,6 +93,19 @@ def parameter_table(
         rows.append(row + [format_number(ratio[k], form) for ratio, form in ratios.values()])
     head = ["parameter", "unit", *columns, *ratios]
     return Table("Parameters", head, rows, words=2, note=note, weak=weak)
+
+
+def residual_table(subject: str, columns: Mapping[str, Sequence[float]], note: str = "") -> Table:
+    """Return the table of the residuals' standard deviations, of a subject's poses.
+
+    `columns` are those of positions [m] and headings [rad], by head.
+    """
+    rows = [
+        [name, display_unit(unit), *(format_value(pair[k], unit) for pair in columns.values())]
+        for k, (name, unit) in enumerate((("position", "m"), ("heading", "rad")))
+    ]
+    head = [subject, "unit", *columns]
+    return Table("Standard deviation of the residuals", head, rows, words=2, note=note)
 
 
 def relative_errors(estimate: Estimate, true: Floats) -> Floats:
@@ -118,16 +123,10 @@ def format_origin(outcome: Outcome[Any, Any]) -> str:
 
 def check_table(outcome: Outcome[Any, Any]) -> Table:
     """Return the table of the checks that decide the verdict."""
-    rows = [
-        [
-            c.name,
-            c.verdict.replace("_", " "),
-            c.reason,
-            format_number(c.value, ".4g"),
-            format_number(c.threshold, ".4g"),
-        ]
-        for c in outcome.checks
-    ]
+    rows = []
+    for c in outcome.checks:
+        numbers = [format_number(x, ".4g") for x in (c.value, c.threshold)]
+        rows.append([c.name, c.verdict.replace("_", " "), c.reason, *numbers])
     head = ["check", "verdict", "reason", "value", "threshold"]
     note = (
         "chi-square of the fit: of the residuals in the given deviations, or in the largest "
@@ -177,3 +176,68 @@ def mask_undetermined(estimate: Estimate, numbers: Floats) -> Floats:
 def format_number(value: float, form: str) -> str:
     """Format a number; `-` if it is not finite."""
     return f"{value:{form}}" if np.isfinite(value) else "-"
+
+
+def common_figures(
+    outcome: Outcome[Any, Any], kind: str, noun: str, label: str, names: Sequence[str] = ()
+) -> tuple[Figure, Figure]:
+    """Return the figures of all kinds: the influence of each datum, and the correlation matrix.
+
+    A datum is a `noun`, with an error `label`. The parameters are shown by `names`, or their own.
+    """
+    o, names = outcome, names or outcome.names
+    influence = Figure(f"{kind}_{noun}s", f"Each {noun}", lambda: draw_influence(o, label))
+    title, draw = "Correlation of the parameters", partial(draw_correlation, o.covariance, names)
+    return influence, Figure(f"{kind}_correlation", title, draw)
+
+
+def draw_correlation(covariance: Floats, labels: Sequence[str]) -> Any:
+    """Draw the correlation matrix of the estimated parameters; cells are blank if not known."""
+    deviations = np.sqrt(np.diag(covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        matrix = covariance / np.outer(deviations, deviations)
+    drawing = empty_figure((0.62 * len(matrix) + 2.5, 0.55 * len(matrix) + 1.5))
+    axes = drawing.subplots()
+    image = axes.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    for (row, column), value in np.ndenumerate(matrix):
+        color = "white" if abs(value) > 0.6 else "0.2"
+        words = format_number(value, "+.2f")
+        axes.text(column, row, words, ha="center", va="center", fontsize=8, color=color)
+    axes.set_xticks(range(len(labels)), labels, rotation=45, ha="right")
+    axes.set_yticks(range(len(labels)), labels)
+    drawing.colorbar(image, shrink=0.8)
+    return drawing
+
+
+def draw_influence(outcome: Outcome[Any, Any], label: str) -> Any:
+    """Draw the error of each datum over its leverage, i.e. its influence on the estimate."""
+    drawing = empty_figure((10, 4.5))
+    axes = drawing.subplots()
+    e = outcome.estimate
+    kept, leverage = e.weights > 0.0, e.leverage
+    used, rejected = (kept, palette.MEASURED, "used"), (~kept, palette.DANGER, "rejected")
+    for chosen, color, words in (used, rejected):
+        if chosen.any():
+            axes.plot(leverage[chosen], e.errors[chosen], "o", color=color, label=words)
+    for k, place in enumerate(zip(leverage, e.errors, strict=True)):
+        axes.annotate(str(k + 1), place, (5, 4), textcoords="offset points", fontsize=9)
+    for check in outcome.checks:
+        if check.name == "outliers":
+            style = {"color": palette.DANGER, "linestyle": "--", "linewidth": 1.0}
+            axes.axhline(check.threshold, label="outliers above", **style)
+    mean = float(np.sum(leverage)) / max(int(np.sum(kept)), 1)
+    axes.axvline(mean, color="0.5", linestyle=":", label=f"mean leverage, {mean:.2f}")
+    axes.set_xlim(0.0, 1.15 * max(float(leverage.max()), mean))
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("leverage")
+    axes.set_ylabel(label)
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize=9)
+    return drawing
+
+
+def empty_figure(size: tuple[float, float]) -> Any:
+    """Return an empty drawing of a size [inches]."""
+    from matplotlib.figure import Figure  # slow to import, and needed only for reports
+
+    return Figure(figsize=size, layout="constrained")

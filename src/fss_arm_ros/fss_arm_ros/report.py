@@ -1,7 +1,4 @@
-"""Reports of calibrations: printed tables, or an HTML page.
-
-Each kind of calibration makes a Report of its outcome; the layout is defined here.
-"""
+"""Reports of calibrations and rehearsals: printed tables, or an HTML page."""
 
 import base64
 import re
@@ -10,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from fss_arm_model.files import write_text
 from fss_arm_ros.palette import css
@@ -91,16 +88,12 @@ class Table:
         for number, part in enumerate(filled.parts(options.max_width)):
             if part.title:
                 yield Text(part.title + ", continued" * (number > 0), style="italic")
-            printed = PrintedTable()
-            for k, (name, width) in enumerate(
-                zip(part.head, part.widths(options.max_width), strict=True)
-            ):
+            printed, widths = PrintedTable(), part.widths(options.max_width)
+            for k, (name, width) in enumerate(zip(part.head, widths, strict=True)):
+                side: Literal["left", "right"] = "left" if k < part.words else "right"
+                style = "bold" if name == "estimate" else ""
                 printed.add_column(
-                    Text(name),
-                    justify="left" if k < part.words else "right",
-                    max_width=width,
-                    style="bold" if name == "estimate" else "",
-                    overflow="fold",  # not truncated
+                    Text(name), justify=side, max_width=width, style=style, overflow="fold"
                 )
             for row in part.rows:
                 printed.add_row(*map(Text, row))
@@ -124,7 +117,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Report:
-    """Report of a calibration."""
+    """Report of a calibration or a rehearsal."""
 
     title: str
     verdict: str
@@ -155,23 +148,12 @@ def printable(report: Report, details: bool = False) -> "Group":
     verdict = Text.assemble((_verdict_text(report.verdict), style), f": {report.reason}")
     tables = [*report.tables, *report.details] if details else [report.tables[0].brief]
     notes = [*report.below, *([report.origin] if details else [])]
-    return Group(
-        verdict,
-        Text(report.title, style="bold"),
-        *tables,
-        *(Text(line, style="dim") for line in notes),
-    )
+    title, below = Text(report.title, style="bold"), (Text(line, style="dim") for line in notes)
+    return Group(verdict, title, *tables, *below)
 
 
 def write(folder: str | Path, *reports: Report) -> Path:
-    """Write the drawings as PNG, and one self-contained HTML page.
-
-    Returns:
-        Path of the page.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
+    """Write the drawings as PNG, and one self-contained HTML page; return its path."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     parts = []
@@ -212,16 +194,12 @@ def _section(report: Report, pictures: Mapping[str, bytes]) -> str:
 
 def _table(table: Table) -> str:
     def row(cells: Sequence[str], tag: str, mark: str = "") -> str:
-        kinds = ["word" if k < table.words else "number" for k in range(len(cells))]
-        kinds = [
-            f"{kind} {CELL_CLASSES.get(cell, '')}".strip()
-            for kind, cell in zip(kinds, cells, strict=True)
-        ]
-        inner = (
-            f'<{tag} class="{kind}">{_symbols(escape(cell))}</{tag}>'
-            for kind, cell in zip(kinds, cells, strict=True)
-        )
-        return f"<tr{mark}>{''.join(inner)}</tr>"
+        inner = ""
+        for k, cell in enumerate(cells):
+            kind = "word" if k < table.words else "number"
+            kind = f"{kind} {CELL_CLASSES.get(cell, '')}".strip()
+            inner += f'<{tag} class="{kind}">{_symbols(escape(cell))}</{tag}>'
+        return f"<tr{mark}>{inner}</tr>"
 
     rows = "\n".join(
         row(cells, "td", ' class="weak"' * (k in table.weak)) for k, cells in enumerate(table.rows)
