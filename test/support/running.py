@@ -50,9 +50,9 @@ def wait_until(until: Callable[[], Any], timeout: float, step: Callable[[], Any]
     return got
 
 
-def memory() -> int:
-    """Resident memory of this process [bytes]."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+def memory(pid: int | str = "self") -> int:
+    """Resident memory of a process, by default this one [bytes]."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096
 
 
 class Program:

@@ -1,6 +1,5 @@
 """Every field of every message that a node hears, at its extremes: no node ends by it."""
 
-from copy import deepcopy
 from importlib import import_module
 from time import monotonic
 
@@ -8,9 +7,10 @@ import numpy as np
 import pytest
 from all_nodes import NODES
 from diagnostic_msgs.msg import DiagnosticArray
+from message_fields import changed
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from running import OWN
+from running import OWN, memory
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import to_yaml
@@ -103,17 +103,6 @@ def sequences(value, kind):
     yield [one] * MANY
 
 
-def changed(message, path, value):
-    """A copy with another value at a path."""
-    copy = deepcopy(message)
-    *parts, last = path
-    inner = copy
-    for part in parts:
-        inner = getattr(inner, part)
-    setattr(inner, last, value)
-    return copy
-
-
 class Stranger(Node):
     """Publishes anything, and hears who still lives."""
 
@@ -145,12 +134,6 @@ class Stranger(Node):
         self.spin(self, seen, timeout=90.0)
 
 
-def resident(pid):
-    """Memory of a process [MB]."""
-    with open(f"/proc/{pid}/statm") as file:
-        return int(file.read().split()[1]) * 4096 / 1e6
-
-
 @pytest.mark.slow
 def test_no_message_ends_a_node(spin, nodes):
     stranger = Stranger(spin)
@@ -159,11 +142,11 @@ def test_no_message_ends_a_node(spin, nodes):
     sent = sum(attack(stranger, nodes, topic, kind, extremes) for topic, kind in topics)
     print(f"{sent} messages on {len(topics)} topics")
     assert sent > 1000
-    before = {name: resident(nodes.processes[name].pid) for name in NODES}
+    before = {name: memory(nodes.processes[name].pid) / 1e6 for name in NODES}
     for topic, kind in topics:
         attack(stranger, nodes, topic, kind, long_ones)
     for name in NODES:
-        after = resident(nodes.processes[name].pid)
+        after = memory(nodes.processes[name].pid) / 1e6
         refused = {k: v for k, v in stranger.alive[name][1].items() if k.startswith("refused on")}
         print(f"{name}: {before[name]:.0f} -> {after:.0f} MB, {refused}")
         assert after < before[name] + GROWTH, name
