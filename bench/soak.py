@@ -132,18 +132,17 @@ class SoakOperator(CaptureOperator):
 
 
 def start_all(nodes: Nodes, out: Path, seed: int) -> None:
-    """Start all nodes on the test bed's time, which is real time."""
+    """Start all nodes on the test bed's time, which is real time; links send at their own 5 Hz."""
     clock, ports = {"use_sim_time": True}, nodes.domain.ports(2 * LINKS + 2)
     board, driver = ports[2 * LINKS :]
     nodes.start(
         "testbed", "fss_sim", "testbed", ports=ports[:LINKS], board_port=board, keep_clock=True,
-        speed=1.0, seed=seed, truth_rate=50.0, telemetry_rate=20.0, tank_volume=TANK_VOLUME,
-        q=POSTURE,
+        speed=1.0, seed=seed, truth_rate=20.0, tank_volume=TANK_VOLUME, q=POSTURE,
     )  # fmt: skip
     patient = {"timeout": 2.0, "watchdog": 2.0}
     parameters: dict[str, dict[str, object]] = {
         "record": {"output": out / "bag"},
-        "links": {"urls": nodes.domain.urls(LINKS), "rate": 20.0, **patient},
+        "links": {"urls": nodes.domain.urls(LINKS), **patient},
         "base": {"url": f"udp://127.0.0.1:{board}?bind={driver}", **patient},
         "kinematic": {"arm": CONFIG / "cad.yaml"},
         "dynamic": {"arm": CONFIG / "arm.yaml"},
