@@ -84,7 +84,7 @@ class MotionNode(Node):
         try:
             self.calibrated = self.calibrated.of_same_links(topic, message)
         except ValueError as error:
-            self.get_logger().warning(f"{topic} is left out: {error}")
+            self.get_logger().warning(f"{topic} rejected: {error}")
 
     def on_goal(self, goal: ExecuteMotion.Goal) -> GoalResponse:
         """Accept one motion at a time; the reason of a rejection is logged."""

@@ -124,7 +124,7 @@ class BaseReactionNode(Node):
         try:
             calibrated = self.calibrated.of_same_links(topic, message)
         except ValueError as error:
-            self.get_logger().warning(f"{topic} is left out: {error}")
+            self.get_logger().warning(f"{topic} rejected: {error}")
             return
         if calibrated is not self.calibrated:
             self.calibrated = calibrated

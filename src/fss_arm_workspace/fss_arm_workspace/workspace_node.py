@@ -98,7 +98,7 @@ class WorkspaceNode(Node):
             try:
                 self.calibrations.add(topic, message)
             except ValueError as error:
-                self.get_logger().warning(f"{topic} is left out: {error}")
+                self.get_logger().warning(f"{topic} rejected: {error}")
         found = analyze(self.calibrations.calibrated, self.settings, progress)
         header = self.header(self.settings.base_frame)
         for name, message in messages.map_messages(found, self.settings, header):

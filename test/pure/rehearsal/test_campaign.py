@@ -194,7 +194,7 @@ def test_report_has_rates_and_the_worst_runs(file):
 @pytest.mark.parametrize("option", ["--runs", "--workers"])
 @pytest.mark.parametrize("value", ["0", "-1", "two"])
 def test_a_campaign_needs_runs_and_workers(capsys, option, value):
-    """With no worker it would wait for ever."""
+    """With no worker it would wait indefinitely."""
     with pytest.raises(SystemExit) as ended:
         parser().parse_args(["study.yaml", f"{option}={value}"])
     assert ended.value.code == 1

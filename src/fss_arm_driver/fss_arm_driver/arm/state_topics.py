@@ -58,7 +58,7 @@ class StateTopics:
         try:
             found = self.calibrated.of_same_links(topic, message)
         except ValueError as error:
-            self.links.node.get_logger().warning(f"{topic} is left out: {error}")
+            self.links.node.get_logger().warning(f"{topic} rejected: {error}")
             return
         if found.arm != self.calibrated.arm:
             self.calibrated = found
