@@ -66,7 +66,8 @@ def subscribe_sensor(
     def switch(event: Any) -> None:
         if event.last_policy_kind != QoSPolicyKind.RELIABILITY:
             node.get_logger().warning(
-                f"{topic}: a publisher has incompatible QoS; its messages are not received"
+                f"{topic}: messages of a publisher with incompatible QoS are not received; "
+                f"`ros2 topic info --verbose {topic}` shows it"
             )
             return
         node.get_logger().info(f"{topic} is published best effort: messages may be lost")

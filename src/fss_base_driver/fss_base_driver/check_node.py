@@ -114,7 +114,8 @@ class CheckNode(Node):
         """
         self.wait(lambda: len(self.joints) >= arm.n, DISCOVERY + ANSWER_TIMEOUT)
         if missing := [i for i in range(1, arm.n + 1) if i not in self.joints]:
-            raise CheckError(f"joint_states have no readings of joints {missing}: pass --q")
+            joints = ", ".join(map(str, missing))
+            raise CheckError(f"joint_states has no reading of joints {joints}; give --q RAD ...")
         return [self.joints[i] for i in range(1, arm.n + 1)]
 
     def pulse(self, valve: int, on_time: float) -> float:

@@ -121,7 +121,8 @@ def listen(given: argparse.Namespace) -> int:
     finally:
         rclpy.try_shutdown()
     if not any(subject.stamps for subject in subjects.values()):
-        print(f"subjects: no pose on {prefix}... in ROS domain {domain}", file=sys.stderr)
+        problem = f"no pose on {prefix}... in ROS domain {domain}; does a receiver run, as mocap?"
+        print(f"subjects: {problem}", file=sys.stderr)
         return 1
     Console().print(table(subjects))
     return 0
