@@ -393,9 +393,10 @@ def budget(result: Capture.Result) -> list[str]:
     """Return the mission's time, propellant, momentum and torque, as the guidance reports them."""
     x, y, turning = result.momentum.tolist()
     end = "captured and stopped" if result.stopped else f"{result.phase}: {result.message}"
+    momentum = f"  momentum at the grip {x:+#.4g}, {y:+#.4g} N s, {turning:+#.4g} N m s"
     return [
         f"result of the guidance: {end}",
         f"  time {result.duration:.1f} s, propellant {1e3 * result.propellant:.1f} g",
-        f"  momentum at the grip {x:+#.4g}, {y:+#.4g} N s, {turning:+#.4g} N m s",
+        "  no grip" if np.isnan(x) else momentum,
         f"  largest joint torque {result.largest_torque:.2f} N m",
     ]

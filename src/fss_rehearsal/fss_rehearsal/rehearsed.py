@@ -32,13 +32,13 @@ class Rehearsed:
 
     def report(self, title: str, about: str) -> Report:
         """Return the report of the result, for a page."""
-        failed = [check.expected for check in self.checks if not check.passed]
-        more = f" and {len(failed) - 1} more" if len(failed) > 1 else ""
+        failed = [f"{c.happened}, expected: {c.expected}" for c in self.checks if not c.passed]
+        more = f"; {len(failed) - 1} more failed" if len(failed) > 1 else ""
         rows = [(c.expected, c.happened, "yes" if c.passed else "NO") for c in self.checks]
         return Report(
             title,
             "fail" if failed else "pass",
-            f"failed checks: {failed[0]}{more}" if failed else "all checks passed",
+            f"{failed[0]}{more}" if failed else "all checks passed",
             [Table("", ("expected", "happened", "passed"), rows, words=3)],
             about,
             self.figures,

@@ -62,10 +62,11 @@ def test_a_wrong_command_line_is_an_error_and_no_failed_check(arguments, words):
 def test_a_page_says_what_was_not_as_expected(tmp_path):
     checks = [Check("it flies", "it did", True), Check("it lands", "it <fell>", False)]
     found = Rehearsed(checks).report("Rehearsal: x", "of nothing")
-    assert found.verdict == "fail"
+    assert (found.verdict, found.reason) == ("fail", "it <fell>, expected: it lands")
     page = report.write(tmp_path, found).read_text()
-    assert "failed checks: it lands" in page
-    assert "it &lt;fell&gt;" in page
+    assert "it &lt;fell&gt;, expected: it lands" in page
+    worse = Rehearsed([*checks, *checks]).report("Rehearsal: x", "of nothing")
+    assert worse.reason == "it <fell>, expected: it lands; 1 more failed"
 
 
 TIME = np.arange(0, 24 * SECOND, SECOND // 50)
