@@ -425,8 +425,8 @@ def test_executables_are_listed(ros2, package):
         (("pkg", "list"), "stand-in has only"),
         (("run",), "stand-in has only"),
         (("run", "pkg"), "usage"),
-        (("run", "nope", "hello"), "package 'nope' not found"),
-        (("run", "pkg", "nope"), "no executable 'nope'"),
+        (("run", "nope", "hello"), "package 'nope' not found; see: ros2 pkg executables\n"),
+        (("run", "pkg", "nope"), "no executable 'nope', expected one of hello other\n"),
         (("run", "pkg", "data.txt"), "no executable 'data.txt'"),
         (("pkg", "executables", "nope"), "package 'nope' not found"),
         (("pkg", "executables", "pkg", "pkg"), "usage"),
@@ -438,6 +438,12 @@ def test_what_it_cannot_do_ends_in_one_line(ros2, arguments, words):
     assert shown.stdout == ""
     assert words in shown.stderr
     assert shown.stderr.count("\n") == 1
+
+
+def test_a_shell_without_the_workspace_is_told_what_to_source():
+    shown = run(STAND_IN, "run", "fss_arm_calib", "from_bag", env=BARE)
+    problem = "package 'fss_arm_calib' not found: source scripts/env.sh first"
+    assert (shown.returncode, shown.stderr) == (1, f"ros2: {problem}\n")
 
 
 def test_it_steps_aside_for_the_real_one(tmp_path):
