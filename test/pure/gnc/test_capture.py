@@ -45,6 +45,18 @@ def observe(q, twist=(0.0, 0.0, 0.0), t=0.0, target=None, **known):
     return Observation(t, Body(q[:3], np.array(twist)), target, q[3:], np.zeros(4), **known)
 
 
+def test_a_capture_names_the_states_that_it_waited_for():
+    mission = Capture(CRAFT)
+    observed = Observation(0.0, Body(np.zeros(3), np.zeros(3)))
+    assert mission.step(observed).phase == "wait"
+    late = SETTINGS.wait_timeout + 1.0
+    commands = mission.step(replace(observed, t=late))
+    assert commands.phase == "abort"
+    assert commands.reason == (
+        f"arm/joint_states and target/state not known within {SETTINGS.wait_timeout:g} s"
+    )
+
+
 def test_it_captures_a_tumbling_target_and_stops_it():
     flight = Flight(Case(spin=0.15, distance=1.4))
     flown = flight.fly()

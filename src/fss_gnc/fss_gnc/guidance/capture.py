@@ -123,10 +123,11 @@ class Capture:
             return "target/state is not known"
         if obs.holds is None and self.phase in ("reach", "grip"):
             return "gripper/state is not known"
-        known = obs.base is not None and obs.q is not None and obs.target is not None
-        if self.phase == "wait" and not known and not obs.open_valves:
+        states = {"base/state": obs.base, "arm/joint_states": obs.q, "target/state": obs.target}
+        unknown = " and ".join(topic for topic, state in states.items() if state is None)
+        if self.phase == "wait" and unknown and not obs.open_valves:
             timed_out = obs.t - self.phase_start > s.wait_timeout
-            return "state of base, arm or target is not known" if timed_out else ""
+            return f"{unknown} not known within {s.wait_timeout:g} s" if timed_out else ""
         return self.monitor.abort_reason(
             obs, self._path, self.phase, timeouts[self.phase], self.phase_start
         )
