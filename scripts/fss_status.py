@@ -222,7 +222,7 @@ def nodes(processes: Processes, listener: Listener) -> Table:
             status, report = None, escape(elsewhere + why)
         word, tone = LEVELS[status.level] if status else ("", "")
         if state == "up" and not status and name not in processes.mute:
-            report = "runs, but no node of this name reports"
+            report = "runs, but no node of this name reports: it starts, or has another name"
         table.add_row(name, _style(shown, STATES.get(state, "")), _style(word, tone), report)
     return table
 
