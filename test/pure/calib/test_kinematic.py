@@ -237,6 +237,10 @@ def test_what_cannot_be_told_apart_is_named(q, named, not_named, jitter):
         ({"q": np.zeros((13, 3))}, r"q has shape \(13, 3\), expected \(s, 4\)"),
         ({"tip": np.zeros((12, 3))}, r"tip has shape \(12, 3\), expected \(13, 3\)"),
         ({"tip": np.full((13, 3), np.nan)}, "not finite"),
+        ({"parametrization": "half"}, "parametrization is 'half', expected 'full', 'equal' or"),
+        ({"loss": "none"}, "loss is 'none', expected 'square', 'huber' or 'cauchy'"),
+        ({"position_deviation": 0.0}, "position_deviation is 0.0, must be positive"),
+        ({"eccentricity_deviation": -1.0}, "eccentricity_deviation is -1.0, must not be negative"),
     ],
 )
 def test_an_impossible_problem_is_refused(change, message):

@@ -31,12 +31,12 @@ rho'(d_k^2).
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import hypot
+from math import hypot, inf
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import SQUARE
+from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_regressor
@@ -57,7 +57,11 @@ RIPPLE_PERIODS = 60  # periods per turn of a joint: two per turn of the wave gen
 
 @dataclass(frozen=True)
 class KinematicProblem:
-    """Problem with s observations of an arm of n links, and prior knowledge."""
+    """Problem with s observations of an arm of n links, and prior knowledge.
+
+    Raises:
+        ValueError: an array has the wrong shape or is not finite, or a setting is impossible.
+    """
 
     q: Floats  # (s, n) joint readings [rad]
     tip: Floats  # (s, 3) end effector in the base's frame [m, m, rad]
@@ -71,13 +75,25 @@ class KinematicProblem:
     loss: str = SQUARE
 
     def __post_init__(self) -> None:
-        q, tip = self.q, self.tip
+        q, tip = np.array(self.q, dtype=float), np.array(self.tip, dtype=float)
+        object.__setattr__(self, "q", q)
+        object.__setattr__(self, "tip", tip)
         if q.ndim != 2 or q.shape[1] != self.arm.n:
             raise ValueError(f"q has shape {q.shape}, expected (s, {self.arm.n})")
         if tip.shape != (len(q), 3):
             raise ValueError(f"tip has shape {tip.shape}, expected ({len(q)}, 3)")
         if not (np.isfinite(q).all() and np.isfinite(tip).all()):
             raise ValueError("an observation is not finite")
+        for name, known in (("parametrization", PARAMETRIZATIONS), ("loss", tuple(LOSSES))):
+            if getattr(self, name) not in known:
+                expected = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
+                raise ValueError(f"{name} is {getattr(self, name)!r}, expected {expected}")
+        for name in ("position_deviation", "heading_deviation"):
+            if not 0.0 < getattr(self, name) < inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
+        for name in ("ripple_deviation", "eccentricity_deviation"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
 
     def select(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "KinematicProblem":
         """Return the problem with only the chosen observations."""
