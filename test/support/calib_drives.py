@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
-from typing import NamedTuple
 
 import numpy as np
+from calib_rig import START, Sample
 from rclpy.serialization import serialize_message
 
 from fss_arm_bags.recorder import Recording
@@ -25,17 +25,8 @@ from fss_sim.plant.vehicle import Demand, World
 
 FRAME = 0.01  # [s]
 PRESET = "laboratory"
-START = 1_700_000_000_000_000_000  # [ns]
 
 Move = tuple[Sequence[float], float]  # to where [rad], in what time [s]
-
-
-class Sample(NamedTuple):
-    """What a link reports at a time."""
-
-    t: int  # [ns]
-    stream: int  # number of the link
-    value: Frame
 
 
 @dataclass(frozen=True)

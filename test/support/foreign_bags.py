@@ -120,16 +120,8 @@ def flight(n: int, seed: int, dynamic: bool, rest: float = 0.0, count: int = 0) 
             R = data.xmat[last].reshape(3, 3)
             end = data.xpos[last] + R @ [length, 0.0, 0.0]
             there = data.xmat[base].reshape(3, 3)
-            poses.append(
-                [
-                    t,
-                    *data.xpos[base][:2],
-                    np.arctan2(there[1, 0], there[0, 0]),
-                    *end[:2],
-                    np.arctan2(R[1, 0], R[0, 0]),
-                    data.qvel[2],
-                ]
-            )
+            turns = [np.arctan2(M[1, 0], M[0, 0]) for M in (there, R)]
+            poses.append([t, *data.xpos[base][:2], turns[0], *end[:2], turns[1], data.qvel[2]])
         if k % every["joint"] == 0:
             joints.append([t, *data.qpos[3:], *data.qvel[3:]])
         if dynamic:
@@ -166,17 +158,12 @@ class Heard:
 
 def heard(one: Flight, seed: int, dynamic: bool) -> Heard:
     """A flight as its sensors report it."""
-    rng, n = np.random.default_rng([17, seed]), one.q.shape[1]
+    rng = np.random.default_rng([17, seed])
+    count = 2 * np.pi / COUNTS
+    columns = zip(count * np.round(one.q.T / count), one.qd.T, strict=True)
     joints = {
-        f"joint_{i + 1}": np.column_stack(
-            [
-                one.at,
-                one.at + LAG,
-                np.round(one.q[:, i] * COUNTS / (2 * np.pi)) * (2 * np.pi) / COUNTS,
-                one.qd[:, i],
-            ]
-        )
-        for i in range(n)
+        f"joint_{i}": np.column_stack([one.at, one.at + LAG, q, qd])
+        for i, (q, qd) in enumerate(columns, 1)
     }
     poses = {}
     lasting = SLOW * (0.1 if dynamic else 1.0)
@@ -232,15 +219,9 @@ def write(folder: Path, what: Heard) -> Path:
             rows.append((receipt, f"/vicon/{name}/{name}", stamped.__msgtype__, message))
     none = np.zeros(9)
     for t, receipt, rate in what.gyro.tolist():
-        message = imu(
-            header(stamp(t, what.start.get("gyro", START)), ""),
-            turn(0.0, 0.0, 0.0, 1.0),
-            none,
-            vector(0.0, 0.0, rate),
-            none,
-            vector(0.0, 0.0, 0.0),
-            none,
-        )
+        head, level = header(stamp(t, what.start.get("gyro", START)), ""), turn(0.0, 0.0, 0.0, 1.0)
+        rates = vector(0.0, 0.0, rate), none, vector(0.0, 0.0, 0.0), none
+        message = imu(head, level, none, *rates)
         rows.append((receipt, "/fog/imu", imu.__msgtype__, message))
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         connections = {}
@@ -360,6 +341,10 @@ def _relative(what: Heard, _: np.random.Generator) -> None:
     what.frames["end_effector"] = "fss"
 
 
+def _gyro_degrees(what: Heard, _: np.random.Generator) -> None:
+    what.gyro[:, 2] = np.degrees(what.gyro[:, 2])
+
+
 def _same(_: Heard, __: np.random.Generator) -> None:
     """Nothing is spoilt but what is asked."""
 
@@ -397,23 +382,10 @@ KINEMATIC = [
     Kind("never still", _restless, r"^joints never at rest"),
 ]  # fmt: skip
 DYNAMIC = [
-    MILLIMETERS,
-    DEGREES,
-    SIGN,
-    ORDER,
-    SIGNS,
-    MIRRORED,
-    W_FIRST,
-    Y_UP,
-    SWAPPED,
-    HOUR_APART,
+    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
     Kind("one wrapped", _wrap, r"^joint_\d wrapped\?"),
-    Kind(
-        "gyro in degrees",
-        lambda what, _: what.gyro.__setitem__((slice(None), 2), np.degrees(what.gyro[:, 2])),
-        r"^gyro in degrees per second\?",
-    ),
-]
+    Kind("gyro in degrees", _gyro_degrees, r"^gyro in degrees per second\?"),
+]  # fmt: skip
 
 
 def make(

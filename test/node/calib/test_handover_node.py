@@ -1,6 +1,7 @@
 """A calibration that begins from another: live from its topic, and from its result or its bag."""
 
 import json
+from pathlib import Path
 
 import calib_float
 import numpy as np
@@ -50,41 +51,27 @@ def test_a_node_begins_from_a_kinematic_result_that_passed(spin, kind):
     assert from_yaml(calibration_part(bed.results[-1]).guess) == node.initial.arm
 
 
-def test_a_result_of_another_arm_is_not_taken(spin):
-    bed, node = Bed(DYNAMIC), make_node(DYNAMIC)
-    publisher = bed.create_publisher(KINDS["kinematic"].message, "calibration/kinematic", LATCHED)
+def test_a_result_of_another_arm_is_not_taken(ros):
+    node, warned = make_node(DYNAMIC), []
     message, initial = KINDS["kinematic"].message(), node.initial
-    warned = []
     node.get_logger().warning = warned.append
     message.calibration.verdict = "pass"
     message.calibration.description = to_yaml(ARM).replace("links:", "links: [", 1)
-    publisher.publish(message)
-    spin([bed, node], lambda: warned)
+    node.on_result("calibration/kinematic", message)
     assert "result on calibration/kinematic rejected" in warned[0]
     assert node.initial is initial
+    node.destroy_node()
 
 
 def test_the_command_begins_from_a_result_or_from_a_bag(bag, tmp_path, capsys):
     given = [f"--{k.replace('_', '-')}={v}" for k, v in PRECISE.items()]
-    kinematic, alone, files = (tmp_path / name for name in ("k.json", "d.json", "from.json"))
-    output = tmp_path / "kinematics.yaml"
-    rough = "--position-deviation=0.0177", "--heading-deviation=0.0122"  # as the paper's rests
-    found = [[], []]
-    from_bag(["--dynamic", bag, *given, "--result", str(alone)])
-    for k, kind in enumerate((rough, ())):
-        asked = [bag, *kind, "--result", str(kinematic), "--output", str(output)]
-        assert from_bag(asked) == 0
-        from_bag(["--dynamic", bag, *given, "--kinematic", str(kinematic), "--result", str(files)])
-        found[k] = json.loads(files.read_text())["deviations"][:4]
-    # Nobody had to copy how uncertain they are.
-    assert (np.array(found[0]) > 1.5 * np.array(found[1])).all()
-    from_bag(["--dynamic", bag, *given, "--kinematic", bag, "--result", str(files)])
-    assert json.loads(files.read_text())["deviations"][:4] == pytest.approx(found[1], rel=1e-9)
-    begun = ["--dynamic", bag, *given, "--arm", str(output), "--result", str(files)]
-    from_bag(begun)
-    assert json.loads(files.read_text())["deviations"][:4] == pytest.approx(found[1], rel=1e-9)
-    capsys.readouterr()
-    assert from_bag(["--dynamic", bag, "--kinematic", str(alone)]) == 1
+    (kinematic, arm, result), found = (str(tmp_path / name) for name in "kad"), []
+    assert from_bag([bag, "--result", kinematic, "--output", arm]) == 0
+    for source in (["--kinematic", kinematic], ["--kinematic", bag], ["--arm", arm]):
+        from_bag(["--dynamic", bag, *given, *source, "--result", result])
+        found.append(json.loads(Path(result).read_text())["deviations"][:4])
+    assert found[1:] == [pytest.approx(found[0], rel=1e-9)] * 2
+    assert from_bag(["--dynamic", bag, "--kinematic", result]) == 1
     assert "kind is 'dynamic', expected kinematic" in capsys.readouterr().err
     assert from_bag(["--dynamic", bag, "--kinematic", str(tmp_path / "none.json")]) == 1
     assert "no such file" in capsys.readouterr().err

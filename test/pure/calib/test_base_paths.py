@@ -12,6 +12,7 @@ from sim_rehearsal import DYNAMIC, Rehearsal
 
 from fss_arm_calib.acceptance import FAIL, PASS
 from fss_arm_calib.dynamic.calibrate import calibrate
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.parameters import parameter_names
@@ -35,9 +36,10 @@ def test_poses_on_the_way_are_where_the_base_was():
     assert np.array(one.poses) == pytest.approx(base_poses(rig.vector, one.path, state), abs=2e-3)
 
 
-def rehearsed(preset):
-    """Maneuvers seen on the way, the true arm, and the streams."""
-    run = Rehearsal(CONFIG, seed=1, preset=preset, dynamic=ALONG)
+def rehearsed(preset, count=13):
+    """Maneuvers between some postures seen on the way, the true arm, and the streams."""
+    postures = DEFAULT_POSTURES[:count]
+    run = Rehearsal(CONFIG, seed=1, preset=preset, dynamic=ALONG, postures=postures)
     run.run()
     return run.maneuvers, run.truth, run.maneuver_finder.streams()
 
@@ -49,8 +51,9 @@ def at_rest(maneuver):
     return replace(maneuver, **{k: tuple(compress(getattr(maneuver, k), kept)) for k in fields})
 
 
-def test_they_tell_more_of_inertias():
-    maneuvers, truth, streams = rehearsed("default")
+@pytest.mark.parametrize("count", [7, pytest.param(13, marks=pytest.mark.slow)])
+def test_they_tell_more_of_inertias(count):
+    maneuvers, truth, streams = rehearsed("default", count)
     along = calibrate(maneuvers, truth, ALONG, streams)
     assert along.verdict == PASS
     alone = calibrate([at_rest(one) for one in maneuvers], truth, DYNAMIC, streams)

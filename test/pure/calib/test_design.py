@@ -23,7 +23,6 @@ from fss_arm_calib.experiment.planned import (
     PAUSE,
     RAMP_SHARE,
     TORQUE_SHARE,
-    NoManeuver,
     plan_to_yaml,
     read_plan,
     speed_profile,
@@ -75,6 +74,7 @@ def test_torques_are_those_of_the_floating_arm():
 def test_candidates_keep_to_the_conditions(kind):
     found = some(kind, duration=7.0)
     assert len(found) > 10
+    s, rate, acceleration = (x[:, None] for x in speed_profile(np.linspace(0.001, 0.999, 97)))
     for one in found:
         law, edges = one.law()
         t = np.linspace(0.0, one.length, 50)
@@ -82,15 +82,9 @@ def test_candidates_keep_to_the_conditions(kind):
         assert one.length <= 7.0
         assert np.abs(q).max() <= np.pi / 2
         assert (np.abs(qd).max(axis=0) <= 1.0 + 1e-9).all()
-        s, rate, acceleration = speed_profile(np.linspace(0.001, 0.999, 97))
         for a, b, T in zip(one.waypoints[:-1], one.waypoints[1:], one.durations, strict=True):
             way = b - a
-            tau = torques(
-                ARM,
-                a + s[:, None] * way,
-                rate[:, None] * way / T,
-                acceleration[:, None] * way / T**2,
-            )
+            tau = torques(ARM, a + s * way, rate * way / T, acceleration * way / T**2)
             assert np.abs(tau).max() <= 1.02 * TORQUE_SHARE * 1.8
         poses = base_poses(ARM.vector(), path(law, edges, t), np.zeros(8))
         places = joint_positions(ARM.vector(), np.concatenate([poses, q], axis=1))
@@ -112,19 +106,14 @@ def test_laws_go_through_the_waypoints_and_rest_between():
     assert np.abs(qd).max() < 1e-9
 
 
-def with_torque(share):
-    links = tuple(
-        replace(k, drive=replace(k.drive, max_current=share * k.drive.max_current))
-        for k in ARM.links
-    )
-    return replace(ARM, links=links)
-
-
 def test_time_grows_with_what_torque_asks():
-    a, b = np.zeros(4), np.array([1.2, 0.0, 0.0, 0.0])
-    weak, weaker = (torque_limited_duration(with_torque(share), a, b) for share in (0.1, 0.05))
-    assert weaker == pytest.approx(weak * np.sqrt(2.0), rel=1e-6)
-    assert weak > torque_limited_duration(ARM, a, b)
+    def duration(share):
+        drive = replace(ARM.links[0].drive, max_current=share * ARM.links[0].drive.max_current)
+        arm = replace(ARM, links=tuple(replace(k, drive=drive) for k in ARM.links))
+        return torque_limited_duration(arm, np.zeros(4), np.array([1.2, 0.0, 0.0, 0.0]))
+
+    assert duration(0.05) == pytest.approx(duration(0.1) * np.sqrt(2.0), rel=1e-6)
+    assert duration(0.1) > duration(1.0)
 
 
 @pytest.mark.slow
@@ -163,6 +152,7 @@ def test_chosen_parameters_come_first():
     known, time = replace(SETTINGS, priors="b_i I_i I_0 com_0"), Conditions(total=50.0)
     everything = design(ARM, 50, known, time, **SMALL)
     last = design(ARM, 50, known, time, chosen=["b_4", "I_4"], **SMALL)
+    assert 35.0 < sum(p.length + 5.0 for p in everything) + 5.0 <= 50.0  # the floating time
 
     def of_link_4(plan):
         result = expected_result(ARM, plan, known, 5.0)
@@ -190,38 +180,11 @@ def test_what_is_known_already_is_not_sought_again():
     assert both(following) <= both(anew) + 1e-9
 
 
-def test_floating_time_ends_a_design():
-    plan = design(ARM, 50, SETTINGS, Conditions(total=40.0), **SMALL)
-    assert 25.0 < sum(p.length + 5.0 for p in plan) + 5.0 <= 40.0
-
-
-@pytest.mark.slow
-def test_loops_tell_least_on_a_table_that_may_be_tilted():
-    """In 100 s of floating."""
-    worst = {}
-    for kind in (SINGLE, SWEEP, LOOP):
-        plan = design(ARM, 50, SETTINGS, Conditions(kinds=(kind,), total=100.0), **SMALL)
-        worst[kind] = expected_result(ARM, plan, SETTINGS, 5.0).deviations[:4].max()
-    assert worst[LOOP] > 3.0 * max(worst[SINGLE], worst[SWEEP])
-
-
-def test_nothing_fits_a_small_table():
-    with pytest.raises(NoManeuver, match=r"keeps to 8 s, .* and a table of 1 x 1 m"):
-        design(ARM, 1, SETTINGS, Conditions(table=(1.0, 1.0)), **SMALL)
-
-
-def test_another_arm():
-    links = tuple(Link(a=0.3, theta_0=0.0, mass=2.0, inertia=0.02, b=0.15) for _ in range(2))
-    short = replace(ARM, links=links)
-    plan = design(short, 3, SETTINGS, **SMALL)
-    assert plan[0].waypoints.shape[1] == 2
-
-
-def test_a_plan_is_read_back(tmp_path):
-    plan = design(ARM, 3, SETTINGS, **SMALL)
-    path = tmp_path / "plan.yaml"
+def test_a_plan_of_another_arm_is_read_back(tmp_path):
+    link = Link(a=0.3, theta_0=0.0, mass=2.0, inertia=0.02, b=0.15)
+    plan, path = design(replace(ARM, links=(link, link)), 3, SETTINGS, **SMALL), tmp_path / "plan"
     path.write_text(plan_to_yaml(plan))
-    for one, again in zip(plan, read_plan(path, 4), strict=True):
+    for one, again in zip(plan, read_plan(path, 2), strict=True):
         assert again.kind == one.kind
         assert again.waypoints == pytest.approx(one.waypoints, abs=1e-6)
         assert again.durations == pytest.approx(one.durations, abs=1e-3)
@@ -241,7 +204,6 @@ def test_joints_are_excited_one_by_one(tmp_path):
     [
         ("{", "line 2 is .*, expected YAML"),
         ("hello: 1", "maneuvers is missing, expected rows of kind, q and durations"),
-        ("maneuvers: []", r"maneuvers is \[\], expected rows of kind, q and durations"),
         ("maneuvers: [{kind: a}]", "maneuvers is .*, expected rows of kind, q and durations"),
         ("maneuvers: [{kind: a, q: [[0, 0]], durations: []}]", r"maneuver 1 is .*\(w \+ 1, 4\)"),
     ],
@@ -265,26 +227,20 @@ def test_impossible_conditions_are_refused(conditions, message):
         Conditions(**conditions)
 
 
-def rcl_parameters(path):
-    """As nodes are given them by --params-file."""
-    return {k: v["ros__parameters"] for k, v in yaml.safe_load(path.read_text()).items()}
-
-
 def test_a_goal_is_kept_to_with_as_few_maneuvers_as_it_takes(tmp_path, capsys):
-    output, goal = tmp_path / "plan.yaml", {"b_4": 0.02}
-    asked = ["--count", "12", "--kinds", "sweep", "--goal", "b_4 0.02", "--rest", "9"]
-    assert main([*asked, "--output", str(output)]) == 0
-    text = capsys.readouterr().out
-    assert "goal b_4 0.02: promised" in text
+    output, asked = tmp_path / "plan.yaml", ["--kinds", "sweep", "--goal"]
+    given = "--count", "12", "--rest", "9", "--output", str(output)
+    assert main([*asked, "b_4 0.02", *given]) == 0
+    assert "goal b_4 0.02: promised" in capsys.readouterr().out
     plan = read_plan(output, 4)
     assert 1 < len(plan) < 12
+    goal = {"b_4": 0.02}
     assert meets_goal(expected_result(ARM, plan, SETTINGS, 9.0), goal)
     assert not meets_goal(expected_result(ARM, plan[:-1], SETTINGS, 9.0), goal)  # it was needed
-    assert main([*asked[:5], "b_i 0.0001", "--count", "2"]) == 0
+    assert main([*asked, "b_i 0.0001", "--count", "2"]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert re.search(
-        r"goal b_i 0.0001: not met by 2 maneuvers: b_\d reaches .*, .* of it because \w+ is", text
-    )
+    words = r"goal b_i 0.0001: not met by 2 maneuvers: b_\d reaches .*, .* of it because \w+ is"
+    assert re.search(words, text)
 
 
 @pytest.mark.parametrize(
@@ -299,15 +255,14 @@ def test_a_goal_in_words(words, found):
     assert parse_goal(words, ("b_1", "b_10", "I_1", "I_0", "x_com")) == found
 
 
-@pytest.mark.parametrize("words", ["b_i", "b_i x", "c_i 1", "b_1 -1", "b_1 nan", "0.1 b_1"])
+@pytest.mark.parametrize("words", ["b_i", "b_i x", "c_i 1", "b_1 -1", "0.1 b_1"])
 def test_a_goal_that_cannot_be_is_refused(words):
-    with pytest.raises(ValueError, match=r"goal has .* expected (a name and a dev|one of b_1 I_0)"):
+    expected = r"goal has .* expected (a name and a dev|one of b_1 I_0)"
+    with pytest.raises(ValueError, match=expected):
         parse_goal(words, ("b_1", "I_0"))
-
-
-def test_a_goal_without_a_deviation_is_refused_before_anything_moves():
-    with pytest.raises(ValueError, match="goal has 'b_1' '', expected a name and a deviation"):
-        ExperimentSettings(goal="b_1")
+    if words == "b_i":
+        with pytest.raises(ValueError, match=expected):  # before anything moves
+            ExperimentSettings(goal=words)
 
 
 def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
@@ -319,7 +274,9 @@ def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
     assert len(read_plan(output, 4)) == 2
     assert main(["--kinematic", "--count", "8", "--output", str(output)]) == 0
     assert "theta_BJ1" in capsys.readouterr().out
-    parsed = rcl_parameters(output)
-    assert np.shape(parsed["experiment"]["postures"]) == (32,)
+    parameters = yaml.safe_load(output.read_text())["experiment"]["ros__parameters"]
+    assert np.shape(parameters["postures"]) == (32,)
     assert main(["--table", "1", "1", "--count", "1"]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
+    error = capsys.readouterr().err
+    assert re.search("keeps to 8 s, .* and a table of 1 x 1 m", error)
+    assert error.count("\n") == 1

@@ -94,21 +94,30 @@ def swung(seed: int, rate: float = 10.0, age: float = 0.0, swing: float = 0.0) -
     return excitations([synthetic(seed, rate, age, swing)], PAIR)
 
 
-def test_parameters_of_another_making_are_found_as_well_as_is_said() -> None:
+@pytest.mark.parametrize(
+    ("seeds", "offset", "spread"),
+    [(8, 1.1, 0.7), pytest.param(30, 0.6, 0.4, marks=pytest.mark.slow)],
+)
+def test_parameters_of_another_making_are_found_as_well_as_is_said(
+    seeds: int, offset: float, spread: float
+) -> None:
+    # An error's mean over k seeds has a deviation of 1 / sqrt(k): 0.35 of 8 seeds, 0.18 of 30. The
+    # mean square of three independent values has one of sqrt(2 / 3k): 0.29 and 0.15. Three of the
+    # first are allowed, and 2.5 of the second.
     errors = []
-    for seed in range(30):
+    for seed in range(seeds):
         found = calibrate(swung(seed), PAIR, SETTINGS)
-        names = [f"{name}_1" for name in TRUTH]
-        which = [found.names.index(name) for name in names]
+        which = [found.names.index(f"{name}_1") for name in TRUTH]
         errors.append((found.values[which] - [*TRUTH.values()]) / found.deviations[which])
     squares = np.array(errors) ** 2
     assert np.max(squares) < 4.0**2
-    assert np.max(np.abs(np.mean(errors, axis=0))) < 0.6
-    assert np.mean(squares < 9.0) > 0.99
-    assert 0.6 < np.mean(squares) < 1.4  # 30 seeds of some three independent values tell it to 0.2
+    assert np.max(np.abs(np.mean(errors, axis=0))) < offset
+    assert np.mean(squares) == pytest.approx(1.0, abs=spread)
 
 
-@pytest.mark.parametrize(("rate", "age"), [(10.0, 0.01), (100.0, 0.006)])
+@pytest.mark.parametrize(
+    ("rate", "age"), [(10.0, 0.01), pytest.param(100.0, 0.006, marks=pytest.mark.slow)]
+)
 def test_a_torque_that_was_sampled_before_its_current_is_no_other_one(
     rate: float, age: float
 ) -> None:
@@ -131,16 +140,19 @@ def test_the_encoders_error_is_found() -> None:
     assert found == pytest.approx((A, B), abs=3e-5)
 
 
-def test_what_cannot_be_seen_is_refused_by_name() -> None:
+def test_what_cannot_be_seen_is_refused_by_name_and_the_rest_is_described() -> None:
     found = calibrate(swung(0), PAIR, SETTINGS)
     assert found.verdict == PASS
     assert {"dead_band_1", "stiffness_1", "rotor_inertia_1"} <= set(found.estimate.undetermined)
     parameters, other, *_ = drives_report(found).tables
-    refused = other.rows
     for k, (*_, value, sigma) in enumerate(parameters.rows):
         assert (k in parameters.weak) == (abs(float(value)) <= 2.0 * float(sigma))
-    assert any(row[0] == "dead_band" and "the encoder" in row[2] for row in refused)
+    assert any(row[0] == "dead_band" and "the encoder" in row[2] for row in other.rows)
     assert np.isnan(found.values[found.names.index("dead_band_1")])
+    link = from_yaml(found.description).links[0]
+    assert link.drive.torque_constant == pytest.approx(TRUTH["torque_constant"], rel=0.06)
+    zero = link.torque_sensor.zero * link.torque_sensor.gain
+    assert zero == pytest.approx(TRUTH["torque_zero"], abs=1e-3)
 
 
 def test_a_joint_that_keeps_still_is_refused() -> None:
@@ -153,14 +165,6 @@ def test_a_joint_that_keeps_still_is_refused() -> None:
     found = calibrate(still, PAIR, SETTINGS)
     assert found.verdict == NOT_EVALUATED
     assert "torque_constant_1 not determined: joint 1 turns for 0.0 s" in found.reason
-
-
-def test_the_description_has_what_was_found() -> None:
-    found = calibrate(swung(3), PAIR, SETTINGS)
-    link = from_yaml(found.description).links[0]
-    assert link.drive.torque_constant == pytest.approx(TRUTH["torque_constant"], rel=0.06)
-    zero = link.torque_sensor.zero * link.torque_sensor.gain
-    assert zero == pytest.approx(TRUTH["torque_zero"], abs=1e-3)
 
 
 def guessed(arm: Arm) -> Arm:
@@ -188,16 +192,12 @@ def plants(seed: int, rate: float = 5.0) -> tuple[list[str], np.ndarray]:
     return [name for name, is_told in zip(found.names, told, strict=True) if is_told], errors
 
 
-def test_the_test_beds_joints_are_found() -> None:
-    names, errors = plants(1)
-    assert {"torque_constant_1", "viscous_2", "coulomb_3", "static_1"} <= set(names)
-    assert not any(name.startswith(("dead_band", "stiffness")) for name in names)
-    assert np.max(np.abs(errors)) < 4.0
-
-
 @pytest.mark.slow
 def test_the_test_beds_joints_are_within_three_sigma_in_50_seeds() -> None:
-    errors = np.concatenate([plants(seed)[1] for seed in range(50)])
+    found = [plants(seed) for seed in range(50)]
+    names, errors = found[0][0], np.concatenate([away for _, away in found])
+    assert {"torque_constant_1", "viscous_2", "coulomb_3", "static_1"} <= set(names)
+    assert not any(name.startswith(("dead_band", "stiffness")) for name in names)
     within, nees = np.mean(np.abs(errors) < 3.0), np.mean(errors**2)
     print(f"{len(errors)} values, {within:.2%} within 3 sigma, mean square {nees:.2f}")
     assert within > 0.995

@@ -25,7 +25,7 @@ SETTINGS = DynamicSettings(position_deviation=0.0005, heading_deviation=0.0017)
 def maneuvers():
     """Sixteen of them, seen with the errors that the settings assume."""
     noise = SETTINGS.position_deviation, SETTINGS.heading_deviation
-    return feed(ManeuverFinder(4), Float(postures(16, seed=5), None, STATE, 5.2, noise).samples())
+    return feed(ManeuverFinder(4), Float(postures(16, seed=5), None, STATE, 5.2, noise).samples(20))
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +46,9 @@ def test_a_good_calibration_passes_and_gives_the_next_description(good):
     assert arm.base.inertia == good.values[8]
     assert arm.links[1].a == ARM.links[1].a
     assert 0.5 < good.estimate.chi_square / good.estimate.degrees_of_freedom < 1.5
-    assert good.estimate.heading_residual == pytest.approx(
-        SETTINGS.heading_deviation / 5**0.5, rel=0.2
-    )
-    assert good.estimate.position_residual == pytest.approx(
-        SETTINGS.position_deviation / 5**0.5, rel=0.2
-    )
+    found = np.array([good.estimate.position_residual, good.estimate.heading_residual])
+    given = np.array([SETTINGS.position_deviation, SETTINGS.heading_deviation])
+    assert found == pytest.approx(given / 5**0.5, rel=0.2)
 
 
 def test_the_description_says_where_it_is_from(good):
@@ -69,9 +66,9 @@ def test_others_take_what_passed(good):
     """The description with its covariance, without the table's tilt."""
     known = Calibrated(ARM).with_message("calibration/dynamic", DYNAMIC.to_message(good, "fss"))
     assert known.arm == from_yaml(good.description)
-    deviations = np.sqrt(np.diag(known.covariance))
     i = BASE_SIZE + LINK_SIZE + 3  # I_2
-    assert deviations[i] == pytest.approx(good.deviations[good.names.index("I_2")])
+    expected = good.deviations[good.names.index("I_2")]
+    assert np.sqrt(known.covariance[i, i]) == pytest.approx(expected)
 
 
 def test_what_can_be_told_is_told(good):
@@ -97,13 +94,6 @@ def test_too_few_maneuvers_are_not_evaluated_and_have_no_numbers(maneuvers, coun
     assert np.isnan(few.values).all()
     assert few.description == ""
     DYNAMIC.to_message(few, "fss")
-
-
-def test_rejected_maneuvers_are_counted(maneuvers):
-    rejected = [replace(m, used=False, reason="fss silent for 1.00 s") for m in maneuvers[:12]]
-    result = calibrate([*rejected, *maneuvers[12:]], ARM, SETTINGS)
-    assert result.left_out == 12
-    assert "12 maneuvers rejected (fss silent for 1.00 s)" in result.reason
 
 
 def test_parameters_that_cannot_be_told_apart_are_not_evaluated(maneuvers):
@@ -134,31 +124,23 @@ def test_what_is_asked_of_precision_is_told(maneuvers):
 
 def test_a_link_too_light_to_be_seen_is_said_to_be_so():
     """Its inertia is a hundredth of the others', which nobody can see: it is no other arm."""
-    last = replace(ARM.links[3], mass=0.15, inertia=3e-4)
-    light = replace(ARM, links=(*ARM.links[:3], last))
-    verdicts = []
-    for seed in range(3):
-        noise = SETTINGS.position_deviation, SETTINGS.heading_deviation
-        rig = Float(postures(8, seed=6), light.vector(), STATE, noise=noise, seed=seed)
-        result = calibrate(feed(ManeuverFinder(4), rig.samples()), light, SETTINGS)
-        verdicts.append(result.verdict)
-        assert "another arm" not in result.reason
-        assert "inf %" not in result.reason
-        assert re.search(r"I_4.* not measurable with these data|too uncertain: I_4", result.reason)
-        assert re.search("give a prior(,| or) do not estimate it", result.reason)
-    assert set(verdicts) == {FAIL}
+    light = replace(ARM, links=(*ARM.links[:3], replace(ARM.links[3], mass=0.15, inertia=3e-4)))
+    noise = SETTINGS.position_deviation, SETTINGS.heading_deviation
+    rig = Float(postures(8, seed=6), light.vector(), STATE, noise=noise)
+    result = calibrate(feed(ManeuverFinder(4), rig.samples(20)), light, SETTINGS)
+    assert result.verdict == FAIL
+    assert "another arm" not in result.reason
+    assert "inf %" not in result.reason
+    assert re.search(r"I_4.* not measurable with these data|too uncertain: I_4", result.reason)
+    assert re.search("give a prior(,| or) do not estimate it", result.reason)
 
 
 def test_momenta_said_to_be_large_do_not_make_the_fit_lenient(maneuvers):
     """They were known to be small: no more is allowed of the poses if much is allowed of them."""
     fits = []
     for times in (1.0, 100.0):
-        settings = replace(
-            SETTINGS,
-            momentum_deviation=0.3 * times,
-            spin_deviation=0.05 * times,
-            min_probability=0.0,
-        )
+        momenta = {"momentum_deviation": 0.3 * times, "spin_deviation": 0.05 * times}
+        settings = replace(SETTINGS, min_probability=0.0, **momenta)
         left = calibrate(maneuvers, ARM, settings).solution.nominal.residual_sums
         fits.append(np.sum(left.squares) / np.sum(left.freedom))
     assert fits[0] == pytest.approx(fits[1], rel=0.03)

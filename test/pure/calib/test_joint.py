@@ -41,7 +41,7 @@ def test_deviations_that_nobody_gave_are_those_that_the_stages_found():
 @pytest.mark.parametrize(
     ("seeds", "bounds"),
     [
-        (range(12), (0.25, 0.04)),  # the mean of 12 trials of 26 parameters has a deviation of 0.08
+        (range(5), (0.25, 0.04)),  # the mean of 5 trials of 26 parameters has a deviation of 0.12
         pytest.param(range(1000, 1500), (0.05, 0.02), marks=pytest.mark.slow),
     ],
 )
@@ -179,9 +179,6 @@ def test_rests_alone_leave_masses_undetermined(two):
     table = joint_report(outcome).tables[0]
     assert {table.rows[k][0] for k in table.weak} >= set(outcome.estimate.undetermined)
     assert a not in table.weak
-
-
-def test_no_data_are_not_evaluated():
-    outcome = calibrate([], ARM, JOINT, JOINT_SOURCES, SETTINGS)
-    assert outcome.verdict == "not_evaluated"
-    assert outcome.reason == "no rest, maneuver or drift can be used"
+    nothing = calibrate([], ARM, JOINT, JOINT_SOURCES, SETTINGS)
+    assert nothing.verdict == "not_evaluated"
+    assert nothing.reason == "no rest, maneuver or drift can be used"

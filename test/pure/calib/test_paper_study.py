@@ -15,7 +15,7 @@ from paper_study import (
 
 def test_the_paper_s_experiment_hardly_knows_the_inertia():
     rng, found = np.random.default_rng(5), []
-    for _ in range(20):
+    for _ in range(8):
         first, second = np.radians(rng.uniform(-75.0, 75.0, (2, 4)))
         plan = single_joint(first, 1.0) + single_joint(second, -1.0)
         found.append(relative_deviations(estimate_as_in_paper(plan))[0])
@@ -24,12 +24,6 @@ def test_the_paper_s_experiment_hardly_knows_the_inertia():
     random, total = relative_deviations(estimate_as_in_paper(plan, 0.001))
     assert random < 0.16  # with the base's position
     assert total > 1.0
-
-
-def test_kinematics_are_found_as_finely_as_13_observations_allow():
-    text = paper_study.tables_2_and_3()
-    assert "| a_1 .. a_3 | m | 0.3825 |" in text
-    assert "| theta_BJ1 | deg | 18.21 |" in text
 
 
 @pytest.mark.slow
@@ -47,9 +41,8 @@ def test_the_study_takes_its_place_in_a_file(tmp_path, monkeypatch):
     page = tmp_path / "paper.md"
     page.write_text(f"# Paper\n\nbefore\n\n{START_MARK}\nold\n{END_MARK}\n\n## Workspace\n")
     assert paper_study.main(["--output", str(page)]) == 0
-    assert (
-        page.read_text() == f"# Paper\n\nbefore\n\n{START_MARK}\nnew\n{END_MARK}\n\n## Workspace\n"
-    )
+    expected = f"# Paper\n\nbefore\n\n{START_MARK}\nnew\n{END_MARK}\n\n## Workspace\n"
+    assert page.read_text() == expected
     page.write_text("# Paper\n\n## Workspace\n")
     assert paper_study.main(["--output", str(page)]) == 0
     assert page.read_text().startswith("# Paper\n\n## Workspace\n\n")
