@@ -2,21 +2,19 @@
 
 import os
 import signal
-import time
 
 import numpy as np
 
 from fss_gnc.law import Outputs
 
 GOOD_STEPS = 10
-LATE_PERIODS = 10
 
 
 class Good:
     """A law without a fault."""
 
     def __init__(self, joints, period):
-        self.joints, self.period, self.steps = joints, period, 0
+        self.joints, self.steps = joints, 0
 
     def step(self, inputs):
         self.steps += 1
@@ -49,11 +47,6 @@ class Leak(Good):
 
     def fail(self):
         self.kept = (*self.kept, bytearray(16 << 20))
-
-
-class Late(Good):
-    def fail(self):
-        time.sleep(LATE_PERIODS * self.period)
 
 
 class Exiting(Good):

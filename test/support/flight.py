@@ -12,23 +12,15 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
 
-from fss_arm_msgs.action import FollowPoses, GoToPose, HoldBase, MoveArm
+from fss_arm_msgs.action import GoToPose, HoldBase, MoveArm
 from fss_arm_msgs.msg import MissionState, SimTruth
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 
-ACTIONS = {
-    "base/hold": HoldBase,
-    "base/go_to": GoToPose,
-    "base/follow": FollowPoses,
-    "arm/move": MoveArm,
-}
+ACTIONS = {"base/hold": HoldBase, "base/go_to": GoToPose, "arm/move": MoveArm}
 
 
-GNC = "navigation", "control", "guidance"
-
-
-def start(nodes, speed=0.0, links=4, testbed=None, gnc=GNC, **parameters):
+def start(nodes, speed=0.0, links=4, testbed=None, **parameters):
     """Start the graph: the test bed's parameters, and those of others by node."""
     domain, clock = nodes.domain, {"use_sim_time": True}
     board, driver = domain.ports(2 * links + 2)[-2:]
@@ -49,7 +41,7 @@ def start(nodes, speed=0.0, links=4, testbed=None, gnc=GNC, **parameters):
     url = f"udp://127.0.0.1:{board}?bind={driver}"
     nodes.start("base", "fss_base_driver", "base", url=url, **clock, **parameters.get("base", {}))
     options = {"control": {"max_pause": 4.0}}
-    for name in gnc:
+    for name in ("navigation", "control", "guidance"):
         given = options.get(name, {})
         nodes.start(name, "fss_gnc", name, **clock, **given, **parameters.get(name, {}))
 

@@ -59,25 +59,19 @@ def track(
     seed,
     frames,
     *,
-    arm="config/truth.yaml",
     known=None,
     outage=(0, 0),
     moving=True,
     thrusting=True,
     planned=True,
     told=True,
-    preset="default",
+    gyro=True,
+    noise=PRESETS["default"],
     settings=None,
     of_target=None,
-    gyro=True,
 ):
-    """Fly with random pulses of thrusters and a moving arm; poses are missing in the outage.
-
-    The preset is one's name, or a Noise of one's own; of the poses' stamps, the latency is known.
-    """
-    rng = np.random.default_rng((7, seed))
-    arm = load(arm)
-    noise = PRESETS[preset] if isinstance(preset, str) else preset
+    """Fly with random pulses of thrusters and a moving arm; poses are missing in the outage."""
+    rng, arm = np.random.default_rng((7, seed)), load("config/truth.yaml")
     # Bodies that go through each other: what a bump does, no navigation knows beforehand.
     around = Surroundings(table=(20.0, 20.0))
     world = World(surroundings=around, target=Target(), contact=None)

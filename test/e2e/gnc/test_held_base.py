@@ -51,18 +51,6 @@ def test_the_base_is_held_while_the_arm_moves(flyer):
     assert result.propellant == pytest.approx(flyer.truths[-1].propellant, abs=0.005)
 
 
-def test_it_goes_to_a_pose_along_a_path_and_back(flyer):
-    here = pose(flyer)
-    goal = here + np.array([0.04, -0.03, 0.15])
-    gone = flyer.does("base/go_to", pose=goal.tolist(), hold_duration=1.0).result
-    assert gone.reached, gone.message
-    assert np.abs(pose(flyer) - goal).max() < 0.03
-    knots = np.linspace(pose(flyer), here, 3)
-    back = flyer.does("base/follow", time=[0.0, 10.0, 20.0], pose=knots.ravel().tolist()).result
-    assert back.reached, back.message
-    assert np.abs(pose(flyer) - here).max() < 0.03
-
-
 @pytest.mark.parametrize("name", LIMITS)
 def test_whoever_is_killed_leaves_no_valve_open(flyer, name):
     away = pose(flyer) - np.array([0.3, 0.0, 0.0])

@@ -1,11 +1,14 @@
 """Actions and topics of the node `guidance`: one activity at a time, and its outcome."""
 
+import signal
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
+from geometry_msgs.msg import WrenchStamped
 from guidance_bench import Bench
 from std_msgs.msg import Empty
 
@@ -93,15 +96,14 @@ def test_stop_ends_the_action_at_once(bench, topic):
     assert (state.phase, state.reason) == ("abort", f"stopped by {topic}")
 
 
-def test_unknown_joints_end_the_action(bench):
-    handle, topic = bench.holding(), "arm/joint_states"
-    bench.silent |= {topic}
+def test_an_unknown_state_ends_the_action_and_rejects_the_next(bench):
+    handle = bench.holding()
+    bench.silent |= {"arm/joint_states"}
     ended = bench.end(handle)
     assert ended.status == ABORTED
-    assert ended.result.message.startswith(f"{topic} is 0.")
+    assert ended.result.message.startswith("arm/joint_states is 0.")
     bench.coasts()
-    ended = bench.does(HOLD)
-    assert ended.result.message.startswith(f"{topic} is ")
+    assert bench.does(HOLD).result.message.startswith("arm/joint_states is ")
 
 
 def test_another_client_can_cancel_an_action(bench):
@@ -154,35 +156,28 @@ def mission(spin, monkeypatch):
     return bench, *kinds
 
 
-def test_mission_commands_joints_and_gripper_and_stops_the_joints_at_its_end(mission):
-    bench, capture, _ = mission
-    handle = bench.begin(capture)
-    bench.until(lambda: len(bench.rates) > 3 and bench.grips)
-    assert bench.grips[-1].data
-    assert list(bench.rates[-1].velocity) == [0.1] * 4
-    assert bench.rates[-1].name == ["joint_1", "joint_2", "joint_3", "joint_4"]
-    assert bench.paths[-1] is None
-    bench.after(handle.cancel_goal_async())
-    assert bench.end(handle).status == CANCELED
-    bench.until(lambda: list(bench.rates[-1].velocity) == [0.0] * 4)
-
-
-def test_mission_is_preempted_only_by_an_abort(mission):
+def test_mission_commands_joints_and_gripper_and_is_preempted_only_by_an_abort(mission):
     bench, capture, abort = mission
     hold = bench.holding()
     running = bench.begin(capture)
     assert bench.end(hold).result.message == "preempted by mission/capture"
+    bench.until(lambda: bench.rates and bench.grips)
+    assert bench.grips[-1].data
+    assert bench.rates[-1].name == ["joint_1", "joint_2", "joint_3", "joint_4"]
     for kind in (HOLD, capture):
         ended = bench.does(kind)
         assert (ended.status, ended.result.message) == (
             ABORTED,
             "mission/capture is running, cancel it first",
         )
-    bench.begin(abort)
+    aborting = bench.begin(abort)
     assert bench.end(running).result.message == "preempted by mission/abort"
     count = len(bench.rates)
     bench.until(lambda: len(bench.rates) > count + 2)
     assert {rate for message in bench.rates for rate in message.velocity} == {0.1}  # no jerk
+    bench.after(aborting.cancel_goal_async())
+    assert bench.end(aborting).status == CANCELED
+    bench.until(lambda: list(bench.rates[-1].velocity) == [0.0] * 4)
 
 
 def before_a_target(bench):
@@ -204,12 +199,6 @@ def test_capture_without_target_ends_with_valves_closed_and_joints_at_rest(bench
     assert np.abs(bench.rates[-1].velocity).max() == 0.0
 
 
-def momentum_along_x(craft):
-    """Return the momentum of base and arm at 1 m/s."""
-    zero = np.zeros(3 + craft.arm.n)
-    return inertia_matrix(craft.arm.vector(), zero)[0, 0]
-
-
 def test_held_body_is_the_navigation_s_estimate_until_its_release(bench):
     publisher = bench.create_publisher(MassProperties, "target/mass_properties", 1)
     bench.holds = True
@@ -221,7 +210,8 @@ def test_held_body_is_the_navigation_s_estimate_until_its_release(bench):
     assert (target.mass, target.inertia, *place) == (20.0, 0.6, 0.4, 0.05, 0.0)
     budget, obs = Budget(bench.guidance.craft), bench.guidance.observe(bench.now())[0]
     budget.update(replace(obs, base=Body(np.zeros(3), np.array([1.0, 0.0, 0.0]))))
-    assert budget.momentum[0] == pytest.approx(momentum_along_x(bench.guidance.craft) + 20.0)
+    alone = inertia_matrix(bench.guidance.craft.arm.vector(), np.zeros(7))[0, 0]
+    assert budget.momentum[0] == pytest.approx(alone + 20.0)
     bench.holds = False
     bench.until(lambda: bench.guidance.observe(bench.now())[0].held_body is None)
 
@@ -242,3 +232,40 @@ def test_open_valve_aborts_a_mission(bench):
     bench.stops["base/stop"].publish(Empty())  # the fake tank is never empty
     ended = bench.end(handle)
     assert (ended.status, ended.result.stopped) == (ABORTED, False)
+
+
+# --- a process `control` that is stopped during a motion, and continued --------------------------
+
+PAUSE = 1.5  # [s]
+MIN_FORCE = 0.01  # of a chase after the reference [N]
+
+
+def test_control_does_not_chase_the_reference_after_a_stall(spin, start):
+    bench = Bench(spin, max_age=3.0)  # of a busy computer
+    control = start("fss_gnc.control_node", "--ros-args", "-p", "max_pause:=1.0")
+    wrenches = []
+    bench.create_subscription(
+        WrenchStamped, "base/wrench", lambda m: wrenches.append(m.wrench.force), 10
+    )
+    bench.until(lambda: bench.count_publishers("base/wrench"), 60.0)
+    bench.obeys = False  # the base stays where it is found
+    handle = bench.begin(GO_TO, pose=[0.5, 0.0, 0.0])
+    ended = handle.get_result_async()
+    bench.until(lambda: wrenches and wrenches[-1].x > MIN_FORCE)
+
+    control.process.send_signal(signal.SIGSTOP)
+    stopped = time.monotonic()
+    bench.until(lambda: time.monotonic() > stopped + PAUSE)
+    before = len(wrenches)
+    control.process.send_signal(signal.SIGCONT)
+    bench.until(ended.done)
+    message = ended.result().result.message
+    print(message, [round(force.x, 3) for force in wrenches[before:]])
+    assert ended.result().status == GoalStatus.STATUS_ABORTED
+    assert message.startswith("control paused for ")
+    assert PAUSE - 0.2 < float(message.split()[3]) < PAUSE + 2.0
+    assert len(wrenches) > before  # it holds
+    assert np.abs([force.x for force in wrenches[before:]]).max() < MIN_FORCE
+
+    handle = bench.begin(GO_TO, pose=[0.5, 0.0, 0.0])
+    bench.until(lambda: wrenches[-1].x > MIN_FORCE)

@@ -48,16 +48,17 @@ class Bench(Node):
         self.pulses = self.create_publisher(ThrusterCommand, "thrusters/pulses", SENSOR)
         self.gripper = self.create_publisher(GripperState, "gripper/state", SENSOR)
         self.states, self.targets, self.transforms, self.masses = [], [], [], []
-        self.create_subscription(
-            MassProperties, "target/mass_properties", self.masses.append, sensor()
-        )
-        self.create_subscription(Odometry, "base/state", self.states.append, sensor())
-        self.create_subscription(Odometry, "target/state", self.targets.append, sensor())
-        self.create_subscription(TFMessage, "/tf", self.transforms.append, sensor())
+        for kind, topic, received in (
+            (MassProperties, "target/mass_properties", self.masses),
+            (Odometry, "base/state", self.states),
+            (Odometry, "target/state", self.targets),
+            (TFMessage, "/tf", self.transforms),
+        ):
+            self.create_subscription(kind, topic, received.append, sensor())
 
     def ready(self):
-        publishers = self.base, self.target, self.gyro, self.joints, self.pulses, self.gripper
-        return all(p.get_subscription_count() for p in (*publishers, self.clock))
+        sensors = self.base, self.target, self.gyro, self.joints, self.pulses, self.gripper
+        return all(p.get_subscription_count() for p in (*sensors, self.clock))
 
     @property
     def t(self):

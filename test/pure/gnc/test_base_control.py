@@ -5,6 +5,7 @@ import pytest
 
 from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
+from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.held import Target, payload_pose, with_payload
 from fss_arm_model.units import SECOND
 from fss_gnc.control.base_control import BaseControl
@@ -47,6 +48,19 @@ def test_valves_stay_closed_until_all_is_known(topics, path, status):
     wrench = controller.step(START)
     assert (wrench is not None) == controller.active == status.startswith("following")
     assert controller.status(START) == status
+
+
+def test_wrench_counters_error_and_rate_in_the_base_s_axes():
+    knots = np.zeros((2, 2, 3))
+    knots[:, 0], knots[:, 1, 0] = [[0.01, 0.0, np.pi / 2], [0.11, 0.0, np.pi / 2]], 0.02
+    controller = make_controller(*TOPICS, path=Path(np.array([0.0, 5.0]), knots))
+    controller.base.store(START, Body(np.array([0.0, 0.0, np.pi / 2]), ZERO))
+    controller.joints.store(START, JOINTS * [[1.0], [0.0], [0.0]])
+    g, q = controller.settings, np.array([0.0, 0.0, np.pi / 2, *JOINTS[0]])
+    acceleration = g.bandwidth**2 * 0.01 + 2.0 * g.damping * g.bandwidth * 0.02
+    wrench = controller.step(START)
+    mass = inertia_matrix(ARM.vector(), q)[0, 0]
+    assert wrench[:2] == pytest.approx([0.0, -mass * acceleration], rel=1e-3, abs=1e-3)
 
 
 @pytest.mark.parametrize("feed_forward", [True, False])
