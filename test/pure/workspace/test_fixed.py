@@ -30,7 +30,7 @@ def polygon_area(region, spacing):
     return sum(0.5 * (np.roll(z, -1) * z.conj()).imag.sum() for z in lines)
 
 
-def is_sound(region, arm, limits, rng, count=1000):
+def is_sound(region, arm, limits, rng, count=500):
     """Check `contains` for arrays, single points and reached tips."""
     holds_what_is_reached(region, arm, limits, rng)
     disagreements(region, arm, limits, count, rng)
@@ -77,11 +77,11 @@ def test_polygons_converge_to_the_area():
     assert errors[0] / errors[1] == pytest.approx(100.0, rel=0.1)
 
 
-@pytest.mark.parametrize("count", [2_000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_contains_agrees_with_inverse_kinematics(count):
+@pytest.mark.slow
+def test_contains_agrees_with_inverse_kinematics():
     arm = paper_arm()
     limits = joint_limits(arm)
-    disagreements(fixed_workspace(arm), arm, limits, count, np.random.default_rng(1))
+    disagreements(fixed_workspace(arm), arm, limits, 100_000, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("count", [10_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
@@ -95,8 +95,7 @@ def test_the_area_agrees_with_a_monte_carlo(count):
     assert abs(box * share - region.area) < 3.0 * deviation
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 6])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(("n", "seed"), [(1, 0), (3, 1), (4, 0), (6, 1)])
 def test_any_arm_and_any_limits(n, seed):
     rng = np.random.default_rng(10 * n + seed)
     arm = random_arm(n, rng)
@@ -106,8 +105,7 @@ def test_any_arm_and_any_limits(n, seed):
     is_sound(fixed_workspace(arm, limits), arm, limits, rng)
 
 
-@pytest.mark.parametrize("n", [2, 4])
-@pytest.mark.parametrize("degrees", [60.0, 90.0, 180.0])
+@pytest.mark.parametrize(("n", "degrees"), [(2, 60.0), (4, 90.0), (4, 180.0)])
 def test_equal_links_whose_arcs_touch_and_coincide(n, degrees):
     link = replace(paper_arm().links[0], a=0.4)
     arm = replace(paper_arm(), links=(link,) * n)
@@ -118,13 +116,12 @@ def test_equal_links_whose_arcs_touch_and_coincide(n, degrees):
         assert region.area == pytest.approx(math.pi * (0.4 * n) ** 2)
 
 
-@pytest.mark.parametrize(("n", "area"), [(11, 52.4834), (12, 62.7746)])
-def test_arcs_of_a_long_arm_touch_up_to_a_larger_rounding_error(n, area):
+def test_arcs_of_a_long_arm_touch_up_to_a_larger_rounding_error():
     links = paper_arm().links
-    arm = replace(paper_arm(), links=(links[:3] * 4)[: n - 1] + links[3:])
+    arm = replace(paper_arm(), links=links[:3] * 3 + links[:2] + links[3:])
     region = fixed_workspace(arm)
-    assert region.area == pytest.approx(area, abs=1e-4)
-    holds_what_is_reached(region, arm, joint_limits(arm), np.random.default_rng(n))
+    assert region.area == pytest.approx(62.7746, abs=1e-4)
+    holds_what_is_reached(region, arm, joint_limits(arm), np.random.default_rng(12))
 
 
 def test_arcs_that_barely_touch():

@@ -8,6 +8,7 @@ import pytest
 from model_arms import random_arm
 from model_oracles import pinocchio_model
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 from workspace_oracle import exhaustive, tips
 
 from fss_arm_model.description import paper_arm
@@ -41,11 +42,11 @@ def pinocchio_jacobian(arm, q_m, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
-@pytest.mark.parametrize("n", [2, 4, 7])
+@pytest.mark.parametrize("n", [2, 7])
 def test_ellipsoids_agree_with_pinocchios_jacobians(n, kind):
     rng = np.random.default_rng(n)
     arm = random_arm(n, rng)
-    for q in rng.uniform(-3.0, 3.0, (50, n)):
+    for q in rng.uniform(-3.0, 3.0, (20, n)):
         theirs = pinocchio_jacobian(arm, q, kind)
         radii, axes = ellipsoid(jacobian(arm, q, kind))
         shape = axes.T @ np.diag(radii**2) @ axes
@@ -54,8 +55,14 @@ def test_ellipsoids_agree_with_pinocchios_jacobians(n, kind):
         assert measure(arm, q, kind) == pytest.approx(w, rel=1e-9, abs=1e-7)
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=str)
-@pytest.mark.parametrize("count", [5, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    [
+        *((kind, 3) for kind in (FLOATING, FIXED_POSE)),
+        *(pytest.param(kind, 1000, marks=pytest.mark.slow) for kind in KINDS),
+    ],
+    ids=str,
+)
 def test_the_best_posture_agrees_with_an_exhaustive_search(kind, count):
     arm, rng = paper_arm(), np.random.default_rng(3)
     search, limits = Search(arm, kind), joint_limits(arm)
@@ -69,11 +76,11 @@ def test_the_best_posture_agrees_with_an_exhaustive_search(kind, count):
     assert_allclose(measure(arm, best.q, kind), best.w, atol=1e-9)
     known = [exhaustive(arm, limits, z, lambda q: measure(arm, q, kind)) for z in points]
     assert (best.w > np.array(known) - 1e-4).all()
-    # The grid itself may lack an edge.
-    assert np.mean(np.abs(best.w - known) < 1e-4) >= (0.8 if count < 100 else 0.95)
+    # The grid itself may lack an edge: at one point in 20 at most, so at 2 of 3 by a chance of 1 %.
+    assert np.mean(np.abs(best.w - known) < 1e-4) >= (0.6 if count < 100 else 0.95)
 
 
-@pytest.mark.parametrize("n", [2, 3, 5])
+@pytest.mark.parametrize("n", [2, pytest.param(5, marks=pytest.mark.slow)])
 def test_other_numbers_of_links(n):
     """Each reachable point has a posture; with two links there are two to choose from."""
     rng = np.random.default_rng(n)
@@ -101,24 +108,13 @@ def test_a_map_smaller_than_a_coarse_cell():
         manipulability_map(arm, cell=3.0)
 
 
-def test_threads_do_not_change_the_result():
-    one, two = (Search(paper_arm(), spacing=0.2, workers=workers).coarse for workers in (1, 2))
-    assert_allclose(one.q, two.q, rtol=0, atol=0)
-
-
-def test_a_straight_arm_is_singular_on_a_fixed_base_but_not_on_a_floating_one():
-    arm = paper_arm()
-    straight = -np.array([link.theta_0 for link in arm.links])
-    assert measure(arm, straight, FIXED) == pytest.approx(0.0, abs=1e-7)
-    assert measure(arm, straight, FLOATING) > 0.005
-
-
-def test_a_straight_arm_in_line_with_the_bases_center_of_mass_is_singular_on_both():
+def test_a_straight_arm_is_singular_on_a_floating_base_only_in_line_with_its_center_of_mass():
     arm = paper_arm()
     in_line = replace(arm, base=replace(arm.base, mount=(0.2, 0.0, 0.0)))
     straight = -np.array([link.theta_0 for link in arm.links])
-    for kind in (FIXED, FLOATING):
-        assert measure(in_line, straight, kind) == pytest.approx(0.0, abs=1e-7)
+    for one, kind in ((arm, FIXED), (in_line, FIXED), (in_line, FLOATING)):
+        assert measure(one, straight, kind) == pytest.approx(0.0, abs=1e-7)
+    assert measure(arm, straight, FLOATING) > 0.005
 
 
 def test_a_dynamic_singularity_that_geometry_does_not_show():
@@ -128,16 +124,7 @@ def test_a_dynamic_singularity_that_geometry_does_not_show():
     def det(q_2):
         return np.linalg.det(jacobian(arm, np.array([1.0, q_2]), FLOATING))
 
-    low, high = 0.05, 1.5
-    signs = [np.sign(det(q)) for q in np.linspace(-low - 0.5, high, 40)]
-    assert len(set(signs)) == 2
-    grid = np.linspace(-low - 0.5, high, 40)
-    k = int(np.flatnonzero(np.diff(signs))[0])
-    low, high = grid[k], grid[k + 1]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if np.sign(det(middle)) == np.sign(det(low)) else (low, middle)
-    q = np.array([1.0, low])
+    q = np.array([1.0, brentq(det, -0.55, 1.5, xtol=1e-15)])
     assert measure(arm, q, FLOATING) == pytest.approx(0.0, abs=1e-7)
     assert measure(arm, q, FIXED) > 0.005
 

@@ -59,7 +59,7 @@ def good_paths(rules):
     paths = straight_paths(ARM, arch(ARM), AROUND, rules)
     paths = paths[~paths.grazes]
     assert len(paths.direction) > 0.7 * len(AROUND)
-    return paths[::6]
+    return paths[::8]
 
 
 @pytest.mark.parametrize("base", BASES)
@@ -69,15 +69,15 @@ def test_the_tip_stays_on_its_line_and_the_base_obeys_its_constraint(base, rule)
     limits, p = joint_limits(ARM), ARM.vector()
     paths = good_paths(rules)
     for direction, distance in zip(paths.direction, paths.distance, strict=True):
-        s = np.linspace(0.0, distance - 1e-3, 40)  # other steps may end it 1 mm before
+        s = np.linspace(0.0, distance - 1e-3, 12)  # other steps may end it 1 mm before
         q = on_the_way(start, direction, s, rules)
         assert_allclose(complex_tip(ARM, q), paths.tip + s * np.exp(1j * direction), atol=1e-6)
         assert (q[:, 3:] >= limits[:, 0] - 1e-12).all()
         assert (q[:, 3:] <= limits[:, 1] + 1e-12).all()
         if base == FIXED:
-            assert_allclose(q[:, :3], np.broadcast_to(start[:3], (40, 3)), atol=0.0)
+            assert_allclose(q[:, :3], np.broadcast_to(start[:3], (12, 3)), atol=0.0)
             continue
-        assert_allclose(system_com(p, q), np.broadcast_to(system_com(p, start), (40, 2)), atol=1e-6)
+        assert_allclose(system_com(p, q), np.broadcast_to(system_com(p, start), (12, 2)), atol=1e-6)
         if base == ZERO_REACTION:
             assert_allclose(q[:, 2], start[2], atol=1e-9)
 
@@ -90,7 +90,7 @@ def test_the_motion_has_no_momentum(base, rule):
     limits, h, seen = joint_limits(ARM), 1e-3, 0
     paths = good_paths(rules)
     for direction, distance in zip(paths.direction, paths.distance, strict=True):
-        for share in (0.1, 0.3, 0.5, 0.7, 0.9):
+        for share in (0.1, 0.5, 0.9):
             s = share * distance + h * np.arange(-2.0, 3.0)
             if s[0] < 0.0 or s[-1] > distance - 1e-3:
                 continue
@@ -101,9 +101,10 @@ def test_the_motion_has_no_momentum(base, rule):
                 continue
             assert_allclose(momentum(ARM.vector(), q[2], slope), 0.0, atol=1e-4)  # found: 2e-5
             seen += 1
-    assert seen > 10
+    assert seen > 4  # of some 15 places, those that no kink is near
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", BASES)
 @pytest.mark.parametrize("rule", RULES)
 def test_half_the_step_gives_the_same_distances(base, rule):
@@ -186,21 +187,16 @@ def test_too_few_joints_are_a_singularity(n, base):
 
 
 @pytest.mark.parametrize(
-    "limits", [(-np.pi / 2, np.pi / 2), (-np.pi / 3, np.pi / 3), (0.2, 0.3), (-3.0, -1.0)]
+    ("n", "limits"), [(1, (-3.0, -1.0)), (4, (0.2, 0.3)), (12, (-np.pi / 2, np.pi / 2))]
 )
-@pytest.mark.parametrize("n", [1, 2, 4, 10])
 def test_the_arch_is_within_the_limits(n, limits):
     low, high = limits
-    links = tuple(replace(ARM.links[0], q_min=low, q_max=high) for _ in range(n))
-    q = arch(replace(ARM, links=links))[3:]
+    arm = replace(ARM, links=(replace(ARM.links[0], q_min=low, q_max=high),) * n)
+    q = arch(arm)[3:]
     assert (low < q).all()
     assert (q < high).all()
-
-
-@pytest.mark.parametrize("n", range(1, 13))
-def test_the_arch_of_a_long_arm_is_on_the_table(n):
-    arm = replace(ARM, links=(replace(ARM.links[0], a=0.3825),) * n)
-    straight_paths(arm, arch(arm), 0.0)
+    if high == -low:
+        straight_paths(arm, arch(arm), 0.0)  # that of a long arm is on the table
 
 
 def test_the_boundary_is_accurate_between_its_directions():
@@ -237,7 +233,7 @@ def test_other_numbers_of_links(n, base):
     """Also without redundancy, two joints afloat or three without reaction, past no singularity."""
     rules = Rules(base=base, table=(-9.0, -9.0, 9.0, 9.0))
     longest = 0.0
-    for seed in range(10):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         arm = random_arm(n, rng)
         for start in (arch(arm), *random_starts(arm, 2, rng)):

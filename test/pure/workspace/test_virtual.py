@@ -1,7 +1,5 @@
 """The virtual manipulator against the real arm on a free base."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from model_arms import random_arm
@@ -29,6 +27,10 @@ def test_the_papers_radius():
     b_2 = 0.191 * (10.0 + 2 * 2.88) / (10.0 + 4 * 2.88)
     g_2 = (0.3825 - 0.191) * (10.0 + 2.88) / (10.0 + 4 * 2.88)
     assert (virtual.b[2], virtual.g[2]) == pytest.approx((b_2, g_2))
+    arm = paper_arm()  # straight, it reaches so far
+    straight = -np.array([link.theta_0 for link in arm.links])
+    straight[0] = np.arctan2(arm.base.mount[1], arm.base.mount[0]) - arm.base.mount[2]
+    assert np.abs(from_com(arm, straight[None])) == pytest.approx(virtual.radius)
 
 
 def test_the_base_mass_for_the_papers_radius():
@@ -37,7 +39,7 @@ def test_the_base_mass_for_the_papers_radius():
         base_mass_for(paper_arm(), 2.0)
 
 
-@pytest.mark.parametrize("n", [1, 2, 4])
+@pytest.mark.parametrize("n", [1, 4])
 def test_reach_agrees_with_brute_force(n):
     rng = np.random.default_rng(n)
     arm = random_arm(n, rng)
@@ -51,20 +53,3 @@ def test_reach_agrees_with_brute_force(n):
     assert np.abs(tips).min() == pytest.approx(nearest, abs=0.02)
     workspace = virtual.workspace()
     assert workspace.distance(tips[~workspace.contains(tips)]).max(initial=0.0) < 1e-12
-
-
-def test_the_boundary_of_a_long_virtual_manipulator_closes():
-    links = paper_arm().links
-    arm, rng = replace(paper_arm(), links=(links[:3] * 3)[:8] + links[3:]), np.random.default_rng(9)
-    workspace = VirtualManipulator(arm).workspace()
-    assert workspace.area == pytest.approx(14.2806, abs=1e-4)
-    tips = from_com(arm, sampled(arm.vector(), joint_limits(arm), 10_000, rng)[0])
-    assert workspace.distance(tips[~workspace.contains(tips)]).max(initial=0.0) < 1e-12
-
-
-def test_a_straight_virtual_manipulator_reaches_its_radius():
-    arm, virtual = paper_arm(), VirtualManipulator(paper_arm())
-    straight = -np.array([link.theta_0 for link in arm.links])
-    to_joint_1 = np.arctan2(arm.base.mount[1], arm.base.mount[0])
-    straight[0] = to_joint_1 - arm.base.mount[2]
-    assert np.abs(from_com(arm, straight[None])) == pytest.approx(virtual.radius)
