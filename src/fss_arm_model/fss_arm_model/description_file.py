@@ -39,7 +39,7 @@ SERIAL_NAME = re.compile(r"(a|theta_0|m|b|I)_#(\d+)")
 UNKNOWN_ANGLE_SIGMA = math.radians(5.0)
 
 #: Largest values in files by their unit, and the unit that a larger one probably has.
-LARGEST = {"m": (10.0, "millimetres"), "kg": (1000.0, "grams")}
+MAX_VALUES = {"m": (10.0, "millimetres"), "kg": (1000.0, "grams")}
 
 #: Descriptions in the package, by the name that settings use.
 ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
@@ -198,7 +198,7 @@ def _check_units(part: Base | Link) -> None:
     """Raise DescriptionError if a length or a mass is so large that its unit must be wrong."""
     for f in fields(part):
         value, unit = getattr(part, f.name), f.metadata["unit"]
-        largest, wrong_unit = LARGEST.get(unit, (math.inf, ""))
+        largest, wrong_unit = MAX_VALUES.get(unit, (math.inf, ""))
         if isinstance(value, float) and abs(value) > largest:
             expected = f"at most {largest:g} [{unit}]; in {wrong_unit}?"
             raise DescriptionError(f.name, value, expected)
