@@ -65,7 +65,8 @@ def test_a_result_of_another_arm_is_not_taken(ros):
 
 def test_the_command_begins_from_a_result_or_from_a_bag(bag, tmp_path, capsys):
     given = [f"--{k.replace('_', '-')}={v}" for k, v in PRECISE.items()]
-    (kinematic, arm, result), found = (str(tmp_path / name) for name in "kad"), []
+    files, found = ("kinematic.json", "arm.yaml", "dynamic.json"), []
+    kinematic, arm, result = (str(tmp_path / name) for name in files)
     assert from_bag([bag, "--result", kinematic, "--output", arm]) == 0
     for source in (["--kinematic", kinematic], ["--kinematic", bag], ["--arm", arm]):
         from_bag(["--dynamic", bag, *given, *source, "--result", result])
