@@ -68,8 +68,7 @@ class SessionNode(Node):
         """Store the session and the transport to the partner; warn if others can command it."""
         self.session, self.transport, self.status_log = session, transport, StatusLog(session)
         self.pacer = Pacer(self.settings.max_rate)
-        # An initial problem is not logged.
-        self.warnings.is_new("connection", self.connection_problem())
+        self.warnings.is_new("connection", self.connection_problem())  # the first is not logged
         if risk := exposure(self.settings.url, self.settings.keys, session.partner.threat):
             self.get_logger().warning(risk)
 
@@ -97,17 +96,13 @@ class SessionNode(Node):
         return bool(self.waiting)
 
     def process_datagrams(self, datagrams: list[bytes], overloaded: bool) -> None:
-        """Process received datagrams; drop them while there is no clock to stamp them with.
-
-        Under overload, telemetry of the newest frame alone is published, which saves a quarter of
-        the time; joint states and acknowledgements are not left out.
-        """
+        """Process datagrams; under overload, publish the telemetry of the newest one alone."""
         shed = max(0, len(datagrams) - 1) if overloaded else 0
         self.transport.counts["telemetry_shed"] += shed
         with self.lock:
             now = self.now()  # under the lock, so that the session's time does not go back
             try:
-                for k, data in enumerate(datagrams if now else ()):
+                for k, data in enumerate(datagrams if now else ()):  # no clock: no stamps
                     self.process_datagram(data, now, k < shed)
             except RCLError:
                 if self.context.ok():
