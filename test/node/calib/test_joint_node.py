@@ -35,7 +35,7 @@ TOLD = {
 def data():
     """By kind, of one day of a simulated arm."""
     rng = np.random.default_rng(3)
-    return day(draw_arm(rng), rng, (8, 8, 2)).data
+    return day(draw_arm(rng), rng).data
 
 
 @pytest.fixture
