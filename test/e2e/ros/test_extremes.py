@@ -251,10 +251,8 @@ def nothing(message):
     yield next(fields(message))[:2]
 
 
-@pytest.mark.parametrize(
-    ("changes", "max_gap"),
-    [(extremes, BUSY_GAP), pytest.param(long_ones, MAX_GAP, marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("changes", "max_gap"), [(extremes, BUSY_GAP), (long_ones, MAX_GAP)])
 def test_extremes_open_and_move_nothing(stranger, changes, max_gap):
     nodes = stranger.nodes.processes
     stranger.send_changed(nothing)
