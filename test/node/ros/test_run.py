@@ -205,6 +205,7 @@ def test_a_node_that_was_killed_is_started_again_at_once(named):
         program.stop(signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_of_nodes_that_begin_together_one_stays(named, domain):
     together = [named() for _ in range(3)]
     gone = wait_until(
