@@ -15,7 +15,7 @@ from gymnasium.vector import SyncVectorEnv
 sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from mujoco_reach import MujocoReach
 
-import fss_sim.environments  # noqa: F401 (registers)
+from fss_sim.environments.register import register_environments
 
 COUNTS, STEPS, RUNS = (1, 16, 256), 50, 7
 REQUIRED = 25.0  # ratio for the largest batch
@@ -32,6 +32,7 @@ def rate(envs: gymnasium.vector.VectorEnv, steps: int) -> float:
 
 def main() -> int:
     """Print the table; return the exit code."""
+    register_environments()
     print("environments  ours [steps/s]  MuJoCo [steps/s]  ratio")
     ratio = 0.0
     for count in COUNTS:

@@ -102,7 +102,7 @@ class SessionNode(Node):
         with self.lock:
             now = self.now()  # under the lock, so that the session's time does not go back
             try:
-                for k, data in enumerate(datagrams if now else ()):  # no clock: no stamps
+                for k, data in enumerate(datagrams if now else ()):  # none without a clock
                     self.process_datagram(data, now, k < shed)
             except RCLError:
                 if self.context.ok():

@@ -7,16 +7,21 @@ from gymnasium.utils.env_checker import check_env
 from model_arms import random_arm
 from mujoco_reach import MujocoReach
 
-import fss_sim.environments  # noqa: F401 (registers)
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import save
 from fss_arm_model.files import ContentError
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import momentum
 from fss_sim.environments.batch import PERIOD
+from fss_sim.environments.register import register_environments
 from fss_sim.environments.tasks import TASKS
 
 NAMES = list(TASKS)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    register_environments()
 
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space m.*imum value is")

@@ -116,8 +116,6 @@ class FloatingArms(VectorEnv[Any, Any, Any]):
     The step after the last one of an episode starts the next one, without an action.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 (as the base class does)
-
     def __init__(
         self,
         task: str,
@@ -125,7 +123,7 @@ class FloatingArms(VectorEnv[Any, Any, Any]):
         arm: str = "paper",
         randomize: Mapping[str, Any] | None = None,
     ) -> None:
-        self.num_envs = num_envs
+        self.num_envs, self.metadata = num_envs, {"autoreset_mode": AutoresetMode.NEXT_STEP}
         self.episodes = Episodes(task, num_envs, arm, randomize or {})
         self.single_observation_space = self.episodes.observations
         self.single_action_space = self.episodes.actions

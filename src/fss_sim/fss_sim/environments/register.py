@@ -1,4 +1,7 @@
-"""Names of the environments for `gymnasium.make` and `gymnasium.make_vec`."""
+"""Names of the environments for `gymnasium.make` and `gymnasium.make_vec`.
+
+`make` makes one, `make_vec` a batch that the compiled rollout advances in one call.
+"""
 
 import gymnasium
 
@@ -7,7 +10,7 @@ from fss_sim.environments.tasks import TASKS
 WHERE = "fss_sim.environments.environment"
 
 
-def register() -> None:
+def register_environments() -> None:
     """Register each task as an environment; a second call changes nothing."""
     for name in TASKS:
         if name not in gymnasium.registry:
