@@ -2,7 +2,8 @@
 
 A new process discovers only nodes that are running, because a killed node is no longer announced.
 Of two that start at the same time, the earlier one stays: each process shows a claim, a hidden node
-in a namespace with the name of the node itself.
+in a namespace with the name of the node itself. On a busy machine they may start before they see
+each other, so each looks again for a while and keeps its claim for so long.
 """
 
 import os
@@ -10,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
 
@@ -17,6 +19,8 @@ from fss_arm_ros.common_parameter import ALLOW
 
 DISCOVERY_TIME = 0.4  # after joining the graph, a process knows it [s]
 RECHECK_DELAY = 0.1  # to a second check, because a claim appears after its node [s]
+REPEAT_PERIOD = 1.0  # of the checks while spinning [s]
+REPEATS = 10  # of the checks while spinning; the claims stay until then
 CLAIM = "_claim_"
 
 
@@ -50,29 +54,45 @@ class Claims:
 
     def check_services(self, node: Node) -> None:
         """Raise DuplicateError if another node offers one of this node's services."""
-        self._refuse(node, lambda: self._offered(node))
+        self._refuse(node, lambda: self._offered(node, self._is_before))
+
+    def check_again(self, nodes: Sequence[Node]) -> None:
+        """Raise DuplicateError if another process claimed a name or service before this one."""
+        for node in nodes:
+            path = node.get_fully_qualified_name()
+            if self._has_earlier_claim(node, path):
+                raise self._error(node, f"{path} is there already")
+            if words := self._offered(node, self._has_earlier_claim):
+                raise self._error(node, words)
 
     def close(self) -> None:
         """Remove the claims."""
-        for node in self.nodes:
-            node.destroy_node()
+        while self.nodes:
+            self.nodes.pop().destroy_node()
 
     def _refuse(self, node: Node, other: Callable[[], str | bool]) -> None:
         if other():
             time.sleep(RECHECK_DELAY)
             if words := other():
-                domain = node.context.get_domain_id()
-                raise DuplicateError(f"{words} in ROS domain {domain}; -p {ALLOW}:=true allows it")
+                raise self._error(node, words)
+
+    @staticmethod
+    def _error(node: Node, words: str | bool) -> DuplicateError:
+        domain = node.context.get_domain_id()
+        return DuplicateError(f"{words} in ROS domain {domain}; -p {ALLOW}:=true allows it")
 
     def _is_before(self, node: Node, path: str) -> bool:
         """Return True if another node of that name started before this process."""
         known = node.get_node_names_and_namespaces()
         own = path == node.get_fully_qualified_name()
         others = sum(_join(space, name) == path for name, space in known) - own
-        claims = [name for name, space in known if space == path and name.startswith(CLAIM)]
-        return others > len(claims) - own or any(claim < self.name for claim in claims)
+        claims = _claims_of(node, path)
+        return others > len(claims) - own or self._has_earlier_claim(node, path)
 
-    def _offered(self, node: Node) -> str:
+    def _has_earlier_claim(self, node: Node, path: str) -> bool:
+        return any(claim < self.name for claim in _claims_of(node, path))
+
+    def _offered(self, node: Node, is_before: Callable[[Node, str], bool]) -> str:
         """Return a sentence naming another node that offers a service of this one, or ''."""
         own = node.get_fully_qualified_name()
         for service in _services(node, own):
@@ -80,7 +100,7 @@ class Claims:
                 continue
             known = node.get_node_names_and_namespaces()
             for path in {_join(space, name) for name, space in known} - {own}:
-                if service in _services(node, path) and self._is_before(node, path):
+                if service in _services(node, path) and is_before(node, path):
                     return f"{path} offers {service.partition('/_action/')[0]} already"
         return ""
 
@@ -115,12 +135,35 @@ def check_name(node: Node) -> None:
 def check_services(nodes: Sequence[Node]) -> None:
     """Look for other nodes that offer the same services, before these nodes spin.
 
+    A timer of the first node looks again for nodes that started at the same time; it raises
+    DuplicateError into the executor.
+
     Raises:
         DuplicateError: another node offers one of them.
     """
-    for node in nodes:
-        if _claims and node.has_parameter(ALLOW) and not node.get_parameter(ALLOW).value:
-            _claims.check_services(node)
+    claims = _claims
+    checked = [n for n in nodes if n.has_parameter(ALLOW) and not n.get_parameter(ALLOW).value]
+    if claims is None or not checked:
+        return
+    for node in checked:
+        claims.check_services(node)
+
+    repeats = iter(range(REPEATS))
+
+    def check_again() -> None:
+        if next(repeats, None) is None:
+            timer.cancel()
+            claims.close()
+        else:
+            claims.check_again(checked)
+
+    steady = Clock(clock_type=ClockType.STEADY_TIME)
+    timer = checked[0].create_timer(REPEAT_PERIOD, check_again, clock=steady)
+
+
+def _claims_of(node: Node, path: str) -> list[str]:
+    known = node.get_node_names_and_namespaces()
+    return [name for name, space in known if space == path and name.startswith(CLAIM)]
 
 
 def _services(node: Node, path: str) -> set[str]:

@@ -80,11 +80,11 @@ def run(
             made = make_node(*plain)
             nodes = made if isinstance(made, Sequence) else [made]
             duplicates.check_services(nodes)
-        executor = SingleThreadedExecutor()
-        for node in nodes:
-            relax_events(node)
-            executor.add_node(node)
-        executor.spin()
+            executor = SingleThreadedExecutor()
+            for node in nodes:
+                relax_events(node)
+                executor.add_node(node)
+            executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except SystemExit as end:
