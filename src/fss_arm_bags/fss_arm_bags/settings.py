@@ -16,7 +16,7 @@ class RecordSettings(Settings):
 
     output: str = setting("", "folder of the bags; the next of bag_0, bag_1, ... is written")
     topics: tuple[str, ...] = setting(
-        (), "topics to record, also outside the namespace; empty: all topics of the namespace"
+        (), "record only these topics, in any namespace; empty: all of `namespace` and `shared`"
     )
     namespace: str = setting(
         "/", "namespace whose topics are recorded; /: all topics", within="/{namespace}"
@@ -45,7 +45,9 @@ class ReplaySettings(Settings):
     )
     loop: bool = setting(False, "repeat from the start")
     topics: tuple[str, ...] = setting(
-        (), "play only these, in place; empty: measurements in place, results under recorded/"
+        (),
+        "play only these, under their own names; empty: measurements under their own names, "
+        "results under recorded/",
     )
     clock: bool = setting(False, "publish /clock from the times of receipt")
     hold: bool = setting(

@@ -34,9 +34,9 @@ class CalibrationSettings(RestSettings, KindSettings):
     )
     outlier: float = positive(
         5.0,
-        "deviations",
-        "error of a datum above which it is an outlier; of a maneuver or drift, when predicted "
-        "from the others",
+        "1 sigma",
+        "normalized residual above which a datum is an outlier; of a maneuver or drift: its "
+        "leave-one-out residual",
     )
     max_outliers: int = setting(
         0,
@@ -45,7 +45,7 @@ class CalibrationSettings(RestSettings, KindSettings):
     )
     min_redundancy: float = setting(
         0.0,
-        "smallest redundancy: squared share of a datum's error that its residual shows",
+        "smallest redundancy number of a datum (1 - leverage); below it, no result is evaluated",
         check=FRACTION,
     )
 
@@ -55,20 +55,20 @@ class NoiseSettings(CalibrationSettings):
     """Deviations of positions and headings that are given, or estimated from the residuals."""
 
     position_deviation: float = sigma(
-        0.0, "m", "a position of the base, each axis; 0: estimated from the residuals"
+        0.0, "m", "a measured position of the base, each axis; 0: estimated from the residuals"
     )
     heading_deviation: float = sigma(
-        0.0, "rad", "an observed heading; 0: estimated from the residuals"
+        0.0, "rad", "a measured heading; 0: estimated from the residuals"
     )
     max_position_deviation: float = positive(
         0.001,
         "m",
-        "largest accepted estimate of position_deviation; assumed for a plan, or with too few data",
+        "largest accepted estimate of position_deviation; its value in `design`, and with few data",
     )
     max_heading_deviation: float = positive(
         radians(0.5),
         "rad",
-        "largest accepted estimate of heading_deviation; assumed for a plan, or with too few data",
+        "largest accepted estimate of heading_deviation; its value in `design`, and with few data",
     )
 
 

@@ -24,7 +24,7 @@ class LinkSettings(Settings):
     )
     rate: float = setting(
         5.0,
-        "rate at which the current command is repeated; doubled on a path if below 10",
+        "rate at which the newest command is repeated; below 10 Hz it is doubled on a path",
         unit="Hz",
         check=between(0.1, 1000.0),
     )
@@ -36,7 +36,7 @@ class LinkSettings(Settings):
     )
     timeout: float = setting(
         1.0,
-        "silence after which the link is lost, and largest round trip at which it can be armed",
+        "silence after which the link is reported as lost, and longest round trip to arm it",
         unit="s",
         check=between(0.001, 3600.0),
     )
@@ -47,7 +47,10 @@ class LinkSettings(Settings):
         check=between(0.001, 65.535),
     )
     empty: float = setting(
-        12.0, "battery voltage at which a link must be switched off", unit="V", check=NOT_NEGATIVE
+        12.0,
+        "voltage of an empty battery: switch the link off by hand",
+        unit="V",
+        check=NOT_NEGATIVE,
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     frame_prefix: str = like(Vehicle, "frame_prefix")
@@ -99,7 +102,8 @@ class ArmSettings(GuardSettings):
     )
     time_to_live: float = setting(
         1.0,
-        "age beyond which a command or a link's telemetry is out of date",
+        "time to live of commands to links; a link silent, or this node paused, for longer ends "
+        "the motion",
         unit="s",
         check=between(0.001, 3600.0),
     )
@@ -150,7 +154,8 @@ class ArmSettings(GuardSettings):
     )
     base_age: float = setting(
         1.0,
-        "age of base/state, or of the target's pose, beyond which the guard ignores it",
+        "largest age of base/state or the target's pose; with an older one the guard does not "
+        "check the edge or the target",
         unit="s",
         check=POSITIVE,
     )

@@ -50,10 +50,14 @@ class ReactionSettings(SensorErrors):
         check=POSITIVE,
     )
     tilt: tuple[float, ...] = setting(
-        (0.0, 0.0), "slope of the table along x and y, downhill", unit="rad", check=FINITE, size=2
+        (0.0, 0.0),
+        "tilt of the table; positive: it falls towards +x, +y",
+        unit="rad",
+        check=FINITE,
+        size=2,
     )
     tilt_deviation: float = setting(
-        0.0, "standard deviation of the slope along each axis", unit="rad", check=NOT_NEGATIVE
+        0.0, "standard deviation of the tilt along each axis", unit="rad", check=NOT_NEGATIVE
     )
 
 

@@ -104,7 +104,7 @@ class BaseSettings(Settings):
     url: str = setting("", "address of the base's board: udp://, tcp:// or serial://; required")
     rate: float = setting(
         20.0,
-        "rate at which the current command is repeated",
+        "rate at which the newest command is repeated",
         unit="Hz",
         check=between(1.0, 1000.0),
     )
@@ -116,7 +116,7 @@ class BaseSettings(Settings):
     )
     timeout: float = setting(
         1.0,
-        "silence after which the board is lost, and largest round trip at which it can be armed",
+        "silence after which the board is reported as lost, and longest round trip to arm it",
         unit="s",
         check=between(0.001, 3600.0),
     )
@@ -128,7 +128,7 @@ class BaseSettings(Settings):
     )
     empty: float = setting(
         12.0,
-        "battery voltage at which the board must be switched off",
+        "voltage of an empty battery: switch the board off by hand",
         unit="V",
         check=NOT_NEGATIVE,
     )
@@ -179,19 +179,22 @@ class BaseSettings(Settings):
         check=between(0.02, 1.0),
     )
     gyro_noise: float = setting(
-        1.75e-4, "white noise of one sample of the gyro, 1 sigma", unit="rad/s", check=NOT_NEGATIVE
+        1.75e-4, "white noise of a gyro sample, 1 sigma", unit="rad/s", check=NOT_NEGATIVE
     )
     bias_time: float = setting(
         10.0, "time over which base/find_gyro_bias averages", unit="s", check=between(0.1, 3600.0)
     )
     bias_scatter: float = setting(
         0.001,
-        "scatter of the gyro's frames above which the base is not at rest",
+        "standard deviation of the rates above which base/find_gyro_bias fails",
         unit="rad/s",
         check=POSITIVE,
     )
     max_bias: float = setting(
-        0.01, "largest bias of the gyro; above it the base turns", unit="rad/s", check=POSITIVE
+        0.01,
+        "mean rate above which base/find_gyro_bias fails, as the base turns",
+        unit="rad/s",
+        check=POSITIVE,
     )
     tank_volume: float = setting(0.43e-3, "volume of the gas tank", unit="m^3", check=POSITIVE)
 
@@ -273,7 +276,7 @@ class FogSettings(Settings):
     gyro_noise: float = like(BaseSettings, "gyro_noise")
     latency: float = setting(
         0.009,
-        "time from the middle of a rate's averaging to the end of its line",
+        "time from the middle of a rate's averaging to the end of its serial message",
         unit="s",
         check=between(0.0, 10.0),
     )

@@ -26,9 +26,11 @@ class Noise(Settings):
     rest_heading_error: float = error(
         "error of the tip's heading relative to the base, constant in each rest, 1 sigma", "rad"
     )
-    vicon_latency: float = error("age of a VICON pose at its stamp", "s", check=between(0.0, 1.0))
+    vicon_latency: float = error(
+        "time by which a VICON pose is older than its stamp", "s", check=between(0.0, 1.0)
+    )
     vicon_jitter: float = error(
-        "random additional delay of the stamps of VICON poses, half normal, 1 sigma",
+        "random further lag of the stamps behind the VICON poses, half normal, 1 sigma",
         "s",
         check=between(0.0, 0.003),
     )
@@ -41,7 +43,7 @@ class Noise(Settings):
         "m",
     )
     vicon_occlusion: float = error(
-        "1: bodies hide VICON's markers from the cameras", check=between(0.0, 1.0)
+        "above 0: bodies hide VICON's markers from the cameras", check=between(0.0, 1.0)
     )
     vicon_merge_distance: float = error(
         "distance below which VICON merges markers of two subjects and loses both", "m"
@@ -50,11 +52,15 @@ class Noise(Settings):
         "probability that VICON swaps two subjects when their markers merge",
         check=between(0.0, 1.0),
     )
-    gyro_noise: float = error("white noise of a FOG sample, 1 sigma", "rad/s")
+    gyro_noise: float = error("white noise of a gyro sample, 1 sigma", "rad/s")
     gyro_bias: float = error("constant bias of the FOG in a run, 1 sigma", "rad/s")
-    gyro_walk: float = error("change of the FOG's bias in 1 s, 1 sigma", "rad/s")
+    gyro_walk: float = error("random walk of the gyro's bias, 1 sigma after 1 s", "rad/s")
     gyro_scale: float = error("relative scale error of the FOG in a run, 1 sigma")
-    encoder_error: float = error("largest error of an encoder", "rad", check=between(0.0, 0.01))
+    encoder_error: float = error(
+        "amplitude of the encoder's error with two periods per turn of the motor",
+        "rad",
+        check=between(0.0, 0.01),
+    )
     encoder_eccentricity: float = error(
         "largest error caused by the eccentricity of encoder and gear, one period per turn of the "
         "joint",

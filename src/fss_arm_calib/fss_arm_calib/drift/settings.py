@@ -18,21 +18,19 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         "rest."
     )
 
-    arm: str = setting("", "description YAML of masses and inertias; empty: the paper's arm")
+    arm: str = setting("", "description YAML: masses and inertias; empty: the paper's arm")
     max_drifts: int = max_data(30, "drifts")
     position_deviation: float = positive(0.001, "m", "1 sigma of a base position, each axis")
     heading_deviation: float = positive(radians(0.5), "rad", "1 sigma of a heading of the base")
     fresh_rate: float = positive(
-        10.0, "Hz", "rate of poses with independent errors, for the deviation of averages"
+        10.0, "Hz", "poses per second that count as independent in an average"
     )
-    torque_deviation: float = sigma(
-        0.05, "N m", "the hose's torque at rest, about 0; 0: there is none"
-    )
+    torque_deviation: float = sigma(0.05, "N m", "the hose's torque at rest (mean 0); 0: none")
     twist_deviation: float = sigma(
-        0.01, "N m s", "the hose's resistance to rotation, about 0; 0: there is none"
+        0.01, "N m s", "the hose's resistance to rotation (mean 0); 0: none"
     )
     drag_deviation: float = sigma(
-        0.05, "N s/m", "the hose's resistance to translation, about 0; 0: there is none"
+        0.05, "N s/m", "the hose's resistance to translation (mean 0); 0: none"
     )
     com_deviation: float = sigma(
         0.01, "m", "the center of mass of base and arm, each axis, if the description has none"
@@ -45,8 +43,6 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     outlier: float = like(CalibrationSettings, "outlier", 3.0)
     min_time: float = positive(60.0, "s", "total time of drifts needed to accept a result")
     max_tilt: float = positive(
-        radians(0.001), "rad", "largest accepted deviation of the table's tilt"
+        radians(0.001), "rad", "largest accepted 1 sigma of the table's tilt"
     )
-    max_torque: float = positive(
-        1e-3, "N m", "largest accepted deviation of the hose's mean torque"
-    )
+    max_torque: float = positive(1e-3, "N m", "largest accepted 1 sigma of the hose's mean torque")

@@ -17,21 +17,22 @@ class DrivesSettings(ExcitationSettings, KindSettings):
         "while joints turn."
     )
 
-    arm: str = setting("", "description YAML, whose masses set the scale; empty: the paper's arm")
+    arm: str = setting(
+        "", "description YAML; its masses are taken as known; empty: the paper's arm"
+    )
     max_excitations: int = max_data(600, "excitations")
     gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
-    window: float = positive(1.6, "s", "time over which torques are compared with the arm's motion")
+    window: float = positive(1.6, "s", "averaging time of torques and motion")
     rotor_inertia: float = setting(
         0.0026,
-        "inertia of each motor at its joint, from its data sheet; assumed if frames are "
-        "too far apart to estimate it",
+        "inertia of each rotor, seen at its joint; used if frames are too far apart to estimate it",
         unit="kg m^2",
         check=NOT_NEGATIVE,
     )
     max_relative: float = setting(
         0.1,
-        "largest relative deviation of a torque constant, friction or gain; less certain ones "
-        "are not reported",
+        "largest accepted relative 1 sigma of a torque constant, friction or gain; less certain "
+        "ones are not reported",
         check=NOT_NEGATIVE,
     )
 

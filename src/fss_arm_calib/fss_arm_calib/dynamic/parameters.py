@@ -51,8 +51,8 @@ class Knowledge(Settings):
     )
     told: bool = setting(
         False,
-        "whether the description's uncertainty of masses, centers of mass and inertias is prior "
-        "knowledge; valid only if it was estimated from other data",
+        "true: the description's covariance of masses, centers of mass and inertias replaces the "
+        "deviations above; valid only if it was estimated from other data",
     )
 
     def deviations(self, n: int) -> Floats:

@@ -25,7 +25,7 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     gyro_topic: str = setting("fog/imu", "topic of the base's turn rates")
     max_maneuvers: int = max_data(100, "maneuvers")
     plan: str = setting(
-        "", "plan of `design` for these maneuvers; the report compares its promised deviations"
+        "", "plan of `design` for these maneuvers; the report compares its predicted deviations"
     )
     estimate: str = setting(
         "b_i I_i I_0 com_0",
@@ -34,7 +34,7 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     )
     priors: str = setting(
         "m_i m_0 I_0 com_0 a_i theta_0_i mount",
-        "words of `estimate` for which the description's value counts as an observation",
+        "words of `estimate` for which the description's value is a prior",
     )
     residuals: str = setting(
         POSE,
@@ -42,19 +42,19 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
         check=one_of(POSE, HEADING),
     )
     fresh_rate: float = positive(
-        10.0, "Hz", "rate of poses with independent errors, for the deviation of averages"
+        10.0, "Hz", "poses per second that count as independent in an average"
     )
     path_timing: float = sigma(
         0.002, "s", "the timing of base poses in motion, relative to the joints"
     )
     momentum_deviation: float = sigma(
-        1.0, "N s", "the momentum at the start of a maneuver, about 0; 0: at rest"
+        1.0, "N s", "the momentum at the start of a maneuver (mean 0); 0: at rest"
     )
     spin_deviation: float = sigma(
-        0.5, "N m s", "the angular momentum at the start of a maneuver, about 0; 0: none"
+        0.5, "N m s", "the angular momentum at the start of a maneuver (mean 0); 0: none"
     )
     tilt_deviation: float = sigma(
-        radians(0.02), "rad", "the table's tilt, each axis, about 0; 0: level"
+        radians(0.02), "rad", "the table's tilt, each axis (mean 0); 0: level"
     )
     min_maneuvers: int = setting(
         6, "number of maneuvers needed to accept a result", check=at_least(1)
@@ -66,10 +66,12 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     )
     max_relative: float = setting(
         1.0,
-        "largest deviation of a mass or an inertia, relative to the described value",
+        "largest accepted 1 sigma of a mass or inertia, relative to the described value",
         check=POSITIVE,
     )
-    max_place: float = positive(0.02, "m", "largest deviation of a length or a center of mass")
+    max_place: float = positive(
+        0.02, "m", "largest accepted 1 sigma of a length or a center of mass"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -39,8 +39,8 @@ class KinematicSettings(NoiseSettings):
     position_deviation: float = sigma(
         0.0,
         "m",
-        "a position relative to the base, each axis, including the error of the base's heading "
-        "times the reach; 0: estimated from the residuals",
+        "the end effector's measured position in the base's frame, each axis, including the "
+        "error of the base's heading times the reach; 0: estimated from the residuals",
     )
     max_position_deviation: float = like(
         NoiseSettings, "max_position_deviation", POSITION_DEVIATION
@@ -49,11 +49,11 @@ class KinematicSettings(NoiseSettings):
     ripple_deviation: float = sigma(
         0.0,
         "rad",
-        "the reading error with two periods per turn of the wave generator; it dominates if poses "
+        "the encoder's error with two periods per turn of the motor; the largest error if poses "
         "are accurate to a millimeter",
     )
     eccentricity_deviation: float = sigma(
-        0.0, "rad", "the reading error with one period per turn of the joint"
+        0.0, "rad", "the encoder's error with one period per turn of the joint"
     )
     min_observations: int = setting(
         6, "number of observations needed to accept a result", check=at_least(1)
@@ -66,7 +66,7 @@ class KinematicSettings(NoiseSettings):
     min_redundancy: float = like(CalibrationSettings, "min_redundancy", 0.1)
     held_out: int = setting(
         4,
-        "every n-th observation is held out and predicted from the others, if enough remain; "
+        "n: every n-th observation is held out and predicted from the others, if enough remain; "
         "0: none",
         check=Check("0, or 2 or more", lambda value: value == 0 or value >= 2, low=0.0),
     )

@@ -29,9 +29,9 @@ class StreamSettings(Settings):
     """Settings for the gaps and lags of streams."""
 
     joint_gap: float = positive(
-        1.0, "s", "longest time without a sample of a joint; a longer one is a gap"
+        1.0, "s", "time without a sample of a joint beyond which the datum is rejected"
     )
-    horizon: float = positive(60.0, "s", "largest lag of a stream behind the others")
+    horizon: float = positive(60.0, "s", "longest wait for a stream that lags behind the others")
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class RestSettings(StreamSettings):
     min_duration: float = positive(0.5, "s", "shortest averaging time")
     max_duration: float = positive(2.0, "s", "longest averaging time")
     vicon_gap: float = positive(
-        0.25, "s", "longest time without a pose of a VICON subject; a longer one is a gap"
+        0.25, "s", "time without a pose of a VICON subject beyond which the datum is rejected"
     )
 
     def __post_init__(self) -> None:
@@ -65,7 +65,7 @@ class ManeuverSettings(RestSettings):
     )
     joint_gap: float = like(StreamSettings, "joint_gap", 0.5)
     horizon: float = positive(
-        60.0, "s", "largest lag of a stream behind the others, and longest duration of a maneuver"
+        60.0, "s", "longest wait for a stream that lags, and longest duration of a maneuver"
     )
     bin: float = positive(0.5, "s", "averaging time of the poses in a window")
     path_rate: float = setting(
@@ -76,8 +76,8 @@ class ManeuverSettings(RestSettings):
     )
     time_offset: float = setting(
         0.0,
-        "initial estimate of the offset of the joints' and the gyro's stamps relative to motion "
-        "capture's; the rotation of the base then refines it",
+        "initial estimate of the joints' and the gyro's stamps minus motion capture's; refined "
+        "from the base's rotation",
         unit="s",
         check=FINITE,
     )

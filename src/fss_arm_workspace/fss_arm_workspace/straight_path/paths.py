@@ -48,14 +48,17 @@ class PathSettings(Settings):
     """
 
     redundancy: str = setting(
-        AWAY_FROM_LIMITS, "rule by which straight paths use the redundancy", check=one_of(*RULES)
+        AWAY_FROM_LIMITS, "redundancy resolution on straight paths", check=one_of(*RULES)
     )
     gain: float = setting(
-        5.0, "rate away from a joint limit, at the limit", unit="rad/m", check=NOT_NEGATIVE
+        5.0,
+        "null-space joint rate at a joint limit, away from it",
+        unit="rad/m",
+        check=NOT_NEGATIVE,
     )
     table: tuple[float, ...] = setting(
         (-2.0, -2.0, 2.0, 2.0),
-        "table in the world: low x, low y, high x, high y",
+        "corners of the table in the world: x_min, y_min, x_max, y_max",
         unit="m",
         check=FINITE,
         size=4,

@@ -46,7 +46,7 @@ class PoseGains(Settings):
     )
     max_offset: float = setting(
         0.2,
-        "position error above which the control action does not increase",
+        "position error above which the proportional term does not increase",
         unit="m",
         check=POSITIVE,
     )

@@ -31,7 +31,9 @@ class MissionSettings(GuidanceSettings, GuardSettings):
         check=POSITIVE,
     )
     authority: float = setting(
-        0.5, "fraction of the valves' authority that a reference may use", check=above(0.0, 1.0)
+        0.5,
+        "fraction of the valves' largest force and torque that a reference may need",
+        check=above(0.0, 1.0),
     )
     # the approach
     posture: tuple[float, ...] = setting(
@@ -52,14 +54,14 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     )
     coast: float = setting(
         12.0,
-        "time without collision if the thrust fails anywhere on a planned approach",
+        "time after a failure of the thrust in which a planned approach stays free of collision",
         unit="s",
         check=NOT_NEGATIVE,
     )
     # the reach
     lead: float = setting(
         3.0,
-        "time from the start of the reach until the fixture faces the arm",
+        "planned time from the start of the reach until the fixture faces the arm",
         unit="s",
         check=NOT_NEGATIVE,
     )

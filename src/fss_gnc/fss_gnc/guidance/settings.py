@@ -50,7 +50,10 @@ class GuidanceSettings(Extents):
         0.01, "largest turn rate at which a goal counts as reached", unit="rad/s", check=POSITIVE
     )
     max_overrun: float = setting(
-        30.0, "longest delay after the planned time to reach a goal", unit="s", check=POSITIVE
+        30.0,
+        "longest time after the planned arrival; then the goal is aborted",
+        unit="s",
+        check=POSITIVE,
     )
     max_offset: float = setting(
         0.15,
@@ -66,7 +69,7 @@ class GuidanceSettings(Extents):
     )
     keep_out: float = setting(
         0.3,
-        "radius of the keep-out zone of base, arm and gripper about the target's origin",
+        "radius about the target's origin that base, arm and gripper enter only to grip",
         unit="m",
         check=NOT_NEGATIVE,
     )

@@ -11,12 +11,11 @@ from fss_arm_model.vehicle import Vehicle
 class ControllerSettings(Settings):
     """Parameters of a ControllerNode."""
 
-    law: str = setting("", "control law: MODULE:CLASS, FILE.py:CLASS or LIBRARY.so")
+    law: str = setting("", "control law: MODULE:CLASS, FILE.py:CLASS or LIBRARY.so; required")
     rate: float = setting(50.0, "steps of the law per second", unit="Hz", check=between(1.0, 1e3))
     time_to_live: float = setting(
         0.3,
-        "age of a command's inputs at which valves close and joints stop unless the law has "
-        "given a newer command",
+        "lifetime of a command, from the time of its inputs; then valves close and joints stop",
         unit="s",
         check=POSITIVE,
     )

@@ -62,12 +62,15 @@ class MassErrors(Settings):
         check=POSITIVE,
     )
     momentum_walk: float = setting(
-        0.003, "random walk of the momentum by unknown forces", unit="N sqrt(s)", check=NOT_NEGATIVE
+        0.003,
+        "random walk of the momentum by unknown forces",
+        unit="N s/sqrt(s)",
+        check=NOT_NEGATIVE,
     )
     angular_momentum_walk: float = setting(
         0.001,
         "random walk of the angular momentum by unknown torques",
-        unit="N m sqrt(s)",
+        unit="N m s/sqrt(s)",
         check=NOT_NEGATIVE,
     )
 

@@ -35,16 +35,22 @@ class SensorErrors(Settings):
         check=NOT_NEGATIVE,
     )
     rate_error: float = setting(
-        0.001, "standard deviation of a gyro sample", unit="rad/s", check=POSITIVE
+        0.001, "white noise of a gyro sample, 1 sigma", unit="rad/s", check=POSITIVE
     )
     bias_walk: float = setting(
-        1e-5, "random walk of the gyro's bias", unit="rad/s/sqrt(s)", check=POSITIVE
+        1e-5, "random walk of the gyro's bias, 1 sigma", unit="rad/s/sqrt(s)", check=POSITIVE
     )
     acceleration: float = setting(
-        0.05, "random walk of the base's velocity", unit="m/s/sqrt(s)", check=POSITIVE
+        0.05,
+        "random walk of the base's velocity by unknown accelerations, 1 sigma",
+        unit="m/s/sqrt(s)",
+        check=POSITIVE,
     )
     angular_acceleration: float = setting(
-        0.3, "random walk of the base's turn rate", unit="rad/s/sqrt(s)", check=POSITIVE
+        0.3,
+        "random walk of the base's turn rate by unknown torques, 1 sigma",
+        unit="rad/s/sqrt(s)",
+        check=POSITIVE,
     )
     kick: float = setting(
         0.05,
@@ -144,15 +150,22 @@ class NavigationSettings(EstimatorSettings, MassErrors):
 
     latency: float = setting(
         0.0,
-        "latency of the poses of motion capture, which is subtracted from their stamps",
+        "latency that the stamps of motion capture still contain, beside what mocap's `latency` "
+        "removes; subtracted from them",
         unit="s",
         check=between(0.0, 0.5),
     )
     target_acceleration: float = setting(
-        5e-4, "random walk of the target's velocity", unit="m/s/sqrt(s)", check=POSITIVE
+        5e-4,
+        "random walk of the target's velocity by unknown accelerations, 1 sigma",
+        unit="m/s/sqrt(s)",
+        check=POSITIVE,
     )
     target_angular_acceleration: float = setting(
-        5e-4, "random walk of the target's turn rate", unit="rad/s/sqrt(s)", check=POSITIVE
+        5e-4,
+        "random walk of the target's turn rate by unknown torques, 1 sigma",
+        unit="rad/s/sqrt(s)",
+        check=POSITIVE,
     )
     target_mass: float = like(Target, "mass")
     target_inertia: float = like(Target, "inertia")

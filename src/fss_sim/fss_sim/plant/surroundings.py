@@ -32,7 +32,11 @@ class Surroundings(Settings):
     """External forces on floating bodies; by default only the table's border."""
 
     tilt: tuple[float, ...] = setting(
-        (0.0, 0.0), "slope of the table along x and y, downhill", unit="rad", check=FINITE, size=2
+        (0.0, 0.0),
+        "tilt of the table; positive: it falls towards +x, +y",
+        unit="rad",
+        check=FINITE,
+        size=2,
     )
     film: float = setting(
         0.0,
@@ -41,10 +45,10 @@ class Surroundings(Settings):
         check=NOT_NEGATIVE,
     )
     tether: float = setting(
-        0.0, "drag of the tether on the base's origin", unit="N s/m", check=NOT_NEGATIVE
+        0.0, "drag of the hose on the base's origin", unit="N s/m", check=NOT_NEGATIVE
     )
     tether_twist: float = setting(
-        0.0, "drag of the tether on the base's rotation", unit="N m s", check=NOT_NEGATIVE
+        0.0, "resistance of the hose to the base's rotation", unit="N m s", check=NOT_NEGATIVE
     )
     table: tuple[float, ...] = like(Extents, "table")
     border_stiffness: float = setting(

@@ -28,17 +28,17 @@ class Gripper(Settings):
     """Limits of the gripper: distance, angle and speed for a grip, and the load that it holds."""
 
     reach: float = setting(
-        0.03, "largest distance of the gripper from the thing to grip", unit="m", check=NOT_NEGATIVE
+        0.03, "largest distance from gripper to fixture for a grip", unit="m", check=NOT_NEGATIVE
     )
     angle: float = setting(
         0.5,
-        "largest angle of the gripper against the thing to grip",
+        "largest angle between gripper and fixture for a grip",
         unit="rad",
         check=NOT_NEGATIVE,
     )
     speed: float = setting(
         0.1,
-        "largest speed of the thing to grip relative to the gripper",
+        "largest speed of the fixture relative to the gripper for a grip",
         unit="m/s",
         check=NOT_NEGATIVE,
     )
