@@ -11,9 +11,10 @@ from fss_arm_model.kinematics import tip_pose
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.contact import Contact
 from fss_sim.plant.drives import MODE_CURRENT, MODE_VELOCITY
+from fss_sim.plant.joints import Joints
 from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import Gripper, PassiveTarget
+from fss_sim.plant.target import Gripper, Load, PassiveTarget
 from fss_sim.plant.vehicle import Demand, Vehicle, World
 
 WIDE = Surroundings(table=(40.0, 40.0))
@@ -21,11 +22,11 @@ PAPER = paper_arm()
 BENT = np.array([0.0, 0.0, 0.0, 0.4, 0.3, -0.5, 0.6])
 
 
-def target_before_tip(gripper=Gripper(), distance=0.0, twist=(0.0, 0.0, 0.0)):  # noqa: B008
+def target_before_tip(gripper=Gripper(), distance=0.0, twist=(0.0, 0.0, 0.0), **world):  # noqa: B008
     """Return an arm with the fixture of a target in front of its tip."""
     x, y, heading = tip_pose(PAPER.vector(), BENT)
     c = complex(x, y) + (0.19 + distance) * np.exp(1j * heading)
-    world = World(surroundings=WIDE, gripper=gripper, target=Target())
+    world = World(surroundings=WIDE, gripper=gripper, target=Target(), **world)
     along = np.exp(1j * heading) * complex(*twist[:2])
     moving = [along.real, along.imag, twist[2]]
     return Plant(PAPER, BENT, None, world, [[c.real, c.imag, heading + np.pi], moving])
@@ -91,19 +92,46 @@ def test_a_missed_grip_pushes_the_target_away():
         ({"force": 1000.0, "torque": 0.05}, True),  # 0.25 kg m^2 at 2 rad/s^2 about its centre
     ],
 )
-def test_an_overloaded_grip_slips(limits, slips):
-    bed = target_before_tip(Gripper(**limits))
+def test_an_overloaded_grip_slides_within_its_limits_and_out(limits, slips):
+    gripper = Gripper(**limits)
+    bed = target_before_tip(gripper)
     bed.closed = True
-    bed.advance(0.01)
+    frames(bed, 11)
     assert bed.holds
+    assert not bed.fingers.slides
     balance = bed.audit.balance
     drive_joints(bed)
-    frames(bed, 100)
+    for _ in range(100):
+        bed.advance(0.01)
+        assert Load(bed.fingers.force, bed.fingers.torque).share(gripper) <= 1.0 + 1e-12
     assert bed.holds != slips
+    assert bed.fingers.slips == bed.fingers.losses == slips
     np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
     if slips:
         bed.advance(1.0)
         assert not bed.holds  # the fingers are closed
+
+
+def test_a_closing_grip_needs_as_long_as_its_limits_require():
+    """Slide until the limits have transmitted the impulse of a grip without limits."""
+    spinning = {"twist": (0.01, -0.005, 0.3), "joints": Joints(viscous=0.0, coulomb=0.0)}
+    rigid = target_before_tip(**spinning)
+    at, before = rigid.target
+    x, y = at[:2] - tip_pose(PAPER.vector(), BENT)[:2]
+    rigid.closed = True
+    rigid.advance(0.001)
+    fx, fy, spin = (rigid.target[1] - before) * rigid.bed.targets[0].masses
+    impulse = abs(spin + x * fy - y * fx)  # about the tip
+    bed = target_before_tip(Gripper(force=50.0, torque=0.5), **spinning)
+    bed.closed = True
+    steps = 0
+    while not steps or bed.fingers.slides:
+        bed.advance(0.001)
+        steps += 1
+        assert bed.holds
+        assert bed.fingers.torque == pytest.approx(0.5, abs=1e-12) or not bed.fingers.slides
+    assert steps == pytest.approx(impulse / 0.5 / 0.001, rel=0.03)  # the arm moves meanwhile
+    assert bed.fingers.slips == 0
 
 
 # Closed chains

@@ -132,7 +132,10 @@ class Flown:
     contact: str = ""  # first contact, except of gripper and target; empty: none
     nudges: int = 0  # frames in which the gripper touched the target
     pushed: float = 0.0  # sum of all contact impulses [N s]
-    slips: int = 0  # number of grips that slipped
+    slips: int = 0  # number of times that the target slid after it had rested in the gripper
+    losses: int = 0  # number of times that it slid out of the gripper
+    grip_force: float = 0.0  # largest force of the grip, if the gripper has limits [N]
+    grip_torque: float = 0.0  # largest torque of the grip, then [N m]
     edge: float = inf  # smallest distance to the table's edge [m]
     spin: float = 0.0  # turn rate of the target at the end [rad/s]
 
@@ -207,7 +210,7 @@ class Flight:
         self.readings: deque[Any] = deque()
         self.demands: deque[Any] = deque()
         self.reading: Any = None  # newest received angles, rates, torques and their time [s]
-        self.frame, self.faulted, self.held = 0, inf, False
+        self.frame, self.faulted = 0, inf
         self.last_near = 0.0  # last time at which the gripper was at the fixture [s]
         self.flown = Flown()
         self.film: list[tuple[float, Floats, Floats]] = []  # time, q, target's pose
@@ -323,6 +326,7 @@ class Flight:
             self.plant.advance(1.0 / RATE)
             self.frame += 1
             self.record_contacts()
+            self.record_grip()
             self.read_joints()
             if self.frame % FRAMES_PER_ESTIMATE == 0:
                 self.navigate()
@@ -335,6 +339,13 @@ class Flight:
             self.flown.nudges += names == ("gripper", "target")
             if names != ("gripper", "target") and not self.flown.contact:
                 self.flown.contact = f"{' with '.join(names)} at {self.t:.1f} s"
+
+    def record_grip(self) -> None:
+        """Add the loads and slips of the grip to the result."""
+        flown, fingers = self.flown, self.plant.fingers
+        flown.slips, flown.losses = fingers.slips, fingers.losses
+        flown.grip_force = max(flown.grip_force, fingers.force)
+        flown.grip_torque = max(flown.grip_torque, fingers.torque)
 
     def read_joints(self) -> None:
         """Sample the joints, and pass on the sample that arrives."""
@@ -383,8 +394,6 @@ class Flight:
         """Add a frame to the film, and clearances and grip to the result."""
         plant, flown, n = self.plant, self.flown, self.arm.n
         self.film.append((self.t, plant.q.copy(), plant.target[0].copy()))
-        flown.slips += self.held and not plant.holds and plant.closed
-        self.held = plant.holds
         p, q = self.arm.vector(), plant.q
         edge = float(gaps(p, q, list(with_edge(n)), self.sizes).min())
         flown.edge = min(flown.edge, edge)

@@ -25,7 +25,7 @@ from fss_arm_model.integration import STEP
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
 from fss_sim.plant.contact import FEATURES, GAP, Contact, Scene
 from fss_sim.plant.impact import GAP_TOLERANCE, Impact
-from fss_sim.plant.target import PassiveTarget, velocity_after_capture
+from fss_sim.plant.target import Load, PassiveTarget, velocity_after_capture
 from fss_sim.plant.vehicle import Vehicle
 from fss_sim.plant.weld import Weld
 
@@ -36,6 +36,7 @@ MIN_INITIAL_GAP = -2e-4
 # No check afterwards if the time to a possible contact is this multiple of the advance.
 SAFE_RATIO = 10
 MAX_TRIALS = 8  # of a step
+MAX_MEAN_SHARE = 0.5  # mean load on a grip over several steps, as a share of its limits
 TIP_FIXTURE = Target(fixture=(0.0, 0.0, 0.0))  # a gripper that another gripper can hold
 NO_APPROACH = Approach(np.inf, 0.0, 0.0)
 
@@ -47,7 +48,9 @@ class Audit(NamedTuple):
     energy: float  # kinetic, and of the gears' springs [J]
     impulse: Floats  # (3,) external since the start, including what propellant carries away
     work: float  # of all forces since the start, including contacts and captures [J]
-    contact: float = 0.0  # part of `work` by contacts and captures; it only decreases [J]
+    # Part of `work` by contacts, captures and sliding grips [J]; it decreases, but for some 1e-5 J
+    # in the steps of a grip that slides.
+    contact: float = 0.0
 
     @property
     def balance(self) -> Floats:
@@ -93,6 +96,7 @@ class Bed:
         """Advance the simulation by a time, in whole steps of the drives."""
         for vehicle in self.vehicles:
             self._use_gripper(vehicle)
+            vehicle.fingers.force = vehicle.fingers.torque = 0.0
         start, steps = self.step, round(seconds / STEP)
         self.contact_impulses = {}
         while self.step < start + steps:
@@ -174,6 +178,8 @@ class Bed:
             return
         if self.step - fingers.closing_since < round(gripper.closing_time / STEP):
             return
+        if any(v.held is thing and v.fingers.slides for v in self.vehicles):
+            return  # wait until it rests in the other gripper
         if in_reach and thing:
             self._grip(vehicle, thing)
         else:
@@ -181,14 +187,11 @@ class Bed:
 
     def _grip(self, vehicle: Vehicle, thing: Vehicle | PassiveTarget) -> None:
         """Grip a thing: momentum is conserved, and the energy lost enters the audit."""
-        vehicle.held = thing
+        vehicle.held, gripper = thing, vehicle.world.gripper
         if isinstance(thing, PassiveTarget) and thing.is_free:
-            had, supplied = vehicle.audit_rows + thing.audit_rows
-            H = vehicle.inertia()
-            after = velocity_after_capture(vehicle.p, vehicle.q, vehicle.qd, H, thing)
-            vehicle.attach(thing, after)
-            vehicle.audit_rows[1] = supplied
-            self._contact_work += vehicle.audit_rows[0, 3] - had[3]
+            vehicle.fingers.slides, vehicle.fingers.last_slide = gripper.limited, self.step
+            if not gripper.limited:
+                self._attach(vehicle, thing)
         else:
             one = self._carrier(thing)
             assert one is not None
@@ -197,6 +200,15 @@ class Bed:
                 self._rebuild_scene()
                 self._stop_relative_motion()
         self._rebuild_scene()
+
+    def _attach(self, vehicle: Vehicle, target: PassiveTarget) -> None:
+        """Make a target part of the last link, by an impulse."""
+        had, supplied = vehicle.audit_rows + target.audit_rows
+        H = vehicle.inertia()
+        after = velocity_after_capture(vehicle.p, vehicle.q, vehicle.qd, H, target)
+        vehicle.attach(target, after)
+        vehicle.audit_rows[1] = supplied
+        self._contact_work += vehicle.audit_rows[0, 3] - had[3]
 
     def _stop_relative_motion(self) -> None:
         """Stop the relative motion of arms that hold each other by an impulse, as a grip closes."""
@@ -207,8 +219,8 @@ class Bed:
 
     def _release(self, vehicle: Vehicle) -> None:
         """Release the thing held; another vehicle that holds the target keeps it."""
-        thing, vehicle.held = vehicle.held, None
-        others = [one for one in self.vehicles if one.held is thing]
+        thing, vehicle.held, vehicle.fingers.slides = vehicle.held, None, False
+        others = [v for v in self.vehicles if v.held is thing and not v.fingers.slides]
         if isinstance(thing, PassiveTarget) and vehicle.payload is thing:
             vehicle.detach(thing)
             self._welds = [w for w in self._welds if w.one is not vehicle or w.other not in others]
@@ -227,27 +239,29 @@ class Bed:
             return next((one for one in self.vehicles if one.payload is thing), None)
         return thing
 
-    def _overloaded(self, vehicle: Vehicle, before: Floats | None, time: float) -> bool:
-        """Return True if the grip transmitted more force or torque than the fingers can hold.
+    def _load(self, vehicle: Vehicle, before: Floats | None, time: float) -> Load:
+        """Return the load on a grip.
 
-        `before` is the twist, `time` [s] ago, of a target that is part of the vehicle's last link.
+        `before` is the state (2, 3), `time` [s] ago, of a target that is part of the last link.
         """
-        gripper, payload = vehicle.world.gripper, vehicle.payload
-        force, torque = 0j, 0.0
+        payload, force, torque = vehicle.payload, 0j, 0.0
         tip = complex(*tip_pose(vehicle.p, vehicle.q)[:2])
         if payload and before is not None:
             (x, y, _), after = payload.state
-            gained = (after - before) / time * payload.masses
+            gained = (after - before[1]) / time * payload.masses
             force = complex(gained[0], gained[1])
             torque = gained[2] + (np.conj(complex(x, y) - tip) * force).imag
-        for weld in self._welds:
-            if vehicle in (weld.one, weld.other) and (weld.other is vehicle or vehicle.held):
-                sign = 1.0 if weld.other is vehicle else -1.0
-                load = sign * weld.impulse / STEP
-                at = complex(*tip_pose(weld.other.p, weld.other.q)[:2])
-                force += complex(load[0], load[1])
-                torque += load[2] + (np.conj(at - tip) * complex(load[0], load[1])).imag
-        return (0.0 < gripper.force < abs(force)) or (0.0 < gripper.torque < abs(torque))
+        for weld in self._welds_of(vehicle):
+            sign = 1.0 if weld.other is vehicle else -1.0
+            load = sign * weld.impulse / STEP
+            at = complex(*tip_pose(weld.other.p, weld.other.q)[:2])
+            force += complex(load[0], load[1])
+            torque += load[2] + (np.conj(at - tip) * complex(load[0], load[1])).imag
+        return Load(force, float(torque))
+
+    def _welds_of(self, vehicle: Vehicle) -> list[Weld]:
+        """Return the welds that load the vehicle's grip."""
+        return [w for w in self._welds if w.other is vehicle or (w.one is vehicle and vehicle.held)]
 
     # Motion
 
@@ -257,6 +271,9 @@ class Bed:
         self._chains: list[Vehicle | PassiveTarget] = [*self.vehicles, *free]
         number = {id(chain): c for c, chain in enumerate(self._chains)}
         rigid = {frozenset((number[id(w.one)], number[id(w.other)])) for w in self._welds}
+        for vehicle in self.vehicles:
+            if vehicle.fingers.slides and id(vehicle.held) in number:
+                rigid.add(frozenset((number[id(vehicle)], number[id(vehicle.held)])))
         parts = [chain.parts() for chain in self._chains]
         self._scene = Scene([chain.p for chain in self._chains], parts, rigid)
         self._overlapping = self._gaps()[:, 0] < MIN_INITIAL_GAP
@@ -292,15 +309,64 @@ class Bed:
             chain.add_velocity(change[part])
 
     def _advance_watched(self, max_steps: int) -> None:
-        """Advance by at most `most` steps; release grips that were overloaded."""
-        loaded = [v for v in self.vehicles if v.held and v.world.gripper.limited]
-        before = [v.held.state[1] if isinstance(v.held, PassiveTarget) else None for v in loaded]
-        count = self._advance_free(max_steps)
+        """Advance by at most `max_steps`; a grip holds while its load is within its limits.
+
+        The load is that of a grip that holds. A step in which one slides is computed once more.
+        """
+        grips = [v for v in self.vehicles if v.held and v.world.gripper.limited]
+        targets = {v: v.held for v in grips if isinstance(v.held, PassiveTarget)}
+        before = {v: target.state for v, target in targets.items()}
+        chains = [(chain, chain.snapshot) for chain in self._chains]
+        audit = self._contact_work, dict(self.contact_impulses)
+        sliding = [v for v in targets if v.fingers.slides]
+        for vehicle in sliding:
+            self._attach(vehicle, targets[vehicle])
+        if sliding:
+            self._rebuild_scene()
+        count = self._advance_free(1 if sliding else max_steps)
+        while True:
+            loads = {v: self._load(v, before.get(v), count * STEP) for v in grips}
+            shares = {v: load.share(v.world.gripper) for v, load in loads.items()}
+            if count == 1 or max(shares.values(), default=0.0) < MAX_MEAN_SHARE:
+                break
+            self._restore([snapshot for _, snapshot in chains])
+            count = self._advance_free(count // 2)
+        over = [v for v in grips if shares[v] > 1.0]
+        slipping = [v for v in over if v in targets and not self._welds_of(v)]
+        lost = [v for v in over if v not in slipping]
+        if slipping:
+            for vehicle in slipping:
+                loads[vehicle] = loads[vehicle].scaled(1.0 / shares[vehicle])
+            slipping += [v for v in sliding if v not in slipping]
+            for vehicle in slipping:
+                vehicle.let_slide(targets[vehicle], before[vehicle])
+            for chain, snapshot in chains:
+                chain.snapshot = snapshot
+            self._contact_work, self.contact_impulses = audit
+            self._slide({v: (targets[v], loads[v]) for v in slipping})
+            lost += [v for v in slipping if not v.world.gripper.encloses(self.within_reach(v)[1])]
+        for vehicle in grips:
+            vehicle.fingers.add_load(loads[vehicle], vehicle in slipping, self.step)
         self.step += count
-        for vehicle, twist in zip(loaded, before, strict=True):
-            if vehicle.held and self._overloaded(vehicle, twist, count * STEP):
-                vehicle.fingers.missed = True
-                self._release(vehicle)
+        for vehicle in lost:
+            vehicle.fingers.missed = True
+            vehicle.fingers.losses += 1
+            self._release(vehicle)
+
+    def _slide(self, grips: dict[Vehicle, tuple[PassiveTarget, Load]]) -> None:
+        """Advance by one step in which grips transmit these loads."""
+        self._rebuild_scene()
+        self._advance_chains(0)
+        energy = self.audit.energy
+        for vehicle, (target, load) in grips.items():
+            fx, fy, torque = load.force.real, load.force.imag, load.torque
+            pull = tip_jacobian(vehicle.p, vehicle.q).T @ [fx, fy, torque]
+            vehicle.add_velocity(np.asarray(np.linalg.solve(vehicle.inertia(), -STEP * pull)))
+            x, y = (tip_pose(vehicle.p, vehicle.q) - target.q)[:2].tolist()
+            target.add_velocity(STEP * np.array([fx, fy, torque + x * fy - y * fx]) / target.masses)
+        self._advance_chains(0)
+        self._contact_work += self.audit.energy - energy
+        self._advance_free(1)
 
     def _advance_free(self, max_steps: int) -> int:
         """Advance by steps without contact, or by one step; return their number."""

@@ -5,10 +5,14 @@ end effector and target makes their velocities equal. This conserves momentum an
 With the velocity J_t qd of the held target's centre of mass,
 
     (H + J_t' M_t J_t) qd_after = H qd_before + J_t' M_t v_t
+
+A gripper with limits slides on the target, as by Coulomb friction, while it would have to transmit
+more. It then transmits the load that would hold the target, scaled down to the limits.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +25,7 @@ from fss_sim.plant.simulation import advance
 from fss_sim.plant.surroundings import Surroundings
 
 VALVES_CLOSED = ((0.0,) * 5,)  # valves, all of them closed
+DWELL = 100  # steps at rest after which another slide counts as another slip
 
 
 @dataclass(frozen=True)
@@ -50,10 +55,10 @@ class Gripper(Settings):
         0.0, "time that the gripper's fingers take to close", unit="s", check=NOT_NEGATIVE
     )
     force: float = setting(
-        0.0, "force above which a grip slips; 0: no limit", unit="N", check=NOT_NEGATIVE
+        0.0, "force at which a grip slides; 0: no limit", unit="N", check=NOT_NEGATIVE
     )
     torque: float = setting(
-        0.0, "torque above which a grip slips; 0: no limit", unit="N m", check=NOT_NEGATIVE
+        0.0, "torque at which a grip slides; 0: no limit", unit="N m", check=NOT_NEGATIVE
     )
 
     @property
@@ -63,19 +68,50 @@ class Gripper(Settings):
 
     def can_grip(self, approach: Approach) -> bool:
         """Return True if the gripper can close on a fixture seen at this approach."""
-        return (
-            approach.distance <= self.reach
-            and abs(approach.angle) <= self.angle
-            and approach.speed <= self.speed
-        )
+        return self.encloses(approach) and approach.speed <= self.speed
+
+    def encloses(self, approach: Approach) -> bool:
+        """Return True if a fixture seen at this approach is between the fingers."""
+        return approach.distance <= self.reach and abs(approach.angle) <= self.angle
+
+
+class Load(NamedTuple):
+    """Load on a grip."""
+
+    force: complex = 0j  # on the thing held, x + i y in world axes [N]
+    torque: float = 0.0  # about the tip [N m]
+
+    def share(self, gripper: Gripper) -> float:
+        """Return the load as a share of what the gripper holds."""
+        force = abs(self.force) / gripper.force if gripper.force else 0.0
+        return max(force, abs(self.torque) / gripper.torque if gripper.torque else 0.0)
+
+    def scaled(self, factor: float) -> "Load":
+        """Return a multiple of the load."""
+        return Load(factor * self.force, factor * self.torque)
 
 
 @dataclass
 class Fingers:
-    """State of a gripper that is commanded to close: waiting, closing, or closed on nothing."""
+    """State of a gripper that is commanded to close: waiting, closing, or closed."""
 
     closing_since: int | None = None  # step at which the fingers started to close
     missed: bool = False  # True if they closed on nothing or lost the thing: they must open first
+    slides: bool = False  # True while the thing held slides between them
+    last_slide: int = 0  # step in which it slid last
+    slips: int = 0  # number of slides of a thing that they had held at rest for DWELL
+    losses: int = 0  # number of things that slid out of them
+    force: float = 0.0  # largest force on the thing in the last advance; 0 without limits [N]
+    torque: float = 0.0  # largest torque on it [N m]
+
+    def add_load(self, load: Load, slides: bool, step: int) -> None:
+        """Update largest force and torque, and whether the thing slides, in a step."""
+        self.force = max(self.force, abs(load.force))
+        self.torque = max(self.torque, abs(load.torque))
+        self.slides = slides
+        if slides:
+            self.slips += step > self.last_slide + DWELL
+            self.last_slide = step
 
 
 class PassiveTarget:

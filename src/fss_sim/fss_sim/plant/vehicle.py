@@ -313,3 +313,9 @@ class Vehicle:
         self._p = np.concatenate([self._p[:BASE_SIZE], self.arm.vector()[BASE_SIZE:]])
         self.advance_steps(0, 0, 0.0)
         target.set_free(state)
+
+    def let_slide(self, target: PassiveTarget, state: Floats) -> None:
+        """Let the held target float freely from this state on, although the fingers hold it."""
+        self.detach(target)
+        self.held, self.fingers.slides = target, True
+        target.set_free(state)
