@@ -67,7 +67,7 @@ FURTHER_LIBRARIES = {
     "fss_arm_driver": {"serial"},
     "fss_base_driver": {"scipy", "rich"},
     "fss_arm_motion": {"scipy", "yaml", "matplotlib"},
-    "fss_gnc": {"scipy"},
+    "fss_gnc": {"fmpy", "scipy"},
     "fss_sim": {"gymnasium"},
     "fss_arm_calib": {"yaml", "rich", "matplotlib"},
     "fss_arm_workspace": {"scipy", "rich", "matplotlib"},

@@ -21,6 +21,7 @@ LIBRARIES = {
     "backports": Library("backports-zstd"),
     "dask": Library("dask"),
     "distributed": Library("distributed"),
+    "fmpy": Library("fmpy"),
     "gymnasium": Library("gymnasium"),
     "matplotlib": Library("matplotlib", "python3-matplotlib"),
     "mcap": Library("mcap"),

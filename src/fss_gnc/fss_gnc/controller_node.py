@@ -19,6 +19,7 @@ from fss_arm_msgs.msg import BaseTelemetry, LinkTelemetry, ThrusterHealth
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.events import log_event
+from fss_arm_ros.libraries import require
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, command, sensor
 from fss_arm_ros.timer_clock import timer_clock
@@ -35,13 +36,15 @@ from fss_gnc.programs import controller as main
 
 
 class ControllerNode(Node):
-    """Run a control law in Python, C or C++ that commands base and arm."""
+    """Run a control law in Python, C, C++ or an FMU that commands base and arm."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("controller", **options)
         self.settings = s = declare(self, ControllerSettings)
         if not s.law:
             raise ValueError(f"law is '', expected {EXPECTED}")
+        if s.law.endswith(".fmu"):
+            require("fmpy")  # the law's process imports it
         self.arm, period = described(s.arm), 1.0 / s.rate
         self.snapshot, self.timing = Snapshot(self.arm.n, period), Timing()
         self.topics = LatestTopics(self)

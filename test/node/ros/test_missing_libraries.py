@@ -66,6 +66,7 @@ def python(tmp_path, domain):
         ("matplotlib", "fss_arm_motion", "plan point_to_point --goal 9 0 0 0 --figure plan.png"),
         ("matplotlib", "fss_arm_workspace", "map"),
         ("motioncapture", "fss_base_driver", "mocap --ros-args -p system:=mock"),
+        ("fmpy", "fss_gnc", "controller --ros-args -p law:=law.fmu"),
         ("serial", "fss_arm_driver", "link --ros-args -p url:=serial://ttyNONE"),
         ("serial", "fss_base_driver", "fog --ros-args -p device:=/dev/ttyNONE"),
         ("numba", "fss_arm_driver", "arm"),

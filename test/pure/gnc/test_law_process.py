@@ -12,7 +12,7 @@ from faulty_laws import GOOD_STEPS
 from law_bench import inputs
 from running import wait_until
 
-from fss_gnc.law.forms import LawError
+from fss_gnc.law.contract import LawError
 from fss_gnc.law.process import LawProcess
 
 LAWS = Path(__file__).parents[2] / "support/faulty_laws.py"

@@ -8,7 +8,7 @@ from law_bench import inputs
 
 from fss_arm_model.units import SECOND
 from fss_gnc.law import Outputs
-from fss_gnc.law.forms import LawError
+from fss_gnc.law.contract import LawError
 from fss_gnc.law.run import MAX_START_TIME, MAX_STEP_TIME, LawRun, stop_of
 from fss_gnc.law.timing import Timing
 

@@ -32,6 +32,10 @@ KINDS: dict[type, np.dtype[Any]] = {
 }
 
 
+class LawError(Exception):
+    """A law cannot be loaded, or has failed; the message states why."""
+
+
 def quantity(about: str, unit: str = "", size: int = 0, kind: type = float, **default: Any) -> Any:
     """Create a field of the contract.
 

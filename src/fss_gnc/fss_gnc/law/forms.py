@@ -1,4 +1,4 @@
-"""Forms of a control law: a Python class, or C functions in a shared library."""
+"""Forms of a control law: a Python class, C functions in a shared library, or an FMU."""
 
 import ctypes
 import importlib
@@ -9,15 +9,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fss_gnc.law.contract import STRUCTURES, Inputs, Outputs, from_record, to_record
+from fss_gnc.law.contract import STRUCTURES, Inputs, LawError, Outputs, from_record, to_record
 from fss_gnc.law.header import VERSION
 
-EXPECTED = "MODULE:CLASS, FILE.py:CLASS or LIBRARY.so"
+EXPECTED = "MODULE:CLASS, FILE.py:CLASS, LIBRARY.so or FILE.fmu"
 C_FUNCTIONS = "law_contract", "law_init", "law_step", "law_terminate"
-
-
-class LawError(Exception):
-    """A law cannot be loaded, or has failed; the message states why."""
 
 
 class Law(Protocol):
@@ -36,7 +32,7 @@ def load(law: str, joints: int, period: float) -> Law:
     """Load and start a law.
 
     Args:
-        law: MODULE:CLASS, FILE.py:CLASS or LIBRARY.so.
+        law: MODULE:CLASS, FILE.py:CLASS, LIBRARY.so or FILE.fmu.
         joints: number of joints.
         period: nominal time between two steps [s].
 
@@ -45,21 +41,30 @@ def load(law: str, joints: int, period: float) -> Law:
         Exception: the law's own, from its module or its constructor.
     """
     if law.endswith(".so"):
-        return CLaw(law, joints, period)
+        return CLaw(require_file(law), joints, period)
+    if law.endswith(".fmu"):
+        from fss_gnc.law.fmu import FmuLaw  # only this form needs its library
+
+        return FmuLaw(require_file(law), joints, period)
     place, colon, name = law.rpartition(":")
     if not (place and colon and name):
         raise LawError(f"law is {law!r}, expected {EXPECTED}")
-    module = _module_of_file(Path(place)) if place.endswith(".py") else _module(place)
+    module = _module_of_file(require_file(place)) if place.endswith(".py") else _module(place)
     if not hasattr(module, name):
         classes = [n for n, kind in vars(module).items() if hasattr(kind, "step")]
         raise LawError(f"{place} has no class {name}; it has {', '.join(classes) or 'none'}")
     return PythonLaw(getattr(module, name)(joints, period), module.__file__)
 
 
-def _module_of_file(path: Path) -> Any:
-    if not path.is_file():
+def require_file(path: str) -> str:
+    """Return a path; raise LawError if there is no file."""
+    if not Path(path).is_file():
         raise LawError(f"no file {path} in {os.getcwd()}")
-    spec = spec_from_file_location(path.stem, path)
+    return path
+
+
+def _module_of_file(path: str) -> Any:
+    spec = spec_from_file_location(Path(path).stem, path)
     assert spec is not None
     assert spec.loader is not None
     module = module_from_spec(spec)
@@ -108,8 +113,6 @@ class CLaw:
     """
 
     def __init__(self, path: str, joints: int, period: float) -> None:
-        if not Path(path).is_file():
-            raise LawError(f"no file {path} in {os.getcwd()}")
         try:
             library = ctypes.CDLL(str(Path(path).resolve()))
             contract, init, self._step, self._terminate = (

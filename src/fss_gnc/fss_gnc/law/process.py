@@ -9,8 +9,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from fss_gnc.law.contract import STRUCTURES, Inputs, Outputs, from_record, to_record
-from fss_gnc.law.forms import LawError
+from fss_gnc.law.contract import STRUCTURES, Inputs, LawError, Outputs, from_record, to_record
 from fss_gnc.law.worker import FAILED, MAX_MESSAGE, OUTPUT, READY
 
 END_TIMEOUT = 1.0  # for a law to terminate [s]
@@ -20,7 +19,7 @@ class LawProcess:
     """Process of a law; one step at a time.
 
     Args:
-        law: MODULE:CLASS, FILE.py:CLASS or LIBRARY.so.
+        law: MODULE:CLASS, FILE.py:CLASS, LIBRARY.so or FILE.fmu.
         joints: number of joints.
         period: nominal time between two steps [s].
     """

@@ -11,8 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fss_arm_model.units import SECOND
-from fss_gnc.law.contract import BASE_COMMANDS, JOINT_COMMANDS, VALVES, Inputs, Outputs
-from fss_gnc.law.forms import LawError
+from fss_gnc.law.contract import BASE_COMMANDS, JOINT_COMMANDS, VALVES, Inputs, LawError, Outputs
 
 MAX_START_TIME = 60.0  # a law may import and compile [s]
 MAX_STEP_TIME = 1.0  # of one step, and at least MIN_STEP_PERIODS [s]

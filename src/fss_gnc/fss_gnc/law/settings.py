@@ -11,7 +11,9 @@ from fss_arm_model.vehicle import Vehicle
 class ControllerSettings(Settings):
     """Parameters of a ControllerNode."""
 
-    law: str = setting("", "control law: MODULE:CLASS, FILE.py:CLASS or LIBRARY.so; required")
+    law: str = setting(
+        "", "control law: MODULE:CLASS, FILE.py:CLASS, LIBRARY.so or FILE.fmu; required"
+    )
     rate: float = setting(50.0, "steps of the law per second", unit="Hz", check=between(1.0, 1e3))
     time_to_live: float = setting(
         0.3,

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fss_gnc.law.contract import STRUCTURES, Inputs, from_record, to_record
-from fss_gnc.law.forms import LawError, load
+from fss_gnc.law.contract import STRUCTURES, Inputs, LawError, from_record, to_record
+from fss_gnc.law.forms import load
 
 READY, OUTPUT, FAILED = b"r", b"o", b"f"
 MAX_MESSAGE = 1 << 16  # [bytes]
