@@ -28,7 +28,7 @@ from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.command_line import in_words
 from fss_arm_ros.convert import joint_readings
 from fss_arm_ros.qos import LATCHED, sensor
-from fss_arm_ros.run import spin_once
+from fss_arm_ros.run import deferred_signals, spin_once
 from fss_arm_ros.validation import subscribe
 
 QUIET_TIME = 1.0  # wait without a word [s]
@@ -129,14 +129,17 @@ class PlanExecution:
                 moving.append(message.feedback.remaining)
                 self.say(f"moving for {moving[0]:.1f} s")
 
-        sent = self.client.send_goal_async(ExecuteMotion.Goal(file=str(path)), on_feedback)
+        sent: Future | None = None
         try:
+            with deferred_signals():  # a goal that was sent can be cancelled
+                sent = self.client.send_goal_async(ExecuteMotion.Goal(file=str(path)), on_feedback)
             self.after(sent)
             if not (handle := sent.result()).accepted:
                 return False, "the node motion rejected this plan; its log gives the reason"
             self.after(ended := handle.get_result_async(), lambda: bool(moving))
         except KeyboardInterrupt:
-            self.cancel(sent)
+            if sent:
+                self.cancel(sent)
             raise
         result = ended.result().result
         if not result.reached:

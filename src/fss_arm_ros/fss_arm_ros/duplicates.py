@@ -3,7 +3,7 @@
 A new process discovers only nodes that are running, because a killed node is no longer announced.
 Of two that start at the same time, the earlier one stays: each process shows a claim, a hidden node
 in a namespace with the name of the node itself. On a busy machine they may start before they see
-each other, so each looks again for a while and keeps its claim for so long.
+each other, so each looks again for some seconds, and keeps its claim until then.
 """
 
 import os

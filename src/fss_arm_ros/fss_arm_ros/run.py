@@ -7,7 +7,8 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import rclpy
 from rclpy.exceptions import NotInitializedException, ParameterException
@@ -17,6 +18,7 @@ from rclpy.utilities import remove_ros_args
 
 from fss_arm_ros import duplicates, memory
 from fss_arm_ros.command_line import in_words
+from fss_arm_ros.lockstep import report_reached_time
 from fss_arm_ros.rclpy_compat import RCLError, UnknownROSArgsError
 from fss_arm_ros.subscription_set import relax_events
 
@@ -80,6 +82,7 @@ def run(
             made = make_node(*plain)
             nodes = made if isinstance(made, Sequence) else [made]
             duplicates.check_services(nodes)
+            report_reached_time(nodes[0])
             executor = SingleThreadedExecutor()
             for node in nodes:
                 relax_events(node)
@@ -176,13 +179,20 @@ def spin_once(node: Node, timeout: float) -> None:
         node: the node to spin.
         timeout: longest wait [s].
     """
+    with deferred_signals():
+        rclpy.spin_once(node, timeout_sec=timeout)
+
+
+@contextmanager
+def deferred_signals() -> Iterator[None]:
+    """Handle the signals that end a process only at the end of this context."""
     received: list[int] = []
     # Other signals are ignored, as under nohup, or end the process.
     handlers = {number: by for number in END_SIGNALS if callable(by := signal.getsignal(number))}
     for number in handlers:
         signal.signal(number, lambda which, _: received.append(which))
     try:
-        rclpy.spin_once(node, timeout_sec=timeout)
+        yield
     finally:
         for number, by in handlers.items():
             signal.signal(number, by)

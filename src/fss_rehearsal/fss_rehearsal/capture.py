@@ -125,6 +125,7 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assum
         board_port=board,
         keep_clock=True,
         speed=speed,
+        lockstep=True,
         truth_rate=50.0,
         telemetry_rate=20.0,
         **INITIAL_PARAMETERS,

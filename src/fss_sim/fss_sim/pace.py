@@ -11,6 +11,8 @@ MAX_LEAD = 40  # largest number of frames without a datagram of a driver, which 
 MIN_CHECK_PERIOD = 0.005  # real time between two checks [s]: each /clock message wakes every node
 MAX_STRIDE = 10  # largest number of frames per check, so that the node remains responsive
 DRIVER_TIMEOUT = 1_000_000_000  # real time after which a silent driver has stopped [ns]
+NODE_LEAD = 10  # largest number of frames ahead of a node, which reports every 5 frames
+NODE_TIMEOUT = 10_000_000_000  # real time after which a silent node is not waited for any more [ns]
 
 
 class Pace(Protocol):
@@ -25,9 +27,6 @@ class Pace(Protocol):
 
     def lag(self, frame: int) -> int:
         """Return the time since the last simulated frame [ns]."""
-
-    def record_datagram(self, link: int, frame: int) -> None:
-        """Record that a datagram of a link's driver was received."""
 
 
 class ClockPace:
@@ -70,34 +69,43 @@ class ClockPace:
         """Return the number of frames that are due by the clock."""
         return self.lag(frame) // FRAME
 
-    def record_datagram(self, link: int, frame: int) -> None:
-        """Do nothing: this pace does not depend on the drivers."""
-
 
 class FullSpeedPace:
-    """Pace as fast as frames can be computed and the links' drivers can follow.
-
-    Args:
-        now: reads the clock of real time [ns].
-    """
+    """Pace as fast as frames can be computed."""
 
     epoch = jumps = 0
     check_period = 0.002  # time for other processes: each /clock message wakes every node [s]
 
-    def __init__(self, now: Callable[[], int] = time.monotonic_ns) -> None:
-        self.now = now
-        self._followed: dict[int, tuple[int, int]] = {}  # last frame and real time [ns], by link
-
     def due_frames(self, frame: int) -> int:
-        """Return the number of frames by which no active driver falls too far behind."""
-        now = self.now()
-        followed = [k for k, t in self._followed.values() if now - t <= DRIVER_TIMEOUT]
-        return max(0, min([MAX_STRIDE, *(k + MAX_LEAD - frame for k in followed)]))
+        """Return a constant number of frames."""
+        return MAX_STRIDE
 
     def lag(self, frame: int) -> int:
         """Return 0: no time passes between frames."""
         return 0
 
-    def record_datagram(self, link: int, frame: int) -> None:
-        """Record that the link's driver has followed up to this frame."""
-        self._followed[link] = frame, self.now()
+
+class Followers:
+    """Programs that a simulation may only be ahead of by some frames."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[int, int]] = {}  # frame to wait at and when to give up, by name
+
+    def record(self, name: str, frame: int, lead: int, timeout: int) -> None:
+        """Record that a program has reached a frame; it is active for `timeout` ns from now."""
+        self._last[name] = frame + lead, time.monotonic_ns() + timeout
+
+    def slowest(self) -> tuple[str, int | None]:
+        """Return the active program that is furthest behind, and the frame to wait for it at.
+
+        Returns:
+            Its name ("" if no program is active), and the frame (None).
+        """
+        now = time.monotonic_ns()
+        active = [(last, name) for name, (last, end) in self._last.items() if now <= end]
+        last, name = min(active, default=(None, ""))
+        return name, last
+
+    def keep(self, names: set[str]) -> None:
+        """Forget all programs but these."""
+        self._last = {name: last for name, last in self._last.items() if name in names}

@@ -317,12 +317,17 @@ class TestbedSettings(PlantSettings):
     q: tuple[float, ...] = setting(
         (), "initial joint angles; empty: all 0", unit="rad", check=FINITE
     )
-    keep_clock: bool = setting(False, "true: publish /clock; false: stamps are ROS time")
+    keep_clock: bool = setting(False, "true: be the source of /clock; false: stamps are ROS time")
     speed: float = setting(
         1.0,
-        "speed of the published clock, in multiples of real time; 0: as fast as the drivers "
-        "can follow",
+        "speed of the published clock (keep_clock), in multiples of real time; 0: as fast as "
+        "the drivers can follow",
         check=Check("0, or 0.01 to 100", lambda x: x == 0.0 or 0.01 <= x <= 100.0, 0.0, 100.0),
+    )
+    lockstep: bool = setting(
+        False,
+        "true: the published clock waits for each node that uses it, so that a busy computer "
+        "flies the same mission, only slower",
     )
     paused: bool = setting(False, "true: start with the published clock paused, to be stepped")
     truth_rate: float = setting(
@@ -340,10 +345,10 @@ class TestbedSettings(PlantSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.speed != 1.0 or self.paused) and not self.keep_clock:
+        if (self.speed != 1.0 or self.paused or self.lockstep) and not self.keep_clock:
             raise SettingError(
-                f"speed is {self.speed} and paused {str(self.paused).lower()}, "
-                "expected 1 and false without keep_clock"
+                f"speed is {self.speed}, paused {str(self.paused).lower()} and lockstep "
+                f"{str(self.lockstep).lower()}, expected 1, false and false without keep_clock"
             )
         _ = self.noise(), self.joints(), self.vicon_room()  # these reject invalid values
 

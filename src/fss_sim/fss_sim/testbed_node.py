@@ -21,6 +21,7 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import SENSOR
 from fss_arm_ros.subscription_set import receive_pending
+from fss_sim.lockstep_topic import wait_for_nodes
 from fss_sim.messages import SerializedClock
 from fss_sim.programs import testbed as main
 from fss_sim.settings import TestbedSettings
@@ -54,6 +55,8 @@ class TestbedNode(Node):
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", SENSOR)
         self.clock_message = SerializedClock()
+        if settings.lockstep:
+            wait_for_nodes(self, self.lock, self.timeline)
         self.start([v.settings.initial_state(v.n) for v in self.vehicles])
         declare_faults(self, self.lock, self.vehicles)
         self.create_service(SetBool, "sim/pause", self.on_pause)

@@ -5,7 +5,16 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, Protocol
 
 from fss_arm_model.units import SECOND
-from fss_sim.pace import ClockPace, FullSpeedPace, Pace
+from fss_sim.pace import (
+    DRIVER_TIMEOUT,
+    MAX_LEAD,
+    NODE_LEAD,
+    NODE_TIMEOUT,
+    ClockPace,
+    Followers,
+    FullSpeedPace,
+    Pace,
+)
 from fss_sim.sensors import RATE
 from fss_sim.testbed import FRAME
 
@@ -69,10 +78,13 @@ class Timeline:
     ) -> None:
         self.simulation, self.keep_clock, self.speed = simulation, keep_clock, speed
         self.paused, self.ros_time = paused, ros_time
+        self.drivers, self.nodes = Followers(), Followers()
         self._clock_published = 0.0  # when the clock was last published [s]
 
     def start(self) -> None:
         """Start the time at the present frame."""
+        self.drivers.keep(set())
+        self.nodes.keep(set())
         self.pace = self._new_pace()
         self._last_speed_check = self.simulation.frame, time.monotonic()
 
@@ -115,7 +127,14 @@ class Timeline:
         return self.pace.check_period if due <= MAX_FRAMES_PER_TICK else 0.0
 
     def _due_frames(self) -> int:
-        return 0 if self.paused else self.pace.due_frames(self.simulation.frame)
+        if self.paused:
+            return 0
+        frame = self.simulation.frame
+        due = self.pace.due_frames(frame)
+        for _, last in (self.drivers.slowest(), self.nodes.slowest()):
+            if last is not None:
+                due = min(due, max(0, last - frame))
+        return due
 
     def _make_frames(self, count: int) -> None:
         """Simulate `count` frames; publish the clock first, so that no stamp is ahead of it."""
@@ -132,7 +151,13 @@ class Timeline:
         frame = self.simulation.frame
         delay = 0 if self.keep_clock else min(max(self.pace.lag(frame), 0), FRAME - 1)
         for link in self.simulation.receive(delay):
-            self.pace.record_datagram(link, frame)
+            if self.keep_clock and not self.speed:
+                self.drivers.record(f"driver of link {link + 1}", frame, MAX_LEAD, DRIVER_TIMEOUT)
+
+    def record_node(self, name: str, stamp: int) -> None:
+        """Record the time that a node has reached [ns]: the kept time waits for it."""
+        frame = (stamp - SECOND) // FRAME
+        self.nodes.record(name, frame, NODE_LEAD, NODE_TIMEOUT)
 
     def pause(self, paused: bool) -> str:
         """Pause or resume the time; return the reason why it cannot be paused, or ""."""
@@ -163,6 +188,6 @@ class Timeline:
         is_slow = now - last_time > 0.5 and speed < 0.95 * self.speed and not self.paused
         state = "paused" if self.paused else "too slow" if is_slow else "running"
         values = {"simulated time [s]": frame / RATE, "speed": speed}
-        return TimeStatus(
-            state, is_slow, {**values, "VICON's frame": frame, "clock jumps": self.pace.jumps}
-        )
+        values |= {"VICON's frame": frame, "clock jumps": self.pace.jumps}
+        slowest, _ = self.nodes.slowest()
+        return TimeStatus(state, is_slow, values | ({"slowest node": slowest} if slowest else {}))

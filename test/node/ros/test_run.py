@@ -8,8 +8,12 @@ import time
 
 import pytest
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
 from running import wait_until
+from std_msgs.msg import Header
 
+from fss_arm_ros.convert import stamp_ns, to_time
+from fss_arm_ros.lockstep import REACHED_TOPIC
 from fss_arm_ros.run import END_SIGNALS, spin_once
 
 TOLD = """
@@ -221,6 +225,25 @@ def test_of_nodes_that_start_together_one_stays(named, domain):
     for program in gone:
         ended(program, domain, "/named is there")
     spun(next(p for p in together if p not in gone))
+
+
+def test_a_node_reports_the_simulated_time_that_it_has_reached(named, spin):
+    simulator, reached = Node("simulator"), []
+    simulator.create_subscription(Header, REACHED_TOPIC, reached.append, 10)
+    clock, now = simulator.create_publisher(Clock, "/clock", 10), [0]
+
+    def advance():
+        now[0] += 20_000_000  # more often than it reports
+        clock.publish(Clock(clock=to_time(now[0])))
+
+    simulator.create_timer(0.02, advance)
+    named("-p", "use_sim_time:=true")
+    spin(simulator, lambda: len(reached) >= 3, 30.0)
+    assert {message.frame_id for message in reached} == {"/named"}
+    stamps = [stamp_ns(message.stamp) for message in reached]
+    assert stamps == sorted(set(stamps))
+    assert stamps[0] > 0
+    assert stamps[-1] <= now[0]
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])

@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Header
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.link_node import LinkNode
@@ -19,9 +19,11 @@ from fss_arm_model.kinematics import tip_pose
 from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import PoseError, planar_pose, pose_stamped, stamp_ns, to_time
+from fss_arm_ros.lockstep import QOS, REACHED_TOPIC
 from fss_arm_ros.qos import COMMAND, LATCHED, sensor
 from fss_sim import testbed_node
 from fss_sim.messages import SerializedClock, SerializedGyro, SerializedPose
+from fss_sim.pace import NODE_LEAD
 from fss_sim.sensors import SubjectReading
 from fss_sim.testbed import State
 
@@ -106,6 +108,29 @@ def test_services_pause_step_and_resume_time(spin, listener, call):
     assert not call(bed, "sim/step", StepTime, frames=1_000_000).success
     assert call(bed, "sim/pause", SetBool, data=False).success
     spin([bed, listener], lambda: bed.testbed.frame > start_frame + 260)
+
+
+def test_in_lockstep_time_waits_for_each_node_until_it_ends(spin, call):
+    bed = testbed(keep_clock=True, speed=10.0, lockstep=True, paused=True)
+    slow = Node("slow")
+    reports = slow.create_publisher(Header, REACHED_TOPIC, QOS)
+
+    def report(frame):
+        stamp = to_time(1_000_000_000 + frame * 10_000_000)
+        reports.publish(Header(stamp=stamp, frame_id="/slow"))
+        return bed.timeline.nodes.slowest() == ("/slow", frame + NODE_LEAD)
+
+    spin([bed, slow], lambda: report(0))
+    assert call(bed, "sim/pause", SetBool, data=False).success
+    for reached in (0, 5, 30):
+        spin([bed, slow], lambda reached=reached: report(reached))
+        spin([bed, slow], lambda reached=reached: bed.frame == reached + NODE_LEAD)
+        with bed.lock:
+            bed.timeline.tick()
+            assert bed.frame == reached + NODE_LEAD
+        assert bed.health().values["slowest node"] == "/slow"
+    slow.destroy_publisher(reports)
+    spin([bed, slow], lambda: bed.frame > 100)
 
 
 SCRIPT = """

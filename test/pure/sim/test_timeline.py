@@ -5,7 +5,7 @@ import time
 import pytest
 
 from fss_arm_model.units import SECOND
-from fss_sim.pace import ClockPace
+from fss_sim.pace import DRIVER_TIMEOUT, MAX_LEAD, NODE_LEAD, NODE_TIMEOUT, ClockPace
 from fss_sim.testbed import FRAME
 from fss_sim.timeline import (
     FRAMES_PER_CLOCK,
@@ -133,6 +133,38 @@ def test_a_slow_simulation_is_reported(real_time):
         status = bench.timeline.status()
         assert (status.state, status.is_slow) == (state, state == "too slow")
         assert status.values["speed"] == pytest.approx(frames / 100)
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0])
+def test_time_waits_for_a_slow_node_but_not_for_a_silent_one(real_time, speed):
+    bench = Bench(keep_clock=True, speed=speed)
+    for reached in (0, 5, 7):
+        bench.timeline.record_node("/control", SECOND + (reached + 40) * FRAME)
+        bench.timeline.record_node("/guidance", SECOND + reached * FRAME)
+        for _ in range(5):
+            real_time[0] += 0.2
+            bench.tick()
+        assert bench.frame == reached + NODE_LEAD
+        assert bench.timeline.status().values["slowest node"] == "/guidance"
+    real_time[0] += NODE_TIMEOUT / SECOND
+    bench.tick()
+    real_time[0] += 0.2
+    bench.tick()
+    assert bench.frame > 7 + NODE_LEAD
+
+
+def test_at_full_speed_time_waits_for_the_drivers(real_time):
+    bench = Bench(keep_clock=True, speed=0.0)
+    for _ in range(3):
+        bench.tick()
+    bench.receive = lambda delay: iter(())
+    frame = bench.frame
+    for _ in range(20):
+        bench.tick()
+    assert bench.frame == frame + MAX_LEAD
+    real_time[0] += 1.1 * DRIVER_TIMEOUT / SECOND
+    bench.tick()
+    assert bench.frame > frame + MAX_LEAD
 
 
 @pytest.mark.parametrize("speed", [0.5, 10.0])

@@ -1,0 +1,39 @@
+"""Lockstep: a simulator that publishes /clock waits for the nodes that use it.
+
+Each node reports the simulated time that its executor has reached. Without such reports a node on a
+busy computer falls behind, and the same mission ends differently.
+"""
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Header
+
+REACHED_TOPIC = "/sim/reached"
+REPORT_PERIOD = 0.05  # simulated [s]
+SEARCH_PERIOD = 1.0  # of looking for a simulator that waits [s]
+QOS = QoSProfile(depth=10)
+
+
+def report_reached_time(node: Node) -> None:
+    """Report the simulated time that a node's executor has reached, once a simulator asks for it.
+
+    One node of each executor is enough. Nothing happens without `use_sim_time`.
+    """
+    if not node.get_parameter("use_sim_time").value:
+        return
+
+    def search() -> None:
+        if node.count_subscribers(REACHED_TOPIC):
+            searching.cancel()
+            publisher = node.create_publisher(Header, REACHED_TOPIC, QOS)
+            node.create_timer(REPORT_PERIOD, lambda: publisher.publish(reached_time(node)))
+
+    searching = node.create_timer(
+        SEARCH_PERIOD, search, clock=Clock(clock_type=ClockType.STEADY_TIME)
+    )
+
+
+def reached_time(node: Node) -> Header:
+    """Return the node's present time with its full name."""
+    return Header(stamp=node.get_clock().now().to_msg(), frame_id=node.get_fully_qualified_name())
