@@ -34,6 +34,7 @@ from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.run import check_domain
+from fss_arm_ros.source_version import source_version
 from fss_arm_ros.subscription_set import subscribe_bytes
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -202,6 +203,7 @@ def screen(processes: Processes, listener: Listener) -> Group:
     if not listener.reports and not listener.measured:
         domain = os.environ.get("ROS_DOMAIN_ID") or 0
         parts.append(_table(f"no node reports in ROS domain {domain}", rows=[[""]]))
+    parts.append(versions(listener))
     if events := processes.events():
         parts.append(_table("event", rows=([escape(line)] for line in events)))
     return Group(*(part for part in parts if part.row_count))
@@ -281,6 +283,18 @@ def verdicts(listener: Listener) -> Table:
             message = received.messages()[-1]
             m = getattr(message, "calibration", message)
             table.add_row(topic, _style(m.verdict, VERDICTS.get(m.verdict, "")), escape(m.reason))
+    return table
+
+
+def versions(listener: Listener) -> Table:
+    """Return the table of the workspace's commit, and of each law with the hash of its file."""
+    table = _table("source", "version")
+    table.add_row("commit", source_version())
+    for name in sorted(listener.reports):
+        status = listener.report(name)
+        values = {value.key: value.value for value in status.values} if status else {}
+        if "law" in values:
+            table.add_row(escape(values["law"]), values["hash of its file"])
     return table
 
 

@@ -6,7 +6,7 @@
 set -euo pipefail
 
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
-venv=$root/.venv
+venv=$(readlink -m -- "$root/.venv")   # releases of fss_deploy.sh share one through a link
 
 say() { printf 'setup: %s\n' "$*" >&2; }
 die() { say "$*"; exit 1; }
@@ -235,7 +235,7 @@ make_venv() {
     die "$python -m venv failed: $(tail -n 1 "$log")"
   # setuptools goes first, as it builds the one package that has no wheel.
   pip "$(grep '^setuptools==' "$requirements.txt")"
-  echo "$kind" >"$venv/.stamp"
+  echo "$ros ${venv%/*}" >"$venv/.stamp"
 }
 
 add_packages() {
@@ -326,7 +326,7 @@ kind="$ros $root"
 pins=$(digest "$requirements.txt" "$root"/scripts/interfaces/{*.cmake,*/CMakeLists.txt,*/*/*})
 dev_pins=$(digest "$requirements-dev.txt")
 
-if ! current "$venv/.stamp" "$kind" || ! "$venv/bin/python" -c '' 2>/dev/null; then
+if ! current "$venv/.stamp" "$ros ${venv%/*}" || ! "$venv/bin/python" -c '' 2>/dev/null; then
   make_venv
 fi
 

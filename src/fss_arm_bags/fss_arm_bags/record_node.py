@@ -19,6 +19,7 @@ from fss_arm_bags.settings import RecordSettings
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
+from fss_arm_ros.source_version import source_version
 from fss_arm_ros.subscription_set import subscribe_bytes, unsubscribe
 
 MEGABYTE = 1_000_000
@@ -53,6 +54,7 @@ class RecordNode(Node):
         self.subscribed: dict[str, Subscription] = {}
         self.unknown_types: set[str] = set()
         self.counts: Counter[str] = Counter()
+        self.commit = source_version()
         self.disk_failed = False  # the disk is full or gone
         self.early_messages: deque[tuple[str, bytes]] = deque(maxlen=MAX_EARLY_MESSAGES)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -128,9 +130,9 @@ class RecordNode(Node):
         self.disk_failed = False
 
     def health(self) -> Health:
-        """Return the diagnostic status: bag, free space and number of messages by topic."""
+        """Return the diagnostic status: bag, free space, commit and number of messages by topic."""
         free = disk_usage(self.recording.folder).free / MEGABYTE
-        values = {"bag": self.recording.path, "free [MB]": free}
+        values = {"bag": self.recording.path, "free [MB]": free, "commit": self.commit}
         values |= {"messages": self.counts.total(), "lost": self.recording.lost, **self.counts}
         if self.recording.failure:
             return Health(ERROR, f"cannot write: {self.recording.failure.strerror}", values)

@@ -18,6 +18,7 @@ from fss_arm_bags.reader import open_bags
 from fss_arm_bags.record_node import RecordNode, matching_qos
 from fss_arm_ros.diagnostics import ERROR, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.source_version import source_version
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -205,6 +206,7 @@ def test_a_full_disk_is_retried_and_losses_are_counted(spin, tmp_path, monkeypat
     spin(record, lambda: counts["/joint_states"] == 170)
     assert record.health().level == WARN
     assert record.health().values["lost"] == 30
+    assert record.health().values["commit"] == source_version()
     record.close()
     with open_bags(tmp_path / "bags", thorough=True) as bags:
         assert states(bags.messages()) == [*range(150), *range(180, 200)]

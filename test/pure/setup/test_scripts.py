@@ -22,13 +22,14 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
 from rich.console import Console
 from sensor_msgs.msg import JointState
 from shell_scripts import script_package, write_script
 
 from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.source_version import source_version
 
 ROOT = Path(__file__).parents[3]
 STAND_IN = ROOT / "scripts/bin/ros2"
@@ -283,6 +284,15 @@ def lines_of(shown: Any, width: int = 80) -> list[str]:
     screen = StringIO()
     Console(file=screen, width=width).print(shown)
     return [line.strip() for line in screen.getvalue().splitlines() if line.strip()]
+
+
+def test_the_status_has_the_commit_and_the_hash_of_each_law(status):
+    values = [KeyValue(key="law", value="pd.py:Pd"), KeyValue(key="hash of its file", value="1a2b")]
+    report = DiagnosticStatus(name="controller", values=values)
+    listener = SimpleNamespace(reports={"controller": report}, report={"controller": report}.get)
+    _, _, commit, law = lines_of(status["versions"](listener))
+    assert commit.split() == ["commit", source_version()]
+    assert law.split() == ["pd.py:Pd", "1a2b"]
 
 
 def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_path, status):

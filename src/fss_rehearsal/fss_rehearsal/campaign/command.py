@@ -11,8 +11,9 @@ from rich.console import Console
 
 from fss_arm_ros import report
 from fss_arm_ros.command_line import in_words
+from fss_arm_ros.source_version import source_version
 from fss_rehearsal.campaign.execute import execute, open_client
-from fss_rehearsal.campaign.function import perform, source_version
+from fss_rehearsal.campaign.function import perform
 from fss_rehearsal.campaign.options import parser
 from fss_rehearsal.campaign.plan import Campaign, CampaignError, read_campaign
 from fss_rehearsal.campaign.results import (

@@ -10,14 +10,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fss_rehearsal.campaign.function import (
-    CRASHED,
-    SUCCESS,
-    UNKNOWN,
-    Row,
-    perform,
-    source_version,
-)
+from fss_arm_ros.source_version import UNKNOWN, source_version
+from fss_rehearsal.campaign.function import CRASHED, SUCCESS, Row, perform
 from fss_rehearsal.campaign.plan import Campaign, CampaignError, Run
 from fss_rehearsal.campaign.results import Results, expected_columns
 

@@ -1,14 +1,10 @@
 """Run one function of a campaign, on any computer, and return its row."""
 
-import os
-import subprocess
 import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
-from functools import cache
-from hashlib import sha1
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -16,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from fss_arm_model.files import ContentError, short
+from fss_arm_ros.source_version import source_version
 
 SUCCESS, FAILURE, CRASHED = "success", "failure", "crashed"
-UNKNOWN = "unknown"  # commit of sources outside of git
 Row = dict[str, Any]
 
 
@@ -36,26 +32,6 @@ def find_function(place: str, folder: Path | None = None) -> Callable[..., Any]:
     except (ImportError, AttributeError, ValueError) as error:
         raise ContentError("run", place, f"a function module:function ({error})") from None
     return function
-
-
-@cache
-def source_version() -> str:
-    """Return the commit of this workspace, with a digest of uncommitted changes, if any."""
-    folder = Path(__file__).resolve().parents[3]
-
-    def git(*words: str) -> bytes:
-        command = ["git", "-C", str(folder), *words]
-        return subprocess.run(command, capture_output=True, check=True).stdout
-
-    try:
-        commit = git("rev-parse", "--short=10", "HEAD").decode().strip()
-        new_files = git("ls-files", "--others", "--exclude-standard", "--", ".").split(b"\n")
-        changes = git("diff", "HEAD", "--", ".") + b"".join(
-            name + (folder / os.fsdecode(name)).read_bytes() for name in new_files if name
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return UNKNOWN
-    return f"{commit}+{sha1(changes).hexdigest()[:8]}" if changes else commit
 
 
 def perform(
