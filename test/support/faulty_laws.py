@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 
 import numpy as np
 
@@ -43,10 +44,14 @@ class Endless(Good):
 
 
 class Leak(Good):
-    kept = ()
-
     def fail(self):
-        self.kept = (*self.kept, bytearray(16 << 20))
+        self.kept = [bytearray(16 << 20) for _ in range(128)]  # 2 GB
+
+
+class Late(Good):
+    def fail(self):
+        if self.steps == GOOD_STEPS + 1:
+            time.sleep(0.2)  # ten periods of 50 Hz
 
 
 class Exiting(Good):
