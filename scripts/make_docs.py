@@ -7,7 +7,7 @@ from dataclasses import MISSING, fields
 from importlib.metadata import distribution
 from inspect import getdoc
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 from fss_arm_model.description import Arm, Base, Drive, Link, TorqueSensor
 from fss_arm_model.settings import default_text, meaning
@@ -87,7 +87,8 @@ def parameters() -> str:
     parts += ["Set them with `--ros-args -p NAME:=VALUE`; the node's `--help` lists them, too."]
     parts += [
         "A file (`--params-file`) may set parameters of all nodes (`/**:`): each node uses those "
-        "that it has. Any other unknown parameter is refused."
+        "that it has. Any other unknown parameter is refused. The test bed also has its "
+        "[faults](../explanation/simulator.md#faults) as parameters."
     ]
     parts += [f"All nodes have `{ALLOW}` (false): {ABOUT}."]
     commands = []
@@ -98,6 +99,9 @@ def parameters() -> str:
                 words = found.about.split("\n\n")[0].replace("\n", " ")
                 table = _parameters(named(found.settings))
                 parts += [f"## `{package} {entry.name}`", words, table]
+                if live := found.live_fields():
+                    parts += ["Also settable while it runs, by `ros2 param set`:"]
+                    parts += [_table({n: (f, "float") for n, f in live.items()})]
             else:
                 command = found if isinstance(found, Command) else sys.modules[found.__module__]
                 words = (getattr(command, "about", command.__doc__) or "").split("\n\n")[0]
@@ -109,14 +113,21 @@ def parameters() -> str:
 
 def _parameters(settings: type) -> str:
     """Return the table of one settings dataclass."""
-    hints = get_type_hints(settings)
-    rows = ["| parameter | type | default | |", "|---|---|---|---|"]
+    hints, found = get_type_hints(settings), {}
     for f in fields(settings):  # type: ignore[arg-type]
         kind = getattr(hints[f.name], "__name__", str(hints[f.name]))
         if kind == "tuple":
             kind = f"list of {hints[f.name].__args__[0].__name__}"
+        found[f.name] = f, kind
+    return _table(found)
+
+
+def _table(parameters: dict[str, tuple[Any, str]]) -> str:
+    """Return a table of parameters: field and type, by name."""
+    rows = ["| parameter | type | default | |", "|---|---|---|---|"]
+    for name, (f, kind) in parameters.items():
         default = default_text(f.default)
-        rows.append(_row(f"`{f.name}`", kind, default and f"`{default}`", meaning(f)))
+        rows.append(_row(f"`{name}`", kind, default and f"`{default}`", meaning(f)))
     return "\n".join(rows)
 
 

@@ -5,9 +5,10 @@ only to run.
 """
 
 import ast
+import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
 from importlib import import_module
 from importlib.util import find_spec
 from inspect import cleandoc
@@ -31,6 +32,15 @@ def _wrapped(text: str, margin: str = "", hanging: str = "") -> str:
         break_long_words=False,
         break_on_hyphens=False,
     )
+
+
+def _described(name: str, f: Field[Any]) -> list[str]:
+    """Return the lines of a parameter: name and default, meaning."""
+    default = default_text(f.default) or "''"
+    return [
+        _wrapped(f"{name} (default {default})", "  ", "      "),
+        _wrapped(meaning(f), "      "),
+    ]
 
 
 def named(place: str) -> Any:
@@ -84,6 +94,7 @@ class Program:
     of: str = ""  # place of the first argument of `make`, if any
     takes: str = ""  # plain arguments, such as `BAG...`; empty: none
     short: Mapping[str, str] = field(default_factory=dict)  # flags and the parameters they set
+    live: str = ""  # place of a function: dataclasses of parameters settable later, by prefix
 
     @property
     def about(self) -> str:
@@ -95,16 +106,27 @@ class Program:
         words = docstring(self.make).partition("\n\nArgs:")[0]
         return "\n\n".join(filter(None, [said, words]))
 
+    def live_fields(self) -> dict[str, Field[Any]]:
+        """Return the fields that are settable while the node runs; numbers of prefixes are <i>."""
+        kinds = named(self.live)() if self.live else {}
+        return {
+            f"{re.sub(r'[0-9]+$', '<i>', prefix)}.{f.name}": f
+            for prefix, kind in kinds.items()
+            for f in fields(kind)
+        }
+
     def usage(self, name: str) -> str:
         """Return the help: purpose, and parameters with their defaults."""
         plain = " ".join([name, self.takes, *(f"[{flag}]" for flag in self.short)])
         lines = [" ".join(plain.split()) + " [--ros-args -p PARAMETER:=VALUE ...]", ""]
         lines += ["\n\n".join(map(_wrapped, self.about.split("\n\n"))), ""]
         for f in fields(named(self.settings)):
-            default = default_text(f.default) or "''"
-            heading = _wrapped(f"{f.name} (default {default})", "  ", "      ")
-            lines += [heading, _wrapped(meaning(f), "      ")]
+            lines += _described(f.name, f)
         lines += [f"  {ALLOW} (default false)", _wrapped(ABOUT, "      ")]
+        live = self.live_fields()
+        lines += ["", "Also settable while it runs (ros2 param set):", ""] if live else []
+        for parameter, f in live.items():
+            lines += _described(parameter, f)
         return "\n".join(lines)
 
     def __call__(self, args: Sequence[str] | None = None) -> int:

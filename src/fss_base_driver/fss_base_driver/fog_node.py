@@ -19,7 +19,7 @@ from fss_arm_ros.rclpy_compat import RCLError
 from fss_base_driver import messages
 from fss_base_driver.dsp3000 import Lines
 from fss_base_driver.programs import fog as main
-from fss_base_driver.settings import FogCorrection, FogSettings
+from fss_base_driver.settings import FogCorrection, FogSettings, live_fog_kinds
 from fss_link.host_clock import HostClock
 from fss_link.transport import Line, open_port, readable
 
@@ -44,7 +44,7 @@ class FogNode(Node):
         self.lock, self.closing = Lock(), Event()
         self.problem, self.measured = "nothing received yet", 0
         self.before, self.last_time = self.lines.counts, time.monotonic()
-        declare_live(self, {"gyro": FogCorrection}, self.on_live)
+        declare_live(self, live_fog_kinds(), self.on_live)
         self.port: Line | None = None
         try:
             self.port = open_port(settings.device, settings.baud)

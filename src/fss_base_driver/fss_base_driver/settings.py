@@ -290,3 +290,8 @@ class FogCorrection(Settings):
         1.0, "factor of its rates; -1 if the gyro is mounted upside down", check=FINITE
     )
     bias: float = like(GyroSettings, "bias")
+
+
+def live_fog_kinds() -> dict[str, type]:
+    """Return the parameters of a FogNode that can change at runtime, by prefix."""
+    return {"gyro": FogCorrection}
