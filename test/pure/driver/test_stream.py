@@ -6,7 +6,7 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.arm.arbiter import Arbiter
-from fss_arm_driver.arm.stream import MAX_LEAD, SetPoint, Stream, StreamError
+from fss_arm_driver.arm.stream import MAX_LEAD, Ramp, SetPoint, Stream, StreamError
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import paper_arm
@@ -83,6 +83,21 @@ def test_refusals_are_counted_and_a_change_is_told(stream):
     stream.count_accepted()
     assert stream.count_refusal(StreamError("old", ""))
     assert (stream.refused, stream.accepted) == ({"old": 4, "names": 1}, 1)
+
+
+@pytest.mark.parametrize(
+    ("commands", "accelerations"),
+    [
+        ([(0.0, 0.1), (0.1, 0.2), (0.2, 0.1)], [2.0, 1.0, 1.0]),  # linear between messages
+        ([(0.0, 0.0), (1.0, 0.1), (2.0, 0.1)], [2.0, 1.0, 2.0]),  # within RAMP_TIME
+        ([(0.0, 0.0), (0.02, 1.0), (0.04, 1.01)], [2.0, 2.0, 2.0]),  # 1.0 is not reached yet
+        ([(0.0, 0.0), (0.1, 0.1), (0.15, 0.1)], [2.0, 1.0, 1.0]),  # 0.05 s remain
+    ],
+)
+def test_a_rate_is_reached_when_the_next_is_due(commands, accelerations):
+    ramp = Ramp(0.0, 2.0)
+    found = [ramp.acceleration(rate, time) for time, rate in commands]
+    assert found == pytest.approx(accelerations, rel=1e-12)
 
 
 # --- whose turn it is ----------------------------------------------------------------------------

@@ -2,6 +2,9 @@
 
 Exactly one of position, velocity and effort is filled, for the joints in `name`; an effort is
 converted to a current by the joint's torque constant. An invalid message moves no joint.
+
+A rate is reached when the next message is due, but within RAMP_TIME if the acceleration allows. The
+joint then accelerates as the rates do, and not in pulses of the largest acceleration.
 """
 
 from collections import Counter
@@ -15,6 +18,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.units import SECOND, angle_beyond
 
 MAX_LEAD = SECOND // 10  # largest lead of a stamp, as computers' clocks differ [ns]
+RAMP_TIME = 0.1  # longest time in which a joint reaches a new rate, if it can [s]
 FIELDS = {"position": Mode.POSITION, "velocity": Mode.VELOCITY, "effort": Mode.CURRENT}
 
 
@@ -32,6 +36,31 @@ class SetPoint(NamedTuple):
     link: int
     mode: Mode
     value: float  # [rad], [rad/s] or [A], by mode
+
+
+class Ramp:
+    """Rate of a joint that follows a stream of rates.
+
+    Args:
+        rate: its rate at the start [rad/s].
+        limit: its largest acceleration [rad/s^2].
+    """
+
+    def __init__(self, rate: float, limit: float) -> None:
+        self._rate = self._goal = rate
+        self._limit = self._acceleration = limit
+        self._time: float | None = None  # of the last command [s]
+
+    def acceleration(self, goal: float, time: float) -> float:
+        """Return the acceleration [rad/s^2] towards a rate that is commanded at a time [s]."""
+        interval = 0.0 if self._time is None else time - self._time
+        change = self._acceleration * interval
+        self._rate += min(max(self._goal - self._rate, -change), change)
+        self._goal, self._time, missing = goal, time, abs(goal - self._rate)
+        ramp_time = min(interval, RAMP_TIME)
+        is_slow = 0.0 < missing < self._limit * ramp_time
+        self._acceleration = missing / ramp_time if is_slow else self._limit
+        return self._acceleration
 
 
 class Stream:

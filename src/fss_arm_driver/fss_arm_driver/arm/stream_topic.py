@@ -6,7 +6,7 @@ from sensor_msgs.msg import JointState
 from fss_arm_driver.arm.arbiter import Motion, Plan
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, describe_problems
-from fss_arm_driver.arm.stream import SetPoint, Stream, StreamError
+from fss_arm_driver.arm.stream import Ramp, SetPoint, Stream, StreamError
 from fss_arm_driver.protocol import Mode
 from fss_arm_model.guard.guard import GuardError
 from fss_arm_msgs.msg import LinkCommand
@@ -26,6 +26,7 @@ class StreamTopic:
         self.lives = links.settings.stream_time_to_live
         self.stream = Stream(links.arm, self.lives)
         self.motion: Motion | None = None
+        self.ramps: dict[int, Ramp] = {}  # of the joints that follow rates, by number
         self.commands = {i: LinkCommand() for i in links.numbers}  # reused, as creation is slow
         self.thread = SubscriptionThread(
             links.node,
@@ -48,13 +49,26 @@ class StreamTopic:
                 self.links.node.get_logger().warning(f"{TOPIC} refused: {error}")
             return
         self.stream.count_accepted()
+        if not self.links.arbiter.is_current(self.motion, now):
+            self.ramps.clear()
         for i, mode, value in points:
-            self.commands[i].mode, self.commands[i].set_point = int(mode), value
+            command = self.commands[i]
+            command.mode, command.set_point = int(mode), value
+            command.max_acceleration = (
+                self.acceleration(i, value, given) if mode == Mode.VELOCITY else 0.0
+            )
         commands = {point.link: self.commands[point.link] for point in points}
         with self.links.arbiter.lock:
             motion = self.start_or_extend(points, given, now)
             motion.plan = self.plan(points)
             self.links.send(commands, given, motion, self.lives)
+
+    def acceleration(self, joint: int, rate: float, given: int) -> float:
+        """Return the acceleration of a joint towards a new rate [rad/s]."""
+        if joint not in self.ramps:
+            limit = self.links.arm.links[joint - 1].drive.max_acceleration
+            self.ramps[joint] = Ramp(self.links.states[joint].qd, limit)
+        return self.ramps[joint].acceleration(rate, given / SECOND)
 
     def check(self, points: list[SetPoint]) -> None:
         """Raise StreamError if the joints cannot or must not move."""

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from fss_arm_driver.arm.stream import Ramp
 from fss_arm_model.arrays import Floats
 from fss_arm_model.clearance import gaps, links_and_base, sizes, with_edge, with_target
 from fss_arm_model.description_file import described
@@ -209,6 +210,7 @@ class Flight:
         self.encoders = np.random.default_rng(seed).uniform(-limit, limit, self.arm.n)
         self.readings: deque[Any] = deque()
         self.demands: deque[Any] = deque()
+        self.ramps = [Ramp(0.0, link.drive.max_acceleration) for link in self.arm.links]
         self.reading: Any = None  # newest received angles, rates, torques and their time [s]
         self.frame, self.faulted = 0, inf
         self.last_near = 0.0  # last time at which the gripper was at the fixture [s]
@@ -319,8 +321,9 @@ class Flight:
         for _ in range(FRAMES):
             while self.demands and self.demands[0][0] <= self.frame:
                 _, rates = self.demands.popleft()
-                for i, rate in enumerate(rates):
-                    demand = Demand(int(MODE_VELOCITY), float(rate), abs(float(rate)), 2.0)
+                for i, rate in enumerate(rates.tolist()):
+                    acceleration = self.ramps[i].acceleration(rate, self.t)
+                    demand = Demand(int(MODE_VELOCITY), rate, abs(rate), acceleration)
                     is_lost = self.is_faulty("link") and i == LOST_LINK
                     self.plant.command(i, Demand(int(MODE_OFF)) if is_lost else demand)
             self.plant.advance(1.0 / RATE)
