@@ -23,7 +23,7 @@ from fss_arm_model.held import payload_pose, with_payload
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
 from fss_gnc.guidance.base_motion import min_duration
 from fss_gnc.guidance.drift import Drift, DriftPredictor
-from fss_gnc.guidance.stopping import braking, joint_stop_time
+from fss_gnc.guidance.stopping import Grip, braking, joint_stop_time
 from fss_gnc.reference import Body, Path, Reference, pose_error
 
 SAFE_DRIFT_TIME = 3.0  # time with a safe drift and joints at rest before the abort ends [s]
@@ -165,7 +165,7 @@ class Abort:
 
 
 class JointStop:
-    """Joint motion that slows down within torque limits (n,) [N m], and then holds."""
+    """Joint motion that slows down within torque limits (n,) [N m] and the grip's, then holds."""
 
     def __init__(self, torques: Floats) -> None:
         self.torques = torques
@@ -176,14 +176,14 @@ class JointStop:
         """Time at which the joints rest [s]; infinite before they start to slow down."""
         return np.inf if self._start is None else self._start[0] + self._start[1]
 
-    def rates(self, p: Floats, obs: Observation) -> Floats:
-        """Return the rates of the joints now [rad/s]."""
+    def rates(self, p: Floats, obs: Observation, grip: Grip | None = None) -> Floats:
+        """Return the rates of the joints now [rad/s]; they start with the present rates."""
         if obs.q is None or obs.qd is None:
             return np.zeros(self.torques.size)
         if self._start is None:
             twist = np.zeros(3) if obs.base is None else obs.base.twist
             pose = np.zeros(3) if obs.base is None else obs.base.pose
             q, qd = np.concatenate([pose, obs.q]), np.concatenate([twist, obs.qd])
-            self._start = obs.t, joint_stop_time(p, q, qd, self.torques), np.array(obs.qd)
+            self._start = obs.t, joint_stop_time(p, q, qd, self.torques, grip), np.array(obs.qd)
         start, duration, rates = self._start
         return rates * max(0.0, 1.0 - (obs.t - start) / duration)

@@ -7,11 +7,11 @@ measured then comes from a leaking valve, and not from a wrong mass of the held 
 import numpy as np
 
 from fss_arm_model.arrays import Floats
-from fss_arm_model.held import payload_pose, with_payload
+from fss_arm_model.held import Target, payload_pose, with_payload
 from fss_gnc.guidance.abort import Abort, JointStop
 from fss_gnc.guidance.activity import Commands, Craft, HeldBody, Observation, Outcome
 from fss_gnc.guidance.mission_monitor import MissionMonitor
-from fss_gnc.guidance.stopping import braking
+from fss_gnc.guidance.stopping import Grip, braking
 from fss_gnc.reference import Path
 
 JOINT_REST_RATE = 0.01  # rate of a joint below which the base is slowed down [rad/s]
@@ -38,7 +38,7 @@ class Detumble:
         self.abort: Abort | None = None
         self.twist = np.full(3, np.nan)  # of the base
         self._path: Path | None = None
-        self._has_target_mass = False
+        self._grip: Grip | None = None  # None: the held body is not known yet
         self._used_estimate: HeldBody | None = None  # estimate that p contains
         self._start = self._last_motion = np.nan
         self._joint_rest_start, self._coast_start = np.inf, np.inf  # [s]
@@ -58,16 +58,12 @@ class Detumble:
         q, qd = obs.floating_state
         self.twist = qd[:3]
         if obs.holds and obs.held_body is not None and obs.held_body is not self._used_estimate:
-            self.p, self._has_target_mass = (
-                with_payload(self.craft.arm.vector(), *obs.held_body),
-                True,
-            )
+            self._use_held_body(*obs.held_body)
             self._used_estimate = obs.held_body
             self._path = self._path if self._is_at_rest(qd) else None  # planned for another mass
-        elif obs.holds and obs.target is not None and not self._has_target_mass:
-            place = payload_pose(self.p, q, obs.target.pose)
-            self.p, self._has_target_mass = with_payload(self.p, self.settings.target, place), True
-        rates = self.joints.rates(self.p, obs)
+        elif obs.holds and obs.target is not None and self._grip is None:
+            self._use_held_body(self.settings.target, payload_pose(self.p, q, obs.target.pose))
+        rates = self.joints.rates(self.p, obs, self._grip)
         if not rates.any() and np.abs(qd[3:]).max() < JOINT_REST_RATE:
             self._joint_rest_start = min(self._joint_rest_start, obs.t)
         if self._path is None and obs.t >= self._joint_rest_start + COAST_TIME:
@@ -86,6 +82,12 @@ class Detumble:
             self.cancel("an unknown force pushes the base")
         is_done = obs.t - self._coast_start >= COAST_TIME
         return Commands("detumble", None, rates, outcome=Outcome(True) if is_done else None)
+
+    def _use_held_body(self, body: Target, place: Floats) -> None:
+        share, s = self.settings.torque_share, self.settings
+        force, torque = share * s.grip_force or np.inf, share * s.grip_torque or np.inf
+        self.p = with_payload(self.craft.arm.vector(), body, place)
+        self._grip = Grip(body, place, force, torque)
 
     def cancel(self, reason: str) -> None:
         """Abort the mission."""

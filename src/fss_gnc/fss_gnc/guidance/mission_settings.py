@@ -71,7 +71,9 @@ class MissionSettings(GuidanceSettings, GuardSettings):
         unit="m/s",
         check=POSITIVE,
     )
-    joint_rate: float = setting(0.4, "largest rate of a joint", unit="rad/s", check=POSITIVE)
+    joint_rate: float = setting(
+        0.4, "largest rate of a joint, except near the fixture", unit="rad/s", check=POSITIVE
+    )
     grip_distance: float = setting(
         0.025,
         "largest distance from the fixture at which the gripper closes",
@@ -87,10 +89,20 @@ class MissionSettings(GuidanceSettings, GuardSettings):
         unit="m/s",
         check=POSITIVE,
     )
+    grip_closing_time: float = setting(
+        0.0, "time that the gripper's fingers take to close", unit="s", check=NOT_NEGATIVE
+    )
     # slowing down
+    grip_force: float = setting(
+        0.0, "force at which the grip slides; 0: no limit", unit="N", check=NOT_NEGATIVE
+    )
+    grip_torque: float = setting(
+        0.0, "torque at which the grip slides; 0: no limit", unit="N m", check=NOT_NEGATIVE
+    )
     torque_share: float = setting(
         0.5,
-        "fraction of the joints' largest torques that stopping them may use",
+        "fraction of the joints' largest torques, and of the grip's limits, that stopping the "
+        "joints may use",
         check=above(0.0, 1.0),
     )
     # limits that abort a mission
