@@ -8,8 +8,15 @@ from capturing import POSTURE, SETTINGS, Case, Flight
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.held import Target, payload_pose, payload_positions, payload_state
+from fss_arm_model.held import (
+    Target,
+    payload_pose,
+    payload_positions,
+    payload_state,
+    with_payload,
+)
 from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.momentum import generalized_jacobian
 from fss_arm_model.settings import SettingError
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Craft, Observation
@@ -18,9 +25,13 @@ from fss_gnc.guidance.capture import Capture
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import DriftPredictor
 from fss_gnc.guidance.mission_settings import MissionSettings
-from fss_gnc.guidance.reach import fixture_poses
-from fss_gnc.guidance.stopping import braking, joint_stop_time
+from fss_gnc.guidance.reach import RESPONSE_TIME, Reach, fixture_poses
+from fss_gnc.guidance.stopping import Grip, braking, grip_load, joint_stop_time
 from fss_gnc.reference import Body
+from fss_sim.plant.drives import MODE_VELOCITY
+from fss_sim.plant.plant import Plant
+from fss_sim.plant.target import Gripper
+from fss_sim.plant.vehicle import Demand, World
 
 ARM = paper_arm()
 P = ARM.vector()
@@ -198,6 +209,48 @@ def test_joints_stop_within_their_torque_limits():
     q, qd = at(0.0, 0.0, 0.0), np.concatenate([np.zeros(3), [1.0, -1.0, 1.0, -1.0]])
     gentle, hard = (joint_stop_time(P, q, qd, np.full(4, torque)) for torque in (0.2, 1.0))
     assert gentle > hard
+
+
+def test_grip_load_of_a_motion_is_that_of_the_simulated_grip():
+    gripper = Gripper(force=1e3, torque=1e3)
+    world = World(target=Target(), gripper=gripper)
+    tip = tip_pose(P, at(0.0, 0.0, 0.0))
+    target = tip + np.array([0.19 * np.cos(tip[2]), 0.19 * np.sin(tip[2]), 2.0])
+    moving = [0.01, 0.02, 0.1, 0.3, -0.4, 0.2, 0.5]
+    plant = Plant(ARM, at(0.0, 0.0, 0.0), moving, world, [target, np.zeros(3)], holds=True)
+    for joint, rate in enumerate((0.6, 0.1, -0.5, 0.2)):
+        plant.command(joint, Demand(MODE_VELOCITY, rate, abs(rate), 2.0))
+    plant.advance(0.02)
+    q, qd = plant.q, plant.qd
+    plant.advance(0.001)
+    p, acceleration = plant.p, (plant.qd - qd)[3:] / 0.001
+    place = payload_pose(p, q, plant.target[0] - 0.001 * plant.target[1])
+    load = grip_load(p, 0.5 * (q + plant.q), 0.5 * (qd + plant.qd), acceleration, Target(), place)
+    np.testing.assert_allclose(load, (plant.fingers.force, plant.fingers.torque), rtol=2e-3)
+    assert load[1] > 0.1
+
+
+def test_joints_stop_within_the_limits_of_the_grip():
+    q, qd = at(0.0, 0.0, 0.0), np.array([0.0, 0.0, 0.0, 0.4, 0.3, 0.2, 0.4])
+    place = np.array([0.55, 0.0, 1.0])
+    p = with_payload(P, Target(), place)
+    grip = Grip(Target(), place, np.inf, 0.1)
+    duration = joint_stop_time(p, q, qd, np.full(4, np.inf), grip)
+    assert duration > joint_stop_time(p, q, qd, np.full(4, np.inf))
+    assert grip_load(p, q, qd, -qd[3:] / duration, Target(), place)[1] <= 0.1
+
+
+@pytest.mark.parametrize("spin", [-0.3, 0.15])
+def test_reach_gives_the_end_effector_the_velocity_of_the_fixture(spin):
+    q, reach = at(-0.8, 0.1, 0.2, (0.4, 0.9, -0.6, -0.5)), Reach(ARM, SETTINGS)
+    reach.set_momentum(q, AT_REST)
+    tip, motion = tip_pose(P, q), np.array([0.01, -0.02, spin])
+    arm = SETTINGS.target_fixture[0] * np.array([-np.cos(tip[2]), -np.sin(tip[2])])
+    centre = np.array([*(tip[:2] - arm), tip[2] + np.pi])
+    rates = reach.rates(q, AT_REST, np.array([centre - RESPONSE_TIME * motion, motion]))
+    velocity = (generalized_jacobian(P, q) @ rates)[:2]
+    expected = motion[:2] + spin * np.array([-arm[1], arm[0]])
+    assert np.hypot(*(velocity - expected)) < 0.15 * np.hypot(*expected)  # by the damping
 
 
 def test_base_brakes_within_the_authority_of_the_valves():

@@ -37,7 +37,8 @@ MIN_REPLAN_INTERVAL = 2.0  # time on a trajectory before another one is searched
 MAX_POSITION_ERROR, MAX_HEADING_ERROR = 0.03, 0.05  # at the start of the reach [m], [rad]
 MAX_SPEED_ERROR, MAX_TURN_RATE_ERROR = 0.008, 0.008  # then [m/s], [rad/s]
 MAX_FACING_ANGLE = 0.25  # largest error of the fixture's angle when the reach starts [rad]
-LOST_ANGLE, LOST_DISTANCE = 1.2, 0.35  # errors beyond which a reach is abandoned [rad], [m]
+MAX_LEAD_ANGLE = 1.1  # largest angle that the fixture turns in the lead [rad]
+LOST_ANGLE, LOST_DISTANCE = 1.4, 0.35  # errors beyond which a reach is abandoned [rad], [m]
 REPLAN_CUTOFF = 5.0  # time before the end of a trajectory in which no other is searched for [s]
 FIXTURE_WAIT_TIMEOUT = 25.0  # longest wait for the fixture, before another side is chosen [s]
 
@@ -117,7 +118,7 @@ class Capture:
             "wait": s.wait_timeout,
             "approach": s.approach_timeout,
             "reach": s.reach_timeout + 5.0,
-            "grip": s.grip_timeout + 5.0,
+            "grip": s.grip_timeout + s.grip_closing_time + 5.0,
         }
         if obs.target is None and self.phase != "wait" and not obs.holds:
             return "target/state is not known"
@@ -153,7 +154,7 @@ class Capture:
             assert self.posture is not None
             state_at_posture = np.concatenate([q[:3], self.posture])
             self._search_start = t
-            self._search = self.planner.search(state_at_posture, qd, state, self.settings.lead)
+            self._search = self.planner.search(state_at_posture, qd, state, self._lead(state))
         for trajectory in islice(self._search, CANDIDATES_PER_STEP):
             if trajectory is not None:
                 self._trajectory, self._search = (self._search_start, trajectory), None
@@ -173,7 +174,7 @@ class Capture:
         points = trajectory.points(obs.t - start + REFERENCE_TIMES)
         self._path = path_relative_to_target(points, obs.t, state)
         remaining = start + trajectory.duration - obs.t
-        lead = max(remaining, 0.0) + self.settings.lead
+        lead = max(remaining, 0.0) + self._lead(state)
         has_turned = abs(self._facing_angle(state, trajectory, lead)) > MAX_FACING_ANGLE
         if remaining > REPLAN_CUTOFF and has_turned and obs.t > start + MIN_REPLAN_INTERVAL:
             self._search_trajectory(obs.t, q, qd, state)  # the target's rotation has changed
@@ -200,7 +201,7 @@ class Capture:
             and abs(twist_error[2]) < MAX_TURN_RATE_ERROR
         )
         spin = float(state[1, 2])
-        facing = self._facing_angle(state, trajectory, self.settings.lead)
+        facing = self._facing_angle(state, trajectory, self._lead(state))
         if is_ready and abs(facing) < MAX_FACING_ANGLE:
             self.attempts += 1
             self._path = None
@@ -212,6 +213,10 @@ class Capture:
             if missed:
                 self._search_trajectory(obs.t, q, qd, state)
 
+    def _lead(self, state: Floats) -> float:
+        """Return the time from the start of the reach until the fixture faces the arm [s]."""
+        return min(self.settings.lead, MAX_LEAD_ANGLE / max(abs(float(state[1, 2])), 1e-9))
+
     def _facing_angle(self, state: Floats, trajectory: ApproachTrajectory, ahead: float) -> float:
         """Return the angle that the fixture must still turn to face the arm, a time ahead [s]."""
         direction = self.planner.fixture_direction(float(state[0, 2] + ahead * state[1, 2]))
@@ -220,15 +225,17 @@ class Capture:
     def _reach(self, obs: Observation, q: Floats, qd: Floats, state: Floats) -> Commands:
         """Move the arm to the fixture and close the gripper; the arm follows while it closes."""
         assert self.fixture_error is not None
-        s, error = self.settings, self.fixture_error
+        s, error, closing = self.settings, self.fixture_error, self.settings.grip_closing_time
+        # The fixture should stay near while the fingers close.
+        speed = min(s.grip_speed, s.grip_distance / closing) if closing else s.grip_speed
         is_near = error.distance < s.grip_distance and abs(error.angle) < s.grip_angle
         is_lost = abs(error.angle) > LOST_ANGLE or error.distance > LOST_DISTANCE
-        timeout = s.reach_timeout if self.phase == "reach" else s.grip_timeout
+        timeout = s.reach_timeout if self.phase == "reach" else s.grip_timeout + closing
         if is_lost or obs.t - self.phase_start > timeout:
             self._retreat(obs.t)
-        elif self.phase == "reach" and is_near and error.speed < s.grip_speed:
+        elif self.phase == "reach" and is_near and error.speed < speed:
             self._enter_phase("grip", obs.t)
-        rates = self._collision_free_rates(self.reach.rates(q, state), q, qd, state)
+        rates = self._collision_free_rates(self.reach.rates(q, qd, state), q, qd, state)
         return Commands(
             self.phase,
             None,
@@ -288,7 +295,7 @@ def load_kernels(craft: Craft) -> None:
     approach(p, q, zero, s.target, target)
     reach = Reach(craft.arm, s)
     reach.set_momentum(q, zero)
-    reach.rates(q, target)
+    reach.rates(q, zero, target)
 
 
 def path_relative_to_target(points: Points, t: float, state: Floats) -> Path:

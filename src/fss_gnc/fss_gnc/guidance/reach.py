@@ -1,13 +1,15 @@
 """The reach: joint rates that move the end effector to the fixture while the base floats.
 
 The desired twist of the end effector leads to the point where the fixture will be, as soon as the
-speed limit allows. Near the fixture it follows the fixture. While momentum is constant, joint rates
-add the twist J* q' to the drift that the momentum causes (momentum.py). Damped least squares give
+speed limit allows. Near the fixture it is the twist of the fixture plus a correction of the pose,
+so that the grip hardly changes velocities. While momentum is constant, joint rates add the twist
+J* q' to the drift that the momentum causes (momentum.py). Damped least squares give
 
     q' = J*' (J* J*' + lambda^2 1)^-1 W (v_wanted - v_drift) + N (q_middle - q) / T
 
 The rows of J* are weighted by W, because position matters more than heading. The null space,
-N = 1 - J*' (..)^-1 J*, is used to keep the joints away from their limits.
+N = 1 - J*' (..)^-1 J*, is used to keep the joints away from their limits. All of this is computed
+for the time at which the joints will have the commanded rates.
 """
 
 from math import pi
@@ -22,14 +24,17 @@ from fss_arm_model.momentum import generalized_jacobian, momentum, system_com
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.mission_settings import MissionSettings
 
-ROW_WEIGHTS = np.array([1.0, 1.0, 0.1])  # of the twist's rows [1, 1, m]
+ROW_WEIGHTS = np.array([1.0, 1.0, 0.07])  # of the twist's rows [1, 1, m]
 DAMPING = 1e-3  # lambda^2 [m^2]
 INTERCEPT_TIMES = np.linspace(
     1.0, 6.0, 26
 )  # possible times until the end effector meets the fixture [s]
-MAX_TURN_RATE = 0.2  # largest turn rate of the end effector [rad/s]
-CENTERING_TIME = 10.0  # T [s]
-LIMIT_LOOKAHEAD = 0.3  # time within which a joint must not reach its limit [s]
+MAX_TURN_RATE = 0.2  # largest turn rate of the end effector, or relative to the fixture [rad/s]
+FOLLOWING_DISTANCE = 0.05  # from the fixture; within it, the end effector follows the fixture [m]
+FOLLOWING_TIMES = 0.5, 2.0  # in which it then corrects position and heading [s]
+RESPONSE_TIME = 0.15  # from a state until the joints have the rates commanded for it [s]
+CENTERING_TIME = 4.0  # T [s]
+LIMIT_LOOKAHEAD = 0.6  # time within which a joint must not reach its limit [s]
 
 
 class Reach:
@@ -39,29 +44,49 @@ class Reach:
         self.p, self.settings = arm.vector(), settings
         self.q_min = np.array([link.q_min for link in arm.links])
         self.q_max = np.array([link.q_max for link in arm.links])
+        self.max_rates = np.array([link.drive.max_velocity for link in arm.links])
         self.momentum = np.zeros(3)
 
     def set_momentum(self, q: Floats, qd: Floats) -> None:
         """Store the momentum of state q and rate qd, (3 + n,) each; the valves must be closed."""
         self.momentum = momentum(self.p, q, qd)
 
-    def rates(self, q: Floats, state: Floats) -> Floats:
+    def rates(self, q: Floats, qd: Floats, state: Floats) -> Floats:
         """Return the rates of the joints now, (n,) [rad/s].
 
         Args:
             q: (3 + n,) state of base and arm.
+            qd: (3 + n,) its rate.
             state: (2, 3) pose and twist of the target.
         """
-        desired = self._desired_twist(tip_pose(self.p, q), state)
+        q = q + RESPONSE_TIME * qd
+        state = np.array([state[0] + RESPONSE_TIME * state[1], state[1]])
+        tip, fixture = tip_pose(self.p, q), fixture_poses(state, self.settings, np.zeros(1))[0]
+        distance = float(np.hypot(*(fixture - tip)[:2])) / FOLLOWING_DISTANCE
+        nearness = min(max(1.5 - 0.5 * distance, 0.0), 1.0)  # 1: it follows the fixture
+        desired = nearness * self._following_twist(tip, fixture, state)
+        desired = desired + (1.0 - nearness) * self._meeting_twist(tip, state)
         J = ROW_WEIGHTS[:, None] * generalized_jacobian(self.p, q)
         twist = ROW_WEIGHTS * (desired - self._drift_twist(q))
         inverse = J.T @ np.linalg.inv(J @ J.T + DAMPING * np.eye(3))
         centering = (0.5 * (self.q_min + self.q_max) - q[3:]) / CENTERING_TIME
         rates = inverse @ twist + centering - inverse @ (J @ centering)
-        return limit_rates(rates, q[3:], self.q_min, self.q_max, self.settings.joint_rate)
+        cautious = np.minimum(self.settings.joint_rate, self.max_rates)
+        limits = cautious + nearness * (self.max_rates - cautious)
+        return limit_rates(rates, q[3:], self.q_min, self.q_max, limits)
 
-    def _desired_twist(self, tip: Floats, state: Floats) -> Floats:
-        """Return the end effector's twist that meets the fixture as soon as its speed allows."""
+    def _following_twist(self, tip: Floats, fixture: Floats, state: Floats) -> Floats:
+        """Return the twist that follows the fixture and corrects the pose."""
+        error, (x, y, _) = fixture - tip, fixture - state[0]
+        vx, vy, spin = state[1].tolist()
+        v = complex(error[0], error[1]) / FOLLOWING_TIMES[0]
+        v = limit_length(v, self.settings.reach_speed)
+        turn = float(wrap(error[2])) / FOLLOWING_TIMES[1]
+        turn = min(max(turn, -MAX_TURN_RATE), MAX_TURN_RATE)
+        return np.array([vx - spin * y + v.real, vy + spin * x + v.imag, spin + turn])
+
+    def _meeting_twist(self, tip: Floats, state: Floats) -> Floats:
+        """Return the twist that meets the fixture as soon as the end effector's speed allows."""
         poses = fixture_poses(state, self.settings, INTERCEPT_TIMES)
         offsets = poses[:, 0] + 1j * poses[:, 1] - complex(*tip[:2])
         is_reachable = np.abs(offsets) <= self.settings.reach_speed * INTERCEPT_TIMES
@@ -89,9 +114,11 @@ def fixture_poses(state: Floats, settings: MissionSettings, times: Floats) -> Fl
     return np.stack([position.real, position.imag, pose[:, 2] + outward + pi], axis=1)
 
 
-def limit_rates(rates: Floats, q_m: Floats, q_min: Floats, q_max: Floats, maximum: float) -> Floats:
+def limit_rates(
+    rates: Floats, q_m: Floats, q_min: Floats, q_max: Floats, maximum: Floats
+) -> Floats:
     """Return the rates, scaled down together to `maximum`, and limited near the joint limits."""
-    rates = rates * min(1.0, maximum / max(float(np.abs(rates).max()), 1e-9))
+    rates = rates / max(1.0, float((np.abs(rates) / maximum).max()))
     slowest, fastest = (
         np.minimum(q_min - q_m, 0.0) / LIMIT_LOOKAHEAD,
         np.maximum(q_max - q_m, 0.0) / LIMIT_LOOKAHEAD,
