@@ -2,6 +2,7 @@
 
     . scripts/env.sh; python bench/bench_mission.py --runs 20    # of config/campaigns/captures.yaml
     python bench/bench_mission.py --runs 280 --out bench/missions.jsonl  # resumes where it ended
+    python bench/bench_mission.py --spin 0.3 --closing-time 0.3 --force 5 --torque 0.5
     python bench/bench_mission.py --kill                         # kill each node in each phase
     python bench/bench_mission.py --faults                       # each fault in each phase
 
@@ -38,6 +39,7 @@ from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import SimTruth
 from fss_arm_ros.convert import stamp_ns
 from fss_rehearsal.campaign.plan import read_campaign
+from fss_rehearsal.capture import add_gripper_options, gripper
 from fss_rehearsal.processes import Nodes
 
 CAPTURES = Path(__file__).parents[1] / "config/campaigns/captures.yaml"
@@ -66,10 +68,12 @@ Outcome = tuple[list[str], dict[str, float], bool]
 TARGET = {"target_mass": SETTINGS.target_mass, "target_inertia": SETTINGS.target_inertia}
 
 
-def grid() -> Iterator[Case]:
-    """Yield the missions of the campaign of captures, in random order."""
+def grid(only_spin: float | None) -> Iterator[Case]:
+    """Yield the missions of the campaign of captures, in random order; only those of one |spin|."""
     for run in read_campaign(CAPTURES).in_random_order():
         vx, vy, spin = (run.values[f"testbed.target_twist[{k}]"] for k in range(3))
+        if only_spin is not None and not np.isclose(abs(spin), only_spin):
+            continue
         distance = float(np.hypot(*run.values["testbed.base"][:2]))
         yield Case(spin, run.values["testbed.target_pose[2]"], distance, run.seed, (vx, vy))
 
@@ -91,11 +95,12 @@ def testbed(case: Case) -> dict[str, object]:
 class Run:
     """One mission of a new graph."""
 
-    def __init__(self, nodes: Nodes, case: Case, speed: float) -> None:
-        self.nodes = nodes
+    def __init__(self, nodes: Nodes, case: Case, options: argparse.Namespace) -> None:
+        self.nodes, fingers = nodes, gripper(options)
         gnc_nodes = dict.fromkeys(("navigation", "control"), TARGET)
-        guidance = {**TARGET, "posture": list(POSTURE)}
-        start(nodes, speed, testbed=testbed(case), guidance=guidance, **gnc_nodes)
+        guidance = {**TARGET, "posture": list(POSTURE), **fingers}
+        bed = {**testbed(case), **fingers}
+        start(nodes, options.speed, testbed=bed, guidance=guidance, **gnc_nodes)
         self.flyer = Flyer(nodes, print)
         self.capture = ActionClient(self.flyer, Capture, "mission/capture")
         self.setter = self.flyer.create_client(SetParameters, "testbed/set_parameters")
@@ -222,7 +227,7 @@ def table(
     all_safe = True
     for phase, name in product(options.phases, names):
         with Nodes(logs / f"{phase}_{name.replace(' ', '_')}", print, OWN) as nodes:
-            run = Run(nodes, Case(), options.speed)
+            run = Run(nodes, Case() if options.spin is None else Case(options.spin), options)
             try:
                 run.start_mission()
                 cells, gaps, safe = fly(run, phase, name)
@@ -253,13 +258,13 @@ def missions(logs: Path, options: argparse.Namespace) -> bool:
         rows = [json.loads(line) for line in options.out.read_text().splitlines()]
     flown_cases = [row["case"] for row in rows]
     part, parts = options.part
-    for k, case in islice(enumerate(grid()), part - 1, options.runs, parts):
+    for k, case in islice(enumerate(grid(options.spin)), part - 1, options.runs, parts):
         if (
             name := f"{case.spin:+.2f}, heading {case.heading:.2f}, seed {case.seed}"
         ) in flown_cases:
             continue
         with Nodes(logs / str(k), print, OWN) as nodes:
-            run = Run(nodes, case, options.speed)
+            run = Run(nodes, case, options)
             try:
                 run.start_mission()
                 result = run.end()
@@ -318,6 +323,10 @@ def main() -> int:
         "--shut", type=float, default=1.5, help="time limit for closed valves after a kill [s]"
     )
     parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
+    parser.add_argument(
+        "--spin", type=float, help="turn rate of the target, only these runs [rad/s]"
+    )
+    add_gripper_options(parser)
     options = parser.parse_args()
     rclpy.init()
     logs = Path(mkdtemp(prefix="bench_mission_"))

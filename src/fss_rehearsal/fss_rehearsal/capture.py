@@ -44,8 +44,8 @@ INITIAL_PARAMETERS = {
     "target_mass": TARGET.mass,
     "target_inertia": TARGET.inertia,
     "target_pose": [0.0, 0.0, -0.3],
-    "target_twist": [-0.006, 0.004, 0.15],
 }
+TARGET_DRIFT = -0.006, 0.004  # [m/s]
 MAX_DURATION = 600.0  # timeout of the mission [s], in real time
 MOMENTUM_TOLERANCE = 1e-9  # tolerance for momentum before and after the capture [N s, N m s]
 
@@ -110,8 +110,8 @@ class CaptureOperator(Operator):
         return self.result_of(answer, "the mission does not end", MAX_DURATION).result
 
 
-def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assumed: float) -> None:
-    """Start all nodes; `assumed` is the target mass that the GNC nodes are configured with [kg]."""
+def start_all(nodes: Nodes, options: argparse.Namespace, arm: Path, out: Path) -> None:
+    """Start all nodes, with the options of this rehearsal."""
     clock, ports = {"use_sim_time": True}, nodes.domain.ports(2 * LINKS + 2)
     board, base = ports[2 * LINKS :]
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
@@ -120,15 +120,17 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assum
         "fss_sim",
         "testbed",
         arm=arm,
-        seed=seed,
+        seed=options.seed,
         ports=ports[:LINKS],
         board_port=board,
         keep_clock=True,
-        speed=speed,
+        speed=options.speed,
         lockstep=True,
         truth_rate=50.0,
         telemetry_rate=20.0,
         **INITIAL_PARAMETERS,
+        target_twist=[*TARGET_DRIFT, options.spin],
+        **gripper(options),
     )
     nodes.start(
         "links",
@@ -144,11 +146,12 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assum
     nodes.start("arm", "fss_arm_driver", "arm", arm=arm, rate=20.0, time_to_live=10.0, **clock)
     url = f"udp://127.0.0.1:{board}?bind={base}"
     nodes.start("base", "fss_base_driver", "base", url=url, timeout=10.0, **clock)
-    inertia = TARGET.inertia * assumed / TARGET.mass
-    target = {"target_mass": assumed, "target_inertia": inertia}
+    inertia = TARGET.inertia * options.assumed / TARGET.mass
+    target = {"target_mass": options.assumed, "target_inertia": inertia}
     nodes.start("navigation", "fss_gnc", "navigation", arm=arm, **target, **clock)
     nodes.start("control", "fss_gnc", "control", arm=arm, max_pause=10.0, **target, **clock)
-    nodes.start("guidance", "fss_gnc", "guidance", arm=arm, posture=POSTURE, **target, **clock)
+    target |= {"posture": POSTURE, **gripper(options)}
+    nodes.start("guidance", "fss_gnc", "guidance", arm=arm, **target, **clock)
 
 
 class Flight(NamedTuple):
@@ -350,6 +353,29 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         f"mass of the target that the nodes assume [kg] (default {TARGET.mass:g}, the true one)"
     )
     parser.add_argument("--assumed", type=float, default=TARGET.mass, help=help_text)
+    parser.add_argument(
+        "--spin", type=float, default=0.15, help="turn rate of the target [rad/s] (default 0.15)"
+    )
+    add_gripper_options(parser)
+
+
+def add_gripper_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the gripper."""
+    for name, help_text in (
+        ("--closing-time", "time that the fingers take to close [s] (default 0)"),
+        ("--force", "force at which the grip slides [N] (default 0: no limit)"),
+        ("--torque", "torque at which the grip slides [N m] (default 0: no limit)"),
+    ):
+        parser.add_argument(name, type=float, default=0.0, help=help_text)
+
+
+def gripper(options: argparse.Namespace) -> dict[str, float]:
+    """Return the parameters of test bed and guidance for the options of the gripper."""
+    return {
+        "grip_closing_time": options.closing_time,
+        "grip_force": options.force,
+        "grip_torque": options.torque,
+    }
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
@@ -358,7 +384,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     log_line = partial(console.print, soft_wrap=True, highlight=False)
     with isolated_domain() as domain, Nodes(out / "logs", log_line, domain) as nodes:
         log_line(f"starting test bed, drivers, recorder and guidance in ROS domain {domain.number}")
-        start_all(nodes, CONFIG / "arm.yaml", out, options.seed, options.speed, options.assumed)
+        start_all(nodes, options, CONFIG / "arm.yaml", out)
         operator = CaptureOperator(domain)
         operator.arm_all()
         result = operator.run_capture()
