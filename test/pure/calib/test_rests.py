@@ -138,6 +138,36 @@ def test_closing_takes_the_last_rest_once():
     assert find([s for s in samples if s.t >= at(13.4)], finder=finder) == []
 
 
+class SlippingRig(Rig):
+    """A rig whose first joint jumps by `slip` [rad] in the middle of the first rest, and back."""
+
+    def __init__(self, slip, back=np.inf):
+        super().__init__(rest=6.0)
+        self.slip, self.back = slip, back
+
+    def q(self, t):
+        q = super().q(t)
+        q[..., 0] += self.slip * ((np.asarray(t) > 3.0) & (np.asarray(t) < self.back))
+        return q
+
+
+def test_a_rest_split_by_a_slip_is_one_observation():
+    """Motion capture's lasting errors are the same in both parts."""
+    samples = SlippingRig(slip=0.003).samples()
+    found = find(samples)
+    assert len(found) == 3
+    assert found[0].end <= at(3.0)
+    dark = without(samples, {BASE}, 0.2, 3.1)
+    late = find(dark)
+    assert [o.used for o in late] == [False, True, True, True]
+    assert at(3.0) < late[1].start < late[1].end <= at(6.1)
+
+
+def test_a_joint_that_returns_after_a_degree_rests_again():
+    assert len(find(SlippingRig(slip=0.03, back=3.4).samples())) == 4
+    assert len(find(SlippingRig(slip=0.003, back=3.4).samples())) == 3
+
+
 def test_after_a_restart_the_present_rest_is_not_observed_again():
     samples = [s for s in Rig().samples() if s.t > at(8.0)]
     resumed = find(samples, finder=RestFinder(4, resting_at=POSTURES[1]))

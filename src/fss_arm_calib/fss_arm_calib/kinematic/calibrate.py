@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import nan, radians
+from math import nan
 
 import numpy as np
 
@@ -40,14 +40,12 @@ from fss_arm_calib.kinematic.solution import (
 )
 from fss_arm_calib.kinematic.solve import KinematicResult, fit
 from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
-from fss_arm_calib.segments.rests import Observation, rejected_without_repeat
+from fss_arm_calib.segments.rests import SAME_POSTURE, Observation, rejected_without_repeat
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, DescriptionError
 from fss_arm_model.planar import inverse
-
-SAME_POSTURE = radians(1.0)  # largest difference of a joint between equal postures [rad]
 
 
 def calibrate(

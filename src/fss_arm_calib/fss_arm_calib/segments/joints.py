@@ -60,6 +60,7 @@ class Rest(NamedTuple):
     low: tuple[float, ...]  # smallest reading of each joint, including dropped readings [rad]
     high: tuple[float, ...]
     has_ended: bool = True  # False: the arm has not moved yet
+    is_new: bool = True  # False: no joint has left its place at the rest before
 
     @property
     def q(self) -> tuple[float, ...]:

@@ -3,12 +3,14 @@
 An arm rests while every joint's readings stay within the motion threshold of each other. After it
 has settled, the first interval of `max_duration` without a gap in any stream becomes one
 Observation. If the arm moves earlier, it is the longest such interval of at least `min_duration`.
-There is one observation for each rest, no matter what moved the arm.
+There is one observation for each rest, no matter what moved the arm. A rest that follows an
+observed one is not observed if no joint has moved by more than SAME_POSTURE since: most errors of
+motion capture stay as long as the arm stays, so it would count them twice.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import nan
+from math import nan, radians
 
 import numpy as np
 
@@ -30,6 +32,7 @@ from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_model.planar import wrap
 from fss_arm_model.units import SECOND
 
+SAME_POSTURE = radians(1.0)  # largest difference of a joint between equal postures [rad]
 MAX_JUMP_SHARE = 0.1  # largest share of a rest's poses that are rejected as jumps
 
 
@@ -107,7 +110,7 @@ class RestFinder(Finder[Rest, Observation]):
     """Finder of observations, intervals at rest without a gap, for n joints and two subjects.
 
     The present rest is observed as soon as it contains an interval of full length. If the arm has
-    not moved since the last observation before the start, of posture `resting_at` (n), it is not
+    not left `resting_at` (n), the posture of the last observation before the start, it is not
     observed again.
     """
 
@@ -122,14 +125,17 @@ class RestFinder(Finder[Rest, Observation]):
         self._is_observed = False  # True if the current rest has been observed
         self._last_gap_end = 0  # end of the last known gap in the current rest [ns]
         self._aligned_rest = 0  # start of the last rest for which the clocks were aligned [ns]
-        self._resting_at = resting_at
+        self._posture = resting_at  # (n) of the last rest, until the arm leaves it [rad]
+        self._is_used = resting_at is not None  # True if there is a used observation of it
 
     def candidates(self, ended_rest: Rest | None) -> list[Rest]:
         """Return a rest that has ended, unless it has been observed."""
         if not ended_rest:
             return []
         rest = self._remaining_rest(ended_rest)
-        self._is_observed, self._resting_at, self._last_gap_end = False, None, 0
+        if self._is_new(ended_rest):
+            self._posture = ended_rest.q if rest or self._is_observed else None
+        self._is_observed, self._last_gap_end = False, 0
         return [rest] if rest else []
 
     def _remaining_rest(self, rest: Rest) -> Rest | None:
@@ -137,12 +143,16 @@ class RestFinder(Finder[Rest, Observation]):
 
         If a joint was silent before it moved, the rest extends to the motion.
         """
-        s, q = self.sensors, self._resting_at
-        if self._is_observed or (q is not None and rest.matches(q, 2.0 * s.motion_threshold)):
+        s = self.sensors
+        if self._is_observed:
             return None
         end = rest.moved_at if rest.moved_at - rest.end > s.joint_gap else rest.end
-        begin = rest.begin + s.settle_time
-        return rest._replace(begin=begin, end=end) if rest.end > begin else None
+        begin, is_new = rest.begin + s.settle_time, self._is_new(rest)
+        return rest._replace(begin=begin, end=end, is_new=is_new) if rest.end > begin else None
+
+    def _is_new(self, rest: Rest) -> bool:
+        """Return True if the arm has left the posture of the rest before."""
+        return self._posture is None or not rest.matches(self._posture, SAME_POSTURE)
 
     def current_candidate(self, closing: bool) -> Rest | None:
         """Return the present rest if it is long enough, or if closing."""
@@ -190,6 +200,10 @@ class RestFinder(Finder[Rest, Observation]):
     def observe(self, candidate: Rest, closing: bool) -> Observation | None:
         """Return the observation of a rest; None if it is too short, or can still become longer."""
         s, end, is_over = self.sensors, candidate.end, closing or candidate.has_ended
+        self._is_used = self._is_used and not candidate.is_new
+        if self._is_used:
+            self._is_observed = self._is_observed or not candidate.has_ended
+            return None
         # A stream that has not started is no gap. Samples older than the horizon may be dropped.
         started = max(poses.first_stamp + poses.lag for poses in s.needed_poses)
         begin = max(candidate.begin, started, end - s.horizon - s.max_duration)
@@ -212,7 +226,9 @@ class RestFinder(Finder[Rest, Observation]):
             poses.rejected[FROZEN] += poses.count_frozen(begin, end, candidate.last_motion)
         self._is_observed = self._is_observed or not candidate.has_ended
         if whole:
-            return average_rest(s, candidate, *whole[0])
+            found = average_rest(s, candidate, *whole[0])
+            self._is_used = found.used
+            return found
         # Do not report gaps beyond the rest: samples there may be dropped, or not received yet.
         inside = [gap._replace(start=max(gap.start, begin), end=min(gap.end, end)) for gap in gaps]
         longest = max(inside, key=lambda gap: gap.end - gap.start)
