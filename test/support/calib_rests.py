@@ -30,6 +30,20 @@ def observe(q=DEFAULT_POSTURES, seed=1, sigma=SIGMA, arm=ARM):
     ]
 
 
+def seen_tips(tip, deviations, rng, count=1):
+    """Poses (count, s, 3) with errors of relative positions, of the tip's and the base's heading.
+
+    Each axis of a position errs by deviations[0], so both subjects together do.
+    """
+    of_position, of_tip, of_base = deviations
+    shape = (count, len(tip))
+    turn = of_base * rng.standard_normal(shape)
+    off = of_position * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    seen = (tip[:, 0] + 1j * tip[:, 1] + off) * np.exp(-1j * turn)
+    heading = tip[:, 2] - turn + of_tip * rng.standard_normal(shape)
+    return np.stack([seen.real, seen.imag, heading], axis=-1)
+
+
 def with_outlier(count=13):
     """Of which the fifth is far off."""
     found = observe(DEFAULT_POSTURES[:count])

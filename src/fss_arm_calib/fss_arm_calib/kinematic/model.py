@@ -24,8 +24,6 @@ def all_parameters(problem: KinematicProblem, xi: Floats) -> Floats:
 
 def whiten(problem: KinematicProblem, x: Floats) -> Floats:
     """Whiten quantities of the poses, (s, 3, c), so that their errors have unit covariance."""
-    if problem.reading_deviation == 0.0:
-        return x / problem.sigma[:, None]
     return problem.whitening @ x
 
 
@@ -48,16 +46,21 @@ def pose_errors(problem: KinematicProblem, p: Floats) -> Floats:
     return away
 
 
-def regressor(problem: KinematicProblem, xi: Floats, basis: Floats | None = None) -> Floats:
-    """Return Phi_k (Eq. 5), with rows weighted by the root of W, (3s, p).
+def derivative(problem: KinematicProblem, xi: Floats, basis: Floats | None = None) -> Floats:
+    """Return Phi_k (Eq. 5), the derivative of each pose, (s, 3, p).
 
-    A basis (2n+3, c) gives the columns (3s, c) of other combinations of all parameters.
+    A basis (2n+3, c) gives the columns (s, 3, c) of other combinations of all parameters.
     """
-    basis = problem.basis if basis is None else basis
     Phi = tip_regressor(vector(problem, xi), problem.q)
     by_theta_E = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(problem.q), 3, 1))
-    Phi = np.concatenate([Phi, by_theta_E], axis=-1) @ basis
-    return whiten(problem, Phi).reshape(3 * len(problem.q), basis.shape[1])
+    basis = problem.basis if basis is None else basis
+    return np.concatenate([Phi, by_theta_E], axis=-1) @ basis
+
+
+def regressor(problem: KinematicProblem, xi: Floats, basis: Floats | None = None) -> Floats:
+    """Return Phi_k with rows weighted by the root of W, (3s, p), of a basis as in `derivative`."""
+    Phi = whiten(problem, derivative(problem, xi, basis))
+    return Phi.reshape(-1, Phi.shape[-1])
 
 
 def whiten_residuals(problem: KinematicProblem, residuals: Floats) -> Floats:

@@ -10,7 +10,7 @@ headings, gives the update
 
 which is iterated until Delta xi is negligible. W is the inverse covariance of the observations, so
 that the estimate has the covariance (Phi_k' W Phi_k)^-1. (The paper weighs metres and radians
-equally.)
+equally.) `variances.py` defines it, and estimates it from the residuals.
 
 Gears and encoders cause reading errors as well. These are sines of unknown phase: the ripple has
 two periods per turn of the wave generator, the eccentricity error one per turn of the joint. Their
@@ -69,6 +69,7 @@ class KinematicProblem:
     parametrization: str = EQUAL  # FULL: all; EQUAL: one length except the last; OFFSETS: angles
     position_deviation: float = POSITION_DEVIATION  # of an observation, each axis, 1 sigma [m]
     heading_deviation: float = HEADING_DEVIATION  # of an observed heading, 1 sigma [rad]
+    base_heading_deviation: float = 0.0  # of the base's heading, part of heading_deviation [rad]
     ripple_deviation: float = 0.0  # sigma_r, of readings [rad]
     eccentricity_deviation: float = 0.0  # sigma_e, of readings [rad]
     theta_e: bool = False  # estimate the heading offset of the end effector's subject, too
@@ -91,18 +92,25 @@ class KinematicProblem:
         for name in ("position_deviation", "heading_deviation"):
             if not 0.0 < getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
-        for name in ("ripple_deviation", "eccentricity_deviation"):
+        for name in ("base_heading_deviation", "ripple_deviation", "eccentricity_deviation"):
             if not 0.0 <= getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
+        if self.base_heading_deviation > self.heading_deviation:
+            raise ValueError("base_heading_deviation is larger than heading_deviation")
 
     def select(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "KinematicProblem":
         """Return the problem with only the chosen observations."""
         return replace(self, q=self.q[chosen], tip=self.tip[chosen])
 
-    def with_deviations(self, deviations: Floats) -> "KinematicProblem":
+    def with_deviations(self, deviations: Floats, base_heading: float = 0.0) -> "KinematicProblem":
         """Return the problem with other deviations of positions and headings, (2,)."""
         position, heading = map(float, deviations)
-        return replace(self, position_deviation=position, heading_deviation=heading)
+        return replace(
+            self,
+            position_deviation=position,
+            heading_deviation=heading,
+            base_heading_deviation=min(base_heading, heading),
+        )
 
     @property
     def shares_length(self) -> bool:
@@ -175,13 +183,44 @@ class KinematicProblem:
         return C
 
     @cached_property
-    def whitening(self) -> Floats:
-        """Inverse roots (s, 3, 3) of the observations' covariances, evaluated at the guess."""
+    def by_base_heading(self) -> Floats:
+        """Vectors b (s, 3): errors of the poses per error of the base's heading, negated."""
+        return np.column_stack([-self.tip[:, 1], self.tip[:, 0], np.ones(len(self.tip))])
+
+    @cached_property
+    def reading_covariance(self) -> Floats:
+        """Covariances (s, 3, 3) that the readings' errors cause, evaluated at the guess."""
         p = self.guess.copy()
         p[self.index] = self.fixed + self.basis @ self.initial
         by_reading = self.reading_deviation * reading_jacobian(p, self.q)
-        covariance = np.diag(self.sigma**2) + by_reading @ np.swapaxes(by_reading, 1, 2)
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+        return np.asarray(by_reading @ np.swapaxes(by_reading, 1, 2))
+
+    def covariance(self, variances: Floats) -> Floats:
+        """Return the observations' covariances V (..., s, 3, 3).
+
+        The variances (..., 3) are those of positions, headings and the base's heading.
+        """
+        position, heading, base = np.moveaxis(variances[..., None, None, None], -4, 0)
+        of_base = self.by_base_heading[:, :, None] * self.by_base_heading[:, None, :]
+        alike = position * np.diag([1.0, 1.0, 0.0]) + (heading - base) * np.diag([0.0, 0.0, 1.0])
+        return np.asarray(alike + base * of_base + self.reading_covariance)
+
+    @property
+    def variances(self) -> Floats:
+        """Variances (3,) of positions, headings and the base's heading."""
+        deviations = self.position_deviation, self.heading_deviation, self.base_heading_deviation
+        return np.square(deviations)
+
+    @property
+    def typical_deviations(self) -> Floats:
+        """Root mean square deviations of the poses (2,): positions, each axis, and headings."""
+        squares = np.diagonal(self.covariance(self.variances), axis1=1, axis2=2).mean(axis=0)
+        return np.sqrt([squares[:2].mean(), squares[2]])
+
+    @cached_property
+    def whitening(self) -> Floats:
+        """Inverse roots (s, 3, 3) of the observations' covariances."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance(self.variances))))
 
 
 def reading_jacobian(p: Floats, q: Floats) -> Floats:

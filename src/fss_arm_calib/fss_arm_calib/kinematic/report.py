@@ -59,7 +59,7 @@ def _parameters(
     note, weak = "", list[int]()
     if found := outcome.solution:
         note = "amber: more than three times as uncertain as the end effector in one observation."
-        one = dict(zip(("m", "rad"), found.noise.deviations, strict=True))
+        one = dict(zip(("m", "rad"), found.problem.typical_deviations, strict=True))
         weak = [k for k, unit in enumerate(e.units) if not e.deviations[k] < 3 * one[unit]]
     table = parameter_table(outcome, columns, ratios, labels, note, weak)
     return replace(table, detailed=["Tables 2-3"])
@@ -73,13 +73,21 @@ def _residuals(outcome: Outcome[Observation, Solution]) -> Table:
         "paper": PAPER_RESIDUALS,
         "this result": (e.position_residual, e.heading_residual),
         "predicted": [root_mean_square(part) for part in (predicted[:, :2], predicted[:, 2])],
-        "assumed error": noise.deviations.tolist(),
+        "assumed error": _typical_deviations(outcome).tolist(),
     }
     note = (
         "predicted: held-out observations, by a solution without them; assumed error: of an "
         f"observation, {'as given' if noise.is_given.all() else f'estimated: {noise}'}."
     )
     return residual_table("end effector", columns, note)
+
+
+def _typical_deviations(outcome: Outcome[Observation, Solution]) -> Floats:
+    """Return the assumed deviations of positions and headings, (2,)."""
+    found = outcome.solution
+    if not found:
+        return assumed_noise(outcome.settings).deviations
+    return found.problem.typical_deviations
 
 
 def _observations(outcome: Outcome[Observation, Solution]) -> Table:
@@ -116,8 +124,8 @@ def postures(outcome: Outcome[Observation, Solution]) -> Any:
 
     Postures of rejected observations are dashed, without residuals, which would dwarf all others.
     """
-    e, found = outcome.estimate, outcome.solution
-    errors = (found.noise if found else assumed_noise(outcome.settings)).deviations
+    e = outcome.estimate
+    errors = _typical_deviations(outcome)
     q, tip = np.array([o.q for o in outcome.used]), np.array([o.tip for o in outcome.used])
     residuals = np.where((e.weights > 0.0)[:, None], e.residuals, np.nan)
     drawing = empty_figure((14, 8))

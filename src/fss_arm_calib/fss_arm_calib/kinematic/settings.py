@@ -40,7 +40,14 @@ class KinematicSettings(NoiseSettings):
         0.0,
         "m",
         "the end effector's measured position in the base's frame, each axis, including the "
-        "error of the base's heading times the reach; 0: estimated from the residuals",
+        "error of the base's heading times the reach unless base_heading_deviation is given; "
+        "0: estimated from the residuals",
+    )
+    base_heading_deviation: float = sigma(
+        0.0,
+        "rad",
+        "the base's heading, part of heading_deviation; 0: estimated if both others are, else "
+        "part of position_deviation",
     )
     max_position_deviation: float = like(
         NoiseSettings, "max_position_deviation", POSITION_DEVIATION

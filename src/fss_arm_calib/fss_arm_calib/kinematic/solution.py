@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +11,8 @@ import numpy.typing as npt
 from fss_arm_calib.acceptance import UPDATE_TOLERANCE
 from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.estimation.noise import (
-    Noise,
+    MAX_ITERATIONS,
+    MIN_FREEDOM,
     NoiseSolution,
     ResidualSums,
     assumed_noise,
@@ -27,6 +30,12 @@ from fss_arm_calib.kinematic.problem import (
 )
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solve import KinematicResult, Prediction, fit
+from fss_arm_calib.kinematic.variances import (
+    PoseNoise,
+    first_nodes,
+    log_prior,
+    mean_variances,
+)
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.arrays import Floats
@@ -36,6 +45,16 @@ from fss_arm_model.description import Arm
 #: determined is checked with the assumed deviations: very accurate headings increase the condition
 #: number, but make no parameter less certain.
 RELAXED_MAX_CONDITION = 1e6
+
+MAX_VARIANCE_CHANGE = 1e-3  # relative, below which they have converged: far below their uncertainty
+
+
+class PoseSolution(NamedTuple):
+    """Solution with the deviations estimated from its residuals, as NoiseSolution."""
+
+    result: KinematicResult
+    noise: PoseNoise
+    nominal: KinematicResult
 
 
 @dataclass(frozen=True)
@@ -49,13 +68,14 @@ class Solution:
     errors: Floats  # (s,) normalized residuals; predicted ones for rejected observations
     held_out: npt.NDArray[np.intp]  # (h,) indices of the held-out observations
     prediction: Prediction  # of the held-out observations, by a solution without them
-    noise: Noise  # of the observations, as in `problem`
+    noise: PoseNoise  # of the observations, as in `problem`
     nominal: KinematicResult  # with the given deviations, or the largest plausible ones
 
 
 def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> KinematicProblem:
     """Return the kinematic problem of the used observations; ValueError if the arm is another."""
     position, heading = assumed_noise(s).deviations.tolist()
+    base = min(s.base_heading_deviation, heading)
     return KinematicProblem(
         q=np.array([o.q for o in used]).reshape(len(used), -1 if used else arm.n),
         tip=np.array([o.tip for o in used]).reshape(-1, 3),
@@ -63,6 +83,7 @@ def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> K
         parametrization=parametrization(arm, s),
         position_deviation=position,
         heading_deviation=heading,
+        base_heading_deviation=base,
         ripple_deviation=s.ripple_deviation,
         eccentricity_deviation=s.eccentricity_deviation,
         theta_e=s.theta_e,
@@ -88,18 +109,19 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
     s, largest = settings, problem.sigma[1:].tolist()
     fewest = min_observations(problem, s)
 
-    def solved_only(mask: Mask) -> NoiseSolution[KinematicResult]:
+    def solved_only(mask: Mask) -> PoseSolution:
         those = problem.select(mask)
 
         def with_noise(deviations: Floats) -> tuple[KinematicResult, ResidualSums | None]:
             assumed = deviations.tolist() == largest
             most = s.max_condition if assumed else RELAXED_MAX_CONDITION
-            result = fit(those.with_deviations(deviations), UPDATE_TOLERANCE, max_condition=most)
+            known = those.with_deviations(deviations, s.base_heading_deviation)
+            result = fit(known, UPDATE_TOLERANCE, max_condition=most)
             return result, result.residual_sums
 
-        return solve_with_noise(s, with_noise)
+        return separate_headings(solve_with_noise(s, with_noise), s)
 
-    def solved(mask: Mask) -> tuple[NoiseSolution[KinematicResult], Floats]:
+    def solved(mask: Mask) -> tuple[PoseSolution, Floats]:
         found = solved_only(mask)
         errors = found.result.normalized_residuals
         if not found.noise.is_given.all() and np.sum(mask) > fewest:
@@ -108,19 +130,45 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
             worst, others = int(np.argmax(errors)), mask.copy()
             others[np.flatnonzero(mask)[worst]] = False
             without = solved_only(others)
-            there = problem.select(mask & ~others).with_deviations(without.noise.deviations)
+            its = without.noise
+            there = problem.select(mask & ~others).with_deviations(its.deviations, its.base_heading)
             off = without.result.predict(there).normalized[0]
-            errors[worst] = max(errors[worst], equivalent_error(off, 3.0, without.noise.freedom))
+            errors[worst] = max(errors[worst], equivalent_error(off, 3.0, its.freedom))
         return found, errors
 
     found = reject_outliers(
         solved, len(problem.q), s.outlier, s.max_outliers, fewest, "normalized residual"
     )
     result, noise, first = found.result
-    problem = problem.with_deviations(noise.deviations)
+    problem = problem.with_deviations(noise.deviations, noise.base_heading)
     errors = np.where(found.mask, found.errors, result.predict(problem).normalized)
     held_out = _held_out(problem, result, found.mask, s, noise)
     return Solution(problem, result, found.mask, found.reasons, errors, *held_out, noise, first)
+
+
+def separate_headings(found: NoiseSolution[KinematicResult], s: KinematicSettings) -> PoseSolution:
+    """Separate errors of the base's heading from the others, unless a deviation is given."""
+    result, sums = found.result, found.result.residual_sums
+    given = min(s.base_heading_deviation, result.problem.heading_deviation)
+    noise = PoseNoise(**vars(found.noise), base_heading=given)
+    known = given or noise.is_given.any() or np.isinf(noise.freedom)
+    if known or sums is None or np.min(sums.freedom) < MIN_FREEDOM:
+        return PoseSolution(result, noise, found.nominal)
+    before, nodes = result.problem.variances, first_nodes(noise.deviations, sums.freedom)
+    ratio = float(np.divide(*noise.largest) ** 2)
+    for _ in range(MAX_ITERATIONS):
+        variances, nodes = mean_variances(partial(_log_density, result, ratio), nodes)
+        if np.all(np.abs(variances.mean - before) < MAX_VARIANCE_CHANGE * variances.mean):
+            break
+        before, noise = variances.mean, noise.with_variances(variances)
+        problem = result.problem.with_deviations(noise.deviations, noise.base_heading)
+        result = fit(problem, UPDATE_TOLERANCE, max_condition=RELAXED_MAX_CONDITION)
+    return PoseSolution(result, noise, found.nominal)
+
+
+def _log_density(result: KinematicResult, ratio: float, variances: Floats) -> Floats:
+    """Return the log density of variances (k, 3), by the observations and beforehand, (k,)."""
+    return result.restricted_log_likelihood(variances) + log_prior(variances, ratio)
 
 
 def _held_out(
@@ -128,7 +176,7 @@ def _held_out(
     result: KinematicResult,
     kept: Mask,
     s: KinematicSettings,
-    noise: Noise,
+    noise: PoseNoise,
 ) -> tuple[npt.NDArray[np.intp], Prediction]:
     """Predict held-out observations by a solution without them; none if too few remain."""
     held_out = np.flatnonzero(kept)[s.held_out - 1 :: s.held_out] if s.held_out else np.arange(0)

@@ -13,6 +13,7 @@ from fss_arm_calib.estimation.noise import ResidualSums
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem
+from fss_arm_calib.kinematic.variances import restricted_log_likelihood
 from fss_arm_model import layout
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
@@ -69,6 +70,11 @@ class KinematicResult:
         """Standard deviation of the s heading residuals: root mean square about zero [rad]."""
         return root_mean_square(self.residuals[:, 2])
 
+    @cached_property
+    def derivative(self) -> Floats:
+        """Derivative of the poses by the parameters, (s, 3, p)."""
+        return model.derivative(self.problem, self.values)
+
     def _prediction_covariance(self, problem: KinematicProblem, covariance: Floats) -> Floats:
         """Return the whitened covariance (s, 3, 3) of predictions due to the parameters."""
         Phi = model.regressor(problem, self.values).reshape(-1, 3, len(self.values))
@@ -89,6 +95,11 @@ class KinematicResult:
         freedom = self.weights[:, None] * (1.0 - self.weights[:, None] * hat)
         parts = [np.array([np.sum(x[:, :2]), np.sum(x[:, 2])]) for x in (squares, freedom)]
         return ResidualSums(*parts)
+
+    def restricted_log_likelihood(self, variances: Floats) -> Floats:
+        """Return the log likelihood (...) of variances (..., 3), as in KinematicProblem."""
+        Phi, covariance = self.derivative, self.problem.covariance(variances)
+        return restricted_log_likelihood(self.residuals, Phi, self.weights, covariance)
 
     @cached_property
     def leverage(self) -> Floats:
