@@ -21,7 +21,7 @@ from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.subscriptions import SubscriptionThread, Topic, stop_topics
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import OneShotTimer, timer_clock
 from fss_arm_ros.validation import subscribe
 from fss_link.session import CommandError
 from fss_link.session_node import SessionNode
@@ -66,7 +66,7 @@ class LinkNode(SessionNode):
         self.status = self.create_publisher(CommandStatus, f"{name}/command_status", SENSOR)
         subscribe(self, LinkPath, f"{name}/path", self.on_path, 10)
         self.create_service(Trigger, f"{name}/clear_faults", self.on_clear_faults)
-        self.delayed_send = self.create_timer(1.0, self.send, clock=clock, autostart=False)
+        self.delayed_send = OneShotTimer(self, self.send, clock)
         self.start_communication(f"{name}/arm", LinkHealth)
         command = Topic(LinkCommand, f"{name}/command", COMMAND, self.on_command)
         stops = stop_topics(self.on_stop, "arm/stop")
@@ -123,8 +123,7 @@ class LinkNode(SessionNode):
     def send_soon(self, now: int) -> None:
         """Send the accepted command at once, or as soon as the highest rate allows."""
         if wait := self.pacer.wait(now):
-            self.delayed_send.timer_period_ns = wait
-            self.delayed_send.reset()
+            self.delayed_send.start(wait)
             self.wakeup.trigger()  # wakes the executor
         else:
             self.transmit()

@@ -29,7 +29,7 @@ from fss_arm_ros.described_arm import described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import timer_clock
 
 HEARTBEAT = 0.5  # of diagnostics: at most 1 s old, whatever the planner's thread does [s]
 

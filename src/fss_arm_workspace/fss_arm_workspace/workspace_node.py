@@ -20,7 +20,7 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.subscriptions import PolledSubscription
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import timer_clock
 from fss_arm_workspace import messages
 from fss_arm_workspace.analysis import analyze, load_kernels, straight_workspaces
 from fss_arm_workspace.calibrations import Calibrations

@@ -15,7 +15,7 @@ from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.parameters import declare_live
 from fss_arm_ros.qos import LATCHED, SENSOR, command
 from fss_arm_ros.subscriptions import SubscriptionThread, stop_topics
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import timer_clock
 from fss_arm_ros.validation import subscribe, validators
 from fss_base_driver import messages
 from fss_base_driver.command_time import command_time

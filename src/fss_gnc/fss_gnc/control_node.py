@@ -25,7 +25,7 @@ from fss_arm_ros.described_arm import described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import command, sensor
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import timer_clock
 from fss_gnc import bounds, messages
 from fss_gnc.control.base_control import BaseControl
 from fss_gnc.control.settings import ControlSettings

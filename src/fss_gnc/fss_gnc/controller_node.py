@@ -22,7 +22,7 @@ from fss_arm_ros.events import log_event
 from fss_arm_ros.libraries import require
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, command, sensor
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import timer_clock
 from fss_gnc import bounds, messages
 from fss_gnc.latest_topics import LatestTopics
 from fss_gnc.law import messages as law_messages

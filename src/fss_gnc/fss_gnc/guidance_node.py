@@ -22,7 +22,7 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.subscriptions import PolledSubscription
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import timer_clock
 from fss_arm_ros.validation import subscribe
 from fss_gnc import guidance_topics as topics
 from fss_gnc.guidance import capture

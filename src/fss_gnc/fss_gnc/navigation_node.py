@@ -20,7 +20,7 @@ from fss_arm_ros.described_arm import described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import timer_clock
 from fss_gnc.messages import planned_rates
 from fss_gnc.navigation import Navigation, messages
 from fss_gnc.navigation.body_filter import BodyState

@@ -19,7 +19,7 @@ from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.subscriptions import SubscriptionThread
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import timer_clock
 from fss_link.health import SessionHealth
 from fss_link.host_clock import HostClock
 from fss_link.pacer import Pacer

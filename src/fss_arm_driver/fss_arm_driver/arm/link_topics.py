@@ -15,7 +15,7 @@ from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.qos import command, subscribe_sensor
-from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.timers import timer_clock
 from fss_link.host_clock import HostClock
 
 CommandSink = Callable[[LinkCommand], None]
