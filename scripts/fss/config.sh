@@ -16,14 +16,24 @@ vehicle() {
   export FSS_NAMESPACE="$1"
 }
 
+# check_domain: fails unless $ROS_DOMAIN_ID is a ROS domain.
+check_domain() {
+  case ${ROS_DOMAIN_ID:-0} in
+    *[!0-9]* | ????* | 23[3-9] | 2[4-9]? | [3-9]??)
+      fail "ROS_DOMAIN_ID is '$ROS_DOMAIN_ID', expected a whole number from 0 to 232" ;;
+  esac
+}
+
 # read_config CONFIG: reads its settings, sets the environment, and lists in $fss_nodes the names of
 # its nodes in order, each with its namespace; only those in $FSS_NAMESPACE if that is set. A
 # configuration whose nodes are all in one namespace sets $FSS_NAMESPACE.
 read_config() {
   fss_root=$(CDPATH='' cd -- "$fss_scripts/.." && pwd -P)
   fss_config=$(readlink -f -- "${1:-$fss_root/config/fss.sh}") || fss_config=   # the folder does not exist either
-  [ -f "$fss_config" ] ||
-    fail "${1:-config/fss.sh}: no such configuration; there are $(cd "$fss_root" && echo config/*.sh)"
+  if [ ! -f "$fss_config" ]; then
+    case ${1:-/} in /*) ;; *) fss_said=" in $PWD" ;; esac
+    fail "${1:-config/fss.sh}: no such configuration${fss_said:-}; there are $(cd "$fss_root" && echo config/*.sh) in $fss_root"
+  fi
   cd "$fss_root" || exit 1
   fss_name=${fss_config##*/} fss_name=${fss_name%.sh}
   FSS_LOGS=log/$fss_name   # of all nodes
@@ -32,14 +42,12 @@ read_config() {
   FSS_STOP_TIMEOUT=10          # for a node to stop [s]
   FSS_NAMESPACE=${FSS_NAMESPACE:-} FSS_NAMESPACE=${FSS_NAMESPACE#/}
   fss_vehicle=$FSS_NAMESPACE fss_nodes='' fss_spaces=''
+  check_domain
   trap 'fail "$fss_config: stopped before its end, by an exit or an error in it"' EXIT
   . "$fss_config"
   trap - EXIT
   FSS_NAMESPACE=$fss_vehicle
-  case ${ROS_DOMAIN_ID:-0} in
-    *[!0-9]* | ????* | 23[3-9] | 2[4-9]? | [3-9]??)
-      fail "ROS_DOMAIN_ID is '$ROS_DOMAIN_ID', expected a whole number from 0 to 232" ;;
-  esac
+  check_domain
   [ "$fss_nodes" ] || fail "$fss_config: has no node${FSS_NAMESPACE:+ in the namespace $FSS_NAMESPACE}"
   case $fss_spaces in *' /'*) ;; *) FSS_NAMESPACE=${fss_spaces#/} ;; esac
   export FSS_NAMESPACE

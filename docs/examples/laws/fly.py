@@ -12,7 +12,9 @@ from math import degrees
 
 import numpy as np
 
-from fss_arm_model.description import paper_arm
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import described
+from fss_arm_ros.command_line import in_words
 from fss_arm_ros.libraries import required_libraries
 from fss_gnc.law import Inputs, Outputs
 from fss_gnc.law.contract import LawError
@@ -20,7 +22,8 @@ from fss_gnc.law.forms import EXPECTED, Law, load
 from fss_gnc.reference import pose_error
 from fss_rehearsal.law_plant import LawPlant
 
-START = (0.1, -0.05, 0.2, 0.6, -0.6, -0.6, 0.6)  # pose of the base [m, m, rad], joints [rad]
+START_POSE = (0.1, -0.05, 0.2)  # of the base [m, m, rad]
+START_ANGLE = 0.6  # of the joints; every second pair is negative [rad]
 RATE = 50.0  # of the law [1/s]
 
 
@@ -38,13 +41,17 @@ class Step:
         return pose_error(self.inputs.base_pose, self.inputs.reference_pose)
 
 
-def fly(law: Law, duration: float) -> Iterator[Step]:
+def fly(law: Law, arm: Arm, duration: float) -> Iterator[Step]:
     """Yield each step of a flight of some duration [s]."""
-    plant = LawPlant(paper_arm(), START)
+    angles = [-START_ANGLE if i % 4 in (1, 2) else START_ANGLE for i in range(arm.n)]
+    plant = LawPlant(arm, (*START_POSE, *angles))
     for _ in range(round(duration * RATE)):
         inputs = plant.inputs(1.0 / RATE)
         outputs = law.step(inputs)
-        plant.advance(outputs, 1.0 / RATE)
+        try:
+            plant.advance(outputs, 1.0 / RATE)
+        except ValueError as error:
+            raise LawError(f"the law's commands: {error}") from None
         yield Step(inputs, outputs, plant.plant.thrusters.propellant_used)
     law.terminate()
 
@@ -53,21 +60,37 @@ def main() -> int:
     """Fly a law and print a table; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("law", help=EXPECTED)
+    parser.add_argument("--arm", default="", help="paper (default), cad, truth or a file")
     parser.add_argument("--duration", type=float, default=60.0, help="of the flight [s]")
     options = parser.parse_args()
     try:
+        arm = described(options.arm)
+    except (ValueError, OSError) as error:
+        parser.error(in_words(error))
+    try:
         with required_libraries("fly.py"):
-            law = load(options.law, paper_arm().n, 1.0 / RATE)
+            show(fly(load(options.law, arm.n, 1.0 / RATE), arm, options.duration))
     except LawError as error:
         print(f"fly.py: {error}", file=sys.stderr)
         return 1
-    print("time [s]  position error [mm]  heading error [deg]  propellant [g]")
-    for k, step in enumerate(fly(law, options.duration)):
-        if k % round(5.0 * RATE) == 0 or k == round(options.duration * RATE) - 1:
-            away, turn = 1e3 * np.hypot(*step.error[:2]), round(degrees(step.error[2]), 2) + 0.0
-            gas, time = 1e3 * step.propellant, step.inputs.time
-            print(f"{time:8.1f}  {away:19.1f}  {turn:19.2f}  {gas:14.3f}")
     return 0
+
+
+def show(steps: Iterator[Step]) -> None:
+    """Print a line every 5 s, and the last step."""
+    print("time [s]  position error [mm]  heading error [deg]  propellant [g]")
+    every = round(5.0 * RATE)
+    for k, step in enumerate(steps):
+        if k % every == 0:
+            print(line(step))
+    if k % every:
+        print(line(step))
+
+
+def line(step: Step) -> str:
+    """Return time, errors and propellant of a step."""
+    away, turn = 1e3 * np.hypot(*step.error[:2]), round(degrees(step.error[2]), 2) + 0.0
+    return f"{step.inputs.time:8.1f}  {away:19.1f}  {turn:19.2f}  {1e3 * step.propellant:14.3f}"
 
 
 if __name__ == "__main__":

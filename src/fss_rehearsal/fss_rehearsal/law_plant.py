@@ -74,8 +74,10 @@ class LawPlant:
         """Follow the commands for a time [s].
 
         Raises:
-            ValueError: a command is not finite, or the time is not a multiple of STEP.
+            ValueError: a command is not finite or has another size than the contract states, or the
+                time is not a multiple of STEP.
         """
+        to_record(outputs, self.plant.n)  # checks the sizes
         outputs.require_finite()
         steps = round(period / STEP)
         if steps < 1 or abs(steps * STEP - period) > 1e-9:

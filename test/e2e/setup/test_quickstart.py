@@ -49,13 +49,12 @@ def shell(text, timeout):
 
 def laboratory(folder, links):
     """Return config/fss_sim.sh with ports, ROS domain, logs and results of this test."""
-    ports = OWN.ports(links)
     changes = {
         'ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"': f"ROS_DOMAIN_ID={DOMAIN} FSS_LOGS={folder}/logs",
-        "out/fss_sim": folder / "out",
-        "preset:=paper": f"preset:=paper -p ports:=[{','.join(map(str, ports))}]",
-        "in 1 2 3 4; do": f"in 1 2 3 4; do port=$(({ports[0]} + $i - 1))",
-        "500$i?bind=600$i": "$port?bind=0",
+        "out/$fss_name": folder / "out",
+        "links=4": f"links={links}",
+        "port=$((20000 + 40 * ROS_DOMAIN_ID))": f"port={OWN.ports(1)[0]}",
+        "bind=$((port + 20 + i))": "bind=0",
     }
     return replaced((ROOT / "config/fss_sim.sh").read_text(), changes)
 

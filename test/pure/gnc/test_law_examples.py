@@ -11,6 +11,8 @@ import fmu
 import numpy as np
 import pytest
 
+from fss_arm_model.description import paper_arm
+from fss_gnc.law import Outputs
 from fss_gnc.law.contract import LawError
 from fss_gnc.law.forms import load
 
@@ -48,7 +50,7 @@ def compiled(tmp_path_factory):
 
 @cache
 def flight(name):
-    return list(fly.fly(load(f"{LAWS}/{name}", 4, PERIOD), 40.0))
+    return list(fly.fly(load(f"{LAWS}/{name}", 4, PERIOD), paper_arm(), 40.0))
 
 
 @pytest.mark.parametrize(("name", "most"), [("pd_hold.py:PdHold", 0.003), ("lqr.py:Lqr", 0.001)])
@@ -62,6 +64,15 @@ def test_a_law_takes_the_base_to_its_reference_and_holds_it(name, most):
     q = np.array([step.inputs.joint_angles for step in steps])
     assert np.abs(q - q[0]).max() < 1e-3
     assert steps[-1].propellant < 0.01
+
+
+def test_commands_of_another_size_are_refused_as_on_the_test_bed():
+    class Wrong:
+        def step(self, inputs):
+            return Outputs(joint_velocities=np.zeros(3))
+
+    with pytest.raises(LawError, match=r"joint_velocities has shape \(3,\), expected \(4,\)"):
+        next(fly.fly(Wrong(), paper_arm(), 1.0))
 
 
 @pytest.mark.parametrize(

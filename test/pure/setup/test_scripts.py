@@ -202,7 +202,7 @@ def test_a_configuration_that_is_nowhere_is_named(command):
     shown = run(ROOT / "scripts" / name, *words, "/nowhere/at/all.sh")
     assert shown.returncode == 1
     there = " ".join(f"config/{path.name}" for path in sorted((ROOT / "config").glob("*.sh")))
-    problem = f"/nowhere/at/all.sh: no such configuration; there are {there}"
+    problem = f"/nowhere/at/all.sh: no such configuration; there are {there} in {ROOT}"
     assert shown.stderr == f"{name}: {problem}\n"
 
 

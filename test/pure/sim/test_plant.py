@@ -194,3 +194,8 @@ def test_end_stops_hold_what_a_motor_pushes_into_them():
     bed.command(1, Demand(MODE_CURRENT, -0.5 * current))
     bed.advance(1.0)
     assert np.sign(current) * bed.q[4] < 1.5  # the stop does not hold it
+
+
+def test_a_state_of_another_number_of_joints_is_refused():
+    with pytest.raises(ValueError, match=r"q has shape \(6,\), expected \(7,\)"):
+        Plant(paper_arm(), np.zeros(6))

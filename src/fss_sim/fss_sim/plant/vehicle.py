@@ -107,6 +107,11 @@ class Vehicle:
         self._valves: tuple[int, npt.ArrayLike] = -1, VALVES_CLOSED  # first step, valves in it
         self._demand = np.tile(np.array([MODE_OFF, 0.0, 0.0, 1.0]), (self.n, 1))
         self._state = np.zeros((2, 3 + self.n))
+        if np.shape(q) != (3 + self.n,):
+            raise ValueError(
+                f"q has shape {np.shape(q)}, expected ({3 + self.n},): x, y and heading of the "
+                f"base, and {self.n} joint angles"
+            )
         self._state[0] = q
         self._state[1] = 0.0 if qd is None else qd
         self._reference = self._state[:, 3:].T.copy()
