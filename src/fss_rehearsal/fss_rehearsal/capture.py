@@ -248,11 +248,12 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     k = int(np.argmax(flight.holds))
     change = flight.momentum[k] - flight.momentum[k - 1]
     impulse = flight.impulse[k] - flight.impulse[k - 1]
-    when = f"captured between {flight.time[k - 1]:.2f} and {flight.time[k]:.2f} s"
+    start = flight.phases[0][0] if flight.phases else 0.0
+    when = f"captured between {flight.time[k - 1] - start:.2f} and {flight.time[k] - start:.2f} s"
     log_line(when)
     for name, unit, i in (("x", "N s", 0), ("y", "N s", 1), ("about the origin", "N m s", 2)):
         before, after = flight.momentum[k - 1, i], flight.momentum[k, i]
-        log_line(f"  momentum {name:>16}  before {before:+#.4g}  after {after:+#.4g} {unit}")
+        log_line(f"  true momentum {name:>16}  before {before:+#.4g}  after {after:+#.4g} {unit}")
     worst, audit = float(np.abs(change - impulse).max()), float(np.abs(flight.error).max())
     difference = f"difference at most {worst:.1e}; largest audit error of the mission {audit:.1e}"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
@@ -420,7 +421,7 @@ def budget(result: Capture.Result) -> list[str]:
     """Return the mission's time, propellant, momentum and torque, as the guidance reports them."""
     x, y, turning = result.momentum.tolist()
     end = "captured and stopped" if result.stopped else f"{result.phase}: {result.message}"
-    momentum = f"  momentum at the grip {x:+#.4g}, {y:+#.4g} N s, {turning:+#.4g} N m s"
+    momentum = f"  estimated momentum at the grip {x:+#.4g}, {y:+#.4g} N s, {turning:+#.4g} N m s"
     return [
         f"result of the guidance: {end}",
         f"  time {result.duration:.1f} s, propellant {1e3 * result.propellant:.1f} g",
