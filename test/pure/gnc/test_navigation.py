@@ -154,3 +154,20 @@ def test_latency_of_motion_capture_is_compensated():
         errors[latency] = abs(state.pose[0] - 0.1e-9 * state.t)
     assert errors[30_000_000] < 5e-4
     assert errors[0] > 2e-3
+
+
+@pytest.mark.parametrize("change", [0.0, 0.28])
+def test_grip_does_not_lose_base_or_target(change):
+    """Guidance would abort the capture at once; the target's spin changes by `change` [rad/s]."""
+    navigation = Navigation(load("config/truth.yaml"))
+    for k in range(300):
+        t, since = k * 10_000_000, max(0.01 * k - 2.0, 0.0)
+        heading = 0.3e-9 * t - change * since
+        if k % 4 == 0:
+            navigation.base.update_rate(t, 0.0)
+            navigation.base.update_pose(t, 0.0, 0.0, 0.0)
+            navigation.target.update_pose(t, 1.0, 0.0, heading)
+        navigation.set_gripper(since > 0.0)
+        lost = [body.lost_reason(t) for body in (navigation.base, navigation.target)]
+        assert k < 40 or lost == ["", ""]
+    assert navigation.target.state().twist[2] == pytest.approx(0.3 - change, abs=0.02)

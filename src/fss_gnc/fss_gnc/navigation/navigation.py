@@ -27,7 +27,9 @@ from .valve_faults import Faults, Moment, ValveFaults
 
 TIP_POSE_TOLERANCE = 0.05, 0.15  # of a pose that counts as the end effector's [m], [rad]
 MAX_POSE_GAP = SECOND // 5  # longest time without a pose before the arm's is used [ns]
-GRIP_SIGMA = 0.05, 0.1  # change of twists by a grip or a release, 1 sigma [m/s], [rad/s]
+# Change of twists by a grip or a release, 1 sigma [m/s], [rad/s]. The speed stays below the default
+# of `max_speed_deviation`, so that base and target are known when guidance learns of the grip.
+GRIP_SIGMA = 0.04, 0.2
 HELD_TWIST_WALK = 0.05, 0.2  # random walk of a held target's twist [m/s/sqrt(s)], [rad/s/sqrt(s)]
 GRIP_DELAY = SECOND // 2  # longest delay of a grip's message, and settling time [ns]
 MAX_EARLIER_SAMPLES = 20  # samples stored before a grip, GRIP_DELAY apart
