@@ -154,7 +154,7 @@ def separate_headings(found: NoiseSolution[KinematicResult], s: KinematicSetting
     known = given or noise.is_given.any() or np.isinf(noise.freedom)
     if known or sums is None or np.min(sums.freedom) < MIN_FREEDOM:
         return PoseSolution(result, noise, found.nominal)
-    before, nodes = result.problem.variances, first_nodes(noise.deviations, sums.freedom)
+    before, nodes = result.problem.variances, first_nodes(noise.deviations)
     ratio = float(np.divide(*noise.largest) ** 2)
     for _ in range(MAX_ITERATIONS):
         variances, nodes = mean_variances(partial(_log_density, result, ratio), nodes)
@@ -167,7 +167,7 @@ def separate_headings(found: NoiseSolution[KinematicResult], s: KinematicSetting
 
 
 def _log_density(result: KinematicResult, ratio: float, variances: Floats) -> Floats:
-    """Return the log density of variances (k, 3), by the observations and beforehand, (k,)."""
+    """Return the log posterior density (k,) of variances (k, 3)."""
     return result.restricted_log_likelihood(variances) + log_prior(variances, ratio)
 
 

@@ -42,7 +42,7 @@ RATIO_SPREAD = 4.0  # standard deviation of log (sigma_p / sigma_h)^2 beforehand
 NODES = 5  # of the quadrature, in each dimension
 MAX_PASSES = 50
 MAX_LOGIT = 25.0  # of phi; beyond, rounding makes it 0 or 1
-MAX_SHIFT = 0.05  # of the nodes in a pass, in deviations, if they have converged
+MAX_SHIFT = 0.1  # of the nodes in a pass, in deviations, if they have converged
 
 
 class Variances(NamedTuple):
@@ -50,7 +50,6 @@ class Variances(NamedTuple):
 
     mean: Floats  # (3,) [m^2, rad^2, rad^2]
     uncertainty: Floats  # (3,) standard deviations of their roots [m, rad, rad]
-    share: float  # phi
     share_uncertainty: float  # standard deviation of phi
 
 
@@ -76,14 +75,13 @@ class PoseNoise(Noise):
 
     def with_variances(self, found: Variances) -> "PoseNoise":
         """Return the noise with estimated variances."""
-        *deviations, base = np.sqrt(found.mean).tolist()
-        *uncertainty, base_uncertainty = found.uncertainty.tolist()
+        deviations, uncertainty = np.sqrt(found.mean), found.uncertainty
         return replace(
             self,
-            deviations=np.array(deviations),
-            uncertainty=np.array(uncertainty),
-            base_heading=base,
-            base_uncertainty=base_uncertainty,
+            deviations=deviations[:2],
+            uncertainty=uncertainty[:2],
+            base_heading=float(deviations[2]),
+            base_uncertainty=float(uncertainty[2]),
             share_uncertainty=found.share_uncertainty,
         )
 
@@ -99,10 +97,9 @@ class PoseNoise(Noise):
         return f"{super().__str__()}, {base}{'' if self.is_separated else ' (not separated)'}"
 
 
-def first_nodes(deviations: Floats, freedom: Floats) -> Nodes:
-    """Return nodes for deviations of positions and headings with these degrees of freedom, (2,)."""
-    spread = np.append(2.0 / freedom, np.pi**2 / 3.0)  # of log chi-square, and of an unknown share
-    return Nodes(np.append(np.log(deviations**2), 0.0), np.diag(spread))
+def first_nodes(deviations: Floats) -> Nodes:
+    """Return widely spread nodes around deviations of positions and headings, (2,)."""
+    return Nodes(np.append(np.log(deviations**2), 0.0), np.diag([1.0, 1.0, np.pi**2 / 3.0]))
 
 
 def restricted_log_likelihood(
@@ -124,7 +121,7 @@ def restricted_log_likelihood(
 
 
 def log_prior(variances: Floats, ratio: float) -> Floats:
-    """Return the log of what is known beforehand of variances (k, 3), per log and logit, (k,).
+    """Return the log prior density (k,) of variances (k, 3), as in `mean_variances`.
 
     `ratio` is the expected ratio of the variances of positions and headings [m^2].
     """
@@ -142,6 +139,7 @@ def mean_variances(
     `log_density` (k,) of the variances (k, 3) is that per log sigma_p, log sigma_h and logit phi.
     """
     grid, log_weight = _quadrature()
+    center = len(grid) // 2
     for _ in range(MAX_PASSES):
         root = np.linalg.cholesky(nodes.covariance)
         x = nodes.mean + grid @ root.T
@@ -149,20 +147,22 @@ def mean_variances(
         variances = np.exp(x[:, [0, 1, 1]])
         variances[:, 2] *= share
         log = log_density(variances) + log_weight
-        w = np.exp(log - np.max(log))
+        best, w = int(np.argmax(log)), np.exp(log - np.max(log))
         w /= np.sum(w)
-        shift = w @ grid
-        covariance = (w[:, None] * (grid - shift)).T @ (grid - shift)
-        # The average keeps the nodes apart if the density is far from all but one of them.
-        spread = 0.5 * (covariance + np.eye(3))
+        if w[best] > 0.5:  # too few nodes for moments: search for the mode
+            shift, spread = grid[best], np.eye(3) / (4.0 if best == center else 1.0)
+        else:
+            shift = w @ grid
+            spread = (w[:, None] * (grid - shift)).T @ (grid - shift) + 0.01 * np.eye(3)
         nodes = Nodes(nodes.mean + root @ shift, root @ spread @ root.T)
         if max(np.max(np.abs(shift)), np.max(np.abs(spread - np.eye(3)))) < MAX_SHIFT:
             break
-    roots = np.sqrt(variances)
-    uncertainty = np.sqrt(np.maximum(w @ variances - (w @ roots) ** 2, 0.0))
-    mean_share = float(w @ share)
-    of_share = float(np.sqrt(max(float(w @ share**2) - mean_share**2, 0.0)))
-    return Variances(w @ variances, uncertainty, mean_share, of_share), nodes
+
+    def deviation(values: Floats) -> Floats:
+        return np.sqrt(np.maximum(w @ values**2 - (w @ values) ** 2, 0.0))
+
+    of_share = float(deviation(share))
+    return Variances(w @ variances, deviation(np.sqrt(variances)), of_share), nodes
 
 
 @cache
