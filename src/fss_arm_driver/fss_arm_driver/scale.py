@@ -12,6 +12,7 @@ from fss_arm_driver.protocol import (
     Telemetry,
 )
 from fss_arm_model.description import Link
+from fss_arm_model.units import angle_beyond
 from fss_link.session import CommandError
 
 # Telemetry outside these margins is rejected. A disarmed arm may be moved by hand faster than its
@@ -143,7 +144,7 @@ class Scale:
         if mode == Mode.POSITION:
             low, high = self.link.q_min, self.link.q_max
             if not low <= value <= high:
-                raise CommandError(f"set_point is {value} rad, expected {low:.6g} to {high:.6g}")
+                raise CommandError(f"set_point is {angle_beyond(value, low, high)}")
             return round(value / self.radians_per_count), False
         if mode == Mode.PATH:
             if not 1 <= value <= MAX_PATH:

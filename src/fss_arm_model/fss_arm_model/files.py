@@ -7,6 +7,8 @@ from typing import Any
 
 import yaml
 
+from .units import number_text
+
 MAX_SIZE = 2**20  # largest text [bytes]
 MAX_ENTRIES, MAX_DEPTH = 50_000, 20  # limits; entries that aliases repeat count again
 MAX_TEXT = 80  # longest value in a message [characters]
@@ -25,6 +27,8 @@ class ContentError(ValueError):
 
 def format_value(value: Any) -> str:
     """Return a value as messages show it."""
+    if isinstance(value, float):
+        return number_text(value)
     try:
         return short(repr(value))
     except ValueError:  # Python prints no integer of more than 4300 digits

@@ -9,6 +9,8 @@ from dataclasses import MISSING, Field, dataclass, field, fields
 from math import degrees, inf
 from typing import Any, get_args, get_origin
 
+from .units import number_text
+
 
 class SettingError(ValueError):
     """A setting has an invalid value; the message names it and what was expected."""
@@ -153,7 +155,7 @@ def default_text(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(default_text, value))}]"
     if isinstance(value, float):
-        return min(repr(value), f"{value:.6g}", key=len) if value % 1 else repr(value)
+        return number_text(value)
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

@@ -7,6 +7,11 @@ GRAVITY = 9.81  # [m/s^2]
 SECOND = 1_000_000_000  # [ns]
 
 
+def number_text(value: float) -> str:
+    """Return a number as messages show it: with six digits, or fewer if they are all."""
+    return min(repr(float(value)), f"{value:.6g}", key=len) if value % 1 else repr(float(value))
+
+
 def in_degrees(angles: Iterable[float]) -> str:
     """Return angles [rad] as a message shows them, such as `10, -45.5 deg`."""
     return f"{', '.join(f'{degrees(q):.4g}' for q in angles)} deg"

@@ -19,13 +19,15 @@ from fss_arm_model.base_motion import base_pose_sensitivities
 from fss_arm_model.clearance import body_name, links_and_base, sizes
 from fss_arm_model.description import Arm
 from fss_arm_model.extents import Extents
-from fss_arm_model.joint_path import path, sampled
+from fss_arm_model.free_floating import free_torques
+from fss_arm_model.joint_path import Law, path, sampled
 from fss_arm_model.momentum import momentum
 from fss_arm_model.units import in_degrees
 from fss_arm_motion.limits import KINDS, Limits
 from fss_arm_motion.transcription import gaps
 
 PREDICTION_STEP = 0.05  # of predicted poses [s]
+BISECTIONS = 30  # of a prediction step, to find when the base turns back
 PROBES_PER_SEGMENT = 40  # number of times in each segment at which limits are checked
 
 
@@ -205,11 +207,29 @@ def stretch_to_limits(
     )
 
 
+def turning_times(start: Start, law: Law, grid: Floats) -> Floats:
+    """Return the times at which the base's rate changes sign, at most one between grid times."""
+
+    def rate(t: Floats) -> Floats:
+        q, qd = law(t)
+        return free_torques(start.bodies, q, qd, np.zeros_like(q), start.L)[1]
+
+    rates = rate(grid)
+    k = np.flatnonzero(rates[:-1] * rates[1:] < 0.0)
+    low, high, sign = grid[k], grid[k + 1], np.sign(rates[k])
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        before = sign * rate(middle) > 0.0
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    return 0.5 * (low + high)
+
+
 def predicted(start: Start, times: Floats, q: Floats, qd: Floats) -> Prediction:
-    """Predict the base's motion under a path."""
+    """Predict the base's motion under a path, also where the base turns back."""
     n = start.arm.n
     law, edges = sampled([times] * n, list(q.T), list(qd.T))
     marks = np.linspace(0.0, times[-1], 1 + min(400, max(2, round(times[-1] / PREDICTION_STEP))))
+    marks = np.union1d(marks, turning_times(start, law, np.union1d(marks, edges)))
     state = np.concatenate([start.pose, start.momentum, np.zeros(2)])
     poses, J = base_pose_sensitivities(start.bodies, path(law, edges, marks), state)
     size, total = len(start.arm.vector()), np.zeros((len(marks), 3, 3))

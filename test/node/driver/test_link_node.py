@@ -159,7 +159,7 @@ def test_refused_commands_change_nothing_and_are_said_once(bench, monkeypatch):
     monkeypatch.setattr(node.get_logger(), "warning", said.append)
     arm(user, until)
     for fields, words in (
-        ({"set_point": 2.0}, "set_point is 2.0 rad, expected -1.5708 to 1.5708"),
+        ({"set_point": 2.0}, "set_point is 114.6 deg, expected -90 to 90 deg"),
         ({"set_point": nan}, "set_point is nan"),
         ({"set_point": 0.1, "time_to_live": 0.0}, "time_to_live is 0.0 s, expected above 0"),
         ({"set_point": 0.1, "age": 20.0}, "expired"),

@@ -357,7 +357,7 @@ def test_velocity_and_current_are_clamped(armed, mode, value, set_point):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((Mode.POSITION, 1.6), "set_point is 1.6 rad, expected -1.5708 to 1.5708"),
+        ((Mode.POSITION, 1.6), "set_point is 91.67 deg, expected -90 to 90 deg"),
         ((Mode.POSITION, nan), "set_point is nan, expected a finite number"),
         *(((mode, value), f"set_point is {re.escape(str(value))}, expected")
           for mode in (Mode.CURRENT, Mode.VELOCITY, Mode.POSITION, Mode.PATH)

@@ -81,6 +81,16 @@ def test_mujoco_in_open_loop_follows_and_its_base_does_as_predicted(plans, name)
     assert_allclose(said.pose[-1], states[-1, :3], atol=4e-3)
 
 
+def test_the_largest_turn_of_the_base_is_that_of_the_whole_path(plans):
+    """Not of samples, between which the base may turn back."""
+    start, made = plans
+    for plan in made.values():
+        marks = np.linspace(0.0, plan.duration, 2001)
+        poses, _ = base_along(start, plan.times, plan.q, plan.qd, marks, np.zeros(8))
+        largest = np.abs(poses[:, 2] - poses[0, 2]).max()
+        assert largest - 1e-9 < plan.prediction.excursion < largest + 1e-5  # [rad]
+
+
 def test_zero_reaction_leaves_the_heading_that_a_straight_move_turns(plans):
     start, made = plans
     plan = made["zero_reaction"]
