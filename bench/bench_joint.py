@@ -84,7 +84,7 @@ PAPER = DynamicSettings(
     momentum_deviation=0.0,
     spin_deviation=0.0,
     tilt_deviation=0.0,
-    priors=f"{DYNAMIC.priors} b_i I_i",
+    priors=f"{DYNAMIC.priors} b_i",
 )
 
 

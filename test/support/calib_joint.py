@@ -63,7 +63,7 @@ class Day(NamedTuple):
 def draw_arm(rng, guess=ARM, knowledge=DYNAMIC, kinematics=(0.005, 0.02)) -> Arm:
     """An arm that the guess is a poor description of: of lengths, angles, b and I least."""
     n = guess.n
-    sigma = knowledge.deviations(n)
+    sigma = knowledge.deviations(guess)
     sigma[4 : 2 * n + 6] = kinematics[0]
     sigma[[*range(4 + n, 3 + 2 * n), 2 * n + 5]] = kinematics[1]
     v = values(guess) + sigma * rng.standard_normal(5 * n + 6)

@@ -31,7 +31,7 @@ TRUTH = replace(
 )
 STATE = np.array([0.1, 0.2, 3.0, 0.1, -0.1, 0.02, 0.0002, -0.0001])
 DRIFTING = np.array([0.1, -0.2, 0.4, 0.02, -0.01, 0.01, 2e-4, -1e-4])
-PRECISE = {"position_deviation": 0.0005, "heading_deviation": 0.001, "max_relative": 2.0}
+PRECISE = {"position_deviation": 0.0005, "heading_deviation": 0.001}
 #: Settings of nodes, by kind, of what is seen that closely.
 CLOSELY = {
     "kinematic": {"position_deviation": 0.001, "heading_deviation": 0.002},

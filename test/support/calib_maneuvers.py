@@ -72,7 +72,7 @@ def single_joint():
 def problem(path, arm=ARM, words=NAMES, knowledge=None, heading_only=False, **known):
     """A problem whose poses are still to come: of links, b and I are not known beforehand."""
     knowledge, choice = knowledge or Knowledge(), Choice.of(words, arm.n)
-    deviations = knowledge.deviations(arm.n)
+    deviations = knowledge.deviations(arm)
     prior = choice.basis.T @ deviations / choice.basis.sum(axis=0)
     free = [name[0] in "bI" and name != "I_0" for name in choice.names]
     count, marks = path.marks.shape[:2]

@@ -31,6 +31,7 @@ LAG = 0.005  # of receipt [s]
 #: measured, cameras err by a tenth of the latter.
 FRESH = np.array([0.0005, 0.0005, np.radians(0.1)])
 SLOW = np.array([0.0007, 0.0007, np.radians(0.07)])
+COARSE = np.array([0.001, 0.001, np.radians(0.5)])  # of the worst cameras that defaults accept
 
 
 def arm(n: int, seed: int) -> Arm:
@@ -156,7 +157,7 @@ class Heard:
     start: dict[str, int] = field(default_factory=dict)  # of a stream's clock, if not START [ns]
 
 
-def heard(one: Flight, seed: int, dynamic: bool) -> Heard:
+def heard(one: Flight, seed: int, dynamic: bool, fresh: np.ndarray = FRESH) -> Heard:
     """A flight as its sensors report it."""
     rng = np.random.default_rng([17, seed])
     count = 2 * np.pi / COUNTS
@@ -170,7 +171,7 @@ def heard(one: Flight, seed: int, dynamic: bool) -> Heard:
     for name, seen in (("fss", one.base), ("end_effector", one.tip)):
         tenth = (one.t * 10).astype(int)
         slow = (one.t / 4.0).astype(int)
-        error = FRESH * rng.standard_normal((tenth[-1] + 1, 3))[tenth]
+        error = fresh * rng.standard_normal((tenth[-1] + 1, 3))[tenth]
         error += lasting * rng.standard_normal((slow[-1] + 1, 3))[slow]
         x, y, heading = (seen + error).T
         zero = np.zeros(len(one.t))
@@ -345,6 +346,47 @@ def _gyro_degrees(what: Heard, _: np.random.Generator) -> None:
     what.gyro[:, 2] = np.degrees(what.gyro[:, 2])
 
 
+def _jump(by: float) -> Spoil:
+    """The joints' clock, set in the middle of the bag."""
+
+    def spoil(what: Heard, _: np.random.Generator) -> None:
+        for track in [*what.joints.values(), what.gyro]:
+            track[track[:, 0] > 0.5 * track[-1, 0], 0] += by
+
+    return spoil
+
+
+def _backwards(what: Heard, _: np.random.Generator) -> None:
+    for track in what.joints.values():
+        track[:, 0] = track[-1, 0] - track[:, 0]
+
+
+def _unstamped(what: Heard, _: np.random.Generator) -> None:
+    what.start["joints"] = 0
+    for track in what.joints.values():
+        track[:, 0] = 0.0
+
+
+def _no_turn(what: Heard, _: np.random.Generator) -> None:
+    what.poses["fss"][:, 5:] = 0.0
+
+
+def _turned(what: Heard, _: np.random.Generator) -> None:
+    """The end effector's subject, by 90 degrees."""
+    track = what.poses["end_effector"]
+    half = np.arctan2(track[:, 7], track[:, 8]) + 0.25 * np.pi
+    track[:, 7], track[:, 8] = np.sin(half), np.cos(half)
+
+
+def _frozen(what: Heard, _: np.random.Generator) -> None:
+    track = what.poses["end_effector"]
+    track[len(track) // 8 :, 2:] = track[len(track) // 8, 2:]
+
+
+def _fast(track: np.ndarray) -> None:
+    track[:, 3] = np.degrees(track[:, 3])
+
+
 def _same(_: Heard, __: np.random.Generator) -> None:
     """Nothing is spoilt but what is asked."""
 
@@ -362,10 +404,21 @@ Y_UP = Kind("y up", _columns([0, 2, 1, 3, 5, 4, 6], [1, 1, -1, 1, 1, -1, 1]), r"
 SWAPPED = Kind("swapped", _swap, r"^base and end effector are swapped")
 HOUR_APART = Kind("an hour", _late(3600.0), r"^clock of the joints .*\(an hour\) ahead")
 
+ONE_MILLIMETERS = Kind("millimeters, one", _scaled(slice(2, 5), 1e3, "end_effector"),
+                       r"^position of end_effector in millimeters\?")  # fmt: skip
+STREAMS = [
+    Kind(
+        "clock set", _jump(30.0), r"^clock of the joints(, gyro)? jumps ahead by 30 s after \d+ s"
+    ),
+    Kind("clock backwards", _backwards, r"^clock of the joints runs backwards"),
+    Kind("no stamps", _unstamped, r"^stamps of the joints are 0"),
+    Kind("no quaternions", _no_turn, r"^quaternions of fss are 0"),
+]
+
 KINEMATIC = [
     MILLIMETERS,
-    Kind("millimeters, one", _scaled(slice(2, 5), 1e3, "end_effector"),
-         r"^position of end_effector in millimeters\?"),
+    *STREAMS, ONE_MILLIMETERS,
+    Kind("end effector turned", _turned, r"^end effector's subject rotated .* with --theta-e"),
     DEGREES,
     Kind("degrees, one joint", _joint(_times(np.degrees(1.0))), r"^joint_\d in degrees\?"),
     Kind("counts", _joint(_counts, every=True), r"^joints in counts\?"),
@@ -382,6 +435,9 @@ KINEMATIC = [
     Kind("never still", _restless, r"^joints never at rest"),
 ]  # fmt: skip
 DYNAMIC = [
+    *STREAMS, ONE_MILLIMETERS,
+    Kind("end effector frozen", _frozen, r"^pose of end_effector frozen for \d+ s"),
+    Kind("deg/s", _joint(_fast, every=True), r"^joint velocities in degrees per second\?"),
     MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
     Kind("one wrapped", _wrap, r"^joint_\d wrapped\?"),
     Kind("gyro in degrees", _gyro_degrees, r"^gyro in degrees per second\?"),
@@ -389,10 +445,16 @@ DYNAMIC = [
 
 
 def make(
-    folder: Path, n: int, seed: int, dynamic: bool, kind: Kind | None = None, noise: int = 0
+    folder: Path,
+    n: int,
+    seed: int,
+    dynamic: bool,
+    kind: Kind | None = None,
+    noise: int = 0,
+    fresh: np.ndarray = FRESH,
 ) -> tuple[Path, Path]:
     """A bag, and the description that its laboratory has."""
-    what = heard(flight(n, seed, dynamic), 1000 * seed + noise, dynamic)
+    what = heard(flight(n, seed, dynamic), 1000 * seed + noise, dynamic, fresh)
     if kind:
         kind.spoil(what, np.random.default_rng([19, seed]))
     folder.mkdir(parents=True, exist_ok=True)

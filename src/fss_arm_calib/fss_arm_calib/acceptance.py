@@ -8,10 +8,11 @@ several kinds of calibration.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, nan
+from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Mask
+from fss_arm_calib.estimation.least_squares import MAX_CONDITION, Mask
 from fss_arm_calib.estimation.noise import Noise
 from fss_arm_calib.estimation.statistics import probability
 from fss_arm_calib.segments.streams import Streams
@@ -176,32 +177,37 @@ def check_data_amount(
 
 
 def check_identifiability(
-    undetermined: Sequence[str],
-    missing: int,
-    condition: float,
-    max_condition: float,
-    hint: str = "",
+    r: Any, hint: str = "", max_condition: float = MAX_CONDITION, brief: bool = True
 ) -> Check:
-    """Check that the data determine all parameters.
+    """Check that the data determine all parameters of a result; `hint` is a cause or a remedy.
 
-    `missing` combinations of the `undetermined` parameters are not determined. The condition number
-    is that of the column-scaled regressor. `hint` is a possible cause.
+    The condition number is that of the column-scaled regressor. If it passes, a `brief` check has
+    no reason.
     """
-    facts = f"condition number {condition:.3g} (at most {max_condition:g})"
-    if not undetermined:
-        return check_limit("determined", condition, max_condition, facts)
-    reason = f"{', '.join(undetermined)} cannot be determined separately: "
-    reason += f"{format_count(missing, 'combination')} undetermined, {facts}{hint}"
-    return Check("determined", NOT_EVALUATED, condition, max_condition, reason)
+    facts = f"condition number {r.condition_number:.3g} (at most {max_condition:g})"
+    if not r.undetermined:
+        check = check_limit("determined", r.condition_number, max_condition, facts)
+        return hide_pass_reason(check) if brief else check
+    reason = f"{', '.join(r.undetermined)} cannot be determined separately: "
+    reason += f"{format_count(r.missing, 'combination')} undetermined, {facts}{hint}"
+    return Check("determined", NOT_EVALUATED, r.condition_number, max_condition, reason)
 
 
-def check_convergence(
-    converged: bool, iterations: int, last_update: float, tolerance: float = UPDATE_TOLERANCE
-) -> Check:
-    """Check that the last update was negligible."""
-    words = f"{format_count(iterations, 'iteration')}, last update {last_update:.2g} deviations"
-    words = words if converged else f"not converged: {words} (at most {tolerance:g})"
-    return Check("convergence", PASS if converged else FAIL, last_update, tolerance, words)
+def check_bounds(at_bound: Sequence[str], advice: str) -> Check:
+    """Check that no parameter is at a bound of what is physically possible."""
+    if not at_bound:
+        return Check("bounds", PASS, 0, 0, "")
+    brief = f"at a physical bound: {', '.join(at_bound)}"
+    words = f"{brief}: another arm's data, or wrong masses or lengths?{advice}"
+    return Check("bounds", FAIL, len(at_bound), 0, words, brief=brief)
+
+
+def check_convergence(m: Any, tolerance: float = UPDATE_TOLERANCE) -> Check:
+    """Check that the last update of a minimum was negligible."""
+    number = format_count(m.iterations, "iteration")
+    words = f"{number}, last update {m.last_update:.2g} deviations"
+    words = words if m.converged else f"not converged: {words} (at most {tolerance:g})"
+    return Check("convergence", PASS if m.converged else FAIL, m.last_update, tolerance, words)
 
 
 def check_outliers(

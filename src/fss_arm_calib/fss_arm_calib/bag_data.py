@@ -94,19 +94,18 @@ def topic_name(bags: Bags, one: Input, namespace: str = "", needed: bool = True)
         raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {one.type}")
     if topic not in bags.topics and one.needed and needed:
         where = ", ".join(map(str, bags.paths))
-        hint = namespace_hint(bags, one.topic) or _name_hint(bags, topic, one.type)
+        hint = namespace_hint(bags, one.topic) or _name_hint(bags, topic, one)
         damaged = "".join(f"; damaged: {bag}" for bag in bags.recovered)
         raise BagError(f"no {topic} in {where}{hint}{damaged}")
     return topic
 
 
-def _name_hint(bags: Bags, topic: str, kind: str) -> str:
-    """Suggest the topics of a type that the name of a missing topic may mean."""
-    there = [name for name, found in bags.topics.items() if found.msgtype == kind]
-    near = get_close_matches(topic, there, n=1)
-    if near:
-        return f"; is it {near[0]}?"
-    return f", which has {', '.join(there) or 'no topic'} of type {kind}"
+def _name_hint(bags: Bags, topic: str, one: Input) -> str:
+    """Suggest the topic of an input's type that the name of a missing topic may mean."""
+    there = [name for name, found in bags.topics.items() if found.msgtype == one.type]
+    if near := get_close_matches(topic, there, n=1, cutoff=0.5 if one.option else 0.6):
+        return f"; is it {near[0]}?{f' Then add {one.option} {near[0]}' * bool(one.option)}"
+    return f", which has {', '.join(there) or 'no topic'} of type {one.type}"
 
 
 def namespace_hint(bags: Bags, topic: str) -> str:

@@ -43,6 +43,7 @@ class Input:
     bulk: Callable[[Any, Sequence[bytes]], Sequence[Any]] | None = None  # serialized messages
     needed: bool = True  # a bag must have this topic
     subject: str = ""  # motion-capture subject of the poses
+    option: str = ""  # option of from_bag that names the topic
     latched: bool = False  # a late subscriber receives the last message
     rule: Any = None  # validation.Rule of a latched topic's messages; None: that of their type
 
@@ -116,8 +117,8 @@ class Calibration(Generic[D, C]):
             return f"waiting for {', '.join(streams.silent)}"
         if streams.unknown:
             return f"the arm has no {', '.join(streams.unknown)}"
-        if clocks := self.clocks(streams, settings).reason:
-            return f"{clocks}: call {self.name}/forget to reset"
+        if (clocks := self.clocks(streams, settings)).needed and clocks.reason:
+            return f"{clocks.reason}: call {self.name}/forget to reset"
         return self.stale(outcome, streams)
 
     def write(self, path: str, outcome: Outcome[D, Any]) -> None:

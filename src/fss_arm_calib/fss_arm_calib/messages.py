@@ -14,6 +14,7 @@ from fss_arm_calib.calibration import Input
 from fss_arm_calib.codec import encode
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.finder import Finder
+from fss_arm_calib.segments.poses import BASE
 from fss_arm_model.description_file import to_yaml
 from fss_arm_msgs.msg import Calibration, Check, LinkTelemetry, Provenance
 from fss_arm_ros.convert import joint_readings, seen_pose, stamp_ns, to_time
@@ -40,7 +41,7 @@ def joints_input(topic: str) -> Input:
             )
         return [one for i, q, qd, _ in readings for one in finder.add_reading(i, t, q, qd)]
 
-    return Input(topic, JointState, feed)
+    return Input(topic, JointState, feed, option="--joints-topic")
 
 
 def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
@@ -55,7 +56,8 @@ def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
             finder.sensors.subjects[subject].frame = frame_id(data[0])
         return finder.add_poses(subject, *poses(data))
 
-    return Input(topic, PoseStamped, feed, feed_many, needed, subject)
+    option = "--base-topic" if subject == BASE else "--tip-topic"
+    return Input(topic, PoseStamped, feed, feed_many, needed, subject, option)
 
 
 def rates_input(topic: str) -> Input:
@@ -87,6 +89,7 @@ def common_message(kind: str, outcome: Outcome[Any, Any], frame_id: str) -> Cali
     streams = outcome.streams
     message = encode(outcome.estimate, Calibration)
     message.header.stamp, message.header.frame_id = to_time(outcome.provenance.end), frame_id
+    message.undetermined += outcome.estimate.unmeasured
     message.kind, message.verdict, message.reason = kind, outcome.verdict, outcome.reason
     message.checks = [encode(check, Check) for check in outcome.checks]
     message.provenance = encode(outcome.provenance, Provenance)

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from math import nan, radians
+from math import isfinite, nan, radians
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -22,14 +22,16 @@ from fss_arm_calib.acceptance import (
     summarize,
 )
 from fss_arm_calib.dates import calibrated_name, format_time
+from fss_arm_calib.precision import MASS_UNITS, MAX_USABLE_DEVIATION
 from fss_arm_calib.segments.streams import Datum, Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.files import ContentError
 
-#: Settings that have become constants, with their values: earlier results recorded them.
+#: Settings of earlier results that no longer exist, with the values that keep a result.
 FORMER_SETTINGS = {
+    "inertia_deviation": 0.02,
     "max_base_turn": 3.0,
     "max_speed": 5.0,
     "max_turn": 10.0,
@@ -38,7 +40,6 @@ FORMER_SETTINGS = {
     "same_posture": radians(1.0),
 }
 
-MAX_USABLE_DEVIATION = 0.25  # of a mass or inertia, relative; more is too uncertain to use
 LIVE = "live"  # source of data received from topics
 
 
@@ -57,7 +58,8 @@ class Estimate:
 
     Values, covariance and deviations that are not given are NaN, i.e. not known. For parameters
     that the data cannot separate, the values are NaN. For these and for parameters at a bound,
-    which the data do not determine, the deviations are inf and the covariance is NaN.
+    which the data do not determine, the deviations are inf and the covariance is NaN. Those that
+    come mostly from a vague prior have deviations of inf, too, but a covariance with that prior.
     """
 
     names: tuple[str, ...]
@@ -68,6 +70,7 @@ class Estimate:
     deviations: Floats = field(default_factory=_empty)  # (p,) 1 sigma
     undetermined: tuple[str, ...] = ()  # names of parameters that the data cannot separate
     at_bound: tuple[str, ...] = ()  # names of parameters that would otherwise cross a bound
+    unmeasured: tuple[str, ...] = ()  # names of parameters that come mostly from a vague prior
     residuals: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (rows, 3), as observed
     weights: Floats = field(default_factory=_empty)  # (s,) 1: used; 0: rejected
     leverage: Floats = field(default_factory=_empty)  # (s,)
@@ -91,7 +94,8 @@ class Estimate:
         sigma = np.where(np.isnan(self.deviations), sigma, self.deviations)
         object.__setattr__(self, "values", np.where(lost, nan, self.values))
         lost |= np.isin(self.names, self.at_bound)
-        object.__setattr__(self, "deviations", np.where(lost, np.inf, sigma))
+        unmeasured = lost | np.isin(self.names, self.unmeasured)
+        object.__setattr__(self, "deviations", np.where(unmeasured, np.inf, sigma))
         unknown = lost[:, None] | lost
         object.__setattr__(self, "covariance", np.where(unknown, nan, self.covariance))
 
@@ -104,7 +108,7 @@ class Estimate:
         found = {
             name: float(share)
             for name, unit, share in zip(self.names, self.units, shares, strict=True)
-            if unit in ("kg", "kg m^2") and share > MAX_USABLE_DEVIATION
+            if unit in MASS_UNITS and share > MAX_USABLE_DEVIATION
         }
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
@@ -121,6 +125,7 @@ def estimate_of_fit(r: Any, **more: Any) -> Estimate:
         undetermined=r.undetermined,
         at_bound=r.at_bound,
         degrees_of_freedom=problem.degrees_of_freedom,
+        condition_number=r.condition_number,
         iterations=m.iterations,
         last_update=m.last_update,
         **more,
@@ -242,8 +247,10 @@ def make_outcome(
     passed = decide_verdict(checks)[0] == PASS
     if not passed:
         checks = [*checks, *stream_causes(streams)]
-    elif differ := frame_mismatch(streams):
-        checks = [*checks, Check("frames", NOT_EVALUATED, nan, nan, differ, needed=False)]
+    else:  # a good fit shows that clocks too far apart to be aligned are not
+        checks = [replace(c, verdict=PASS, reason="") if c.name == "clocks" else c for c in checks]
+        if differ := frame_mismatch(streams):
+            checks.append(Check("frames", NOT_EVALUATED, nan, nan, differ, needed=False))
     description = ""
     if calibrated and passed:
         named = replace(calibrated(), name=calibrated_name(arm.name, source, provenance.end))
@@ -262,7 +269,8 @@ def _origin_lines(
     if e.uncertain:
         yield f"too uncertain to use: {format_uncertain(e.uncertain)}"
     for name, value, deviation, unit in zip(e.names, e.values, e.deviations, e.units, strict=True):
-        yield f"{name} = {value:.6g} +- {deviation:.2g} {unit}"
+        known = f" +- {deviation:.2g} {unit}" if isfinite(deviation) else f" {unit}, not determined"
+        yield f"{name} = {value:.6g}{known}"
 
 
 def _to_yaml_type(value: Any) -> Any:
@@ -273,7 +281,7 @@ def _to_yaml_type(value: Any) -> Any:
 
 
 def parse_settings(parameters: str, kind: type[C], section: str = "") -> C:
-    """Return the settings in a Provenance; those that are constants now must have their values.
+    """Return the settings in a Provenance; those that are none now must have their values.
 
     Their class is `kind`. If the YAML has several sections, theirs has the name `section`.
 
@@ -292,7 +300,7 @@ def parse_settings(parameters: str, kind: type[C], section: str = "") -> C:
         raise ContentError("parameters", parameters, expected)
     for name in sorted(FORMER_SETTINGS.keys() & given.keys() - known):
         if (value := given.pop(name)) != FORMER_SETTINGS[name]:
-            raise ContentError(name, value, f"{FORMER_SETTINGS[name]:g}, a constant now")
+            raise ContentError(name, value, f"{FORMER_SETTINGS[name]:g}; it is no setting now")
     if others := given.keys() - known:
         raise ContentError("a parameter", min(others, key=str), f"one of {kind.__name__}")
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})

@@ -147,8 +147,9 @@ def stream_table(outcome: Outcome[Any, Any]) -> Table:
 
 
 def display_name(name: str, estimate: Estimate, words: str = "") -> str:
-    """Return a parameter's name, or `words` for it, marked if it is at its bound."""
-    return f"{words or name}{', at its bound' * (name in estimate.at_bound)}"
+    """Return a parameter's name, or `words` for it, marked if it is not determined."""
+    mark = ", at its bound" * (name in estimate.at_bound)
+    return f"{words or name}{mark}{', not determined' * (name in estimate.unmeasured)}"
 
 
 def display_unit(unit: str) -> str:

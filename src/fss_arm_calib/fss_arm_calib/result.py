@@ -23,7 +23,7 @@ SCHEMA = "fss_arm_calib/result/1"
 
 #: Fields of an Estimate that are stored as lists, and under `fit`.
 LISTS = ["names", "units", "initial", "values", "deviations", "covariance"]
-LISTS += ["undetermined", "at_bound"]
+LISTS += ["undetermined", "at_bound", "unmeasured"]
 FIT_FIELDS = ["position_residual", "heading_residual", "chi_square", "degrees_of_freedom"]
 FIT_FIELDS += ["condition_number", "iterations", "last_update"]
 

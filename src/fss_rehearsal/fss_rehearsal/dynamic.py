@@ -85,7 +85,7 @@ class Experimenter(Operator):
 def draw_truth(guess: Arm, settings: DynamicSettings, seed: int) -> Arm:
     """Return a random arm that is consistent with the guess and its standard deviations."""
     rng, n = np.random.default_rng(seed), guess.n
-    v = values(guess) + settings.deviations(n) * rng.standard_normal(5 * n + 6)
+    v = values(guess) + settings.deviations(guess) * rng.standard_normal(5 * n + 6)
     masses = v[2 * n + 6 : 3 * n + 6]
     b = [link.b for link in guess.links] + rng.uniform(-0.015, 0.015, n)
     inertia = [link.inertia for link in guess.links] * rng.uniform(0.75, 1.25, n)

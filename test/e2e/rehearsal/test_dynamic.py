@@ -25,10 +25,8 @@ def test_the_truth_lies_within_what_is_claimed(tmp_path):
     assert (out / "report" / "index.html").exists()
     # What was said live follows from the maneuvers that were published with it.
     assert recompute([str(out / "bags")]) == 0
-    # As eight are too few for every inertia, what CAD tells of the links is taken as a prior.
-    settings = DynamicSettings(
-        arm=str(out / "guess.yaml"), priors="b_i I_i I_0 com_0", max_relative=9.0, max_place=1.0
-    )
+    # As eight are too few for every center of mass, what CAD tells of them is taken as a prior.
+    settings = DynamicSettings(arm=str(out / "guess.yaml"), priors="b_i I_i I_0 com_0")
     result = solve_bag(DYNAMIC, out / "bags", settings)
     assert len(result.used) >= 6
     assert result.verdict == "pass", result.reason

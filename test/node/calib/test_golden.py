@@ -42,6 +42,7 @@ BAGS = {
 #: The deviations that were the defaults then.
 PAPER = {"position_deviation": POSITION_DEVIATION, "heading_deviation": HEADING_DEVIATION}
 GOOD = {"position_deviation": 0.001, "heading_deviation": radians(0.5)}
+WITHOUT_INERTIAS = {"priors": "m_i m_0 I_0 com_0 a_i theta_0_i mount", "max_relative": 1.0}
 
 CASES = {
     **{
@@ -51,8 +52,8 @@ CASES = {
     },
     "lag equal square": ("lag", "kinematic", PAPER),
     "first": ("first", "kinematic", PAPER),
-    "float square": ("float", "dynamic", GOOD),
-    "float huber": ("float", "dynamic", {"loss": "huber", **GOOD}),
+    "float square": ("float", "dynamic", GOOD | WITHOUT_INERTIAS),
+    "float huber": ("float", "dynamic", {"loss": "huber", **GOOD, **WITHOUT_INERTIAS}),
     "float kinematic": ("float", "kinematic", PAPER),
     "long drift": ("long", "drift", {}),
     "float drift": ("float", "drift", {}),

@@ -122,7 +122,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
     )
     samples = flight.samples(20, tip=True)
     output, page = tmp_path / "new" / "arm.yaml", tmp_path / "report"
-    bed, joint = Bed(JOINT), node("joint", output=str(output), report=str(page), max_relative=2.0)
+    bed, joint = Bed(JOINT), node("joint", output=str(output), report=str(page))
     others = [make_node(JOINT_SOURCES[kind], **given) for kind, given in CLOSELY.items()]
     hear = {}
     for one in others:

@@ -129,7 +129,7 @@ def test_joints_that_keep_their_zeros_tell_more(two):
     ]
     named = dict(zip(problem(days).names, sigma[0] / sigma[1], strict=True))
     assert named["theta_0_3"] < 0.85
-    assert max(named.values()) < 1.0 + 1e-6
+    assert max(named.values()) < 1.0 + 1e-5
 
 
 def test_from_the_stages_to_a_description(two):
@@ -172,7 +172,8 @@ def test_rests_alone_leave_masses_undetermined(two):
     alone = [Session("rests", {"kinematic": days[1].data["kinematic"]})]
     outcome = calibrate(alone, ARM, JOINT, JOINT_SOURCES, SETTINGS)
     assert outcome.verdict == "not_evaluated"
-    assert set(outcome.estimate.undetermined) == {f"{k}_{i}" for k in "bI" for i in range(1, 5)}
+    assert set(outcome.estimate.undetermined) == {f"b_{i}" for i in range(1, 5)}
+    assert outcome.estimate.unmeasured == tuple(f"I_{i}" for i in range(1, 5))
     a = outcome.names.index("a_1")
     assert 0.0 < outcome.deviations[a] < 0.01
     assert outcome.description == ""

@@ -77,7 +77,7 @@ def test_unlike_links_are_told_apart_unless_asked_not_to():
     equal = calibrate(seen, UNLIKE, KinematicSettings(parametrization="equal"))
     assert equal.verdict == FAIL
     assert "another arm's data, or links described as 0.300 to 0.420 m long" in equal.reason
-    assert "parametrization full separates them" in equal.reason
+    assert "--parametrization full separates them" in equal.reason
 
 
 def test_two_kinds_of_coordinates_have_their_own_noise():

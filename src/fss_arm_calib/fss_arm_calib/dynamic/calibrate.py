@@ -2,17 +2,20 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import degrees, hypot, isnan
+from itertools import chain
+from math import degrees, hypot, isnan, nan
 
 import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.acceptance import (
     FAIL,
+    NOT_EVALUATED,
     PASS,
     UPDATE_TOLERANCE,
     Check,
     cause_check,
+    check_bounds,
     check_clocks,
     check_convergence,
     check_data_amount,
@@ -26,15 +29,17 @@ from fss_arm_calib.acceptance import (
     hide_pass_reason,
 )
 from fss_arm_calib.dynamic.identifiability import INVISIBLE
+from fss_arm_calib.dynamic.parameters import advise_priors
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution, estimate_of, problem_of, solution_of
-from fss_arm_calib.dynamic.solve import DynamicResult, solve
-from fss_arm_calib.estimation.least_squares import MAX_CONDITION
+from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.noise import assumed_noise
 from fss_arm_calib.estimation.statistics import probability
 from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
+from fss_arm_calib.precision import check_precision
 from fss_arm_calib.segments.maneuvers import Maneuver
+from fss_arm_calib.segments.poses import TIP
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
@@ -42,8 +47,8 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import wrap
 
 MAX_GYRO_DIFFERENCE = 0.2  # largest relative difference of the turns by gyro and by motion capture
-UNMEASURED = ": give a prior or do not estimate it"
-AT_BOUND = "; another arm's data, or wrong masses or lengths?"
+MAX_RATE_DIFFERENCE = 1.5  # largest relative difference of the joints' velocities and changes
+MIN_STEP = 0.01  # smaller changes between two readings do not show a velocity [rad]
 
 
 def calibrate(
@@ -58,7 +63,7 @@ def calibrate(
     used = [one for one in maneuvers if one.used]
     number = check_number(maneuvers, streams, s)
     found = [check_joint_names(streams, arm), check_clocks(streams, s.joint_gap), number]
-    found += [check_gyro(streams), *check_tips(used, arm, s)]
+    found += [check_gyro(streams), check_rates(used), *check_tips(used, arm, s, streams)]
     solution = solution_of(problem_of(used, arm, s), s) if number.verdict == PASS else None
     found += evaluate(solution, s) if solution else []
     arrays = [array for one in used for array in _arrays(one)]
@@ -87,23 +92,38 @@ def check_number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings
 
 def check_gyro(streams: Streams) -> Check:
     """Check the relative difference between the base's turns by gyro and by motion capture."""
-    ratio = streams.gyro_ratio
+    words = "the gyro measures {:.3g} times the turn that motion capture measures"
+    return _check_ratio("gyro", streams.gyro_ratio, MAX_GYRO_DIFFERENCE, "gyro", words)
 
-    def is_near(expected: float) -> bool:
-        return abs(ratio / expected - 1.0) <= MAX_GYRO_DIFFERENCE
 
+def check_rates(used: Sequence[Maneuver]) -> Check:
+    """Check the joints' rates against the changes of their readings; rates of 0 are not given."""
+    ratios = [np.zeros(0)]
+    joints = (zip(one.times, one.q, one.qd, strict=True) for one in used)
+    for times, q, qd in chain.from_iterable(joints):
+        moved, mean = np.diff(q), 0.5 * (np.array(qd[1:]) + qd[:-1])
+        moving = np.abs(moved) > MIN_STEP
+        ratios.append((mean * np.diff(times))[moving] / moved[moving])
+    found = np.concatenate(ratios)
+    ratio = float(np.median(found)) if found.any() else nan
+    words = "the joints' velocities are {:.3g} times the changes of their positions"
+    return _check_ratio("rates", ratio, MAX_RATE_DIFFERENCE, "joint velocities", words)
+
+
+def _check_ratio(name: str, ratio: float, limit: float, what: str, words: str) -> Check:
+    """Check that a ratio is 1 within a limit; NaN: not known."""
     difference = abs(ratio - 1.0)
-    if isnan(ratio) or is_near(1.0):
-        return Check("gyro", PASS, difference, MAX_GYRO_DIFFERENCE, "")
-    words = f"the gyro measures {ratio:.3g} times the turn that motion capture measures"
-    if is_near(degrees(1.0)):
-        words = f"gyro in degrees per second? {words}"
-    elif is_near(-1.0):
-        words = f"gyro with the wrong sign? {words}"
-    return Check("gyro", FAIL, difference, MAX_GYRO_DIFFERENCE, words)
+    if isnan(ratio) or difference <= limit:
+        return Check(name, PASS, difference, limit, "")
+    mistakes = {degrees(1.0): "in degrees per second", -1.0: "with the wrong sign"}
+    near = (text for by, text in mistakes.items() if abs(ratio / by - 1.0) <= MAX_GYRO_DIFFERENCE)
+    guess = "".join(f"{what} {text}? " for text in near)
+    return Check(name, FAIL, difference, limit, guess + words.format(ratio))
 
 
-def check_tips(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[Check]:
+def check_tips(
+    used: Sequence[Maneuver], arm: Arm, s: DynamicSettings, streams: Streams
+) -> list[Check]:
     """Check that the observed end effector agrees with the description; [] without its poses.
 
     The base's motion cannot show this, because wrong link lengths are absorbed by the estimated
@@ -111,7 +131,9 @@ def check_tips(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[C
     """
     known = [one for one in used if one.tip]
     if not known:
-        return []
+        lost = [f"{count} {why}" for why, count in streams.rejected.items() if why.startswith(TIP)]
+        words = f"end effector not compared with the description: {', '.join(lost)}"
+        return [Check("end_effector", NOT_EVALUATED, nan, nan, words, needed=False)] * bool(lost)
 
     def mean_length(vectors: Floats) -> float:
         return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
@@ -135,38 +157,17 @@ def evaluate(solution: Solution, s: DynamicSettings) -> Iterator[Check]:
     fit = check_fit(squares, freedom, s.min_probability, words, solution.noise)
     if fit.verdict == FAIL and _fits_swapped(solution.nominal.problem, s):
         yield cause_check("the poses of the base are those of the end effector")
-    yield _check_identifiability(solution)
-    yield check_convergence(m.converged, m.iterations, m.last_update)
-    yield from _check_bounds(r)
+    invisible = sum(d.kind == INVISIBLE for d in solution.directions)
+    advice = advise_priors(r, s)
+    yield check_identifiability(r, f", {invisible} invisible to any maneuver{advice}")
+    yield check_convergence(m)
+    yield check_bounds(r.at_bound, advice)
     yield fit
     error_name, noun = "normalized prediction error", "maneuver"
     limits = s.outlier, s.max_outliers
     yield check_outliers(solution.errors, solution.kept, *limits, noun, error_name)
     yield check_redundancy(r.redundancy, solution.kept, s.min_redundancy, noun)
-    yield _check_precision(r, s)
-
-
-def _check_identifiability(solution: Solution) -> Check:
-    r = solution.result
-    missing = len(r.values) - len(r.minimum.basis.s) - len(r.at_bound)
-    invisible = sum(d.kind == INVISIBLE for d in solution.directions)
-    hint = f", {invisible} invisible to any maneuver"
-    return hide_pass_reason(
-        check_identifiability(r.undetermined, missing, r.condition_number, MAX_CONDITION, hint)
-    )
-
-
-def _check_bounds(r: DynamicResult) -> Iterator[Check]:
-    """Check that no parameter, measured or not, is at a bound of what is physically possible."""
-    unmeasured = [name for name in r.at_bound if name in r.beyond_reach]
-    held = [name for name in r.at_bound if name not in r.beyond_reach]
-    for check, names, fact, advice in (
-        ("measurable", unmeasured, "{} not measurable with these data", UNMEASURED),
-        ("bounds", held, "at a physical bound: {}", AT_BOUND),
-    ):
-        brief = fact.format(", ".join(names)) if names else ""
-        words = f"{brief}{advice}" if names else ""
-        yield Check(check, FAIL if names else PASS, len(names), 0, words, brief=brief)
+    yield check_precision(r, s)
 
 
 def _fits_swapped(problem: DynamicProblem, s: DynamicSettings) -> bool:
@@ -183,28 +184,3 @@ def _fits_swapped(problem: DynamicProblem, s: DynamicSettings) -> bool:
     swapped = replace(problem, poses=np.stack([x, y, heading], axis=-1), sigma=sigma)
     chi_square = solve(swapped, tolerance=UPDATE_TOLERANCE).chi_square
     return probability(chi_square, problem.degrees_of_freedom) >= s.min_probability
-
-
-def _check_precision(r: DynamicResult, s: DynamicSettings) -> Check:
-    """Check the least certain parameter against the required precision.
-
-    The limit for masses and inertias is a share of the described value: that of an estimate would
-    depend on chance.
-    """
-    worst, at = 0.0, ""
-    for name, value, deviation in zip(r.problem.names, r.problem.guess, r.deviations, strict=True):
-        if name in r.at_bound or name[0] not in "mIabxy":
-            continue
-        if name[0] in "mI":
-            limit, words = s.max_relative * abs(value), f"{100 * deviation / abs(value):.0f} %"
-        else:
-            limit, words = s.max_place, f"{1000 * deviation:.1f} mm"
-        if deviation / limit > worst:
-            worst, at = float(deviation / limit), f"{name} has a deviation of {words}"
-    share = f"{100 * s.max_relative:g} % of a described mass or inertia"
-    words = f"{at} (at most {share}, {s.max_place:g} m)" if at else ""
-    check = check_limit("precision", worst, 1.0, words, "too uncertain")
-    if check.verdict == PASS:
-        return check
-    advice = "give a prior, do not estimate it, or record more maneuvers"
-    return replace(check, reason=f"{check.reason}: {advice}", brief=f"too uncertain: {at}")

@@ -90,7 +90,7 @@ def _random_swing(n: int, rng: np.random.Generator) -> Law:
 def prior_scales(result: DynamicResult, knowledge: Knowledge) -> Floats:
     """Return the prior standard deviation of each parameter (p,); a typical one if no prior."""
     choice, known = result.problem.choice, result.problem.prior_deviations
-    typical = choice.basis.T @ knowledge.deviations(result.problem.arm.n)
+    typical = choice.basis.T @ knowledge.deviations(result.problem.arm)
     typical = typical / choice.basis.sum(axis=0)
     typical = np.concatenate([typical, known[len(typical) :]])
     return np.where(np.isfinite(known), known, typical)

@@ -6,16 +6,19 @@ base's centre of mass and for the first joint's pose.
 """
 
 from dataclasses import dataclass
+from itertools import compress
 from math import radians
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_calib.estimation.least_squares import Fit
 from fss_arm_calib.segments.settings import sigma
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.parameters import parameter_names
-from fss_arm_model.settings import Settings, setting
+from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 
 GROUPS = {
     "com_0": ("x_com", "y_com"),
@@ -33,7 +36,11 @@ class Knowledge(Settings):
 
     mass_deviation: float = sigma(0.005, "kg", "a link's mass, as measured with a scale")
     b_deviation: float = sigma(0.02, "m", "a link's center of mass, as known from its geometry")
-    inertia_deviation: float = sigma(0.02, "kg m^2", "a link's inertia")
+    relative_inertia_deviation: float = setting(
+        0.5,
+        "1 sigma of a link's inertia, relative to the described one (from CAD)",
+        check=NOT_NEGATIVE,
+    )
     base_mass_deviation: float = sigma(0.05, "kg", "the base's mass, including propellant")
     base_inertia_deviation: float = sigma(0.025, "kg m^2", "the base's inertia")
     base_com_deviation: float = sigma(0.01, "m", "the base's center of mass, each axis")
@@ -55,13 +62,14 @@ class Knowledge(Settings):
         "deviations above; valid only if it was estimated from other data",
     )
 
-    def deviations(self, n: int) -> Floats:
-        """Return the standard deviations (5 n + 6,) of all parameters."""
-        com = self.base_com_deviation
+    def deviations(self, arm: Arm) -> Floats:
+        """Return the standard deviations (5 n + 6,) of all parameters of an arm."""
+        n, com = arm.n, self.base_com_deviation
         base = [self.base_mass_deviation, self.base_inertia_deviation, com, com]
         angles = [self.offset_deviation] * (n - 1)
         mount = [self.mount_deviation] * 2 + [self.mount_angle_deviation]
-        links = [self.mass_deviation] * n + [self.b_deviation] * n + [self.inertia_deviation] * n
+        links = [self.mass_deviation] * n + [self.b_deviation] * n
+        links += [self.relative_inertia_deviation * link.inertia for link in arm.links]
         return np.array([*base, *[self.length_deviation] * n, *angles, *mount, *links])
 
     def covariance(self, arm: Arm) -> Floats:
@@ -70,7 +78,7 @@ class Knowledge(Settings):
         The kinematic part is that of the arm's kinematic calibration. The description's covariance
         of masses is ignored unless `told` is set, because it may come from the same maneuvers.
         """
-        deviations = self.deviations(arm.n)
+        deviations = self.deviations(arm)
         which = slice(None) if self.told else slice(4, 2 * arm.n + 6)
         C = np.diag(deviations**2)
         C[which, which] = arm.known.covariance_of(parameter_names(arm.n)[which], deviations[which])
@@ -116,6 +124,18 @@ class Choice:
     def indices(self) -> npt.NDArray[np.intp]:
         """Indices of the chosen parameters among all parameters."""
         return np.flatnonzero(self.basis.any(axis=1))
+
+
+def advise_priors(r: Fit, s: Any) -> str:
+    """Return the option that takes the described values of undetermined parameters as observations.
+
+    These are the parameters of a result that have no prior, and are inseparable or at a bound.
+    """
+    without = np.isinf(r.problem.prior_deviations)
+    lost = np.isin(r.problem.names, [*r.undetermined, *r.at_bound])
+    names = compress(r.problem.names, without & lost)
+    more = " ".join([*s.priors.split(), *names])
+    return f"; --priors '{more}' takes described values as observations" if more != s.priors else ""
 
 
 def _named_parameters(word: str, n: int) -> list[tuple[str, list[str]]]:

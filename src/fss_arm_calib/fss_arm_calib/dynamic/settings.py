@@ -1,13 +1,14 @@
 """Settings of a dynamic calibration; the same live, in a replay and offline."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 from typing import ClassVar
 
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.segments.settings import ManeuverSettings, positive, sigma
 from fss_arm_calib.settings import CalibrationSettings, NoiseSettings, max_data
-from fss_arm_model.settings import POSITIVE, SettingError, at_least, like, one_of, setting
+from fss_arm_model.description import paper_arm
+from fss_arm_model.settings import NOT_NEGATIVE, SettingError, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 
 POSE, HEADING = "pose", "heading"
@@ -33,7 +34,7 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
         "m_0: of the base; also m_i, a_i, theta_0_i, mount, or a name such as b_2",
     )
     priors: str = setting(
-        "m_i m_0 I_0 com_0 a_i theta_0_i mount",
+        "m_i I_i m_0 I_0 com_0 a_i theta_0_i mount",
         "words of `estimate` for which the description's value is a prior",
     )
     residuals: str = setting(
@@ -65,9 +66,10 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
         0.03, "m", "largest distance of the end effector from its described position (RMS)"
     )
     max_relative: float = setting(
-        1.0,
-        "largest accepted 1 sigma of a mass or inertia, relative to the described value",
-        check=POSITIVE,
+        0.0,
+        "largest accepted 1 sigma of a mass or inertia, relative to the described value; 0: the "
+        "result also passes if some are not determined",
+        check=NOT_NEGATIVE,
     )
     max_place: float = positive(
         0.02, "m", "largest accepted 1 sigma of a length or a center of mass"
@@ -76,7 +78,8 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     def __post_init__(self) -> None:
         super().__post_init__()
         Choice.of(self.estimate, 12)
-        deviations = self.deviations(12)
+        arm = paper_arm()
+        deviations = self.deviations(replace(arm, links=12 * arm.links[:1]))
         for word in self.estimate.split():
             if not (Choice.of(word, 12).basis.T @ deviations > 0.0).all():
                 raise SettingError(

@@ -24,6 +24,7 @@ from fss_arm_calib.estimation.noise import (
 from fss_arm_calib.estimation.outliers import expand, reject_outliers, solve_robustly
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate, estimate_of_fit
+from fss_arm_calib.precision import unmeasured
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.poses import count_independent
 from fss_arm_model.arrays import Floats
@@ -164,7 +165,7 @@ def estimate_of(
         position_residual=root_mean_square(r.residuals[..., :2]),
         heading_residual=root_mean_square(r.residuals[..., 2]),
         chi_square=r.chi_square,
-        condition_number=r.condition_number,
+        unmeasured=unmeasured(r.problem, r.deviations),
     )
 
 

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress
-from math import inf
 
 import numpy as np
 import numpy.typing as npt
@@ -91,39 +89,10 @@ class DynamicResult(Fit):
         return self.problem.arm.known.updated([every[k] for k in uncertain], C)
 
     @property
-    def condition_number(self) -> float:
-        """Condition number of the column-scaled regressor and priors, without those at a bound."""
-        Phi = self.minimum.linear.regressor[:, ~self.minimum.at_bound]
-        return Decomposition.of(Phi).condition if Phi.size else 1.0
-
-    @cached_property
-    def deviations(self) -> Floats:
-        """Standard deviation (p,) of each parameter; inf if it is not determined."""
-        return np.where(self.minimum.basis.lost(), inf, np.sqrt(np.diag(self.covariance)))
-
-    @property
     def prior_share(self) -> Floats:
         """Share (p,) of each estimate that comes from the prior: the diagonal of P Lambda_prior."""
         rows = self.problem.prior_rows
         return np.diag(self.random @ rows.T @ rows)
-
-    @cached_property
-    def beyond_reach(self) -> tuple[str, ...]:
-        """Names of parameters that the data alone do not measure.
-
-        If such a parameter is at a bound, it may be there only because of its own errors. Without
-        bounds, it is undetermined, or it is less than 3 of its standard deviations from the
-        estimate while this deviation is more than half of the guess.
-        """
-        linear = self.minimum.linear
-        free = Decomposition.of(linear.regressor)
-        P, rows = free.covariance(), len(self.by_assumed)
-        influence = P @ (linear.regressor[:rows].T @ self.by_assumed)
-        deviations = np.sqrt(np.diag(P + influence @ self.assumed_covariance @ influence.T))
-        away = np.abs(free.step(linear.residuals))
-        guess = np.abs(self.problem.guess)
-        hidden = free.lost() | ((away < 3.0 * deviations) & (deviations > 0.5 * guess))
-        return tuple(compress(self.problem.names, hidden))
 
     @cached_property
     def residuals(self) -> Floats:

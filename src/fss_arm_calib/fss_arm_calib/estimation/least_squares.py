@@ -6,6 +6,7 @@ inverse of Phi' Phi is the covariance of the estimate.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import compress
 from math import inf
 from typing import Any, NamedTuple, Protocol
@@ -123,10 +124,31 @@ class Fit:
     problem: Any  # with `names` (p)
     minimum: Minimum
 
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (p, p) of the values."""
+        return self.minimum.basis.covariance()
+
     @property
     def values(self) -> Floats:
         """Estimates (p,) in the order of problem.names."""
         return self.minimum.x[: len(self.problem.names)]
+
+    @cached_property
+    def deviations(self) -> Floats:
+        """Standard deviation (p,) of each parameter; inf if it is not determined."""
+        return np.where(self.minimum.basis.lost(), inf, np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def condition_number(self) -> float:
+        """Condition number of the column-scaled regressor and priors, without those at a bound."""
+        Phi = self.minimum.linear.regressor[:, ~self.minimum.at_bound]
+        return Decomposition.of(Phi).condition if Phi.size else 1.0
+
+    @property
+    def missing(self) -> int:
+        """Number of combinations of parameters that are not determined."""
+        return len(self.values) - len(self.minimum.basis.s) - len(self.at_bound)
 
     @property
     def at_bound(self) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -15,6 +14,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from fss_arm_bags.reader import BagError, open_bags
+from fss_arm_calib.acceptance import format_count
 from fss_arm_calib.bag_data import find_data
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.problem import DynamicProblem
@@ -33,10 +33,11 @@ from fss_arm_calib.experiment.design import (
 from fss_arm_calib.experiment.design_options import CONDITIONS, parser
 from fss_arm_calib.experiment.excitation import plan_excitation
 from fss_arm_calib.experiment.planned import Planned, plan_to_yaml
-from fss_arm_calib.experiment.settings import JOINT, KINDS, Conditions
+from fss_arm_calib.experiment.settings import JOINT, Conditions
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve
 from fss_arm_calib.outcome import LIVE
+from fss_arm_calib.precision import MASS_UNITS, unmeasured
 from fss_arm_calib.result import read_arm
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
@@ -45,19 +46,11 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros import report
 from fss_arm_ros.command_line import in_one_line
 
-MAX_MANEUVERS = 1000  # maneuvers, more than the time allows
 
-
-class PriorKnowledge(NamedTuple):
-    """Knowledge before an experiment."""
-
-    arm: Arm
-    settings: DynamicSettings  # with the estimated noise, if known
-    maneuvers: DynamicProblem | None = None  # already executed
-
-
-def prior_from_bag(bag: str, arm: Arm, settings: DynamicSettings) -> PriorKnowledge:
-    """Return the knowledge from a bag's maneuvers: the noise and, if accepted, the arm."""
+def prior_from_bag(
+    bag: str, arm: Arm, settings: DynamicSettings
+) -> tuple[Arm, DynamicSettings, DynamicProblem]:
+    """Return the knowledge from a bag's maneuvers: the arm if accepted, the noise, and them."""
     with open_bags(bag) as bags:
         finder = DYNAMIC.finder(arm, settings, [])
         found = find_data(bags, finder, DYNAMIC.inputs(settings, arm.n), settings.horizon)
@@ -70,7 +63,7 @@ def prior_from_bag(bag: str, arm: Arm, settings: DynamicSettings) -> PriorKnowle
         settings = outcome.solution.noise.apply_to(settings)
         used = tuple(compress(used, outcome.solution.kept))
     arm = from_yaml(outcome.description) if outcome.description else arm
-    return PriorKnowledge(arm, settings, problem_of(used, arm, settings))
+    return arm, settings, problem_of(used, arm, settings)
 
 
 def plan_table(plan: Sequence[Planned]) -> report.Table:
@@ -89,32 +82,32 @@ def _in_degrees(q: Floats) -> str:
 def expected_table(result: DynamicResult) -> report.Table:
     """Tabulate the expected standard deviations."""
     names, units, random = result.problem.names, result.problem.units, np.diag(result.random)
-    numbers = result.values, result.deviations, np.sqrt(random), result.prior_share
+    numbers = result.values, promised_deviations(result), np.sqrt(random), result.prior_share
     rows = [
         [name, unit, f"{value:.5g}", f"{total:.2g}", f"{part:.2g}", f"{100 * share:.0f} %"]
         for name, unit, value, total, part, share in zip(names, units, *numbers, strict=True)
     ]
     head = ["parameter", "unit", "assumed", "± 1 sigma", "random part", "from prior"]
-    return report.Table("Expected result", head, rows, words=2)
+    note = "inf: not determined, most of it comes from the prior."
+    return report.Table("Expected result", head, rows, words=2, note=note)
 
 
-def comparison_table(
-    arm: Arm, settings: DynamicSettings, given: Conditions, count: int
-) -> report.Table:
-    """Compare the kinds of maneuvers at the floating time of `count` of the longest ones."""
-    total = count * (given.duration + given.rest)
-    names: tuple[str, ...] = ()
-    columns, head = [], ["parameter"]
-    for kind in KINDS:
-        conditions = replace(given, kinds=(kind,), total=total)
-        plan = design(arm, MAX_MANEUVERS, settings, conditions, tried=100)
-        result = expected_result(arm, plan, settings, given.rest)
-        floating = sum(one.length + given.rest for one in plan)
-        head.append(f"{len(plan)} of kind {kind}, {floating:.0f} s")
-        columns.append(result.deviations)
-        names = result.problem.names
-    rows = [[name, *(f"{d:.2g}" for d in row)] for name, *row in zip(names, *columns, strict=True)]
-    return report.Table("Deviations of each kind of maneuvers at equal floating time", head, rows)
+def promised_deviations(result: DynamicResult) -> Floats:
+    """Return the standard deviations (p,) that a result will have; inf: not determined."""
+    lost = np.isin(result.problem.names, unmeasured(result.problem, result.deviations))
+    return np.where(lost, np.inf, result.deviations)
+
+
+def describe_expected(result: DynamicResult, count: int) -> str:
+    """Return which masses and inertias `count` maneuvers determine, and an option for the rest."""
+    names, units = np.array(result.problem.names), np.array(result.problem.units)
+    lost = ~np.isfinite(promised_deviations(result))
+    found = ", ".join(names[np.isin(units, MASS_UNITS) & ~lost]) or "no inertia"
+    words = f"{format_count(count, 'maneuver')} determine {found}"
+    if not lost.any():
+        return words
+    more = f"try --count {2 * count} --chosen '{' '.join(names[lost])}'"
+    return f"{words}, not {', '.join(names[lost])}: {more}"
 
 
 def propose_postures(
@@ -157,7 +150,8 @@ def propose_excitation(
 def _write_plan(
     path: str, plan: Sequence[Planned], console: Console, result: DynamicResult | None = None
 ) -> None:
-    promised = dict(zip(result.problem.names, result.deviations, strict=True)) if result else {}
+    deviations = promised_deviations(result) if result else ()
+    promised = dict(zip(result.problem.names, deviations, strict=True)) if result else {}
     known = {name: x for name, x in promised.items() if np.isfinite(x)}
     Path(path).write_text(plan_to_yaml(plan, known), encoding="utf-8")
     console.print(f"plan written to {path}", soft_wrap=True)
@@ -177,12 +171,11 @@ def propose(options: argparse.Namespace, console: Console) -> None:
     if options.kinematic:
         propose_postures(options, arm, conditions, console)
         return
-    before = PriorKnowledge(arm, settings)
+    maneuvers: DynamicProblem | None = None
     if options.bag:
-        before = prior_from_bag(options.bag, arm, settings)
+        arm, settings, maneuvers = prior_from_bag(options.bag, arm, settings)
     elif options.result:
-        before = PriorKnowledge(read_arm(options.result), replace(settings, told=True))
-    arm, settings, maneuvers = before
+        arm, settings = read_arm(options.result), replace(settings, told=True)
     goal = parse_goal(options.goal, problem_without_data(arm, settings).names)
     chosen = options.chosen.split()
     with Progress(console=console, transient=True) as bar:
@@ -197,8 +190,7 @@ def propose(options: argparse.Namespace, console: Console) -> None:
     result = expected_result(arm, plan, settings, conditions.rest, maneuvers)
     for table in (plan_table(plan), expected_table(result)):
         console.print(table)
-    if options.compare:
-        console.print(comparison_table(arm, settings, conditions, options.count))
+    console.print(describe_expected(result, len(plan)), soft_wrap=True)
     if goal:
         missed = "" if meets_goal(result, goal) else describe_shortfall(result, plan, goal)
         words = f"not met by {missed}" if missed else "promised"

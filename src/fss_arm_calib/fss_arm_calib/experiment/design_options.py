@@ -44,9 +44,6 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--output", metavar="YAML", help="write the plan for `experiment`")
     p.add_argument("--seed", type=int, default=0, help="seed of the candidates (default 0)")
     p.add_argument(
-        "--compare", action="store_true", help="also compare the kinds at equal floating time"
-    )
-    p.add_argument(
         "--kinds",
         default=" ".join(KINDS),
         help=f"kinds of maneuvers: {', '.join(KINDS)}; or "

@@ -9,25 +9,24 @@ import numpy as np
 import yaml
 
 from fss_arm_calib.acceptance import (
-    FAIL,
     FIT,
-    PASS,
     Check,
+    check_bounds,
     check_chi_square,
     check_clocks,
     check_convergence,
     check_data_amount,
     check_identifiability,
     check_joint_names,
-    check_limit,
     format_count,
     hide_pass_reason,
 )
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.estimation.least_squares import MAX_CONDITION
+from fss_arm_calib.dynamic.parameters import advise_priors
 from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Estimate, Outcome, estimate_of_fit, make_outcome
+from fss_arm_calib.precision import check_precision, unmeasured
 from fss_arm_calib.segments.streams import Datum, Streams
 from fss_arm_calib.segments.telemetry import rehomed_joints
 from fss_arm_model.arrays import Floats
@@ -203,9 +202,8 @@ def calibrate(
         numbers = tuple({kind: len(some) for kind, some in data.items()} for data in used)
         solution = Solution(result, tuple(one.name for one, _ in found), numbers)
         checks += evaluate(result, s)
-        calibrated, cost = result.calibrated, result.minimum.cost
-        condition = result.minimum.basis.condition
-        estimate = estimate_of_fit(result, chi_square=cost, condition_number=condition)
+        calibrated, vague = result.calibrated, unmeasured(problem, result.deviations)
+        estimate = estimate_of_fit(result, chi_square=result.minimum.cost, unmeasured=vague)
     hashes = [o.provenance.data_hash for _, stage in found for o in stage.outcomes.values()]
     arrays = [np.frombuffer("".join(hashes).encode(), dtype=np.uint8)]
     every = [one for part in parts for some in part.data.values() for one in some]
@@ -245,30 +243,13 @@ def _settings_yaml(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
 
 def evaluate(r: JointResult, s: JointSettings) -> Iterator[Check]:
     """Yield the checks of a result."""
-    m, held = r.minimum, r.at_bound
-    missing = len(r.values) - len(m.basis.s) - len(held)
-    condition = m.basis.condition, MAX_CONDITION
-    yield hide_pass_reason(check_identifiability(r.undetermined, missing, *condition))
-    yield check_convergence(m.converged, m.iterations, m.last_update, TOLERANCE)
-    words = f"at a physical bound: {', '.join(held)}" if held else ""
-    yield Check("bounds", FAIL if held else PASS, len(held), 0, words)
+    m = r.minimum
+    yield check_bounds(r.at_bound, advise_priors(r, s))
+    yield check_identifiability(r, advise_priors(r, s))
+    yield check_convergence(m, TOLERANCE)
     words = "residuals are larger than the deviations allow"
     yield check_chi_square(FIT, m.cost, r.problem.degrees_of_freedom, s.min_probability, words)
     for kind, fit in r.fits.items():
         words = f"residuals of {kind} data are larger than the deviations allow"
         yield hide_pass_reason(check_chi_square(f"fit_{kind}", *fit, s.min_probability, words))
-    yield _check_precision(r, s)
-
-
-def _check_precision(r: JointResult, s: JointSettings) -> Check:
-    """Check the least certain parameter against the required precision."""
-    sigma, units = np.sqrt(np.diag(r.covariance)), np.array(r.problem.units)
-    limits = np.select(
-        [np.isin(units, ["kg", "kg m^2"]), units == "m"],
-        [s.max_relative * np.abs(r.problem.guess), s.max_place],
-        np.inf,
-    )
-    k = int(np.argmax(sigma / limits))
-    words = f"{r.problem.names[k]} has a deviation of {sigma[k]:.2g} {units[k]} "
-    words += f"(at most {limits[k]:.2g})"
-    return check_limit("precision", float(sigma[k] / limits[k]), 1.0, words, "too uncertain")
+    yield check_precision(r, s)

@@ -182,6 +182,13 @@ class JointProblem:
         A = np.concatenate([R @ self.by_arm, np.zeros((len(sigma), len(self.names)))])
         return A, np.concatenate([R @ self.by_session(session), np.diag(1.0 / sigma)]), r
 
+    @property
+    def prior_deviations(self) -> Floats:
+        """Prior standard deviations (p,) of the guess; inf: no prior."""
+        sigma = np.full(len(self.names), inf)
+        sigma[self.prior_indices] = np.sqrt(np.diag(self.prior)[self.prior_indices])
+        return sigma
+
     @cached_property
     def prior_rows(self) -> Floats:
         """Rows (k, p) of the regressor for the priors: the inverse root of their covariance."""
@@ -238,11 +245,6 @@ class JointResult(Fit):
     """Estimate of the arm's p parameters and of each session's own, with the uncertainty."""
 
     problem: JointProblem
-
-    @cached_property
-    def covariance(self) -> Floats:
-        """Covariance (p, p) of the values."""
-        return self.minimum.basis.covariance()
 
     def session(self, k: int) -> tuple[Floats, Floats]:
         """Return values and standard deviations of a session's own parameters."""

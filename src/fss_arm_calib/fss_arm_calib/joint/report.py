@@ -42,10 +42,7 @@ def _parameter_table(outcome: Outcome[Any, Solution], found: Solution, truth: Ar
         "x: growth of the deviation without the data of a kind; -: only these data determine it; "
         "amber: the guess is as informative as all data, or the value is at its bound."
     )
-    before = np.full(len(e.names), np.inf)
-    with_prior = r.problem.prior_indices
-    before[with_prior] = np.sqrt(np.diag(r.problem.prior)[with_prior])
-    weak = np.flatnonzero(~(2.0 * e.deviations**2 < before**2)).tolist()
+    weak = np.flatnonzero(~(2.0 * e.deviations**2 < r.problem.prior_deviations**2)).tolist()
     table = parameter_table(outcome, ratios=ratios, note=note, weak=weak)
     return replace(table, detailed=[name for name in ratios if name.startswith("x without")])
 

@@ -21,7 +21,7 @@ class JointSettings(Knowledge):
 
     arm: str = setting("", "description YAML to start from; empty: the paper's arm")
     priors: str = setting(
-        "m_i m_0 I_0 com_0",
+        "m_i I_i m_0 I_0 com_0",
         "parameters whose described value counts as an observation, e.g. 'b_i I_0'",
     )
     theta_e: bool = setting(False, "estimate the heading offset of the end effector's subject, too")

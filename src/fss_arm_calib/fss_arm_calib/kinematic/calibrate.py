@@ -68,7 +68,7 @@ def calibrate(
         number = replace(number, reason=f"{number.reason}; {homings.reason}")
     rests = check_rests(comparable, min_observations(problem, s))
     clocks = check_clocks(streams, s.joint_gap)
-    found = [check_joint_names(streams, arm), homings, rests, clocks, number]
+    found = [check_joint_names(streams, arm), clocks, homings, rests, number]
     solution = solution_of(problem, s) if number.verdict == PASS else None
     if solution:
         swapped = fits_swapped(solution.result, solution.problem, s)
@@ -123,7 +123,7 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
     checks = [_check_determined(solution.nominal, s)]
     if r.undetermined:
         return checks
-    checks.append(check_convergence(r.converged, r.iterations, r.last_update))
+    checks.append(check_convergence(r))
     try:
         r.calibrated()
     except DescriptionError as error:
@@ -146,9 +146,7 @@ def _check_determined(r: KinematicResult, s: KinematicSettings) -> Check:
     span = np.ptp(r.problem.q, axis=0)
     still = [f"joint_{i + 1}" for i in np.flatnonzero(span < SAME_POSTURE)]
     hint = f"; {', '.join(still)} hardly moved" if still else ""
-    return check_identifiability(
-        r.undetermined, r.missing, r.condition_number, s.max_condition, hint
-    )
+    return check_identifiability(r, hint, s.max_condition, brief=False)
 
 
 def _lengths(solution: Solution) -> Floats:
@@ -195,7 +193,7 @@ def _equal_length_remark(problem: KinematicProblem) -> str:
     if not problem.shares_length or max(lengths) - min(lengths) <= EQUAL_LENGTH_TOLERANCE:
         return ""
     unlike = f"links described as {min(lengths):.3f} to {max(lengths):.3f} m long"
-    return f"{unlike} are assumed equal: parametrization {FULL} separates them"
+    return f"{unlike} are assumed equal: --parametrization {FULL} separates them"
 
 
 def _check_redundancy(solution: Solution, s: KinematicSettings) -> Check:

@@ -257,7 +257,7 @@ def score(outcome: Outcome[Any, Any], truth: Arm) -> Score:
 def draw_guess(truth: Arm, settings: DynamicSettings, seed: int) -> Arm:
     """Return a description with random errors of the settings' deviations; b and I are worse."""
     n, rng = truth.n, np.random.default_rng(seed)
-    off = settings.deviations(n) * rng.standard_normal(5 * n + 6)
+    off = settings.deviations(truth) * rng.standard_normal(5 * n + 6)
     off[3 * n + 6 :] = rng.uniform(-1.0, 1.0, 2 * n) * np.repeat(GUESS_ERRORS, n)
     return with_values(truth, values(truth) + off)
 
