@@ -23,6 +23,7 @@ from fss_arm_calib.report_parts import difference
 from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_calib.segments.recorded import Recorded, Track, planar_poses
 from fss_arm_calib.segments.samples import MAX_VALUE, describe_clock_error
+from fss_arm_calib.stream_faults import find_faults, name_streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.units import SECOND
@@ -30,7 +31,7 @@ from fss_arm_model.units import SECOND
 MAX_LENGTH = 900.0  # length of the last part of the recording that is used [s]
 JOINT_PERIOD, POSE_PERIOD = 0.05, 0.02  # sample periods to which the data are thinned [s]
 #: Checks that can fail although the data agree with the model.
-PRECISION_CHECKS = {"precision", "measurable", "redundancy"}
+PRECISION_CHECKS = {"precision", "redundancy"}
 
 MAX_SEARCH_TIME = 60.0  # limit of the processor time of the search [s]
 
@@ -68,7 +69,8 @@ def explain_failure(
     failing = {check.name for check in outcome.checks if check.needed and check.verdict != PASS}
     if outcome.verdict == PASS or failing - {CAUSE} <= PRECISION_CHECKS or not recorded.tracks:
         return outcome
-    words = find_cause(kind, outcome.arm, outcome.settings, recorded)
+    faults = "; ".join(find_faults(recorded))
+    words = faults or find_cause(kind, outcome.arm, outcome.settings, recorded)
     if not words:
         return outcome
     others = [check for check in outcome.checks if check.name != CAUSE]
@@ -111,8 +113,9 @@ def calibrate_under(
 def description_error(outcome: Outcome[Any, Any]) -> float:
     """Return the largest distance of the estimates from the description, over MAX_ERRORS."""
     e = outcome.estimate
-    each = (one for one in zip(e.values, e.initial, e.units, strict=True) if one[2] in MAX_ERRORS)
-    return max((abs(difference(*one)) / MAX_ERRORS[one[2]] for one in each), default=0.0)
+    each = zip(e.names, e.values, e.initial, e.units, strict=True)
+    known = (one for name, *one in each if one[2] in MAX_ERRORS and name != "theta_E")
+    return max((abs(difference(*one)) / MAX_ERRORS[one[2]] for one in known), default=0.0)
 
 
 def hypotheses(recorded: Recorded, arm: Arm, settings: Any, lacking: bool) -> Iterator[Hypothesis]:
@@ -192,11 +195,8 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     off = {name: by - right for name, by in late.items() if abs(by - right) > MIN_CLOCK_OFFSET}
     if off:
         changed = recorded.change(**dict.fromkeys(("joints", "poses", "rates"), _stamp_by_receipt))
-        every = off.keys() >= recorded.joints.keys()
-        whose = [name for name in off if not every or name not in recorded.joints]
-        who = ", ".join([*["the joints"] * every, *whose])
         by = -float(np.median(list(off.values())))
-        words = f"clock of {who} {describe_clock_error(by)} the others?"
+        words = f"clock of {name_streams([*off], recorded)} {describe_clock_error(by)} the others?"
         yield words, "with the times of receipt", changed
     by = _estimate_lag(recorded)
     if abs(by) > MIN_CLOCK_OFFSET:
@@ -338,22 +338,25 @@ def _setting_errors(recorded: Recorded, arm: Arm, s: Any) -> Errors:
     if 2.0 * slow > s.joint_gap:
         gap = 3.0 * slow
         words = f"joints sampled only every {slow:.2g} s, but joint_gap is {s.joint_gap:g} s?"
-        yield words, f"with joint_gap {gap:.2g} s", {"joint_gap": gap}
+        yield words, f"with --joint-gap {gap:.2g}", {"joint_gap": gap}
     for times in (5.0, 25.0):
         threshold = times * s.motion_threshold
         words = f"joints never at rest within {s.motion_threshold:g} rad?"
-        remedy = f"with motion_threshold {threshold:g}"
+        remedy = f"with --motion-threshold {threshold:g}"
         yield words, remedy, {"motion_threshold": threshold}
     short = {"settle_time": 0.2, "min_duration": 0.2}
-    yield "rests too short?", "with settle_time and min_duration 0.2", short
+    yield "rests too short?", "with --settle-time 0.2 --min-duration 0.2", short
 
 
-def _length_errors(recorded: Recorded, arm: Arm, s: Any) -> Errors:
+def _model_errors(recorded: Recorded, arm: Arm, s: Any) -> Errors:
     if getattr(s, "parametrization", "full") != "full":
         words = f"links of different lengths, but parametrization is {s.parametrization}?"
-        yield words, "with parametrization full", {"parametrization": "full"}
+        yield words, "with --parametrization full", {"parametrization": "full"}
+    if getattr(s, "theta_e", True) is False:
+        words = "end effector's subject rotated against the last link?"
+        yield words, "with --theta-e", {"theta_e": True}
 
 
-MAKERS: list[Maker] = [_name_errors, _unit_errors, _length_errors]
+MAKERS: list[Maker] = [_name_errors, _unit_errors, _model_errors]
 MAKERS += [_clock_errors, _pose_errors, _joint_errors]
 FEW_DATA_MAKERS: list[Maker] = [_setting_errors]  # used only if there are too few data

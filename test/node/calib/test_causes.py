@@ -30,7 +30,13 @@ from fss_arm_model.parameters import parameter_names, values
 from fss_arm_model.planar import wrap
 
 #: Of three links, what is tried without --slow; the others are of bench_causes.py: four minutes.
-QUICK = [("kinematic", "one sign"), ("dynamic", "gyro in degrees")]
+QUICK = [
+    *(
+        ("kinematic", name)
+        for name in ("one sign", "clock set", "no stamps", "end effector turned")
+    ),
+    *(("dynamic", name) for name in ("gyro in degrees", "end effector frozen")),
+]
 
 
 def cases():

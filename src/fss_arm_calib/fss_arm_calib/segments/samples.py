@@ -18,6 +18,7 @@ CONFIRMATION_TIME = SECOND  # time for which samples must follow a suspect one t
 MAX_VALUE = 1e3  # largest valid value on a test bed [rad, rad/s, m]
 
 NOT_FINITE, OUT_OF_RANGE = "not finite", "out of range"
+ZERO_STAMP = "with a stamp of 0"
 REPEATED, OUT_OF_ORDER, ISOLATED = "repeated", "out of order", "isolated in time"
 
 HOUR = 3600.0  # [s]
@@ -71,7 +72,7 @@ class Stream:
         if self.suspects:
             since = t - self.suspects[-1][0]
             if since == 0:
-                self.rejected[REPEATED] += 1
+                self.rejected[REPEATED if t else ZERO_STAMP] += 1
                 return ()
             if 0 < since <= self.horizon:
                 self.suspects.append((t, value))
