@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.dynamics import inertia_matrix
 from fss_gnc.law import Outputs
 from fss_gnc.law.contract import LawError
 from fss_gnc.law.forms import load
@@ -20,6 +21,7 @@ LAWS = Path(__file__).parents[3] / "docs/examples/laws"
 sys.path.append(str(LAWS))
 
 import fly  # noqa: E402 (a script of the examples)
+import nmpc  # noqa: E402
 
 PERIOD = 1.0 / fly.RATE
 
@@ -89,6 +91,25 @@ def test_the_law_in_each_form_gives_the_commands_of_the_law_in_python(form, comp
         assert got.valve_on_times is None
         assert got.gripper_closed is None
     law.terminate()
+
+
+def test_the_nmpc_law_predicts_the_momentum_reaches_and_holds(tmp_path):
+    q = np.array(fly.START)
+    momentum = np.array(nmpc.momentum_matrix(paper_arm())(q[:3], q[3:]))
+    expected = inertia_matrix(paper_arm().vector(), q)[:3]
+    np.testing.assert_allclose(momentum, expected, rtol=0.0, atol=1e-12)
+    subprocess.run([sys.executable, LAWS / "nmpc.py"], cwd=tmp_path, check=True)
+    library = tmp_path / "libnmpc.so"
+    command = ["cc", "-O1", "-ffp-contract=off", "-fPIC", "-shared", "-o", library]
+    sources = [LAWS / "nmpc.c", tmp_path / "nmpc_solver.c"]
+    subprocess.run([*command, *sources, "-lm"], check=True)
+    steps = list(fly.fly(load(str(library), 4, PERIOD), 40.0))
+    errors = np.array([step.error for step in steps])
+    late = errors[int(35.0 * fly.RATE) :]
+    assert np.hypot(*late[:, :2].T).max() < 0.002
+    assert np.abs(late[:, 2]).max() < np.radians(0.2)
+    np.testing.assert_allclose(steps[-1].inputs.joint_angles, [-0.6, 0.6, 0.6, -0.6], atol=2e-3)
+    assert steps[-1].propellant < 0.05
 
 
 @pytest.mark.parametrize(
