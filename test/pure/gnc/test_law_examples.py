@@ -103,7 +103,7 @@ def test_the_nmpc_law_predicts_the_momentum_reaches_and_holds(tmp_path):
     command = ["cc", "-O1", "-ffp-contract=off", "-fPIC", "-shared", "-o", library]
     sources = [LAWS / "nmpc.c", tmp_path / "nmpc_solver.c"]
     subprocess.run([*command, *sources, "-lm"], check=True)
-    steps = list(fly.fly(load(str(library), 4, PERIOD), 40.0))
+    steps = list(fly.fly(load(str(library), 4, PERIOD), paper_arm(), 40.0))
     errors = np.array([step.error for step in steps])
     late = errors[int(35.0 * fly.RATE) :]
     assert np.hypot(*late[:, :2].T).max() < 0.002
