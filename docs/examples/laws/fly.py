@@ -41,10 +41,15 @@ class Step:
         return pose_error(self.inputs.base_pose, self.inputs.reference_pose)
 
 
+def start(arm: Arm) -> np.ndarray:
+    """Return the state at the start of a flight, (3 + n,)."""
+    angles = [-START_ANGLE if i % 4 in (1, 2) else START_ANGLE for i in range(arm.n)]
+    return np.array([*START_POSE, *angles])
+
+
 def fly(law: Law, arm: Arm, duration: float) -> Iterator[Step]:
     """Yield each step of a flight of some duration [s]."""
-    angles = [-START_ANGLE if i % 4 in (1, 2) else START_ANGLE for i in range(arm.n)]
-    plant = LawPlant(arm, (*START_POSE, *angles))
+    plant = LawPlant(arm, start(arm))
     for _ in range(round(duration * RATE)):
         inputs = plant.inputs(1.0 / RATE)
         outputs = law.step(inputs)

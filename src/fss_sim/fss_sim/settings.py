@@ -326,8 +326,8 @@ class TestbedSettings(PlantSettings):
     )
     lockstep: bool = setting(
         False,
-        "true: the published clock waits for each node that uses it, so that a busy computer "
-        "flies the same mission, only slower",
+        "true: the published clock waits for each node that uses it, so that a mission on a busy "
+        "computer takes longer but does not change",
     )
     paused: bool = setting(False, "true: start with the published clock paused, to be stepped")
     truth_rate: float = setting(

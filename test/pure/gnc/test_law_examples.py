@@ -94,7 +94,7 @@ def test_the_law_in_each_form_gives_the_commands_of_the_law_in_python(form, comp
 
 
 def test_the_nmpc_law_predicts_the_momentum_reaches_and_holds(tmp_path):
-    q = np.array(fly.START)
+    q = fly.start(paper_arm())
     momentum = np.array(nmpc.momentum_matrix(paper_arm())(q[:3], q[3:]))
     expected = inertia_matrix(paper_arm().vector(), q)[:3]
     np.testing.assert_allclose(momentum, expected, rtol=0.0, atol=1e-12)
