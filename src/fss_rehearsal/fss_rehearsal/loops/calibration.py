@@ -23,6 +23,7 @@ from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver, ManeuverFinder
 from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_calib.segments.rests import (
+    SAME_POSTURE,
     Observation,
     RestFinder,
     rejected_without_repeat,
@@ -48,7 +49,6 @@ ARRIVED = 0.005  # largest angle from a posture at arrival [rad]
 MOVE_TIMEOUT = 20.0  # [s]
 OBSERVATION_TIMEOUT = 6.0  # for an observation of a rest [s]
 ROUNDS = 2  # rounds of postures whose rest was rejected
-SAME_POSTURE = radians(1.0)  # [rad]
 GUESS_ERRORS = 0.015, 0.01  # largest errors of the guesses of b [m] and I [kg m^2]
 
 TESTBED, NO_VALUES = TestbedSettings(arm="truth"), ArmValues()
