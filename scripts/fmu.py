@@ -265,7 +265,10 @@ def main() -> int:
             model = plant_model(source, described(str(source)))
         with required_libraries("fmu.sh"):
             export(model, options.fmi, output)
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        print(f"fmu.sh: {error.filename}: {error.strerror}", file=sys.stderr)
+        return 1
+    except ValueError as error:
         print(f"fmu.sh: {error}", file=sys.stderr)
         return 1
     except subprocess.CalledProcessError:
