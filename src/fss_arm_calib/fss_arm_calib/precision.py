@@ -39,25 +39,22 @@ def check_precision(r: Any, s: Any) -> Check:
     limits = np.select([masses, places], [s.max_relative or inf, s.max_place], inf)
     shares = np.where(np.isinf(limits), 0.0, sizes / limits)
 
-    texts = [
-        f"{name} not determined"
-        if np.isinf(size)
-        else f"{name} ± {1e3 * size:.3g} mm"
-        if place
-        else f"{name} ± {size:.0%}"
-        for name, size, place in zip(names, sizes, places, strict=True)
-    ]
+    def text(k: int) -> str:
+        words = f"{1e3 * sizes[k]:.3g} mm" if places[k] else f"{100 * sizes[k]:.0f} %"
+        return f"{names[k]} not determined" if np.isinf(sizes[k]) else f"{names[k]} ± {words}"
+
     required = f"at most {1e3 * s.max_place:g} mm"
-    required += f" and {s.max_relative:.0%} of a described mass or inertia" * bool(s.max_relative)
+    if s.max_relative:
+        required += f" and {100 * s.max_relative:g} % of a described mass or inertia"
     order = np.argsort(-shares)
     worst, failing = int(order[0]), order[shares[order] > 1.0]
     if not len(failing):
-        facts = [f"{texts[worst]} ({required})"] if shares[worst] else []
+        facts = [f"{text(worst)} ({required})"] if shares[worst] else []
         if vague:
             require = f"--max-relative {MAX_USABLE_DEVIATION} requires them"
             facts.append(f"not determined: {', '.join(vague)} ({require})")
         return Check("precision", PASS, float(shares[worst]), 1.0, "; ".join(facts))
-    brief = f"too uncertain: {', '.join(texts[k] for k in failing)}"
+    brief = f"too uncertain: {', '.join(map(text, failing))}"
     limits_met = [
         f"--{option} {_round_up(float(sizes[failing][which[failing]].max()))}"
         for option, which in (("max-place", places), ("max-relative", masses))
