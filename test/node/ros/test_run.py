@@ -166,6 +166,7 @@ def main():
 # As if nodes that start together saw each other only after they spin, as on a busy machine.
 SEES_LATE = """
 from fss_arm_ros import duplicates
+duplicates.REPEATS = 100
 duplicates.Claims._refuse = lambda *_: None
 """
 
