@@ -427,7 +427,7 @@ KINEMATIC = [
          r"^headings clockwise\?"),
     Kind("clocks 3 s apart", _late(3.0), r"^clock of the joints (3|2\.9\d|3\.0\d) s ahead"),
     HOUR_APART,
-    Kind("since boot", _boot, r"^clock of the joints .* behind .*since"),
+    Kind("since boot", _boot, r"^clock of the joints .*from its start"),
     Kind("other names", _renamed, r"^joints named q1, q2"),
     Kind("seen from the base", _relative, r"^end effector already relative to the base\?"),
     Kind("taken as equal", _same, r"^links of different lengths", {"parametrization": "equal"}),

@@ -147,6 +147,27 @@ def test_a_misspelt_topic_is_named_with_the_right_one(tmp_path, rests):
     assert str(error.value) == f"no /vicon/fs/fss in {bag}; {words}"
 
 
+def test_what_is_said_of_a_namespace_leads_to_a_pass(tmp_path, monkeypatch, capsys, rests):
+    """The arm is of a vehicle `lab`, but motion capture has the usual names."""
+    message = calib_rig.message
+
+    def moved(sample):
+        topic, content = message(sample)
+        return topic.replace("joint_states", "lab/joint_states"), content
+
+    monkeypatch.setattr("calib_rig.message", moved)
+    types = {name.replace("joint_st", "lab/joint_st"): it for name, it in calib_rig.TYPES.items()}
+    given = [str(calib_rig.record(tmp_path / "bag", rests, types=types))]
+    for _ in range(4):
+        if not (code := from_bag(given)):
+            break
+        options = re.findall(r"--[a-z-]+ [\w/]+", capsys.readouterr().err)
+        assert options
+        given += options[0].split()
+    assert code == 0
+    assert len(given) == 7  # three options
+
+
 @pytest.mark.parametrize(
     ("kind", "missing"),
     [*((KINEMATIC, topic) for topic in calib_rig.TYPES), (DYNAMIC, "vicon/fss/fss")],

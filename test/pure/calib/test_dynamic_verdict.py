@@ -136,6 +136,9 @@ def test_a_link_too_light_to_be_seen_is_said_to_be_so():
     assert result.deviations[k] == np.inf
     assert np.sqrt(result.covariance[k, k]) == pytest.approx(0.5 * 3e-4, rel=0.1)
     assert f"# I_4 = {result.values[k]:.6g} kg m^2, not determined" in result.description
+    assert DYNAMIC.to_message(result, "fss").calibration.undetermined == ["I_1", "I_4"]
+    table = DYNAMIC.report_of(result, light).tables[0]
+    assert {"I_1, not determined", "I_4, not determined"} <= {table.rows[k][0] for k in table.weak}
     required = calibrate(result.used, light, replace(SETTINGS, max_relative=0.25))
     assert required.verdict == FAIL
     assert re.search("too uncertain: .*I_4 not determined", required.reason)
@@ -166,6 +169,23 @@ def test_a_gyro_that_turns_otherwise_fails(maneuvers, ratio, words):
     result = calibrate(maneuvers, ARM, SETTINGS, Streams(gyro_ratio=ratio))
     assert result.verdict == (FAIL if words else PASS)
     assert not words or result.reasons[0].startswith(words)
+
+
+def test_a_pass_says_why_the_end_effector_was_not_compared(maneuvers):
+    unseen = [replace(one, tip=()) for one in maneuvers]
+    lost = Streams(rejected={"end_effector out of range": 812, "fss jump": 1})
+    result = calibrate(unseen, ARM, SETTINGS, lost)
+    assert result.verdict == PASS
+    words = "end effector not compared with the description: 812 end_effector out of range"
+    assert words in result.reasons
+
+
+def test_velocities_in_degrees_per_second_fail_and_missing_ones_do_not(maneuvers):
+    for factor, verdict in ((57.3, FAIL), (-1.0, FAIL), (1.2, PASS), (0.0, PASS)):
+        rates = [[[factor * x for x in qd] for qd in one.qd] for one in maneuvers]
+        some = [replace(one, qd=qd) for one, qd in zip(maneuvers, rates, strict=True)]
+        result = calibrate(some, ARM, SETTINGS)
+        assert (result.reasons[0].startswith("joint velocities ")) == (verdict == FAIL)
 
 
 def test_headings_alone_as_in_the_paper(maneuvers):

@@ -99,9 +99,9 @@ def _parameter_table(outcome: Outcome[Maneuver, Solution], truth: Arm | None) ->
         ratios["error / sigma"] = relative_errors(e, columns["truth"]), "+.2f"
     note = (
         "random: the deviation without the uncertainty of assumed parameters; prior: share of the "
-        "value from prior knowledge; amber: mostly from prior knowledge, or at its bound."
+        "value from prior knowledge; amber: mostly from prior knowledge, or not determined."
     )
-    weak = [k for k, name in enumerate(e.names) if share[k] > 0.5 or name in e.at_bound]
+    weak = [k for k, deviation in enumerate(e.deviations) if share[k] > 0.5 or np.isinf(deviation)]
     table = parameter_table(outcome, columns, ratios, note=note, weak=weak)
     return replace(table, detailed=["Table 4", "random", "prior [%]"])
 
