@@ -73,7 +73,7 @@ def problem(path, arm=ARM, words=NAMES, knowledge=None, heading_only=False, **kn
     """A problem whose poses are still to come: of links, b and I are not known beforehand."""
     knowledge, choice = knowledge or Knowledge(), Choice.of(words, arm.n)
     deviations = knowledge.deviations(arm)
-    prior = choice.basis.T @ deviations / choice.basis.sum(axis=0)
+    prior = choice.mean(deviations)
     free = [name[0] in "bI" and name != "I_0" for name in choice.names]
     count, marks = path.marks.shape[:2]
     looks = max(1.0, 4.0 * RATE / marks) if marks > 2 else 1.0

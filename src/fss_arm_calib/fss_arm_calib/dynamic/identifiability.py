@@ -89,11 +89,9 @@ def _random_swing(n: int, rng: np.random.Generator) -> Law:
 
 def prior_scales(result: DynamicResult, knowledge: Knowledge) -> Floats:
     """Return the prior standard deviation of each parameter (p,); a typical one if no prior."""
-    choice, known = result.problem.choice, result.problem.prior_deviations
-    typical = choice.basis.T @ knowledge.deviations(result.problem.arm)
-    typical = typical / choice.basis.sum(axis=0)
-    typical = np.concatenate([typical, known[len(typical) :]])
-    return np.where(np.isfinite(known), known, typical)
+    problem, known = result.problem, result.problem.prior_deviations
+    typical = problem.choice.mean(knowledge.deviations(problem.arm))
+    return np.where(np.isfinite(known), known, [*typical, *known[len(typical) :]])
 
 
 def directions(result: DynamicResult, knowledge: Knowledge) -> list[Direction]:

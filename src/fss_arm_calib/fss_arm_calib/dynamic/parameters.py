@@ -120,6 +120,10 @@ class Choice:
             raise ValueError(f"{setting} {words!r} names {what}, expected each once")
         return cls(tuple(names), basis)
 
+    def mean(self, every: Floats) -> Floats:
+        """Return values of all parameters (5 n + 6,) averaged over those that share one, (p,)."""
+        return np.asarray(self.basis.T @ every / self.basis.sum(axis=0))
+
     @property
     def indices(self) -> npt.NDArray[np.intp]:
         """Indices of the chosen parameters among all parameters."""

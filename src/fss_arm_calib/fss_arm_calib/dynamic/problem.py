@@ -80,9 +80,8 @@ class DynamicProblem:
     @cached_property
     def guess(self) -> Floats:
         """Initial values (p,): shared parameters are averaged, and the table is level."""
-        basis = self.choice.basis
-        x = basis.T @ values(self.arm) / basis.sum(axis=0)
-        return np.concatenate([x, np.zeros(len(self.names) - len(x))])
+        x = self.choice.mean(values(self.arm))
+        return np.pad(x, (0, len(self.names) - len(x)))
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:

@@ -68,8 +68,7 @@ def problem_with_priors(
     """Return the problem of maneuvers, with the prior knowledge from the settings."""
     s, n = settings, arm.n
     choice, C = Choice.of(s.estimate, n), s.covariance(arm)
-    deviations = np.sqrt(np.diag(C))
-    prior = choice.basis.T @ deviations / choice.basis.sum(axis=0)
+    prior = choice.mean(np.sqrt(np.diag(C)))
     closed = choice.basis[s.prior_indices(arm, s.priors)].any(axis=0)
     return DynamicProblem(
         path,

@@ -279,8 +279,7 @@ def _weak_priors(model: DynamicProblem, settings: DynamicSettings) -> Floats:
 
     They make it possible to rank the first few maneuvers, which cannot determine all parameters.
     """
-    basis = model.choice.basis
-    typical = basis.T @ settings.deviations(model.arm) / basis.sum(axis=0)
+    typical = model.choice.mean(settings.deviations(model.arm))
     found = np.zeros(len(model.names) + len(model.uncertain))
     found[: len(typical)] = np.where(np.isfinite(model.prior), 0.0, typical**-2.0)
     return np.diag(found)

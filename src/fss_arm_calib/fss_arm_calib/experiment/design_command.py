@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -79,16 +80,15 @@ def _in_degrees(q: Floats) -> str:
     return str(np.degrees(q).round().astype(int).tolist())
 
 
-def expected_table(result: DynamicResult) -> report.Table:
-    """Tabulate the expected standard deviations."""
-    names, units, random = result.problem.names, result.problem.units, np.diag(result.random)
-    numbers = result.values, promised_deviations(result), np.sqrt(random), result.prior_share
+def expected_table(result: Any, columns: Mapping[str, Floats], note: str = "") -> report.Table:
+    """Tabulate the expected values (p,) of a result's parameters, in SI units, by head."""
+    names, units = result.problem.names, result.problem.units
+    columns = {"assumed": result.values, **columns}
     rows = [
-        [name, unit, f"{value:.5g}", f"{total:.2g}", f"{part:.2g}", f"{100 * share:.0f} %"]
-        for name, unit, value, total, part, share in zip(names, units, *numbers, strict=True)
+        [name, unit, *(f"{x:{'.5g' if k == 0 else '.2g'}}" for k, x in enumerate(row))]
+        for name, unit, *row in zip(names, units, *columns.values(), strict=True)
     ]
-    head = ["parameter", "unit", "assumed", "± 1 sigma", "random part", "from prior"]
-    note = "inf: not determined, most of it comes from the prior."
+    head = ["parameter", "unit", *columns]
     return report.Table("Expected result", head, rows, words=2, note=note)
 
 
@@ -116,17 +116,9 @@ def propose_postures(
     """Propose postures for the kinematic calibration."""
     q = postures.design_postures(arm, options.count, options.seed, settings=conditions)
     result = solve(KinematicProblem(q, tip_in_base(arm.vector(), q), arm, FULL))
-    names = result.problem.names, result.problem.units
-    rows = [
-        [name, unit, f"{value:.5g}", f"{deviation:.2g}"]
-        for name, unit, value, deviation in zip(
-            *names, result.values, result.deviations, strict=True
-        )
-    ]
     steps = [[str(k), _in_degrees(row)] for k, row in enumerate(q, 1)]
-    columns = ["parameter", "unit", "assumed", "± 1 sigma"]
     console.print(report.Table("Postures", ["", "q [deg]"], steps))
-    console.print(report.Table("Expected result", columns, rows, words=2))
+    console.print(expected_table(result, {"± 1 sigma": result.deviations}))
     if options.output:
         given = {"ros__parameters": {"postures": q.ravel().round(6).tolist()}}
         text = yaml.safe_dump({"experiment": given}, default_flow_style=None)
@@ -188,7 +180,10 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         choose = partial(design_for_goal, goal=goal) if goal else partial(design, chosen=chosen)
         plan = choose(arm, options.count, settings, conditions, **given)
     result = expected_result(arm, plan, settings, conditions.rest, maneuvers)
-    for table in (plan_table(plan), expected_table(result)):
+    columns = {"± 1 sigma": promised_deviations(result)}
+    columns |= {"random part": np.sqrt(np.diag(result.random)), "from prior": result.prior_share}
+    note = "inf: not determined, most of it comes from the prior."
+    for table in (plan_table(plan), expected_table(result, columns, note)):
         console.print(table)
     console.print(describe_expected(result, len(plan)), soft_wrap=True)
     if goal:
