@@ -70,11 +70,23 @@ def explain_failure(
     if outcome.verdict == PASS or failing - {CAUSE} <= PRECISION_CHECKS or not recorded.tracks:
         return outcome
     faults = "; ".join(find_faults(recorded))
+    faults = other_arm(outcome.arm, recorded) or faults
     words = faults or find_cause(kind, outcome.arm, outcome.settings, recorded)
     if not words:
         return outcome
     others = [check for check in outcome.checks if check.name != CAUSE]
     return replace(outcome, checks=(cause_check(words, outcome.verdict), *others))
+
+
+def other_arm(arm: Arm, recorded: Recorded) -> str:
+    """Describe the difference if the recorded joints are all those of another arm; else empty."""
+    n = len(recorded.joints)
+    if n == arm.n or recorded.joints.keys() != {f"joint_{i}" for i in range(1, n + 1)}:
+        return ""
+    return (
+        f"the data have {n} joints, description {arm.name!r} has {arm.n}: give the arm's "
+        "description (--arm FILE)"
+    )
 
 
 def find_cause(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: Recorded) -> str:

@@ -187,6 +187,8 @@ def test_an_arm_of_other_joints_is_named(tmp_path, rests, links, words):
     arm = replace(ARM, links=(ARM.links * 2)[:links])
     result = solve(calib_rig.record(tmp_path / "bag", rests), arm=arm)
     assert result.verdict == NOT_EVALUATED
+    cause = f"the data have 4 joints, description 'paper' has {links}: give the arm's"
+    assert result.reason.startswith(cause)
     assert words in result.reason
 
 
