@@ -74,7 +74,7 @@ def test_valves_of_a_driver_killed_in_mid_pulse_close_within_the_watchdog(spin, 
     into = tripped[0].pulse_age / 10 - tripped[0].turnaround / MS
     print(f"last command {into:.0f} ms into the pulse; open for {max(opened)} of 1000 ms")
     assert all(frame.turnaround <= 500 * MS for frame in before)
-    assert any(frame.valves == 255 for frame in before)
+    assert all(frame.valves == 255 for frame in before)  # none if this computer listens too late
     assert not any(frame.valves for frame in tripped)
     assert not tripped[0].flags & BaseState.ARMED
     assert max(opened) - min(opened) == 0
