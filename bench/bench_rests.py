@@ -1,9 +1,9 @@
-"""Check the covariance of lengths and angles (python bench/bench_rests.py [DRAWS]).
+"""Check the covariance of lengths and angles (python bench/bench_rests.py [DRAWS [KIND ...]]).
 
-DRAWS (300) random arms of 4 links with 20 rests each, whose poses have unknown errors: equal in all
-directions, mostly of the base's heading, mostly of the end effector's, or of both while half of the
-rests are split in two by a slip of a joint, where both parts have the same error. Estimated from
-the rests alone, and jointly with 12 maneuvers and 3 drifts.
+DRAWS (300) random arms of 4 links with 20 rests each, whose poses have unknown errors. KINDs of
+errors: `isotropic`; mostly of the heading of the `base`, or of the `tip`; `split`, of both, where a
+joint slips in half of the rests, so that two parts have the same error. Lengths and angles are
+estimated from the rests alone, and jointly with 12 maneuvers and 3 drifts.
 
 Printed are the root mean square of each parameter's error divided by its deviation, and NEES, the
 normalized squared error per parameter. Exits with 1 if one of the former is not between 0.9 and
@@ -113,10 +113,10 @@ def check(name, outcome_names, scores, passed):
     return abs(nees - 1.0) < 0.05 + spread and np.all(np.abs(ratios - 1.0) < 0.1 + chance)
 
 
-def main(draws):
+def main(draws, kinds):
     good = True
     of_kinds = {**SETTINGS, "kinematic": RESTS}
-    for kind in NOISE:
+    for kind in kinds:
         outcomes = {"kinematic": [], "joint": []}
         for seed in range(draws):
             truth, rests, moves, drifting = draw(seed, kind)
@@ -133,4 +133,5 @@ def main(draws):
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 300))
+    given = sys.argv[1:]
+    sys.exit(main(int(given[0]) if given else 300, given[1:] or [*NOISE]))
