@@ -245,7 +245,11 @@ class MassEstimator:
         self._residual_squares, self._covariance = cost, np.asarray(np.linalg.inv(information))
 
     def _cost(self, rows: "_Rows", whitening: Floats, z: Floats) -> tuple[float, Floats]:
-        residuals = self._residuals(rows, whitening, z)
+        """Return cost and residuals (3 k,); infinite cost for masses that make H_b singular."""
+        try:
+            residuals = self._residuals(rows, whitening, z)
+        except np.linalg.LinAlgError:
+            return np.inf, np.full(rows.twist.size, np.inf)
         return float(residuals @ residuals + z @ z), residuals
 
     def _residuals(self, rows: "_Rows", whitening: Floats, z: Floats) -> Floats:
