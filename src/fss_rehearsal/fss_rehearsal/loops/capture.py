@@ -358,10 +358,12 @@ class Flight:
         if self.frame % FRAMES_PER_READING == 0:
             reading = plant.q[3:] + self.encoders, plant.qd[3:].copy(), effort, self.t
             self.readings.append((self.frame + READING_DELAY, reading))
-        if not self.readings or self.readings[0][0] > self.frame or self.is_faulty("link"):
+        if not self.readings or self.readings[0][0] > self.frame:
             return
-        self.reading = self.readings.popleft()[1]
-        q, qd, _, then = self.reading
+        reading = self.readings.popleft()[1]
+        if self.is_faulty("link"):
+            return
+        self.reading = q, qd, _, then = reading
         for i in range(self.arm.n):
             stamp = round(then * SECOND)
             self.navigation.add_joint_reading(i, stamp, float(q[i]), float(qd[i]))
