@@ -435,7 +435,7 @@ KINEMATIC = [
     Kind("never still", _restless, r"^joints never at rest"),
 ]  # fmt: skip
 DYNAMIC = [
-    *STREAMS, ONE_MILLIMETERS,
+    *STREAMS,
     Kind("end effector frozen", _frozen, r"^pose of end_effector frozen for \d+ s"),
     Kind("deg/s", _joint(_fast, every=True), r"^joint velocities in degrees per second\?"),
     MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,

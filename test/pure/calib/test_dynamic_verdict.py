@@ -177,7 +177,7 @@ def test_a_pass_says_why_the_end_effector_was_not_compared(maneuvers):
     result = calibrate(unseen, ARM, SETTINGS, lost)
     assert result.verdict == PASS
     words = "end effector not compared with the description: 812 end_effector out of range"
-    assert words in result.reasons
+    assert f"{words}; in millimeters?" in result.reasons
 
 
 def test_velocities_in_degrees_per_second_fail_and_missing_ones_do_not(maneuvers):

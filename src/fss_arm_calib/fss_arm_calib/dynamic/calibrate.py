@@ -40,6 +40,7 @@ from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
 from fss_arm_calib.precision import check_precision
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.poses import TIP
+from fss_arm_calib.segments.samples import OUT_OF_RANGE
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
@@ -133,6 +134,7 @@ def check_tips(
     if not known:
         lost = [f"{count} {why}" for why, count in streams.rejected.items() if why.startswith(TIP)]
         words = f"end effector not compared with the description: {', '.join(lost)}"
+        words += "; in millimeters?" * (OUT_OF_RANGE in words)
         return [Check("end_effector", NOT_EVALUATED, nan, nan, words, needed=False)] * bool(lost)
 
     def mean_length(vectors: Floats) -> float:
