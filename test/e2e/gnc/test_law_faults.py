@@ -38,11 +38,12 @@ def flyer(tmp_path_factory):
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_valves_close_and_joints_are_held_within_the_watchdog(flyer, fault):
+def test_valves_close_and_joints_are_held_within_the_watchdog(flyer, fault, request):
     reports = []
     subscription = flyer.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 100)
     law = f"{LAWS}:{fault}"
     flyer.nodes.start("controller", "fss_gnc", "controller", law=law, use_sim_time=True)
+    request.addfinalizer(lambda: flyer.nodes.stop("controller"))
 
     def values():
         """Return message and values of the node's last report."""
@@ -75,5 +76,4 @@ def test_valves_close_and_joints_are_held_within_the_watchdog(flyer, fault):
     )
     assert open_time < MAX_OPEN
     assert moving_time < MAX_MOVING
-    flyer.nodes.stop("controller")
     flyer.destroy_subscription(subscription)
