@@ -35,6 +35,7 @@ class Claims:
         self.name = f"{CLAIM}{time.time_ns():020d}_{os.getpid()}"  # sorted by start
         self.nodes: list[Node] = []
         self.until = 0.0  # by time.monotonic, once this process has joined the graph
+        self._duplicates: dict[str, str] = {}  # those of the last check while spinning, by node
 
     def check_name(self, node: Node) -> None:
         """Raise DuplicateError if another node has this name."""
@@ -54,16 +55,18 @@ class Claims:
 
     def check_services(self, node: Node) -> None:
         """Raise DuplicateError if another node offers one of this node's services."""
-        self._refuse(node, lambda: self._offered(node, self._is_before))
+        self._refuse(node, lambda: self._offered(node))
 
     def check_again(self, nodes: Sequence[Node]) -> None:
-        """Raise DuplicateError if another process claimed a name or service before this one."""
+        """Raise DuplicateError if another node has been a duplicate since the last such check."""
+        before, self._duplicates = self._duplicates, {}
         for node in nodes:
             path = node.get_fully_qualified_name()
-            if self._has_earlier_claim(node, path):
-                raise self._error(node, f"{path} is there already")
-            if words := self._offered(node, self._has_earlier_claim):
-                raise self._error(node, words)
+            found = self._is_before(node, path) and f"{path} is there already"
+            if words := found or self._offered(node):
+                self._duplicates[path] = words
+                if before.get(path) == words:
+                    raise self._error(node, words)
 
     def close(self) -> None:
         """Remove the claims."""
@@ -86,13 +89,10 @@ class Claims:
         known = node.get_node_names_and_namespaces()
         own = path == node.get_fully_qualified_name()
         others = sum(_join(space, name) == path for name, space in known) - own
-        claims = _claims_of(node, path)
-        return others > len(claims) - own or self._has_earlier_claim(node, path)
+        claims = [name for name, space in known if space == path and name.startswith(CLAIM)]
+        return others > len(claims) - own or any(claim < self.name for claim in claims)
 
-    def _has_earlier_claim(self, node: Node, path: str) -> bool:
-        return any(claim < self.name for claim in _claims_of(node, path))
-
-    def _offered(self, node: Node, is_before: Callable[[Node, str], bool]) -> str:
+    def _offered(self, node: Node) -> str:
         """Return a sentence naming another node that offers a service of this one, or ''."""
         own = node.get_fully_qualified_name()
         for service in _services(node, own):
@@ -100,7 +100,7 @@ class Claims:
                 continue
             known = node.get_node_names_and_namespaces()
             for path in {_join(space, name) for name, space in known} - {own}:
-                if service in _services(node, path) and is_before(node, path):
+                if service in _services(node, path) and self._is_before(node, path):
                     return f"{path} offers {service.partition('/_action/')[0]} already"
         return ""
 
@@ -159,11 +159,6 @@ def check_services(nodes: Sequence[Node]) -> None:
 
     steady = Clock(clock_type=ClockType.STEADY_TIME)
     timer = checked[0].create_timer(REPEAT_PERIOD, check_again, clock=steady)
-
-
-def _claims_of(node: Node, path: str) -> list[str]:
-    known = node.get_node_names_and_namespaces()
-    return [name for name, space in known if space == path and name.startswith(CLAIM)]
 
 
 def _services(node: Node, path: str) -> set[str]:
