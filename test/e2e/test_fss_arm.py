@@ -280,7 +280,7 @@ def test_hints_repeat_the_vehicle_and_the_configuration(program, monkeypatch):
 class FakeMotion(Node):
     """The nodes arm and motion as topics: two links that are armed, and a plan's execution."""
 
-    def __init__(self, message=""):
+    def __init__(self, message="", joints=2):
         super().__init__("motion")
         self.declare_parameter("arm", "")
         self.message, self.files, self.cancelled = message, [], False
@@ -290,7 +290,8 @@ class FakeMotion(Node):
         }
         self.armed = {1: True, 2: True}
         self.description = self.create_publisher(String, "robot_description", LATCHED)
-        self.description.publish(String(data='<robot name="other"><joint name="joint_1"/></robot>'))
+        urdf = "".join(f'<joint name="joint_{i}"/>' for i in range(1, joints + 1))
+        self.description.publish(String(data=f'<robot name="other">{urdf}</robot>'))
         self.create_timer(0.1, self.report)
         self.server = ActionServer(
             self,
@@ -369,6 +370,14 @@ def test_a_plan_waits_for_the_arm_and_names_what_is_missing(telling, plan_file):
     assert code == 1
     assert missing in out
     assert err == f"not ready after 2 s: {missing}\n"
+    assert not motion.files
+
+
+@pytest.mark.parametrize("joints", [1, 3])
+def test_a_plan_for_another_number_of_joints_is_refused(telling, plan_file, joints):
+    motion = FakeMotion(joints=joints)
+    code, _, err = telling([motion], (sys.executable, SCRIPT, "execute", plan_file))
+    assert (code, err) == (1, f"the plan has 2 joints, the arm 'other' has {joints}\n")
     assert not motion.files
 
 

@@ -27,6 +27,7 @@ from fss_arm_msgs.action import ExecuteMotion
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.command_line import in_words
 from fss_arm_ros.convert import joint_readings
+from fss_arm_ros.described_arm import count_joints
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_ros.run import deferred_signals, spin_once
 from fss_arm_ros.validation import subscribe
@@ -54,6 +55,7 @@ class PlanExecution:
     def __init__(self, node: Node, stored: Stored, say: Say) -> None:
         self.node, self.stored, self.say = node, stored, say
         self.state = state = ArmState(stored.plan.q.shape[1])
+        self.joints = 0  # of the arm that runs; 0: not known
         self.client = ActionClient(node, ExecuteMotion, "arm/execute")
         best_effort = sensor(best_effort=True)
         subscribe(node, JointState, "arm/joint_states", self.on_joints, best_effort)
@@ -73,12 +75,13 @@ class PlanExecution:
         self.state.armed[message.link] = monotonic(), bool(message.armed)
 
     def on_description(self, message: String) -> None:
-        """Store the name of the arm that runs."""
+        """Store the name of the arm that runs, and its number of joints."""
         found = ROBOT_NAME.search(message.data)
         self.state.description = found[1] if found else ""
+        self.joints = count_joints(message.data)
 
     def wait_until_ready(self, wait: float) -> str:
-        """Wait until the arm is ready; return what is missing after `wait` [s], or empty.
+        """Wait until the arm is ready; return why it is not after `wait` [s], or empty.
 
         Raises:
             NoMotionNodeError: no node executes plans.
@@ -86,6 +89,8 @@ class PlanExecution:
         start, said = monotonic(), set()
         while missing := self.missing():
             waited = monotonic() - start
+            if other := self.other_joints():
+                return other
             if waited > wait:
                 if not self.client.server_is_ready():
                     raise NoMotionNodeError("no node offers arm/execute: start the node motion")
@@ -95,6 +100,13 @@ class PlanExecution:
                 said.add(missing)
             spin_once(self.node, 0.05)
         return ""
+
+    def other_joints(self) -> str:
+        """Return the difference if the arm that runs has another number of joints; else empty."""
+        n, name = self.state.n, self.state.description
+        if self.joints in (0, n):
+            return ""
+        return f"the plan has {n} joints, the arm {name!r} has {self.joints}"
 
     def missing(self) -> str:
         """Return what is missing until a plan can be executed; empty: nothing."""
@@ -199,6 +211,8 @@ def execute_plan(node: Node, path: Path, wait: float, say: Say) -> tuple[bool, s
     if problem := execution.wait_until_ready(wait):
         return False, problem
     running, initial = execution.running_description(), execution.initial_description()
+    if problem := execution.other_joints():
+        return False, problem
     if warning := other_description(stored, running, initial):
         say(warning)
     say("the arm is ready")

@@ -157,7 +157,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, arm: Path, out: Path) -
 class Flight(NamedTuple):
     """Recorded mission, mainly from sim/truth; arrays (k, ...) unless noted."""
 
-    time: np.ndarray  # [s]
+    time: np.ndarray  # since the start of the mission [s]
     q: np.ndarray
     qd: np.ndarray
     target: np.ndarray
@@ -195,9 +195,11 @@ def read(bag: Path) -> Flight:
     for state in states:
         if state.mission and (not phases or phases[-1][1] != state.phase):
             phases.append((stamp_ns(state.header.stamp) / SECOND, state.phase))
+    start = phases[0][0] if phases else 0.0
+    phases = [(since - start, phase) for since, phase in phases]
     planned = np.array([state.reference for state in states]).reshape(-1, 3)
     return Flight(
-        stamps,
+        stamps - start,
         column("q"),
         column("qd"),
         column("target"),
@@ -248,12 +250,11 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     k = int(np.argmax(flight.holds))
     change = flight.momentum[k] - flight.momentum[k - 1]
     impulse = flight.impulse[k] - flight.impulse[k - 1]
-    start = flight.phases[0][0] if flight.phases else 0.0
-    when = f"captured between {flight.time[k - 1] - start:.2f} and {flight.time[k] - start:.2f} s"
-    log_line(when)
+    when = f"captured between {flight.time[k - 1]:.2f} and {flight.time[k]:.2f} s"
+    log_line(f"{when}; true momentum just before and after the grip:")
     for name, unit, i in (("x", "N s", 0), ("y", "N s", 1), ("about the origin", "N m s", 2)):
         before, after = flight.momentum[k - 1, i], flight.momentum[k, i]
-        log_line(f"  true momentum {name:>16}  before {before:+#.4g}  after {after:+#.4g} {unit}")
+        log_line(f"  {name:>16}  before {before:+#.4g}  after {after:+#.4g} {unit}")
     worst, audit = float(np.abs(change - impulse).max()), float(np.abs(flight.error).max())
     difference = f"difference at most {worst:.1e}; largest audit error of the mission {audit:.1e}"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
