@@ -15,13 +15,15 @@ from fss_rehearsal.processes import Nodes
 
 @pytest.fixture(scope="module")
 def nodes(tmp_path_factory):
+    """The nodes, in lockstep with the simulated time: a busy computer ends no motion."""
     with Nodes(tmp_path_factory.mktemp("nodes"), print, OWN) as nodes:
-        nodes.start("testbed", "fss_sim", "testbed", ports=OWN.ports(4))
-        slack = {"timeout": 4.0, "watchdog": 6.0}  # of a busy computer
-        nodes.start("link_1", "fss_arm_driver", "link", urls=OWN.urls(4), **slack)
-        nodes.start("arm", "fss_arm_driver", "arm", time_to_live=4.0)
-        nodes.start("base_reaction", "fss_arm_view", "base_reaction")
-        nodes.start("motion", "fss_arm_motion", "motion")
+        clock, time = {"use_sim_time": True}, {"keep_clock": True, "lockstep": True}
+        nodes.start("testbed", "fss_sim", "testbed", ports=OWN.ports(4), **time)
+        slack = {"timeout": 4.0, "watchdog": 6.0}
+        nodes.start("link_1", "fss_arm_driver", "link", urls=OWN.urls(4), **slack, **clock)
+        nodes.start("arm", "fss_arm_driver", "arm", time_to_live=4.0, **clock)
+        nodes.start("base_reaction", "fss_arm_view", "base_reaction", **clock)
+        nodes.start("motion", "fss_arm_motion", "motion", **clock)
         yield nodes
 
 
