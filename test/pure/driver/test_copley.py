@@ -251,7 +251,8 @@ class Rig:
         self.end = ENDS["pty"](folder)
         self.drive = DriveOnPty(core, self.end)
         self.transport = open_transport(self.end.url.replace("serial://", "copley://"))
-        self.session = LinkSession(1, paper_arm().links[0])
+        slack = {"timeout": 5.0, "watchdog": 10.0}  # of a busy computer
+        self.session = LinkSession(1, paper_arm().links[0], **slack)
         self.sent = 0
 
     def step(self):
