@@ -100,6 +100,13 @@ def test_a_rate_is_reached_when_the_next_is_due(commands, accelerations):
     assert found == pytest.approx(accelerations, rel=1e-12)
 
 
+def test_an_earlier_stamp_counts_as_the_last_one():
+    ramp = Ramp(0.0, 2.0)
+    for time, rate in ((1.0, 0.5), (1.1, 0.1), (1.05, 0.25), (1.11, 0.235)):
+        last = ramp.acceleration(rate, time)
+    assert last == pytest.approx(1.5, rel=1e-9)  # from 0.22 rad/s in 0.01 s
+
+
 # --- whose turn it is ----------------------------------------------------------------------------
 
 

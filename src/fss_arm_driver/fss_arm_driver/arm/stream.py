@@ -53,7 +53,9 @@ class Ramp:
 
     def acceleration(self, goal: float, time: float) -> float:
         """Return the acceleration [rad/s^2] towards a rate that is commanded at a time [s]."""
-        interval = 0.0 if self._time is None else time - self._time
+        before = time if self._time is None else self._time
+        time = max(time, before)  # an earlier stamp counts as the last one
+        interval = time - before
         change = self._acceleration * interval
         self._rate += min(max(self._goal - self._rate, -change), change)
         self._goal, self._time, missing = goal, time, abs(goal - self._rate)
