@@ -250,7 +250,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     verdict_check = Check("the calibration passes", result.summary, result.verdict == PASS)
     files = {
         "bag": "recording",
-        "arm.yaml": "calibrated description",
+        "arm.yaml": "calibrated arm",
         "report/kinematic_observations.png": "residuals",
         "report/kinematic_postures.png": "postures",
         "logs": "logs of the nodes",
