@@ -14,6 +14,7 @@ from driver_wire import ENDS, go_in_mid_open
 from firmware import Core
 from running import wait_until
 
+from fss_arm_driver.copley import drive
 from fss_arm_driver.copley.drive import REPLY_TIME, Demand, Drive, Goal
 from fss_arm_driver.copley.language import ERRORS, Error, LineError, Ok, Value, parse
 from fss_arm_driver.copley.link import DriveLink
@@ -280,7 +281,8 @@ class Rig:
 
 
 @pytest.fixture
-def rig(core, tmp_path):
+def rig(core, tmp_path, monkeypatch):
+    monkeypatch.setattr(drive, "REPLY_TIME", 2 * SECOND)  # of a busy computer
     rig = Rig(core, tmp_path)
     yield rig
     rig.close()
