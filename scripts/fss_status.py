@@ -36,6 +36,7 @@ from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.run import check_domain
 from fss_arm_ros.source_version import source_version
 from fss_arm_ros.subscription_set import subscribe_bytes
+from fss_arm_ros.timing import MISSED, percentile_names
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 RATE_WINDOW = 2.0  # over which rates are averaged [s]
@@ -199,7 +200,8 @@ class Processes:
 
 def screen(processes: Processes, listener: Listener) -> Group:
     """Return all tables, to be printed by rich."""
-    parts = [nodes(processes, listener), links(listener), rates(listener), verdicts(listener)]
+    parts = [nodes(processes, listener), links(listener), rates(listener), timing(listener)]
+    parts.append(verdicts(listener))
     if not listener.reports and not listener.measured:
         domain = os.environ.get("ROS_DOMAIN_ID") or 0
         parts.append(_table(f"no node reports in ROS domain {domain}", rows=[[""]]))
@@ -272,6 +274,22 @@ def rates(listener: Listener) -> Table:
         if received.kind is not LinkTelemetry:
             rate = received.rate()
             table.add_row(topic, f"{rate:.1f}" if rate else _style("silent", "yellow"))
+    return table
+
+
+def timing(listener: Listener) -> Table:
+    """Return the table of periods, and of latencies from a measurement to the command."""
+    table = _table(
+        *("timing [ms]", ">period\nmedian", ">99 %", ">99.9 %"),
+        *(">latency\nmedian", ">99 %", ">99.9 %", ">missed\ndeadlines"),
+    )
+    keys = [*percentile_names("period"), *percentile_names("latency")]
+    for name in sorted(listener.reports):
+        status = listener.report(name)
+        values = {value.key: value.value for value in status.values} if status else {}
+        if MISSED in values:
+            cells = [f"{float(values[key]):.1f}" if key in values else "" for key in keys]
+            table.add_row(name, *cells, values[MISSED])
     return table
 
 

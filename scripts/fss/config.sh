@@ -41,7 +41,7 @@ read_config() {
   FSS_WINDOW=600           # [s]
   FSS_STOP_TIMEOUT=10          # for a node to stop [s]
   FSS_NAMESPACE=${FSS_NAMESPACE:-} FSS_NAMESPACE=${FSS_NAMESPACE#/}
-  fss_vehicle=$FSS_NAMESPACE fss_nodes='' fss_spaces=''
+  fss_vehicle=$FSS_NAMESPACE fss_nodes='' fss_spaces='' fss_priority='' fss_cores=''
   check_domain
   trap 'fail "$fss_config: stopped before its end, by an exit or an error in it"' EXIT
   . "$fss_config"
@@ -96,6 +96,24 @@ node() {
   case " $fss_nodes " in *" $1 "*) fail "$fss_config: node $1 is defined twice" ;; esac
   fss_nodes="${fss_nodes:+$fss_nodes }$1"
   case " $fss_spaces " in *" /$FSS_NAMESPACE "*) ;; *) fss_spaces="${fss_spaces:+$fss_spaces }/$FSS_NAMESPACE" ;; esac
+}
+
+# In a configuration: realtime PRIORITY CORES node NAME ...: this node has a real-time priority from 2
+# to 98 (SCHED_FIFO), locked memory, and runs on CORES: numbers, such as 1 or 2,3; any: all.
+realtime() {
+  case ${1:-} in
+    [2-9] | [1-8][0-9] | 9[0-8]) ;;
+    *) fail "$fss_config: realtime: the priority is '${1:-}', expected a whole number from 2 to 98" ;;
+  esac
+  case ${2:-} in
+    any) ;;
+    '' | *[!0-9,]* | ,* | *, | *,,*) fail "$fss_config: realtime: the cores are '${2:-}', expected numbers such as 2,3, or any" ;;
+  esac
+  [ "${3:-}" = node ] || fail "$fss_config: realtime: '${3:-}' follows the cores, expected node"
+  fss_priority=$1 fss_cores=${2#any}
+  shift 2
+  "$@"
+  fss_priority='' fss_cores=''
 }
 
 # Each node and its keeper hold the lock of a file with their process id in it. The lock is released

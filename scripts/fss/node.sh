@@ -15,6 +15,7 @@ become() {
   # Not the real ros2: it would stay as the node's parent, with the lock and the process id.
   [ -z "$FSS_NAMESPACE" ] || set -- "$@" --ros-args -r "__ns:=/$FSS_NAMESPACE"
   [ "${ROS_SECURITY_ENABLE:-}" != true ] || set -- "$@" --ros-args --enclave "/$fss_name/$wanted"
+  [ -z "$fss_priority" ] || export FSS_PRIORITY="$fss_priority" FSS_CORES="$fss_cores"
   exec "$fss_scripts/bin/ros2" run "$@"
 }
 each_node become

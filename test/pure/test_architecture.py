@@ -130,7 +130,7 @@ ROOMS = {
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.latest", "fss_gnc.reference"},
     "fss_gnc.law": {
         *("fss_arm_model", "fss_gnc.latest", "fss_gnc.reference"),
-        *("fss_arm_msgs.msg", "fss_arm_ros.convert"),
+        *("fss_arm_msgs.msg", "fss_arm_ros.convert", "fss_arm_ros.realtime"),
     },
     "fss_gnc.guidance": {
         *("fss_arm_model", "fss_arm_motion", "fss_arm_msgs.action"),

@@ -9,6 +9,7 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 
 from fss_arm_ros.sources import duplicate_publishers
+from fss_arm_ros.timing import Timing
 from fss_arm_ros.validation import refusals
 
 OK = DiagnosticStatus.OK
@@ -29,7 +30,7 @@ class Diagnostics:
 
     The status has the node's full name unless `name` is given. A new subscriber receives it at
     once. Create it last in a node's constructor. Measurements with several publishers are reported
-    as a warning, and logged when they are first found.
+    as a warning, and logged when they are first found. With `timing`, its values are added.
     """
 
     def __init__(
@@ -39,8 +40,9 @@ class Diagnostics:
         hardware_id: str = "",
         name: str = "",
         period: float = 1.0,
+        timing: Timing | None = None,
     ) -> None:
-        self.node, self.health, self.hardware_id = node, health, hardware_id
+        self.timing, self.node, self.health, self.hardware_id = timing, node, health, hardware_id
         self.name = name or node.get_fully_qualified_name()
         self.duplicates = ""
         matched = PublisherEventCallbacks(matched=lambda _: self.publish())
@@ -58,7 +60,8 @@ class Diagnostics:
             self.node.get_logger().warning(self.duplicates)
         if self.duplicates:
             level, message = max(level, WARN), f"{self.duplicates}; {message}"
-        values = {**values, **refusals(self.node)}
+        timing = self.timing.values() if self.timing else {}
+        values = {**timing, **values, **refusals(self.node)}
         status = DiagnosticStatus(
             level=level,
             name=self.name,

@@ -16,8 +16,9 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from fss_arm_ros import duplicates, memory
+from fss_arm_ros import duplicates, memory, realtime
 from fss_arm_ros.command_line import in_words
+from fss_arm_ros.events import log_event
 from fss_arm_ros.lockstep import report_reached_time
 from fss_arm_ros.rclpy_compat import RCLError, UnknownROSArgsError
 from fss_arm_ros.subscription_set import relax_events
@@ -68,7 +69,7 @@ def run(
         check_domain()
     except ValueError as error:
         return _failed(name, error, 2)
-    _tune_process()
+    not_permitted = _tune_process()
     nodes: Sequence[Node] = ()
     executor: SingleThreadedExecutor | None = None
     initialized = False
@@ -83,6 +84,9 @@ def run(
             nodes = made if isinstance(made, Sequence) else [made]
             duplicates.check_services(nodes)
             report_reached_time(nodes[0])
+            for line in not_permitted:
+                nodes[0].get_logger().warning(line)
+                log_event(nodes[0], f"{nodes[0].get_name()}: {line}")
             executor = SingleThreadedExecutor()
             for node in nodes:
                 relax_events(node)
@@ -158,11 +162,16 @@ def _next_step(argument: str) -> str:
     return f"give it as --ros-args -p {argument}" if ":=" in argument else "try --help"
 
 
-def _tune_process() -> None:
-    """Apply settings of the whole process, which no library should change."""
+def _tune_process() -> list[str]:
+    """Apply settings of the whole process, which no library should change.
+
+    Returns:
+        What the system did not permit, a line each.
+    """
     memory.bound()
     sys.setswitchinterval(SWITCH_INTERVAL)
     atexit.register(gc.freeze)  # else the interpreter collects garbage at exit, 0.25 s with numba
+    return realtime.apply()
 
 
 def _interrupt_next(*_: object) -> None:

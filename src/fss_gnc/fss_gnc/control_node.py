@@ -26,6 +26,7 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import command, sensor
 from fss_arm_ros.timers import timer_clock
+from fss_arm_ros.timing import Timing
 from fss_gnc import bounds, messages
 from fss_gnc.control.base_control import BaseControl
 from fss_gnc.control.settings import ControlSettings
@@ -43,6 +44,7 @@ class ControlNode(Node):
         self.settings = s = declare(self, ControlSettings)
         self.controller = BaseControl(described_arm(self, s.arm), s)
         self.controller.load_kernels()
+        self.timing = Timing(s.rate, self.get_clock())
         self.topics = topics = LatestTopics(self)
         for topic in (self.controller.base, self.controller.target):
             topics.store(Odometry, topic, messages.body)
@@ -62,7 +64,7 @@ class ControlNode(Node):
         real_time = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(CHECK_PERIOD, self.check_stall, clock=real_time)
         self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
-        self.diagnostics = Diagnostics(self, self.health)
+        self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
 
     def now(self) -> int:
         """Return the node's clock [ns]."""
@@ -100,6 +102,7 @@ class ControlNode(Node):
         """Publish the wrench for the next period; without one, publish zero once, then nothing."""
         self.check_stall()
         self.topics.poll()
+        self.timing.add_step()
         wrench = self.controller.step(self.now())
         if wrench is not None:
             self.publish(wrench)
@@ -120,6 +123,7 @@ class ControlNode(Node):
         message.header.frame_id = self.settings.base_frame
         message.wrench.force.x, message.wrench.force.y, message.wrench.torque.z = map(float, wrench)
         self.wrench.publish(message)
+        self.timing.add_command(self.controller.base.stamp)
 
     def health(self) -> Health:
         """Return the health for diagnostics."""

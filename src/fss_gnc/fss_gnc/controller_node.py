@@ -23,6 +23,7 @@ from fss_arm_ros.libraries import require
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, command, sensor
 from fss_arm_ros.timers import timer_clock
+from fss_arm_ros.timing import MISSED, Timing
 from fss_gnc import bounds, messages
 from fss_gnc.latest_topics import LatestTopics
 from fss_gnc.law import messages as law_messages
@@ -31,7 +32,6 @@ from fss_gnc.law.process import LawProcess
 from fss_gnc.law.run import Command, LawRun
 from fss_gnc.law.settings import ControllerSettings
 from fss_gnc.law.snapshot import MAX_TRAJECTORY_AGE, Snapshot, world_covariance
-from fss_gnc.law.timing import Timing
 from fss_gnc.programs import controller as main
 
 
@@ -46,7 +46,7 @@ class ControllerNode(Node):
         if s.law.endswith(".fmu"):
             require("fmpy")  # the law's process imports it
         self.arm, period = described(s.arm), 1.0 / s.rate
-        self.snapshot, self.timing = Snapshot(self.arm.n, period), Timing()
+        self.snapshot, self.timing = Snapshot(self.arm.n, period), Timing(s.rate, self.get_clock())
         self.topics = LatestTopics(self)
         self.subscribe()
         lifetime = command(s.time_to_live)
@@ -59,7 +59,7 @@ class ControllerNode(Node):
         self.process = LawProcess(s.law, self.arm.n, period)
         self.law = LawRun(self.process, self.arm.n, period, s.time_to_live)
         self.create_timer(period, self.tick, clock=timer_clock(self))
-        self.diagnostics = Diagnostics(self, self.health)
+        self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
 
     def subscribe(self) -> None:
         """Subscribe to the inputs of the law."""
@@ -126,7 +126,8 @@ class ControllerNode(Node):
         if given.is_stop:
             self.timing.interrupt()
         else:
-            self.timing.add(self.now(), given.measured)
+            self.timing.add_step()
+            self.timing.add_command(given.measured)
 
     def report_failure(self) -> None:
         """Log why the law has ended; end the node if the law has never run."""
@@ -155,9 +156,8 @@ class ControllerNode(Node):
             "hash of its file": self.process.hash,
             "process": self.process.pid,
             "steps": law.steps,
-            "missed deadlines": law.missed,
             "expired outputs": law.expired,
-            **self.timing.values(),
+            MISSED: law.missed,
         }
         if law.failure:
             return Health(ERROR, f"law has failed: {law.failure}", values)

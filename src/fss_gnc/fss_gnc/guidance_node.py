@@ -23,6 +23,7 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.subscriptions import PolledSubscription
 from fss_arm_ros.timers import timer_clock
+from fss_arm_ros.timing import Timing
 from fss_arm_ros.validation import subscribe
 from fss_gnc import guidance_topics as topics
 from fss_gnc.guidance import capture
@@ -51,6 +52,7 @@ class GuidanceNode(Node):
         self.craft = Craft(described_arm(self, s.arm), s)
         capture.load_kernels(self.craft)
         self.running: Running | None = None
+        self.timing = Timing(s.rate, self.get_clock())
         self.measured = Measurements(self.craft.arm.n, s.max_age)
         self.polled = [
             PolledSubscription(self, kind, name, partial(self.on_message, name, store))
@@ -74,7 +76,7 @@ class GuidanceNode(Node):
         ]
         self.publish(topics.idle_messages(self.craft, self.now()))
         self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
-        self.diagnostics = Diagnostics(self, self.health)
+        self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
 
     def close(self) -> None:
         """Destroy the action servers, which the node does not destroy by itself."""
@@ -138,7 +140,9 @@ class GuidanceNode(Node):
     def tick(self) -> None:
         """Step the running activity."""
         if not (running := self.running):
+            self.timing.interrupt()
             return
+        self.timing.add_step()
         execution, handle, _ = running
         obs, problem = self.observe(execution.start_time)
         commands = execution.step(obs, handle.is_cancel_requested, problem)
@@ -149,6 +153,7 @@ class GuidanceNode(Node):
             self.get_logger().warning(f"{execution.kind.name}: {problem}")
         now, horizon = self.now(), self.settings.horizon
         self.publish(topics.command_messages(execution, commands, obs.t, horizon, now))
+        self.timing.add_command(self.measured.base.stamp)
         handle.publish_feedback(execution.feedback(commands))
 
     def finish(self, running: Running, outcome: Outcome, coast: bool = True) -> None:
@@ -156,11 +161,10 @@ class GuidanceNode(Node):
         self.running = None
         execution, n = running.execution, self.craft.arm.n
         self.publish(topics.end_messages(execution, outcome, n, self.now(), coast=coast))
-        name = execution.kind.name
         if outcome.success:
-            self.get_logger().info(f"{name} succeeded")
+            self.get_logger().info(f"{execution.kind.name} succeeded")
         else:
-            self.get_logger().warning(f"{name} failed: {outcome.message}")
+            self.get_logger().warning(f"{execution.kind.name} failed: {outcome.message}")
         running.finished.set_result(outcome)
 
     def health(self) -> Health:

@@ -21,6 +21,7 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.timers import timer_clock
+from fss_arm_ros.timing import Timing
 from fss_gnc.messages import planned_rates
 from fss_gnc.navigation import Navigation, messages
 from fss_gnc.navigation.body_filter import BodyState
@@ -47,6 +48,7 @@ class NavigationNode(Node):
         self.known = Calibrated(described_arm(self, s.arm))
         self.stamps = StampCheck(s.base_topic, lambda: int(self.clock.now().nanoseconds))
         self.rejected: Counter[str] = Counter()
+        self.timing = Timing(s.rate, self.get_clock())
         self.pulses = 0  # number of accepted commands to the valves
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
         self.target = self.create_publisher(Odometry, "target/state", SENSOR)
@@ -60,10 +62,12 @@ class NavigationNode(Node):
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
         subscribe_sensor(self, JointTrajectory, "arm/planned", self.on_planned)
         subscribe_sensor(self, ThrusterCommand, "thrusters/pulses", self.on_pulses)
-        subscribe_sensor(self, GripperState, "gripper/state", self.on_gripper)
+        subscribe_sensor(
+            self, GripperState, "gripper/state", lambda m: self.navigation.set_gripper(m.holds)
+        )
         subscribe_calibrations(self, self.on_calibration)
         self.create_timer(1.0 / s.rate, self.publish_states, clock=self.clock)
-        self.diagnostics = Diagnostics(self, self.health)
+        self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
 
     def reset(self) -> None:
         """Reset the estimates of base and target."""
@@ -79,8 +83,7 @@ class NavigationNode(Node):
         if verdict in (Verdict.FROM_FUTURE, Verdict.JUMPED_FORWARD):
             self.rejected[f"{topic} from the future"] += 1
         if verdict in (Verdict.JUMPED_FORWARD, Verdict.JUMPED_BACK):
-            text = f"{topic} {verdict.value} to {t / SECOND:.1f} s: filters reset"
-            self.get_logger().warning(text)
+            self.get_logger().warning(f"{topic} {verdict.value} to {t / 1e9:.1f} s: filters reset")
             self.reset()
         return verdict is not Verdict.FROM_FUTURE
 
@@ -92,6 +95,7 @@ class NavigationNode(Node):
         elif self.accept_stamp(topic, t):
             body = self.base if topic == self.settings.base_topic else self.target_body
             body.update_pose(t, pose)
+            self.timing.add_command(t)
 
     def on_gyro(self, message: Imu) -> None:
         """Update the base's filter with a sample of its rate."""
@@ -121,10 +125,6 @@ class NavigationNode(Node):
         elif accepted:
             self.rejected["thrusters/pulses rejected"] += 1
 
-    def on_gripper(self, message: GripperState) -> None:
-        """Process the gripper's report that it holds the target, or does not."""
-        self.navigation.set_gripper(message.holds)
-
     def on_calibration(self, topic: str, message: Any) -> None:
         """Use an accepted calibration of the arm."""
         try:
@@ -151,6 +151,7 @@ class NavigationNode(Node):
     def publish_states(self) -> None:
         """Predict bodies without new poses, and publish their states while they are known."""
         now = self.stamps.now()
+        self.timing.add_step()
         for body in (self.base, self.target_body):
             body.publish_if_due(now, 0.5 * SECOND / self.settings.rate, self.navigation.predict)
         n, frame_id = self.navigation, f"{self.settings.frame_prefix}link_{self.known.arm.n}"

@@ -10,7 +10,6 @@ from fss_arm_model.units import SECOND
 from fss_gnc.law import Outputs
 from fss_gnc.law.contract import LawError
 from fss_gnc.law.run import MAX_START_TIME, MAX_STEP_TIME, LawRun, stop_of
-from fss_gnc.law.timing import Timing
 
 PERIOD, LIFETIME = 0.02, 0.3
 OUTPUTS = Outputs(wrench=np.full(3, 0.01), joint_velocities=np.full(4, 0.02))
@@ -166,18 +165,3 @@ def test_a_stop_ends_what_was_commanded_and_nothing_else():
     currents = stop_of(Outputs(joint_currents=np.ones(4)), 4)
     assert currents.joint_velocities.tolist() == [0.0] * 4
     assert currents.wrench is currents.joint_currents is None
-
-
-def test_timing_gives_percentiles_of_periods_and_latencies():
-    timing = Timing()
-    assert timing.values() == {}
-    for k in range(1001):
-        start = k * SECOND // 100 + (SECOND // 10 if k == 1000 else 0)
-        timing.add(start + SECOND // 500, start)
-    timing.interrupt()
-    timing.add(1000 * SECOND, 1000 * SECOND - SECOND // 500)
-    values = timing.values()
-    assert values["period p50 [ms]"] == pytest.approx(10.0)
-    assert values["period p99 [ms]"] == pytest.approx(10.0)
-    assert values["period p99.9 [ms]"] == pytest.approx(10.1, abs=0.1)
-    assert values["latency p99.9 [ms]"] == pytest.approx(2.0)

@@ -10,6 +10,7 @@ import runpy
 import shlex
 import shutil
 import subprocess
+import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
@@ -23,6 +24,7 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.clock import Clock
 from rclpy.serialization import serialize_message
 from rich.console import Console
 from sensor_msgs.msg import JointState
@@ -30,6 +32,7 @@ from shell_scripts import script_package, write_script
 
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.source_version import source_version
+from fss_arm_ros.timing import Timing
 
 ROOT = Path(__file__).parents[3]
 STAND_IN = ROOT / "scripts/bin/ros2"
@@ -257,6 +260,10 @@ def test_nodes_are_in_the_namespace_of_their_vehicle(tmp_path, config, vehicle, 
             )
             for domain in ("abc", "-1", "233")
         ),
+        ("realtime 1 any node a p x", "", "the priority is '1', expected a whole number from 2"),
+        ("realtime 50 0,x node a p x", "", "the cores are '0,x', expected numbers such as 2,3"),
+        ("realtime 50 nod a p x", "", "the cores are 'nod', expected numbers"),
+        ("realtime 50 any nod a p x", "", "'nod' follows the cores, expected node"),
         (VEHICLES, "fss3", "has no node in the namespace fss3"),
         ("FSS_NAMESPACE=2nd; node a p x", "", "FSS_NAMESPACE is '2nd', expected the name of"),
         ("FSS_NAMESPACE=a-b; node a p x", "", "FSS_NAMESPACE is 'a-b', expected letters"),
@@ -324,6 +331,31 @@ def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path, status):
     lines = lines_of(shown)
     row = next(line for line in lines if line.startswith("fss2/link_1")).split()
     assert row[:5] == ["fss2/link_1", "armed", "-12.3", "-1.20", "16.5"]
+
+
+def test_timing_is_shown_within_80_columns(status):
+    timing = Timing(100.0, Clock())
+    timing.add_step()
+    timing.add_command(time.time_ns())
+    timing.add_step()
+    values = [KeyValue(key=key, value=f"{value:.6g}") for key, value in timing.values().items()]
+    names = ["fss2/control", "fss2/navigation"]
+    reports = {name: DiagnosticStatus(name=name, values=values) for name in names}
+    listener = SimpleNamespace(reports=reports, report=reports.get)
+    rows = [line.split() for line in lines_of(status["timing"](listener))]
+    assert [row[0] for row in rows if len(row) == 8] == names
+
+
+def test_a_marked_node_has_its_priority_and_cores(tmp_path):
+    (tmp_path / "lab.sh").write_text(
+        "node b p x\nrealtime 60 1,2 node a p x\nrealtime 50 any node c p x\nnode d p x\n"
+    )
+    script = (
+        'fss_scripts=scripts; . scripts/fss/config.sh; read_config "$0"; '
+        'show() { echo "$1 $fss_priority $fss_cores"; }; each_node show'
+    )
+    shown = run("sh", "-c", script, tmp_path / "lab.sh", cwd=ROOT)
+    assert shown.stdout.splitlines() == ["b  ", "a 60 1,2", "c 50 ", "d  "]
 
 
 def test_a_failed_node_says_why_and_events_are_those_of_this_session(tmp_path, status):

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fss_arm_ros.realtime import yield_to_parent
 from fss_gnc.law.contract import STRUCTURES, Inputs, LawError, from_record, to_record
 from fss_gnc.law.forms import load
 
@@ -71,6 +72,7 @@ def failure_text(error: BaseException) -> str:
 def main(law: str, joints: str, period: str, parent: str, fd: str) -> int:
     """Run a law; return the exit code."""
     end_with(int(parent))
+    yield_to_parent()  # an endless law must not keep the node from ending it
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the node, which ends this process
     faulthandler.enable()
     channel = socket.socket(fileno=int(fd))

@@ -1,0 +1,73 @@
+"""Statistics of periods and latencies."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from fss_arm_model.units import SECOND
+from fss_arm_ros.timing import MAX_SAMPLES, Timing
+
+
+class Clock:
+    """Clock that is set."""
+
+    t = 0
+
+    def now(self):
+        return SimpleNamespace(nanoseconds=self.t)
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def timing(clock):
+    return Timing(100.0, clock)
+
+
+@pytest.fixture
+def step(timing, clock):
+    def step(t, latency=SECOND // 500):
+        clock.t = t
+        timing.add_step()
+        timing.add_command(t - latency)
+
+    return step
+
+
+def test_percentiles_and_missed_deadlines(timing, step):
+    assert timing.values() == {}
+    for k in range(1001):
+        step(k * SECOND // 100 + (SECOND // 10 if k == 1000 else 0))
+    values = timing.values()
+    assert values["period p50 [ms]"] == pytest.approx(10.0)
+    assert values["period p99 [ms]"] == pytest.approx(10.0)
+    assert values["period p99.9 [ms]"] == pytest.approx(10.1, abs=0.1)
+    assert values["latency p99.9 [ms]"] == pytest.approx(2.0)
+    assert values["missed deadlines"] == 10
+
+
+def test_a_pause_is_no_period(timing, step):
+    step(0)
+    step(SECOND // 100)
+    timing.interrupt()
+    step(1000 * SECOND)
+    assert timing.values()["period p99.9 [ms]"] == pytest.approx(10.0)
+    assert timing.values()["missed deadlines"] == 0
+
+
+def test_old_samples_are_dropped(timing, step):
+    step(0, latency=SECOND)
+    for k in range(1, MAX_SAMPLES + 1):
+        step(k * SECOND // 100)
+    assert timing.values()["latency p99.9 [ms]"] == pytest.approx(2.0)
+
+
+def test_a_command_without_a_measurement_has_no_latency(timing, clock):
+    timing.add_step()
+    timing.add_command(None)
+    clock.t = SECOND // 100
+    timing.add_step()
+    assert not any("latency" in name for name in timing.values())
