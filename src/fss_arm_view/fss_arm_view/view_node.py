@@ -16,6 +16,7 @@ from rclpy.node import Node
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import sensor
+from fss_arm_ros.timing import MISSED
 from fss_arm_ros.validation import subscribe
 
 from . import scene
@@ -122,20 +123,20 @@ class ViewNode(Node):
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """Show each node's error in the strip, and log each node's state when it changes."""
         for status in message.status:
-            self.update_node_errors(status)
+            self.update_strip(status)
             if self.logged_levels.get(status.name) != status.level:
                 self.logged_levels[status.name] = status.level
                 level = LEVELS.get(status.level, "WARN")
                 self.own.log_event(f"{status.name}: {status.message}", level)
 
-    def update_node_errors(self, status: DiagnosticStatus) -> None:
-        """Add a node's error to its vehicle's strip, or remove it when the error is over."""
+    def update_strip(self, status: DiagnosticStatus) -> None:
+        """Show a node's error, and its missed deadlines, in its vehicle's strip."""
+        error = status.message if status.level == ERROR else ""
+        missed = next((int(pair.value) for pair in status.values if pair.key == MISSED), 0)
         namespace = f"/{status.name.strip('/')}".rpartition("/")[0].strip("/")
         for vehicle in self.vehicles:
             if vehicle.name in ("", namespace):
-                vehicle.strip.node_errors.pop(status.name, None)
-                if status.level == ERROR:
-                    vehicle.strip.node_errors[status.name] = status.message
+                vehicle.strip.add_report(status.name, error, missed)
 
     def health(self) -> Health:
         """Return the node's health for diagnostics."""
