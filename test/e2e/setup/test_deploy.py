@@ -1,4 +1,7 @@
-"""Deployment over SSH to a server on this computer, of a small workspace with the real scripts."""
+"""Deployment over SSH of a small workspace with the real scripts.
+
+The other computer is a network namespace of its own, if this process may make one.
+"""
 
 import fcntl
 import os
@@ -41,8 +44,29 @@ def run(*command, **options):
 
 
 @pytest.fixture
-def computer(tmp_path):
-    """A home folder behind an SSH server with keys and a port of its own; its RSYNC_RSH."""
+def network():
+    """Address of another computer, and the start of a command that runs there."""
+    name = f"fss{os.getpid()}"
+    if os.getuid() or not shutil.which("ip") or run("ip", "netns", "add", name).returncode:
+        yield "127.0.0.1", ()
+        return
+    inside = "ip", "netns", "exec", name
+    try:
+        ends = f"link add {name} type veth peer name eth netns {name}".split()
+        run("ip", *ends, check=True)
+        run("ip", "address", "add", "10.213.7.1/30", "dev", name, check=True)
+        run("ip", "link", "set", name, "up", check=True)
+        run(*inside, "ip", "address", "add", "10.213.7.2/30", "dev", "eth", check=True)
+        run(*inside, "ip", "link", "set", "eth", "up", check=True)
+        yield "10.213.7.2", inside
+    finally:
+        run("ip", "netns", "delete", name, check=True)
+
+
+@pytest.fixture
+def computer(tmp_path, network):
+    """A home folder behind an SSH server with keys and a port of its own; address, RSYNC_RSH."""
+    address, inside = network
     if not (shutil.which("rsync") and Path("/usr/sbin/sshd").exists()):
         pytest.skip("needs rsync and openssh-server")
     home, port = tmp_path / "home", OWN.ports(1)[0]
@@ -52,19 +76,19 @@ def computer(tmp_path):
     forced = f'cd {home}; HOME={home} exec sh -c \\"$SSH_ORIGINAL_COMMAND\\"'
     (tmp_path / "keys").write_text(f'command="{forced}" {(tmp_path / "user.pub").read_text()}')
     (tmp_path / "sshd_config").write_text(
-        f"Port {port}\nListenAddress 127.0.0.1\nHostKey {tmp_path}/host\nPidFile none\n"
+        f"Port {port}\nListenAddress {address}\nHostKey {tmp_path}/host\nPidFile none\n"
         f"AuthorizedKeysFile {tmp_path}/keys\nStrictModes no\nUsePAM no\nMaxStartups 100\n"
     )
     if os.getuid() == 0:
         Path("/run/sshd").mkdir(exist_ok=True)
     log = (tmp_path / "sshd.log").open("w")
     server = subprocess.Popen(
-        ["/usr/sbin/sshd", "-D", "-e", "-f", tmp_path / "sshd_config"], stderr=log
+        [*inside, "/usr/sbin/sshd", "-D", "-e", "-f", tmp_path / "sshd_config"], stderr=log
     )
     shell = f"ssh -p {port} -i {tmp_path}/user -o UserKnownHostsFile={tmp_path}/known"
     shell += " -o StrictHostKeyChecking=accept-new -o BatchMode=yes -o LogLevel=ERROR"
     wait_until(lambda: "listening" in (tmp_path / "sshd.log").read_text(), TIMEOUT, PAUSE)
-    yield home, shell
+    yield home, address, shell
     server.kill()
     server.wait()
     kill_in(home)
@@ -73,10 +97,10 @@ def computer(tmp_path):
 class Workspace:
     """A workspace with the real scripts, whose set-up takes a moment."""
 
-    def __init__(self, folder, home, shell):
+    def __init__(self, folder, home, address, shell):
         self.root, self.home = folder / "workspace", home
         self.env = {**os.environ, "RSYNC_RSH": shell}
-        self.host = f"{pwd.getpwuid(os.getuid()).pw_name}@127.0.0.1"
+        self.host = f"{pwd.getpwuid(os.getuid()).pw_name}@{address}"
         for name in COPIED:
             (self.root / "scripts" / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(SCRIPTS / name, self.root / "scripts" / name)
