@@ -27,8 +27,8 @@ step() {   # step NAME COMMAND...
 
 # A test without its tool is skipped. For the slow tests, install the tools with apt if possible.
 if [[ " $* " == *" --slow "* && $(id -u) == 0 ]] && command -v apt-get >/dev/null; then
-  tools=(chromium zsh iproute2 rsync openssh-server systemd qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi
-    libstdc++-arm-none-eabi-newlib)
+  tools=(chromium zsh iproute2 rsync openssh-server systemd qemu-system-arm gcc-arm-none-eabi
+    libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib)
   if ! dpkg -s "${tools[@]}" >/dev/null 2>&1; then
     echo "test: installing for the slow tests: ${tools[*]}" >&2
     { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends \
