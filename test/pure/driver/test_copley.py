@@ -135,6 +135,19 @@ def test_a_demand_made_again_while_braking_is_followed(bench):
     assert bench.orders()[-1] == "t 1"
 
 
+@pytest.mark.parametrize("goal", [Goal.RELEASE, Goal.HOLD])
+def test_a_joint_found_in_motion_is_braked_with_the_drives_abort_deceleration(bench, goal):
+    bench.demand(Goal.VELOCITY, 300_000, 0, 7639)
+    bench.demand(Goal.VELOCITY, 300_000, 0, 100)  # would brake in half a minute
+    bench.here = Drive(115_200)  # a driver that starts again
+    bench.here.demand = Demand(goal)
+    bench.run(1.0)
+    rest = {Goal.RELEASE: Mode.OFF, Goal.HOLD: Mode.POSITION}[goal]
+    orders = ["s r0x90 115200", "s r0x37 300", "s r0x2f 0", "s r0x24 11", f"s r0x24 {rest:d}"]
+    assert bench.orders() == orders
+    assert float(bench.core.ask("joint").split()[1]) == 0.0
+
+
 @pytest.mark.parametrize("cut_at", range(0, 12, 3))
 def test_a_cable_pulled_in_mid_line_costs_the_demand_and_not_the_drive(bench, cut_at):
     bench.here.demand = Demand(Goal.VELOCITY, 5000)

@@ -550,6 +550,18 @@ def test_its_own_restart_stops_a_moving_drive(link, command):
 
 
 @firmware_only
+def test_after_its_own_restart_it_brakes_with_the_drives_abort_deceleration(link):
+    moving(link, TURN)
+    assert link.send(replace(TURN, sequence=3, acceleration=100))  # would brake in half a minute
+    link.run(0.2)
+    assert link.orders() == ["s r0x36 1", "s r0x37 1", "s r0x2f -300000"]
+    link.tell(f"restart 2 {BOOT + 1} - 0")
+    link.run(1.0)
+    assert link.orders() == ["s r0x90 115200", "s r0x37 300", "s r0x2f 0", "s r0x24 0"]
+    assert link.joint()[1:] == (0, Mode.OFF, 115200)
+
+
+@firmware_only
 @pytest.mark.parametrize("bit", [*range(20), *range(21, 32)])
 def test_status_bits_disarm_as_the_fault_table_says(link, bit):
     blocks = {fault.bit: fault.blocks for fault in FAULTS if fault.word is Word.STATUS}

@@ -19,7 +19,8 @@ constexpr uint8_t kTrajectory = 0x00, kCommandedCurrent = 0x02, kCurrent = 0x0c,
 constexpr uint8_t kRound[] = {kPosition,         kVelocity,     kCurrent, kStatus,
                               kTrajectoryStatus, kDesiredState, 0,        kRate};
 constexpr uint8_t kSlowTurn = 6;  // where these take turns
-constexpr uint8_t kSlowReadings[] = {kFaults, kSupply, kTemperature, kAbortDeceleration};
+// The first is known before the first order, to brake a joint that is found in motion.
+constexpr uint8_t kSlowReadings[] = {kAbortDeceleration, kFaults, kSupply, kTemperature};
 
 // Status bits that block motion (docs/reference/faults.md): short, heat, supply, feedback, phasing, the
 // enable input, tracking, latched faults.

@@ -44,10 +44,10 @@ STATE = set_variable(Variable.DESIRED_STATE, 0).removesuffix(
     b"0\r"
 )  # start of the commands that set a mode
 SLOW_VARIABLES = (
+    Variable.ABORT_DECELERATION,  # first: to brake a joint that is found in motion
     Variable.FAULTS,
     Variable.SUPPLY,
     Variable.TEMPERATURE,
-    Variable.ABORT_DECELERATION,
 )
 
 
