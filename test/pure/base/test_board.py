@@ -96,6 +96,13 @@ def test_a_command_that_expires_closes():
     assert state.flags() == BaseState.ARMED
 
 
+def test_silence_closes_at_the_watchdog_however_late_it_is_asked():
+    state = board(QUIET, opens(8 * (10_000,), watchdog=100))
+    state.tick(5 * SECOND)
+    assert state.flags() == BaseState.WATCHDOG
+    assert state.opened == 8 * [100 * MS + 1]
+
+
 @pytest.mark.parametrize("watchdog", [100, 500])
 def test_silence_closes_and_disarms_within_the_watchdog(watchdog):
     state = board(QUIET, opens(8 * (10_000,), watchdog=watchdog))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from driver_world import DATE, LINK, PERIOD, WATCHDOG, World
 
-from fss_arm_driver.protocol import LinkCommandFlag, Mode, State, decode
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, State, decode, encode
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.units import SECOND
 from fss_link.session import Arming, CommandError
@@ -79,6 +79,20 @@ def test_a_driver_that_lost_its_link_to_another_disarms_and_says_so(key):
     world.run(1.0 if key is None else 2.0, lambda: first.other_driver)
     assert first.other_driver
     assert first.arming is Arming.DISARMED
+
+
+def test_a_driver_whose_link_another_keeps_armed_disarms_and_says_so():
+    """Only the echoes show it: telemetry says that the link is armed, and it is not lost."""
+    world, first = turning(None)
+    order = decode(world.commands[-1])
+    for k in range(10):
+        command = replace(order, sequence=1000 + k, clock=order.clock + 1 + k)
+        world.link.receive(encode(command), world.clock())
+        world.run(0.2)
+        assert world.link.armed
+    assert not first.lost
+    assert first.arming is Arming.DISARMED
+    assert first.disarm_reason == first.other_driver == "another driver commands link 1"
 
 
 @both

@@ -88,6 +88,16 @@ def test_a_fault_disarms_and_forbids_arming_until_it_is_gone(bench):
     assert bench.session.armed
 
 
+def test_a_measured_fault_forbids_commands_before_it_disarms(bench):
+    bench.now += bench.PERIOD
+    sample = bench.session.measure(bench.link.telemetry(bench.now, status=1 << 3), bench.now)
+    assert bench.session.armed
+    with pytest.raises(CommandError, match="link 1 has faults: supply too low"):
+        bench.set(Mode.POSITION, 0.5)
+    bench.session.follow(sample)
+    assert not bench.session.armed
+
+
 def test_latched_faults_are_cleared_by_frames_that_do_not_arm(bench):
     bench.step(slow_id=Slow.FAULTS, slow_value=1 << 9)
     assert bench.session.faults == ["tracking error"]
