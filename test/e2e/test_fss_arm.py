@@ -496,11 +496,11 @@ def test_a_stop_is_confirmed_by_the_bases_boards_too(spin, telling):
     """A base without an arm, in a namespace."""
     board = Node("board", namespace="fss3")
     telemetry = board.create_publisher(BaseTelemetry, "base/telemetry", SENSOR)
-    flags = [0]
+    flags, stamps = [0], []
 
     def tell():
         message = BaseTelemetry(flags=flags[0])
-        message.header.stamp = board.get_clock().now().to_msg()
+        message.header.stamp = stamps[0] if stamps else board.get_clock().now().to_msg()
         telemetry.publish(message)
 
     board.create_timer(0.05, tell)
@@ -512,6 +512,8 @@ def test_a_stop_is_confirmed_by_the_bases_boards_too(spin, telling):
     code, out, err = telling([board], STOP)
     assert (code, err) == (0, "")
     assert re.fullmatch(f"fss3/base: {STOPPED}", out)
+    stamps.append(board.get_clock().now().to_msg())  # delayed: from before the next stop
+    assert telling([board], STOP) == (1, "", silent)
 
 
 def test_a_stop_is_confirmed_in_simulated_time(spin, telling):

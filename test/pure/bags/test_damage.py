@@ -4,6 +4,9 @@ from itertools import islice
 
 import pytest
 from damaged_bags import BAGS, Case, Trial, cases, wrong
+from ros_bags import make_bag
+
+from fss_arm_bags.integrity import DamageError, examine
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +24,18 @@ def failed_cases(trial, count, first):
 def test_detectable_damage_is_reported(trial, first):
     """Damage of messages without checksums is undetectable; all other damage is reported."""
     assert failed_cases(trial, 10, first) == []
+
+
+@pytest.mark.parametrize(
+    ("at", "words"), [(400, "its data are damaged"), (-60, "its index is damaged")]
+)
+def test_a_flipped_bit_is_found_by_the_checksum_of_its_part(tmp_path, at, words):
+    file = make_bag(tmp_path) / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[at] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(DamageError, match=f"^{words}$"):
+        examine(file)
 
 
 #: Cases that failed once.

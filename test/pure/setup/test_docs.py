@@ -104,6 +104,22 @@ def test_each_trial_and_each_barrier_has_its_tests(page, row):
         assert file, cell
 
 
+def test_the_code_of_each_barrier_is_there():
+    text = (ROOT / "docs/explanation/safety.md").read_text()
+    cells = [line.split("|")[3] for line in text.splitlines() if re.match(r"\| \d+ \|", line)]
+    assert len(cells) == 32
+    for cell in cells:
+        file, names = "", []
+        for word in re.findall(r"`([\w/.]+)`", cell):
+            if word.endswith(".py"):
+                (place,) = [*ROOT.glob(f"src/*/{word}"), *ROOT.glob(word)]
+                file = place.read_text()
+            else:
+                assert re.search(rf"(def|class) {word}\(", file), word
+                names.append(word)
+        assert names, cell
+
+
 def check_goal(name, kind, fields):
     """Of an action: its name is in the table, its type has these fields."""
     assert f"`{name.lstrip('/')}`" in (ROOT / "docs/reference/topics.md").read_text()
