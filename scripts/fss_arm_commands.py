@@ -45,7 +45,9 @@ def call(node: Node, kind: Any, name: str, request: Any, wait: float) -> Answer:
     rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_TIMEOUT)
     if not future.done():
         raise NoAnswerError(f"{name} did not answer within {ANSWER_TIMEOUT:.0f} s")
-    return future.result().success, future.result().message
+    done, words = future.result().success, future.result().message
+    silent = "done" if done else "refused; the log of its node has the reason"
+    return done, words or f"{name}: {silent}"
 
 
 def discover(node: Node, find: Callable[[], Any], missing: str, wait: float) -> Any:

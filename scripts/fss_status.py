@@ -248,7 +248,7 @@ def links(listener: Listener) -> Table:
             _link_state(m, received.rate()),
             "" if q is None else f"{round(q, 1) + 0.0:.1f}",
             f"{0.01 * m.current:.2f}",
-            f"{0.1 * m.battery:.1f}",
+            f"{0.1 * m.battery:.1f}" if m.battery else "-",  # 0: not reported yet
             str(m.temperature),
             f"{received.rate():.1f}",
             f"{1e3 * m.round_trip:.0f}",
@@ -316,15 +316,25 @@ def versions(listener: Listener) -> Table:
     return table
 
 
+def problems(processes: Processes, listener: Listener) -> list[str]:
+    """Return why nodes are not healthy; empty: each reports no error, or exited with success."""
+    found = []
+    for name in processes.names:
+        state = processes.state(name)
+        if state not in ("up", "ended"):
+            found.append(f"{name} is {state}")
+        elif state == "up" and not listener.report(name) and name not in processes.mute:
+            found.append(f"{name} does not report")
+    for name in sorted(listener.reports):
+        status = listener.report(name)
+        if status and status.level == DiagnosticStatus.ERROR:
+            found.append(f"{name} reports an error")
+    return found
+
+
 def is_healthy(processes: Processes, listener: Listener) -> bool:
     """Return True if every node reports or exited successfully, and none reports an error."""
-    states = {name: processes.state(name) for name in processes.names}
-    alive = {name for name in listener.reports if listener.report(name)} | set(processes.mute)
-    return all(
-        state == "ended" or (state == "up" and name in alive) for name, state in states.items()
-    ) and not any(
-        status.level == DiagnosticStatus.ERROR for status in map(listener.report, alive) if status
-    )
+    return not problems(processes, listener)
 
 
 def is_final(processes: Processes, listener: Listener) -> bool:
@@ -404,7 +414,9 @@ def main() -> int:
             listen(0.1)
         listen(1.0)  # for the rates
         console.print(screen(processes, listener))
-        return 0 if is_healthy(processes, listener) else 1
+        if found := problems(processes, listener):
+            print(f"not healthy: {', '.join(found)}; logs: {options.logs}", file=sys.stderr)
+        return 1 if found else 0
     except KeyboardInterrupt:
         return 0
     finally:

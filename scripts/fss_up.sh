@@ -23,9 +23,9 @@ start() {
   ! held "$1.keep" || return 0
   ! held "$1.node" || fail "$1 runs without its supervisor: fss_down.sh first"
   (
-    hold "$1.keep"
-    exec setsid -f "$fss_scripts/fss/keep.sh" "$fss_config" "$1"
-  ) </dev/null >>"$FSS_LOGS/$1.log" 2>&1
+    hold "$1.keep" && exec setsid -f "$fss_scripts/fss/keep.sh" "$fss_config" "$1"
+  ) </dev/null >>"$FSS_LOGS/$1.log" 2>&1 ||
+    fail "$1 cannot be started: $(tail -n 1 "$FSS_LOGS/$1.log"); scripts/fss_down.sh $fss_config, then try again"
 }
 each_node check
 # Two laboratories in one domain would drive each other's links.

@@ -4,7 +4,7 @@
 # What NAME may be: scripts/rehearse.sh --help
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
-"$here/setup.sh"
+FSS_SETUP_NEXT='' "$here/setup.sh"
 # shellcheck source=scripts/env.sh
 . "$here/env.sh"
 exec python3 -m fss_rehearsal "$@"

@@ -8,7 +8,8 @@ set -euo pipefail
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
 venv=$(readlink -m -- "$root/.venv")   # releases of fss_deploy.sh share one through a link
 
-say() { printf 'setup: %s\n' "$*" >&2; }
+said=
+say() { said=1; printf 'setup: %s\n' "$*" >&2; }
 die() { say "$*"; exit 1; }
 digest() { sha256sum -- "$@" | sha256sum | cut -c -16; }
 current() { [[ -f $1 && $(<"$1") == "$2" ]]; }   # current STAMP KEY
@@ -361,3 +362,6 @@ fi
 echo "$pins" >"$venv/.stamp-packages"
 [[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"
 [[ ! $ros2cli ]] || current "$venv/.stamp-ros2cli" "$ROS2CLI" || add_ros2cli
+# Scripts that continue by themselves set FSS_SETUP_NEXT to nothing.
+next=${FSS_SETUP_NEXT-scripts/demo.sh}
+[[ ! $said ]] || say "done${next:+; next: $next}"

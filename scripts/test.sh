@@ -3,7 +3,7 @@
 # slow tests; -k WORD: a selection).
 set -euo pipefail
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
-"$root/scripts/setup.sh" --dev
+FSS_SETUP_NEXT='' "$root/scripts/setup.sh" --dev
 # shellcheck source=scripts/env.sh
 . "$root/scripts/env.sh"
 

@@ -12,6 +12,12 @@ become() {
   shift
   hold "$wanted.node"
   echo $$ >"$FSS_LOGS/$wanted.node"
+  if [ "${lockstep:-}" = true ]; then   # docs/explanation/simulator.md#time
+    case $2 in
+      testbed) set -- "$@" --ros-args -p keep_clock:=true -p lockstep:=true ;;
+      *) set -- "$@" --ros-args -p use_sim_time:=true ;;
+    esac
+  fi
   # Not the real ros2: it would stay as the node's parent, with the lock and the process id.
   [ -z "$FSS_NAMESPACE" ] || set -- "$@" --ros-args -r "__ns:=/$FSS_NAMESPACE"
   [ "${ROS_SECURITY_ENABLE:-}" != true ] || set -- "$@" --ros-args --enclave "/$fss_name/$wanted"

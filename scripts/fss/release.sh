@@ -39,7 +39,7 @@ finish() {
   ln -s "../../$libraries" .venv
   ln -s "../../../log/$name" "log/$name"
   ln -s ../../out out
-  scripts/setup.sh </dev/null
+  FSS_SETUP_NEXT='' scripts/setup.sh </dev/null
   scripts/fss/check.sh "$2" </dev/null
   cd "$folder"
   refuse_running

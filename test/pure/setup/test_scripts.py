@@ -331,6 +331,25 @@ def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path, status):
     lines = lines_of(shown)
     row = next(line for line in lines if line.startswith("fss2/link_1")).split()
     assert row[:5] == ["fss2/link_1", "armed", "-12.3", "-1.20", "16.5"]
+    link.battery = 0  # not reported yet
+    heard["/fss2/link_1/telemetry"].add(serialize_message(link))
+    (row,) = (line.split() for line in lines_of(status["links"](listener)) if "fss2" in line)
+    assert row[4] == "-"
+
+
+def test_what_is_not_healthy_is_named_with_its_state(tmp_path, status):
+    names = "arm", "link", "record", "view"
+    processes = status["Processes"](tmp_path, [*names, "base"], ["vicon"])
+    levels = {"arm": DiagnosticStatus.OK, "link": DiagnosticStatus.ERROR}
+    reports = {name: DiagnosticStatus(name=name, level=level) for name, level in levels.items()}
+    listener = SimpleNamespace(reports=reports, report=reports.get)
+    (tmp_path / "record.keep").write_text("failed\n")
+    (tmp_path / "base.keep").write_text("ended\n")
+    with ExitStack() as files:
+        for name in ("arm", "link", "view", "vicon"):
+            fcntl.flock(files.enter_context((tmp_path / f"{name}.node").open("w")), fcntl.LOCK_EX)
+        found = status["problems"](processes, listener)
+    assert found == ["record is failed", "view does not report", "link reports an error"]
 
 
 def test_timing_is_shown_within_80_columns(status):
@@ -395,6 +414,38 @@ def test_a_full_disk_is_named_before_a_node_is_started(tmp_path):
     assert up.stderr.startswith(f"fss_up.sh: cannot write to {tmp_path}/logs: is the disk full?")
     assert up.stderr.count("\n") == 1
     assert not (tmp_path / "logs/record.keep").exists()
+
+
+def test_a_node_that_cannot_be_started_is_named_with_the_reason(tmp_path):
+    (tmp_path / "logs/record.keep").mkdir(parents=True)  # in place of the lock's file
+    config = tmp_path / "lab.sh"
+    config.write_text(f"FSS_LOGS={tmp_path}/logs\nnode record fss_arm_bags record\n")
+    up = run("scripts/fss_up.sh", config, cwd=ROOT)
+    assert up.returncode == 1
+    assert up.stderr.startswith("fss_up.sh: record cannot be started: ")
+    assert "record.keep: " in up.stderr
+    assert up.stderr.endswith(f"; scripts/fss_down.sh {config}, then try again\n")
+    assert up.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "lockstep", "seen"),
+    [
+        ("testbed", "true", "--ros-args -p keep_clock:=true -p lockstep:=true"),
+        ("arm", "true", "--ros-args -p use_sim_time:=true"),
+        ("arm", "false", ""),
+    ],
+)
+def test_in_lockstep_the_nodes_use_the_clock_of_the_test_bed(tmp_path, name, lockstep, seen):
+    for part in ("scripts", "config"):
+        shutil.copytree(ROOT / part, tmp_path / part)
+    write_script(tmp_path / "scripts/bin/ros2", 'echo "$@"')
+    write_script(tmp_path / "scripts/env.sh", "")
+    lines = "node testbed fss_sim testbed", "node arm fss_arm_driver arm"
+    (tmp_path / "lab.sh").write_text("\n".join((f"lockstep={lockstep}", *lines)))
+    shown = run(tmp_path / "scripts/fss/node.sh", tmp_path / "lab.sh", name, env=BARE)
+    package = "fss_sim" if name == "testbed" else "fss_arm_driver"
+    assert shown.stdout.strip() == f"run {package} {name} {seen}".strip(), shown.stderr
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
