@@ -630,16 +630,19 @@ def test_faults_of_all_links_are_cleared(spin, bench, telling):
 
 def test_the_valves_are_armed(ros, telling):
     node, asked = Node("base"), []
+    answers = [(True, "the base's board is armed"), (False, "")]
 
     def on_arm(request, response):
+        response.success, response.message = answers[len(asked)]
         asked.append(request.data)
-        response.success, response.message = True, "the base's board is armed"
         return response
 
     node.create_service(SetBool, "base/arm", on_arm)
     said = "the base's board is armed\n"
     assert telling([node], (sys.executable, SCRIPT, "valves")) == (0, said, "")
-    assert asked == [True]
+    refused = "base/arm: refused; the log of its node has the reason\n"
+    assert telling([node], (sys.executable, SCRIPT, "valves")) == (1, "", refused)
+    assert asked == [True, True]
 
 
 def test_all_calibrations_that_run_solve_in_the_domain_of_the_configuration(ros, telling, tmp_path):

@@ -158,14 +158,14 @@ def answers(rig: Rig) -> Finding:
     """Report the link's firmware, state and faults."""
     rig.wait_until(lambda: len(rig.session.slow) >= len(Slow), 3.0)
     sample, session = rig.now(), rig.session
-    version = session.slow.get(Slow.FIRMWARE, 0)
+    version, supply = session.slow.get(Slow.FIRMWARE, 0), session.slow.get(Slow.SUPPLY)
     words = [fault.name for fault in active_faults(sample.frame.status, 0)]
     faults = session.faults
     found = (
         f"start {sample.frame.boot}, firmware "
         f"{version >> 16}.{version >> 8 & 255}.{version & 255}, round trip "
         f"{1e3 * session.round_trip:.1f} ms, "
-        f"supply {0.1 * session.slow.get(Slow.SUPPLY, 0):.1f} V, "
+        f"supply {'not reported yet' if supply is None else f'{0.1 * supply:.1f} V'}, "
         f"{'' if session.referenced else 'not '}referenced, drive: {', '.join(words) or 'nothing'}"
     )
     return Finding(rig.number, "answers", FAIL if faults else PASS, found)

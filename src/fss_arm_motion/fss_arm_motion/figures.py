@@ -144,7 +144,7 @@ def _shares(axes: Any, start: Start, plan: Plan) -> None:
         axes.plot(t, 100.0 * used[:, k], color=SHARES[k], linewidth=1.3, label=name)
     axes.axhline(100.0, color="0.4", linewidth=0.8, linestyle="--")
     axes.set_ylim(0.0, 112.0)
-    axes.set_ylabel("of limits [%]")
+    axes.set_ylabel("of what plans\nmay use [%]")
     _legend(axes, len(KINDS))
 
 
@@ -155,12 +155,12 @@ def _heading(axes: Any, start: Start, plan: Plan) -> None:
     if sigma.any():
         axes.fill_between(
             base.times,
-            turn - 2.0 * sigma,
-            turn + 2.0 * sigma,
+            turn - sigma,
+            turn + sigma,
             color=BASE,
             alpha=0.15,
             linewidth=0,
-            label="± 2 sigma",
+            label="± 1 sigma",
         )
     axes.plot(base.times, turn, color=BASE, linewidth=1.6, label="this motion")
     if np.abs(plan.q[-1] - plan.q[0]).max() > MIN_DISTANCE:

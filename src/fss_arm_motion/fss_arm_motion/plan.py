@@ -154,9 +154,10 @@ class Plan:
 
     @property
     def bound(self) -> str:
-        """The limit that the motion comes closest to."""
+        """The limit that the motion comes closest to, and the share of it that it uses."""
         kind, joint = np.unravel_index(np.argmax(self.used), self.used.shape)
-        return f"{KINDS[kind][0]} of joint {joint + 1}, {100 * self.used[kind, joint]:.0f} %"
+        name, share = KINDS[kind][0], self.used[kind, joint]
+        return f"{name} of joint {joint + 1}, {100 * share:.0f} % of what plans may use"
 
     def at(self, t: Floats) -> tuple[Floats, Floats]:
         """Return angles and rates at times (k,), each (k, n)."""

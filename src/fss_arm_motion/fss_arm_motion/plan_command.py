@@ -15,6 +15,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_model.files import write_text
 from fss_arm_model.settings import default_text, meaning
+from fss_arm_motion.execution import CHANGES
 from fss_arm_motion.figures import draw, title
 from fss_arm_motion.kinds import KINDS, Kind
 from fss_arm_motion.limits import Limits, LimitSettings
@@ -162,15 +163,24 @@ def request_of(options: argparse.Namespace) -> tuple[Kind, Any]:
     return kind, kind.settings(**values)
 
 
-def report(plan: Plan) -> str:
-    """Return the report of a plan for the user."""
+def report(plan: Plan, share: float) -> str:
+    """Return the report of a plan for the user.
+
+    Args:
+        plan: the plan.
+        share: of the drives' limits that it may use.
+    """
     base = plan.prediction
+    changes = zip(CHANGES, base.pose[-1] - base.pose[0], base.deviation[-1], strict=True)
+    change = ", ".join(
+        f"{name} {round(factor * x, digits) + 0.0:.{digits}f} ± {factor * sigma:.{digits}f} {unit}"
+        for (name, unit, factor, digits), x, sigma in changes
+    )
+    friction = ", less friction" if plan.bound.startswith("torque") else ""
     lines = [
         title(plan).replace("°", " deg"),
-        f"closest to a limit: {plan.bound}",
-        f"base at the end: x {base.pose[-1, 0]:.4f} ± {base.deviation[-1, 0]:.4f} m, "
-        f"y {base.pose[-1, 1]:.4f} ± {base.deviation[-1, 1]:.4f} m, heading "
-        f"{np.degrees(base.pose[-1, 2]):.3f} ± {np.degrees(base.deviation[-1, 2]):.3f} deg",
+        f"closest to a limit: {plan.bound} ({100 * share:g} % of the drive's{friction})",
+        f"change of the base (± 1 sigma): {change}",
         f"arm at the end: {np.degrees(plan.q[-1]).round(2).tolist()} deg",
     ]
     lines += [note(name, value) for name, value in plan.notes.items()]
@@ -192,7 +202,7 @@ def main(args: Sequence[str] | None = None) -> int:
     if options.figure:
         require("matplotlib")
     start, plan = plan_motion(options)
-    lines = [report(plan)]
+    lines = [report(plan, options.share)]
     if options.output:
         write_text(options.output, written(start, plan))
         lines.append(f"path written to {options.output}")

@@ -117,6 +117,16 @@ def tried(monkeypatch):
     return run
 
 
+def test_a_supply_that_was_not_reported_yet_is_not_0_volts(monkeypatch):
+    monkeypatch.setattr(trials, "time", bench := Bench(LINK))
+    rig = Rig(1, LINK, bench, None)
+    assert rig.listen(3.0)
+    assert ", supply 24.0 V, " in trials.answers(rig).found
+    monkeypatch.setattr(rig, "wait_until", lambda *_: False)
+    rig.session.slow.clear()
+    assert ", supply not reported yet, " in trials.answers(rig).found
+
+
 def test_a_link_that_is_as_described_passes(tried):
     bench = Bench(LINK)
     found = tried(bench)

@@ -1,5 +1,6 @@
 """The command `plan`, and the files it writes."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -77,6 +78,19 @@ EXAMPLES = {
     "tip_path": "--q -50 55 45 40 --by -0.2 -0.1",
     "best_posture": "--direction 45 --place 0.9 0.3",
 }
+
+
+def test_the_report_states_the_change_of_the_base_and_the_limit(capsys):
+    options = f"point_to_point {EXAMPLES['point_to_point']} --pose 1 0 30"
+    assert main(options.split()) == 0
+    _, limit, change, _, *_ = capsys.readouterr().out.splitlines()
+    share = r"\d+ % of what plans may use \(90 % of the drive's(, less friction)?\)"
+    kind = r"(rate|acceleration|torque) of joint \d"
+    assert re.fullmatch(rf"closest to a limit: {kind}, {share}", limit)
+    number = r"(-?\d+\.\d+) ± (\d+\.\d+)"
+    names = rf"x {number} mm, y {number} mm, heading {number} deg"
+    found = re.fullmatch(rf"change of the base \(± 1 sigma\): {names}", change)
+    assert max(abs(float(value)) for value in found.groups()) < 100.0  # not the pose
 
 
 @pytest.mark.parametrize("kind", KINDS)

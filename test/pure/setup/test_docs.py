@@ -45,6 +45,8 @@ def commands():
         lines += re.findall(r"(?<!`)`((?:ros2 run|scripts/[\w.]+) [^`]+)`", text)
         for line in lines:
             words = shlex.split(line, comments=True)
+            while words and re.match(r"\w+=", words[0]):  # a variable for the command
+                del words[0]
             if words:
                 yield pytest.param(words, id=f"{page.stem}: {' '.join(words)[:60]}")
 

@@ -95,6 +95,21 @@ def test_a_drive_ends_at_its_torque_and_at_the_soft_limits():
     np.testing.assert_allclose(bed.q[3:5], [np.pi / 2, -np.pi / 2], rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("joint", "demand", "words"),
+    [
+        (4, Demand(MODE_OFF), "joint is 4, expected 0 to 3: counted from 0"),
+        (-1, Demand(MODE_OFF), "joint is -1, expected 0 to 3"),
+        (0, 0.1, r"demand is 0.1, expected Demand\(mode, set_point, speed, acceleration\)"),
+        (0, Demand(2), "expected Demand.* with a mode MODE_OFF, MODE_CURRENT"),
+        (0, Demand(MODE_VELOCITY, np.nan), "demand is Demand.*nan.*, expected finite numbers"),
+    ],
+)
+def test_a_wrong_command_is_refused_with_what_is_expected(joint, demand, words):
+    with pytest.raises(ValueError, match=words):
+        plant().command(joint, demand)
+
+
 def test_friction_brakes_a_drive_that_is_off_and_position_mode_at_speed_0_brakes_and_holds():
     bed = Plant(paper_arm(), np.zeros(7), (0, 0, 0, 0.5, 0, 0, 0))
     for joint in range(4):

@@ -84,6 +84,7 @@ def table(path: Path, bags: Bags, by_topic: dict[str, Stream]) -> Table:
         title=escape(f"{path}: {count} messages, {span}{several}"),
         box=box.SIMPLE,
         title_justify="left",
+        show_edge=False,
         pad_edge=False,
         collapse_padding=True,
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.layout import BASE_SIZE, LENGTH, MASS, each
 from fss_arm_model.momentum import momentum
 from fss_sim.plant.contact import Contact, Part
-from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF
+from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_VELOCITY
 from fss_sim.plant.joints import Joints
 from fss_sim.plant.simulation import advance, advance_geared
 from fss_sim.plant.surroundings import Surroundings
@@ -25,6 +26,7 @@ from fss_sim.plant.thrusters import Propulsion, Thrusters
 
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 BLOCKED_FRICTION = 1000.0  # Coulomb friction of a blocked joint [N m]
+MODES = (MODE_OFF, MODE_CURRENT, MODE_VELOCITY, MODE_POSITION)
 
 
 class Demand(NamedTuple):
@@ -134,7 +136,20 @@ class Vehicle:
         return self._state[1]
 
     def command(self, joint: int, demand: Demand) -> None:
-        """Command the drive of a joint; joints are counted from 0."""
+        """Command the drive of a joint; joints are counted from 0.
+
+        Raises:
+            ValueError: there is no such joint, or the demand is not a Demand of finite numbers.
+        """
+        if not 0 <= joint < self.n:
+            raise ValueError(f"joint is {joint}, expected 0 to {self.n - 1}: counted from 0")
+        if not isinstance(demand, Demand) or demand.mode not in MODES:
+            raise ValueError(
+                f"demand is {demand!r}, expected Demand(mode, set_point, speed, acceleration) with "
+                "a mode MODE_OFF, MODE_CURRENT, MODE_VELOCITY or MODE_POSITION of plant.drives"
+            )
+        if not all(map(isfinite, demand)):
+            raise ValueError(f"demand is {demand!r}, expected finite numbers")
         mode, set_point, speed, acceleration = demand
         scale = self._torque_constant[joint] if mode == MODE_CURRENT else 1.0
         self._demand[joint] = mode, scale * set_point, speed, acceleration
