@@ -361,7 +361,7 @@ fi
 [[ -e $warm ]] || compile_kernels
 echo "$pins" >"$venv/.stamp-packages"
 [[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"
-[[ ! $ros2cli ]] || current "$venv/.stamp-ros2cli" "$ROS2CLI" || add_ros2cli
+[[ ! $ros2cli ]] || current "$venv/.stamp-ros2cli" "$ROS2CLI" || { add_ros2cli; said=1; }
 # Scripts that continue by themselves set FSS_SETUP_NEXT to nothing.
 next=${FSS_SETUP_NEXT-scripts/demo.sh}
 [[ ! $said ]] || say "done${next:+; next: $next}"

@@ -645,6 +645,15 @@ def test_the_valves_are_armed(ros, telling):
     assert asked == [True, True]
 
 
+def test_an_arm_without_the_bases_board_has_no_valves(ros, telling):
+    node = Node("link")
+    node.create_publisher(LinkTelemetry, "link_1/telemetry", SENSOR)
+    code, out, err = telling([node], (sys.executable, SCRIPT, "valves", "--wait", "1"))
+    assert (code, out) == (1, "")
+    remedy = "the configuration that runs needs a node base, as config/fss_gnc_sim.sh has"
+    assert err == f"no node offers base/arm in ROS domain {DOMAIN}: {remedy}\n"
+
+
 def test_all_calibrations_that_run_solve_in_the_domain_of_the_configuration(ros, telling, tmp_path):
     node, answers = Node("calibrations"), {"kinematic": "pass: fits", "drift": "fail: a push"}
 
