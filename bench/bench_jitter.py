@@ -56,14 +56,7 @@ def measure(seconds: float, busy: bool, priority: bool) -> list[str]:
             for _ in os.sched_getaffinity(0):
                 loop = stack.enter_context(subprocess.Popen(BUSY))
                 stack.callback(loop.kill)
-        # It does not inherit this process's priority.
-        node = stack.enter_context(
-            subprocess.Popen(
-                command,
-                env=environment,
-                preexec_fn=lambda: os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0)),
-            )
-        )
+        node = stack.enter_context(subprocess.Popen(command, env=environment))
         stack.callback(node.terminate)
         inputs = Inputs()
         stack.callback(inputs.destroy_node)
@@ -84,19 +77,20 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0, help="for each case (default 60)")
     options = parser.parse_args()
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(INPUT_PRIORITY))
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # busy loops and node do not inherit it
+        os.sched_setscheduler(0, policy, os.sched_param(INPUT_PRIORITY))
     except OSError as error:
         print(f"no real-time priority: {error.strerror}", file=sys.stderr)
         return 1
     rclpy.init()
     cases = [(busy, priority) for busy in (False, True) for priority in (False, True)]
     columns = ["beside", "priority", *("50 %", "99 %", "99.9 %") * 2, "missed"]
-    table = Table(*columns, title=f"period, then latency [ms], {options.seconds:g} s each")
+    table = Table(*columns, title=f"period and latency in ms, {options.seconds:g} s each")
     with Progress(console=Console(stderr=True)) as progress:
         for busy, priority in progress.track(cases, description="jitter"):
             values = measure(options.seconds, busy, priority)
             cells = [f"{float(value):.1f}" for value in values[:-1]]
-            beside = "a busy loop per core" if busy else "nothing"
+            beside = "busy loops" if busy else "nothing"
             table.add_row(beside, str(PRIORITY) if priority else "-", *cells, values[-1])
     Console().print(table)
     return int(float(values[KEYS.index("latency p99 [ms]")]) > 1e3 / RATE)

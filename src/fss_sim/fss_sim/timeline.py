@@ -185,9 +185,13 @@ class Timeline:
         last_frame, last_time = self._last_speed_check
         self._last_speed_check = frame, now
         speed = (frame - last_frame) / RATE / max(now - last_time, 1e-9)
-        is_slow = now - last_time > 0.5 and speed < 0.95 * self.speed and not self.paused
-        state = "paused" if self.paused else "too slow" if is_slow else "running"
-        values = {"simulated time [s]": frame / RATE, "speed": speed}
-        values |= {"VICON's frame": frame, "clock jumps": self.pace.jumps}
         slowest, _ = self.nodes.slowest()
-        return TimeStatus(state, is_slow, values | ({"slowest node": slowest} if slowest else {}))
+        is_behind = now - last_time > 0.5 and speed < 0.95 * self.speed and not self.paused
+        is_slow = is_behind and not slowest  # in lockstep it waits for the nodes
+        state = "paused" if self.paused else "too slow" if is_slow else "running"
+        values = {"simulated time [s]": frame / RATE, "speed": speed, "VICON's frame": frame}
+        if slowest:
+            values["slowest node"] = slowest
+        if not self.keep_clock:
+            values["clock jumps"] = self.pace.jumps
+        return TimeStatus(state, is_slow, values)
