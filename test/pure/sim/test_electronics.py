@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 from math import pi
 
+import driver_frames
 import pytest
 from driver_frames import BOOT, DISARM, SECOND
 
@@ -19,14 +20,7 @@ LINK = Link(
 REST = Motion(q=0.5, qd=0.0, current=0.25, torque=0.2)
 MOVING = REST._replace(qd=0.3)
 MOVE = replace(
-    DISARM,
-    flags=LinkCommandFlag.ARM,
-    sequence=2,
-    expiry=3 * SECOND,
-    mode=Mode.POSITION,
-    set_point=-40_000,
-    velocity=300_000,
-    acceleration=3000,
+    driver_frames.MOVE, expiry=3 * SECOND, set_point=-40_000, velocity=300_000, acceleration=3000
 )
 
 
@@ -149,11 +143,3 @@ def test_a_stop_switches_nothing_on():
         electronics = link(*before, stop)
         assert electronics.stopped
         assert electronics.demand(SECOND, REST).mode == Mode.OFF
-
-
-def test_disarming_brakes_and_switches_off_at_rest():
-    electronics = link(DISARM, MOVE)
-    electronics.demand(SECOND, REST)
-    assert electronics.receive(encode(replace(DISARM, sequence=3)), SECOND)
-    assert electronics.demand(SECOND, MOVING).mode == Mode.POSITION
-    assert electronics.demand(SECOND, REST).mode == Mode.OFF

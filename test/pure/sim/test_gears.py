@@ -9,7 +9,6 @@ from model_arms import random_arm
 from model_oracles import mujoco_index, mujoco_model
 
 from fss_arm_model.description import paper_arm
-from fss_arm_model.held import Target
 from fss_arm_model.integration import STEP
 from fss_arm_model.settings import SettingError
 from fss_sim import settings as of_testbed
@@ -18,7 +17,6 @@ from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_VEL
 from fss_sim.plant.joints import PRESETS, Joints, link_normals, outboard_momentum
 from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import Gripper
 from fss_sim.plant.vehicle import Demand, World
 
 WIDE = Surroundings(table=(20.0, 20.0))
@@ -134,20 +132,6 @@ def test_the_audit_balances_with_springs_and_friction(n):
         off = np.abs(plant.imbalance)
         assert off[:3].max() < momentum
         assert off[3] < energy
-
-
-def test_the_audit_balances_through_a_capture():
-    target = Target(mass=9.0, inertia=0.2, fixture=(0.0, 0.0, 0.0))
-    gripper = Gripper(reach=10.0, angle=4.0, speed=10.0)
-    world = World(REAL, WIDE, gripper=gripper, target=target, tolerance=1e-12)
-    rng = np.random.default_rng(1)
-    start = [[1.8, 0.1, 3.0], [-0.1, 0.05, 0.2]]
-    plant = Plant(paper_arm(), np.zeros(7), rng.uniform(-0.2, 0.2, 7), world, start)
-    plant.advance(0.1)
-    plant.closed = True
-    plant.advance(0.3)
-    assert plant.holds
-    np.testing.assert_allclose(plant.imbalance, 0.0, rtol=0, atol=1e-9)
 
 
 def test_a_current_follows_its_command_at_the_loops_bandwidth():

@@ -1,8 +1,11 @@
 """A link of the test bed: power, clock, and the peer of its telemetry."""
 
+from dataclasses import replace
+
+import driver_frames
 import pytest
 
-from fss_arm_driver.protocol import Command, Mode, Slow, decode, encode
+from fss_arm_driver.protocol import Slow, decode, encode
 from fss_arm_model.description import paper_arm
 from fss_arm_model.units import SECOND
 from fss_sim import testbed
@@ -14,10 +17,7 @@ from fss_sim.testbed import FRAME, State
 
 REST = Motion(q=0.5, qd=0.0, current=0.25, torque=0.2)
 START = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7, boot_offset=0)
-DISARM = Command(
-    link=1, flags=0, boot=0, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
-    set_point=0, velocity=0, acceleration=0,
-)  # fmt: skip
+DISARM = replace(driver_frames.DISARM, link=1, boot=0)
 
 
 def started_link(noise=PRESETS["ideal"], **options):

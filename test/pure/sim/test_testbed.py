@@ -111,22 +111,6 @@ def test_torque_sensors_measure_shear_by_crosstalk():
     assert [m.shear for m in bed._motions] == [0.0] * 4  # not computed without crosstalk
 
 
-def test_vicon_and_telemetry_agree():
-    state = State(0, 1, 0, (0.1, 0.2, 0.3, 0.4, -0.3, 0.2, 0.1), (0.0,) * 7)
-    bed = testbed.Testbed(paper_arm(), PRESETS["ideal"], 1, state)
-    reports = run(bed, 30)
-    frames = [decode(d.data) for r in reports for link in r.telemetry for d in link]
-    assert {f.link for f in frames} == {1, 2, 3, 4}
-    for f in frames:
-        assert f.position == round(state.q[2 + f.link] * 240_000 / (2 * math.pi))
-    x, y, theta = seen_from_base(reports[-1].readings)
-    arm = paper_arm()
-    assert theta == pytest.approx(
-        arm.base.mount[2] + sum(k.theta_0 for k in arm.links) + sum(state.q[3:]), abs=1e-12
-    )
-    assert math.hypot(x, y) < 2.0
-
-
 def test_it_resumes_after_the_last_reported_time_with_restarted_links(tmp_path):
     bed = testbed.Testbed(paper_arm(), PRESETS["paper"], 1, BEGIN)
     run(bed, 50)

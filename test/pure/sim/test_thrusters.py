@@ -43,14 +43,6 @@ def test_a_pulse_gives_its_impulse_and_takes_its_propellant(on_time):
     np.testing.assert_allclose(bed.audit.balance, 0.0, atol=1e-9)
 
 
-def test_one_valve_turns_the_base_by_its_lever():
-    bed = Plant(paper_arm(), np.zeros(7))
-    bed.thrust(pulse(0, seconds=0.02))
-    bed.advance(0.1)
-    expected = 0.02 * layout(0.16, 0.11)[0]
-    np.testing.assert_allclose(bed.audit.impulse, expected, rtol=1e-3, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("commands", "is_open"),
     [
