@@ -76,16 +76,9 @@ def test_late_subscribers_get_latched_topics_and_commands_are_not_played(spin, t
     assert player.count_publishers("/calibration/text") == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("joint_states", "too few subscribers of /joint_states"),
-        ("joint_sates", "/joint_sates is not played"),
-    ],
-)
-def test_missing_subscribers_are_reported(spin, tmp_path, name, reason):
-    player = replay(make_bag(tmp_path, 1), wait_for=[name], deadline=0.2)
-    assert reason in exit_code(spin, [player])
+def test_missing_subscribers_are_reported(spin, tmp_path):
+    player = replay(make_bag(tmp_path, 1), wait_for=["joint_states"], deadline=0.2)
+    assert "too few subscribers of /joint_states" in exit_code(spin, [player])
 
 
 def test_a_topic_named_twice_waits_for_two_subscribers(spin, tmp_path):

@@ -1,7 +1,6 @@
 """The node `controller` with a fake craft: commands of a law, and the end of laws that fail."""
 
 import os
-import signal
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -103,16 +102,13 @@ def test_unknown_base_or_joints_stop_everything_once(bench):
 FAULTS = {
     "Exceptional": "ZeroDivisionError: of the law",
     "Endless": "a step did not end within 1 s",
-    "SIGKILL": "SIGKILL",
 }
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_law_that_fails_ends_and_the_node_stops_everything(bench, fault, capfd):
-    craft = bench(f"{FAULTY}:{'Good' if fault == 'SIGKILL' else fault}")
+    craft = bench(f"{FAULTY}:{fault}")
     craft.until(craft.active)
-    if fault == "SIGKILL":
-        os.kill(craft.controller.process.pid, signal.SIGKILL)
     craft.until(lambda: craft.controller.law.failure)
     craft.until(lambda: not craft.wrenches[-1][1].any() and not craft.rates[-1][1].any())
     end = max(craft.wrenches[-1][0], craft.rates[-1][0])

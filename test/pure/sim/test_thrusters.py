@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
-from fss_arm_model.thrusters import layout
+from fss_arm_model.thrusters import CORNERS, layout
 from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.thrusters import Propulsion, Thrusters
 from fss_sim.plant.vehicle import World
 
-PROPULSION = Propulsion()
 FLOW = 0.16 / (34.0 * 9.81)  # [kg/s]
 
 
@@ -22,6 +21,8 @@ def test_pairs_give_each_force_and_torque_alone():
     L = layout(0.16, 0.11)
     np.testing.assert_allclose(L.sum(axis=0), 0.0, atol=1e-15)
     np.testing.assert_allclose(np.abs(L[:, 2]), 0.16 * 0.11)
+    at = 0.11 * np.repeat(CORNERS, 2, axis=0)
+    np.testing.assert_allclose(L[:, 2], at[:, 0] * L[:, 1] - at[:, 1] * L[:, 0])
     for effect in ([0.32, 0, 0], [-0.32, 0, 0], [0, 0.32, 0], [0, -0.32, 0]):
         pair = [i for i in range(8) if L[i, :2] @ effect[:2] > 0.0]
         assert len(pair) == 2
