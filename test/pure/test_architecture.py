@@ -89,7 +89,7 @@ SHARED = within(
     "settings",
 )
 ROOMS = {
-    "fss_arm_bags": {ARRAYS, "fss_arm_ros", *within("fss_arm_model", "files settings")},
+    "fss_arm_bags": {ARRAYS, "fss_arm_ros", *within("fss_arm_model", "files planar settings")},
     "fss_arm_driver": {
         *("fss_link", "fss_arm_ros", "fss_arm_msgs", ARRAYS, UNITS),
         *within("fss_arm_model", "description description_file files settings urdf vehicle"),

@@ -7,13 +7,13 @@ layout unless the frame id changes, so they can be decoded together.
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
-from math import atan2
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.arrays import Floats
+from fss_arm_model.planar import project_to_plane
 from fss_arm_ros.convert import SECOND, TURN_RATE
 
 LITTLE_ENDIAN = b"\1"  # second byte of a message whose numbers have the low byte first
@@ -100,20 +100,6 @@ def _decode_group(messages: list[bytes], count: int, kind: str) -> tuple[Stamps,
     time = column(0, 8, "u4").astype(np.int64)  # the seconds and the nanoseconds are positive
     numbers = column(offset, offset + 8 * count, "f8").astype(np.float64)
     return time[:, 0] * SECOND + time[:, 1], numbers
-
-
-def project_to_plane(numbers: Floats) -> Floats:
-    """Project poses x, y, z [m] and quaternion x, y, z, w, (k, 7), as `planar_pose` does.
-
-    Returns:
-        (k, 3) x [m], y [m], heading [rad]; NaN where the subject was occluded.
-    """
-    x, y, z, w = numbers[:, 3:].T
-    # Use math.atan2: numpy's differs from it in the last bit.
-    heading = map(atan2, (2.0 * (w * z + x * y)).tolist(), (w * w + x * x - y * y - z * z).tolist())
-    visible = np.isfinite(numbers).all(axis=1) & (x * x + y * y + z * z + w * w >= 0.25)
-    found = np.column_stack([numbers[:, :2], np.fromiter(heading, np.float64, len(numbers))])
-    return np.where(visible[:, None], found, np.nan)
 
 
 def batches(

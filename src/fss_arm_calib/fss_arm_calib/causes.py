@@ -21,11 +21,12 @@ from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import difference
 from fss_arm_calib.segments.poses import BASE, TIP
-from fss_arm_calib.segments.recorded import Recorded, Track, planar_poses
+from fss_arm_calib.segments.recorded import Recorded, Track
 from fss_arm_calib.segments.samples import MAX_VALUE, describe_clock_error
 from fss_arm_calib.stream_faults import find_faults, name_streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.planar import project_to_plane
 from fss_arm_model.units import SECOND
 
 MAX_LENGTH = 900.0  # length of the last part of the recording that is used [s]
@@ -246,10 +247,10 @@ def _estimate_lag(recorded: Recorded) -> float:
         at = np.arange(0.0, seconds[k], LAG_STEP)
         return np.abs(np.diff(np.interp(at, (track.t - begins[k]) / SECOND, angles)))
 
-    seen = planar_poses(base.values)[:, 2]
+    seen = project_to_plane(base.values)[:, 2]
     if tip is not None and len(tip.t) > 10:
         t, since = ((track.t - begins[1]) / SECOND for track in (base, tip))
-        other = _unwrap_headings(planar_poses(tip.values)[:, 2])
+        other = _unwrap_headings(project_to_plane(tip.values)[:, 2])
         seen = np.interp(t, since, other) - _unwrap_headings(seen)
     there = changes(1, base, _unwrap_headings(seen))
     here = np.sum([changes(0, track, track.values[:, 0]) for track in joints], axis=0)
@@ -307,7 +308,7 @@ def _tip_from_base(recorded: Recorded) -> Recorded:
     base, tip = recorded.poses[BASE], recorded.poses[TIP]
     if not len(base.t) or not len(tip.t):
         return recorded
-    at, seen = planar_poses(base.values), planar_poses(tip.values)
+    at, seen = project_to_plane(base.values), project_to_plane(tip.values)
     t, since = (track.t - base.t[0] for track in (tip, base))
     columns = *at.T[:2], _unwrap_headings(at[:, 2])
     x, y, heading = (np.interp(t, since, column) for column in columns)

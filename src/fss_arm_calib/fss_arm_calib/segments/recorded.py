@@ -9,6 +9,7 @@ import numpy as np
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.samples import Stamps
 from fss_arm_model.arrays import Floats
+from fss_arm_model.planar import project_to_plane
 from fss_arm_model.units import SECOND
 
 CHUNK_DURATION = 10 * SECOND  # length of the chunks in which streams are replayed in turn [ns]
@@ -68,7 +69,7 @@ class Recorded:
 
     def replay(self, finder: Finder[Any, Any]) -> Sequence[Any]:
         """Replay the streams to a finder and return the segments that it finds."""
-        planar = {name: planar_poses(track.values) for name, track in self.poses.items()}
+        planar = {name: project_to_plane(track.values) for name, track in self.poses.items()}
         names = {f"joint_{i}": i for i in range(1, len(finder.sensors.joints) + 1)}
         times = [int(t) for one in self.tracks if len(one.t) for t in one.receipt[[0, -1]]]
         found: list[Any] = []
@@ -89,11 +90,3 @@ class Recorded:
 
 def _chunk(track: Track, begin: int) -> slice:
     return slice(*np.searchsorted(track.receipt, [begin, begin + CHUNK_DURATION]).tolist())
-
-
-def planar_poses(poses: Floats) -> Floats:
-    """Return x, y [m] and heading [rad], (k, 3), of poses (k, 7); NaN where it was not visible."""
-    x, y, z, w = poses[:, 3:].T
-    heading = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    visible = np.isfinite(poses).all(axis=1) & (x * x + y * y + z * z + w * w >= 0.25)
-    return np.where(visible[:, None], np.column_stack([poses[:, :2], heading]), np.nan)
