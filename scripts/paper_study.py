@@ -49,7 +49,7 @@ def tables_2_and_3() -> str:
     result = solve_kinematics(problem)
     rows = []
     for name, unit, true, value, deviation in zip(
-        problem.names, problem.units, problem.initial, result.values, result.deviations, strict=True
+        problem.names, problem.units, problem.guess, result.values, result.deviations, strict=True
     ):
         scale, form = (180.0 / np.pi, ".2f") if unit == "rad" else (1.0, ".4f")
         shown = "deg" if unit == "rad" else unit

@@ -85,8 +85,8 @@ def within(package: str, names: str) -> set[str]:
 
 SHARED = within(
     "fss_arm_calib",
-    "estimation segments acceptance calibration codec messages outcome precision report_parts "
-    "settings",
+    "estimation segments acceptance calibration checks codec messages outcome precision "
+    "report_parts settings",
 )
 ROOMS = {
     "fss_arm_bags": {ARRAYS, "fss_arm_ros", *within("fss_arm_model", "files planar settings")},

@@ -33,10 +33,10 @@ def quantization_bound(
         (p,) bound of each parameter's error, in its unit.
     """
     n, s = problem.arm.n, len(problem.q)
-    xi = problem.initial if values is None else np.asarray(values, dtype=float)
+    xi = problem.guess if values is None else np.asarray(values, dtype=float)
     Phi_q = np.zeros((s, 3, s, n))
-    Phi_q[np.arange(s), :, np.arange(s), :] = model.whiten(
-        problem, reading_jacobian(model.vector(problem, xi), problem.q)
+    Phi_q[np.arange(s), :, np.arange(s), :] = problem.whitening @ reading_jacobian(
+        model.vector(problem, xi), problem.q
     )
     influence = np.linalg.pinv(model.regressor(problem, xi)) @ Phi_q.reshape(3 * s, s * n)
     return half_count * np.sum(np.abs(influence), axis=1)

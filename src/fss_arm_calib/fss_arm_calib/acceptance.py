@@ -1,23 +1,12 @@
 """Acceptance of a calibration: checks, and the verdict that follows from them.
 
 Each check compares a value with a threshold. A calibration passes if all its checks pass; it fails
-if one fails; it is not evaluated if data for a needed check are missing. The checks here serve
-several kinds of calibration.
+if one fails; it is not evaluated if data for a needed check are missing.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from math import inf, nan
-from typing import Any
-
-import numpy as np
-
-from fss_arm_calib.estimation.least_squares import MAX_CONDITION, Mask
-from fss_arm_calib.estimation.noise import Noise
-from fss_arm_calib.estimation.statistics import probability
-from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.arrays import Floats
-from fss_arm_model.description import Arm
+from dataclasses import dataclass
+from math import inf
 
 PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"
 
@@ -26,8 +15,6 @@ CAUSE = "cause"  # name of the check that gives the probable cause of a bad verd
 MAX_LENGTH = 74  # characters of a reason that fit in the line of a verdict, after "fail: "
 MAX_NAMED = 2  # uncertain parameters named in the line of a verdict
 MAX_REASONS = 4  # limit if the verdict is not pass; the checks hold all reasons
-
-UPDATE_TOLERANCE = 1e-9  # largest last update of a converged solution [deviations]
 
 
 @dataclass(frozen=True)
@@ -88,180 +75,6 @@ def format_uncertain(uncertain: Mapping[str, float]) -> str:
     ]
     more = f" and {len(words) - MAX_NAMED} more" if len(words) > MAX_NAMED else ""
     return f"{', '.join(words[:MAX_NAMED])}{more}"
-
-
-def check_limit(
-    name: str, value: float, threshold: float, reason: str, failure_text: str = ""
-) -> Check:
-    """Return a check that passes if value <= threshold; `failure_text` explains a failure."""
-    if value <= threshold:  # False for NaN
-        return Check(name, PASS, value, threshold, reason)
-    words = f"{failure_text}: {reason}" if failure_text else reason
-    return Check(name, FAIL, value, threshold, words, brief=failure_text)
-
-
-def check_chi_square(
-    name: str,
-    chi_square: float,
-    freedom: float,
-    min_probability: float,
-    failure_text: str,
-    deviation_freedom: float = inf,
-) -> Check:
-    """Return a check that fails if residuals this large are less probable than `min_probability`.
-
-    `chi_square` is the sum of the squared residuals in standard deviations. These deviations are
-    known, or estimated with `deviation_freedom` degrees of freedom.
-    """
-    chance = probability(chi_square, freedom, deviation_freedom)
-    size = f"{chi_square:.4g} for {freedom:.4g} degrees of freedom"
-    facts = f"chi-square {size}, probability {chance:.2g} (at least {min_probability:g})"
-    if chance >= min_probability:
-        brief = f"chi-square of the fit {size}" if name == FIT else ""
-        return Check(name, PASS, chance, min_probability, facts, brief=brief)
-    words = f"{failure_text}: {facts}"
-    return Check(name, FAIL, chance, min_probability, words, brief=failure_text)
-
-
-def check_fit(
-    chi_square: float, freedom: float, min_probability: float, failure_text: str, noise: Noise
-) -> Check:
-    """Check that the residuals agree with the given or estimated deviations."""
-    check = check_chi_square(FIT, chi_square, freedom, min_probability, failure_text)
-    if noise.is_given.all():
-        return check
-    words = f"{check.reason}; deviations estimated from the residuals: {noise}"
-    return replace(check, reason=words)
-
-
-def check_joint_names(streams: Streams, arm: Arm) -> Check:
-    """Check that no readings were received of a joint that the arm does not have."""
-    count = arm.n + len(streams.unknown)
-    if not streams.unknown:
-        return Check("joints", PASS, count, arm.n, "")
-    names, known = ", ".join(streams.unknown), format_count(arm.n, "joint")
-    reason = f"received {names}, but {arm.name!r} has {known}"
-    reason += "; give the description of the arm in use"
-    return Check("joints", NOT_EVALUATED, count, arm.n, reason)
-
-
-def check_clocks(streams: Streams, max_jump: float) -> Check:
-    """Check that no clock jumped back by more than `max_jump` [s], which may have hidden data.
-
-    Clocks that are too far apart to be aligned are only reported: swapped subjects look the same.
-    """
-    name, jump = max(streams.set_back.items(), key=lambda item: item[1], default=("", 0.0))
-    reason, bad = "", jump > max_jump
-    if bad:
-        reason = f"clock of {name} jumped back by {jump:.3g} s (at most {max_jump:g})"
-    elif streams.offset_lower_bound:
-        reason = (
-            "most moves indicate that the clocks differ by more than "
-            f"{streams.offset_lower_bound:g} s, or the subjects are swapped"
-        )
-    verdict = NOT_EVALUATED if reason else PASS
-    return Check("clocks", verdict, jump, max_jump, reason, needed=bad)
-
-
-def check_data_amount(
-    name: str, found: float, needed: float, reason: str, streams: Streams, brief: str = ""
-) -> Check:
-    """Check that the data suffice for a verdict; if not, list silent streams and rejections."""
-    if found >= needed:
-        return Check(name, PASS, found, needed, reason, brief=brief)
-    if streams.silent:
-        reason += f"; nothing received from {', '.join(streams.silent)}"
-    if rejected := [f"{number} {why}" for why, number in streams.rejected.items() if number]:
-        reason += f"; samples rejected: {', '.join(rejected)}"
-    return Check(name, NOT_EVALUATED, found, needed, reason)
-
-
-def check_identifiability(
-    r: Any, hint: str = "", max_condition: float = MAX_CONDITION, brief: bool = True
-) -> Check:
-    """Check that the data determine all parameters of a result; `hint` is a cause or a remedy.
-
-    The condition number is that of the column-scaled regressor. If it passes, a `brief` check has
-    no reason.
-    """
-    facts = f"condition number {r.condition_number:.3g} (at most {max_condition:g})"
-    if not r.undetermined:
-        check = check_limit("determined", r.condition_number, max_condition, facts)
-        return hide_pass_reason(check) if brief else check
-    reason = f"{', '.join(r.undetermined)} cannot be determined separately: "
-    reason += f"{format_count(r.missing, 'combination')} undetermined, {facts}{hint}"
-    return Check("determined", NOT_EVALUATED, r.condition_number, max_condition, reason)
-
-
-def check_bounds(at_bound: Sequence[str], advice: str) -> Check:
-    """Check that no parameter is at a bound of what is physically possible."""
-    if not at_bound:
-        return Check("bounds", PASS, 0, 0, "")
-    brief = f"at a physical bound: {', '.join(at_bound)}"
-    words = f"{brief}: another arm's data, or wrong masses or lengths?{advice}"
-    return Check("bounds", FAIL, len(at_bound), 0, words, brief=brief)
-
-
-def check_convergence(m: Any, tolerance: float = UPDATE_TOLERANCE) -> Check:
-    """Check that the last update of a minimum was negligible."""
-    number = format_count(m.iterations, "iteration")
-    words = f"{number}, last update {m.last_update:.2g} deviations"
-    words = words if m.converged else f"not converged: {words} (at most {tolerance:g})"
-    return Check("convergence", PASS if m.converged else FAIL, m.last_update, tolerance, words)
-
-
-def check_outliers(
-    errors: Floats, kept: Mask, limit: float, max_outliers: int, noun: str, error_name: str
-) -> Check:
-    """Check that the errors (s,) [deviations] of all data that were not rejected are small."""
-    largest = float(np.max(errors[kept]))
-    words = f"largest {error_name} {largest:.3g} (at most {limit:g})"
-    if rejected := np.flatnonzero(~kept).tolist():
-        words += f", {format_indices(rejected, noun)} rejected (at most {max_outliers})"
-    outliers = [k for k in np.argsort(-errors).tolist() if kept[k] and errors[k] > limit]
-    failure_text = f"{format_indices(outliers, noun)} inconsistent" if outliers else ""
-    return check_limit("outliers", largest, limit, words, failure_text)
-
-
-def check_redundancy(redundancy: Floats, kept: Mask, min_redundancy: float, noun: str) -> Check:
-    """Check that each datum kept is verified by the others, so that an error in it would show."""
-    worst = int(np.argmin(redundancy))
-    value = float(redundancy[worst])
-    if value >= min_redundancy:
-        return Check("redundancy", PASS, value, min_redundancy, "")
-    which = format_indices([int(np.flatnonzero(kept)[worst])], noun)
-    facts = f"redundancy {value:.2g} (at least {min_redundancy:g})"
-    reason = f"{which} poorly verified by the others: {facts}"
-    return Check("redundancy", NOT_EVALUATED, value, min_redundancy, reason)
-
-
-def cause_check(words: str, verdict: str = FAIL) -> Check:
-    """Return a check that gives a probable cause; it never decides the verdict."""
-    return Check(CAUSE, verdict, nan, nan, words, needed=False)
-
-
-def stream_causes(streams: Streams) -> list[Check]:
-    """Return possible causes of a verdict in the streams themselves, the most likely one first."""
-    words = [*streams.problems]
-    if streams.silent and streams.other_names:
-        silent, received = ", ".join(streams.silent), ", ".join(streams.other_names)
-        words.append(f"nothing received from {silent}, but from {received}: wrong names?")
-    if differ := frame_mismatch(streams):
-        words.append(differ)
-    return [cause_check(one) for one in words]
-
-
-def frame_mismatch(streams: Streams) -> str:
-    """Describe the frames of the subjects' poses if they differ; empty if they do not."""
-    if len(set(streams.frames.values())) < 2:
-        return ""
-    frames = " and ".join(f"{name} in {frame!r}" for name, frame in streams.frames.items())
-    return f"poses are in different frames: {frames}"
-
-
-def hide_pass_reason(check: Check) -> Check:
-    """Return the check, without its reason if it passes, to keep the report short."""
-    return check if check.verdict != PASS else replace(check, reason="")
 
 
 def format_count(number: int, what: str) -> str:

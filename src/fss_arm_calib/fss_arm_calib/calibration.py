@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
-from fss_arm_calib.acceptance import Check, check_clocks
+from fss_arm_calib import checks
+from fss_arm_calib.acceptance import Check
 from fss_arm_calib.estimation.least_squares import Measurements
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import table_report
@@ -92,13 +93,12 @@ class Calibration(Generic[D, C]):
     output: Callable[[Outcome[D, Any]], str] = lambda outcome: outcome.description
     output_name: str = "calibrated description"  # name of the `output`
     has_urdf: bool = True  # `output` is a description; its URDF is written next to it
-    clocks: Callable[[Streams, Any], Check] = lambda streams, s: check_clocks(streams, s.joint_gap)
+    clocks: Callable[[Streams, Any], Check] = lambda streams, s: checks.clocks(streams, s.joint_gap)
     stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result is outdated
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
     unavailable: Mapping[str, str] = field(default_factory=dict)  # features, with reasons
-    measurements: Callable[[Sequence[D], Arm, C], Measurements] | None = (
-        None  # for a joint estimate
-    )
+    #: Measurements for a joint estimate.
+    measurements: Callable[[Sequence[D], Arm, C], Measurements] | None = None
     #: Topics of the results to start from.
     prior_results: Mapping[str, type[Any]] = field(default_factory=dict)
 

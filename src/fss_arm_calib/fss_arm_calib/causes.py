@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.acceptance import CAUSE, PASS, cause_check
+from fss_arm_calib.acceptance import CAUSE, PASS
 from fss_arm_calib.calibration import Calibration
+from fss_arm_calib.checks import cause
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import difference
 from fss_arm_calib.segments.poses import BASE, TIP
@@ -76,7 +77,7 @@ def explain_failure(
     if not words:
         return outcome
     others = [check for check in outcome.checks if check.name != CAUSE]
-    return replace(outcome, checks=(cause_check(words, outcome.verdict), *others))
+    return replace(outcome, checks=(cause(words, outcome.verdict), *others))
 
 
 def other_arm(arm: Arm, recorded: Recorded) -> str:
@@ -167,12 +168,13 @@ def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     turned = [name for name, size in wide.items() if size > MAX_READING]
     if turned:
         whose = "joints" if len(turned) == len(wide) else ", ".join(turned)
-        counts = [_all_integers(recorded.joints[name].values[:, 0]) for name in turned]
+        readings = np.concatenate([recorded.joints[name].values[:, 0] for name in turned])
+        whole = bool(np.all(readings == np.round(readings)))
         remedy = "converted to radians"
-        if not all(counts):
+        if not whole:
             changed = recorded.change(joints=_scaling(turned, radians(1.0)))
             yield f"{whose} in degrees?", remedy, changed
-        if all(counts) or max(wide.values()) > MAX_VALUE:
+        if whole or max(wide.values()) > MAX_VALUE:
             changed = recorded
             for i, drive in enumerate((link.drive for link in arm.links), 1):
                 radian = 2.0 * np.pi * drive.direction / drive.counts_per_turn
@@ -184,10 +186,6 @@ def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
 def _typical_size(values: Floats) -> float:
     seen = np.abs(values[np.isfinite(values)])
     return float(np.percentile(seen, 95)) if seen.size else 0.0
-
-
-def _all_integers(q: Floats) -> bool:
-    return bool(np.all(q == np.round(q)))
 
 
 def _scaling(names: Sequence[str], by: Floats | float) -> Callable[[str, Track], Track]:
@@ -270,7 +268,6 @@ def _unwrap_headings(heading: Floats) -> Floats:
 
 
 def _pose_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
-    """Yield errors in the poses of the subjects."""
     values = [track.values for track in recorded.poses.values()]
     flat = all(np.nanmean(v[:, 3] ** 2 + v[:, 4] ** 2) < MAX_TILT for v in values if len(v))
     if BASE in recorded.poses and TIP in recorded.poses:
@@ -320,7 +317,6 @@ def _tip_from_base(recorded: Recorded) -> Recorded:
 
 
 def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
-    """Yield errors in the joint readings."""
     names = [f"joint_{i}" for i in range(1, arm.n + 1) if f"joint_{i}" in recorded.joints]
     jumps = [n for n in names if (np.abs(np.diff(recorded.joints[n].values[:, 0])) > np.pi).any()]
     if jumps:

@@ -17,11 +17,11 @@ from fss_arm_calib.acceptance import (
     Check,
     decide_verdict,
     format_uncertain,
-    frame_mismatch,
-    stream_causes,
     summarize,
 )
+from fss_arm_calib.checks import frame_mismatch, stream_causes
 from fss_arm_calib.dates import calibrated_name, format_time
+from fss_arm_calib.estimation import outliers
 from fss_arm_calib.precision import MASS_UNITS, MAX_USABLE_DEVIATION
 from fss_arm_calib.segments.streams import Datum, Streams
 from fss_arm_model.arrays import Floats
@@ -39,6 +39,8 @@ FORMER_SETTINGS = {
     "min_travel": 0.05,
     "same_posture": radians(1.0),
 }
+
+DATA_FIELDS = "weights", "leverage", "errors", "reasons"  # of an Estimate, from a Solution
 
 LIVE = "live"  # source of data received from topics
 
@@ -113,23 +115,20 @@ class Estimate:
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def estimate_of_fit(r: Any, **more: Any) -> Estimate:
-    """Return the estimate of a Fit with its covariance (p, p), and with `more` fields."""
+def estimate_of_fit(r: Any, data: outliers.Solution[Any] | None = None, **more: Any) -> Estimate:
+    """Return the estimate of a Fit, with what is known of each datum and with `more` fields."""
     problem, m = r.problem, r.minimum
-    return Estimate(
-        problem.names,
-        problem.units,
-        problem.guess,
-        r.values,
-        r.covariance,
-        undetermined=r.undetermined,
-        at_bound=r.at_bound,
-        degrees_of_freedom=problem.degrees_of_freedom,
-        condition_number=r.condition_number,
-        iterations=m.iterations,
-        last_update=m.last_update,
-        **more,
-    )
+    of_data = {name: getattr(data, name) for name in DATA_FIELDS} if data else {}
+    found = {
+        "undetermined": r.undetermined,
+        "at_bound": r.at_bound,
+        "degrees_of_freedom": problem.degrees_of_freedom,
+        "condition_number": r.condition_number,
+        "iterations": m.iterations,
+        "last_update": m.last_update,
+    }
+    fields = {**found, **of_data, **more}
+    return Estimate(problem.names, problem.units, problem.guess, r.values, r.covariance, **fields)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from fss_arm_ros.program import Command, Program
 
 
 def _calibration(kind: str, module: str = "kinds") -> Program:
-    """Return the node of a kind of calibration."""
     return Program(
         "fss_arm_calib.calibration_node:CalibrationNode",
         f"fss_arm_calib.node_settings:{kind.title()}NodeSettings",

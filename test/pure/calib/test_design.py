@@ -27,13 +27,13 @@ from fss_arm_calib.experiment.planned import (
     read_plan,
     speed_profile,
     torque_limited_duration,
-    torques,
 )
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, SWEEP, Conditions, ExperimentSettings
 from fss_arm_model import dynamics
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Link, paper_arm
 from fss_arm_model.files import ContentError
+from fss_arm_model.free_floating import free_torques
 from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import joint_positions
 
@@ -61,7 +61,7 @@ def test_torques_are_those_of_the_floating_arm():
     """The accelerations they cause, at the base's rates without momentum, are those asked for."""
     rng = np.random.default_rng(3)
     q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 6, 4))
-    for tau, *motion in zip(torques(ARM, q, qd, qdd), q, qd, qdd, strict=True):
+    for tau, *motion in zip(free_torques(ARM.vector(), q, qd, qdd)[0], q, qd, qdd, strict=True):
         p, state = ARM.vector(), np.concatenate([np.zeros(3), motion[0]])
         H = dynamics.inertia_matrix(p, state)
         twist = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ motion[1])
@@ -84,7 +84,9 @@ def test_candidates_keep_to_the_conditions(kind):
         assert (np.abs(qd).max(axis=0) <= 1.0 + 1e-9).all()
         for a, b, T in zip(one.waypoints[:-1], one.waypoints[1:], one.durations, strict=True):
             way = b - a
-            tau = torques(ARM, a + s * way, rate * way / T, acceleration * way / T**2)
+            tau = free_torques(
+                ARM.vector(), a + s * way, rate * way / T, acceleration * way / T**2
+            )[0]
             assert np.abs(tau).max() <= 1.02 * TORQUE_SHARE * 1.8
         poses = base_poses(ARM.vector(), path(law, edges, t), np.zeros(8))
         places = joint_positions(ARM.vector(), np.concatenate([poses, q], axis=1))

@@ -126,7 +126,7 @@ def test_a_wrong_assumption_shifts_the_estimate_by_its_bias():
     sigma = np.sqrt(np.diag(known.assumed))
     for k, name in enumerate(result.assumed_names):
         error = np.zeros(len(sigma))
-        error[result.assumed[k]] = 1e-3 * sigma[result.assumed[k]]
+        error[result.problem.uncertain[k]] = 1e-3 * sigma[result.problem.uncertain[k]]
         moved = observe(known, ARM.vector() + to_vector(4) @ error, at_rest(16))
         shift = (solve(moved).values - result.values) / 1e-3
         assert_allclose(shift, result.bias[:, k], rtol=0.02, atol=2e-5, err_msg=name)

@@ -33,7 +33,7 @@ def perturbed(arm: Arm, rng: np.random.Generator, length: float, angle: float) -
     """A guess off by up to so much [m, rad] in every parameter."""
     names = kinematic_names(arm.n)
     size = np.where([name.startswith("theta") for name in names], angle, length)
-    values = problem(arm, postures(arm.n, 1), FULL).initial
+    values = problem(arm, postures(arm.n, 1), FULL).guess
     return arm.with_kinematics(values + size * rng.uniform(-1.0, 1.0, len(names)))
 
 
@@ -43,7 +43,7 @@ def test_the_truth_comes_back_from_a_wrong_guess(n):
     for _ in range(5):
         guess = perturbed(truth, rng, length=0.1, angle=0.5)
         result = solve(problem(truth, postures(n, 3 * n + 4), FULL, guess))
-        assert result.converged
+        assert result.minimum.converged
         assert result.calibrated().base.mount == pytest.approx(truth.base.mount, abs=1e-9)
         for found, link in zip(result.calibrated().links, truth.links, strict=True):
             assert (found.a, found.theta_0) == pytest.approx((link.a, link.theta_0), abs=1e-9)
@@ -56,8 +56,8 @@ def test_the_iteration_alone_converges_where_the_closed_form_has_too_few_posture
     for _ in range(50):
         guess = perturbed(truth, rng, length=0.03, angle=0.2)
         result = solve(problem(truth, q, EQUAL, guess), max_condition=1e5)
-        assert result.converged
-        assert np.abs(result.values - problem(truth, q, EQUAL).initial).max() < 1e-9
+        assert result.minimum.converged
+        assert np.abs(result.values - problem(truth, q, EQUAL).guess).max() < 1e-9
 
 
 @pytest.mark.parametrize("parametrization", [FULL, EQUAL])
@@ -74,7 +74,7 @@ def test_a_thousand_random_starts_lead_to_the_same_minimum(parametrization, draw
         for _ in range(20):
             start = np.where(angles, np.pi, 0.5) * rng.uniform(-1.0, 1.0, len(angles))
             found = solve(noisy, start=start)
-            assert found.converged
+            assert found.minimum.converged
             assert np.abs(found.values - expected.values).max() < 1e-7
             assert found.chi_square == pytest.approx(expected.chi_square, rel=1e-9)
 
@@ -84,7 +84,7 @@ def test_a_thousand_random_starts_lead_to_the_same_minimum(parametrization, draw
 def test_mirrored_arms_are_recognized_and_folded_back(turned, theta_e):
     """A link of negative length, turned by pi, ends where the true one does."""
     exact = problem(paper_arm(), DEFAULT_POSTURES, FULL, theta_e=theta_e)
-    values = model.all_parameters(exact, exact.initial)
+    values = model.all_parameters(exact, exact.guess)
     headings = np.cumsum([values[-2], *values[4:7]])
     headings[list(turned)] += np.pi
     values[list(turned)] *= -1.0
@@ -93,17 +93,17 @@ def test_mirrored_arms_are_recognized_and_folded_back(turned, theta_e):
     mirrored = model.estimated_parameters(exact, values)
     assert model.is_mirrored(exact, mirrored)
     assert np.abs(model.residuals(exact, mirrored)[:, :2]).max() < 1e-12
-    assert np.abs(model.unmirror(exact, mirrored) - exact.initial).max() < 1e-12
+    assert np.abs(model.unmirror(exact, mirrored) - exact.guess).max() < 1e-12
     # A last link turned by pi does not fit without a heading offset to turn it back.
     fits = theta_e or 3 not in turned
     assert (np.abs(model.residuals(exact, mirrored)[:, 2]).max() < 1e-12) == fits
     result = solve(exact, start=mirrored)
-    assert np.abs(result.values - exact.initial).max() < 1e-9
+    assert np.abs(result.values - exact.guess).max() < 1e-9
 
 
 def test_the_regressor_holds_the_derivatives_of_the_predictions():
     exact = problem(paper_arm(), DEFAULT_POSTURES, FULL, theta_e=True)
-    xi, h = exact.initial + 0.01, 1e-6
+    xi, h = exact.guess + 0.01, 1e-6
     for column, step in zip(model.regressor(exact, xi).T, h * np.eye(len(xi)), strict=True):
         change = model.residuals(exact, xi - step) - model.residuals(exact, xi + step)
         slope = model.whiten_residuals(exact, change).ravel() / (2.0 * h)
@@ -133,8 +133,8 @@ def test_a_robust_loss_bears_outliers(loss):
         wrong = rng.choice(len(tip), 2, replace=False)
         tip[wrong] += rng.choice([-1.0, 1.0], (2, 3)) * [0.3, 0.3, 0.5]
         far, near = (solve(replace(exact, tip=tip, loss=kind)) for kind in (SQUARE, loss))
-        assert near.converged
-        away = [np.abs(r.values - exact.initial) / near.deviations for r in (far, near)]
+        assert near.minimum.converged
+        away = [np.abs(r.values - exact.guess) / near.deviations for r in (far, near)]
         assert away[1].max() < 5.0
         ratios.append(np.linalg.norm(away[0]) / np.linalg.norm(away[1]))
         assert near.weights[wrong].max() < 0.3 < np.median(near.weights)
@@ -167,7 +167,7 @@ def test_it_converges_where_rounding_hides_the_gain_of_the_last_steps(size):
     for _ in range(40):
         exact = problem(arm_of(4), postures(4, 20), FULL, cad)
         off = replace(exact, tip=exact.tip + size * rng.standard_normal(exact.tip.shape))
-        assert solve(off).converged
+        assert solve(off).minimum.converged
 
 
 def test_parameters_are_counted_and_named_as_the_paper_does():
@@ -177,7 +177,7 @@ def test_parameters_are_counted_and_named_as_the_paper_does():
     assert equal.names == ("a", "a_4", *offsets, "x_BJ1", "y_BJ1", "theta_BJ1")
     assert problem(arm_of(2), postures(2, 8), EQUAL).names[:2] == ("a_1", "a_2")
     assert equal.units == ("m", "m", "rad", "rad", "rad", "m", "m", "rad")
-    assert equal.initial[:2] == pytest.approx([0.3825, 0.3351], abs=1e-15)
+    assert equal.guess[:2] == pytest.approx([0.3825, 0.3351], abs=1e-15)
 
 
 @pytest.mark.parametrize("parametrization", [FULL, EQUAL])
@@ -195,8 +195,8 @@ def test_errors_are_as_large_as_the_covariance_says(parametrization, trials, bou
         noise = rng.normal(size=exact.tip.shape) * exact.sigma
         noisy = replace(exact, tip=exact.tip + noise, arm=guess)
         result = solve(noisy)
-        assert result.converged
-        error = result.values - exact.initial
+        assert result.minimum.converged
+        error = result.values - exact.guess
         squares.append(error @ np.linalg.solve(result.covariance, error))
         position.append(result.position_residual)
         heading.append(result.heading_residual)
@@ -253,7 +253,7 @@ def test_what_readings_add_is_the_covariance_of_what_they_move():
     exact = problem(
         arm_of(3), postures(3, 12), FULL, ripple_deviation=4e-4, eccentricity_deviation=7e-4
     )
-    result, xi = solve(exact), exact.initial
+    result, xi = solve(exact), exact.guess
     Phi_q, s = reading_jacobian(model.vector(exact, xi), exact.q), len(exact.q)
     apart = exact.q[:, None] - exact.q
     k = 4e-4**2 * np.cos(60 * apart) + 7e-4**2 * np.cos(apart)

@@ -1,26 +1,13 @@
 """Drift calibration: solution, acceptance checks, and parameters for other nodes."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from math import nan
 
 import numpy as np
 import yaml
 
-from fss_arm_calib.acceptance import (
-    FIT,
-    PASS,
-    Check,
-    check_chi_square,
-    check_clocks,
-    check_convergence,
-    check_data_amount,
-    check_identifiability,
-    check_joint_names,
-    check_limit,
-    check_outliers,
-    check_redundancy,
-)
+from fss_arm_calib import checks
+from fss_arm_calib.acceptance import FIT, PASS, Check
 from fss_arm_calib.drift.problem import (
     NAMES,
     TOLERANCE,
@@ -31,6 +18,7 @@ from fss_arm_calib.drift.problem import (
     solve,
 )
 from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.estimation import outliers
 from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.estimation.outliers import expand, reject_outliers, solve_robustly
 from fss_arm_calib.estimation.statistics import root_mean_square
@@ -44,16 +32,7 @@ from fss_arm_model.drifting import single_body, single_body_sensitivities
 from fss_arm_model.parameters import parameter_names, to_vector
 from fss_arm_model.units import GRAVITY
 
-
-@dataclass(frozen=True)
-class Solution:
-    """Result, and the drifts (of s) that it uses."""
-
-    result: DriftResult  # from the drifts that were not rejected
-    kept: Mask  # (s,) drifts that were not rejected
-    weights: Floats  # (s,) 1: used; 0: rejected; between: weight of a robust loss
-    reasons: tuple[str, ...]  # (s,) reason for the rejection, else empty
-    errors: Floats  # (s,) when predicted from the others, or at its rejection [deviations]
+Solution = outliers.Solution[DriftResult]
 
 
 def calibrate(
@@ -68,15 +47,15 @@ def calibrate(
     Even very short drifts are solved. The standard deviations are then large.
     """
     s, streams = settings or DriftSettings(), streams or Streams()
-    used, known = [one for one in drifts if one.used], check_joint_names(streams, arm)
-    checks = [known, check_clocks(streams, s.joint_gap), check_time(used, streams, s)]
+    used, known = [one for one in drifts if one.used], checks.joint_names(streams, arm)
+    criteria = [known, checks.clocks(streams, s.joint_gap), check_time(used, streams, s)]
     solution = solution_of(used, arm, s) if used and known.verdict == PASS else None
-    checks += evaluate(solution, s) if solution else []
+    criteria += evaluate(solution, s) if solution else []
     parts = [(one.q, one.times, one.poses, one.frames, one.seconds) for one in used]
     arrays = [np.array(part) for one in parts for part in one]
     estimate = estimate_of(used, solution)
     origin = arm, s, DriftSettings, streams, source
-    return make_outcome(drifts, used, arrays, *origin, checks, estimate, solution)
+    return make_outcome(drifts, used, arrays, *origin, criteria, estimate, solution)
 
 
 def check_time(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> Check:
@@ -84,27 +63,27 @@ def check_time(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> C
     total = sum(drift.times[-1] for drift in drifts)
     brief = f"{total:.0f} s of drift"
     reason = f"{brief}, at least {s.min_time:g} s needed"
-    return check_data_amount("time", total, s.min_time, reason, streams, brief)
+    return checks.data_amount("time", total, s.min_time, reason, streams, brief)
 
 
 def evaluate(solution: Solution, s: DriftSettings) -> Iterator[Check]:
     """Yield the checks of a solution."""
     r, m, kept = solution.result, solution.result.minimum, solution.kept
-    yield check_identifiability(r)
-    yield check_convergence(m, TOLERANCE)
+    yield checks.identifiability(r)
+    yield checks.convergence(m, TOLERANCE)
     words = "another force moved the base, or its poses have larger errors than assumed"
     freedom = r.problem.degrees_of_freedom
-    yield check_chi_square(FIT, m.cost, freedom, s.min_probability, words)
+    yield checks.chi_square(FIT, m.cost, freedom, s.min_probability, words)
     words = "normalized prediction error"
-    yield check_outliers(solution.errors, kept, s.outlier, s.max_outliers, "drift", words)
-    yield check_redundancy(r.cross_checks.redundancy, kept, s.min_redundancy, "drift")
+    yield checks.outliers(solution.errors, kept, s.outlier, s.max_outliers, "drift", words)
+    yield checks.redundancy(r.cross_checks.redundancy, kept, s.min_redundancy, "drift")
     tilt = float(np.sqrt(np.diag(r.covariance)[:2]).max()) / GRAVITY
     limit = np.degrees(s.max_tilt)
     words = f"tilt known to {np.degrees(tilt):.2g} degrees (at most {limit:.2g})"
-    yield check_limit("tilt", tilt, s.max_tilt, words, "drift for longer")
+    yield checks.limit("tilt", tilt, s.max_tilt, words, "drift for longer")
     torque = r.hose_torque[1]
     words = f"hose torque known to {torque:.2g} N m (at most {s.max_torque:g})"
-    yield check_limit("torque", torque, s.max_torque, words, "drift for longer")
+    yield checks.limit("torque", torque, s.max_torque, words, "drift for longer")
 
 
 def body_deviations(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[float, float]:
@@ -163,7 +142,8 @@ def solution_of(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> Solution
         return result, errors
 
     found = reject_outliers(solved, len(drifts), s.outlier, s.max_outliers, 1, "error")
-    return Solution(found.result, found.mask, weights, found.reasons, found.errors)
+    leverage = expand(found.result.cross_checks.leverage, found.mask, 0.0)
+    return Solution(found.result, found.mask, found.reasons, found.errors, weights, leverage)
 
 
 def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
@@ -177,11 +157,8 @@ def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
     residuals = np.concatenate(every)
     return estimate_of_fit(
         r,
+        solution,
         residuals=residuals,
-        weights=solution.weights,
-        leverage=expand(r.cross_checks.leverage, solution.kept, 0.0),
-        errors=solution.errors,
-        reasons=solution.reasons,
         position_residual=root_mean_square(residuals[:, :2]),
         heading_residual=root_mean_square(residuals[:, 2]),
         chi_square=r.minimum.cost,

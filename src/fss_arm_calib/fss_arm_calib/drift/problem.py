@@ -33,11 +33,8 @@ from fss_arm_model.arrays import Floats
 
 NAMES = drifting.SURROUNDINGS
 UNITS = ("m/s^2", "m/s^2", "N m", "N m s", "N s/m")
-SHARED_COUNT, STATE_COUNT, OWN_COUNT = (
-    5,
-    6,
-    8,
-)  # numbers of unknowns: shared; pose and twist; all of one drift
+SHARED_COUNT = 5  # unknowns that all drifts share
+STATE_COUNT, OWN_COUNT = 6, 8  # unknowns of one drift: pose and twist; all
 BODY = [13, 14, 11, 12]  # indices of mass, inertia and centre of mass after these unknowns
 
 #: Half differences for numerical derivatives: far above rounding, with negligible curvature. The
@@ -139,10 +136,8 @@ class DriftProblem:
             weighted = one.rows(self.drifts[k]) * (1.0 / self.sigma[k])[..., None]
             rows = compress_rows(weighted.reshape(-1, weighted.shape[-1]))
             J = np.zeros((len(rows), len(unknowns)))
-            J[:, :SHARED_COUNT], J[:, own_unknowns(k)] = (
-                rows[:, :SHARED_COUNT],
-                rows[:, SHARED_COUNT:-1],
-            )
+            J[:, :SHARED_COUNT] = rows[:, :SHARED_COUNT]
+            J[:, own_unknowns(k)] = rows[:, SHARED_COUNT:-1]
             regressors.append(J)
             residuals.append(rows[:, -1])
         sigma = self.prior_deviations

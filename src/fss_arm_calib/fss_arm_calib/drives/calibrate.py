@@ -6,14 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from fss_arm_calib.acceptance import (
-    FAIL,
-    NOT_EVALUATED,
-    PASS,
-    Check,
-    check_clocks,
-    check_data_amount,
-)
+from fss_arm_calib import checks
+from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check
 from fss_arm_calib.drives.motion import Samples
 from fss_arm_calib.drives.problem import COULOMB, GAIN, KT, NAMES, VISCOUS, ZERO, Drive, solve
 from fss_arm_calib.drives.settings import DrivesSettings
@@ -47,20 +41,22 @@ def calibrate(
     fewest = min(one.stamps.size for one in telemetry)
     number = f"{fewest} frames of each link"
     words = f"{number} while a joint turned (at least {MIN_FRAMES})"
-    frames = check_data_amount("telemetry", fewest, MIN_FRAMES, words, streams, number)
-    checks = [check_clocks(streams, s.joint_gap), frames]
+    frames = checks.data_amount("telemetry", fewest, MIN_FRAMES, words, streams, number)
+    criteria = [checks.clocks(streams, s.joint_gap), frames]
     drives: list[Drive] | None = None
     calibrated: Callable[[], Arm] | None = None
     if frames.verdict == PASS:
         origin = min(int(one.stamps[0]) for one in telemetry)
         pairs = zip(telemetry, arm.links, strict=True)
         drives = solve(arm, [one.samples(link, origin) for one, link in pairs], s)
-        checks += evaluate(drives)
+        criteria += evaluate(drives)
         calibrated = partial(with_drives, arm, drives)
     columns = [getattr(one, f.name) for one in telemetry for f in fields(one)]
     context = arm, s, DrivesSettings, streams, source
     estimate = estimate_of(arm, drives)
-    return make_outcome(excitations, used, columns, *context, checks, estimate, drives, calibrated)
+    return make_outcome(
+        excitations, used, columns, *context, criteria, estimate, drives, calibrated
+    )
 
 
 @dataclass(frozen=True)

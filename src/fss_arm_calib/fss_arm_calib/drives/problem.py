@@ -207,7 +207,6 @@ class Turning:
 
 
 def _collect_turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Turning:
-    """Collect the samples of a drive while its joint turns."""
     gap = w.motion.width[j]
     v, before, after = (w.motion.rates(one.t + way, j) for way in (0.0, -gap, gap))
     turns = w.motion.is_known(one.t) & (np.abs(v) > s.min_speed)

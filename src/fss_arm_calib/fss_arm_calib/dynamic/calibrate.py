@@ -8,26 +8,8 @@ from math import degrees, hypot, isnan, nan
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.acceptance import (
-    FAIL,
-    NOT_EVALUATED,
-    PASS,
-    UPDATE_TOLERANCE,
-    Check,
-    cause_check,
-    check_bounds,
-    check_clocks,
-    check_convergence,
-    check_data_amount,
-    check_fit,
-    check_identifiability,
-    check_joint_names,
-    check_limit,
-    check_outliers,
-    check_redundancy,
-    format_count,
-    hide_pass_reason,
-)
+from fss_arm_calib import checks
+from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check, format_count
 from fss_arm_calib.dynamic.identifiability import INVISIBLE
 from fss_arm_calib.dynamic.parameters import advise_priors
 from fss_arm_calib.dynamic.problem import DynamicProblem
@@ -63,7 +45,7 @@ def calibrate(
     s, streams = settings or DynamicSettings(), streams or Streams()
     used = [one for one in maneuvers if one.used]
     number = check_number(maneuvers, streams, s)
-    found = [check_joint_names(streams, arm), check_clocks(streams, s.joint_gap), number]
+    found = [checks.joint_names(streams, arm), checks.clocks(streams, s.joint_gap), number]
     found += [check_gyro(streams), check_rates(used), *check_tips(used, arm, s, streams)]
     solution = solution_of(problem_of(used, arm, s), s) if number.verdict == PASS else None
     found += evaluate(solution, s) if solution else []
@@ -88,7 +70,7 @@ def check_number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings
     reason = f"{number} (at least {s.min_maneuvers})"
     if found < s.min_maneuvers and lost:
         reason += f"; {format_count(len(lost), 'maneuver')} rejected ({lost[0].reason})"
-    return check_data_amount("maneuvers", found, s.min_maneuvers, reason, streams, number)
+    return checks.data_amount("maneuvers", found, s.min_maneuvers, reason, streams, number)
 
 
 def check_gyro(streams: Streams) -> Check:
@@ -147,7 +129,7 @@ def check_tips(
     limit = hypot(s.max_tip_error, hypot(2.0 * position, mean_length(seen) * heading))
     words = f"end effector {distance:.3f} m from its described position (at most {limit:.3f} m)"
     failing = "another arm's data, or its kinematics must be calibrated first"
-    return [hide_pass_reason(check_limit("end_effector", distance, limit, words, failing))]
+    return [checks.hide_pass_reason(checks.limit("end_effector", distance, limit, words, failing))]
 
 
 def evaluate(solution: Solution, s: DynamicSettings) -> Iterator[Check]:
@@ -156,19 +138,19 @@ def evaluate(solution: Solution, s: DynamicSettings) -> Iterator[Check]:
     left = solution.nominal.residual_sums
     words = "residuals are larger than the deviations allow"
     squares, freedom = float(np.sum(left.squares)), float(np.sum(left.freedom))
-    fit = check_fit(squares, freedom, s.min_probability, words, solution.noise)
+    fit = checks.fit(squares, freedom, s.min_probability, words, solution.noise)
     if fit.verdict == FAIL and _fits_swapped(solution.nominal.problem, s):
-        yield cause_check("the poses of the base are those of the end effector")
+        yield checks.cause("the poses of the base are those of the end effector")
     invisible = sum(d.kind == INVISIBLE for d in solution.directions)
     advice = advise_priors(r, s)
-    yield check_identifiability(r, f", {invisible} invisible to any maneuver{advice}")
-    yield check_convergence(m)
-    yield check_bounds(r.at_bound, advice)
+    yield checks.identifiability(r, f", {invisible} invisible to any maneuver{advice}")
+    yield checks.convergence(m)
+    yield checks.bounds(r.at_bound, advice)
     yield fit
     error_name, noun = "normalized prediction error", "maneuver"
     limits = s.outlier, s.max_outliers
-    yield check_outliers(solution.errors, solution.kept, *limits, noun, error_name)
-    yield check_redundancy(r.redundancy, solution.kept, s.min_redundancy, noun)
+    yield checks.outliers(solution.errors, solution.kept, *limits, noun, error_name)
+    yield checks.redundancy(r.redundancy, solution.kept, s.min_redundancy, noun)
     yield check_precision(r, s)
 
 
@@ -184,5 +166,5 @@ def _fits_swapped(problem: DynamicProblem, s: DynamicSettings) -> bool:
     sigma = problem.sigma.copy()
     sigma[..., :2] = np.hypot(sigma[..., :2], (np.abs(away) * sigma[..., 2])[..., None])
     swapped = replace(problem, poses=np.stack([x, y, heading], axis=-1), sigma=sigma)
-    chi_square = solve(swapped, tolerance=UPDATE_TOLERANCE).chi_square
+    chi_square = solve(swapped, tolerance=checks.UPDATE_TOLERANCE).chi_square
     return probability(chi_square, problem.degrees_of_freedom) >= s.min_probability

@@ -137,7 +137,7 @@ def combinations(result: DynamicResult) -> list[Combination]:
     n, chosen = problem.arm.n, problem.choice.basis
     combined, G = _combination_gradients(result.calibrated())
     size = chosen.shape[1]
-    by_x, by_assumed = G @ chosen, G[:, result.assumed]
+    by_x, by_assumed = G @ chosen, G[:, problem.uncertain]
     through, assumed = by_x @ result.influence[:size] - by_assumed, result.assumed_covariance
     known = by_x**2 @ np.minimum(problem.prior_deviations[:size], 1e150) ** 2
     before = known + np.einsum("ij,jk,ik->i", by_assumed, assumed, by_assumed)

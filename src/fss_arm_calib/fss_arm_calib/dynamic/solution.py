@@ -7,12 +7,13 @@ from math import inf
 
 import numpy as np
 
-from fss_arm_calib.acceptance import UPDATE_TOLERANCE
+from fss_arm_calib.checks import UPDATE_TOLERANCE
 from fss_arm_calib.dynamic.identifiability import Combination, Direction, combinations, directions
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solve import DynamicResult, solve
+from fss_arm_calib.estimation import outliers
 from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.estimation.noise import (
     Noise,
@@ -91,15 +92,9 @@ def problem_without_data(arm: Arm, settings: DynamicSettings) -> DynamicProblem:
 
 
 @dataclass(frozen=True)
-class Solution:
-    """Result, the maneuvers (of M) that it uses, and what the motion can determine."""
+class Solution(outliers.Solution[DynamicResult]):
+    """Result from M maneuvers, and what the motion can determine."""
 
-    result: DynamicResult  # from the maneuvers that were not rejected
-    kept: Mask  # (M,) maneuvers that were not rejected
-    weights: Floats  # (M,) 1: used; 0: rejected; between: weight of a robust loss
-    reasons: tuple[str, ...]  # (M,) reason for the rejection, else empty
-    errors: Floats  # (M,) when predicted from the others, or at its rejection [deviations]
-    leverage: Floats  # (M,)
     directions: tuple[Direction, ...]  # of the p parameters
     combinations: tuple[Combination, ...]
     noise: Noise  # of poses that are independent according to `fresh_rate`
@@ -117,7 +112,7 @@ def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
     weights, largest = np.zeros(size), assumed_noise(s).deviations
     seen = np.asarray(np.isfinite(problem.sigma[..., 1:]).any(axis=(0, 1)))
 
-    def solved(mask: Mask) -> tuple[NoiseSolution[DynamicResult], Floats]:
+    def solved(mask: Mask) -> tuple[NoiseSolution[DynamicResult, Noise], Floats]:
         weights[:], errors = 0.0, np.empty(np.count_nonzero(mask))
         some = problem.select(mask)
 
@@ -134,7 +129,7 @@ def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
     result, noise, first = found.result
     leverage = expand(result.checks[0], found.mask, 0.0)
     seen_motion = tuple(directions(result, s)), tuple(combinations(result))
-    data = found.mask, weights, found.reasons, found.errors, leverage
+    data = found.mask, found.reasons, found.errors, weights, leverage
     return Solution(result, *data, *seen_motion, noise, first)
 
 
@@ -155,12 +150,9 @@ def estimate_of(
     r = solution.result
     return estimate_of_fit(
         r,
+        solution,
         deviations=r.deviations,
         residuals=_pose_residuals(solution, used),
-        weights=solution.weights,
-        leverage=solution.leverage,
-        errors=solution.errors,
-        reasons=solution.reasons,
         position_residual=root_mean_square(r.residuals[..., :2]),
         heading_residual=root_mean_square(r.residuals[..., 2]),
         chi_square=r.chi_square,

@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.estimation.least_squares import Decomposition, Fit, minimize
@@ -27,20 +26,15 @@ class DynamicResult(Fit):
         return self.minimum.basis.covariance()
 
     @property
-    def assumed(self) -> npt.NDArray[np.intp]:
-        """Indices (c,) in parameter_names(n) of assumed parameters not known exactly."""
-        return self.problem.uncertain
-
-    @property
     def assumed_names(self) -> tuple[str, ...]:
         """Names of the assumed parameters not known exactly."""
         names = parameter_names(self.problem.arm.n)
-        return tuple(names[k] for k in self.assumed)
+        return tuple(names[k] for k in self.problem.uncertain)
 
     @property
     def assumed_deviations(self) -> Floats:
         """Standard deviations (c,) of the assumed parameters not known exactly."""
-        return np.sqrt(np.diag(self.problem.assumed)[self.assumed])
+        return np.sqrt(np.diag(self.problem.assumed)[self.problem.uncertain])
 
     @cached_property
     def by_assumed(self) -> Floats:
@@ -51,7 +45,7 @@ class DynamicResult(Fit):
     @cached_property
     def assumed_covariance(self) -> Floats:
         """Covariance (c, c) of the assumed parameters not known exactly."""
-        return self.problem.assumed[np.ix_(self.assumed, self.assumed)]
+        return self.problem.assumed[np.ix_(self.problem.uncertain, self.problem.uncertain)]
 
     @cached_property
     def influence(self) -> Floats:
@@ -73,7 +67,7 @@ class DynamicResult(Fit):
     @cached_property
     def _with_assumed(self) -> Floats:
         """Covariance (p, c) of estimated and assumed parameters due to the priors alone."""
-        rows, errors = self.problem.prior_rows, self.problem.prior_with(self.assumed)
+        rows, errors = self.problem.prior_rows, self.problem.prior_with(self.problem.uncertain)
         return np.asarray(self.random @ rows.T @ errors)
 
     @property
@@ -83,7 +77,7 @@ class DynamicResult(Fit):
         size, assumed = basis.shape[1], self.assumed_covariance
         cross = (self._with_assumed - self.influence @ assumed)[:size]
         C = np.block([[self.covariance[:size, :size], cross], [cross.T, assumed]])
-        J = np.concatenate([basis, np.eye(len(every))[:, self.assumed]], axis=1)
+        J = np.concatenate([basis, np.eye(len(every))[:, self.problem.uncertain]], axis=1)
         uncertain = np.flatnonzero(J.any(axis=1))
         C = (J @ C @ J.T)[np.ix_(uncertain, uncertain)]
         return self.problem.arm.known.updated([every[k] for k in uncertain], C)

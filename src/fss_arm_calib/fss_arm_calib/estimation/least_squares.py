@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
 from math import inf
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -123,6 +123,7 @@ class Fit:
 
     problem: Any  # with `names` (p)
     minimum: Minimum
+    max_share: ClassVar = MAX_UNDETERMINED_SHARE  # as in Decomposition.lost
 
     @cached_property
     def covariance(self) -> Floats:
@@ -137,7 +138,8 @@ class Fit:
     @cached_property
     def deviations(self) -> Floats:
         """Standard deviation (p,) of each parameter; inf if it is not determined."""
-        return np.where(self.minimum.basis.lost(), inf, np.sqrt(np.diag(self.covariance)))
+        lost = self.minimum.basis.lost(self.max_share)
+        return np.where(lost, inf, np.sqrt(np.diag(self.covariance)))
 
     @property
     def condition_number(self) -> float:
@@ -158,7 +160,7 @@ class Fit:
     @property
     def undetermined(self) -> tuple[str, ...]:
         """Names of parameters that the data do not separate, except those at a bound."""
-        lost = self.minimum.basis.lost() & ~self.minimum.at_bound
+        lost = self.minimum.basis.lost(self.max_share) & ~self.minimum.at_bound
         return tuple(compress(self.problem.names, lost))
 
 

@@ -29,6 +29,7 @@ MAX_CHANGE = 1e-4  # relative change of the deviations below which they have con
 
 
 R = TypeVar("R")
+N = TypeVar("N", bound="Noise")
 S = TypeVar("S", bound=Any)
 
 
@@ -72,11 +73,11 @@ class Noise:
         return " and ".join(texts)
 
 
-class NoiseSolution(NamedTuple, Generic[R]):
+class NoiseSolution(NamedTuple, Generic[R, N]):
     """Solution with the deviations estimated from its residuals."""
 
     result: R
-    noise: Noise
+    noise: N
     nominal: R  # with the given deviations, and the largest accepted ones of those to estimate
 
 
@@ -95,7 +96,7 @@ def solve_with_noise(
     s: Any,
     solve: Callable[[Floats], tuple[R, ResidualSums | None]],
     used: Mask | None = None,
-) -> NoiseSolution[R]:
+) -> NoiseSolution[R, Noise]:
     """Solve repeatedly with the deviations estimated from the residuals, until these converge.
 
     If the residuals are larger than the largest accepted deviations explain, they are not caused by

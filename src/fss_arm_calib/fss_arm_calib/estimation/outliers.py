@@ -1,6 +1,7 @@
 """Solutions that reject data which contradict the others, or give them less weight."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import nan
 from typing import Generic, NamedTuple, TypeVar
 
@@ -13,6 +14,18 @@ REWEIGHTINGS = 20  # number of iterations with a robust loss
 
 
 R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Solution(Generic[R]):
+    """Result, and how each of the s data agrees with it."""
+
+    result: R  # from the data that were not rejected
+    kept: Mask  # (s,) data that were not rejected
+    reasons: tuple[str, ...]  # (s,) why a datum was rejected; empty if it was not
+    errors: Floats  # (s,) when predicted from the others, or at its rejection [deviations]
+    weights: Floats  # (s,) 1: used; 0: rejected; between: weight of a robust loss
+    leverage: Floats  # (s,)
 
 
 class OutlierSolution(NamedTuple, Generic[R]):

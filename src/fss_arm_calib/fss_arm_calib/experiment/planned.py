@@ -98,11 +98,6 @@ def speed_profile(x: Floats) -> tuple[Floats, Floats, Floats]:
     return np.where(x < 0.5, way, 1.0 - way), rate, acceleration
 
 
-def torques(arm: Arm, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-    """Return the joint torques of the floating arm without momentum, (..., n) [N m]."""
-    return free_torques(arm.vector(), q, qd, qdd)[0]
-
-
 def speed_limited_duration(arm: Arm, way: Floats) -> Floats:
     """Return the least time of moves by `way` (..., n), limited by speed and acceleration [s]."""
     top = 1.0 / (1.0 - RAMP_SHARE)
@@ -123,9 +118,9 @@ def torque_limited_duration(arm: Arm, begin: Floats, end: Floats) -> Floats:
     )
     s, rate, acceleration = (x[:, None] for x in speed_profile(np.linspace(0.0, 1.0, 31) + 1e-9))
     q, way = begin[..., None, :], (end - begin)[..., None, :]
-    needed = np.abs(torques(arm, q + s * way, rate * way, acceleration * way))
+    torques = free_torques(arm.vector(), q + s * way, rate * way, acceleration * way)[0]
     least = speed_limited_duration(arm, end - begin)
-    return np.asarray(np.maximum(least, np.sqrt(np.max(needed / limits, axis=(-2, -1)))))
+    return np.asarray(np.maximum(least, np.sqrt(np.max(np.abs(torques) / limits, axis=(-2, -1)))))
 
 
 def plan_to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None) -> str:

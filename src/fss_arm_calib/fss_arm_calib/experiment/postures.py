@@ -12,6 +12,7 @@ from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.kinematics import tip_regressor
 
 MIN_DIFFERENCE = np.radians(45.0)  # least difference of two postures in at least one joint
+MAX_ANGLE = np.radians(85.0)  # of a joint in a designed posture
 MAX_ROUNDS = 20  # of exchanges; about five suffice, except for many postures of one joint
 
 #: Result of design(paper_arm(), seed=5), for the paper's arm and similar ones, (13, 4) [rad].
@@ -46,12 +47,11 @@ def design_postures(
     count: int = 13,
     seed: int = 0,
     candidates: int = 2000,
-    reach: float = np.radians(85.0),
     settings: GuardSettings | None = None,
 ) -> Floats:
     """Choose postures (count, n) by their information about all 2n+2 parameters (D-optimality).
 
-    Candidates are seeded random postures within the joints' limits and +-`reach`, for which the
+    Candidates are seeded random postures within the joints' limits and +-MAX_ANGLE, for which the
     guard finds the arm clear of itself and of the base. One posture after the other is replaced by
     the candidate that increases det(Phi' W Phi) most, among those that differ enough from the
     others. This is repeated until nothing changes, at most MAX_ROUNDS times. The first posture is
@@ -62,8 +62,8 @@ def design_postures(
         ValueError: too few candidates keep the arm clear.
     """
     step = np.radians(5.0)
-    low = np.ceil(np.maximum([k.q_min for k in arm.links], -reach) / step)
-    high = np.floor(np.minimum([k.q_max for k in arm.links], reach) / step)
+    low = np.ceil(np.maximum([k.q_min for k in arm.links], -MAX_ANGLE) / step)
+    high = np.floor(np.minimum([k.q_max for k in arm.links], MAX_ANGLE) / step)
     rng = np.random.default_rng(seed)
     q = step * rng.integers(low, high, (candidates, arm.n), endpoint=True)
     guard = Guard(arm, settings)

@@ -8,19 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from fss_arm_calib.acceptance import (
-    FIT,
-    Check,
-    check_bounds,
-    check_chi_square,
-    check_clocks,
-    check_convergence,
-    check_data_amount,
-    check_identifiability,
-    check_joint_names,
-    format_count,
-    hide_pass_reason,
-)
+from fss_arm_calib import checks
+from fss_arm_calib.acceptance import FIT, Check, format_count
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.dynamic.parameters import advise_priors
 from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
@@ -186,10 +175,10 @@ def calibrate(
     words = _format_counts(used, kinds) if found else "no rest, maneuver or drift can be used"
     count = len({kind for data in used for kind in data})
     number = format_count(len(used), "session")
-    checks = [
-        check_joint_names(streams, arm),
+    criteria = [
+        checks.joint_names(streams, arm),
         _check_session_clocks(sessions, of_kinds),
-        check_data_amount("data", count, 1, words, streams, number),
+        checks.data_amount("data", count, 1, words, streams, number),
     ]
     solution: Solution | None = None
     calibrated: Callable[[], Arm] | None = None
@@ -201,7 +190,7 @@ def calibrate(
         result = solve(problem, start)
         numbers = tuple({kind: len(some) for kind, some in data.items()} for data in used)
         solution = Solution(result, tuple(one.name for one, _ in found), numbers)
-        checks += evaluate(result, s)
+        criteria += evaluate(result, s)
         calibrated, vague = result.calibrated, unmeasured(problem, result.deviations)
         estimate = estimate_of_fit(result, chi_square=result.minimum.cost, unmeasured=vague)
     hashes = [o.provenance.data_hash for _, stage in found for o in stage.outcomes.values()]
@@ -210,7 +199,9 @@ def calibrate(
     in_time: list[Datum] = [one for data in used for some in data.values() for one in some]
     in_time.sort(key=lambda one: one.end)
     context = arm, s, JointSettings, streams, source
-    outcome = make_outcome(every, in_time, arrays, *context, checks, estimate, solution, calibrated)
+    outcome = make_outcome(
+        every, in_time, arrays, *context, criteria, estimate, solution, calibrated
+    )
     origin = replace(outcome.provenance, parameters=_settings_yaml(s, of_kinds))
     return replace(outcome, provenance=origin)
 
@@ -218,11 +209,11 @@ def calibrate(
 def _check_session_clocks(sessions: Sequence[Session], of_kinds: Mapping[str, Any]) -> Check:
     """Check that no clock of any session jumped back far enough to hide events."""
     every = (
-        check_clocks(streams, of_kinds[kind].joint_gap)
+        checks.clocks(streams, of_kinds[kind].joint_gap)
         for session in sessions
         for kind, streams in session.streams.items()
     )
-    return max(every, key=lambda check: check.needed, default=check_clocks(Streams(), 0.0))
+    return max(every, key=lambda check: check.needed, default=checks.clocks(Streams(), 0.0))
 
 
 def _format_counts(used: Sequence[Mapping[str, Sequence[Any]]], kinds: Kinds) -> str:
@@ -232,7 +223,6 @@ def _format_counts(used: Sequence[Mapping[str, Sequence[Any]]], kinds: Kinds) ->
 
 
 def _settings_yaml(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
-    """Write all settings as YAML."""
     kinds = ((name, type(one), one) for name, one in of_kinds.items())
     settings = {
         name: {f.name: getattr(one, f.name) for f in fields(kind)}
@@ -244,12 +234,14 @@ def _settings_yaml(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
 def evaluate(r: JointResult, s: JointSettings) -> Iterator[Check]:
     """Yield the checks of a result."""
     m = r.minimum
-    yield check_bounds(r.at_bound, advise_priors(r, s))
-    yield check_identifiability(r, advise_priors(r, s))
-    yield check_convergence(m, TOLERANCE)
+    yield checks.bounds(r.at_bound, advise_priors(r, s))
+    yield checks.identifiability(r, advise_priors(r, s))
+    yield checks.convergence(m, TOLERANCE)
     words = "residuals are larger than the deviations allow"
-    yield check_chi_square(FIT, m.cost, r.problem.degrees_of_freedom, s.min_probability, words)
+    yield checks.chi_square(FIT, m.cost, r.problem.degrees_of_freedom, s.min_probability, words)
     for kind, fit in r.fits.items():
         words = f"residuals of {kind} data are larger than the deviations allow"
-        yield hide_pass_reason(check_chi_square(f"fit_{kind}", *fit, s.min_probability, words))
+        yield checks.hide_pass_reason(
+            checks.chi_square(f"fit_{kind}", *fit, s.min_probability, words)
+        )
     yield check_precision(r, s)

@@ -5,7 +5,8 @@ from dataclasses import replace
 from math import inf
 from typing import Any
 
-from fss_arm_calib.acceptance import check_clocks, format_count
+from fss_arm_calib import checks
+from fss_arm_calib.acceptance import format_count
 from fss_arm_calib.calibration import Calibration, Data, Input
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
 from fss_arm_calib.joint.gathering import SessionCollector, SessionData
@@ -158,7 +159,7 @@ JOINT = Calibration(
     to_message=to_message,
     compared_fields=("own_values", "own_deviations"),
     report=joint_report,
-    clocks=lambda streams, _: check_clocks(streams, inf),  # no clock of its own: see `stale`
+    clocks=lambda streams, _: checks.clocks(streams, inf),  # no clock of its own: see `stale`
     stale=describe_clock_jump,
     health=data_counts,
     unavailable={

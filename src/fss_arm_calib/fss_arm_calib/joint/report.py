@@ -48,7 +48,6 @@ def _parameter_table(outcome: Outcome[Any, Solution], found: Solution, truth: Ar
 
 
 def _fit_table(found: Solution) -> Table:
-    """Tabulate how well the data of each kind fit."""
     rows = []
     for kind, (cost, free) in found.result.fits.items():
         number = sum(one.get(kind, 0) for one in found.number)
@@ -59,7 +58,6 @@ def _fit_table(found: Solution) -> Table:
 
 
 def _session_table(found: Solution) -> Table:
-    """Tabulate the parameters of each session."""
     rows = []
     for one in found.session_parameters():
         numbers = np.array([one.value, one.deviation])

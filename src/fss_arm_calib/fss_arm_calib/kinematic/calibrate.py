@@ -6,25 +6,8 @@ from math import nan
 
 import numpy as np
 
-from fss_arm_calib.acceptance import (
-    FAIL,
-    NOT_EVALUATED,
-    PASS,
-    Check,
-    cause_check,
-    check_chi_square,
-    check_clocks,
-    check_convergence,
-    check_data_amount,
-    check_fit,
-    check_identifiability,
-    check_joint_names,
-    check_limit,
-    check_outliers,
-    check_redundancy,
-    format_count,
-    format_indices,
-)
+from fss_arm_calib import checks
+from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check, format_count, format_indices
 from fss_arm_calib.estimation.least_squares import CAUCHY, Mask
 from fss_arm_calib.estimation.statistics import probability, redundancy
 from fss_arm_calib.kinematic import model
@@ -67,8 +50,8 @@ def calibrate(
     if number.verdict != PASS and homings.reason:
         number = replace(number, reason=f"{number.reason}; {homings.reason}")
     rests = check_rests(comparable, min_observations(problem, s))
-    clocks = check_clocks(streams, s.joint_gap)
-    found = [check_joint_names(streams, arm), clocks, homings, rests, number]
+    clocks = checks.clocks(streams, s.joint_gap)
+    found = [checks.joint_names(streams, arm), clocks, homings, rests, number]
     solution = solution_of(problem, s) if number.verdict == PASS else None
     if solution:
         swapped = fits_swapped(solution.result, solution.problem, s)
@@ -111,34 +94,34 @@ def check_number(problem: KinematicProblem, streams: Streams, s: KinematicSettin
     number, names = format_count(found, "observation"), f" for {', '.join(problem.names)}"
     if found >= needed:
         reason = f"{number} (at least {needed})"
-        return check_data_amount("observations", found, needed, reason, streams, number)
+        return checks.data_amount("observations", found, needed, reason, streams, number)
     reason = f"{number}, at least {needed} needed{names}"
-    check = check_data_amount("observations", found, needed, reason, streams)
+    check = checks.data_amount("observations", found, needed, reason, streams)
     return replace(check, brief=check.reason.replace(names, ""))
 
 
 def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
     """Evaluate the checks of a solution."""
     r = solution.result
-    checks = [_check_determined(solution.nominal, s)]
+    criteria = [_check_determined(solution.nominal, s)]
     if r.undetermined:
-        return checks
-    checks.append(check_convergence(r))
+        return criteria
+    criteria.append(checks.convergence(r.minimum))
     try:
         r.calibrated()
     except DescriptionError as error:
         least = float(np.min(_lengths(solution)))
-        checks.append(Check("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
+        criteria.append(Check("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
     nominal, words = solution.nominal, "residuals are larger than the assumed deviations allow"
-    size = nominal.chi_square, nominal.degrees_of_freedom
-    residuals = check_fit(*size, s.min_probability, words, solution.noise)
+    size = nominal.chi_square, nominal.problem.degrees_of_freedom
+    residuals = checks.fit(*size, s.min_probability, words, solution.noise)
     errors, limits = (solution.errors, solution.kept), (s.outlier, s.max_outliers)
-    far = check_outliers(*errors, *limits, "observation", "normalized residual")
+    far = checks.outliers(*errors, *limits, "observation", "normalized residual")
     if FAIL in (residuals.verdict, far.verdict) and (hint := _swap_hint(solution, s)):
-        checks.append(cause_check(hint))
+        criteria.append(checks.cause(hint))
         residuals = replace(residuals, verdict=FAIL)
-    checks += [_check_lengths(solution, s), residuals, far]
-    return [*checks, _check_redundancy(solution, s), _check_prediction(solution, s)]
+    criteria += [_check_lengths(solution, s), residuals, far]
+    return [*criteria, _check_redundancy(solution, s), _check_prediction(solution, s)]
 
 
 def _check_determined(r: KinematicResult, s: KinematicSettings) -> Check:
@@ -146,7 +129,7 @@ def _check_determined(r: KinematicResult, s: KinematicSettings) -> Check:
     span = np.ptp(r.problem.q, axis=0)
     still = [f"joint_{i + 1}" for i in np.flatnonzero(span < SAME_POSTURE)]
     hint = f"; {', '.join(still)} hardly moved" if still else ""
-    return check_identifiability(r, hint, s.max_condition, brief=False)
+    return checks.identifiability(r, hint, s.max_condition, brief=False)
 
 
 def _lengths(solution: Solution) -> Floats:
@@ -165,7 +148,7 @@ def _check_lengths(solution: Solution, s: KinematicSettings) -> Check:
     words += f" (difference at most {s.max_length_change:g} m)"
     averaged = _equal_length_remark(solution.problem)
     failing = f"another arm's data, or {averaged}" if averaged else "another arm's data"
-    check = check_limit("description", change, s.max_length_change, words, failing)
+    check = checks.limit("description", change, s.max_length_change, words, failing)
     if check.verdict == FAIL:
         return check
     unequal = bool(averaged) and _equal_length_probability(solution) < s.min_probability
@@ -179,7 +162,7 @@ def _equal_length_probability(solution: Solution) -> float:
     more = len(full.values) - len(equal.values)
     if solution.noise.is_given.all():
         return probability(equal.chi_square - full.chi_square, more)
-    freedom = full.degrees_of_freedom
+    freedom = full.problem.degrees_of_freedom
     scale = full.chi_square / max(freedom, 1)
     return probability((equal.chi_square - full.chi_square) / scale, more, freedom)
 
@@ -205,11 +188,13 @@ def _check_redundancy(solution: Solution, s: KinematicSettings) -> Check:
     """
     r = solution.result
     regressor = model.linearize(r.problem, r.values).regressor
-    check = check_redundancy(_redundancy(regressor), solution.kept, s.min_redundancy, "observation")
+    check = checks.redundancy(
+        _redundancy(regressor), solution.kept, s.min_redundancy, "observation"
+    )
     if check.verdict == PASS:
         return check
     angles = np.array(r.problem.units) == "rad"
-    change = float(np.max(np.abs(r.values - r.problem.initial)[~angles], initial=0.0))
+    change = float(np.max(np.abs(r.values - r.problem.guess)[~angles], initial=0.0))
     by_angles = float(np.min(_redundancy(regressor[:, angles])))
     if change <= s.max_length_change and by_angles >= s.min_redundancy:
         words = f"{check.reason}, but lengths and mount agree with the description: "
@@ -232,7 +217,7 @@ def _check_prediction(solution: Solution, s: KinematicSettings) -> Check:
     what = f"{format_indices(held_out)} predicted from the others"
     size = solution.prediction.chi_square, 3 * len(held_out)
     words = "worse than the deviations allow"
-    check = check_chi_square("prediction", *size, s.min_probability, words, solution.noise.freedom)
+    check = checks.chi_square("prediction", *size, s.min_probability, words, solution.noise.freedom)
     brief = check.brief and f"{what}: {check.brief}"
     return replace(check, reason=f"{what}: {check.reason}", brief=brief)
 
@@ -250,7 +235,7 @@ def _swap_hint(solution: Solution, s: KinematicSettings) -> str:
 
     def fits(tip: Floats) -> bool:
         found = fit(replace(problem, tip=tip), max_condition=s.max_condition)
-        return probability(found.chi_square, found.degrees_of_freedom) >= s.min_probability
+        return probability(found.chi_square, problem.degrees_of_freedom) >= s.min_probability
 
     if fits(swapped):
         return "base and end effector are swapped"

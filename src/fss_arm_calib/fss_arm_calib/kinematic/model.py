@@ -22,14 +22,9 @@ def all_parameters(problem: KinematicProblem, xi: Floats) -> Floats:
     return problem.fixed + problem.basis @ xi
 
 
-def whiten(problem: KinematicProblem, x: Floats) -> Floats:
-    """Whiten quantities of the poses, (s, 3, c), so that their errors have unit covariance."""
-    return problem.whitening @ x
-
-
 def vector(problem: KinematicProblem, xi: Floats) -> Floats:
     """Return the model's parameters with xi in place of the guess, (8 + 6n,)."""
-    p = problem.guess.copy()
+    p = problem.described.copy()
     p[problem.index] = all_parameters(problem, xi)
     return p
 
@@ -59,13 +54,13 @@ def derivative(problem: KinematicProblem, xi: Floats, basis: Floats | None = Non
 
 def regressor(problem: KinematicProblem, xi: Floats, basis: Floats | None = None) -> Floats:
     """Return Phi_k with rows weighted by the root of W, (3s, p), of a basis as in `derivative`."""
-    Phi = whiten(problem, derivative(problem, xi, basis))
+    Phi = problem.whitening @ derivative(problem, xi, basis)
     return Phi.reshape(-1, Phi.shape[-1])
 
 
 def whiten_residuals(problem: KinematicProblem, residuals: Floats) -> Floats:
     """Return the whitened residuals (s, 3)."""
-    return whiten(problem, residuals[..., None])[..., 0]
+    return (problem.whitening @ residuals[..., None])[..., 0]
 
 
 def repeated_error_covariance(problem: KinematicProblem, xi: Floats, P: Floats) -> Floats:
@@ -76,7 +71,7 @@ def repeated_error_covariance(problem: KinematicProblem, xi: Floats, P: Floats) 
     K = problem.ripple_deviation**2 * np.cos(RIPPLE_PERIODS * apart)
     K += problem.eccentricity_deviation**2 * np.cos(apart)
     K[np.diag_indices(len(problem.q))] = 0.0
-    Phi_q = whiten(problem, reading_jacobian(vector(problem, xi), problem.q))
+    Phi_q = problem.whitening @ reading_jacobian(vector(problem, xi), problem.q)
     Phi_k = regressor(problem, xi).reshape(*problem.q.shape[:1], 3, -1)
     G = weights(problem, xi)[:, None, None] * np.einsum("kip,kij->kjp", Phi_k, Phi_q)
     return np.asarray(P @ np.einsum("kjp,klj,ljr->pr", G, K, G) @ P)

@@ -150,19 +150,24 @@ class KinematicProblem:
         return np.append(kinematic_index(self.arm.n), TIP_ANGLE)
 
     @cached_property
-    def guess(self) -> Floats:
+    def described(self) -> Floats:
         """Parameters (8 + 6n,) of `arm`, Arm.vector()."""
         return self.arm.vector()
 
     @cached_property
     def fixed(self) -> Floats:
         """Values from `arm` of the parameters not estimated, (2n+3,); 0 for the estimated ones."""
-        return np.where(self.basis.any(axis=1), 0.0, self.guess[self.index])
+        return np.where(self.basis.any(axis=1), 0.0, self.described[self.index])
 
     @property
-    def initial(self) -> Floats:
-        """Initial guess of the p parameters, from `arm`."""
-        return np.asarray(np.linalg.lstsq(self.basis, self.guess[self.index])[0])
+    def guess(self) -> Floats:
+        """Initial values (p,), from `arm`."""
+        return np.asarray(np.linalg.lstsq(self.basis, self.described[self.index])[0])
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of observed coordinates, less the parameters."""
+        return max(self.tip.size - len(self.names), 0)
 
     @property
     def sigma(self) -> Floats:
@@ -190,8 +195,8 @@ class KinematicProblem:
     @cached_property
     def reading_covariance(self) -> Floats:
         """Covariances (s, 3, 3) that the readings' errors cause, evaluated at the guess."""
-        p = self.guess.copy()
-        p[self.index] = self.fixed + self.basis @ self.initial
+        p = self.described.copy()
+        p[self.index] = self.fixed + self.basis @ self.guess
         by_reading = self.reading_deviation * reading_jacobian(p, self.q)
         return np.asarray(by_reading @ np.swapaxes(by_reading, 1, 2))
 

@@ -3,16 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.acceptance import UPDATE_TOLERANCE
+from fss_arm_calib.checks import UPDATE_TOLERANCE
+from fss_arm_calib.estimation import outliers
 from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.estimation.noise import (
     MAX_ITERATIONS,
     MIN_FREEDOM,
+    Noise,
     NoiseSolution,
     ResidualSums,
     assumed_noise,
@@ -36,7 +37,7 @@ from fss_arm_calib.kinematic.variances import (
     log_prior,
     mean_variances,
 )
-from fss_arm_calib.outcome import Estimate
+from fss_arm_calib.outcome import Estimate, estimate_of_fit
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
@@ -49,23 +50,17 @@ RELAXED_MAX_CONDITION = 1e6
 MAX_VARIANCE_CHANGE = 1e-3  # relative, below which they have converged: far below their uncertainty
 
 
-class PoseSolution(NamedTuple):
-    """Solution with the deviations estimated from its residuals, as NoiseSolution."""
-
-    result: KinematicResult
-    noise: PoseNoise
-    nominal: KinematicResult
+PoseSolution = NoiseSolution[KinematicResult, PoseNoise]
 
 
 @dataclass(frozen=True)
-class Solution:
-    """Result, the observations that it uses, and a prediction of held-out observations."""
+class Solution(outliers.Solution[KinematicResult]):
+    """Result from s observations, and a prediction of held-out observations.
+
+    Errors are normalized residuals; those of rejected observations are predicted.
+    """
 
     problem: KinematicProblem  # with all s observations
-    result: KinematicResult  # from the observations that were kept
-    kept: Mask  # (s,) observations that were not rejected
-    reasons: tuple[str, ...]  # (s,) reason for the rejection, else empty
-    errors: Floats  # (s,) normalized residuals; predicted ones for rejected observations
     held_out: npt.NDArray[np.intp]  # (h,) indices of the held-out observations
     prediction: Prediction  # of the held-out observations, by a solution without them
     noise: PoseNoise  # of the observations, as in `problem`
@@ -142,11 +137,15 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
     result, noise, first = found.result
     problem = problem.with_deviations(noise.deviations, noise.base_heading)
     errors = np.where(found.mask, found.errors, result.predict(problem).normalized)
+    weights, leverage = (expand(x, found.mask, 0.0) for x in (result.weights, result.leverage))
     held_out = _held_out(problem, result, found.mask, s, noise)
-    return Solution(problem, result, found.mask, found.reasons, errors, *held_out, noise, first)
+    data = found.mask, found.reasons, errors, weights, leverage
+    return Solution(result, *data, problem, *held_out, noise, first)
 
 
-def separate_headings(found: NoiseSolution[KinematicResult], s: KinematicSettings) -> PoseSolution:
+def separate_headings(
+    found: NoiseSolution[KinematicResult, Noise], s: KinematicSettings
+) -> PoseSolution:
     """Separate errors of the base's heading from the others, unless a deviation is given."""
     result, sums = found.result, found.result.residual_sums
     given = min(s.base_heading_deviation, result.problem.heading_deviation)
@@ -192,30 +191,17 @@ def _held_out(
 
 def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimate:
     """Convert the solution to the estimate that all kinds of calibration share."""
-    names, units, initial = problem.names, problem.units, problem.initial
     if solution is None:
-        freedom = max(problem.tip.size - len(names), 0)
-        reasons = len(problem.q) * ("",)
-        return Estimate(names, units, initial, reasons=reasons, degrees_of_freedom=freedom)
+        freedom, reasons = problem.degrees_of_freedom, len(problem.q) * ("",)
+        first = problem.names, problem.units, problem.guess
+        return Estimate(*first, reasons=reasons, degrees_of_freedom=freedom)
     r = solution.result
-    weights, leverage = (expand(x, solution.kept, 0.0) for x in (r.weights, r.leverage))
-    return Estimate(
-        names,
-        units,
-        initial,
-        r.values,
-        r.covariance,
-        undetermined=r.undetermined,
+    return estimate_of_fit(
+        r,
+        solution,
         residuals=model.residuals(problem, r.values),
-        weights=weights,
-        leverage=leverage,
-        errors=solution.errors,
-        reasons=solution.reasons,
         position_residual=r.position_residual,
         heading_residual=r.heading_residual,
         chi_square=r.chi_square,
-        degrees_of_freedom=r.degrees_of_freedom,
         condition_number=solution.nominal.condition_number,
-        iterations=r.iterations,
-        last_update=r.last_update,
     )

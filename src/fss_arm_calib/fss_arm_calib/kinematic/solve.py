@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import compress
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import Linear, Minimum, minimize
+from fss_arm_calib.estimation.least_squares import Fit, Linear, Minimum, minimize
 from fss_arm_calib.estimation.noise import ResidualSums
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic import model
@@ -30,35 +29,48 @@ class Prediction(NamedTuple):
 
 
 @dataclass(frozen=True)
-class KinematicResult:
+class KinematicResult(Fit):
     """Estimate of p parameters from s observations, with its uncertainty.
 
     With a robust loss the covariance is that of the weighted observations.
     """
 
     problem: KinematicProblem
-    values: Floats  # (p,) in the order and units of problem.names and problem.units
-    covariance: Floats  # (p, p)
-    weighted: Floats  # (p, p) part of it due to observation errors, (Phi_k' W Phi_k)^-1
-    residuals: Floats  # (s, 3) observed minus predicted [m, m, rad]
-    weights: Floats  # (s,) weights of the loss: less than 1 for large residuals
-    chi_square: float  # weighted sum of squared residuals
-    condition_number: float  # of the column-scaled regressor
-    iterations: int
-    last_update: float  # largest change in the last iteration, in standard deviations
-    converged: bool
-    undetermined: tuple[str, ...] = ()  # parameters that the observations do not separate
-    missing: int = 0  # number of undetermined combinations of them
+    max_share: ClassVar = 1e-3
+
+    @cached_property
+    def values(self) -> Floats:
+        """Estimates (p,) in the order of problem.names, angles wrapped."""
+        angles = np.array(self.problem.units) == "rad"
+        return np.where(angles, wrap(self.minimum.x), self.minimum.x)
+
+    @cached_property
+    def weighted(self) -> Floats:
+        """Covariance (p, p) due to the errors of the observations, (Phi_k' W Phi_k)^-1."""
+        return self.minimum.basis.covariance()
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (p, p), with repeated reading errors and those of assumed parameters."""
+        problem, xi, P = self.problem, self.minimum.x, self.weighted
+        G = model.influence(problem, xi, P)
+        repeated = model.repeated_error_covariance(problem, xi, P)
+        return np.asarray(P + repeated + G @ problem.fixed_covariance @ G.T)
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """Observed minus predicted poses, (s, 3) [m, m, rad]."""
+        return model.residuals(self.problem, self.minimum.x)
+
+    @cached_property
+    def weights(self) -> Floats:
+        """Weights (s,) of the loss: less than 1 for large residuals."""
+        return model.weights(self.problem, self.minimum.x)
 
     @property
-    def deviations(self) -> Floats:
-        """Standard deviation of each parameter, (p,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Degrees of freedom, 3s - p."""
-        return self.residuals.size - self.values.size
+    def chi_square(self) -> float:
+        """Weighted sum of squared residuals."""
+        return float(self.weights @ model.squared_distances(self.problem, self.minimum.x))
 
     @property
     def position_residual(self) -> float:
@@ -163,12 +175,9 @@ class RestMeasurements:
         J[..., layout.kinematic_index(n)] = tip_regressor(p, problem.q)
         J[:, 2, layout.TIP_ANGLE] = 1.0
         r = model.whiten_residuals(problem, model.pose_errors(problem, p)).ravel()
-        rows = model.whiten(problem, J).reshape(len(r), len(z))
+        rows = (problem.whitening @ J).reshape(len(r), len(z))
         return Linear(r, rows, r @ r, lambda dz: dz)
 
-
-#: A parameter is reported if its share in the undetermined directions is larger.
-MAX_UNDETERMINED_SHARE = 1e-3
 
 MAX_ITERATIONS = 200
 
@@ -210,7 +219,7 @@ def fit(
     result names the parameters that are not identifiable. Tolerance and limit of the condition
     number are those of `minimize`.
     """
-    guess = problem.initial if start is None else np.asarray(start, dtype=float)
+    guess = problem.guess if start is None else np.asarray(start, dtype=float)
     starts = [_linear_start(problem, guess), *_closed_form_start(problem)]
     freedom = max(problem.tip.size - len(guess), 1)
     fits: list[Minimum] = []
@@ -228,27 +237,7 @@ def fit(
         if fit.converged and fit.cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
             break  # any better minimum would be better only by chance
     best = min(fits, key=lambda fit: (not fit.converged, fit.cost))
-    missing = len(best.x) - len(best.basis.s)
-    lost = best.basis.lost(MAX_UNDETERMINED_SHARE)
-    angles = np.array(problem.units) == "rad"
-    weights, P = model.weights(problem, best.x), best.basis.covariance()
-    G = model.influence(problem, best.x, P)
-    repeated = model.repeated_error_covariance(problem, best.x, P)
-    return KinematicResult(
-        problem=problem,
-        values=np.where(angles, wrap(best.x), best.x),
-        covariance=P + repeated + G @ problem.fixed_covariance @ G.T,
-        weighted=P,
-        residuals=model.residuals(problem, best.x),
-        weights=weights,
-        chi_square=float(weights @ model.squared_distances(problem, best.x)),
-        condition_number=best.basis.condition,
-        iterations=best.iterations,
-        last_update=best.last_update,
-        converged=best.converged,
-        undetermined=tuple(compress(problem.names, lost)) if missing else (),
-        missing=missing,
-    )
+    return KinematicResult(problem, best)
 
 
 def _link_phasors(problem: KinematicProblem) -> npt.NDArray[np.complex128]:

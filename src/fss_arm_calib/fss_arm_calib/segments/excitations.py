@@ -172,7 +172,6 @@ class ExcitationFinder:
     def _rejection_reasons(
         self, rows: Sequence[Sequence[tuple[int, Frame]]], start: int, end: int
     ) -> Iterator[str]:
-        """Yield reasons to reject an excitation."""
         for link, frames in zip(self.links, rows, strict=True):
             homings = {frame.homings for _, frame in frames} - {0}
             if len({frame.boot for _, frame in frames}) > 1 or len(homings) > 1:
@@ -183,7 +182,6 @@ class ExcitationFinder:
 
 
 def _combine_frames(rows: Sequence[tuple[int, Frame]]) -> Frames:
-    """Combine successive frames of a link."""
     frames = [frame for _, frame in rows]
     homings = [frame.homings for frame in frames if frame.homings]
     measured = (tuple(values) for values in zip(*(frame[:5] for frame in frames), strict=True))

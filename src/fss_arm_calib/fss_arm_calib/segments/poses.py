@@ -95,7 +95,6 @@ class Poses(Stream):
         self.newest = self.t[-1]
 
     def _all_plausible(self, t: Stamps, poses: Floats) -> bool:
-        """Return True if none of the poses is to be rejected."""
         if not self.in_order(t) or np.any(np.abs(poses) > MAX_VALUE):
             return False
         seconds = np.diff(t, prepend=self.newest) / SECOND
