@@ -1,14 +1,17 @@
 """The whole graph with a simulated test bed that keeps the time, and who flies it."""
 
+from contextlib import contextmanager
 from time import monotonic
 
 import numpy as np
+import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from running import OWN
 from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
 
@@ -16,6 +19,7 @@ from fss_arm_msgs.action import GoToPose, HoldBase, MoveArm
 from fss_arm_msgs.msg import MissionState, SimTruth
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
+from fss_rehearsal.processes import Nodes
 
 ACTIONS = {"base/hold": HoldBase, "base/go_to": GoToPose, "arm/move": MoveArm}
 
@@ -150,3 +154,16 @@ class Flyer(Node):
             client.destroy()
         self.executor_.shutdown()
         self.destroy_node()
+
+
+@contextmanager
+def flown(folder, speed):
+    """A flyer of base and arm, whose valves and links are armed, at `speed` of the time."""
+    rclpy.init(args=[])
+    with Nodes(folder, print, OWN) as nodes:
+        start(nodes, speed=speed, base={"timeout": 4.0, "watchdog": 4.0})
+        flyer = Flyer(nodes)
+        flyer.begin()
+        yield flyer
+        flyer.close()
+    rclpy.try_shutdown()

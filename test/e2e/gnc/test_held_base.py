@@ -4,12 +4,9 @@ import signal
 
 import numpy as np
 import pytest
-import rclpy
-from flight import Flyer, start
-from running import OWN
+from flight import flown
 
 from fss_arm_ros.convert import stamp_ns
-from fss_rehearsal.processes import Nodes
 
 pytestmark = pytest.mark.slow
 SPEED = 0.5  # of the time, that a busy computer keeps up with it
@@ -19,15 +16,9 @@ LIMITS = {"guidance": 1.5, "navigation": 1.1, "control": 0.8}
 
 @pytest.fixture(scope="module")
 def flyer(tmp_path_factory):
-    rclpy.init(args=[])
-    with Nodes(tmp_path_factory.mktemp("nodes"), print, OWN) as nodes:
-        start(nodes, speed=SPEED, base={"timeout": 4.0, "watchdog": 4.0})
-        flyer = Flyer(nodes)
-        flyer.begin()
+    with flown(tmp_path_factory.mktemp("nodes"), SPEED) as flyer:
         flyer.stop_drifting()  # and all is under way
         yield flyer
-        flyer.close()
-    rclpy.try_shutdown()
 
 
 def pose(flyer):

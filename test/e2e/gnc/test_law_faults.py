@@ -6,13 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from flight import Flyer, start
-from running import OWN
+from flight import flown
 
 from fss_arm_ros.convert import stamp_ns
-from fss_rehearsal.processes import Nodes
 
 pytestmark = pytest.mark.slow
 LAWS = Path(__file__).parents[2] / "support/flown_laws.py"
@@ -25,16 +22,10 @@ REST = 2e-3  # rate below which a joint is at rest [rad/s]
 
 @pytest.fixture(scope="module")
 def flyer(tmp_path_factory):
-    rclpy.init(args=[])
-    with Nodes(tmp_path_factory.mktemp("nodes"), print, OWN) as nodes:
-        start(nodes, speed=SPEED, base={"timeout": 4.0, "watchdog": 4.0})
-        flyer = Flyer(nodes)
-        flyer.begin()
+    with flown(tmp_path_factory.mktemp("nodes"), SPEED) as flyer:
         for name in ("guidance", "control"):
-            nodes.stop(name)
+            flyer.nodes.stop(name)
         yield flyer
-        flyer.close()
-    rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize("fault", FAULTS)
