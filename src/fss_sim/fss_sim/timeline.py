@@ -189,7 +189,8 @@ class Timeline:
         is_behind = now - last_time > 0.5 and speed < 0.95 * self.speed and not self.paused
         is_slow = is_behind and not slowest  # in lockstep it waits for the nodes
         state = "paused" if self.paused else "too slow" if is_slow else "running"
-        values = {"simulated time [s]": frame / RATE, "speed": speed, "VICON's frame": frame}
+        values: dict[str, Any] = {"simulated time [s]": frame / RATE, "speed": speed}
+        values["VICON's frame"] = frame
         if slowest:
             values["slowest node"] = slowest
         if not self.keep_clock:
