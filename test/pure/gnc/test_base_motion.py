@@ -236,3 +236,15 @@ def test_unknown_base_or_joints_reject_or_end_an_activity(unknown):
     for call in (motion.step, lambda s: go_to(CRAFT, s, [0.1, 0.0, 0.0], 0.0, 0.0)):
         with pytest.raises(ActivityError, match="not known"):
             call(replace(observed(), **unknown))
+
+
+def test_joints_that_become_unknown_are_assumed_at_rest_for_a_while():
+    motion = hold(CRAFT, observed(), [], 0.0)
+    unknown = replace(observed(1.0), q=None, qd=None, last_q=FOLDED, joints_age=2.9)
+    commands = motion.step(unknown)
+    assert commands.path is not None
+    assert (commands.outcome, commands.reason) == (None, "joints are unknown and assumed at rest")
+    assert motion.tolerates(unknown)
+    assert not motion.tolerates(replace(unknown, joints_age=3.1))
+    assert not motion.tolerates(replace(unknown, base=None))
+    assert not motion.step(observed(2.0)).reason

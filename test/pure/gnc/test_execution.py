@@ -24,7 +24,10 @@ class Steps:
     """An activity that returns given commands, or fails."""
 
     def __init__(self, *commands, tolerates=False):
-        self.left, self.tolerates_unknown_state, self.cancelled = list(commands), tolerates, ""
+        self.left, self.is_tolerant, self.cancelled = list(commands), tolerates, ""
+
+    def tolerates(self, obs):
+        return self.is_tolerant
 
     def step(self, obs):
         if not self.left:

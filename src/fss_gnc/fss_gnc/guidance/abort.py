@@ -45,8 +45,6 @@ class Abort:
         requested: True if the operator requested it, False if it ends another mission.
     """
 
-    tolerates_unknown_state = True
-
     def __init__(self, craft: Craft, reason: str, requested: bool = False) -> None:
         self.p, self.reason, self.requested = craft.arm.vector(), reason, requested
         self.settings = settings = craft.settings
@@ -62,6 +60,10 @@ class Abort:
         self._held_place: Floats | None = None  # place of the target in the gripper (held.py)
         self._last_known = self._unsafe_until = np.nan  # [s]; NaN: not yet
         self._last_joint_reading = np.nan  # time of the last joint readings, or of the start [s]
+
+    def tolerates(self, obs: Observation) -> bool:
+        """Return True: it aborts by itself, or continues, if base or joints are unknown."""
+        return True
 
     def step(self, obs: Observation) -> Commands:
         """Return the commands until the next step."""

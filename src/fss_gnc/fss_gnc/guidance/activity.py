@@ -5,7 +5,7 @@ activity returns, until they contain an outcome. After that, and whenever the ba
 base coasts.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -38,6 +38,7 @@ class Observation:
     holds: bool | None = None  # whether the gripper holds the target; None: not known
     propellant: float = np.nan  # left [kg]; NaN: not known
     last_q: Floats | None = None  # (n,) last received joint angles [rad]; None: none yet
+    joints_age: float = np.inf  # of these [s]
     held_body: HeldBody | None = None  # held body as measured; None: not measured yet
     open_valves: tuple[int, ...] = ()  # valves that do not close, from 1
     unknown_push: bool = False  # momentum changes without a known cause
@@ -47,6 +48,12 @@ class Observation:
     def keep_gripper(self) -> bool | None:
         """Gripper command that keeps the present state: close if it holds a target, open if not."""
         return None if self.holds is None else bool(self.holds)
+
+    def with_joints_at_rest(self) -> "Observation":
+        """Return this with the joints at rest where they were last, if they are unknown."""
+        if self.q is not None or self.last_q is None:
+            return self
+        return replace(self, q=self.last_q, qd=np.zeros(self.last_q.size))
 
     @property
     def floating_state(self) -> tuple[Floats, Floats]:
@@ -89,7 +96,8 @@ class Commands:
 class Activity(Protocol):
     """Behaviour of the guidance, executed in steps."""
 
-    tolerates_unknown_state: bool  # True if it continues while base or joints are unknown
+    def tolerates(self, obs: Observation) -> bool:
+        """Return True if it continues although base or joints are unknown."""
 
     def step(self, obs: Observation) -> Commands:
         """Return the commands until the next step.

@@ -24,7 +24,7 @@ class PathMotion:
     """Activity that moves the base along a path and then holds its last pose for a while.
 
     It brakes, and then fails, if the rest of the path is no longer free. If it is cancelled on the
-    path, it brakes before it ends.
+    path, it brakes before it ends. For a while it continues without joint states.
 
     Args:
         craft: whose base.
@@ -34,8 +34,6 @@ class PathMotion:
         arrival_timeout: time after the path's end by which the base must be at rest there [s];
             None: it only has to stay near its reference.
     """
-
-    tolerates_unknown_state = False
 
     def __init__(
         self, craft: Craft, phase: str, path: Path, hold: float, arrival_timeout: float | None
@@ -50,6 +48,8 @@ class PathMotion:
 
     def step(self, obs: Observation) -> Commands:
         """Return the commands until the next step."""
+        joints_unknown = "" if obs.q is not None else "joints are unknown and assumed at rest"
+        obs = obs.with_joints_at_rest()
         q, qd = obs.floating_state
         base = Body(q[:3], qd[:3])
         if (
@@ -68,9 +68,13 @@ class PathMotion:
             self.phase if obs.t < self.path.end_time or self.cancel_reason else "hold",
             self.path,
             keep_out=self.settings.keep_out,
-            reason=self.cancel_reason,
+            reason=self.cancel_reason or joints_unknown,
             outcome=self._outcome(obs.t, base),
         )
+
+    def tolerates(self, obs: Observation) -> bool:
+        """Return True if the base is known, and the joints were known a short time ago."""
+        return obs.base is not None and obs.joints_age <= self.settings.joint_timeout
 
     def cancel(self, reason: str) -> None:
         """Stop holding, or brake."""

@@ -51,8 +51,6 @@ class Capture:
         detumble: whether to stop the motion after the grip.
     """
 
-    tolerates_unknown_state = True
-
     def __init__(self, craft: Craft, detumble: bool = True) -> None:
         self.craft, self.detumbles = craft, detumble
         self.settings = settings = craft.settings
@@ -70,6 +68,10 @@ class Capture:
         self._search_start, self._last_motion = -np.inf, 0.0
         self._search: Iterator[ApproachTrajectory | None] | None = None
         self._path: Path | None = None
+
+    def tolerates(self, obs: Observation) -> bool:
+        """Return True: it aborts by itself, or continues, if base or joints are unknown."""
+        return True
 
     def step(self, obs: Observation) -> Commands:
         """Return the commands until the next step."""

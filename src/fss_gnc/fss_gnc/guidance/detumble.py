@@ -26,8 +26,6 @@ class Detumble:
         craft: whose base and arm.
     """
 
-    tolerates_unknown_state = True
-
     def __init__(self, craft: Craft) -> None:
         self.craft = craft
         self.settings = settings = craft.settings
@@ -42,6 +40,10 @@ class Detumble:
         self._used_estimate: HeldBody | None = None  # estimate that p contains
         self._start = self._last_motion = np.nan
         self._joint_rest_start, self._coast_start = np.inf, np.inf  # [s]
+
+    def tolerates(self, obs: Observation) -> bool:
+        """Return True: it aborts by itself, or continues, if base or joints are unknown."""
+        return True
 
     def step(self, obs: Observation) -> Commands:
         """Return the commands until the next step."""

@@ -54,7 +54,7 @@ class Execution:
             return Commands("coast", reason=obs.stall)
         if cancelled:
             self.activity.cancel("cancelled")
-        if problem and not self.activity.tolerates_unknown_state:
+        if problem and not self.activity.tolerates(obs):
             return _abort(problem)
         try:
             commands = self.activity.step(obs)

@@ -57,6 +57,7 @@ class Measurements:
             self.holds.valid_value(now),
             np.nan if propellant is None else propellant,
             None if self.joints.value is None else self.joints.value[0],
+            self.joints.age(now),
             self.held_body,
             self.open_valves,
             self.unknown_push,

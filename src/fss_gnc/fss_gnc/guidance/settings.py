@@ -25,9 +25,17 @@ class GuidanceSettings(Extents):
     )
     max_age: float = setting(
         0.5,
-        "largest age of base/state and arm/joint_states; beyond it the running action is aborted",
+        "largest age of base/state and arm/joint_states; beyond it (see "
+        "joint_timeout) the running action is aborted",
         unit="s",
         check=POSITIVE,
+    )
+    joint_timeout: float = setting(
+        3.0,
+        "time for which base/hold, base/go_to and base/follow continue without new "
+        "arm/joint_states, with the joints assumed at rest",
+        unit="s",
+        check=NOT_NEGATIVE,
     )
     speed: float = setting(0.06, "largest speed of the base", unit="m/s", check=POSITIVE)
     acceleration: float = setting(
