@@ -58,6 +58,32 @@ def test_a_law_runs_step_by_step(start):
     assert len(process.hash) == 12
 
 
+REAL_TIME = """
+import os, resource
+from test_law_process import GOOD_STEPS, LAWS, LawProcess, inputs, run
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+resource.setrlimit(resource.RLIMIT_RTTIME, (5_000_000, 5_000_000))  # ends the law if all else fails
+process = LawProcess(f"{LAWS}:Endless", 4, 0.02)
+run(process, GOOD_STEPS)
+process.send(inputs())
+print(process.receive(0.2))
+process.kill()
+"""
+
+
+def test_an_endless_law_leaves_its_real_time_node_the_core():
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+    except OSError:
+        pytest.skip("the system permits no real-time priority")
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    path = f"{Path(__file__).parent}:{LAWS.parent}:{os.environ['PYTHONPATH']}"
+    command, env = [sys.executable, "-c", REAL_TIME], os.environ | {"PYTHONPATH": path}
+    ended = subprocess.run(command, env=env, capture_output=True, text=True, timeout=TIMEOUT)
+    assert (ended.stdout, ended.returncode) == ("None\n", 0), ended.stderr
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
