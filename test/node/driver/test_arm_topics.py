@@ -346,7 +346,7 @@ def test_all_links_get_one_path_with_one_begin_and_the_commands_to_follow_it(ben
     assert [m.position[-1] for m in paths] == list(THERE)
     assert all(m.velocity[-1] == 0.0 for m in paths)
     commands = [m for _, i, m in bench.links.taken if i == 3]
-    assert len(commands) > 10
+    assert len(commands) > 3  # one is repeated all the time
     assert {(m.mode, m.path) for m in commands} == {(LinkCommand.PATH, 1)}
     bench.execute(bench.client.goal([(1.0, (0.0, 0.0, 0.0, 0.0))]))
     assert bench.links.last(1).path == 2

@@ -65,7 +65,8 @@ def test_vicon_and_gyro_have_100_hz_and_even_stamps_and_truth_has_frames_and_mar
     for name in ("base", "tip", "imu"):
         stamps = np.array([stamp_ns(m.header.stamp) for m in listener.received[name]])
         assert set(np.diff(stamps)) == {10_000_000}
-    assert abs(stamps[-1] - bed.get_clock().now().nanoseconds) < 1_000_000_000
+    late = 10_000_000_000  # on a busy computer [ns]
+    assert abs(stamps[-1] - bed.get_clock().now().nanoseconds) < late
     np.testing.assert_allclose(
         planar_pose(listener.received["base"][-1].pose), (0.5, -0.5, 1.0), atol=0.01
     )
@@ -186,7 +187,7 @@ def test_drivers_reach_links_over_each_transport(spin, tmp_path):
         f"tcp://127.0.0.1:{ports[3]}",
     ]
     links = [LinkNode(i, url) for i, url in enumerate(urls, 1)]
-    spin([bed, *links], lambda: all(link.session.frame for link in links))
+    spin([bed, *links], lambda: all(link.session.frame for link in links), 30.0)
     found = [link.session.scale.position(link.session.frame.position) for link in links]
     assert found == pytest.approx(angles, abs=0.01)
 
