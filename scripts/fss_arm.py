@@ -231,13 +231,13 @@ def _searched_place(node: Node) -> str:
     return domain if node.get_namespace() == "/" else f" in {node.get_namespace()},{domain}"
 
 
-def _next_step(node: Node, what: str) -> str:
+def _next_step(node: Node, problem: str) -> str:
     """Return what to do if a node does not answer: name another vehicle, or start the nodes."""
     found = vehicles(node)
     if others := [v for v in found if v != node.get_namespace()]:
         return f"; --vehicle is one of {', '.join(others)}"
-    if found and what == "valves":
-        return ": the configuration that runs needs a node base, as config/fss_gnc_sim.sh has"
+    if found and problem == "no node offers base/arm":
+        return ": it needs a node base that runs, as config/fss_gnc_sim.sh has"
     start = "name the configuration that runs, or start one with scripts/fss_up.sh CONFIG"
     return "" if found else f": {start}"
 
@@ -266,7 +266,7 @@ def main() -> int:
             words = f"{vehicle}: {words}" if vehicle and len(node.get_namespace()) > 1 else words
         code = 0 if done else 1
     except NoAnswerError as error:
-        words = f"{error}{_searched_place(node)}{_next_step(node, options.what)}"
+        words = f"{error}{_searched_place(node)}{_next_step(node, str(error))}"
     except (KeyboardInterrupt, ExternalShutdownException):
         code, words = 130, "interrupted"
     except RCLError:

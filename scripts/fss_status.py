@@ -288,8 +288,8 @@ def timing(listener: Listener) -> Table:
         status = listener.report(name)
         values = {value.key: value.value for value in status.values} if status else {}
         if MISSED in values:
-            cells = [f"{float(values[key]):.1f}" if key in values else "" for key in keys]
-            table.add_row(name, *cells, values[MISSED])
+            cells = [_rounded(values.get(key, "")) for key in keys]
+            table.add_row(name, *cells, escape(values[MISSED]))
     return table
 
 
@@ -353,6 +353,13 @@ def _table(*headings: str, rows: Iterable[list[str]] = ()) -> Table:
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def _rounded(text: str) -> str:
+    try:
+        return f"{float(text):.1f}"
+    except ValueError:  # any node may report anything
+        return ""
 
 
 def _style(text: str, style: str) -> str:

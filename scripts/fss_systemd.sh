@@ -43,9 +43,9 @@ END
     # systemd also runs this for a process that exited by itself: there is no node to call then.
     disarm="[ -z \"\$\$MAINPID\" ] || exec $fss_scripts/fss_arm.sh${FSS_NAMESPACE:+ --vehicle $FSS_NAMESPACE} disarm"
     [ "${1##*/}" != arm ] || echo "ExecStop=-/bin/sh -c '$disarm'"
-    # systemd puts the result in.
     [ -z "$fss_priority" ] || echo "LimitRTPRIO=$fss_priority
 LimitMEMLOCK=infinity"
+    # systemd puts the result in.
     cat <<END
 ExecStopPost=-$fss_scripts/fss/log_failure.sh $fss_config $1 \${SERVICE_RESULT}
 Restart=on-failure

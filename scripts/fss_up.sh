@@ -22,6 +22,7 @@ check() {
 start() {
   ! held "$1.keep" || return 0
   ! held "$1.node" || fail "$1 runs without its supervisor: fss_down.sh first"
+  [ ! -e "$FSS_LOGS/$1.log" ] || [ -w "$FSS_LOGS/$1.log" ] || fail "cannot write to $FSS_LOGS/$1.log"
   (
     hold "$1.keep" && exec setsid -f "$fss_scripts/fss/keep.sh" "$fss_config" "$1"
   ) </dev/null >>"$FSS_LOGS/$1.log" 2>&1 ||

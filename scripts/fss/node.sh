@@ -21,7 +21,8 @@ become() {
   # Not the real ros2: it would stay as the node's parent, with the lock and the process id.
   [ -z "$FSS_NAMESPACE" ] || set -- "$@" --ros-args -r "__ns:=/$FSS_NAMESPACE"
   [ "${ROS_SECURITY_ENABLE:-}" != true ] || set -- "$@" --ros-args --enclave "/$fss_name/$wanted"
-  [ -z "$fss_priority" ] || export FSS_PRIORITY="$fss_priority" FSS_CORES="$fss_cores"
+  # A library's threads, which exist before the node runs, would keep their normal priority.
+  [ -z "$fss_priority" ] || export FSS_PRIORITY="$fss_priority" FSS_CORES="$fss_cores" OPENBLAS_NUM_THREADS=1
   exec "$fss_scripts/bin/ros2" run "$@"
 }
 each_node become

@@ -37,7 +37,7 @@ def limit(name: str, value: float, threshold: float, reason: str, failure_text: 
 
 def chi_square(
     name: str,
-    chi_square: float,
+    squares: float,
     freedom: float,
     min_probability: float,
     failure_text: str,
@@ -45,11 +45,11 @@ def chi_square(
 ) -> Check:
     """Return a check that fails if residuals this large are less probable than `min_probability`.
 
-    `chi_square` is the sum of the squared residuals in standard deviations. These deviations are
+    `squares` is the sum of the squared residuals in standard deviations. These deviations are
     known, or estimated with `deviation_freedom` degrees of freedom.
     """
-    chance = probability(chi_square, freedom, deviation_freedom)
-    size = f"{chi_square:.4g} for {freedom:.4g} degrees of freedom"
+    chance = probability(squares, freedom, deviation_freedom)
+    size = f"{squares:.4g} for {freedom:.4g} degrees of freedom"
     facts = f"chi-square {size}, probability {chance:.2g} (at least {min_probability:g})"
     if chance >= min_probability:
         brief = f"chi-square of the fit {size}" if name == FIT else ""
@@ -158,10 +158,10 @@ def outliers(
     return limit("outliers", largest, max_error, words, failure_text)
 
 
-def redundancy(redundancy: Floats, kept: Mask, min_redundancy: float, noun: str) -> Check:
+def redundancy(shares: Floats, kept: Mask, min_redundancy: float, noun: str) -> Check:
     """Check that each datum kept is verified by the others, so that an error in it would show."""
-    worst = int(np.argmin(redundancy))
-    value = float(redundancy[worst])
+    worst = int(np.argmin(shares))
+    value = float(shares[worst])
     if value >= min_redundancy:
         return Check("redundancy", PASS, value, min_redundancy, "")
     which = format_indices([int(np.flatnonzero(kept)[worst])], noun)

@@ -21,11 +21,16 @@ def apply() -> list[str]:
     Returns:
         What the system did not permit, a line each.
     """
-    priority = os.environ.get("FSS_PRIORITY", "")
-    return list(_apply(int(priority), os.environ.get("FSS_CORES", ""))) if priority else []
+    priority, cores = os.environ.get("FSS_PRIORITY", ""), os.environ.get("FSS_CORES", "")
+    if not priority:
+        return []
+    try:
+        return list(_apply(int(priority), [int(core) for core in cores.split(",") if core]))
+    except ValueError:
+        return [f"FSS_PRIORITY is {priority!r}, FSS_CORES {cores!r}, expected numbers: not used"]
 
 
-def _apply(priority: int, cores: str) -> Iterator[str]:
+def _apply(priority: int, cores: list[int]) -> Iterator[str]:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
@@ -36,9 +41,10 @@ def _apply(priority: int, cores: str) -> Iterator[str]:
         )
     try:
         if cores:
-            os.sched_setaffinity(0, {int(core) for core in cores.split(",")})
+            os.sched_setaffinity(0, cores)
     except OSError as error:
-        yield f"cannot run on core {cores} alone ({error.strerror}): the node runs on any core"
+        which = ", ".join(map(str, cores))
+        yield f"cannot run on core {which} alone ({error.strerror}): the node runs on any core"
     if problem := _lock_memory():
         yield f"memory is not locked ({problem}): it may be swapped out"
 

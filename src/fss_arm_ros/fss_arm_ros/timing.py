@@ -1,13 +1,10 @@
 """Statistics of a node that runs at a fixed rate: period, latency, and missed deadlines."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from rclpy.node import Node
 
 from fss_arm_model.units import SECOND
-
-if TYPE_CHECKING:  # a pure class otherwise
-    from rclpy.clock import Clock
+from fss_arm_ros.timers import timer_clock
 
 MAX_SAMPLES = 10_000  # newest ones that percentiles are computed from
 PERCENTILES = (50.0, 99.0, 99.9)
@@ -41,23 +38,36 @@ def percentile_names(name: str) -> list[str]:
 class Timing:
     """Periods between the steps of a node, and latencies from a measurement to its command.
 
+    Steps are timed by the clock of the node's timers, and latencies by that of its stamps.
+
     Args:
-        rate: nominal rate of the steps [1/s].
-        clock: of the steps and of the stamps of measurements.
+        rate: nominal rate of the steps, which a timer makes [1/s].
+        node: whose clocks are used.
     """
 
-    def __init__(self, rate: float, clock: "Clock") -> None:
-        self._period, self._clock = SECOND / rate, clock  # nominal [ns]
+    def __init__(self, rate: float, node: Node) -> None:
+        self._period = SECOND / rate  # nominal [ns]
+        self._timer_clock, self._clock = timer_clock(node), node.get_clock()
         self._periods, self._latencies = Samples(), Samples()
-        self._last: int | None = None  # time of the last step [ns]
-        self.missed = 0  # steps that were due and not made
+        self._start: int | None = None  # time of the first step without an interruption [ns]
+        self._last, self._made = 0, 0  # time of the last step [ns]; steps since the first
+        self._missed_before, self._missed_since = 0, 0  # before the first step; since it
+
+    @property
+    def missed(self) -> int:
+        """Number of steps that were due and not made; a timer that is late keeps its phase."""
+        return self._missed_before + self._missed_since
 
     def add_step(self) -> None:
         """Add a step that is made now."""
-        now = int(self._clock.now().nanoseconds)
-        if self._last is not None:
+        now = int(self._timer_clock.now().nanoseconds)
+        if self._start is None:
+            self._start, self._made = now, 0
+        else:
             self._periods.add(now - self._last)
-            self.missed += max(0, round((now - self._last) / self._period) - 1)
+            self._made += 1
+            missed = int((now - self._start) / self._period) - self._made
+            self._missed_since = max(self._missed_since, missed)
         self._last = now
 
     def add_command(self, measured: int | None) -> None:
@@ -67,7 +77,7 @@ class Timing:
 
     def interrupt(self) -> None:
         """Note that no step follows for a while, so that this is not a long period."""
-        self._last = None
+        self._missed_before, self._missed_since, self._start = self.missed, 0, None
 
     def values(self) -> dict[str, float]:
         """Return percentiles and missed deadlines by name, for diagnostics; empty without steps."""

@@ -33,16 +33,16 @@ class Strip:
     #: Heading, measured minus predicted, and its sigma [rad].
     heading_difference: tuple[float, float] = nan, nan
     node_errors: dict[str, str] = field(default_factory=dict)  # by node
-    #: Deadlines missed by each node: since its start, and since its report before the last one.
-    missed: dict[str, tuple[int, int]] = field(default_factory=dict)
+    #: Deadlines missed by each node: in all, and since its last report but one, with receive time.
+    missed: dict[str, tuple[int, int, float]] = field(default_factory=dict)
 
-    def add_report(self, node: str, error: str, missed: int) -> None:
+    def add_report(self, node: str, error: str, missed: int, now: float) -> None:
         """Store what a node's diagnostics report: an error, if any, and missed deadlines."""
         self.node_errors.pop(node, None)
         if error:
             self.node_errors[node] = error
-        before, _ = self.missed.get(node, (missed, 0))
-        self.missed[node] = missed, max(0, missed - before)
+        before, *_ = self.missed.get(node, (missed,))
+        self.missed[node] = missed, max(0, missed - before), now
 
     def items(self, now: float) -> list[Item]:
         """Return all items of the strip at time `now` [s]; the node errors come last."""
@@ -52,7 +52,12 @@ class Strip:
             Item(kind, verdict, VERDICT_STYLES.get(verdict, WARNING))
             for kind, verdict in self.verdicts.items()
         ]
-        if late := [f"{node.lstrip('/')} {new}" for node, (_, new) in self.missed.items() if new]:
+        late = [
+            f"{node.lstrip('/')} {new}"
+            for node, (_, new, then) in self.missed.items()
+            if new and now - then < TELEMETRY_TIMEOUT
+        ]
+        if late:
             found.append(Item("deadlines missed now", ", ".join(late), WARNING))
         for node, text in self.node_errors.items():
             found.append(Item(node.lstrip("/"), text, ALARM))

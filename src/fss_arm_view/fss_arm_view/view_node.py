@@ -132,11 +132,12 @@ class ViewNode(Node):
     def update_strip(self, status: DiagnosticStatus) -> None:
         """Show a node's error, and its missed deadlines, in its vehicle's strip."""
         error = status.message if status.level == ERROR else ""
-        missed = next((int(pair.value) for pair in status.values if pair.key == MISSED), 0)
+        values = (pair.value for pair in status.values if pair.key == MISSED)
+        missed = next((int(value) for value in values if value.isdecimal()), 0)
         namespace = f"/{status.name.strip('/')}".rpartition("/")[0].strip("/")
         for vehicle in self.vehicles:
             if vehicle.name in ("", namespace):
-                vehicle.strip.add_report(status.name, error, missed)
+                vehicle.strip.add_report(status.name, error, missed, time.monotonic())
 
     def health(self) -> Health:
         """Return the node's health for diagnostics."""

@@ -44,7 +44,7 @@ class ControlNode(Node):
         self.settings = s = declare(self, ControlSettings)
         self.controller = BaseControl(described_arm(self, s.arm), s)
         self.controller.load_kernels()
-        self.timing = Timing(s.rate, self.get_clock())
+        self.timing = Timing(s.rate, self)
         self.topics = topics = LatestTopics(self)
         for topic in (self.controller.base, self.controller.target):
             topics.store(Odometry, topic, messages.body)

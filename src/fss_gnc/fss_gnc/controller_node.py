@@ -46,7 +46,7 @@ class ControllerNode(Node):
         if s.law.endswith(".fmu"):
             require("fmpy")  # the law's process imports it
         self.arm, period = described(s.arm), 1.0 / s.rate
-        self.snapshot, self.timing = Snapshot(self.arm.n, period), Timing(s.rate, self.get_clock())
+        self.snapshot, self.timing = Snapshot(self.arm.n, period), Timing(s.rate, self)
         self.topics = LatestTopics(self)
         self.subscribe()
         lifetime = command(s.time_to_live)

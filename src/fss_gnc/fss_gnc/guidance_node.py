@@ -1,8 +1,8 @@
 """Node `guidance`: runs one activity at a time, from actions to commands for base and arm.
 
 It stops the running activity, with valves closed and joints at rest, on base/stop and arm/stop, and
-when the base or the joints are no longer known. If the node itself dies, its last commands to
-control and arm expire.
+when the base or, for longer, the joints are no longer known. If the node itself dies, its last
+commands to control and arm expire.
 """
 
 import sys
@@ -52,7 +52,7 @@ class GuidanceNode(Node):
         self.craft = Craft(described_arm(self, s.arm), s)
         capture.load_kernels(self.craft)
         self.running: Running | None = None
-        self.timing = Timing(s.rate, self.get_clock())
+        self.timing = Timing(s.rate, self)
         self.measured = Measurements(self.craft.arm.n, s.max_age)
         self.polled = [
             PolledSubscription(self, kind, name, partial(self.on_message, name, store))

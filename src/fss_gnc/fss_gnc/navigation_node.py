@@ -48,7 +48,7 @@ class NavigationNode(Node):
         self.known = Calibrated(described_arm(self, s.arm))
         self.stamps = StampCheck(s.base_topic, lambda: int(self.clock.now().nanoseconds))
         self.rejected: Counter[str] = Counter()
-        self.timing = Timing(s.rate, self.get_clock())
+        self.timing = Timing(s.rate, self)
         self.pulses = 0  # number of accepted commands to the valves
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
         self.target = self.create_publisher(Odometry, "target/state", SENSOR)

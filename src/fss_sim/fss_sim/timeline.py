@@ -185,9 +185,10 @@ class Timeline:
         last_frame, last_time = self._last_speed_check
         self._last_speed_check = frame, now
         speed = (frame - last_frame) / RATE / max(now - last_time, 1e-9)
-        slowest, _ = self.nodes.slowest()
-        is_behind = now - last_time > 0.5 and speed < 0.95 * self.speed and not self.paused
-        is_slow = is_behind and not slowest  # in lockstep it waits for the nodes
+        slowest, last_allowed = self.nodes.slowest()
+        waits = last_allowed is not None and last_allowed <= frame  # in lockstep, for that node
+        is_behind = now - last_time > 0.5 and speed < 0.95 * self.speed
+        is_slow = is_behind and not (self.paused or waits)
         state = "paused" if self.paused else "too slow" if is_slow else "running"
         values: dict[str, Any] = {"simulated time [s]": frame / RATE, "speed": speed}
         values["VICON's frame"] = frame

@@ -33,6 +33,10 @@ def test_wrench_points_to_the_reference_in_the_base_s_axes(bench):
     mass = inertia_matrix(ARM.vector(), [0, 0, np.pi / 2, *FOLDED])[0, 0]
     assert w[1] == pytest.approx(-mass * g.bandwidth**2 * 0.05, rel=0.05)
     assert abs(w[0]) < 1e-3
+    assert {
+        "period p50 [ms]",
+        "latency p50 [ms]",
+    } <= bench.control.diagnostics.timing.values().keys()
 
 
 def test_age_counts_from_the_stamp_and_not_from_the_arrival(bench):

@@ -79,6 +79,10 @@ def test_base_action_preempts_another_without_a_gap(bench):
 def test_cancelled_hold_counts_as_held(bench):
     handle = bench.holding()
     bench.until(lambda: bench.states[-1].elapsed > 1.1)
+    assert {
+        "period p50 [ms]",
+        "latency p50 [ms]",
+    } <= bench.guidance.diagnostics.timing.values().keys()
     bench.after(handle.cancel_goal_async())
     ended = bench.end(handle)
     assert ended.status == CANCELED

@@ -159,6 +159,7 @@ def test_states_and_covariances_of_base_and_target_are_published(fly, spin):
     assert transform.transform.translation.x == state.pose.pose.position.x
     health = node.health()
     assert (health.level, health.message) == (OK, "tracking")
+    assert {"period p50 [ms]", "latency p50 [ms]"} <= node.diagnostics.timing.values().keys()
 
 
 def test_state_is_predicted_for_a_while_and_then_lost(fly, spin):

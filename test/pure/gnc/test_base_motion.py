@@ -245,6 +245,7 @@ def test_joints_that_become_unknown_are_assumed_at_rest_for_a_while():
     assert commands.path is not None
     assert (commands.outcome, commands.reason) == (None, "joints are unknown and assumed at rest")
     assert motion.tolerates(unknown)
-    assert not motion.tolerates(replace(unknown, joints_age=3.1))
+    for age in (3.1, -3.1):
+        assert not motion.tolerates(replace(unknown, joints_age=age))
     assert not motion.tolerates(replace(unknown, base=None))
     assert not motion.step(observed(2.0)).reason

@@ -17,6 +17,16 @@ class Clock:
         return SimpleNamespace(nanoseconds=self.t)
 
 
+class SimulatedNode:
+    """Node with a simulated clock."""
+
+    def __init__(self, clock):
+        self.get_clock = lambda: clock
+
+    def get_parameter(self, _):
+        return SimpleNamespace(value=True)
+
+
 @pytest.fixture
 def clock():
     return Clock()
@@ -24,7 +34,7 @@ def clock():
 
 @pytest.fixture
 def timing(clock):
-    return Timing(100.0, clock)
+    return Timing(100.0, SimulatedNode(clock))
 
 
 @pytest.fixture
@@ -47,6 +57,16 @@ def test_percentiles_and_missed_deadlines(timing, step):
     assert values["period p99.9 [ms]"] == pytest.approx(10.1, abs=0.1)
     assert values["latency p99.9 [ms]"] == pytest.approx(2.0)
     assert values["missed deadlines"] == 10
+
+
+def test_a_late_step_is_none_missed(timing, clock):
+    for late in (0, 10, 27, 30, 40, 57, 60, 70):  # [ms]; a timer keeps its phase
+        clock.t = late * SECOND // 1000
+        timing.add_step()
+    assert timing.missed == 0
+    clock.t = 99 * SECOND // 1000  # that of 80 ms; there is none for 90 ms
+    timing.add_step()
+    assert timing.missed == 1
 
 
 def test_a_pause_is_no_period(timing, step):

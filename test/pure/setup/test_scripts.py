@@ -32,7 +32,7 @@ from shell_scripts import script_package, write_script
 
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.source_version import source_version
-from fss_arm_ros.timing import Timing
+from fss_arm_ros.timing import MISSED, Timing
 
 ROOT = Path(__file__).parents[3]
 STAND_IN = ROOT / "scripts/bin/ros2"
@@ -352,17 +352,30 @@ def test_what_is_not_healthy_is_named_with_its_state(tmp_path, status):
     assert found == ["record is failed", "view does not report", "link reports an error"]
 
 
+def workspace_of(folder: Path, ros2: str) -> Path:
+    """Copy the scripts and configurations into a folder, with a script in place of ros2."""
+    for part in ("scripts", "config"):
+        shutil.copytree(ROOT / part, folder / part)
+    write_script(folder / "scripts/bin/ros2", ros2)
+    write_script(folder / "scripts/env.sh", "")
+    return folder
+
+
 def test_timing_is_shown_within_80_columns(status):
-    timing = Timing(100.0, Clock())
+    node = SimpleNamespace(get_clock=Clock, get_parameter=lambda _: SimpleNamespace(value=False))
+    timing = Timing(100.0, node)
     timing.add_step()
     timing.add_command(time.time_ns())
     timing.add_step()
     values = [KeyValue(key=key, value=f"{value:.6g}") for key, value in timing.values().items()]
+    unknown = [KeyValue(key=MISSED, value="n/a"), KeyValue(key="period p50 [ms]", value="[b]")]
     names = ["fss2/control", "fss2/navigation"]
     reports = {name: DiagnosticStatus(name=name, values=values) for name in names}
+    reports["x"] = DiagnosticStatus(name="x", values=unknown)
     listener = SimpleNamespace(reports=reports, report=reports.get)
     rows = [line.split() for line in lines_of(status["timing"](listener))]
     assert [row[0] for row in rows if len(row) == 8] == names
+    assert ["x", "n/a"] in rows
 
 
 def test_a_marked_node_has_its_priority_and_cores(tmp_path):
@@ -375,6 +388,14 @@ def test_a_marked_node_has_its_priority_and_cores(tmp_path):
     )
     shown = run("sh", "-c", script, tmp_path / "lab.sh", cwd=ROOT)
     assert shown.stdout.splitlines() == ["b  ", "a 60 1,2", "c 50 ", "d  "]
+    run("scripts/fss_systemd.sh", tmp_path / "units", tmp_path / "lab.sh", cwd=ROOT)
+    limits = "LimitRTPRIO=60\nLimitMEMLOCK=infinity\n"
+    assert limits in (tmp_path / "units/lab-a.service").read_text()
+    assert "LimitRTPRIO" not in (tmp_path / "units/lab-b.service").read_text()
+    own = workspace_of(tmp_path, 'echo "$FSS_PRIORITY $FSS_CORES"')
+    for name, seen in (("a", "60 1,2"), ("c", "50 "), ("d", " ")):
+        shown = run(own / "scripts/fss/node.sh", tmp_path / "lab.sh", name, env=BARE)
+        assert shown.stdout == f"{seen}\n"
 
 
 def test_a_failed_node_says_why_and_events_are_those_of_this_session(tmp_path, status):
@@ -437,10 +458,7 @@ def test_a_node_that_cannot_be_started_is_named_with_the_reason(tmp_path):
     ],
 )
 def test_in_lockstep_the_nodes_use_the_clock_of_the_test_bed(tmp_path, name, lockstep, seen):
-    for part in ("scripts", "config"):
-        shutil.copytree(ROOT / part, tmp_path / part)
-    write_script(tmp_path / "scripts/bin/ros2", 'echo "$@"')
-    write_script(tmp_path / "scripts/env.sh", "")
+    workspace_of(tmp_path, 'echo "$@"')
     lines = "node testbed fss_sim testbed", "node arm fss_arm_driver arm"
     (tmp_path / "lab.sh").write_text("\n".join((f"lockstep={lockstep}", *lines)))
     shown = run(tmp_path / "scripts/fss/node.sh", tmp_path / "lab.sh", name, env=BARE)

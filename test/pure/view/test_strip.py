@@ -42,7 +42,7 @@ def test_base_gripper_propellant_and_verdicts_are_shown():
     base, gripper = BaseTelemetry(armed=True, battery=121), GripperState(closed=True)
     verdicts = {"kinematic": "pass", "dynamic": "fail", "drift": "not_evaluated"}
     strip = Strip(base=base, gripper=gripper, propellant=0.0421, verdicts=verdicts)
-    strip.add_report("/fss2/link_1", "link_1 is lost", 0)
+    strip.add_report("/fss2/link_1", "link_1 is lost", 0, 0.0)
     assert strip.items(0.0) == [
         ("base", "armed, 12.1 V", NEUTRAL),
         ("propellant", "42 g", NEUTRAL),
@@ -57,10 +57,11 @@ def test_base_gripper_propellant_and_verdicts_are_shown():
 def test_errors_and_missed_deadlines_are_shown_while_reported():
     strip = Strip()
     for error, missed in (("failed", 7), ("", 9)):
-        strip.add_report("/controller", error, missed)
-    assert strip.items(0.0) == [("deadlines missed now", "controller 2", WARNING)]
-    strip.add_report("/controller", "", 9)
-    assert strip.items(0.0) == []
+        strip.add_report("/controller", error, missed, 1.0)
+    assert strip.items(2.0) == [("deadlines missed now", "controller 2", WARNING)]
+    assert strip.items(9.0) == []  # its node has ended
+    strip.add_report("/controller", "", 9, 2.0)
+    assert strip.items(2.0) == []
 
 
 @pytest.mark.parametrize(

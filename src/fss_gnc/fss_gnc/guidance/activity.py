@@ -5,7 +5,7 @@ activity returns, until they contain an outcome. After that, and whenever the ba
 base coasts.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -37,8 +37,9 @@ class Observation:
     effort: Floats | None = None  # (n,) [N m]
     holds: bool | None = None  # whether the gripper holds the target; None: not known
     propellant: float = np.nan  # left [kg]; NaN: not known
+    _: KW_ONLY
     last_q: Floats | None = None  # (n,) last received joint angles [rad]; None: none yet
-    joints_age: float = np.inf  # of these [s]
+    joints_age: float = np.inf  # of these [s]; negative: stamped in the future
     held_body: HeldBody | None = None  # held body as measured; None: not measured yet
     open_valves: tuple[int, ...] = ()  # valves that do not close, from 1
     unknown_push: bool = False  # momentum changes without a known cause
@@ -89,7 +90,7 @@ class Commands:
     close_gripper: bool | None = None  # close the gripper, or open it; None: unchanged
     keep_out: float = 0.0  # radius of the keep-out zone about the target [m]
     fixture_distance: float = np.nan  # from the end effector to the target's fixture [m]
-    reason: str = ""  # why it aborts or brakes; empty: neither
+    reason: str = ""  # why it aborts, brakes or assumes a state; empty: not so
     outcome: Outcome | None = None
 
 

@@ -74,7 +74,7 @@ class PathMotion:
 
     def tolerates(self, obs: Observation) -> bool:
         """Return True if the base is known, and the joints were known a short time ago."""
-        return obs.base is not None and obs.joints_age <= self.settings.joint_timeout
+        return obs.base is not None and abs(obs.joints_age) <= self.settings.joint_timeout
 
     def cancel(self, reason: str) -> None:
         """Stop holding, or brake."""

@@ -36,7 +36,7 @@ class Execution:
     start_time: int  # [ns]
     budget: Budget
     moves_joints: bool = False  # True once it has commanded the arm
-    problem: str = ""  # why it aborts or brakes, after the phase; empty: neither
+    problem: str = ""  # why it aborts, brakes or assumes a state, after the phase; empty: not so
 
     def step(self, obs: Observation, cancelled: bool, problem: str) -> Commands:
         """Return the activity's commands; abort it if it cannot continue.
@@ -64,7 +64,7 @@ class Execution:
         return commands
 
     def update_problem(self, commands: Commands) -> str:
-        """Store why it aborts or brakes; return the reason if it is a new one, else empty."""
+        """Store the reason of the commands; return it if it is a new one, else empty."""
         before, self.problem = (
             self.problem,
             commands.reason and (f"{commands.phase}: {commands.reason}"),
@@ -73,7 +73,7 @@ class Execution:
 
     @property
     def status(self) -> str:
-        """Name of the action, and why it aborts or brakes."""
+        """Name of the action, and the reason of its last commands, if any."""
         return ": ".join(filter(None, (self.kind.name, self.problem)))
 
     def feedback(self, commands: Commands) -> Any:

@@ -270,10 +270,10 @@ class Flight:
             effort,
             None if self.is_faulty("gripper") else self.plant.holds,
             thrusters.capacity - thrusters.propellant_used,
-            self.reading[0] if self.reading else None,
-            self.held_body if self.plant.holds else None,
-            tuple(sorted(i + 1 for i in faults.open)),
-            faults.unknown_push,
+            last_q=self.reading[0] if self.reading else None,
+            held_body=self.held_body if self.plant.holds else None,
+            open_valves=tuple(sorted(i + 1 for i in faults.open)),
+            unknown_push=faults.unknown_push,
         )
 
     def _known_body(self, body: BodyFilter) -> Body | None:
