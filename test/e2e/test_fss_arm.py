@@ -650,7 +650,7 @@ def test_an_arm_without_the_bases_board_has_no_valves(ros, telling):
     node.create_publisher(LinkTelemetry, "link_1/telemetry", SENSOR)
     code, out, err = telling([node], (sys.executable, SCRIPT, "valves", "--wait", "1"))
     assert (code, out) == (1, "")
-    remedy = "the configuration that runs needs a node base, as config/fss_gnc_sim.sh has"
+    remedy = "it needs a node base that runs, as config/fss_gnc_sim.sh has"
     assert err == f"no node offers base/arm in ROS domain {DOMAIN}: {remedy}\n"
 
 
