@@ -8,15 +8,15 @@ import os
 import resource
 from collections.abc import Iterator
 
-MIN_PRIORITY = 2  # of a node, so that a law in a process of its own is below it
 LOCK_CURRENT, LOCK_FUTURE, LOCK_ON_FAULT = 1, 2, 4  # flags of mlockall, Linux 4.4
 
 
 def apply() -> list[str]:
     """Set priority, cores and locked memory of this process; call before it has threads.
 
-    Reads FSS_PRIORITY, a priority of SCHED_FIFO from MIN_PRIORITY to 98 (without it nothing is
-    done), and FSS_CORES, numbers of cores such as `1` or `2,3` (empty: any).
+    Reads FSS_PRIORITY, a priority of SCHED_FIFO from 2 to 98 (without it nothing is done; a law in
+    a process of its own is 1 below its node), and FSS_CORES, numbers of cores such as `1` or `2,3`
+    (empty: any).
 
     Returns:
         What the system did not permit, a line each.

@@ -61,6 +61,8 @@ class Timing:
     def add_step(self) -> None:
         """Add a step that is made now."""
         now = int(self._timer_clock.now().nanoseconds)
+        if now < self._last:  # simulated time was set back
+            self.interrupt()
         if self._start is None:
             self._start, self._made = now, 0
         else:

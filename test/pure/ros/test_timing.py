@@ -78,6 +78,14 @@ def test_a_pause_is_no_period(timing, step):
     assert timing.values()["missed deadlines"] == 0
 
 
+def test_time_that_is_set_back_is_no_period(timing, step):
+    for t in (0, SECOND // 100, -SECOND, SECOND // 100 - SECOND, 2 * SECOND // 100 - SECOND):
+        step(100 * SECOND + t)
+    values = timing.values()
+    assert values["period p50 [ms]"] == values["period p99.9 [ms]"] == pytest.approx(10.0)
+    assert values["missed deadlines"] == 0
+
+
 def test_old_samples_are_dropped(timing, step):
     step(0, latency=SECOND)
     for k in range(1, MAX_SAMPLES + 1):
