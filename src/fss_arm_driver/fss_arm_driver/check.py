@@ -17,6 +17,7 @@ from fss_arm_ros.command_line import Parser, in_one_line, interrupt_at_end
 from fss_link.protocol import load_keys
 
 SEARCH_TIMEOUT = 3.0  # for each link's number at a URL [s]
+MAX_CURRENT = 0.4  # of the first of five steps: the paper's drives give 2.25 A [A]
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
 
 
@@ -76,8 +77,8 @@ def main() -> int:
     """Run as `ros2 run fss_arm_driver check`."""
     command = parser()
     given = command.parse_args()
-    if not 0.0 < given.current <= 0.5:
-        command.error(f"--current is {given.current} A, expected above 0 to 0.5")
+    if not 0.0 < given.current <= MAX_CURRENT:
+        command.error(f"--current is {given.current} A, expected above 0 to {MAX_CURRENT:g}")
     interrupt_at_end()
     return run(given)
 
@@ -104,8 +105,13 @@ def run(given: argparse.Namespace) -> int:
                 print(f"{url}: no link answers")
                 continue
             number = rig.number
-            places[number] = url
             with closing(rig.transport):
+                if number in places:
+                    why = f"at {url}, too: it has answered at {places[number]}"
+                    findings.append(Finding(number, "answers", FAIL, why))
+                    print(f"{url}: link {number} has answered at {places[number]}, too")
+                    continue
+                places[number] = url
                 for finding in trials(rig, input, given.current):
                     findings.append(finding)
                     result = f"{finding.name}: {finding.verdict}: {finding.found}"

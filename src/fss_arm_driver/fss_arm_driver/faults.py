@@ -53,7 +53,7 @@ _HEATED = "`motor_heat` 80; or full current for minutes"
 FAULTS = (
     _status(0, "short circuit", "`short_circuit`", _CABLE),
     _status(1, "drive too hot", "`drive_heat` 50", _COOL),
-    _status(2, "supply too high", "`supply` 40", "check the battery; decelerate less"),
+    _status(2, "supply too high", "`supply` 40", "check the battery; lower max_acceleration"),
     _status(3, "supply too low", _SAG, "charge the battery"),
     _status(4, "motor too hot", _HEATED, _COOL),
     _status(5, "feedback error", "`encoder`", _ENCODER),
@@ -86,14 +86,14 @@ FAULTS = (
     _latched(2, "short circuit", "`short_circuit`", _CABLE),
     _latched(3, "drive too hot", "`drive_heat` 50", _COOL),
     _latched(4, "motor too hot", _HEATED, _COOL),
-    _latched(5, "supply too high", "`supply` 40", "check the battery; decelerate less"),
+    _latched(5, "supply too high", "`supply` 40", "check the battery; lower max_acceleration"),
     _latched(6, "supply too low", _SAG, "charge the battery"),
     _latched(7, "feedback error", "`encoder`", _ENCODER),
     _latched(8, "phasing error", "`phasing`", _ENCODER + " and the motor's"),
-    _latched(9, "tracking error", _STUCK, "look for what blocks the joint, then clear it"),
+    _latched(9, "tracking error", _STUCK, "remove what blocks the joint, then clear the fault"),
     _latched(10, "current too high", "`overcurrent`", "look for what loads the joint"),
     _latched(11, "logic failure", "`logic`", _SERVICE),
-    _latched(12, "command input lost", "`command_input`", "clear it"),
+    _latched(12, "command input lost", "`command_input`", "clear the fault"),
 )
 
 
@@ -124,7 +124,7 @@ def as_markdown() -> str:
         "# Faults of the servo drive",
         "",
         "Written by `python -m fss_arm_driver.faults` from the table in that module. The bits are",
-        "those of Copley drives; that ours is one is inferred",
+        "those of Copley drives; that ours is one is assumed",
         "([`hardware.md`](../start/hardware.md)). While a bit that blocks motion is set, motion is",
         "refused and a moving link is disarmed. The service `link_<i>/clear_faults` clears latched",
         "faults once their cause is gone, as `scripts/fss_arm.sh clear` does for all links. A",

@@ -18,7 +18,9 @@ class LinkSettings(Settings):
     """Parameters of a LinkNode."""
 
     link: int = setting(1, "number of the link; 1 is at the base", check=between(1, 255))
-    url: str = setting("", "address of the link: udp://, tcp://, serial:// or copley://; required")
+    url: str = setting(
+        "", "address: udp://HOST:PORT, tcp://HOST:PORT, serial:// or copley://DEVICE; required"
+    )
     urls: tuple[str, ...] = setting(
         (), "addresses of links 1, 2, ..., instead of url, to run all drivers in one process"
     )
@@ -30,13 +32,13 @@ class LinkSettings(Settings):
     )
     max_rate: float = setting(
         50.0,
-        "largest rate of commands to the link; users' commands are sent at once",
+        "largest rate of commands to the link; up to it users' commands are sent at once",
         unit="Hz",
         check=between(0.1, 1000.0),
     )
     timeout: float = setting(
         1.0,
-        "silence after which the link is reported as lost, and longest round trip to arm it",
+        "silence after which the link is lost, on a path twice watchdog; longest round trip to arm",
         unit="s",
         check=between(0.001, 3600.0),
     )
@@ -48,13 +50,13 @@ class LinkSettings(Settings):
     )
     empty: float = setting(
         12.0,
-        "voltage of an empty battery: switch the link off by hand",
+        "voltage of an empty battery, for the minutes left; it switches nothing off",
         unit="V",
         check=NOT_NEGATIVE,
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     frame_prefix: str = like(Vehicle, "frame_prefix")
-    arm: str = setting("", "file of the arm's description; empty: the paper's arm")
+    arm: str = setting("", "arm: paper, cad, truth or a file; empty: paper")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -93,17 +95,17 @@ class LinkSettings(Settings):
 class ArmSettings(GuardSettings):
     """Parameters of an ArmNode."""
 
-    arm: str = setting("", "file of the arm's description; empty: the paper's arm")
+    arm: str = setting("", "arm: paper, cad, truth or a file; empty: paper")
     rate: float = setting(
         5.0,
-        "rate of each link's commands during a move or a trajectory",
+        "rate of each link's commands in a motion; below 10 Hz it is doubled on a path",
         unit="Hz",
         check=between(0.1, 1000.0),
     )
     time_to_live: float = setting(
         1.0,
-        "time to live of commands to links; a link silent, or this node paused, for longer ends "
-        "the motion",
+        "a motion ends after this silence of a link, or pause of this node; time to live of "
+        "commands to links",
         unit="s",
         check=between(0.001, 3600.0),
     )

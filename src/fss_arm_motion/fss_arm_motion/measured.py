@@ -61,9 +61,11 @@ class Measured:
             PlanError: a joint is beyond its limits.
         """
         s, arm = self.settings, calibrated.arm
-        if (age := (now - self.t) / SECOND) > s.max_age or self.q.shape != (arm.n,):
+        if (age := (now - self.t) / SECOND) > s.max_age:
             problem = f"is {age:.1f} s old" if self.t else "was not received yet"
             raise MotionError(f"arm/joint_states {problem}: check that arm and all links run")
+        if (count := len(self.q)) != arm.n:
+            raise MotionError(f"arm/joint_states has {count} joints, the description {arm.n}")
         if (fast := np.abs(self.qd)).max() > s.motion_threshold:
             i = int(fast.argmax())
             raise MotionError(

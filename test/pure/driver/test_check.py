@@ -357,7 +357,7 @@ def test_what_was_found_before_a_wrong_url_is_written(checked, capsys):
     [
         (["udp://x"], "expected udp://HOST:PORT"),
         (["udp://127.0.0.1:9", "--arm", "/no/such"], "/no/such"),
-        (["udp://127.0.0.1:9", "--current", "2"], "--current is 2.0 A, expected above 0 to 0.5"),
+        (["udp://127.0.0.1:9", "--current", "2"], "--current is 2.0 A, expected above 0 to 0.4"),
         (["--nonsense"], "URL"),
     ],
 )

@@ -15,10 +15,10 @@ from firmware import Core
 from running import wait_until
 
 from fss_arm_driver.copley import drive
-from fss_arm_driver.copley.drive import REPLY_TIME, Demand, Drive, Goal
+from fss_arm_driver.copley.drive import REPLY_TIMEOUT, Demand, Drive, DriveGoal
 from fss_arm_driver.copley.language import ERRORS, Error, LineError, Ok, Value, parse
 from fss_arm_driver.copley.link import DriveLink
-from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, at
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, evaluate
 from fss_arm_driver.session import LinkSession
 from fss_arm_driver.transport import open_transport
 from fss_arm_model.description import paper_arm
@@ -115,34 +115,34 @@ def test_a_drive_is_found_at_both_rates_and_set_to_the_working_one(core, working
 @pytest.mark.parametrize("code", [1, 15, 48])
 def test_whatever_is_refused_is_held_and_said(bench, code):
     bench.tell(f"fail {code}")
-    bench.demand(Goal.POSITION, 40000, 70000)
+    bench.demand(DriveGoal.POSITION, 40000, 70000)
     assert f"error {code}: {ERRORS[code]}" in bench.here.refusal
     assert bench.here.reading.position == 0
     assert bench.here.reading.mode in (Mode.POSITION, Mode.OFF)
-    bench.demand(Goal.RELEASE)
+    bench.demand(DriveGoal.RELEASE)
     assert bench.here.refusal == ""
     assert bench.mode() == Mode.OFF
 
 
 def test_a_demand_made_again_while_braking_is_followed(bench):
     bench.tell("shake 1")
-    bench.demand(Goal.POSITION, 40000, 70000)
+    bench.demand(DriveGoal.POSITION, 40000, 70000)
     bench.orders()
-    bench.here.demand = Demand(Goal.HOLD)
+    bench.here.demand = Demand(DriveGoal.HOLD)
     bench.run(0.4)
-    bench.here.demand = Demand(Goal.POSITION, 40000, 70000)
+    bench.here.demand = Demand(DriveGoal.POSITION, 40000, 70000)
     bench.run(0.4)
     assert bench.orders()[-1] == "t 1"
 
 
-@pytest.mark.parametrize("goal", [Goal.RELEASE, Goal.HOLD])
+@pytest.mark.parametrize("goal", [DriveGoal.RELEASE, DriveGoal.HOLD])
 def test_a_joint_found_in_motion_is_braked_with_the_drives_abort_deceleration(bench, goal):
-    bench.demand(Goal.VELOCITY, 300_000, 0, 7639)
-    bench.demand(Goal.VELOCITY, 300_000, 0, 100)  # would brake in half a minute
+    bench.demand(DriveGoal.VELOCITY, 300_000, 0, 7639)
+    bench.demand(DriveGoal.VELOCITY, 300_000, 0, 100)  # would brake in half a minute
     bench.here = Drive(115_200)  # a driver that starts again
     bench.here.demand = Demand(goal)
     bench.run(1.0)
-    rest = {Goal.RELEASE: Mode.OFF, Goal.HOLD: Mode.POSITION}[goal]
+    rest = {DriveGoal.RELEASE: Mode.OFF, DriveGoal.HOLD: Mode.POSITION}[goal]
     orders = ["s r0x90 115200", "s r0x37 300", "s r0x2f 0", "s r0x24 11", f"s r0x24 {rest:d}"]
     assert bench.orders() == orders
     assert float(bench.core.ask("joint").split()[1]) == 0.0
@@ -150,7 +150,7 @@ def test_a_joint_found_in_motion_is_braked_with_the_drives_abort_deceleration(be
 
 @pytest.mark.parametrize("cut_at", range(0, 12, 3))
 def test_a_cable_pulled_in_mid_line_costs_the_demand_and_not_the_drive(bench, cut_at):
-    bench.here.demand = Demand(Goal.VELOCITY, 5000)
+    bench.here.demand = Demand(DriveGoal.VELOCITY, 5000)
     bench.run(0.002 * cut_at)
     exchange(bench.core, b"s r0x2", 115_200, 1000)  # the start of a line
     bench.tell("plug 0")
@@ -173,7 +173,7 @@ def test_a_silent_drive_is_lost_in_time(bench):
     bench.tell("plug 0")
     bench.run(1.0, lambda: bench.here.reading is None)
     assert bench.here.reading is None
-    assert bench.now < 4 * REPLY_TIME + SECOND
+    assert bench.now < 4 * REPLY_TIMEOUT + SECOND
 
 
 # --- as a link ---
@@ -232,7 +232,7 @@ def test_a_path_is_followed_at_50_hz_or_more(following):
     while following.clock < PIECES[1].end - 20_000:
         frames += following.run(0.01)
         piece = PIECES[following.clock >= PIECES[1].begin]
-        off.append(abs(following.joint().position - at(piece, following.clock)[0]))
+        off.append(abs(following.joint().position - evaluate(piece, following.clock)[0]))
     orders = [line for line in following.orders() if line.startswith("s r0x2f")]
     assert len(orders) >= 50e-6 * (following.clock - begin)
     assert max(off) < 400  # 0.6 degrees
@@ -295,7 +295,7 @@ class Rig:
 
 @pytest.fixture
 def rig(core, tmp_path, monkeypatch):
-    monkeypatch.setattr(drive, "REPLY_TIME", 2 * SECOND)  # of a busy computer
+    monkeypatch.setattr(drive, "REPLY_TIMEOUT", 2 * SECOND)  # of a busy computer
     rig = Rig(core, tmp_path)
     yield rig
     rig.close()

@@ -19,9 +19,9 @@ from fss_arm_driver.protocol import (
     Mode,
     Slow,
     State,
-    at,
     decode,
     encode,
+    evaluate,
 )
 from fss_arm_driver.protocol.path import PathFollower
 from fss_arm_model.description import paper_arm
@@ -621,7 +621,7 @@ def following(link, knots=KNOTS, seconds=1.0, kept=32):
 def angle(segments, clock):
     """Position of a path [counts]."""
     segment = next((s for s in segments if clock < s.end), segments[-1])
-    return at(segment, min(max(clock, segment.begin), segment.end))[0]
+    return evaluate(segment, min(max(clock, segment.begin), segment.end))[0]
 
 
 def track(link):

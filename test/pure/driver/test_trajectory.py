@@ -19,8 +19,8 @@ from fss_arm_driver.arm.request import (
     Code,
     Request,
     TrajectoryError,
-    check_goal,
     parse_request,
+    reject_unsupported_fields,
 )
 from fss_arm_driver.arm.state import LinkState
 from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
@@ -237,7 +237,7 @@ def valid_goal():
 def refusal(goal):
     """Return why a goal is refused; empty: it is not."""
     try:
-        check_goal(goal)
+        reject_unsupported_fields(goal)
         DEFAULT.with_goal(goal)
         parse_request(ARM, goal.trajectory)
     except TrajectoryError as error:
@@ -278,7 +278,7 @@ SIZES = [  # a field, its value, and why that is refused
      "multi_dof_trajectory.joint_names has 1 elements, expected none"),
     *((field, 50_000 * TWICE, f"{field} has 100000 elements, expected at most 4, one per joint")
       for field in ("path_tolerance", "goal_tolerance")),
-    *((field, TWICE, f"{field} names 'joint_1', expected joint_1, joint_2")
+    *((field, TWICE, f"{field} names 'joint_1', expected some of joint_1, joint_2")
       for field in ("path_tolerance", "goal_tolerance")),
     ("path_tolerance", [JointTolerance(name="elbow")], "path_tolerance names 'elbow'"),
 ]  # fmt: skip

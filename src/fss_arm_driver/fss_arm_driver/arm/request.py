@@ -55,7 +55,7 @@ def parse_request(arm: Arm, message: Any) -> Request:
     """Read a trajectory_msgs/JointTrajectory.
 
     Raises:
-        TrajectoryError: it is malformed, as joint_trajectory_controller defines it, or too large.
+        TrajectoryError: it breaks a rule of joint_trajectory_controller, or has over MAX_POINTS.
     """
     joints = [f"joint_{i}" for i in range(1, arm.n + 1)]
     order = _joint_order(message.joint_names, joints)
@@ -67,16 +67,16 @@ def parse_request(arm: Arm, message: Any) -> Request:
         raise _invalid("header.stamp", _format_time(stamp), "a time from 1970 on")
     times = _times(points)
     q, qd = _rows(points, "positions", order), _rows(points, "velocities", order, optional=True)
-    _rows(points, "accelerations", order, optional=True)  # a cubic has its own
-    _check_empty(points, "effort")
+    _rows(points, "accelerations", order, optional=True)  # checked, but not used
+    _reject_efforts(points)
     if (fastest := np.abs(np.nan_to_num(qd[-1])).max()) > np.finfo(np.float32).eps:
         raise _invalid("velocities of the last point", f"up to {fastest:g} rad/s", "0", "are")
     qd[-1] = np.where(np.isnan(qd[-1]), np.nan, 0.0)  # without a planner's rounding errors
     return Request(stamp.sec * SECOND + stamp.nanosec, times, q, qd)
 
 
-def check_goal(message: Any) -> None:
-    """Check the fields of a FollowJointTrajectory goal that no arm of revolute joints has.
+def reject_unsupported_fields(message: Any) -> None:
+    """Reject a FollowJointTrajectory goal with fields that an arm of revolute joints lacks.
 
     Raises:
         TrajectoryError: one is filled.
@@ -93,7 +93,10 @@ def check_goal(message: Any) -> None:
 
 
 def _joint_order(names: Sequence[str], joints: list[str]) -> list[int]:
-    """Return the index of each joint in `names`, which must hold each once."""
+    """Return the index of each joint in `names`, which must hold each once.
+
+    Only the first names are compared, as a message may have millions of them.
+    """
     expected = f"each of {', '.join(joints)} once"
     if unknown := [name for name in names[: len(joints)] if name not in joints]:
         raise _invalid("joint_names", short(unknown[0]), expected, "has", Code.INVALID_JOINTS)
@@ -147,10 +150,10 @@ def _rows(points: Sequence[Any], field: str, order: list[int], optional: bool = 
     return found
 
 
-def _check_empty(points: Sequence[Any], field: str) -> None:
+def _reject_efforts(points: Sequence[Any]) -> None:
     for k, point in enumerate(points):
-        if count := len(getattr(point, field)):
-            raise _invalid(f"{field} of point {k}", f"{count} numbers", "none", "has")
+        if count := len(point.effort):
+            raise _invalid(f"effort of point {k}", f"{count} numbers", "none", "has")
 
 
 def _invalid(

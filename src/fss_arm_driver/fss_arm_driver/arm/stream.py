@@ -74,7 +74,7 @@ class Stream:
     """
 
     def __init__(self, arm: Arm, time_to_live: float) -> None:
-        self._arm, self._lives = arm, round(time_to_live * SECOND)
+        self._arm, self._time_to_live = arm, round(time_to_live * SECOND)
         self._links = {f"joint_{i}": i for i in range(1, arm.n + 1)}
         self.accepted = 0
         self.refused: Counter[str] = Counter()
@@ -87,11 +87,11 @@ class Stream:
             StreamError: the message is too old, or its stamp is in the future.
         """
         given = stamp or now
-        if given + self._lives < now:
+        if given + self._time_to_live < now:
             raise StreamError(
                 "old",
                 f"stamp is {(now - given) / SECOND:.3f} s old, expected less "
-                f"than {self._lives / SECOND:g} s",
+                f"than {self._time_to_live / SECOND:g} s",
             )
         if given > now + MAX_LEAD:
             ahead = (given - now) / SECOND

@@ -23,8 +23,8 @@ class StreamTopic:
 
     def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
         self.links, self.guard = links, guard
-        self.lives = links.settings.stream_time_to_live
-        self.stream = Stream(links.arm, self.lives)
+        self.time_to_live = links.settings.stream_time_to_live
+        self.stream = Stream(links.arm, self.time_to_live)
         self.motion: Motion | None = None
         self.ramps: dict[int, Ramp] = {}  # of the joints that follow rates, by number
         self.commands = {i: LinkCommand() for i in links.numbers}  # reused, as creation is slow
@@ -41,7 +41,7 @@ class StreamTopic:
         """Pass a message on, or refuse it; repeated refusals for one reason are logged once."""
         now = self.links.now()
         try:
-            given = self.stream.start_time(stamp_ns(message.header.stamp), now)
+            start = self.stream.start_time(stamp_ns(message.header.stamp), now)
             points = self.stream.parse(message)
             self.check(points)
         except StreamError as error:
@@ -49,26 +49,28 @@ class StreamTopic:
                 self.links.node.get_logger().warning(f"{TOPIC} refused: {error}")
             return
         self.stream.count_accepted()
-        if not self.links.arbiter.is_current(self.motion, now):
-            self.ramps.clear()
-        for i, mode, value in points:
-            command = self.commands[i]
-            command.mode, command.set_point = int(mode), value
-            command.max_acceleration = (
-                self.acceleration(i, value, given) if mode == Mode.VELOCITY else 0.0
-            )
-        commands = {point.link: self.commands[point.link] for point in points}
         with self.links.arbiter.lock:
-            motion = self.start_or_extend(points, given, now)
+            if not self.links.arbiter.is_current(self.motion, now):
+                self.ramps.clear()  # a new stream starts its ramps from the measured rates
+            commands = {point.link: self.command(point, start) for point in points}
+            motion = self.start_or_extend(points, start, now)
             motion.plan = self.plan(points)
-            self.links.send(commands, given, motion, self.lives)
+            self.links.send(commands, start, motion, self.time_to_live)
 
-    def acceleration(self, joint: int, rate: float, given: int) -> float:
-        """Return the acceleration of a joint towards a new rate [rad/s]."""
+    def command(self, point: SetPoint, start: int) -> LinkCommand:
+        """Return the command of a link from a time [ns]."""
+        command = self.commands[point.link]
+        command.mode, command.set_point = int(point.mode), point.value
+        ramped = point.mode == Mode.VELOCITY
+        command.max_acceleration = self.ramp(point.link, point.value, start) if ramped else 0.0
+        return command
+
+    def ramp(self, joint: int, rate: float, start: int) -> float:
+        """Update a joint's ramp with a rate [rad/s]; return the acceleration to it [rad/s^2]."""
         if joint not in self.ramps:
             limit = self.links.arm.links[joint - 1].drive.max_acceleration
             self.ramps[joint] = Ramp(self.links.states[joint].qd, limit)
-        return self.ramps[joint].acceleration(rate, given / SECOND)
+        return self.ramps[joint].acceleration(rate, start / SECOND)
 
     def check(self, points: list[SetPoint]) -> None:
         """Raise StreamError if the joints cannot or must not move."""
@@ -83,9 +85,10 @@ class StreamTopic:
             raise StreamError("guard", str(error)) from None
 
     def plan(self, points: list[SetPoint]) -> Plan | None:
-        """Return the motion that commanded rates cause, with all other joints at rest.
+        """Return the function of time [ns] that gives the commanded angles and rates.
 
-        Angles and currents have no plan, because the drives determine the motion.
+        It extrapolates from the newest telemetry, with all other joints at rest. Commanded angles
+        and currents have no plan, because the drives determine the motion.
         """
         if any(point.mode != Mode.VELOCITY for point in points):
             return None
@@ -98,15 +101,15 @@ class StreamTopic:
 
         return at
 
-    def start_or_extend(self, points: list[SetPoint], given: int, now: int) -> Motion:
-        """Extend the stream, or start one: it preempts the motion, and all other joints rest."""
-        arbiter, until = self.links.arbiter, given + round(self.lives * SECOND)
+    def start_or_extend(self, points: list[SetPoint], start: int, now: int) -> Motion:
+        """Extend the stream's motion, or preempt another one and stop all other joints."""
+        arbiter, until = self.links.arbiter, start + round(self.time_to_live * SECOND)
         if self.motion and arbiter.is_current(self.motion, now):
             self.motion.expiry = until
             return self.motion
-        moved = bool(arbiter.current_name(now))
+        preempts = bool(arbiter.current_name(now))
         self.motion = arbiter.start(TOPIC, now, until)
-        if moved:
+        if preempts:
             self.links.wake()
             others = set(self.links.numbers) - {point.link for point in points}
             self.links.stop_joints(self.motion, others)

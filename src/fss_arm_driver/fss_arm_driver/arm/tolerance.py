@@ -11,7 +11,7 @@ from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.units import SECOND
 
 NO_TOLERANCE = -1.0  # as a tolerance in a goal: none
-MIN_TOLERANCE = 1e-6  # positive tolerance; an encoder resolves 2.6e-5 rad
+MIN_TOLERANCE = 1e-6  # smallest one above 0, in its unit; an encoder resolves 2.6e-5 rad
 
 
 @dataclass(frozen=True)
@@ -21,22 +21,22 @@ class Tolerance:
     position: float = 0.0  # [rad]
     velocity: float = 0.0  # [rad/s]
 
-    def violation(self, error: float, rate: float) -> str:
-        """Return which tolerance the errors of position [rad] and rate [rad/s] exceed, as text."""
+    def violation(self, error: float, rate_error: float) -> str:
+        """Describe which tolerance the errors [rad], [rad/s] exceed; empty: none."""
         if 0.0 < self.position < abs(error):
             return f"is off by {abs(error):.4f} rad, at most {self.position:g}"
-        if 0.0 < self.velocity < abs(rate):
-            return f"is off by {abs(rate):.4f} rad/s, at most {self.velocity:g}"
+        if 0.0 < self.velocity < abs(rate_error):
+            return f"is off by {abs(rate_error):.4f} rad/s, at most {self.velocity:g}"
         return ""
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Tolerances of all joints (n), and the time to reach the goal after the end [s]; 0: any."""
+    """Tolerances of all joints."""
 
-    path: tuple[Tolerance, ...]
-    goal: tuple[Tolerance, ...]
-    goal_time: float
+    path: tuple[Tolerance, ...]  # (n,)
+    goal: tuple[Tolerance, ...]  # (n,)
+    goal_time: float  # after the end, in which the goal must be reached [s]; 0: no limit
 
     def with_goal(self, goal: Any) -> "Tolerances":
         """Return these, with the values that a FollowJointTrajectory goal gives instead.
@@ -67,14 +67,15 @@ def _merged(
     names = [one.name for one in given]
     for one in given:
         if one.name not in found or names.count(one.name) > 1:
-            words = f"{field} names {short(one.name)}, expected {', '.join(found)}, each once"
+            expected = f"some of {', '.join(found)}, each at most once"
+            words = f"{field} names {short(one.name)}, expected {expected}"
             raise TrajectoryError(Code.INVALID_JOINTS, words)
         what, usual = f"{field} of {one.name}", found[one.name]
         found[one.name] = Tolerance(
             _chosen(one.position, usual.position, f"position in {what}", "rad"),
             _chosen(one.velocity, usual.velocity, f"velocity in {what}", "rad/s"),
         )
-        # Nothing measures accelerations.
+        # Checked, but not used: accelerations are not measured.
         _chosen(one.acceleration, 0.0, f"acceleration in {what}", "rad/s^2")
     return tuple(found.values())
 

@@ -16,7 +16,13 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_driver.arm.arbiter import Motion
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
-from fss_arm_driver.arm.request import Code, Request, TrajectoryError, check_goal, parse_request
+from fss_arm_driver.arm.request import (
+    Code,
+    Request,
+    TrajectoryError,
+    parse_request,
+    reject_unsupported_fields,
+)
 from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
 from fss_arm_driver.arm.trajectory import Trajectory, check_time, plan_trajectory
 from fss_arm_driver.arm.trajectory_monitor import Progress, TrajectoryMonitor
@@ -76,7 +82,7 @@ class TrajectoryAction:
     def on_goal(self, goal: FollowJointTrajectory.Goal) -> GoalResponse:
         """Reject a malformed or oversized goal; the reason is logged, as the answer has none."""
         try:
-            check_goal(goal)
+            reject_unsupported_fields(goal)
             tolerances = self.tolerances.with_goal(goal)
             request = parse_request(self.links.arm, goal.trajectory)
             check_time(request, self.earliest)

@@ -8,7 +8,8 @@ dialogue is a generator that yields wherever it must wait.
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from enum import IntEnum
-from itertools import count, cycle
+from itertools import cycle
+from typing import TypeVar
 
 from fss_arm_driver.copley.language import (
     FIRST_BAUD,
@@ -31,19 +32,21 @@ from fss_arm_driver.copley.language import (
 from fss_arm_driver.protocol import Mode
 
 MILLISECOND = 1000  # [us]
-REPLY_TIME = 200 * MILLISECOND  # at most
-LINE_TIME = 50 * MILLISECOND  # to discard late bytes after a failure
-SWITCH_TIME = 150 * MILLISECOND  # to send the command at the old rate, and for the drive to switch
+REPLY_TIMEOUT = 200 * MILLISECOND
+DISCARD_TIME = 50 * MILLISECOND  # after an empty line, in which late bytes are discarded
+BAUD_SWITCH_TIME = 150 * MILLISECOND  # to send the command at the old rate, and to switch
 REST_TIMEOUT = 3000 * MILLISECOND  # for a joint to come to rest before the drive is switched off
 MOTION_THRESHOLD = 1000  # a slower drive is at rest [0.1 counts/s]
 STATE_VARIABLES = (
-    *(Variable.VELOCITY, Variable.CURRENT, Variable.STATUS),
-    *(Variable.TRAJECTORY_STATUS, Variable.DESIRED_STATE),
+    Variable.VELOCITY,
+    Variable.CURRENT,
+    Variable.STATUS,
+    Variable.TRAJECTORY_STATUS,
+    Variable.DESIRED_STATE,
 )
-STATE = set_variable(Variable.DESIRED_STATE, 0).removesuffix(
-    b"0\r"
-)  # start of the commands that set a mode
-SLOW_VARIABLES = (
+#: Start of the commands that set a mode.
+SET_MODE = set_variable(Variable.DESIRED_STATE, 0).removesuffix(b"0\r")
+SLOW_VARIABLES = (  # one in each round
     Variable.ABORT_DECELERATION,  # first: to brake a joint that is found in motion
     Variable.FAULTS,
     Variable.SUPPLY,
@@ -51,23 +54,26 @@ SLOW_VARIABLES = (
 )
 
 
-class Goal(IntEnum):
-    """Goal of the drive."""
+class DriveGoal(IntEnum):
+    """Goal of the drive; those up to HOLD bring the joint to rest."""
 
     RELEASE = 0  # decelerate, then switch off
     HOLD = 1  # decelerate, then hold the position
-    HOME = 2
-    CURRENT = 3
-    VELOCITY = 4
-    POSITION = 5
+    HOME = 2  # find the encoder's zero
+    CURRENT = 3  # give the motor the current `set_point`
+    VELOCITY = 4  # turn at the velocity `set_point`
+    POSITION = 5  # move to the position `set_point` by a profile
     FOLLOW = 6  # the velocity that `steer` returns for each position
 
 
 MODES = {
-    Goal.RELEASE: Mode.OFF,
-    Goal.CURRENT: Mode.CURRENT,
-    Goal.VELOCITY: Mode.VELOCITY,
-    Goal.FOLLOW: Mode.VELOCITY,
+    DriveGoal.RELEASE: Mode.OFF,
+    DriveGoal.HOLD: Mode.POSITION,
+    DriveGoal.HOME: Mode.POSITION,
+    DriveGoal.CURRENT: Mode.CURRENT,
+    DriveGoal.VELOCITY: Mode.VELOCITY,
+    DriveGoal.POSITION: Mode.POSITION,
+    DriveGoal.FOLLOW: Mode.VELOCITY,
 }
 
 
@@ -75,28 +81,28 @@ MODES = {
 class Demand:
     """Goal with its set point and limits, in the drive's units."""
 
-    goal: Goal = Goal.RELEASE
-    set_point: int = 0
-    velocity: int = 0
+    goal: DriveGoal = DriveGoal.RELEASE
+    set_point: int = 0  # [0.01 A], [0.1 counts/s] or [counts], by the goal
+    velocity: int = 0  # of the profile, for POSITION [0.1 counts/s]
     acceleration: int = 0  # [10 counts/s^2]; 0: the drive's own setting
 
     @property
     def mode(self) -> Mode:
         """Mode that the goal needs."""
-        return MODES.get(self.goal, Mode.POSITION)
+        return MODES[self.goal]
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """State of the drive; all values of a round are read after the previous round."""
+    """State of the drive, its values read one after another."""
 
     clock: int = 0  # when the position was read [us]
-    position: int = 0
-    velocity: int = 0
-    current: int = 0
-    status: int = 0
-    trajectory: int = 0
-    mode: int = 0
+    position: int = 0  # [counts]
+    velocity: int = 0  # [0.1 counts/s]
+    current: int = 0  # [0.01 A]
+    status: int = 0  # status word
+    trajectory: int = 0  # status word of the profile
+    mode: int = 0  # Mode, as the drive has it
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +127,16 @@ class _NoAnswerError(Exception):
 class _ResetError(Exception):
     """Error of a drive that was reset or switched off externally.
 
-    The connection is set up again, so that no motion resumes by itself.
+    The connection is set up again. Meanwhile there is no `reading`, so the link disarms and no
+    motion resumes by itself.
     """
 
 
-Script = Generator[_Query | _Send, Reply | None, None]
+T = TypeVar("T")
+#: Part of the dialogue: yields lines to send, receives replies, returns a result.
+Dialogue = Generator[_Query | _Send, Reply | None, T]
+#: Position [counts], its time [us] and the last velocity [0.1 counts/s] to the velocity to command;
+#: None: there is no path.
 Steer = Callable[[int, int, int], int | None]
 
 
@@ -134,8 +145,7 @@ class Drive:
 
     Args:
         baud: working rate; the drive starts at 9600.
-        steer: receives each position [counts] with its time [us] and the last velocity
-            [0.1 counts/s]; returns the velocity for FOLLOW, or None.
+        steer: called with each position, whatever the goal; returns the velocity for FOLLOW.
     """
 
     def __init__(self, baud: int = 115_200, steer: Steer = lambda *_: None) -> None:
@@ -143,7 +153,7 @@ class Drive:
         self.clear_faults = False
         self.reading: Reading | None = None
         self.slow = dict.fromkeys(SLOW_VARIABLES, 0)
-        self.homings = 0
+        self.homings = 0  # how often the drive was found referenced, also when it is found again
         self.refusal = ""  # of the present demand, with the drive's error
         self.switched_off = False  # it refused even to hold, and is switched off despite the demand
         self._done: Demand | None = None  # the last demand that was sent completely
@@ -160,7 +170,9 @@ class Drive:
     @property
     def referenced(self) -> bool:
         """True if the drive is homed, and no command to home is pending or refused."""
-        sent = self.demand.goal != Goal.HOME or (self.demand == self._done and not self.refusal)
+        sent = self.demand.goal != DriveGoal.HOME or (
+            self.demand == self._done and not self.refusal
+        )
         return bool(self.reading) and self._referenced and sent
 
     def poll(self, data: bytes, now: int) -> bytes:
@@ -169,7 +181,7 @@ class Drive:
         self._buffer += data
         while True:
             if not self._sent:
-                wait = REPLY_TIME if isinstance(self._step, _Query) else self._step.pause
+                wait = REPLY_TIMEOUT if isinstance(self._step, _Query) else self._step.pause
                 self._until, self._sent, self._buffer = now + wait, True, b""
                 return self._step.line
             if isinstance(self._step, _Send):
@@ -198,36 +210,36 @@ class Drive:
         else:
             self._resume(reply)
 
-    # --- the script ---
+    # --- the dialogue ---
 
-    def _dialogue(self) -> Script:
+    def _dialogue(self) -> Dialogue[None]:
         for baud in cycle((FIRST_BAUD, self._fast)):
             try:
                 yield from self._connect(baud)
-                for turn in count():
-                    yield from self._read(SLOW_VARIABLES[turn % len(SLOW_VARIABLES)])
+                for slow in cycle(SLOW_VARIABLES):
+                    yield from self._read(slow)
                     yield from self._apply_demand()
             except (_NoAnswerError, _ResetError):
                 self.reading = None
 
-    def _connect(self, baud: int) -> Script:
+    def _connect(self, baud: int) -> Dialogue[None]:
         """Find the drive at this rate, and set it to the working rate."""
         self.baud = baud
         self._done = None  # the drive's state is unknown after a loss
         self._mode, self._referenced = Mode.OFF, False
-        yield _Send(b"\r", LINE_TIME)  # ends an incomplete line in the drive's buffer
+        yield _Send(b"\r", DISCARD_TIME)  # ends an incomplete line in the drive's buffer
         yield _Query(get_variable(Variable.STATUS))
         if baud != self._fast:
-            yield _Send(set_variable(Variable.BAUD, self._fast), SWITCH_TIME)
+            yield _Send(set_variable(Variable.BAUD, self._fast), BAUD_SWITCH_TIME)
             self.baud = self._fast
             yield _Query(get_variable(Variable.STATUS))
 
-    def _value(self, variable: Variable) -> Generator[_Query | _Send, Reply | None, int]:
+    def _value(self, variable: Variable) -> Dialogue[int]:
         """Read a variable; try again once if the answer is missing or invalid."""
         try:
             reply = yield _Query(get_variable(variable))
         except _NoAnswerError:
-            yield _Send(b"\r", LINE_TIME)
+            yield _Send(b"\r", DISCARD_TIME)
             reply = yield _Query(get_variable(variable))
         if isinstance(reply, Value):
             return reply.number
@@ -235,21 +247,25 @@ class Drive:
             return 0  # not every drive has it
         raise _NoAnswerError
 
-    def _read(self, slow: Variable) -> Generator[_Query | _Send, Reply | None, Reading]:
-        """Read one round of variables."""
+    def _read(self, slow: Variable) -> Dialogue[Reading]:
+        """Read one round of variables into `reading`, with one slow variable.
+
+        Raises:
+            _ResetError: the drive was reset or switched off externally.
+        """
         last = self.reading
         clock, position = yield from self._track()
         values = []
         for variable in STATE_VARIABLES:
             values.append((yield from self._value(variable)))
-            if self.demand.goal == Goal.FOLLOW:
+            if self.demand.goal == DriveGoal.FOLLOW:  # a velocity at least 50 times a second
                 yield from self._track()
         velocity, current, status, trajectory, mode = values
         status &= 0xFFFFFFFF
         reading = Reading(clock, position, velocity, current, status, trajectory, mode)
         self.slow[slow] = yield from self._value(slow)
-        rose = reading.status & ~last.status if last else 0
-        if rose & RESET or self._mode != Mode.OFF == reading.mode:
+        was_reset = bool(last and status & ~last.status & RESET)
+        if was_reset or (reading.mode == Mode.OFF and self._mode != Mode.OFF):
             raise _ResetError
         self._mode = reading.mode
         self.reading = reading
@@ -258,44 +274,51 @@ class Drive:
         self._referenced = referenced
         return reading
 
-    def _track(self) -> Generator[_Query | _Send, Reply | None, tuple[int, int]]:
+    def _track(self) -> Dialogue[tuple[int, int]]:
         """Read the position and its time; update the velocity of a drive that follows a path."""
         position = yield from self._value(Variable.POSITION)
         clock, demand = self._now, self.demand
         speed = self._steer(position, clock, self.reading.velocity if self.reading else 0)
-        if speed is not None and demand.goal == Goal.FOLLOW and demand == self._done:
+        if speed is not None and demand.goal == DriveGoal.FOLLOW and demand == self._done:
             done = yield from self._send_commands(
                 [set_variable(Variable.COMMANDED_VELOCITY, speed)]
             )
             self._done = demand if done else None
         return clock, position
 
-    def _apply_demand(self) -> Script:
+    def _apply_demand(self) -> Dialogue[None]:
         """Send the commands that bring the drive to the demand."""
         reading, demand = self.reading, self.demand
         assert reading
         if self.clear_faults and reading.mode == Mode.OFF:
-            yield _Query(set_variable(Variable.FAULTS, self.slow[Variable.FAULTS]))
+            faults = yield from self._value(Variable.FAULTS)
+            yield _Query(set_variable(Variable.FAULTS, faults))  # writing a bit clears it
             self.clear_faults = False
         if demand == self._done and (reading.mode == demand.mode or self.refusal):
             return
         self._done, self.refusal, self.switched_off = None, "", False
+        # A joint whose demand is refused is held, and a drive that refuses to hold is switched off.
+        # A round is read before each attempt, so that telemetry continues.
         done = yield from self._reach(demand, demand)
-        if not done and demand.goal > Goal.HOLD:  # a joint with a refused demand is held,
+        if not done and demand.goal > DriveGoal.HOLD:
             yield from self._read(Variable.FAULTS)
-            done = yield from self._reach(Demand(Goal.HOLD), demand)
-        self.switched_off = not done and demand.goal != Goal.RELEASE
-        while not done:  # and a drive that refuses to hold is switched off
+            done = yield from self._reach(Demand(DriveGoal.HOLD), demand)
+        self.switched_off = not done and demand.goal != DriveGoal.RELEASE
+        while not done:
             yield from self._read(Variable.FAULTS)
             done = yield from self._send_commands([set_variable(Variable.DESIRED_STATE, Mode.OFF)])
         if demand == self.demand:
             self._done = demand
 
-    def _reach(self, goal: Demand, demand: Demand) -> Generator[_Query | _Send, Reply | None, bool]:
-        """Bring the drive to a goal while `demand` is unchanged; return False if it refuses."""
+    def _reach(self, target: Demand, demand: Demand) -> Dialogue[bool]:
+        """Bring the drive to a target while `demand` is unchanged; return False if it refuses.
+
+        To hold, the joint must come to rest first, however long that takes; to release, only for
+        REST_TIMEOUT.
+        """
         reading = self.reading
         assert reading
-        if goal.goal <= Goal.HOLD or reading.mode != goal.mode:
+        if target.goal <= DriveGoal.HOLD or reading.mode != target.mode:
             brake = _brake(reading.mode, self.slow[Variable.ABORT_DECELERATION])
             if not (yield from self._send_commands(brake)):
                 return False
@@ -304,12 +327,12 @@ class Drive:
                 reading = yield from self._read(Variable.FAULTS)
                 if demand != self.demand:
                     return True
-                too_long = goal.goal == Goal.RELEASE and self._now > end
+                too_long = target.goal == DriveGoal.RELEASE and self._now > end
                 if too_long or abs(reading.velocity) <= MOTION_THRESHOLD:
                     break
-        return (yield from self._send_commands(_program(goal, reading.mode)))
+        return (yield from self._send_commands(_program(target, reading.mode)))
 
-    def _send_commands(self, lines: list[bytes]) -> Generator[_Query | _Send, Reply | None, bool]:
+    def _send_commands(self, lines: list[bytes]) -> Dialogue[bool]:
         """Send commands until one is refused; return True if none was."""
         for line in lines:
             reply = yield _Query(line)
@@ -318,56 +341,61 @@ class Drive:
                 return False
             if not isinstance(reply, Ok):
                 raise _NoAnswerError
-            if line.startswith(STATE):
-                self._mode = int(line.removeprefix(STATE))
+            if line.startswith(SET_MODE):
+                self._mode = int(line.removeprefix(SET_MODE))
             if line == trajectory(Trajectory.HOME):
                 self._referenced = False
         return True
 
 
-def _limit(acceleration: int) -> int:
+def _in_velocity_mode(acceleration: int) -> int:
     """Convert an acceleration [10 counts/s^2] to the unit of velocity mode [1000 counts/s^2]."""
     return max(1, acceleration // 100)
 
 
 def _brake(mode: int, abort: int) -> list[bytes]:
-    """Return commands that bring the joint to rest, with the drive's own abort deceleration."""
+    """Return commands that bring the joint to rest.
+
+    Args:
+        mode: present mode.
+        abort: the drive's own abort deceleration [10 counts/s^2]; 0: unknown.
+    """
     if mode == Mode.OFF:
         return []
     if mode == Mode.POSITION:
         return [trajectory(Trajectory.ABORT)]
-    limit = [set_variable(Variable.DECELERATION_LIMIT, _limit(abort))] if abort else []
+    limit = [set_variable(Variable.DECELERATION_LIMIT, _in_velocity_mode(abort))] if abort else []
     stop = set_variable(Variable.COMMANDED_VELOCITY, 0)
     return [*limit, stop, set_variable(Variable.DESIRED_STATE, Mode.VELOCITY)]
 
 
-def _program(demand: Demand, mode: int | None) -> list[bytes]:
+def _program(demand: Demand, mode: int) -> list[bytes]:
     """Return commands for the demand of a joint at rest, or moving in the required mode.
 
-    The mode is set last where the drive would otherwise follow an old set point.
+    Currents and velocities are set before their mode, else the drive follows an old set point.
     """
     state = [] if mode == demand.mode else [set_variable(Variable.DESIRED_STATE, demand.mode)]
     acceleration = demand.acceleration
-    if demand.goal == Goal.CURRENT:
+    if demand.goal == DriveGoal.CURRENT:
         return [set_variable(Variable.COMMANDED_CURRENT, demand.set_point), *state]
-    if demand.goal in (Goal.VELOCITY, Goal.FOLLOW):
-        limit = _limit(acceleration)
+    if demand.goal in (DriveGoal.VELOCITY, DriveGoal.FOLLOW):
+        limit = _in_velocity_mode(acceleration)
         limits = [
             set_variable(Variable.ACCELERATION_LIMIT, limit),
             set_variable(Variable.DECELERATION_LIMIT, limit),
         ]
         speed = set_variable(Variable.COMMANDED_VELOCITY, demand.set_point)
         return [*(limits if acceleration else []), speed, *state]
-    if demand.goal == Goal.HOME:
+    if demand.goal == DriveGoal.HOME:
         return [*state, trajectory(Trajectory.HOME)]
-    if demand.goal == Goal.POSITION:
-        gains = Variable.PROFILE_ACCELERATION, Variable.PROFILE_DECELERATION
+    if demand.goal == DriveGoal.POSITION:
+        profile = Variable.PROFILE_ACCELERATION, Variable.PROFILE_DECELERATION
         return [
             *state,
             set_variable(Variable.PROFILE_TYPE, 0),
             set_variable(Variable.TARGET, demand.set_point),
             set_variable(Variable.PROFILE_VELOCITY, demand.velocity),
-            *(set_variable(gain, acceleration) for gain in gains if acceleration),
+            *(set_variable(limit, acceleration) for limit in profile if acceleration),
             trajectory(Trajectory.START),
         ]
-    return state
+    return state  # RELEASE and HOLD: the mode is all

@@ -2,12 +2,13 @@
 
 from collections import deque
 
-from fss_arm_driver.copley.drive import Demand, Drive, Goal
+from fss_arm_driver.copley.drive import Demand, Drive, DriveGoal
 from fss_arm_driver.copley.language import Variable
 from fss_arm_driver.faults import blocking_faults
 from fss_arm_driver.protocol import (
     NO_TORQUE,
     Command,
+    Goal,
     LinkCommandFlag,
     LinkState,
     Mode,
@@ -16,22 +17,21 @@ from fss_arm_driver.protocol import (
     encode,
     link_gate,
 )
-from fss_arm_driver.protocol import Goal as Intent
 
 PERIOD = 200_000  # of telemetry [us]
 LEAD = 10_000  # half the time a velocity is applied, plus the time to set it [us]
 MAX_ACCEPTED = 1024  # commands remembered: at least those of one round of readings
-SLOW_VARIABLES = {
+SLOW_FIELDS = {
     Slow.FAULTS: Variable.FAULTS,
     Slow.SUPPLY: Variable.SUPPLY,
     Slow.TEMPERATURE: Variable.TEMPERATURE,
 }
-FIELDS = (*SLOW_VARIABLES, Slow.HOMINGS, Slow.REFUSED, Slow.PATH, Slow.SERIAL)
+FIELDS = (*SLOW_FIELDS, Slow.HOMINGS, Slow.REFUSED, Slow.PATH, Slow.SERIAL)
 GOALS = {
-    Mode.OFF: Goal.RELEASE,
-    Mode.CURRENT: Goal.CURRENT,
-    Mode.VELOCITY: Goal.VELOCITY,
-    Mode.POSITION: Goal.POSITION,
+    Mode.OFF: DriveGoal.RELEASE,
+    Mode.CURRENT: DriveGoal.CURRENT,
+    Mode.VELOCITY: DriveGoal.VELOCITY,
+    Mode.POSITION: DriveGoal.POSITION,
 }
 
 
@@ -80,15 +80,15 @@ class DriveLink:
 
     def _demand(self, clock: int) -> Demand:
         goal, command = self.state.goal(clock), self.state.gate.command
-        if goal is Intent.RELEASE or command is None:
+        if goal is Goal.RELEASE or command is None:
             return Demand()
-        if goal is Intent.FOLLOW and self._speed is not None:
-            return Demand(Goal.FOLLOW, acceleration=command.acceleration)
-        return _commanded(command) if goal is Intent.OBEY else Demand(Goal.HOLD)
+        if goal is Goal.FOLLOW and self._speed is not None:
+            return Demand(DriveGoal.FOLLOW, acceleration=command.acceleration)
+        return _commanded(command) if goal is Goal.OBEY else Demand(DriveGoal.HOLD)
 
     def _steer(self, position: int, clock: int, velocity: int) -> int | None:
         """Return the velocity on the commanded path, if any, from the joint's position."""
-        follows = self.state.goal(clock) is Intent.FOLLOW
+        follows = self.state.goal(clock) is Goal.FOLLOW
         self._speed = self.state.velocity(clock, position, velocity, LEAD) if follows else None
         return self._speed
 
@@ -130,8 +130,8 @@ class DriveLink:
         return self._accepted[0] if self._accepted and self._accepted[0][0] <= clock else (clock, 0)
 
     def _slow_value(self, slow: Slow) -> int:
-        if slow in SLOW_VARIABLES:
-            return self.drive.slow[SLOW_VARIABLES[slow]]
+        if slow in SLOW_FIELDS:
+            return self.drive.slow[SLOW_FIELDS[slow]]
         if slow is Slow.PATH:
             return self.state.paths.report
         if slow is Slow.SERIAL:
@@ -141,9 +141,9 @@ class DriveLink:
 
 def _commanded(command: Command) -> Demand:
     if command.flags & LinkCommandFlag.HOME:
-        return Demand(Goal.HOME)
+        return Demand(DriveGoal.HOME)
     if command.mode == Mode.POSITION:
-        return Demand(Goal.POSITION, command.set_point, command.velocity, command.acceleration)
+        return Demand(DriveGoal.POSITION, command.set_point, command.velocity, command.acceleration)
     acceleration = command.acceleration if command.mode == Mode.VELOCITY else 0
     return Demand(GOALS[Mode(command.mode)], command.set_point, 0, acceleration)
 

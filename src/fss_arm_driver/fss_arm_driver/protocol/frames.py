@@ -17,7 +17,7 @@ from fss_link.protocol.envelope import (
     unsigned,
 )
 
-NO_TORQUE = 255  # age of a torque sample that is that old or older, or missing [ms]
+NO_TORQUE = 255  # `torque_age` of a sample that is 255 ms old or older, or missing
 
 VELOCITY_UNIT = 0.1  # [counts/s]
 ACCELERATION_UNIT = 10.0  # [counts/s^2]
@@ -25,7 +25,7 @@ CURRENT_UNIT = 0.01  # [A]
 
 LAST_SEGMENT = 1  # flag of a segment: the path ends with it
 MAX_PATH = 0xFFFF  # number of a path
-MAX_INDEX = 0xFFFE  # of a segment
+MAX_INDEX = 0xFFFE  # of a segment; the number of segments fits 16 bits
 DURATIONS = 1000, 60_000_000  # of a segment [us]
 
 
@@ -57,19 +57,19 @@ class LinkCommandFlag(IntEnum):
     STOP = 2  # disarm and latch it
     HOLD = 4  # decelerate and hold where the joint comes to rest
     CLEAR_FAULTS = 8
-    HOME = 16  # home as the drive is configured to; only with ARM, in position mode
+    HOME = 16  # home as the drive is configured to; only with ARM
 
 
 class Slow(IntEnum):
     """Slowly changing fields, sent in turn as `Telemetry.slow_value`."""
 
-    FAULTS = 1
-    SUPPLY = 2
-    BATTERY = 3
-    TEMPERATURE = 4
-    FIRMWARE = 5
-    HOMINGS = 6
-    REFUSED = 7
+    FAULTS = 1  # the drive's fault word
+    SUPPLY = 2  # voltage of the drive [0.1 V]
+    BATTERY = 3  # voltage [0.1 V]
+    TEMPERATURE = 4  # of the drive [deg C]
+    FIRMWARE = 5  # its version
+    HOMINGS = 6  # how often the drive was homed since the start
+    REFUSED = 7  # number of refused datagrams
     PATH = 8  # newest path held * 65536 + number of its segments up to the first gap
     SERIAL = 9  # of the physical link; 0: it has none
 
@@ -128,8 +128,8 @@ class Segment:
     duration: int = unsigned(32)  # [us]
     position: int = signed(32)  # at the start [counts]
     velocity: int = signed(32)  # at the start [0.1 counts/s]
-    end_position: int = signed(32)
-    end_velocity: int = signed(32)  # 0 with LAST_SEGMENT
+    end_position: int = signed(32)  # [counts]
+    end_velocity: int = signed(32)  # 0 with LAST_SEGMENT [0.1 counts/s]
 
     @property
     def end(self) -> int:
@@ -140,7 +140,7 @@ class Segment:
 Frame = Telemetry | Command | Segment
 
 
-_MODES = frozenset(Mode) - {Mode.PATH}, frozenset(Mode)  # of telemetry, of a command
+_TELEMETRY_MODES, _COMMAND_MODES = frozenset(Mode) - {Mode.PATH}, frozenset(Mode)
 _SLOW_IDS = frozenset(Slow)
 
 
@@ -157,7 +157,7 @@ def _check_mode(mode: int, known: frozenset[Mode]) -> None:
 
 def _check_telemetry(frame: Telemetry) -> None:
     _check_head(frame, sum(State))
-    _check_mode(frame.mode, _MODES[0])
+    _check_mode(frame.mode, _TELEMETRY_MODES)
     if frame.boot == 0:
         raise invalid("boot is 0, expected 1 or more")
     if frame.slow_id not in _SLOW_IDS:
@@ -181,7 +181,7 @@ def _check_segment(frame: Segment) -> None:
 
 def _check_command(frame: Command) -> None:
     _check_head(frame, sum(LinkCommandFlag))
-    _check_mode(frame.mode, _MODES[1])
+    _check_mode(frame.mode, _COMMAND_MODES)
     check_command(frame)
     if frame.velocity < 0 or frame.acceleration < 0:
         raise invalid(f"profile is {frame.velocity}, {frame.acceleration}, expected both 0 or more")
@@ -210,7 +210,7 @@ def _telemetry_values(frame: Telemetry) -> tuple[int, ...]:
 
 def _telemetry_fields(*values: int) -> tuple[int, ...]:
     *before, word, slow_value = values
-    torque = (word & 0xFFFFFF) - ((word & 0x800000) << 1)
+    torque = (word & 0xFFFFFF) - ((word & 0x800000) << 1)  # extends the sign of 24 bits
     return *before, torque, word >> 24, slow_value
 
 

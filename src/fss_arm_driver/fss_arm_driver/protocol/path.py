@@ -4,15 +4,16 @@ A `PathFollower` is the link's side: it receives segments and computes velocitie
 counts. Times are in the link's clock [us].
 """
 
+from typing import NamedTuple
+
 from fss_arm_driver.protocol.frames import LAST_SEGMENT, VELOCITY_UNIT, Command, Segment
 from fss_link.protocol.gate import Refused
 
 MAX_SEGMENTS = 32  # most segments stored of a path
 MAX_LEAD = 120_000_000  # longest time by which a segment may start ahead [us]
 GAIN = 4.0  # of the correction [1/s]
-MAX_ERROR_TIME = (
-    0.25  # largest error of a joint on a path, in time at the path's largest velocity [s]
-)
+# A path is aborted when the error exceeds its velocity limit times this [s].
+MAX_ERROR_TIME = 0.25
 REST_VELOCITY = 100.0  # a slower joint is at rest [counts/s]
 
 
@@ -38,6 +39,14 @@ def newer_path(number: int, than: int) -> bool:
     return 0 < (number - than) & 0xFFFF < 0x8000
 
 
+class PathPoint(NamedTuple):
+    """Point of a path at a time."""
+
+    position: float  # [counts]
+    velocity: float  # [counts/s]
+    ended: bool  # the last knot has passed
+
+
 class StoredPath:
     """Stored segments of one path that have not yet ended."""
 
@@ -60,11 +69,10 @@ class StoredPath:
             return Refused.INDEX
         for held in self._segments.values():
             early, late = sorted((held, new), key=lambda segment: segment.index)
-            if early.index == late.index and _contents(held) != _contents(new):
-                return Refused.CONTRADICTION
-            if early.index < late.index and early.flags & LAST_SEGMENT:
-                return Refused.CONTRADICTION
-            if early.index + 1 == late.index and _contents(early)[4:] != _contents(late)[1:4]:
+            differs = early.index == late.index and _contents(held) != _contents(new)
+            beyond_end = early.index < late.index and early.flags & LAST_SEGMENT
+            apart = early.index + 1 == late.index and _end_knot(early) != _start_knot(late)
+            if differs or beyond_end or apart:
                 return Refused.CONTRADICTION
         self._segments.setdefault(new.index, new)
         return None
@@ -73,27 +81,31 @@ class StoredPath:
         """Return True if the first stored segment has started."""
         return bool(self._segments) and clock >= self._segments[min(self._segments)].begin
 
-    def at(self, clock: int, lead: int = 0) -> tuple[float, float, bool] | None:
-        """Return position [counts], velocity [counts/s] `lead` later, and whether the path ended.
+    def advance(self, clock: int, lead: int = 0) -> PathPoint | None:
+        """Return the point of the path now; None if no segment is stored for this time.
 
-        None if no segment is stored for this time. Segments that end before `clock` are deleted.
+        Segments that end before `clock` are deleted.
+
+        Args:
+            clock: now [us].
+            lead: time ahead at which the velocity is evaluated, at most at the segment's end [us].
         """
         for index in sorted(self._segments):
             segment = self._segments[index]
             if clock < segment.begin:
                 return None
-            over = clock >= segment.end
-            if over and not segment.flags & LAST_SEGMENT:
+            ended = clock >= segment.end
+            if ended and not segment.flags & LAST_SEGMENT:
                 del self._segments[index]
                 continue
             self.first = index
-            position, _ = at(segment, min(clock, segment.end))
-            _, velocity = at(segment, min(clock + lead, segment.end))
-            return position, velocity, over
+            position, _ = evaluate(segment, min(clock, segment.end))
+            _, velocity = evaluate(segment, min(clock + lead, segment.end))
+            return PathPoint(position, velocity, ended)
         return None
 
 
-def at(segment: Segment, clock: int) -> tuple[float, float]:
+def evaluate(segment: Segment, clock: int) -> tuple[float, float]:
     """Return position [counts] and velocity [counts/s] of a segment at a time within it [us]."""
     return hermite(
         1e-6 * (clock - segment.begin),
@@ -105,11 +117,19 @@ def at(segment: Segment, clock: int) -> tuple[float, float]:
     )
 
 
+def _start_knot(segment: Segment) -> tuple[int, int, int]:
+    """Return time, position and velocity at the start of a segment."""
+    return segment.begin, segment.position, segment.velocity
+
+
+def _end_knot(segment: Segment) -> tuple[int, int, int]:
+    """Return time, position and velocity at the end of a segment."""
+    return segment.end, segment.end_position, segment.end_velocity
+
+
 def _contents(segment: Segment) -> tuple[int, ...]:
     """Return the contents of a segment: whether it is the last, its start, its end."""
-    s = segment
-    begin, end = (s.begin, s.position, s.velocity), (s.end, s.end_position, s.end_velocity)
-    return s.flags, *begin, *end
+    return segment.flags, *_start_knot(segment), *_end_knot(segment)
 
 
 class PathFollower:
@@ -169,21 +189,21 @@ class PathFollower:
             velocity: of it [counts/s].
             lead: time until half of the commanded velocity step is reached [us].
         """
-        number, fastest = command.set_point, VELOCITY_UNIT * command.velocity
+        number, limit = command.set_point, VELOCITY_UNIT * command.velocity
         if self._next and number == self._next.number:
             if self._next.has_started(clock):
                 self._followed, self._next, self._last = self._next, None, number
                 self.following, self.broken = True, False
         elif number != self._last and self._last and not newer_path(number, self._last):
-            self.abandon()
+            self.abandon()  # an older path is commanded, which cannot be resumed
         if self._followed is None:
             return None
-        point = self._followed.at(clock, lead)
-        off = point[0] - position if point else 0.0
-        if point is None or abs(off) > MAX_ERROR_TIME * fastest:
+        point = self._followed.advance(clock, lead)
+        error = point.position - position if point else 0.0
+        if point is None or abs(error) > MAX_ERROR_TIME * limit:
             self.abandon()
             self.broken = True
             return None
-        if point[2] and abs(velocity) < REST_VELOCITY:
+        if point.ended and abs(velocity) < REST_VELOCITY:
             self.following = False
-        return max(-fastest, min(point[1] + GAIN * off, fastest))
+        return max(-limit, min(point.velocity + GAIN * error, limit))

@@ -14,7 +14,7 @@ from fss_arm_driver.protocol import (
     Segment,
     Slow,
     Telemetry,
-    at,
+    evaluate,
     newer_path,
 )
 from fss_link.session import CommandError
@@ -98,7 +98,7 @@ class SentPath:
         """Return the desired position of the joint at a time [counts]."""
         last = len(self.clocks) - 2
         segment = self.segment(min(self.segment_index(clock), last))
-        return at(segment, min(max(clock, segment.begin), segment.end))[0]
+        return evaluate(segment, min(max(clock, segment.begin), segment.end))[0]
 
 
 class Paths:
