@@ -3,6 +3,7 @@
     . scripts/env.sh; python bench/bench_mission.py --runs 20    # of config/campaigns/captures.yaml
     python bench/bench_mission.py --runs 280 --out bench/missions.jsonl  # resumes where it ended
     python bench/bench_mission.py --spin 0.3 --closing-time 0.3 --force 5 --torque 0.5
+    python bench/bench_mission.py --lockstep --speed 5           # as fast as the nodes follow
     python bench/bench_mission.py --kill                         # kill each node in each phase
     python bench/bench_mission.py --faults                       # each fault in each phase
 
@@ -99,7 +100,7 @@ class Run:
         self.nodes, fingers = nodes, gripper(options)
         gnc_nodes = dict.fromkeys(("navigation", "control"), TARGET)
         guidance = {**TARGET, "posture": list(POSTURE), **fingers}
-        bed = {**testbed(case), **fingers}
+        bed = {**testbed(case), **fingers, "lockstep": options.lockstep}
         start(nodes, options.speed, testbed=bed, guidance=guidance, **gnc_nodes)
         self.flyer = Flyer(nodes, print)
         self.capture = ActionClient(self.flyer, Capture, "mission/capture")
@@ -323,6 +324,9 @@ def main() -> int:
         "--shut", type=float, default=1.5, help="time limit for closed valves after a kill [s]"
     )
     parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
+    parser.add_argument(
+        "--lockstep", action="store_true", help="time waits for the nodes; --speed is the largest"
+    )
     parser.add_argument(
         "--spin", type=float, help="turn rate of the target, only these runs [rad/s]"
     )

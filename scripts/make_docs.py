@@ -86,8 +86,9 @@ def parameters() -> str:
     parts = ["# Parameters", NOTE]
     parts += ["Set them with `--ros-args -p NAME:=VALUE`; the node's `--help` lists them, too."]
     parts += [
-        "A file (`--params-file`) may set parameters of all nodes (`/**:`): each node uses those "
-        "that it has. Any other unknown parameter is refused. The test bed also has its "
+        "A file (`--params-file`) may set a parameter of all nodes (`/**:`), as `base_radius`. "
+        "But `arm`, `rate`, `tolerance`, `max_turn` and `target_mass` mean something else in some "
+        "nodes. Unknown parameters are refused. The test bed also has its "
         "[faults](../explanation/simulator.md#faults) as parameters."
     ]
     parts += [f"All nodes have `{ALLOW}` (false): {ABOUT}."]
@@ -160,7 +161,7 @@ def description() -> str:
 
 
 def _row(*cells: str) -> str:
-    safe = (cell.replace("|", "\\|").replace("<", "&lt;") for cell in cells)
+    safe = (cell.replace("|", "\\|") for cell in cells)
     return "| " + " | ".join(safe) + " |"
 
 

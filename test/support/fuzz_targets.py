@@ -28,7 +28,7 @@ from fss_arm_driver import protocol as links
 from fss_arm_driver.arm.request import TrajectoryError, parse_request
 from fss_arm_driver.arm.trajectory import plan_trajectory
 from fss_arm_driver.move import MoveError
-from fss_arm_driver.move import check as check_goal
+from fss_arm_driver.move import check as reject_unsupported_fields
 from fss_arm_driver.move import plan as plan_move
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
@@ -160,7 +160,7 @@ def check_move(data):
 
     given = numbers(data)
     q, (duration, keep_alive) = given[:-2], (0.0, 0.0, *given)[-2:]
-    check_goal(ARM, q, duration, keep_alive)
+    reject_unsupported_fields(ARM, q, duration, keep_alive)
     move = plan_move(ARM, (0.0,) * 4, tuple(q), duration)
     assert np.isfinite(move.duration)
 

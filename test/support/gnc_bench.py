@@ -1,4 +1,4 @@
-"""What the nodes of fss_gnc hear, published by hand: base, target, joints, gripper, tank."""
+"""Publishers of the inputs of fss_gnc's nodes: base, target, joints, gripper, tank."""
 
 import numpy as np
 from nav_msgs.msg import Odometry
@@ -16,9 +16,9 @@ RATE = 50.0  # [1/s]
 
 
 class FakeCraft(Node):
-    """Base, joints and what is beside them, each as long as it is not silent.
+    """Node that publishes these inputs, except the topics in `silent`.
 
-    With `time` [ns] it keeps the clock, which tells 20 ms more each time.
+    With `time` [ns] it publishes /clock, too, which advances by 20 ms with each report.
     """
 
     def __init__(self, time=None):
@@ -49,7 +49,7 @@ class FakeCraft(Node):
             self.time += round(SECOND / RATE)
             self.clock.publish(Clock(clock=to_time(self.time)))
         stamp = to_time(self.now() - round(self.late * SECOND))
-        said = {
+        messages = {
             "base/state": odometry(self.pose, self.twist),
             "arm/joint_states": JointState(
                 name=[f"joint_{i}" for i in range(1, 5)],
@@ -60,8 +60,8 @@ class FakeCraft(Node):
             "gripper/state": GripperState(holds=self.holds),
         }
         if self.target:
-            said["target/state"] = odometry(*self.target)
-        for name, message in said.items():
+            messages["target/state"] = odometry(*self.target)
+        for name, message in messages.items():
             message.header.stamp = stamp
             if name not in self.silent:
                 self.topics[name].publish(message)

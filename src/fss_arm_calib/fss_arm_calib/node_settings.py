@@ -17,7 +17,9 @@ class NodeSettings(Settings):
 
     frame_id: str = setting("", "frame id of the results; empty: the default of the kind")
     state_file: str = setting("", "file that keeps the data across restarts; empty: none")
-    output: str = setting("", "file to write whenever a calibration passes; empty: none")
+    output: str = setting(
+        "", "file written at each pass: the description (drift: parameters); empty: none"
+    )
     report: str = setting("", "folder for the report that ~/solve writes; empty: none")
 
 

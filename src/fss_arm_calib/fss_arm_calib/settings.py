@@ -15,7 +15,7 @@ FRACTION = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low
 class KindSettings(StreamSettings):
     """Settings of every calibration that finds its data in streams."""
 
-    arm: str = setting("", "description YAML to start from; empty: the paper's arm")
+    arm: str = setting("", "arm to start from: paper, cad, truth or a file; empty: paper")
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,8 @@ class CalibrationSettings(RestSettings, KindSettings):
     )
     outlier: float = positive(
         5.0,
-        "1 sigma",
-        "normalized residual above which a datum is an outlier; of a maneuver or drift: its "
-        "leave-one-out residual",
+        "",
+        "residual in deviations above which a datum is an outlier (maneuver, drift: leave-one-out)",
     )
     max_outliers: int = setting(
         0,
@@ -45,7 +44,7 @@ class CalibrationSettings(RestSettings, KindSettings):
     )
     min_redundancy: float = setting(
         0.0,
-        "smallest redundancy number of a datum (1 - leverage); below it, no result is evaluated",
+        "smallest share in which the others check a datum; below it, record more of them",
         check=FRACTION,
     )
 
@@ -63,12 +62,12 @@ class NoiseSettings(CalibrationSettings):
     max_position_deviation: float = positive(
         0.001,
         "m",
-        "largest accepted estimate of position_deviation; its value in `design`, and with few data",
+        "largest accepted estimate of position_deviation; used instead of one if data are few",
     )
     max_heading_deviation: float = positive(
         radians(0.5),
         "rad",
-        "largest accepted estimate of heading_deviation; its value in `design`, and with few data",
+        "largest accepted estimate of heading_deviation; used instead of one if data are few",
     )
 
 

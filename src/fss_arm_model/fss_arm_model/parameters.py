@@ -4,7 +4,9 @@ For an arm of n links they are, in this order,
 
     m_0, I_0, x_com, y_com        the base: mass, inertia, centre of mass in its frame
     kinematic_names(n)            a_i, theta_0_i, x_BJ1, y_BJ1, theta_BJ1
-    m_i, b_i, I_i                 the links: mass, centre of mass to the next joint, inertia
+    m_1 .. m_n, b_1 .. b_n, I_1 .. I_n    the links: mass, centre of mass to the next joint, inertia
+
+theta_0_1 is 0, as theta_BJ1 takes its place. Lateral offsets and theta_E are not among them.
 """
 
 from dataclasses import replace

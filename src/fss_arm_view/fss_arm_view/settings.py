@@ -57,7 +57,7 @@ class ReactionSettings(SensorErrors):
         size=2,
     )
     tilt_deviation: float = setting(
-        0.0, "standard deviation of the tilt along each axis", unit="rad", check=NOT_NEGATIVE
+        0.0, "1 sigma of the tilt, each axis, as by `drift`", unit="rad", check=NOT_NEGATIVE
     )
 
 

@@ -1,4 +1,4 @@
-"""Scene of one vehicle: measurements that are drawn together with a later pose."""
+"""Scene of one vehicle: stored measurements, drawn with each new pose of the base."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ import numpy as np
 
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.thrusters import COUNT
 from fss_arm_model.units import SECOND
 
 from . import scene
@@ -40,11 +41,11 @@ class VehicleScene:
     def reset(self) -> None:
         """Discard all measurements except the joint angles."""
         self.mission = Mission()
-        self.plumes_until = [0] * 8  # [ns]
+        self.plumes_until = [0] * COUNT  # [ns]
         self.pose: Pose | None = None  # of the base
         self.tip: Pose | None = None
         self.target: Pose | None = None
-        self.difference: Floats | None = None  # measured minus predicted base
+        self.difference: Floats | None = None  # measured minus predicted base [m, m, rad]
         self.sigma = nan  # of the predicted heading [rad]
         self._difference_valid_until = 0
         self.trails: dict[str, deque[Point]] = {
@@ -53,16 +54,23 @@ class VehicleScene:
 
     def fire(self, t: int, on_times: Sequence[float]) -> None:
         """Set the times until which the plumes of the thrusters are drawn; on_times in [s]."""
+        if not all(0.0 <= seconds < inf for seconds in on_times):
+            return  # the board rejects the command
+        shortest = t + int(MIN_PLUME_DURATION * SECOND)
         for k, seconds in enumerate(on_times):
-            shown = max(seconds, MIN_PLUME_DURATION) if 0.0 < seconds < inf else 0.0
-            self.plumes_until[k] = t + int(shown * SECOND)
+            if seconds > 0.0:
+                self.plumes_until[k] = max(t + int(seconds * SECOND), shortest)
+            else:  # the plume of a pulse that has just ended is still drawn
+                self.plumes_until[k] = min(self.plumes_until[k], shortest)
 
-    def predict(self, t: int, difference: Sequence[float], sigma: float = nan) -> None:
-        """Store the pose of the base, measured minus predicted, (3,); NaN: no prediction.
+    def store_prediction_error(
+        self, t: int, difference: Sequence[float], sigma: float = nan
+    ) -> None:
+        """Store how far the measured base is from the predicted one.
 
         Args:
             t: stamp [ns].
-            difference: measured minus predicted pose [m, m, rad].
+            difference: (3,) measured minus predicted pose [m, m, rad]; NaN: no prediction.
             sigma: standard deviation of the predicted heading [rad].
         """
         self.sigma = sigma

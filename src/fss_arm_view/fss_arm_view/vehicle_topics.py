@@ -211,7 +211,7 @@ class VehicleTopics:
         """Plot prediction and measurement of the base's motion."""
         sigma = float(message.predicted_deviation[2])
         self.strip.heading_difference = float(message.difference[2]), sigma
-        self.scene.predict(stamp_ns(message.header.stamp), message.difference, sigma)
+        self.scene.store_prediction_error(stamp_ns(message.header.stamp), message.difference, sigma)
         if self.sink.due("reaction"):
             self.enqueue(message, scene.reaction_drawings(message))
             self.enqueue(message, self.scene.extend_trail("com_path", tuple(message.com)))

@@ -148,7 +148,7 @@ def load_kernels(arm: Arm) -> None:
     """Load the kernels used above: the first call of a kernel blocks all threads."""
     start = arch(arm)
     limits = start[3:, None] + [-1.0, 1.0]  # these limits and the table below suit any arm
-    straight_paths(arm, start, 0.0, Rules(table=(-1e6, -1e6, 1e6, 1e6)), limits)
+    straight_paths(arm, start, 0.0, Rules(table_corners=(-1e6, -1e6, 1e6, 1e6)), limits)
     tip = tip_in_base(arm.vector(), start[3:])[:2]
     climb(arm.vector(), start[3:], tip, limits, FLOATING, steps=0)
     for kind in (FIXED, FLOATING):

@@ -94,7 +94,7 @@ def run(options: argparse.Namespace, console: Console) -> None:
     calibrated = load_arm(options.source)
     settings = AnalysisSettings(
         redundancy=options.rule,
-        table=tuple(options.table),
+        table_corners=tuple(options.table),
         cell=options.cell,
         of_true_angle=options.true_angle,
         workers=options.workers,

@@ -45,10 +45,10 @@ def parser() -> argparse.ArgumentParser:
         "--table",
         type=float,
         nargs=4,
-        default=default.table,
+        default=default.table_corners,
         metavar="M",
         help="table for straight paths: low x, low y, high x, high y [m] "
-        f"(default {' '.join(map(default_text, default.table))})",
+        f"(default {' '.join(map(default_text, default.table_corners))})",
     )
     p.add_argument(
         "--true-angle",

@@ -233,5 +233,5 @@ def _doubles(values: Floats | Sequence[float]) -> "array[float]":
 
 def _yaml(settings: AnalysisSettings) -> str:
     values = {f.name: getattr(settings, f.name) for f in fields(AnalysisSettings)}
-    values["table"] = list(settings.table)
+    values["table_corners"] = list(settings.table_corners)
     return "".join(f"{name}: {value}\n" for name, value in values.items())

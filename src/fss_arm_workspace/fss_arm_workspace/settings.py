@@ -12,10 +12,10 @@ class WorkspaceSettings(AnalysisSettings):
     """Parameters of a WorkspaceNode: computation, topics and frames."""
 
     arm: str = setting(
-        "", "description YAML until a calibration is received; empty: the paper's arm"
+        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
     )
     rate: float = setting(10.0, "rate of the ellipsoids", unit="Hz", check=POSITIVE)
-    scale: float = setting(0.25, "size of drawn ellipsoids", unit="m per m/rad", check=POSITIVE)
+    scale: float = setting(0.25, "size of drawn ellipsoids", unit="m/(m/rad)", check=POSITIVE)
     base_frame: str = like(Vehicle, "base_frame")
     world_frame: str = setting(
         "world", "frame id of straight paths, once a pose of the base is received"

@@ -35,7 +35,9 @@ class MocapSettings(Settings):
         "motion-capture system to receive from; empty: none, only relays",
         check=one_of("", *SYSTEMS),
     )
-    host: str = setting("", "address of the computer that runs the motion-capture system")
+    host: str = setting(
+        "", "address of the motion-capture system's computer; required except for mock"
+    )
     options: tuple[str, ...] = setting(
         (), "further options of the motion-capture library, each OPTION=VALUE"
     )
@@ -47,7 +49,9 @@ class MocapSettings(Settings):
         1.0, "length unit of the relayed topics; 0.001 for millimetres", unit="m", check=POSITIVE
     )
     subjects: tuple[str, ...] = setting(
-        (), "subjects to publish, each NAME or NAME=SUBJECT/SEGMENT; empty: all"
+        (),
+        "names in the system to publish, each NAME or"
+        " NAME=SUBJECT/SEGMENT of the topic; empty: all",
     )
     prefix: str = setting(
         "vicon", "first part of the topics PREFIX/SUBJECT/SEGMENT", within="/vicon"
@@ -110,7 +114,7 @@ class BaseSettings(Settings):
     )
     max_rate: float = setting(
         50.0,
-        "largest rate of commands to the board; users' commands are sent at once",
+        "largest rate of commands to the board; up to it users' commands are sent at once",
         unit="Hz",
         check=between(1.0, 1000.0),
     )
@@ -128,7 +132,7 @@ class BaseSettings(Settings):
     )
     empty: float = setting(
         12.0,
-        "voltage of an empty battery: switch the board off by hand",
+        "voltage of an empty battery, for the minutes left; it switches nothing off",
         unit="V",
         check=NOT_NEGATIVE,
     )
@@ -140,7 +144,7 @@ class BaseSettings(Settings):
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11,
-        "lever of a thruster: from the base's origin to the line of thrust",
+        "lever of a thruster: from the base's origin to the line of thrust; alike in all nodes",
         unit="m",
         check=POSITIVE,
     )
@@ -156,7 +160,7 @@ class BaseSettings(Settings):
     )
     max_on_time: float = setting(
         1.0,
-        "longest on-time that is accepted on thrusters/command",
+        "longest on-time that is accepted on thrusters/command; the board closes after 1 s",
         unit="s",
         check=between(0.001, 6.5),
     )
@@ -242,10 +246,10 @@ class ValveSettings(Settings):
     """Parameters of a valve that can change at runtime; a stuck valve gets no share of a wrench."""
 
     stuck_open: float = setting(
-        0.0, "1: the valve does not close, 0: it does", check=between(0.0, 1.0)
+        0.0, "above 0: counts as stuck open, and is not used", check=between(0.0, 1.0)
     )
     stuck_closed: float = setting(
-        0.0, "1: the valve does not open, 0: it does", check=between(0.0, 1.0)
+        0.0, "above 0: counts as stuck closed, and is not used", check=between(0.0, 1.0)
     )
 
 
@@ -289,7 +293,7 @@ class FogCorrection(Settings):
     scale: float = setting(
         1.0, "factor of its rates; -1 if the gyro is mounted upside down", check=FINITE
     )
-    bias: float = like(GyroSettings, "bias")
+    bias: float = setting(0.0, "scaled rate at rest, subtracted", unit="rad/s", check=FINITE)
 
 
 def live_fog_kinds() -> dict[str, type]:

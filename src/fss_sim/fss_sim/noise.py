@@ -35,7 +35,7 @@ class Noise(Settings):
         check=between(0.0, 0.003),
     )
     marker_noise: float = error(
-        "white noise of a VICON marker, each axis, 1 sigma; poses are fitted to the markers", "m"
+        "white noise of a VICON marker, each axis, 1 sigma; set position_noise to 0 with it", "m"
     )
     vicon_edge_error: float = error(
         "measured displacement of VICON markers at the middle of the table's edge; it grows with "
@@ -43,7 +43,7 @@ class Noise(Settings):
         "m",
     )
     vicon_occlusion: float = error(
-        "above 0: bodies hide VICON's markers from the cameras", check=between(0.0, 1.0)
+        "1: bodies hide VICON's markers from the cameras, 0: they do not", check=between(0.0, 1.0)
     )
     vicon_merge_distance: float = error(
         "distance below which VICON merges markers of two subjects and loses both", "m"
@@ -54,7 +54,7 @@ class Noise(Settings):
     )
     gyro_noise: float = error("white noise of a gyro sample, 1 sigma", "rad/s")
     gyro_bias: float = error("constant bias of the FOG in a run, 1 sigma", "rad/s")
-    gyro_walk: float = error("random walk of the gyro's bias, 1 sigma after 1 s", "rad/s")
+    gyro_walk: float = error("random walk of the gyro's bias, 1 sigma", "rad/s/sqrt(s)")
     gyro_scale: float = error("relative scale error of the FOG in a run, 1 sigma")
     encoder_error: float = error(
         "amplitude of the encoder's error with two periods per turn of the motor",

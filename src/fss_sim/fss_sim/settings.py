@@ -268,7 +268,7 @@ class TestbedSettings(PlantSettings):
         5.0, "rate of each link's telemetry frames", unit="Hz", check=above(0.0, RATE)
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
-    seed: int = setting(1, "seed of all sensor errors", check=at_least(0))
+    seed: int = setting(1, "seed of all random numbers", check=at_least(0))
     position_noise: float = _preset_setting(Noise, "position_noise")
     heading_noise: float = _preset_setting(Noise, "heading_noise")
     vicon_hold: float = _preset_setting(Noise, "vicon_hold")
@@ -317,7 +317,9 @@ class TestbedSettings(PlantSettings):
     q: tuple[float, ...] = setting(
         (), "initial joint angles; empty: all 0", unit="rad", check=FINITE
     )
-    keep_clock: bool = setting(False, "true: be the source of /clock; false: stamps are ROS time")
+    keep_clock: bool = setting(
+        False, "true: publish /clock (nodes need use_sim_time); false: ROS time"
+    )
     speed: float = setting(
         1.0,
         "speed of the published clock (keep_clock), in multiples of real time; 0: as fast as "

@@ -148,7 +148,7 @@ def test_late_subscribers_get_results(spin):
     [
         ({"cell": 0.0}, "cell is 0.0 m"),
         ({"redundancy": "luck"}, "redundancy is 'luck', expected one of minimum norm"),
-        ({"table": [1.0, 2.0]}, "table has 2 numbers, expected 4"),
+        ({"table_corners": [1.0, 2.0]}, "table_corners has 2 numbers, expected 4"),
     ],
 )
 def test_invalid_settings_are_rejected(ros, settings, error):

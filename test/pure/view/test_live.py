@@ -50,12 +50,12 @@ def test_before_the_first_pose_only_the_strip_is_known(scene):
 
 
 def test_the_prediction_is_relative_to_the_pose_until_it_is_old(scene):
-    scene.predict(SECOND, [0.1, 0.0, -0.1], radians(0.5))
+    scene.store_prediction_error(SECOND, [0.1, 0.0, -0.1], radians(0.5))
     (vehicle,) = state(scene)["vehicles"]
     assert vehicle["predicted"] == pytest.approx([0.2, -0.2, 0.6])
     assert vehicle["sigma"] == 0.5
     assert state(scene, SECOND + MAX_PREDICTION_AGE)["vehicles"][0]["predicted"] is None
-    scene.predict(SECOND, [nan] * 3, nan)
+    scene.store_prediction_error(SECOND, [nan] * 3, nan)
     (vehicle,) = state(scene)["vehicles"]
     assert vehicle["predicted"] is vehicle["sigma"] is None
 

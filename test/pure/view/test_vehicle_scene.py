@@ -49,19 +49,30 @@ def test_lost_frames_are_averaged():
     assert loss.add(3) == pytest.approx(0.95 * 0.05 * 2 / 3)  # the numbers restarted
 
 
+def test_the_plume_of_a_short_pulse_is_drawn_after_the_next_command():
+    vehicle = VehicleScene(paper_arm())
+    plain = count_lines(vehicle.draw_base(0, POSE), "table/arm")
+    vehicle.fire(0, [0.02] + 7 * [0.0])
+    vehicle.fire(SECOND // 10, 8 * [0.0])
+    assert count_lines(vehicle.draw_base(SECOND // 8, POSE), "table/arm") == plain + 1
+    assert count_lines(vehicle.draw_base(SECOND // 3, POSE), "table/arm") == plain
+
+
 def test_the_base_is_drawn_with_path_plumes_and_prediction_until_they_are_old():
     vehicle = VehicleScene(paper_arm(), "fss1")
     plain = count_lines(vehicle.draw_base(0, POSE), "table/arm")
-    vehicle.fire(0, [0.0, 1e-3, inf, -1.0, 1.0, 0.0, 0.0, 0.0])
+    vehicle.fire(0, [0.0, 1e-3, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    for rejected in (inf, nan, -1.0):
+        vehicle.fire(0, [1.0, 1.0, rejected, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert count_lines(vehicle.draw_base(SECOND // 10, POSE), "table/arm") == plain + 2
     assert count_lines(vehicle.draw_base(SECOND // 2, POSE), "table/arm") == plain + 1
     assert count_lines(vehicle.draw_base(SECOND, POSE), "table/arm") == plain
-    vehicle.predict(SECOND, [0.1, 0.0, 0.0])
+    vehicle.store_prediction_error(SECOND, [0.1, 0.0, 0.0])
     vehicle.mission.receive(SECOND, 0.0, PATH)
     assert count_lines(vehicle.draw_base(2 * SECOND, POSE), "table/arm") == plain + 2 + 2
     old = SECOND + MAX_PREDICTION_AGE
     assert count_lines(vehicle.draw_base(old, POSE), "table/arm") == plain
-    vehicle.predict(old, [nan, 0.0, 0.0])  # thrusters have fired
+    vehicle.store_prediction_error(old, [nan, 0.0, 0.0])  # thrusters have fired
     assert count_lines(vehicle.draw_base(old, POSE), "table/arm") == plain
     assert "table/name" in dict(vehicle.draw_base(old, POSE))
 

@@ -56,7 +56,10 @@ def test_a_single_link_has_no_maps(tmp_path, capsys):
     [
         (["/no/such.yaml"], "No such file"),
         (["/no/such/bag"], "no such file or folder"),
-        (["--table", "1", "1", "0", "2"], "table is (1.0, 1.0, 0.0, 2.0) m, expected low x"),
+        (
+            ["--table", "1", "1", "0", "2"],
+            "table_corners is (1.0, 1.0, 0.0, 2.0) m, expected low x",
+        ),
         (["--table", "5", "5", "6", "6"], "expected on the table"),
         (["--start", "10", "20"], "--start has 2 angles, expected 4"),
         (["--start", "100", "0", "0", "0"], "joint 1 starts at 100 deg, expected"),

@@ -50,7 +50,7 @@ def on_the_way(start, direction, lengths, rules):
     for s in lengths:
         end = np.array([tip.real, tip.imag]) + s * ahead
         table = *np.where(ahead < 0.0, end, -9.0), *np.where(ahead < 0.0, 9.0, end)
-        path = straight_paths(ARM, start, direction, replace(rules, table=table))
+        path = straight_paths(ARM, start, direction, replace(rules, table_corners=table))
         found.append(path.last[0])
     return np.array(found)
 
@@ -127,7 +127,7 @@ def test_the_reason_agrees_with_the_last_state():
 
 
 def test_the_table_ends_paths():
-    rules = Rules(base=FIXED, table=(-0.1, -0.2, 1.2, 1.0))
+    rules = Rules(base=FIXED, table_corners=(-0.1, -0.2, 1.2, 1.0))
     paths = straight_paths(ARM, arch(ARM), AROUND, rules)
     ended = [REASONS[k] == "the end of the table" for k in paths.reason]
     x, y = paths.ends.real, paths.ends.imag
@@ -231,7 +231,7 @@ def test_a_free_base_shortens_paths_as_in_the_paper():
 )
 def test_other_numbers_of_links(n, base):
     """Also without redundancy, two joints afloat or three without reaction, past no singularity."""
-    rules = Rules(base=base, table=(-9.0, -9.0, 9.0, 9.0))
+    rules = Rules(base=base, table_corners=(-9.0, -9.0, 9.0, 9.0))
     longest = 0.0
     for seed in range(3):
         rng = np.random.default_rng(seed)

@@ -18,19 +18,23 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         "rest."
     )
 
-    arm: str = setting("", "description YAML: masses and inertias; empty: the paper's arm")
+    arm: str = setting(
+        "", "arm with masses and inertias: paper, cad, truth or a file; empty: paper"
+    )
     max_drifts: int = max_data(30, "drifts")
     position_deviation: float = positive(0.001, "m", "1 sigma of a base position, each axis")
     heading_deviation: float = positive(radians(0.5), "rad", "1 sigma of a heading of the base")
     fresh_rate: float = positive(
         10.0, "Hz", "poses per second that count as independent in an average"
     )
-    torque_deviation: float = sigma(0.05, "N m", "the hose's torque at rest (mean 0); 0: none")
+    torque_deviation: float = sigma(
+        0.05, "N m", "the hose's constant torque, about 0; 0: it has none"
+    )
     twist_deviation: float = sigma(
-        0.01, "N m s", "the hose's resistance to rotation (mean 0); 0: none"
+        0.01, "N m s", "the hose's resistance to rotation, about 0; 0: it has none"
     )
     drag_deviation: float = sigma(
-        0.05, "N s/m", "the hose's resistance to translation (mean 0); 0: none"
+        0.05, "N s/m", "the hose's resistance to translation, about 0; 0: it has none"
     )
     com_deviation: float = sigma(
         0.01, "m", "the center of mass of base and arm, each axis, if the description has none"

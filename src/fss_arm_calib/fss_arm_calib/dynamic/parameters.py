@@ -58,8 +58,8 @@ class Knowledge(Settings):
     )
     told: bool = setting(
         False,
-        "true: the description's covariance of masses, centers of mass and inertias replaces the "
-        "deviations above; valid only if it was estimated from other data",
+        "true: use the description's covariance of masses, centers of mass and inertias instead of "
+        "mass_deviation, b_deviation, ...; valid only if it was estimated from other data",
     )
 
     def deviations(self, arm: Arm) -> Floats:

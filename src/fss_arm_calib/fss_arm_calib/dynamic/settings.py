@@ -35,7 +35,7 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     )
     priors: str = setting(
         "m_i I_i m_0 I_0 com_0 a_i theta_0_i mount",
-        "words of `estimate` for which the description's value is a prior",
+        "parameters whose described value is a prior, such as 'b_i I_0'",
     )
     residuals: str = setting(
         POSE,
@@ -55,7 +55,7 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
         0.5, "N m s", "the angular momentum at the start of a maneuver (mean 0); 0: none"
     )
     tilt_deviation: float = sigma(
-        radians(0.02), "rad", "the table's tilt, each axis (mean 0); 0: level"
+        radians(0.02), "rad", "the table's tilt, each axis, as by `drift` (mean 0); 0: level"
     )
     min_maneuvers: int = setting(
         6, "number of maneuvers needed to accept a result", check=at_least(1)

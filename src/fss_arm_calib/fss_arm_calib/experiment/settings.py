@@ -40,7 +40,7 @@ def parse_goal_words(goal: str) -> list[tuple[str, float]]:
 class ExperimentSettings(Settings):
     """Parameters of an ExperimentNode."""
 
-    arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
+    arm: str = setting("", "arm: paper, cad, truth or a file; empty: paper")
     postures: tuple[float, ...] = setting(
         (),
         "joint readings of each posture, row after row; empty: default postures of the arm",
@@ -55,16 +55,18 @@ class ExperimentSettings(Settings):
         "standard deviations at which to stop early, e.g. 'b_i 0.002 I_4 0.001', in SI units; "
         "of calibration/dynamic for maneuvers, of calibration/kinematic for postures; empty: none",
     )
-    pause: float = positive(5.2, "s", "rest before and after a maneuver")
+    pause: float = positive(
+        5.2, "s", "rest about a maneuver: more than settle_time and twice max_duration of `dynamic`"
+    )
     tolerance: float = positive(
         0.0175, "rad", "largest difference between a posture and its observation"
     )
-    rest: float = positive(3.0, "s", "rest at each posture if no calibration node observes")
+    rest: float = positive(3.0, "s", "rest at each posture if no `kinematic` runs")
     observation_timeout: float = positive(20.0, "s", "longest wait for an observation")
     retry: float = positive(1.0, "s", "wait before a failed move is requested again")
     silence: float = positive(3.0, "s", "timeout of a move without feedback")
     keep_alive: float = positive(
-        0.5, "s", "timeout of the keep-alive in real time, after which the arm stops"
+        0.5, "s", "the arm stops if this node pauses for longer, in real time"
     )
     base_radius: float = like(GuardSettings, "base_radius")
     link_radius: float = like(GuardSettings, "link_radius")

@@ -19,10 +19,10 @@ class JointSettings(Knowledge):
         "kinematic, dynamic and drift, or of bags."
     )
 
-    arm: str = setting("", "description YAML to start from; empty: the paper's arm")
+    arm: str = setting("", "arm to start from: paper, cad, truth or a file; empty: paper")
     priors: str = setting(
         "m_i I_i m_0 I_0 com_0",
-        "parameters whose described value counts as an observation, e.g. 'b_i I_0'",
+        "parameters whose described value is a prior, such as 'b_i I_0'",
     )
     theta_e: bool = setting(False, "estimate the heading offset of the end effector's subject, too")
     zero_deviation: float = sigma(

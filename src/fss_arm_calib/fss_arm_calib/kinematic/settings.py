@@ -39,15 +39,13 @@ class KinematicSettings(NoiseSettings):
     position_deviation: float = sigma(
         0.0,
         "m",
-        "the end effector's measured position in the base's frame, each axis, including the "
-        "error of the base's heading times the reach unless base_heading_deviation is given; "
-        "0: estimated from the residuals",
+        "the end effector's position seen from the base, each axis; if base_heading_deviation is "
+        "0, with the base's heading error times the reach; 0: estimated",
     )
     base_heading_deviation: float = sigma(
         0.0,
         "rad",
-        "the base's heading, part of heading_deviation; 0: estimated if both others are, else "
-        "part of position_deviation",
+        "the base's heading, within heading_deviation; 0: estimated if the other two are 0, too",
     )
     max_position_deviation: float = like(
         NoiseSettings, "max_position_deviation", POSITION_DEVIATION
@@ -56,8 +54,8 @@ class KinematicSettings(NoiseSettings):
     ripple_deviation: float = sigma(
         0.0,
         "rad",
-        "the encoder's error with two periods per turn of the motor; the largest error if poses "
-        "are accurate to a millimeter",
+        "the encoder's error with two periods per turn of the motor; set it if poses are accurate "
+        "to a millimeter",
     )
     eccentricity_deviation: float = sigma(
         0.0, "rad", "the encoder's error with one period per turn of the joint"
@@ -67,7 +65,7 @@ class KinematicSettings(NoiseSettings):
     )
     max_condition: float = setting(
         200.0,
-        "largest condition number of the column-scaled regressor",
+        "largest condition number of the column-scaled regressor; above it, vary the postures",
         check=Check("more than 1", lambda value: value > 1.0, low=1.0),
     )
     min_redundancy: float = like(CalibrationSettings, "min_redundancy", 0.1)

@@ -29,7 +29,7 @@ class StreamSettings(Settings):
     """Settings for the gaps and lags of streams."""
 
     joint_gap: float = positive(
-        1.0, "s", "time without a sample of a joint beyond which the datum is rejected"
+        1.0, "s", "longest gap in a joint's samples, and longest jump back of a clock, in a datum"
     )
     horizon: float = positive(60.0, "s", "longest wait for a stream that lags behind the others")
 
@@ -70,7 +70,7 @@ class ManeuverSettings(RestSettings):
     bin: float = positive(0.5, "s", "averaging time of the poses in a window")
     path_rate: float = setting(
         0.0,
-        "rate of base poses used during the motion, for stiff joints only; 0: none",
+        "rate of base poses used in motion, only for rigid gears; 0: none",
         unit="Hz",
         check=NOT_NEGATIVE,
     )

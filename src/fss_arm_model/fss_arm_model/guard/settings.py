@@ -31,6 +31,6 @@ class GuardSettings(Extents):
     )
     braking: float = setting(
         0.5,
-        "share of the drives' accelerations that braking can rely on, because torque is limited",
+        "share of max_acceleration with which the guard expects the joints to brake",
         check=above(0.0, 1.0),
     )

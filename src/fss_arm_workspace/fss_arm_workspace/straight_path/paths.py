@@ -52,11 +52,11 @@ class PathSettings(Settings):
     )
     gain: float = setting(
         5.0,
-        "null-space joint rate at a joint limit, away from it",
+        "pull of redundant joints to the middle of their range; 0: none",
         unit="rad/m",
         check=NOT_NEGATIVE,
     )
-    table: tuple[float, ...] = setting(
+    table_corners: tuple[float, ...] = setting(
         (-2.0, -2.0, 2.0, 2.0),
         "corners of the table in the world: x_min, y_min, x_max, y_max",
         unit="m",
@@ -66,8 +66,11 @@ class PathSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not np.less(self.table[:2], self.table[2:]).all():
-            raise SettingError(f"table is {self.table} m, expected low x, low y, high x, high y")
+        if not np.less(self.table_corners[:2], self.table_corners[2:]).all():
+            corners = self.table_corners
+            raise SettingError(
+                f"table_corners is {corners} m, expected low x, low y, high x, high y"
+            )
 
 
 @dataclass(frozen=True)
@@ -215,7 +218,7 @@ def _prepare(
         if not low <= q <= high:
             raise ValueError(f"joint {i} starts at {angle_beyond(q, low, high)}")
     x, y, _ = tip_pose(arm.vector(), start)
-    low_x, low_y, high_x, high_y = rules.table
+    low_x, low_y, high_x, high_y = rules.table_corners
     if not (low_x <= x <= high_x and low_y <= y <= high_y):
         raise ValueError(f"the tip starts at ({x:.4g}, {y:.4g}) m, expected on the table")
     direction_vector = np.stack([np.cos(direction), np.sin(direction)], axis=-1)

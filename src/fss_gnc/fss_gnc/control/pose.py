@@ -40,8 +40,8 @@ class PoseGains(Settings):
     )
     max_disturbance: float = setting(
         0.005,
-        "largest acceleration by steady disturbances that is compensated",
-        unit="m/s^2",
+        "largest acceleration of each axis that the integral term gives",
+        unit="m/s^2, rad/s^2",
         check=NOT_NEGATIVE,
     )
     max_offset: float = setting(

@@ -13,7 +13,9 @@ from fss_gnc.control.pose import PoseGains
 class ControlSettings(PoseGains):
     """Parameters of a ControlNode."""
 
-    arm: str = setting("", "arm to control: paper, cad, truth or a file; empty: paper")
+    arm: str = setting(
+        "", "arm, also after a calibration: paper, cad, truth or a file; empty: paper"
+    )
     rate: float = setting(
         10.0, "publishing rate of base/wrench", unit="Hz", check=between(1.0, 200.0)
     )

@@ -26,13 +26,13 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     thrust: float = setting(0.16, "thrust of a valve", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11,
-        "lever arm of a valve: from the base's origin to its line of thrust",
+        "lever of a thruster: from the base's origin to the line of thrust; alike in all nodes",
         unit="m",
         check=POSITIVE,
     )
     authority: float = setting(
         0.5,
-        "fraction of the valves' largest force and torque that a reference may need",
+        "share of the valves' largest force and torque that plans may use; the rest is for control",
         check=above(0.0, 1.0),
     )
     # the approach
@@ -67,7 +67,7 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     )
     reach_speed: float = setting(
         0.05,
-        "largest speed of the end effector relative to the fixture",
+        "largest speed of the end effector relative to the fixture; twice that if it is late",
         unit="m/s",
         check=POSITIVE,
     )
@@ -76,7 +76,7 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     )
     grip_distance: float = setting(
         0.025,
-        "largest distance from the fixture at which the gripper closes",
+        "distance from the fixture at which the gripper closes; below the gripper's reach",
         unit="m",
         check=POSITIVE,
     )
@@ -85,7 +85,8 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     )
     grip_speed: float = setting(
         0.08,
-        "largest speed relative to the fixture at which the gripper closes",
+        "largest speed relative to the fixture at which the gripper closes; also at most "
+        "grip_distance / grip_closing_time",
         unit="m/s",
         check=POSITIVE,
     )

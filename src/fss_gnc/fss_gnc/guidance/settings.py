@@ -12,7 +12,7 @@ class GuidanceSettings(Extents):
     """Parameters of a GuidanceNode, without those of the missions."""
 
     arm: str = setting(
-        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+        "", "arm, also after a calibration: paper, cad, truth or a file; empty: paper"
     )
     rate: float = setting(
         10.0,

@@ -21,6 +21,8 @@ class ControllerSettings(Settings):
         unit="s",
         check=POSITIVE,
     )
-    arm: str = setting("", "arm to control: paper, cad, truth or a file; empty: paper")
+    arm: str = setting(
+        "", "arm, also after a calibration: paper, cad, truth or a file; empty: paper"
+    )
     table: tuple[float, ...] = like(Extents, "table")
     base_frame: str = like(Vehicle, "base_frame")

@@ -52,7 +52,7 @@ class MassErrors(Settings):
 
     mass_error: float = setting(
         0.7,
-        "relative standard deviation of the target's mass and inertia (of their logarithms)",
+        "1 sigma of the logarithm of the target's mass and inertia; 0.7: known to a factor of 2",
         check=POSITIVE,
     )
     com_error: float = setting(

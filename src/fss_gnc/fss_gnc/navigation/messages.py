@@ -63,7 +63,7 @@ def mass_properties(found: MassEstimate, samples: int, stamp: int, frame_id: str
 
 
 def thruster_health(faults: Faults, stamp: int, frame_id: str) -> ThrusterHealth:
-    """Return which valves do not follow their commands at a time [ns]."""
+    """Return the ThrusterHealth message of the valves' faults at a time [ns]."""
     message = ThrusterHealth(
         stuck_open=[i in faults.open for i in range(COUNT)],
         stuck_closed=[i in faults.closed for i in range(COUNT)],

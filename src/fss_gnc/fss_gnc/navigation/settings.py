@@ -15,28 +15,30 @@ class SensorErrors(Settings):
 
     position_error: float = setting(
         0.001,
-        "standard deviation of the base's measured position along each axis",
+        "1 sigma of the base's measured position, each axis; larger if its NIS is above 3",
         unit="m",
         check=POSITIVE,
     )
     heading_error: float = setting(
-        0.009, "standard deviation of the base's measured heading", unit="rad", check=POSITIVE
+        0.009,
+        "1 sigma of the base's measured heading; larger if its NIS is above 3",
+        unit="rad",
+        check=POSITIVE,
     )
     volume_error: float = setting(
         0.0,
-        "systematic position error of motion capture at a place, along each axis, 1 sigma",
+        "error of motion capture that averaging does not reduce, each axis, 1 sigma; added to the "
+        "covariance",
         unit="m",
         check=NOT_NEGATIVE,
     )
     volume_heading_error: float = setting(
         0.0,
-        "systematic heading error of motion capture at a place, 1 sigma",
+        "heading error of motion capture that averaging does not reduce, 1 sigma",
         unit="rad",
         check=NOT_NEGATIVE,
     )
-    rate_error: float = setting(
-        0.001, "white noise of a gyro sample, 1 sigma", unit="rad/s", check=POSITIVE
-    )
+    rate_error: float = setting(0.001, "1 sigma of a rate on fog/imu", unit="rad/s", check=POSITIVE)
     bias_walk: float = setting(
         1e-5, "random walk of the gyro's bias, 1 sigma", unit="rad/s/sqrt(s)", check=POSITIVE
     )
@@ -54,19 +56,19 @@ class SensorErrors(Settings):
     )
     kick: float = setting(
         0.05,
-        "sudden change of the base's speed that is accepted, as by a touch, 1 sigma",
+        "1 sigma of a sudden change of the base's speed, as by a touch or a grip",
         unit="m/s",
         check=NOT_NEGATIVE,
     )
     angular_kick: float = setting(
         0.01,
-        "sudden change of the base's turn rate that is accepted, 1 sigma",
+        "1 sigma of a sudden change of the base's turn rate",
         unit="rad/s",
         check=NOT_NEGATIVE,
     )
     settle_time: float = setting(
         0.3,
-        "time for which rejected poses must agree until the filter restarts there",
+        "time for which rejected poses must agree until the filter restarts from them",
         unit="s",
         check=POSITIVE,
     )
@@ -124,7 +126,7 @@ class EstimatorSettings(SensorErrors, Bounds):
     thrust: float = setting(0.16, "thrust of one thruster", unit="N", check=POSITIVE)
     thruster_lever: float = setting(
         0.11,
-        "lever arm of a thruster: from the base's origin to the line of thrust",
+        "lever of a thruster: from the base's origin to the line of thrust; alike in all nodes",
         unit="m",
         check=POSITIVE,
     )
@@ -150,8 +152,7 @@ class NavigationSettings(EstimatorSettings, MassErrors):
 
     latency: float = setting(
         0.0,
-        "latency that the stamps of motion capture still contain, beside what mocap's `latency` "
-        "removes; subtracted from them",
+        "delay that the stamps of poses still have; 0 if `latency` of mocap is set",
         unit="s",
         check=between(0.0, 0.5),
     )

@@ -43,22 +43,26 @@ class Joints(Settings):
 
     stiffness: float = setting(
         0.0,
-        "stiffness of the harmonic drives, 340 to 440 for the FHA-8C-30; 0: rigid",
+        "stiffness of the harmonic drives, 340 to 440 for the FHA-8C-30; 0: rigid; needs "
+        "rotor_inertia",
         unit="N m/rad",
         check=NOT_NEGATIVE,
     )
     damping: float = setting(
-        0.0, "damping of a harmonic drive's twist", unit="N m s/rad", check=NOT_NEGATIVE
+        0.0,
+        "damping of a harmonic drive's twist; needs gear_stiffness",
+        unit="N m s/rad",
+        check=NOT_NEGATIVE,
     )
     dead_band: float = setting(
         0.0,
-        "dead band (backlash) of a harmonic drive, from end to end",
+        "backlash of a harmonic drive, from end to end; needs gear_stiffness",
         unit="rad",
         check=NOT_NEGATIVE,
     )
     static: float = setting(
         0.0,
-        "static friction of a joint, if larger than its Coulomb friction",
+        "static friction of a joint, if above its Coulomb friction; needs gear_stiffness",
         unit="N m",
         check=NOT_NEGATIVE,
     )
@@ -70,17 +74,20 @@ class Joints(Settings):
     )
     cancelled: float = setting(
         1.0,
-        "share of viscous and Coulomb friction that a servo compensates",
+        "share of viscous and Coulomb friction that a servo compensates; needs gear_stiffness",
         check=between(0.0, 1.0),
     )
     ripple: float = setting(
         0.0,
-        "amplitude of the motors' torque ripple, two periods per motor turn",
+        "amplitude of the motors' torque ripple, two periods per motor turn; needs gear_stiffness",
         unit="N m",
         check=NOT_NEGATIVE,
     )
     current_bandwidth: float = setting(
-        0.0, "bandwidth of the current loops; 0: without delay", unit="Hz", check=NOT_NEGATIVE
+        0.0,
+        "bandwidth of the current loops; 0: without delay; needs gear_stiffness",
+        unit="Hz",
+        check=NOT_NEGATIVE,
     )
 
     def __post_init__(self) -> None:
@@ -94,7 +101,7 @@ class Joints(Settings):
         needs = "damping", "dead_band", "static", "cancelled", "ripple", "current_bandwidth"
         for name in needs if not self.stiffness else ():
             if (value := getattr(self, name)) != rigid[name].default:
-                raise SettingError(f"{name} is {value:g}, which needs a stiffness above 0")
+                raise SettingError(f"{name} is {value:g}, which needs a gear stiffness above 0")
 
     def gears(self, p: Floats) -> GearParameters:
         """Return the parameters of the gears, for p = Arm.vector()."""

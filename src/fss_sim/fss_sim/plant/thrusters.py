@@ -21,7 +21,7 @@ class Propulsion(Settings):
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11,
-        "lever of a thruster: from the base's origin to the line of thrust",
+        "lever of a thruster: from the base's origin to the line of thrust; alike in all nodes",
         unit="m",
         check=POSITIVE,
     )
