@@ -251,14 +251,15 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     change = flight.momentum[k] - flight.momentum[k - 1]
     impulse = flight.impulse[k] - flight.impulse[k - 1]
     when = f"captured between {flight.time[k - 1]:.2f} and {flight.time[k]:.2f} s"
-    log_line(f"{when}; true momentum just before and after the grip:")
+    log_line(f"{when}; true momentum of all bodies just before and after the grip:")
     for name, unit, i in (("x", "N s", 0), ("y", "N s", 1), ("about the origin", "N m s", 2)):
         before, after = flight.momentum[k - 1, i], flight.momentum[k, i]
         log_line(f"  {name:>16}  before {before:+#.4g}  after {after:+#.4g} {unit}")
     worst, audit = float(np.abs(change - impulse).max()), float(np.abs(flight.error).max())
     difference = f"difference at most {worst:.1e}; largest audit error of the mission {audit:.1e}"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
-    spin_text = f"{spin[0]:.2f} deg/s at the start, {spin[1]:.3f} deg/s at the end"
+    rest = np.round(spin[1], 3) + 0.0  # never -0.000
+    spin_text = f"{spin[0]:.2f} deg/s at the start, {rest:.3f} deg/s at the end"
     log_line(f"  {difference}")
     log_line(f"spin of the target: {spin_text}")
     log_line(f"propellant used {1e3 * flight.propellant[-1]:.1f} g")
@@ -422,7 +423,10 @@ def budget(result: Capture.Result) -> list[str]:
     """Return the mission's time, propellant, momentum and torque, as the guidance reports them."""
     x, y, turning = result.momentum.tolist()
     end = "captured and stopped" if result.stopped else f"{result.phase}: {result.message}"
-    momentum = f"  estimated momentum at the grip {x:+#.4g}, {y:+#.4g} N s, {turning:+#.4g} N m s"
+    momentum = (
+        f"  estimated momentum at the grip: x {x:+#.4g}, y {y:+#.4g} N s, "
+        f"about the common centre of mass {turning:+#.4g} N m s"
+    )
     return [
         f"result of the guidance: {end}",
         f"  time {result.duration:.1f} s, propellant {1e3 * result.propellant:.1f} g",
