@@ -85,7 +85,7 @@ def within(package: str, names: str) -> set[str]:
 
 SHARED = within(
     "fss_arm_calib",
-    "estimation segments acceptance calibration checks codec messages outcome precision "
+    "segments acceptance calibration checks codec messages noise outcome precision "
     "report_parts settings",
 )
 ROOMS = {
@@ -116,8 +116,8 @@ ROOMS = {
         *("fss_arm_model", SHARED_PROTOCOL, BOARD),
         *within("fss_sim", "plant faults noise link.channel link.power link.radio"),
     },
-    "fss_arm_calib.estimation": {ARRAYS},
-    "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},
+    "fss_arm_model.estimation": {ARRAYS},
+    "fss_arm_calib.segments": {"fss_arm_model"},
     **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
     "fss_arm_calib.joint": {
         *("fss_arm_model", "fss_arm_bags", "fss_arm_msgs", "fss_arm_ros", *SHARED),

@@ -7,12 +7,13 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from fss_arm_calib import checks
 from fss_arm_calib.acceptance import Check
-from fss_arm_calib.estimation.least_squares import Measurements
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import table_report
 from fss_arm_calib.segments.streams import Datum, Streams
+from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import from_yaml
+from fss_arm_model.estimation.least_squares import Linear
 from fss_arm_model.files import write_text
 from fss_arm_model.settings import Settings
 from fss_arm_model.urdf import urdf
@@ -32,6 +33,24 @@ class Finder(Protocol[D]):
 
     def streams(self) -> Streams:
         """Return the state of the streams."""
+
+
+class Measurements(Protocol):
+    """Measurements of one kind in the joint estimate, with own unknowns of no other data.
+
+    All other quantities that they depend on are in z, (8 + 6 n + 5): Arm.vector(), then
+    SURROUNDINGS of fss_arm_model.drifting.
+    """
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of observations and of priors on the own unknowns, minus these unknowns."""
+
+    def initial_unknowns(self) -> Floats:
+        """Return initial values of the own unknowns."""
+
+    def linearize(self, z: Floats, unknowns: Floats) -> Linear:
+        """Linearize the residuals in z; `extend` appends the step of the own unknowns."""
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,12 @@ from fss_arm_calib.acceptance import (
 )
 from fss_arm_calib.checks import frame_mismatch, stream_causes
 from fss_arm_calib.dates import calibrated_name, format_time
-from fss_arm_calib.estimation import outliers
 from fss_arm_calib.precision import MASS_UNITS, MAX_USABLE_DEVIATION
 from fss_arm_calib.segments.streams import Datum, Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
+from fss_arm_model.estimation import outliers
 from fss_arm_model.files import ContentError
 
 #: Settings of earlier results that no longer exist, with the values that keep a result.

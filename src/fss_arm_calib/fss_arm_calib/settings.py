@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from math import radians
 
-from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, LOSSES, SQUARE
 from fss_arm_calib.segments.settings import RestSettings, StreamSettings, positive, sigma
+from fss_arm_model.estimation.least_squares import CAUCHY, HUBER, LOSSES, SQUARE
 from fss_arm_model.settings import NOT_NEGATIVE, Check, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 

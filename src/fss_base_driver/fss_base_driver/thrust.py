@@ -22,6 +22,7 @@ import numpy.typing as npt
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.estimation.least_squares import Decomposition
 
 MIN_POSES = 20  # least number of poses before a pulse, and after it
 
@@ -107,10 +108,11 @@ def _gained(t: Floats, duration: float) -> Floats:
 
 def _fit(design: Floats, y: Floats) -> tuple[float, float]:
     """Return the last coefficient and its standard deviation, from the scatter about the fit."""
-    solution = np.linalg.lstsq(design, y, rcond=None)[0]
+    basis = Decomposition.of(design)
+    solution = basis.step(y)
     left = y - design @ solution
     variance = left @ left / (len(y) - design.shape[1])
-    return float(solution[-1]), float(np.sqrt(variance * np.linalg.inv(design.T @ design)[-1, -1]))
+    return float(solution[-1]), float(np.sqrt(variance * basis.covariance()[-1, -1]))
 
 
 def _turned(

@@ -11,7 +11,6 @@ from calib_rests import ARM, SIGMA, observe
 from fss_arm_calib import __version__
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
 from fss_arm_calib.drives.problem import MIN_MOVING_TIME
-from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.calibrate import SAME_POSTURE, calibrate
@@ -31,6 +30,7 @@ from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model.description_file import from_yaml, to_yaml
+from fss_arm_model.estimation.statistics import root_mean_square
 from fss_arm_model.planar import inverse
 
 SETTINGS = KinematicSettings(

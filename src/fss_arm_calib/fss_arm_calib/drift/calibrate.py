@@ -18,10 +18,6 @@ from fss_arm_calib.drift.problem import (
     solve,
 )
 from fss_arm_calib.drift.settings import DriftSettings
-from fss_arm_calib.estimation import outliers
-from fss_arm_calib.estimation.least_squares import Mask
-from fss_arm_calib.estimation.outliers import expand, reject_outliers, solve_robustly
-from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import LIVE, Estimate, Outcome, estimate_of_fit, make_outcome
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.poses import count_independent
@@ -29,6 +25,10 @@ from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.drifting import single_body, single_body_sensitivities
+from fss_arm_model.estimation import outliers
+from fss_arm_model.estimation.least_squares import Mask
+from fss_arm_model.estimation.outliers import expand, reject_outliers, solve_robustly
+from fss_arm_model.estimation.statistics import root_mean_square
 from fss_arm_model.parameters import parameter_names, to_vector
 from fss_arm_model.units import GRAVITY
 

@@ -7,11 +7,11 @@ from fss_arm_calib.codec import fieldwise_data, flatten
 from fss_arm_calib.drift.calibrate import Solution, calibrate, measurements_of, parameters
 from fss_arm_calib.drift.report import drift_report
 from fss_arm_calib.drift.settings import DriftSettings
-from fss_arm_calib.estimation.outliers import expand
 from fss_arm_calib.messages import common_message, joints_input, poses_input
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.drifts import Drift, DriftFinder
 from fss_arm_calib.segments.poses import BASE
+from fss_arm_model.estimation.outliers import expand
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import SECOND
 

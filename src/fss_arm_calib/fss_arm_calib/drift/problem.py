@@ -17,7 +17,10 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import (
+from fss_arm_calib.segments.drifts import Drift
+from fss_arm_model import drifting, layout
+from fss_arm_model.arrays import Floats
+from fss_arm_model.estimation.least_squares import (
     Decomposition,
     Fit,
     Linear,
@@ -26,10 +29,7 @@ from fss_arm_calib.estimation.least_squares import (
     eliminate,
     minimize,
 )
-from fss_arm_calib.estimation.statistics import redundancy
-from fss_arm_calib.segments.drifts import Drift
-from fss_arm_model import drifting, layout
-from fss_arm_model.arrays import Floats
+from fss_arm_model.estimation.statistics import redundancy
 
 NAMES = drifting.SURROUNDINGS
 UNITS = ("m/s^2", "m/s^2", "N m", "N m s", "N s/m")

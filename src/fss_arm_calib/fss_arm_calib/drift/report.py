@@ -4,11 +4,11 @@ import numpy as np
 
 from fss_arm_calib.acceptance import format_count
 from fss_arm_calib.drift.calibrate import Solution
-from fss_arm_calib.estimation.outliers import expand
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import common_figures, display_name, format_number, make_report
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import Arm
+from fss_arm_model.estimation.outliers import expand
 from fss_arm_model.units import GRAVITY
 from fss_arm_ros.report import Report, Table
 

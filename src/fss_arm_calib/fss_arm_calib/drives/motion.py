@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics
+from fss_arm_model.estimation.least_squares import Mask
 from fss_arm_model.layout import LINK_MASS, MOUNT_ANGLE, OFFSET, com, each, reach
 
 TRAPEZOID_STEP = 0.2  # approximate time between samples for the trapezoidal rule [s]

@@ -18,10 +18,10 @@ import numpy.typing as npt
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.solve import DynamicResult
-from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_pose_sensitivities
 from fss_arm_model.description import Arm
+from fss_arm_model.estimation.least_squares import Mask
 from fss_arm_model.joint_path import Law, path, stack
 from fss_arm_model.parameters import to_vector, values
 

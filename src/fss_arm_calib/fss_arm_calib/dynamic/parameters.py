@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import Fit
 from fss_arm_calib.segments.settings import sigma
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.estimation.least_squares import Fit
 from fss_arm_model.parameters import parameter_names
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 

@@ -22,7 +22,6 @@ from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import pose_deviations, problem_with_priors
 from fss_arm_calib.dynamic.solve import DynamicResult, solve
-from fss_arm_calib.estimation.least_squares import Mask
 from fss_arm_calib.experiment.planned import (
     PAUSE,
     NoManeuver,
@@ -35,6 +34,7 @@ from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions, parse_go
 from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Arm
+from fss_arm_model.estimation.least_squares import Mask
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.joint_path import Path, path, stack
 

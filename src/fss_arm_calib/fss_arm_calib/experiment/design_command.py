@@ -22,7 +22,6 @@ from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import problem_of, problem_without_data
 from fss_arm_calib.dynamic.solve import DynamicResult
-from fss_arm_calib.estimation.noise import assumed_noise
 from fss_arm_calib.experiment import postures
 from fss_arm_calib.experiment.design import (
     design,
@@ -37,6 +36,7 @@ from fss_arm_calib.experiment.planned import Planned, plan_to_yaml
 from fss_arm_calib.experiment.settings import JOINT, Conditions
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve
+from fss_arm_calib.noise import assumed_noise
 from fss_arm_calib.outcome import LIVE
 from fss_arm_calib.precision import MASS_UNITS, unmeasured
 from fss_arm_calib.result import read_arm

@@ -9,7 +9,7 @@ deviations, with unit covariance. Then
 
 so the regressor is a block arrowhead matrix. The w_d are eliminated from the rows of their datum,
 then the y_s from those of their session, each by an orthogonal projection
-(estimation.least_squares). p + 1 rows of each session remain, so time and memory grow linearly with
+(fss_arm_model.estimation). p + 1 rows of each session remain, so time and memory grow linearly with
 the number of sessions. Back substitution then gives dy_s and dw_d from dx. The covariance of x
 includes the uncertainty of all other unknowns.
 """
@@ -23,19 +23,19 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import (
-    Decomposition,
-    Fit,
-    Linear,
-    Measurements,
-    compress_rows,
-    eliminate,
-    minimize,
-)
+from fss_arm_calib.calibration import Measurements
 from fss_arm_model import layout
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.drifting import SURROUNDINGS
+from fss_arm_model.estimation.least_squares import (
+    Decomposition,
+    Fit,
+    Linear,
+    compress_rows,
+    eliminate,
+    minimize,
+)
 from fss_arm_model.parameters import bounds, parameter_names, to_vector, unit, values, with_values
 
 TOLERANCE = 1e-5  # largest last update [deviations]; numerical derivatives have smaller errors

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.estimation.statistics import probability
 from fss_arm_calib.joint.calibrate import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import (
@@ -16,6 +15,7 @@ from fss_arm_calib.report_parts import (
     relative_errors,
 )
 from fss_arm_model.description import Arm
+from fss_arm_model.estimation.statistics import probability
 from fss_arm_model.parameters import values
 from fss_arm_ros.report import Report, Table
 

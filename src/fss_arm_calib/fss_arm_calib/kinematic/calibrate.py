@@ -8,8 +8,6 @@ import numpy as np
 
 from fss_arm_calib import checks
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check, format_count, format_indices
-from fss_arm_calib.estimation.least_squares import CAUCHY, Mask
-from fss_arm_calib.estimation.statistics import probability, redundancy
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import EQUAL_LENGTH_TOLERANCE, FULL, KinematicProblem
 from fss_arm_calib.kinematic.settings import KinematicSettings
@@ -28,6 +26,8 @@ from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, DescriptionError
+from fss_arm_model.estimation.least_squares import CAUCHY, Mask
+from fss_arm_model.estimation.statistics import probability, redundancy
 from fss_arm_model.planar import inverse
 
 

@@ -36,9 +36,9 @@ from math import hypot, inf
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.estimation.least_squares import LOSSES, SQUARE
 from fss_arm_model.kinematics import tip_regressor
 from fss_arm_model.layout import TIP_ANGLE, kinematic_index, kinematic_names
 

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.estimation.noise import assumed_noise
-from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic.solution import Solution
+from fss_arm_calib.noise import assumed_noise
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import (
     common_figures,
@@ -22,6 +21,7 @@ from fss_arm_calib.report_parts import (
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, paper_arm
+from fss_arm_model.estimation.statistics import root_mean_square
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.layout import kinematic_index, kinematic_names
 from fss_arm_ros import palette

@@ -8,19 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.checks import UPDATE_TOLERANCE
-from fss_arm_calib.estimation import outliers
-from fss_arm_calib.estimation.least_squares import Mask
-from fss_arm_calib.estimation.noise import (
-    MAX_ITERATIONS,
-    MIN_FREEDOM,
-    Noise,
-    NoiseSolution,
-    ResidualSums,
-    assumed_noise,
-    solve_with_noise,
-)
-from fss_arm_calib.estimation.outliers import expand, reject_outliers
-from fss_arm_calib.estimation.statistics import equivalent_error
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import (
     DESCRIBED,
@@ -37,10 +24,23 @@ from fss_arm_calib.kinematic.variances import (
     log_prior,
     mean_variances,
 )
+from fss_arm_calib.noise import (
+    MAX_ITERATIONS,
+    MIN_FREEDOM,
+    Noise,
+    NoiseSolution,
+    ResidualSums,
+    assumed_noise,
+    solve_with_noise,
+)
 from fss_arm_calib.outcome import Estimate, estimate_of_fit
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.estimation import outliers
+from fss_arm_model.estimation.least_squares import Mask
+from fss_arm_model.estimation.outliers import expand, reject_outliers
+from fss_arm_model.estimation.statistics import equivalent_error
 
 #: Limit of the condition number for solutions with estimated deviations. Whether all parameters are
 #: determined is checked with the assumed deviations: very accurate headings increase the condition

@@ -16,7 +16,7 @@ absorbs (Patterson and Thompson 1971). With r and Phi_k whitened by V = L L' of 
 
 The estimate is not its maximum but the mean of the variances over log sigma_p, log sigma_h and the
 share phi = sigma_b^2 / sigma_h^2. Then (Phi_k' W Phi_k)^-1 is on average as large as the squared
-errors of the parameters: for a single variance this mean is S / (nu - 2), as in estimation.noise.
+errors of the parameters: for a single variance this mean is S / (nu - 2), as in noise.py.
 What the data cannot separate keeps its prior value: the headings of base and end effector
 are equally accurate (phi is uniform in arcsin sqrt(phi), with mean 1/2), and sigma_p / sigma_h is
 that of the largest accepted deviations, within a factor of e^2 (1 sigma). The integrals are
@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.estimation.noise import Noise, S
+from fss_arm_calib.noise import Noise, S
 from fss_arm_model.arrays import Floats
 
 MAX_SHARE_UNCERTAINTY = 0.2  # of phi, if the data separate the headings; without data 0.35

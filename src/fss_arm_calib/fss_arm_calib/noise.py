@@ -18,9 +18,9 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Mask
-from fss_arm_calib.estimation.statistics import probability
 from fss_arm_model.arrays import Floats
+from fss_arm_model.estimation.least_squares import Mask
+from fss_arm_model.estimation.statistics import probability
 
 MIN_FREEDOM = 4.0  # degrees of freedom needed to estimate the deviation of a kind of coordinate
 MIN_DEVIATION_RATIO = 1e-3  # smallest estimate relative to the largest deviation; for exact data

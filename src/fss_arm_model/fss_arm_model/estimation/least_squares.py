@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
 from math import inf
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -266,21 +266,3 @@ def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
 def compress_rows(rows: Floats) -> Floats:
     """Reduce the number of rows by a QR decomposition; products of columns are unchanged."""
     return np.linalg.qr(rows)[1] if len(rows) > len(rows.T) else rows
-
-
-class Measurements(Protocol):
-    """Measurements of one kind in the joint estimate, with own unknowns of no other data.
-
-    All other quantities that they depend on are in z, (8 + 6 n + 5): Arm.vector(), then
-    SURROUNDINGS of fss_arm_model.drifting.
-    """
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Number of observations and of priors on the own unknowns, minus these unknowns."""
-
-    def initial_unknowns(self) -> Floats:
-        """Return initial values of the own unknowns."""
-
-    def linearize(self, z: Floats, unknowns: Floats) -> Linear:
-        """Linearize the residuals in z; `extend` appends the step of the own unknowns."""

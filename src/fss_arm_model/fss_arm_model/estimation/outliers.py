@@ -7,8 +7,8 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE, Mask
 from fss_arm_model.arrays import Floats
+from fss_arm_model.estimation.least_squares import LOSSES, SQUARE, Mask
 
 REWEIGHTINGS = 20  # number of iterations with a robust loss
 

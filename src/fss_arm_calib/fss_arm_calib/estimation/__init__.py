@@ -1,1 +1,0 @@
-"""Estimation: nonlinear least squares and its statistics."""
