@@ -17,7 +17,7 @@ from fss_arm_calib.dynamic.solution import problem_with_priors
 from fss_arm_calib.dynamic.solve import DynamicResult
 from fss_arm_calib.dynamic.solve import solve as solve_dynamics
 from fss_arm_calib.experiment.design import design, expected_result
-from fss_arm_calib.experiment.planned import Planned, batch_law, torque_limited_duration
+from fss_arm_calib.experiment.planned import Planned, plan_law
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.kinematic.problem import EQUAL, KinematicProblem
@@ -26,6 +26,7 @@ from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import paper_arm
 from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.straight_moves import torque_limited_duration
 
 ARM, INERTIA = paper_arm(), 0.034
 TURN_NOISE = float(np.radians(1.54))  # of the base's turn in a maneuver [rad], section 4.2
@@ -80,7 +81,7 @@ def estimate_as_in_paper(plan: Sequence[Planned], position: float = np.inf) -> D
 
     With infinite `position` deviation [m], only the base's turn is used, as in the paper.
     """
-    batch = path(*batch_law(plan), [[0.0, one.length] for one in plan])
+    batch = path(*plan_law(plan), [[0.0, one.length] for one in plan])
     sigma = np.empty((len(plan), 2, 3))
     sigma[...] = position, position, TURN_NOISE / np.sqrt(2.0)
     poses = base_poses(ARM.vector(), batch, np.zeros(8))

@@ -10,6 +10,7 @@ damping of rotation and translation. Planar vectors are complex numbers.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,15 @@ from .momentum import system_com
 
 SURROUNDINGS = ("g_x", "g_y", "torque", "twist_damping", "drag")
 BODY = ("mass", "inertia", "x", "y")  # of base and arm as one body; x, y: its centre of mass
+
+SHARED_COUNT, STATE_COUNT = 5, 6  # unknowns: SURROUNDINGS; pose and twist at the start
+BODY_INDICES = [13, 14, 11, 12]  # indices of BODY after these unknowns
+
+#: Half differences for numerical derivatives by SURROUNDINGS, pose, twist, centre of mass, mass and
+#: inertia: far above rounding, with negligible curvature.
+DIFFERENCE_STEPS = np.array(
+    [1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2, 1e-3, 1e-4]
+)
 
 _FOUR = np.empty(4)
 _MAX_TURN = 0.1  # largest rotation in a step of the integration [rad]
@@ -75,6 +85,31 @@ def drift(
         times: (..., m) times, ascending [s].
     """
     return _drift(body, shared, own, times, _FOUR)
+
+
+class Sensitivity(NamedTuple):
+    """Predicted drift, with derivatives by the first k of its unknowns."""
+
+    poses: Floats  # (m, 3)
+    poses_by: Floats  # (m, 3, k)
+    spin: float  # gain of angular momentum during the drift [N m s]
+    spin_by: Floats  # (k,)
+
+
+def sensitivities(times: npt.ArrayLike, unknowns: Floats, k: int) -> Sensitivity:
+    """Predict a drift from its 15 unknowns, as in DIFFERENCE_STEPS; differentiate by the first k.
+
+    The times (m,) are ascending [s].
+    """
+    steps = np.eye(k, len(unknowns)) * DIFFERENCE_STEPS
+    u = unknowns + np.concatenate([np.zeros((1, len(unknowns))), steps, -steps])
+    own = u[:, SHARED_COUNT : SHARED_COUNT + STATE_COUNT]
+    found = drift(u[:, BODY_INDICES], u[:, :SHARED_COUNT], own, np.array(times))
+    spin = u[:, BODY_INDICES[1]] * (found[:, -1, 3] - own[:, 5])
+    poses, width = found[..., :3], 2.0 * DIFFERENCE_STEPS[:k]
+    poses_by = np.moveaxis(poses[1 : k + 1] - poses[k + 1 :], 0, -1) / width
+    spin_by = (spin[1 : k + 1] - spin[k + 1 :]) / width
+    return Sensitivity(poses[0], poses_by, float(spin[0]), spin_by)
 
 
 def single_body(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:

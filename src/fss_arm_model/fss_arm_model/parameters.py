@@ -7,11 +7,19 @@ For an arm of n links they are, in this order,
     m_1 .. m_n, b_1 .. b_n, I_1 .. I_n    the links: mass, centre of mass to the next joint, inertia
 
 theta_0_1 is 0, as theta_BJ1 takes its place. Lateral offsets and theta_E are not among them.
+
+On a known base, the motion depends on only 2 n + 1 combinations of those of the links (see
+base_motion):
+
+    m = sum_k m_k
+    S_j = m_j g_j + a_j sum_{k>j} m_k
+    K_j = I_j + m_j g_j^2 + a_j^2 sum_{k>j} m_k
 """
 
 from dataclasses import replace
 from functools import cache
 from math import inf
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -80,3 +88,21 @@ def with_values(arm: Arm, v: npt.ArrayLike) -> Arm:
     )
     base = replace(arm.base, mass=given[0], inertia=given[1], com=(given[2], given[3]))
     return replace(arm, base=base, links=links)
+
+
+def combinations(v: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:
+    """Return m, S_j and K_j, (2 n + 1,), of all parameters (5 n + 6,), real or complex."""
+    a, m, b, inertia = v[4 : 4 + n], *v[2 * n + 6 :].reshape(3, n)
+    g, beyond = a - b, np.cumsum(m[::-1])[::-1] - m
+    return np.concatenate([[m.sum()], m * g + a * beyond, inertia + m * g**2 + a**2 * beyond])
+
+
+def combination_gradients(arm: Arm) -> tuple[Floats, Floats]:
+    """Return the 2 n + 1 combinations and their derivatives by the 5 n + 6 parameters.
+
+    The derivatives are by complex steps, which are exact for polynomials.
+    """
+    v, step = values(arm), 1e-20
+    steps = v + 1j * step * np.eye(len(v))
+    columns = [combinations(one, arm.n).imag / step for one in steps]
+    return combinations(v, arm.n), np.array(columns).T

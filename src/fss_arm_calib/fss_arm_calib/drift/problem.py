@@ -20,6 +20,13 @@ import numpy as np
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model import drifting, layout
 from fss_arm_model.arrays import Floats
+from fss_arm_model.drifting import (
+    BODY_INDICES,
+    SHARED_COUNT,
+    STATE_COUNT,
+    Sensitivity,
+    sensitivities,
+)
 from fss_arm_model.estimation.least_squares import (
     Decomposition,
     Fit,
@@ -33,44 +40,15 @@ from fss_arm_model.estimation.statistics import redundancy
 
 NAMES = drifting.SURROUNDINGS
 UNITS = ("m/s^2", "m/s^2", "N m", "N m s", "N s/m")
-SHARED_COUNT = 5  # unknowns that all drifts share
-STATE_COUNT, OWN_COUNT = 6, 8  # unknowns of one drift: pose and twist; all
-BODY = [13, 14, 11, 12]  # indices of mass, inertia and centre of mass after these unknowns
-
-#: Half differences for numerical derivatives: far above rounding, with negligible curvature. The
-#: last two are for mass and inertia.
-DIFFERENCE_STEPS = np.array(
-    [1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2, 1e-3, 1e-4]
-)
+OWN_COUNT = STATE_COUNT + 2  # unknowns of one drift: pose and twist, centre of mass
 ZERO_REDUNDANCY = 1e-9  # redundancy below which one drift alone determines a direction
 TOLERANCE = 1e-4  # largest last update [deviations]; integration errors are smaller
 
 
-class Sensitivity(NamedTuple):
-    """Motion predicted for one drift, with derivatives by the first k of its unknowns."""
-
-    poses: Floats  # (m, 3)
-    poses_by: Floats  # (m, 3, k)
-    spin: float  # gain of angular momentum during the drift [N m s]
-    spin_by: Floats  # (k,)
-
-    def rows(self, drift: Drift) -> Floats:
-        """Return the derivatives of all poses and, in the last column, residuals (m, 3, k + 1)."""
-        off = np.array(drift.poses) - self.poses
-        return np.concatenate([self.poses_by, off[..., None]], axis=-1)
-
-
-def differentiate(drift: Drift, unknowns: Floats, k: int) -> Sensitivity:
-    """Predict a drift from its 15 unknowns, mass and inertia last; differentiate by the first k."""
-    steps = np.eye(k, len(unknowns)) * DIFFERENCE_STEPS
-    u = unknowns + np.concatenate([np.zeros((1, len(unknowns))), steps, -steps])
-    own = u[:, SHARED_COUNT : SHARED_COUNT + STATE_COUNT]
-    found = drifting.drift(u[:, BODY], u[:, :SHARED_COUNT], own, np.array(drift.times))
-    spin = u[:, BODY[1]] * (found[:, -1, 3] - own[:, 5])
-    poses, width = found[..., :3], 2.0 * DIFFERENCE_STEPS[:k]
-    poses_by = np.moveaxis(poses[1 : k + 1] - poses[k + 1 :], 0, -1) / width
-    spin_by = (spin[1 : k + 1] - spin[k + 1 :]) / width
-    return Sensitivity(poses[0], poses_by, float(spin[0]), spin_by)
+def pose_rows(one: Sensitivity, drift: Drift) -> Floats:
+    """Return the derivatives of all poses and, in the last column, residuals (m, 3, k + 1)."""
+    off = np.array(drift.poses) - one.poses
+    return np.concatenate([one.poses_by, off[..., None]], axis=-1)
 
 
 def mean_motion(drift: Drift) -> Floats:
@@ -121,8 +99,8 @@ class DriftProblem:
     def sensitivities(self, unknowns: Floats) -> list[Sensitivity]:
         """Return the motion of each drift, with its derivatives by shared and own unknowns."""
         return [
-            differentiate(
-                drift,
+            sensitivities(
+                drift.times,
                 np.concatenate([unknowns[:SHARED_COUNT], unknowns[own_unknowns(k)], body[:2]]),
                 SHARED_COUNT + OWN_COUNT,
             )
@@ -133,7 +111,7 @@ class DriftProblem:
         """Linearize observations and priors, divided by their standard deviations."""
         residuals, regressors = [], []
         for k, one in enumerate(self.sensitivities(unknowns)):
-            weighted = one.rows(self.drifts[k]) * (1.0 / self.sigma[k])[..., None]
+            weighted = pose_rows(one, self.drifts[k]) * (1.0 / self.sigma[k])[..., None]
             rows = compress_rows(weighted.reshape(-1, weighted.shape[-1]))
             J = np.zeros((len(rows), len(unknowns)))
             J[:, :SHARED_COUNT] = rows[:, :SHARED_COUNT]
@@ -315,10 +293,11 @@ class DriftMeasurements:
         for k, one in enumerate(self.drifts):
             mass, inertia, *com = bodies[k]
             u = np.array([*z[size:], *states[k], *com, mass, inertia])
-            weighted = differentiate(one, u, len(u)).rows(one) / self.sigma[k][..., None]
+            predicted = sensitivities(one.times, u, len(u))
+            weighted = pose_rows(predicted, one) / self.sigma[k][..., None]
             found.append(compress_rows(weighted.reshape(-1, len(u) + 1)))
         rows = np.array(found)
         A = np.zeros((*rows.shape[:2], len(z)))
         A[..., size:] = rows[..., :SHARED_COUNT]
-        A[..., :size] = rows[..., BODY] @ drifting.single_body_sensitivities(z[:size], q)
+        A[..., :size] = rows[..., BODY_INDICES] @ drifting.single_body_sensitivities(z[:size], q)
         return eliminate(A, rows[..., SHARED_COUNT : SHARED_COUNT + STATE_COUNT], rows[..., -1])

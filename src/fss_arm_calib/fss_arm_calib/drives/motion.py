@@ -1,4 +1,4 @@
-"""Motion of the arm from its encoders, and the torques and forces that its joints transmit.
+"""Motion of the arm from its encoders, without their periodic errors.
 
 An encoder on a harmonic drive's motor has an error of two periods per turn of the motor, that is,
 P = 2 N periods per turn of the joint (Tuttle & Seering 1996):
@@ -12,14 +12,12 @@ acceleration, the joint satisfies the trapezoidal rule, but its readings do not.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from fss_arm_model.arrays import Floats
-from fss_arm_model.description import Arm
-from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics
 from fss_arm_model.estimation.least_squares import Mask
-from fss_arm_model.layout import LINK_MASS, MOUNT_ANGLE, OFFSET, com, each, reach
 
 TRAPEZOID_STEP = 0.2  # approximate time between samples for the trapezoidal rule [s]
 KNOT_SPACING = 0.05  # least time between samples used to interpolate the motion [s]
@@ -43,8 +41,7 @@ class Samples:
         return float(np.median(np.diff(self.t)))
 
 
-@dataclass(frozen=True)
-class ArmMotion:
+class ArmMotion(NamedTuple):
     """Motion of the arm at k times."""
 
     q: Floats  # (k, n) [rad]
@@ -126,38 +123,3 @@ class Motion:
     def rates(self, t: Floats, j: int) -> Floats:
         """Return the rates (k,) of joint j, counted from 0."""
         return np.asarray(self._splines[j](t, 1))
-
-
-def transmitted_loads(arm: Arm, m: ArmMotion) -> tuple[Floats, Floats]:
-    """Return torques and forces transmitted by the joints of the floating arm.
-
-    There are no external forces and no momentum. The motion of the base follows from
-
-        H_b a_b = -(H_bm qdd + h_b),    H_b v_b = -H_bm qd
-
-    Returned are the torque (k, n) [N m] and the force across each link (k, n) [N] that accelerate
-    its mass and all masses beyond it. A tilt of the table accelerates all masses equally and has no
-    effect.
-    """
-    p = arm.vector()
-    state = np.concatenate([np.zeros((len(m.q), 3)), m.q], axis=1)
-    H = inertia_matrix(p, state)
-    base, coupling = H[:, :3, :3], H[:, :3, 3:]
-    twist = -np.linalg.solve(base, coupling @ m.qd[..., None])[..., 0]
-    rate = np.concatenate([twist, m.qd], axis=1)
-    push = (coupling @ m.qdd[..., None])[..., 0] + bias(p, state, rate)[:, :3]
-    pull = -np.linalg.solve(base, push[..., None])[..., 0]
-    torque = inverse_dynamics(p, state, rate, np.concatenate([pull, m.qdd], axis=1))[:, 3:]
-    offsets = np.concatenate([[p[MOUNT_ANGLE]], each(p, OFFSET)[1:]])
-    psi = np.cumsum(np.column_stack([np.zeros(len(m.q)), m.q + offsets]), axis=1)
-    turns = np.exp(1j * psi)
-    spins = np.cumsum(rate[:, 2:], axis=1)
-    gains = np.cumsum(np.column_stack([pull[:, 2], m.qdd]), axis=1)
-    turning = (1j * gains - spins**2) * turns
-    acceleration = pull[:, 0] + 1j * pull[:, 1] + reach(p, 0) * turning[:, 0]
-    forces = []
-    for k in range(1, arm.n + 1):
-        forces.append(each(p, LINK_MASS)[k - 1] * (acceleration + com(p, k) * turning[:, k]))
-        acceleration = acceleration + reach(p, k) * turning[:, k]
-    beyond = np.cumsum(np.column_stack(forces)[:, ::-1], axis=1)[:, ::-1]
-    return torque, (np.conj(1j * turns[:, 1:]) * beyond).real

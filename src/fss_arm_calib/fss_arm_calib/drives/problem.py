@@ -1,9 +1,9 @@
 """Parameters of each joint's drive and torque sensor, by two linear regressions.
 
 The arm's known masses set the scale. The torque s and the force f that a rigid arm would transmit
-are computed in motion.py. Averages are taken over windows with weights phi, a Hann window of length
-W. In these averages, the sensor's torque is s minus the torque of the links that swing on their
-gears. phi'' reduces the latter (modulating functions, Shinbrot 1957):
+are those of fss_arm_model.joint_loads. Averages are taken over windows with weights phi, a Hann
+window of length W. In these averages, the sensor's torque is s minus the torque of the links that
+swing on their gears. phi'' reduces the latter (modulating functions, Shinbrot 1957):
 
     <phi, seen> = g (<phi, s> + X <phi, f> - c <phi'', M s> + zero + drift t)
 
@@ -34,11 +34,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.drives.motion import Motion, Samples, transmitted_loads
+from fss_arm_calib.drives.motion import Motion, Samples
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.joint_loads import reduced_inertia, transmitted_loads
 
 INTEGRATION_STEP = 0.02  # step of the integrals [s]
 BLOCK_DURATION = 4.0  # time within which residuals may be correlated [s]
@@ -105,7 +105,7 @@ class Windows:
         """Return middles (w,), and torque, force and swing (w, n), between two times."""
         t = np.arange(begin, end, INTEGRATION_STEP)
         moving = self.motion.at(t)
-        torque, force = transmitted_loads(self.arm, moving)
+        torque, force = transmitted_loads(self.arm.vector(), *moving)
         half = round(0.5 * self.length / INTEGRATION_STEP)
         u = INTEGRATION_STEP * np.arange(-half, half + 1)
         turn = 2.0 * np.pi / self.length
@@ -115,7 +115,8 @@ class Windows:
         phi /= phi.sum()
         middles = np.arange(half, len(t) - half, max(1, half // 2))
         swing = _integrate(torque, bend, middles)
-        swing = np.einsum("kij,kj->ki", _reduced(self.arm, moving.q[middles]), swing)
+        inertia = reduced_inertia(self.arm.vector(), moving.q[middles])
+        swing = np.einsum("kij,kj->ki", inertia, swing)
         return t[middles], _integrate(torque, phi, middles), _integrate(force, phi, middles), swing
 
     def average_sensor(self, one: Samples) -> tuple[Floats, Floats]:
@@ -134,13 +135,6 @@ def _integrate(x: Floats, kernel: Floats, middles: np.ndarray) -> Floats:
     """Integrate columns (k, n) with a kernel about each middle, (w, n)."""
     every = [np.convolve(column, kernel[::-1], "same") for column in x.T]
     return np.column_stack(every)[middles]
-
-
-def _reduced(arm: Arm, q: Floats) -> Floats:
-    """Return the reduced inertia (k, n, n) at the joints of the floating arm."""
-    H = inertia_matrix(arm.vector(), np.concatenate([np.zeros((len(q), 3)), q], axis=1))
-    free = np.linalg.solve(H[:, :3, :3], H[:, :3, 3:])
-    return np.asarray(H[:, 3:, 3:] - np.swapaxes(H[:, :3, 3:], 1, 2) @ free)
 
 
 class Equations(NamedTuple):
@@ -218,10 +212,11 @@ def _collect_turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Tur
     m = w.motion.at(t)
     # The instrument is taken halfway between the torque's sample and that of the current, so that
     # it is equally correlated with both.
-    torque = transmitted_loads(w.arm, w.motion.at(t - 0.5 * one.age[which]))[0][:, j]
+    p, between = w.arm.vector(), w.motion.at(t - 0.5 * one.age[which])
+    torque = transmitted_loads(p, *between)[0][:, j]
     seen = (_interpolate_torques(one) if dense else one.torque)[which]
     phase = s.periods * m.q[:, j]
-    force = transmitted_loads(w.arm, m)[1][:, j]
+    force = transmitted_loads(p, *m)[1][:, j]
     gain = (after - before)[which] / (2.0 * gap)
     drift = (t - one.t.mean()) / 100.0
     others = np.ones(len(v)), drift, v, np.sign(v), np.sin(phase), np.cos(phase)

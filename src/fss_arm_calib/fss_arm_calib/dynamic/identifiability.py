@@ -1,16 +1,11 @@
 """Identifiability analysis of a dynamic calibration.
 
 For n links on a known base, the motion depends on only 2 n + 1 combinations of the masses, centres
-of mass and inertias (see fss_arm_model.base_motion):
-
-    m = sum_k m_k
-    S_j = m_j g_j + a_j sum_{k>j} m_k
-    K_j = I_j + m_j g_j^2 + a_j^2 sum_{k>j} m_k
+of mass and inertias: m, S_j and K_j of fss_arm_model.parameters.
 """
 
 from dataclasses import dataclass
 from math import inf
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +18,7 @@ from fss_arm_model.base_motion import base_pose_sensitivities
 from fss_arm_model.description import Arm
 from fss_arm_model.estimation.least_squares import Mask
 from fss_arm_model.joint_path import Law, path, stack
-from fss_arm_model.parameters import to_vector, values
+from fss_arm_model.parameters import combination_gradients, to_vector
 
 INVISIBLE, HARDLY_SEEN, VISIBLE = "invisible", "hardly seen", "seen"
 
@@ -114,28 +109,11 @@ def directions(result: DynamicResult, knowledge: Knowledge) -> list[Direction]:
     return found + [Direction(weights, 0.0, INVISIBLE) for weights in unseen]
 
 
-def _combine(v: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:
-    """Return m, S_j and K_j, (2 n + 1,), of all parameters (5 n + 6,), real or complex."""
-    a, m, b, inertia = v[4 : 4 + n], *v[2 * n + 6 :].reshape(3, n)
-    g, beyond = a - b, np.cumsum(m[::-1])[::-1] - m
-    return np.concatenate([[m.sum()], m * g + a * beyond, inertia + m * g**2 + a**2 * beyond])
-
-
-def _combination_gradients(arm: Arm) -> tuple[Floats, Floats]:
-    """Return the 2 n + 1 combinations and their derivatives by the 5 n + 6 parameters.
-
-    The derivatives are by complex steps, which are exact for polynomials.
-    """
-    v, step = values(arm), 1e-20
-    steps = v + 1j * step * np.eye(len(v))
-    return _combine(v, arm.n), np.array([_combine(one, arm.n).imag / step for one in steps]).T
-
-
 def combinations(result: DynamicResult) -> list[Combination]:
     """Return the combinations that the motion depends on, with their uncertainty."""
     problem = result.problem
     n, chosen = problem.arm.n, problem.choice.basis
-    combined, G = _combination_gradients(result.calibrated())
+    combined, G = combination_gradients(result.calibrated())
     size = chosen.shape[1]
     by_x, by_assumed = G @ chosen, G[:, problem.uncertain]
     through, assumed = by_x @ result.influence[:size] - by_assumed, result.assumed_covariance

@@ -22,14 +22,7 @@ from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import pose_deviations, problem_with_priors
 from fss_arm_calib.dynamic.solve import DynamicResult, solve
-from fss_arm_calib.experiment.planned import (
-    PAUSE,
-    NoManeuver,
-    Planned,
-    batch_law,
-    speed_limited_duration,
-    torque_limited_duration,
-)
+from fss_arm_calib.experiment.planned import NoManeuver, Planned, plan_law
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions, parse_goal_words
 from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_poses
@@ -37,6 +30,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.estimation.least_squares import Mask
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.joint_path import Path, path, stack
+from fss_arm_model.straight_moves import PAUSE, speed_limited_duration, torque_limited_duration
 
 ANGLE_STEP = np.radians(5.0)  # joint angles are multiples of it
 MOVE_ENDS = slice(None, -1), slice(1, None)  # start and end waypoints of the moves
@@ -101,7 +95,7 @@ def select_feasible(
 
 def _are_clear(guard: Guard, plan: Sequence[Planned]) -> Mask:
     """Return a mask of the maneuvers on which the arm stays clear."""
-    (law, edges), clear = batch_law(plan), np.empty(len(plan), dtype=bool)
+    (law, edges), clear = plan_law(plan), np.empty(len(plan), dtype=bool)
     q, qd = law(edges)
     counts = np.array([len(one.durations) for one in plan])
     for count in np.unique(counts):
@@ -120,7 +114,7 @@ def windowed_paths(
     middles = window / bins * (np.arange(bins) + 0.5)
     ends = np.array([[one.length + settings.settle_time] for one in plan])
     times = np.concatenate(np.broadcast_arrays(middles - window, ends + middles), axis=1)
-    return path(*batch_law(plan), times), max(1.0, settings.fresh_rate * window / bins)
+    return path(*plan_law(plan), times), max(1.0, settings.fresh_rate * window / bins)
 
 
 def predicted_problem(

@@ -8,12 +8,13 @@ the links at different phases.
 
 import numpy as np
 
-from fss_arm_calib.experiment.planned import NoManeuver, Planned, torque_limited_duration
+from fss_arm_calib.experiment.planned import NoManeuver, Planned
 from fss_arm_calib.experiment.settings import JOINT
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.guard.settings import GuardSettings
+from fss_arm_model.straight_moves import torque_limited_duration
 
 AMPLITUDES = (1.2, 0.8, 1.0, 0.3, 0.12, 0.06)  # amplitudes of the moves [rad]
 MIN_DURATIONS = (3.0, 2.4, 4.0, 3.0, 3.0, 3.0)  # least duration of each move [s]
