@@ -89,7 +89,10 @@ SHARED = within(
     "report_parts settings",
 )
 ROOMS = {
-    "fss_arm_bags": {ARRAYS, "fss_arm_ros", *within("fss_arm_model", "files planar settings")},
+    "fss_arm_bags": {
+        *(ARRAYS, UNITS, "fss_arm_ros"),
+        *within("fss_arm_model", "files planar settings"),
+    },
     "fss_arm_driver": {
         *("fss_link", "fss_arm_ros", "fss_arm_msgs", ARRAYS, UNITS),
         *within("fss_arm_model", "description description_file files settings urdf vehicle"),
@@ -117,7 +120,7 @@ ROOMS = {
         *within("fss_sim", "plant faults noise link.channel link.power link.radio"),
     },
     "fss_arm_model.estimation": {ARRAYS},
-    "fss_arm_calib.segments": {"fss_arm_model"},
+    "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_bags.recorded"},
     **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
     "fss_arm_calib.joint": {
         *("fss_arm_model", "fss_arm_bags", "fss_arm_msgs", "fss_arm_ros", *SHARED),

@@ -12,14 +12,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.arrays import Floats
+from fss_arm_model.arrays import Floats, Stamps
 from fss_arm_model.planar import project_to_plane
 from fss_arm_ros.convert import SECOND, TURN_RATE
 
 LITTLE_ENDIAN = b"\1"  # second byte of a message whose numbers have the low byte first
-
-
-Stamps = npt.NDArray[np.int64]
 
 
 class SerializedError(ValueError):

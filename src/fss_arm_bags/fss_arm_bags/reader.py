@@ -29,7 +29,16 @@ from fss_arm_bags.recovery import BagError, Recovered, recover
 from fss_arm_bags.unpacking import make_readable
 from fss_arm_model.files import short
 
-__all__ = ["BagError", "Bags", "Topic", "digest", "find_bags", "open_bags", "two_versions"]
+__all__ = [
+    "BagError",
+    "Bags",
+    "Topic",
+    "describe_source",
+    "digest",
+    "find_bags",
+    "open_bags",
+    "two_versions",
+]
 
 AnyPath = str | PathLike[str]
 
@@ -271,6 +280,13 @@ def digest(path: Path) -> str:
             while block := stream.read(1 << 20):
                 hashed.update(block)
     return hashed.hexdigest()
+
+
+def describe_source(bags: Bags) -> str:
+    """Return the names of the bags, the SHA-256 of their data and the losses of damaged bags."""
+    words = "({0.messages} messages recovered, {0.lost} bytes lost)"
+    lost = {one.path: f" {words.format(one)}" for one in bags.recovered}
+    return ", ".join(f"{path.name} {digest(path)}{lost.get(path, '')}" for path in bags.paths)
 
 
 def _join(paths: Iterable[Path]) -> str:

@@ -16,15 +16,17 @@ from typing import Any
 
 import numpy as np
 
+from fss_arm_bags.doctor.clock_lag import estimate_lag
+from fss_arm_bags.doctor.stream_faults import find_faults, name_streams
+from fss_arm_bags.recorded import Recorded, Track, unwrap_headings
 from fss_arm_calib.acceptance import CAUSE, PASS
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.checks import cause
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import difference
 from fss_arm_calib.segments.poses import BASE, TIP
-from fss_arm_calib.segments.recorded import Recorded, Track
+from fss_arm_calib.segments.replay import replay
 from fss_arm_calib.segments.samples import MAX_VALUE, describe_clock_error
-from fss_arm_calib.stream_faults import find_faults, name_streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.planar import project_to_plane
@@ -42,7 +44,6 @@ MAX_READING = 3.3  # readings above this are probably not in radians [rad]
 #: Largest expected errors of a description, by unit.
 MAX_ERRORS = {"m": 0.05, "rad": radians(20.0)}
 MIN_CLOCK_OFFSET = 0.25  # clock differences below this are ignored [s]
-LAG_STEP = 0.1  # resolution of the lag between clocks [s]
 MAX_TILT = 0.01  # mean x^2 + y^2 of a quaternion above which the subject is not flat
 
 
@@ -118,7 +119,7 @@ def calibrate_under(
     """Calibrate under a hypothesis; None if that is impossible."""
     try:
         finder: Any = kind.finder(arm, one.settings, [])
-        found = one.recorded.replay(finder)
+        found = replay(one.recorded, finder)
         return kind.calibrate(found, arm, one.settings, finder.streams(), "")
     except (ArithmeticError, LookupError, ValueError):
         return None
@@ -205,11 +206,15 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     right = min(late.values(), key=abs)
     off = {name: by - right for name, by in late.items() if abs(by - right) > MIN_CLOCK_OFFSET}
     if off:
-        changed = recorded.change(**dict.fromkeys(("joints", "poses", "rates"), _stamp_by_receipt))
+
+        def restamp(_: str, track: Track) -> Track:
+            return track.stamped_by_receipt()
+
+        changed = recorded.change(joints=restamp, poses=restamp, rates=restamp)
         by = -float(np.median(list(off.values())))
         words = f"clock of {name_streams([*off], recorded)} {describe_clock_error(by)} the others?"
         yield words, "with the times of receipt", changed
-    by = _estimate_lag(recorded)
+    by = estimate_lag(recorded, BASE, TIP, 2.0 * MAX_LENGTH)
     if abs(by) > MIN_CLOCK_OFFSET:
         words = f"clock of the joints {describe_clock_error(by)} the subjects'?"
         earlier = round(by * SECOND)
@@ -218,53 +223,6 @@ def _clock_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
             return track._replace(t=track.t - earlier)
 
         yield words, "with shifted stamps", recorded.change(joints=shift, rates=shift)
-
-
-def _stamp_by_receipt(_: str, track: Track) -> Track:
-    """Shift the stamps to the receiver's clock; the smallest delay is taken as zero."""
-    if not len(track.t):
-        return track
-    by = int(np.min(track.receipt - track.t))
-    return track._replace(t=track.t + by)
-
-
-def _estimate_lag(recorded: Recorded) -> float:
-    """Estimate how much later joints' stamps are than subjects' in motion [s]; 0: not known."""
-    base, tip = (recorded.poses.get(name) for name in (BASE, TIP))
-    joints = list(recorded.joints.values())
-    if base is None or not joints or min(len(track.t) for track in [base, *joints]) < 10:
-        return 0.0
-    begins = np.array([min(int(t.t[0]) for t in joints), int(base.t[0])])
-    ends = np.array([max(int(t.t[-1]) for t in joints), int(base.t[-1])])
-    if np.max(ends - begins) > 2 * MAX_LENGTH * SECOND:
-        return 0.0
-    seconds = (ends - begins) / SECOND
-
-    def changes(k: int, track: Track, angles: Floats) -> Floats:
-        """Return the size of the changes of angles (m,) at the stamps of a track, in steps."""
-        at = np.arange(0.0, seconds[k], LAG_STEP)
-        return np.abs(np.diff(np.interp(at, (track.t - begins[k]) / SECOND, angles)))
-
-    seen = project_to_plane(base.values)[:, 2]
-    if tip is not None and len(tip.t) > 10:
-        t, since = ((track.t - begins[1]) / SECOND for track in (base, tip))
-        other = _unwrap_headings(project_to_plane(tip.values)[:, 2])
-        seen = np.interp(t, since, other) - _unwrap_headings(seen)
-    there = changes(1, base, _unwrap_headings(seen))
-    here = np.sum([changes(0, track, track.values[:, 0]) for track in joints], axis=0)
-    size = len(here) + len(there)
-    spectra = (np.fft.rfft(part - part.mean(), size) for part in (here, there))
-    k = int(np.argmax(np.fft.irfft(next(spectra) * np.conj(next(spectra)), size)))
-    later = LAG_STEP * (k if k < len(here) else k - size)
-    return later + float(begins[0] - begins[1]) / SECOND
-
-
-def _unwrap_headings(heading: Floats) -> Floats:
-    """Return the headings unwrapped, and interpolated where the subject was not seen."""
-    seen = np.flatnonzero(np.isfinite(heading))
-    if not len(seen):
-        return np.zeros(len(heading))
-    return np.interp(np.arange(len(heading)), seen, np.unwrap(heading[seen]))
 
 
 def _pose_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
@@ -307,7 +265,7 @@ def _tip_from_base(recorded: Recorded) -> Recorded:
         return recorded
     at, seen = project_to_plane(base.values), project_to_plane(tip.values)
     t, since = (track.t - base.t[0] for track in (tip, base))
-    columns = *at.T[:2], _unwrap_headings(at[:, 2])
+    columns = *at.T[:2], unwrap_headings(at[:, 2])
     x, y, heading = (np.interp(t, since, column) for column in columns)
     away = (seen[:, 0] + 1j * seen[:, 1]) * np.exp(1j * heading)
     half, none = 0.5 * (heading + seen[:, 2]), np.zeros(len(t))

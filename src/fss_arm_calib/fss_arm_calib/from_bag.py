@@ -10,10 +10,11 @@ from typing import Any, TypeVar
 
 from rich.console import Console
 
-from fss_arm_bags.reader import open_bags
+from fss_arm_bags.reader import describe_source, open_bags
+from fss_arm_bags.streams import read_streams
 from fss_arm_calib import result
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
-from fss_arm_calib.bag_data import describe_source, find_data, recorded_streams
+from fss_arm_calib.bag_data import find_data, topic_name
 from fss_arm_calib.bag_options import default_settings
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.causes import explain_failure
@@ -89,7 +90,8 @@ def solve_bag(
         outcome = kind.calibrate(found, arm, s, finder.streams(), describe_source(bags))
         if outcome.verdict == PASS:
             return outcome
-        return explain_failure(kind, outcome, recorded_streams(bags, inputs, namespace))
+        subjects = {topic_name(bags, one, namespace): one.subject for one in inputs}
+        return explain_failure(kind, outcome, read_streams(bags, subjects))
 
 
 def initial_arm(kinematic: str | None, settings: Any, options: argparse.Namespace) -> Arm | None:

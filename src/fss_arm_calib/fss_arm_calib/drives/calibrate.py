@@ -13,10 +13,9 @@ from fss_arm_calib.drives.problem import COULOMB, GAIN, KT, NAMES, VISCOUS, ZERO
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.outcome import LIVE, Estimate, Outcome, make_outcome
 from fss_arm_calib.segments.excitations import Excitation
-from fss_arm_calib.segments.samples import Stamps
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import keep_since_homing
-from fss_arm_model.arrays import Floats
+from fss_arm_model.arrays import Floats, Stamps
 from fss_arm_model.description import Arm, Link
 
 REQUIRED = ("torque_constant", "torque_gain", "viscous", "coulomb")

@@ -5,8 +5,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from fss_arm_bags.reader import open_bags
-from fss_arm_calib.bag_data import describe_source, find_data, topic_name
+from fss_arm_bags.reader import describe_source, open_bags
+from fss_arm_calib.bag_data import find_data, topic_name
 from fss_arm_calib.bag_options import default_settings
 from fss_arm_calib.calibration import Input
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate

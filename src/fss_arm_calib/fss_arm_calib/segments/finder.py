@@ -18,10 +18,9 @@ from math import nan
 from typing import Any, Generic, TypeVar
 
 from fss_arm_calib.segments.joints import Rest
-from fss_arm_calib.segments.samples import Stamps
 from fss_arm_calib.segments.sensors import Sensors
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.arrays import Floats
+from fss_arm_model.arrays import Floats, Stamps
 
 CLEANUP_INTERVAL = 1000  # samples between two removals of old data
 

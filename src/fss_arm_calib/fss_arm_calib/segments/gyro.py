@@ -5,8 +5,8 @@ from math import nan
 
 import numpy as np
 
-from fss_arm_calib.segments.samples import MAX_VALUE, OUT_OF_RANGE, Stamps, Stream
-from fss_arm_model.arrays import Floats
+from fss_arm_calib.segments.samples import MAX_VALUE, OUT_OF_RANGE, Stream
+from fss_arm_model.arrays import Floats, Stamps
 from fss_arm_model.planar import wrap
 from fss_arm_model.units import SECOND
 

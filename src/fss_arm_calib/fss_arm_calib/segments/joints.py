@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.segments.samples import MAX_VALUE, NOT_FINITE, OUT_OF_RANGE, Stamps, Stream
-from fss_arm_model.arrays import Floats
+from fss_arm_calib.segments.samples import MAX_VALUE, NOT_FINITE, OUT_OF_RANGE, Stream
+from fss_arm_model.arrays import Floats, Stamps
 from fss_arm_model.stillness import Run
 from fss_arm_model.units import SECOND
 

@@ -17,11 +17,10 @@ from fss_arm_calib.segments.samples import (
     MAX_VALUE,
     OUT_OF_RANGE,
     Gap,
-    Stamps,
     Stream,
     find_silences,
 )
-from fss_arm_model.arrays import Floats
+from fss_arm_model.arrays import Floats, Stamps
 from fss_arm_model.planar import wrap
 from fss_arm_model.units import SECOND
 

@@ -8,11 +8,9 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fss_arm_model.arrays import Stamps
 from fss_arm_model.units import SECOND
-
-Stamps = npt.NDArray[np.int64]
 
 CONFIRMATION_TIME = SECOND  # time for which samples must follow a suspect one to confirm it [ns]
 MAX_VALUE = 1e3  # largest valid value on a test bed [rad, rad/s, m]

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fss_arm_calib.segments.recorded import Recorded, Track
+from fss_arm_bags.recorded import Recorded, Track
 from fss_arm_model.units import SECOND
 
 MIN_SHARE = 0.3  # share of a stream's samples, or of its time, with a fault that hides data

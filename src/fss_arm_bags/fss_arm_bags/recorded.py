@@ -1,18 +1,13 @@
-"""Streams recorded in a bag, kept in memory to replay them with modifications."""
+"""Streams recorded in a bag, kept in memory to examine them and to replay them with changes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.segments.finder import Finder
-from fss_arm_calib.segments.samples import Stamps
-from fss_arm_model.arrays import Floats
-from fss_arm_model.planar import project_to_plane
+from fss_arm_model.arrays import Floats, Stamps
 from fss_arm_model.units import SECOND
-
-CHUNK_DURATION = 10 * SECOND  # length of the chunks in which streams are replayed in turn [ns]
 
 
 class Track(NamedTuple):
@@ -34,6 +29,12 @@ class Track(NamedTuple):
         """Return the samples received at or after `begin` [ns]."""
         keep = self.receipt >= begin
         return Track(self.t[keep], self.receipt[keep], self.values[keep])
+
+    def stamped_by_receipt(self) -> "Track":
+        """Return it with stamps of the receiver's clock; the smallest delay is taken as zero."""
+        if not len(self.t):
+            return self
+        return self._replace(t=self.t + int(np.min(self.receipt - self.t)))
 
 
 @dataclass(frozen=True)
@@ -67,26 +68,10 @@ class Recorded:
 
         return self.change(joints=thinned(joints), poses=thinned(poses), rates=thinned(poses))
 
-    def replay(self, finder: Finder[Any, Any]) -> Sequence[Any]:
-        """Replay the streams to a finder and return the segments that it finds."""
-        planar = {name: project_to_plane(track.values) for name, track in self.poses.items()}
-        names = {f"joint_{i}": i for i in range(1, len(finder.sensors.joints) + 1)}
-        times = [int(t) for one in self.tracks if len(one.t) for t in one.receipt[[0, -1]]]
-        found: list[Any] = []
-        for begin in range(min(times, default=0), max(times, default=-1) + 1, CHUNK_DURATION):
-            for name, track in self.joints.items():
-                chunk = _chunk(track, begin)
-                rows = zip(track.t[chunk].tolist(), track.values[chunk].tolist(), strict=True)
-                for t, (q, qd) in rows if name in names else ():
-                    found += finder.add_reading(names[name], t, q, qd)
-            for name, track in self.poses.items():
-                chunk = _chunk(track, begin)
-                found += finder.add_poses(name, track.t[chunk], planar[name][chunk])
-            for track in self.rates.values():
-                chunk = _chunk(track, begin)
-                found += finder.add_rates(track.t[chunk], track.values[chunk, 0])
-        return found + finder.close()
 
-
-def _chunk(track: Track, begin: int) -> slice:
-    return slice(*np.searchsorted(track.receipt, [begin, begin + CHUNK_DURATION]).tolist())
+def unwrap_headings(heading: Floats) -> Floats:
+    """Return the headings unwrapped, and interpolated where the subject was not seen."""
+    seen = np.flatnonzero(np.isfinite(heading))
+    if not len(seen):
+        return np.zeros(len(heading))
+    return np.interp(np.arange(len(heading)), seen, np.unwrap(heading[seen]))
