@@ -24,10 +24,10 @@ from peak import peak
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_model import base_motion, dynamics, joint_path
+from fss_arm_model.choice import Choice
 from fss_arm_model.description import paper_arm
 
 ARM, N = paper_arm(), 4

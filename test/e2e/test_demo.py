@@ -25,11 +25,11 @@ from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solve import solve
-from fss_arm_calib.state import read
 from fss_arm_model.description_file import load
 from fss_arm_model.layout import kinematic_index
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.state_file import read
 
 ROOT = Path(__file__).resolve().parents[2]
 SENSORS = "['/joint_states','/vicon/fss/fss','/vicon/end_effector/end_effector']"

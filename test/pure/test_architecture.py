@@ -120,12 +120,12 @@ ROOMS = {
         *within("fss_sim", "plant faults noise link.channel link.power link.radio"),
     },
     "fss_arm_model.estimation": {ARRAYS},
-    "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_bags.recorded"},
+    "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_bags.recorded", "fss_arm_ros.dates"},
     **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
     "fss_arm_calib.joint": {
         *("fss_arm_model", "fss_arm_bags", "fss_arm_msgs", "fss_arm_ros", *SHARED),
-        *within("fss_arm_calib", "bag_command bag_data bag_options kinds"),
-        *within("fss_arm_calib.dynamic", "parameters settings"),
+        *within("fss_arm_calib", "bag_data kinds"),
+        *within("fss_arm_calib.dynamic", "knowledge settings"),
     },
     "fss_gnc.navigation": {
         *("fss_arm_model", "fss_arm_msgs.msg", "fss_arm_ros.convert", "fss_arm_ros.stamps"),

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fss_arm_calib.dynamic.parameters import Choice, Knowledge
+from fss_arm_calib.dynamic.knowledge import Knowledge
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_model import base_motion, joint_path
+from fss_arm_model.choice import Choice
 from fss_arm_model.description import Link, paper_arm
 from fss_arm_model.parameters import to_vector
 

@@ -4,8 +4,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.kinematic import model
-from fss_arm_calib.kinematic.problem import KinematicProblem, reading_jacobian
+from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_model.arrays import Floats
+from fss_arm_model.kinematics import reading_jacobian
 
 
 def quantization_bound(

@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_calib.segments.rests import Observation
-from fss_arm_calib.state import StateError, restore
+from fss_arm_calib.state import restore
 from fss_arm_driver import protocol as links
 from fss_arm_driver.arm.request import TrajectoryError, parse_request
 from fss_arm_driver.arm.trajectory import plan_trajectory
@@ -35,6 +35,7 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import from_yaml, to_yaml
 from fss_arm_model.files import ContentError
 from fss_arm_motion.plan_file import parsed
+from fss_arm_ros.state_file import StateError
 from fss_base_driver import protocol as base
 from fss_base_driver.dsp3000 import Lines
 from fss_base_driver.protocol import BaseState

@@ -6,7 +6,7 @@ with them. A bag that is not complete (its recorder was killed) is read from a c
 undamaged chunks in a temporary folder.
 """
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from hashlib import sha256
@@ -22,6 +22,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
 
 from fss_arm_bags.chunks import Received, indexed_chunks, read_in_order
+from fss_arm_bags.definitions import definition, extends, message_class, upgrade
 from fss_arm_bags.inspection import Inspection, inspect
 from fss_arm_bags.layout import STORAGE_SUFFIXES, storage_files
 from fss_arm_bags.readers import TopicReader
@@ -33,6 +34,7 @@ __all__ = [
     "BagError",
     "Bags",
     "Topic",
+    "converter",
     "describe_source",
     "digest",
     "find_bags",
@@ -280,6 +282,25 @@ def digest(path: Path) -> str:
             while block := stream.read(1 << 20):
                 hashed.update(block)
     return hashed.hexdigest()
+
+
+def converter(bags: Bags, topic: str) -> Callable[[Any], Any]:
+    """Return a function that converts messages of a topic to the installed version of their type.
+
+    Raises:
+        BagError: the installed version lacks a field of the recorded one.
+        NotInstalledError: the type is not installed.
+    """
+    about = bags.topics[topic]
+    if about.hash in ("", definition(about.msgtype).hash):
+        return lambda message: message
+    if not extends(about.msgtype, about.definition):
+        raise BagError(
+            f"{topic}: {about.msgtype} is installed in another version than was recorded; "
+            "use `from_bag` to calibrate again from the measurements"
+        )
+    kind = message_class(about.msgtype)
+    return lambda message: upgrade(message, kind)
 
 
 def describe_source(bags: Bags) -> str:

@@ -13,7 +13,7 @@ from fss_arm_calib.calibration import CAUSES, Calibration
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
 from fss_arm_calib.segments.streams import Streams, keep_newest
-from fss_arm_calib.state import FileWriter, Flags, StateError, restore, save
+from fss_arm_calib.state import Flags, restore, save
 from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.calibrated import Calibrated
@@ -24,6 +24,7 @@ from fss_arm_ros.memory import give_back
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.report import write
+from fss_arm_ros.state_file import FileWriter, StateError
 from fss_arm_ros.subscription_set import receive_pending
 from fss_arm_ros.validation import subscribe
 

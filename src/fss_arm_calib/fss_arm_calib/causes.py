@@ -26,11 +26,12 @@ from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import difference
 from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_calib.segments.replay import replay
-from fss_arm_calib.segments.samples import MAX_VALUE, describe_clock_error
+from fss_arm_calib.segments.samples import MAX_VALUE
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.planar import project_to_plane
 from fss_arm_model.units import SECOND
+from fss_arm_ros.dates import describe_clock_error
 
 MAX_LENGTH = 900.0  # length of the last part of the recording that is used [s]
 JOINT_PERIOD, POSE_PERIOD = 0.05, 0.02  # sample periods to which the data are thinned [s]

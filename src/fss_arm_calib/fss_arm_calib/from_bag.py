@@ -15,7 +15,6 @@ from fss_arm_bags.streams import read_streams
 from fss_arm_calib import result
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
 from fss_arm_calib.bag_data import find_data, topic_name
-from fss_arm_calib.bag_options import default_settings
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.causes import explain_failure
 from fss_arm_calib.from_bag_options import DEFAULT_KIND, parser, selected_kind
@@ -29,7 +28,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described, from_yaml, load
 from fss_arm_ros import report
 from fss_arm_ros.calibrated import with_kinematics_of
-from fss_arm_ros.command_line import in_one_line
+from fss_arm_ros.command_line import default_settings, in_one_line
 from fss_arm_ros.libraries import require
 
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}

@@ -5,14 +5,14 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from fss_arm_calib.bag_options import EPILOG, add_output_options, add_settings, default_settings
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.joint.kind import JOINT
 from fss_arm_calib.kinds import KINDS
-from fss_arm_ros.command_line import Parser
+from fss_arm_ros.command_line import Parser, add_settings, default_settings
 
 DEFAULT_KIND = "kinematic"  # kind of calibration if no option selects one
 
+EPILOG = "Exit codes: 0 pass, 1 the command cannot be carried out, 2 fail, 3 not evaluated."
 USAGE = "from_bag [OPTION ...] BAG [BAG ...]"
 JOINT_DESCRIPTION = """Estimate one arm from all rests, maneuvers and drifts of one or more bags.
 Each bag is a session: tilt, hose and joint zeros may differ between bags, and after a homing within
@@ -42,7 +42,16 @@ def parser(
         if other.name != DEFAULT_KIND:
             about = f"{other.about} See --{other.name} --help"
             one.add_argument(f"--{other.name}", action="store_true", help=about)
-    add_output_options(p, kind.output_name)
+    p.add_argument(
+        "--output", metavar="FILE", help=f"write the {kind.output_name} if the calibration passes"
+    )
+    p.add_argument(
+        "--result", metavar="JSON", help="write the result as JSON and CSV, whatever the verdict"
+    )
+    p.add_argument("--report", metavar="DIR", help="write an HTML page, and its figures as PNG")
+    p.add_argument("--details", action="store_true", help="print all tables and checks")
+    p.add_argument("--truth", metavar="YAML", help="true description to compare with in the report")
+    p.add_argument("--namespace", default="", help="namespace of the vehicle, e.g. fss2")
     if kind is JOINT:
         p.add_argument(
             "--params",

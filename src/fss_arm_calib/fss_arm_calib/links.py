@@ -8,12 +8,12 @@ from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fss_arm_calib.dates import is_simulated
 from fss_arm_calib.result import read_passed
 from fss_arm_model.description_file import from_yaml, link_file, load, read_link, save_links
 from fss_arm_model.files import ContentError
 from fss_arm_ros import report
 from fss_arm_ros.command_line import Parser, in_one_line
+from fss_arm_ros.dates import is_simulated
 
 if TYPE_CHECKING:
     from rich.table import Table

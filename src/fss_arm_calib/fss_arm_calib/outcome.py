@@ -1,6 +1,7 @@
 """Outcome of a calibration of any kind: data, estimate, checks and provenance."""
 
 import hashlib
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import isfinite, nan, radians
@@ -20,7 +21,6 @@ from fss_arm_calib.acceptance import (
     summarize,
 )
 from fss_arm_calib.checks import frame_mismatch, stream_causes
-from fss_arm_calib.dates import calibrated_name, format_time
 from fss_arm_calib.precision import MASS_UNITS, MAX_USABLE_DEVIATION
 from fss_arm_calib.segments.streams import Datum, Streams
 from fss_arm_model.arrays import Floats
@@ -28,6 +28,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.estimation import outliers
 from fss_arm_model.files import ContentError
+from fss_arm_ros.dates import format_time
 
 #: Settings of earlier results that no longer exist, with the values that keep a result.
 FORMER_SETTINGS = {
@@ -43,6 +44,8 @@ FORMER_SETTINGS = {
 DATA_FIELDS = "weights", "leverage", "errors", "reasons"  # of an Estimate, from a Solution
 
 LIVE = "live"  # source of data received from topics
+BAG_HASH = re.compile(r"(?:^|, )(.+?) [0-9a-f]{64}(?: \([^)]*\))?(?=, |$)", re.DOTALL)
+CALIBRATED = ", calibrated "
 
 
 D = TypeVar("D", bound=Datum)
@@ -256,6 +259,17 @@ def make_outcome(
         description = to_yaml(named, list(_origin_lines(provenance, checks, estimate)))
     found = tuple(data), tuple(used), arm, settings, streams, tuple(checks)
     return Outcome(*found, provenance, estimate, solution, description)
+
+
+def calibrated_name(arm: str, source: str, end: int) -> str:
+    """Return the name of a calibrated arm, from that of the initial one, which may be calibrated.
+
+    The data end at `end` [ns]; their source is `live`, or names and SHA-256 of bags.
+    """
+    bags = BAG_HASH.findall(source)
+    origin = f"from {', '.join(bags)}" if bags else source
+    name = f"{arm.partition(CALIBRATED)[0]}{CALIBRATED}{origin}, {format_time(end)}"
+    return "".join(letter if letter.isprintable() else "?" for letter in name)
 
 
 def _origin_lines(

@@ -1,14 +1,13 @@
 """Implementation of the command `recompute`."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from fss_arm_bags.definitions import definition, extends, message_class, upgrade
-from fss_arm_bags.reader import BagError, Bags, open_bags
+from fss_arm_bags.reader import BagError, Bags, converter, open_bags
 from fss_arm_calib.acceptance import format_count
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.joint.kind import JOINT
@@ -77,20 +76,6 @@ def _difference(a: Any, b: Any) -> float:
     return float(np.max(np.nan_to_num(np.abs(a[other] - b[other]), nan=np.inf), initial=0.0))
 
 
-def _reader(bags: Bags, topic: str) -> Callable[[Any], Any]:
-    """Return a function that converts recorded messages of a topic to the installed version."""
-    about = bags.topics[topic]
-    if about.hash in ("", definition(about.msgtype).hash):
-        return lambda message: message
-    if not extends(about.msgtype, about.definition):
-        raise BagError(
-            f"{topic}: {about.msgtype} is installed in another version than was recorded; "
-            "use `from_bag` to calibrate again from the measurements"
-        )
-    kind = message_class(about.msgtype)
-    return lambda message: upgrade(message, kind)
-
-
 def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
     """Recompute all recorded results of the vehicle in a namespace, and compare.
 
@@ -102,7 +87,7 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
     kinds = [*KINDS.values(), JOINT]
     for kind in kinds:
         results, source = f"{space}{kind.topic}", f"{space}{kind.data.topic}"
-        of = {topic: _reader(bags, topic) for topic in {results, source} & bags.topics.keys()}
+        of = {topic: converter(bags, topic) for topic in {results, source} & bags.topics.keys()}
         read = [(topic, m) for topic, _, _, m in bags.messages(of)]
         data = [of[topic](m) for topic, m in read if topic == source]
         ends = [{0, *(one.end for one in kind.data.from_message(m))} for m in data]

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
-from fss_arm_calib.dates import format_period, now
 from fss_arm_calib.outcome import Estimate, Outcome
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
 from fss_arm_model.planar import wrap
 from fss_arm_ros import palette
+from fss_arm_ros.dates import format_period, now
 from fss_arm_ros.report import Figure, Report, Table
 
 

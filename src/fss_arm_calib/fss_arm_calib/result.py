@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib import state
 from fss_arm_calib.acceptance import PASS
-from fss_arm_calib.dates import now
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import from_yaml
 from fss_arm_model.files import ContentError, write_text
+from fss_arm_ros import state_file
+from fss_arm_ros.dates import now
 
 SCHEMA = "fss_arm_calib/result/1"
 
@@ -64,7 +64,7 @@ def table(outcome: Outcome[Any, Any]) -> str:
 
 def write(path: str | Path, kind: str, outcome: Outcome[Any, Any]) -> None:
     """Write a result as JSON, and as CSV next to it."""
-    state.write(path, contents(kind, outcome))
+    state_file.write(path, contents(kind, outcome))
     write_text(Path(path).with_suffix(".csv"), table(outcome))
 
 
@@ -74,7 +74,7 @@ def read_passed(path: str | Path, kind: str = "") -> dict[str, Any]:
     Raises:
         ContentError: the file is not such a result, or the result has not passed.
     """
-    found = state.read(path, None)
+    found = state_file.read(path, None)
     if found is None:
         raise FileNotFoundError(f"no such file: {path}")
     if not isinstance(found, dict) or found.get("schema") != SCHEMA:

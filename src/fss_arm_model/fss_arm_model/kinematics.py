@@ -206,3 +206,13 @@ def tip_regressor(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
     """
     p, q, n = checked(p, _with_base_at_origin(q_m))
     return _tip_regressor(p, q, SIZE_THREE, np.empty(2 * n + 2))
+
+
+def reading_jacobian(p: npt.ArrayLike, q_m: npt.ArrayLike) -> Floats:
+    """Return the derivative of tip_in_base by the readings, (..., 3, n).
+
+    It equals the derivative by the joints' offsets.
+    """
+    Phi = tip_regressor(p, q_m)
+    n = Phi.shape[-1] // 2 - 1
+    return Phi[..., [2 * n + 1, *range(n, 2 * n - 1)]]

@@ -19,6 +19,12 @@ def inverse(pose: Floats) -> Floats:
     return np.stack([away.real, away.imag, -pose[..., 2]], axis=-1)
 
 
+def mean_pose(poses: Floats) -> Floats:
+    """Return the mean of poses (k, 3) that differ by noise; headings are averaged on the circle."""
+    heading = np.angle(np.mean(np.exp(1j * poses[:, 2])))
+    return np.array([*poses[:, :2].mean(axis=0), heading])
+
+
 def project_to_plane(numbers: Floats) -> Floats:
     """Project poses x, y, z [m] and quaternion x, y, z, w, (k, 7), to the plane of the table.
 

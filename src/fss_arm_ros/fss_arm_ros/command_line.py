@@ -3,10 +3,13 @@
 import argparse
 import signal
 import sys
-from collections.abc import Callable
+from argparse import BooleanOptionalAction
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 from functools import wraps
 from typing import Any, NoReturn, ParamSpec
 
+from fss_arm_model.settings import default_in, default_text, meaning
 from fss_arm_ros.libraries import required_libraries
 
 P = ParamSpec("P")
@@ -27,6 +30,37 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Exit with USER_ERROR."""
         self.exit(USER_ERROR, f"{self.prog}: {message}\n")
+
+
+def default_settings(kind: type[Any], namespace: str) -> dict[str, Any]:
+    """Return the default settings of a vehicle in a namespace."""
+    return {f.name: default_in(f, namespace) for f in fields(kind)}
+
+
+def add_settings(
+    p: argparse.ArgumentParser, kind: type[Any], names: Sequence[str] | None = None
+) -> None:
+    """Add an option for each setting of a dataclass, or only for those in `names`."""
+    for f in (f for f in fields(kind) if names is None or f.name in names):
+        flag, about = f"--{f.name.replace('_', '-')}", meaning(f)
+        if isinstance(f.default, bool):
+            p.add_argument(flag, action=BooleanOptionalAction, default=f.default, help=about)
+            continue
+        several = f.default if isinstance(f.default, tuple) else ()
+        p.add_argument(
+            flag,
+            type=type(several[0] if several else f.default),
+            nargs=len(several) or None,
+            default=f.default,
+            metavar=f.name.split("_")[-1].upper() if isinstance(f.default, str) else "N",
+            help=f"{about}{_default(f.default)}".replace("%", "%%"),
+        )
+
+
+def _default(value: Any) -> str:
+    """Return a default as help shows it after the meaning, which names the effect of ''."""
+    words = " ".join(map(default_text, value)) if isinstance(value, tuple) else default_text(value)
+    return words and f" (default {words})"
 
 
 def interrupt_at_end() -> None:

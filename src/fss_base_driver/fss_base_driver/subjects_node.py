@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import degrees, pi
+from math import degrees
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from rclpy.validate_topic_name import validate_topic_name
 from rich.console import Console
 from rich.table import Table
 
+from fss_arm_model.planar import mean_pose, wrap
 from fss_arm_model.settings import POSITIVE
 from fss_arm_ros.command_line import interrupt_at_end
 from fss_arm_ros.convert import SECOND, seen_pose, stamp_ns
@@ -61,10 +62,9 @@ class SubjectLog:
                 cells[3] += f" ({(between > 1.5 * typical).sum()} over {1.5e3 * typical:.1f})"
         if not self.poses:
             return [*cells, "-", "-", "-", str(self.unusable)]
-        xy = np.mean([pose[:2] for pose in self.poses], axis=0)
-        heading = np.angle(np.mean(np.exp(1j * np.array([pose[2] for pose in self.poses]))))
-        turned = degrees((heading + pi) % (2.0 * pi) - pi)
-        return [*cells, f"{xy[0]:.4f}", f"{xy[1]:.4f}", f"{turned:.2f}", str(self.unusable)]
+        x, y, heading = mean_pose(np.array(self.poses))
+        turned = degrees(wrap(heading))
+        return [*cells, f"{x:.4f}", f"{y:.4f}", f"{turned:.2f}", str(self.unusable)]
 
 
 class Listener(Node):

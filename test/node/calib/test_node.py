@@ -20,12 +20,12 @@ from fss_arm_calib.messages import calibration_part, common_message
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.recompute import main as recompute
 from fss_arm_calib.recompute import recalibrate
-from fss_arm_calib.state import StateError
 from fss_arm_model.description_file import load
 from fss_arm_model.urdf import urdf
 from fss_arm_msgs.msg import Calibration
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN
+from fss_arm_ros.state_file import StateError
 
 assert CASES.keys() == KINDS.keys()
 

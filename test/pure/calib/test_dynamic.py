@@ -9,9 +9,10 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fss_arm_calib.dynamic.parameters import Choice, Knowledge
+from fss_arm_calib.dynamic.knowledge import Knowledge
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_model import dynamics
+from fss_arm_model.choice import Choice
 from fss_arm_model.description import paper_arm
 from fss_arm_model.joint_path import stack
 from fss_arm_model.parameters import to_vector, values

@@ -12,8 +12,9 @@ from fss_arm_calib.dynamic.identifiability import (
     directions,
     invisible_directions,
 )
-from fss_arm_calib.dynamic.parameters import Choice, Knowledge
+from fss_arm_calib.dynamic.knowledge import Knowledge
 from fss_arm_calib.dynamic.solve import solve
+from fss_arm_model.choice import Choice
 from fss_arm_model.parameters import combination_gradients
 
 KNOWN = Knowledge()

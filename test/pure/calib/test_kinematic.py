@@ -8,11 +8,11 @@ from calib_maneuvers import arm_of
 
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic import model
-from fss_arm_calib.kinematic.problem import EQUAL, FULL, KinematicProblem, reading_jacobian
+from fss_arm_calib.kinematic.problem import EQUAL, FULL, KinematicProblem
 from fss_arm_calib.kinematic.solve import NotIdentifiable, solve
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.estimation.least_squares import CAUCHY, HUBER, SQUARE
-from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.kinematics import reading_jacobian, tip_in_base
 from fss_arm_model.layout import kinematic_names
 from fss_arm_model.planar import wrap
 

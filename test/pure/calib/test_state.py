@@ -9,7 +9,8 @@ from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_calib.state import MAX_FILE_SIZE, Flags, StateError, restore, save
+from fss_arm_calib.state import Flags, restore, save
+from fss_arm_ros.state_file import MAX_FILE_SIZE, StateError
 
 FLAGS = Flags(("joint_7",), {"joint_2": 9.83}, {"fss occluded": 12})
 DATA = [

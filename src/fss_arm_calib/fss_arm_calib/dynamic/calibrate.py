@@ -11,7 +11,7 @@ import numpy.typing as npt
 from fss_arm_calib import checks
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check, format_count
 from fss_arm_calib.dynamic.identifiability import INVISIBLE
-from fss_arm_calib.dynamic.parameters import advise_priors
+from fss_arm_calib.dynamic.knowledge import advise_priors
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution, estimate_of, problem_of, solution_of

@@ -10,11 +10,12 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.dynamic.parameters import Choice, Knowledge
+from fss_arm_calib.dynamic.knowledge import Knowledge
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.solve import DynamicResult
 from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_pose_sensitivities
+from fss_arm_model.choice import Choice
 from fss_arm_model.description import Arm
 from fss_arm_model.estimation.least_squares import Mask
 from fss_arm_model.joint_path import Law, path, stack

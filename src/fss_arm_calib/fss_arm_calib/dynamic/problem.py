@@ -23,10 +23,10 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_model import layout
 from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_pose_sensitivities, base_poses
+from fss_arm_model.choice import Choice
 from fss_arm_model.description import Arm
 from fss_arm_model.estimation.least_squares import Linear, eliminate
 from fss_arm_model.joint_path import Path

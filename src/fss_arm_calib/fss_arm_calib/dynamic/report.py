@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import (
@@ -24,6 +23,7 @@ from fss_arm_calib.report_parts import (
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_poses
+from fss_arm_model.choice import Choice
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.parameters import values

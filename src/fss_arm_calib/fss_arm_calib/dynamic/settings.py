@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 from math import radians
 from typing import ClassVar
 
-from fss_arm_calib.dynamic.parameters import Choice, Knowledge
+from fss_arm_calib.dynamic.knowledge import Knowledge
 from fss_arm_calib.segments.settings import ManeuverSettings, positive, sigma
 from fss_arm_calib.settings import CalibrationSettings, NoiseSettings, max_data
+from fss_arm_model.choice import Choice
 from fss_arm_model.description import paper_arm
 from fss_arm_model.settings import NOT_NEGATIVE, SettingError, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle

@@ -9,7 +9,6 @@ import numpy as np
 
 from fss_arm_calib.checks import UPDATE_TOLERANCE
 from fss_arm_calib.dynamic.identifiability import Combination, Direction, combinations, directions
-from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solve import DynamicResult, solve
@@ -25,6 +24,7 @@ from fss_arm_calib.precision import unmeasured
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.poses import count_independent
 from fss_arm_model.arrays import Floats
+from fss_arm_model.choice import Choice
 from fss_arm_model.description import Arm
 from fss_arm_model.estimation import outliers
 from fss_arm_model.estimation.least_squares import Mask

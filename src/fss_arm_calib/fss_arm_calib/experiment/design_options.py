@@ -2,10 +2,9 @@
 
 import argparse
 
-from fss_arm_calib.bag_options import add_settings
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.settings import JOINT, KINDS, Conditions
-from fss_arm_ros.command_line import Parser
+from fss_arm_ros.command_line import Parser, add_settings
 
 GUARD = ("table", "base_radius", "link_radius", "margin", "edge_margin")
 CONDITIONS = ("duration", "rest", "repeats", *GUARD)  # available as options

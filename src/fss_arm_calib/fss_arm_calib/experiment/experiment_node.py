@@ -13,7 +13,6 @@ from rclpy.node import Node
 from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
-from fss_arm_calib import state
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.experiment.sequencer import Progress, Seen, Sequencer
 from fss_arm_calib.experiment.settings import ExperimentSettings
@@ -30,6 +29,7 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.state_file import FileWriter, StateError, read, write
 from fss_arm_ros.validation import subscribe
 
 MAX_STALL = 2.0  # longest tolerated stall of this process [s]; then only the operator may resume
@@ -54,7 +54,7 @@ class ExperimentNode(Node):
         s = self.settings = declare(self, ExperimentSettings)
         waypoints = read_waypoints(s, described_arm(self, s.arm))
         plan: Any = read_yaml(Path(s.maneuvers)) if s.maneuvers else {}
-        self.writer = state.FileWriter(self.get_logger())
+        self.writer = FileWriter(self.get_logger())
         self.saved = self.restore()
         self.sequencer = Sequencer(s, waypoints, self.saved)
         self.sequencer.promised = plan.get("promised", {})
@@ -75,10 +75,10 @@ class ExperimentNode(Node):
         """Read the progress of a previous run."""
         path = self.settings.state_file
         try:
-            progress = Progress(**state.read(path, {})) if path else Progress()
+            progress = Progress(**read(path, {})) if path else Progress()
         except TypeError as error:
             problem = f"{path} does not contain the progress of an experiment: {error}"
-            raise state.StateError(problem) from None
+            raise StateError(problem) from None
         if progress.done:
             self.get_logger().info(f"resuming after {progress.done} postures")
         return progress
@@ -129,7 +129,7 @@ class ExperimentNode(Node):
         self.saved = self.sequencer.progress
         if path := self.settings.state_file:
             self.writer.trouble = ""
-            self.writer(lambda: state.write(path, asdict(self.saved)))
+            self.writer(lambda: write(path, asdict(self.saved)))
 
     def send_keep_alive(self) -> None:
         """Publish the keep-alive of the current move, or exit if this process was stalled."""

@@ -11,7 +11,7 @@ import yaml
 from fss_arm_calib import checks
 from fss_arm_calib.acceptance import FIT, Check, format_count
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.dynamic.parameters import advise_priors
+from fss_arm_calib.dynamic.knowledge import advise_priors
 from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Estimate, Outcome, estimate_of_fit, make_outcome

@@ -7,7 +7,6 @@ from typing import Any
 
 from fss_arm_bags.reader import describe_source, open_bags
 from fss_arm_calib.bag_data import find_data, topic_name
-from fss_arm_calib.bag_options import default_settings
 from fss_arm_calib.calibration import Input
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
 from fss_arm_calib.joint.settings import JointSettings
@@ -16,6 +15,7 @@ from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_model.files import ContentError, read_yaml
+from fss_arm_ros.command_line import default_settings
 
 
 def kind_settings(path: str | None, namespace: str) -> dict[str, Any]:

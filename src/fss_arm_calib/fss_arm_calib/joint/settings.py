@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from math import radians
 from typing import ClassVar
 
-from fss_arm_calib.dynamic.parameters import Choice, Knowledge
+from fss_arm_calib.dynamic.knowledge import Knowledge
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.segments.settings import sigma
+from fss_arm_model.choice import Choice
 from fss_arm_model.settings import like, setting
 
 

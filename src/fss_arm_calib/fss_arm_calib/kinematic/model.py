@@ -5,10 +5,10 @@ Equations and symbols are those of `problem.py`. xi (p,) are the estimated param
 
 import numpy as np
 
-from fss_arm_calib.kinematic.problem import RIPPLE_PERIODS, KinematicProblem, reading_jacobian
+from fss_arm_calib.kinematic.problem import RIPPLE_PERIODS, KinematicProblem
 from fss_arm_model.arrays import Floats
 from fss_arm_model.estimation.least_squares import LOSSES, Linear
-from fss_arm_model.kinematics import tip_in_base, tip_regressor
+from fss_arm_model.kinematics import reading_jacobian, tip_in_base, tip_regressor
 from fss_arm_model.planar import wrap
 
 

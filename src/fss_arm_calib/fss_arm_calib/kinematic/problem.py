@@ -39,7 +39,7 @@ import numpy.typing as npt
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.estimation.least_squares import LOSSES, SQUARE
-from fss_arm_model.kinematics import tip_regressor
+from fss_arm_model.kinematics import reading_jacobian
 from fss_arm_model.layout import TIP_ANGLE, kinematic_index, kinematic_names
 
 FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
@@ -226,12 +226,3 @@ class KinematicProblem:
     def whitening(self) -> Floats:
         """Inverse roots (s, 3, 3) of the observations' covariances."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance(self.variances))))
-
-
-def reading_jacobian(p: Floats, q: Floats) -> Floats:
-    """Return Phi_q (s, 3, n), the derivative of the poses with respect to the readings q (s, n).
-
-    It equals the derivative with respect to the joints' offsets. p is Arm.vector().
-    """
-    n = q.shape[1]
-    return tip_regressor(p, q)[..., [2 * n + 1, *range(n, 2 * n - 1)]]

@@ -24,12 +24,13 @@ import numpy.typing as npt
 from fss_arm_calib.segments.alignment import estimate_offset
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.joints import Joint, Rest
-from fss_arm_calib.segments.poses import BASE, FROZEN, average_bins, mean_pose, relative_poses
+from fss_arm_calib.segments.poses import BASE, FROZEN, average_bins, relative_poses
 from fss_arm_calib.segments.samples import Gap
 from fss_arm_calib.segments.sensors import Sensors
 from fss_arm_calib.segments.settings import ManeuverSettings
 from fss_arm_model.arrays import Floats
 from fss_arm_model.joint_path import Path, path, sampled
+from fss_arm_model.planar import mean_pose
 from fss_arm_model.units import SECOND
 
 MIN_TRAVEL = 0.05  # smallest motion of a joint in a maneuver [rad]

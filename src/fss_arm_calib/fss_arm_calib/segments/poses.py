@@ -155,12 +155,6 @@ def relative_poses(
     return t, np.column_stack([relative.real, relative.imag, wrap(others[:, 2] - heading)])
 
 
-def mean_pose(poses: Floats) -> Floats:
-    """Return the mean of poses (k, 3) that differ by noise; headings are averaged on the circle."""
-    heading = np.angle(np.mean(np.exp(1j * poses[:, 2])))
-    return np.array([*poses[:, :2].mean(axis=0), heading])
-
-
 def near_median(poses: Floats) -> npt.NDArray[np.bool_]:
     """Return a mask of the poses (k, 3) near the median: at rest the end effector does not move."""
     x, y = (poses[:, :2] - np.median(poses[:, :2], axis=0)).T

@@ -22,14 +22,13 @@ from fss_arm_calib.segments.poses import (
     FROZEN,
     JUMP,
     TIP,
-    mean_pose,
     near_median,
     relative_poses,
 )
 from fss_arm_calib.segments.samples import Gap, parts_outside
 from fss_arm_calib.segments.sensors import Sensors
 from fss_arm_calib.segments.settings import RestSettings
-from fss_arm_model.planar import wrap
+from fss_arm_model.planar import mean_pose, wrap
 from fss_arm_model.units import SECOND
 
 SAME_POSTURE = radians(1.0)  # largest difference of a joint between equal postures [rad]

@@ -19,21 +19,6 @@ NOT_FINITE, OUT_OF_RANGE = "not finite", "out of range"
 ZERO_STAMP = "with a stamp of 0"
 REPEATED, OUT_OF_ORDER, ISOLATED = "repeated", "out of order", "isolated in time"
 
-HOUR = 3600.0  # [s]
-YEAR = 3.156e7  # [s]
-MAX_CLOCK_ERROR = 1e8  # larger differences mean that a clock counts from its start [s]
-
-
-def describe_clock_error(error: float) -> str:
-    """Describe in words how far a clock is ahead of or behind another one [s]."""
-    direction, size = "ahead of" if error > 0.0 else "behind", abs(error)
-    hours = round(size / HOUR)
-    if size > MAX_CLOCK_ERROR:
-        return f"{size / YEAR:.3g} years (does it count from its start?) {direction}"
-    if hours and abs(size - hours * HOUR) < 0.02 * HOUR:
-        return f"{size:.0f} s ({'an hour' if hours == 1 else f'{hours} hours'}) {direction}"
-    return f"{size:.4g} s {direction}"
-
 
 class Gap(NamedTuple):
     """Interval without samples."""

@@ -7,11 +7,12 @@ from fss_arm_calib.segments.alignment import Alignment, Offset
 from fss_arm_calib.segments.gyro import Gyro
 from fss_arm_calib.segments.joints import Joint, Rests
 from fss_arm_calib.segments.poses import BASE, TIP, Poses
-from fss_arm_calib.segments.samples import Stream, describe_clock_error
+from fss_arm_calib.segments.samples import Stream
 from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import LinkTelemetry
 from fss_arm_model.units import SECOND
+from fss_arm_ros.dates import describe_clock_error
 
 OPTIONAL_TIMEOUT = 0.5  # timeout of optional streams, as a fraction of the horizon
 

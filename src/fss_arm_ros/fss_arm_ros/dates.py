@@ -1,13 +1,16 @@
-"""Dates of data and results. Simulated time starts in 1970, so it is no date."""
+"""Dates of data and results, and errors of clocks, as texts.
 
-import re
+Simulated time starts in 1970, so it is no date.
+"""
+
 from datetime import UTC, datetime
 
 from fss_arm_model.units import SECOND
 
 SIMULATED_UNTIL = 315_360_000 * SECOND  # ten years: no clock of real data is earlier [ns]
-BAG_HASH = re.compile(r"(?:^|, )(.+?) [0-9a-f]{64}(?: \([^)]*\))?(?=, |$)", re.DOTALL)
-CALIBRATED = ", calibrated "
+HOUR = 3600.0  # [s]
+YEAR = 3.156e7  # [s]
+MAX_CLOCK_ERROR = 1e8  # larger differences mean that a clock counts from its start [s]
 
 
 def is_simulated(t: int) -> bool:
@@ -35,12 +38,12 @@ def now() -> str:
     return f"{datetime.now(UTC):%F %R}"
 
 
-def calibrated_name(arm: str, source: str, end: int) -> str:
-    """Return the name of a calibrated arm, from that of the initial one, which may be calibrated.
-
-    The data end at `end` [ns]; their source is `live`, or names and SHA-256 of bags.
-    """
-    bags = BAG_HASH.findall(source)
-    origin = f"from {', '.join(bags)}" if bags else source
-    name = f"{arm.partition(CALIBRATED)[0]}{CALIBRATED}{origin}, {format_time(end)}"
-    return "".join(letter if letter.isprintable() else "?" for letter in name)
+def describe_clock_error(error: float) -> str:
+    """Describe in words how far a clock is ahead of or behind another one [s]."""
+    direction, size = "ahead of" if error > 0.0 else "behind", abs(error)
+    hours = round(size / HOUR)
+    if size > MAX_CLOCK_ERROR:
+        return f"{size / YEAR:.3g} years (does it count from its start?) {direction}"
+    if hours and abs(size - hours * HOUR) < 0.02 * HOUR:
+        return f"{size:.0f} s ({'an hour' if hours == 1 else f'{hours} hours'}) {direction}"
+    return f"{size:.4g} s {direction}"

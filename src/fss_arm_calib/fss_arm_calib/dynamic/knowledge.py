@@ -1,9 +1,4 @@
-"""Parameters of a dynamic calibration: names, choices and prior knowledge.
-
-A choice of the parameters of fss_arm_model.parameters is written as words: a name; `b_i` for the
-parameter b of each link; `I` for one value that all links share; `com_0` and `mount` for the
-base's centre of mass and for the first joint's pose.
-"""
+"""Prior knowledge of the parameters of a dynamic calibration."""
 
 from dataclasses import dataclass
 from itertools import compress
@@ -15,15 +10,11 @@ import numpy.typing as npt
 
 from fss_arm_calib.segments.settings import sigma
 from fss_arm_model.arrays import Floats
+from fss_arm_model.choice import Choice
 from fss_arm_model.description import Arm
 from fss_arm_model.estimation.least_squares import Fit
 from fss_arm_model.parameters import parameter_names
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
-
-GROUPS = {
-    "com_0": ("x_com", "y_com"),
-    "mount": ("x_BJ1", "y_BJ1", "theta_BJ1"),
-}
 
 
 @dataclass(frozen=True)
@@ -92,44 +83,6 @@ class Knowledge(Settings):
         return np.union1d(chosen, np.flatnonzero(np.isin(parameter_names(arm.n), names)))
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Choice of p parameters to estimate; the chosen parameters of the arm are basis @ x."""
-
-    names: tuple[str, ...]
-    basis: Floats  # (5 n + 6, p) matrix of 0 and 1
-
-    @classmethod
-    def of(cls, words: str, n: int, setting: str = "estimate") -> "Choice":
-        """Parse the words of a setting; ValueError: one names nothing, or a parameter twice."""
-        every = parameter_names(n)
-        names: list[str] = []
-        columns: list[Floats] = []
-        for word in words.split():
-            for name, members in _named_parameters(word, n):
-                column = np.isin(every, members).astype(float)
-                if not column.any():
-                    raise ValueError(
-                        f"{setting} has {word!r}, expected words such as b_i I_0, or a name"
-                    )
-                names.append(name)
-                columns.append(column)
-        basis = np.array(columns).reshape(-1, len(every)).T
-        if not names or (twice := basis.sum(axis=1) > 1.0).any():
-            what = ", ".join(np.array(every)[twice]) + " twice" if names else "no parameter"
-            raise ValueError(f"{setting} {words!r} names {what}, expected each once")
-        return cls(tuple(names), basis)
-
-    def mean(self, every: Floats) -> Floats:
-        """Return values of all parameters (5 n + 6,) averaged over those that share one, (p,)."""
-        return np.asarray(self.basis.T @ every / self.basis.sum(axis=0))
-
-    @property
-    def indices(self) -> npt.NDArray[np.intp]:
-        """Indices of the chosen parameters among all parameters."""
-        return np.flatnonzero(self.basis.any(axis=1))
-
-
 def advise_priors(r: Fit, s: Any) -> str:
     """Return the option that takes the described values of undetermined parameters as observations.
 
@@ -140,15 +93,3 @@ def advise_priors(r: Fit, s: Any) -> str:
     names = compress(r.problem.names, without & lost)
     more = " ".join([*s.priors.split(), *names])
     return f"; --priors '{more}' takes described values as observations" if more != s.priors else ""
-
-
-def _named_parameters(word: str, n: int) -> list[tuple[str, list[str]]]:
-    """Return the values that a word of a choice means: name, and the parameters that share it."""
-    every = parameter_names(n)
-    if word in GROUPS:
-        return [(name, [name]) for name in GROUPS[word]]
-    stem = word.removesuffix("_i")
-    own = [name for name in every if name.rpartition("_")[0] == stem and name[-2:] != "_0"]
-    if word != stem:
-        return [(name, [name]) for name in own] or [(word, [])]
-    return [(word, [word] if word in every else own)]

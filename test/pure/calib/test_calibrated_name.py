@@ -1,18 +1,12 @@
-"""Results are named by their source and date; simulated time, from 1970 on, is no date."""
+"""A calibrated arm is named by the source and the date of its data."""
 
 import pytest
 
-from fss_arm_calib.dates import calibrated_name, format_period, format_time
+from fss_arm_calib.outcome import calibrated_name
 from fss_arm_model.units import SECOND
 
 DAY = 1_795_694_646 * SECOND  # 2026-11-26 12:04:06 UTC
 HASH = "0123456789abcdef" * 4
-
-
-def test_data_have_a_date_unless_they_are_simulated():
-    assert format_time(DAY) == "2026-11-26 12:04 UTC"
-    assert format_time(312 * SECOND) == "312 s of simulated time"
-    assert format_period(4 * SECOND, 312 * SECOND) == "4 to 312 s of simulated time"
 
 
 @pytest.mark.parametrize(
