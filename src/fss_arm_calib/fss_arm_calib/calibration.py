@@ -97,7 +97,6 @@ class Calibration(Generic[D, C]):
     """Kind of calibration: its settings, inputs, finder, solver, messages and report."""
 
     name: str  # node and executable; the topic is calibration/NAME, the option --NAME
-    about: str  # the estimated parameters and the data used
     settings: type[C]
     data: Data[D]
     max_data: Callable[[C], int]  # largest number of data in a result
@@ -120,6 +119,11 @@ class Calibration(Generic[D, C]):
     measurements: Callable[[Sequence[D], Arm, C], Measurements] | None = None
     #: Topics of the results to start from.
     prior_results: Mapping[str, type[Any]] = field(default_factory=dict)
+
+    @property
+    def about(self) -> str:
+        """The estimated parameters and the data used."""
+        return self.settings.ABOUT
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:
         """Return the report of an outcome, with the features that this kind does not have."""

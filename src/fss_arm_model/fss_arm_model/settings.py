@@ -7,7 +7,7 @@ it, commands their options, and the documentation lists it.
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, field, fields
 from math import degrees, inf
-from typing import Any, get_args, get_origin
+from typing import Any, ClassVar, get_args, get_origin
 
 from .units import number_text
 
@@ -105,6 +105,8 @@ class Settings:
     Raises:
         SettingError: a value is not what its field's check expects.
     """
+
+    ABOUT: ClassVar[str] = ""  # what a program with these settings does, for its help
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]  # a dataclass each

@@ -41,7 +41,6 @@ def rest_status(finder: DriftFinder) -> dict[str, object]:
 
 DRIFT = Calibration(
     name="drift",
-    about=DriftSettings.ABOUT,
     settings=DriftSettings,
     data=fieldwise_data(
         "drift",

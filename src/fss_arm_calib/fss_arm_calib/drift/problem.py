@@ -10,9 +10,8 @@ the joint estimate (DriftMeasurements), the body follows from the arm's paramete
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -28,7 +27,6 @@ from fss_arm_model.drifting import (
     sensitivities,
 )
 from fss_arm_model.estimation.least_squares import (
-    Decomposition,
     Fit,
     Linear,
     Mask,
@@ -143,45 +141,32 @@ class CrossChecks(NamedTuple):
 
 @dataclass(frozen=True)
 class DriftResult(Fit):
-    """Result of a drift calibration: external effects and initial momenta, with 1 sigma each."""
+    """Result of a drift calibration: external effects and initial momenta, with 1 sigma each.
+
+    Its `random` is the covariance of all unknowns, not only of the shared ones.
+    """
 
     problem: DriftProblem
-    scatter: Floats = field(repr=False)  # covariance of all unknowns
 
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (5, 5), including the error of mass and inertia, which scales the forces."""
         scaled = np.concatenate([np.zeros(2), self.values[2:]]) * self.problem.mass
-        return np.asarray(self.scatter[:SHARED_COUNT, :SHARED_COUNT] + np.outer(scaled, scaled))
+        return np.asarray(self.random[:SHARED_COUNT, :SHARED_COUNT] + np.outer(scaled, scaled))
 
     @cached_property
     def _predicted(self) -> list[Sensitivity]:
         return self.problem.sensitivities(self.minimum.x)
 
     @property
-    def _free(self) -> Mask:
+    def free(self) -> Mask:
         """Mask of the unknowns that are estimated and not at a bound."""
-        return ~self.minimum.at_bound & (self.problem.prior_deviations > 0.0)
-
-    @property
-    def undetermined(self) -> tuple[str, ...]:
-        """Names of external effects that the drifts do not separate."""
-        return tuple(compress(NAMES, self.minimum.basis.lost() & self._free))
-
-    @property
-    def missing(self) -> int:
-        """Number of combinations of unknowns that are not determined."""
-        return int(np.count_nonzero(self._free)) - len(self.minimum.basis.s)
-
-    @property
-    def condition_number(self) -> float:
-        """Condition number of the column-scaled regressor of the estimated unknowns."""
-        return Decomposition.of(self.minimum.linear.regressor[:, self._free]).condition
+        return super().free & (self.problem.prior_deviations > 0.0)
 
     @cached_property
     def _hat(self) -> list[tuple[Floats, Floats]]:
         """Hat matrix and residuals of each drift, after elimination of its own unknowns."""
-        linear, shared, found = self.minimum.linear, self.scatter[:SHARED_COUNT, :SHARED_COUNT], []
+        linear, shared, found = self.minimum.linear, self.random[:SHARED_COUNT, :SHARED_COUNT], []
         for k in range(len(self.problem.drifts)):
             own = np.arange(len(self.minimum.x))[own_unknowns(k)]
             own = own[self.problem.prior_deviations[own] > 0.0]
@@ -227,7 +212,7 @@ class DriftResult(Fit):
             mean += one.spin / total
             by[:SHARED_COUNT] += one.spin_by[:SHARED_COUNT] / total
             by[own_unknowns(k)] += one.spin_by[SHARED_COUNT:] / total
-        variance = float(by @ self.scatter @ by) + (self.problem.mass * mean) ** 2
+        variance = float(by @ self.random @ by) + (self.problem.mass * mean) ** 2
         return mean, float(np.sqrt(variance))
 
     @cached_property
@@ -248,7 +233,7 @@ class DriftResult(Fit):
             by = [-omega * lever, 1.0, 1j, 1j * lever, 1j * omega * turn, -omega * turn]
             J[:2, 2:] = mass * np.array([np.real(by), np.imag(by)])
             J[2, 5] = inertia
-            variance = np.diag(J @ self.scatter[own, own] @ J.T)
+            variance = np.diag(J @ self.random[own, own] @ J.T)
             deviations[k] = np.sqrt(variance + (self.problem.mass * values[k]) ** 2)
         return values, deviations
 
@@ -264,7 +249,7 @@ def solve(problem: DriftProblem) -> DriftResult:
     for one in (replace(problem, twist_damping=0.0, drag=0.0, com=0.0), problem):
         minimum = minimize(one.linearize, x, (low, high), TOLERANCE)
         x = minimum.x
-    return DriftResult(problem, minimum, minimum.basis.covariance())
+    return DriftResult(problem, minimum)
 
 
 @dataclass(frozen=True)

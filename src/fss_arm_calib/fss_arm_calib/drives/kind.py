@@ -44,7 +44,6 @@ def to_message(outcome: Outcome[Excitation, list[Drive]], frame_id: str) -> msg.
 
 DRIVES = Calibration(
     name="drives",
-    about=DrivesSettings.ABOUT,
     settings=DrivesSettings,
     data=fieldwise_data(
         "excitation",

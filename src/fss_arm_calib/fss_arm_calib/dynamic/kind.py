@@ -59,7 +59,6 @@ def to_message(outcome: Outcome[Maneuver, Solution], frame_id: str) -> msg.Dynam
 
 DYNAMIC = Calibration(
     name="dynamic",
-    about=DynamicSettings.ABOUT,
     settings=DynamicSettings,
     data=fieldwise_data(
         "maneuver",

@@ -28,7 +28,7 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.base_motion import base_pose_sensitivities, base_poses
 from fss_arm_model.choice import Choice
 from fss_arm_model.description import Arm
-from fss_arm_model.estimation.least_squares import Linear, eliminate
+from fss_arm_model.estimation.least_squares import Linear, eliminate, prior_regressor
 from fss_arm_model.joint_path import Path
 from fss_arm_model.parameters import bounds, to_vector, unit, values
 
@@ -116,9 +116,7 @@ class DynamicProblem:
         sigma = self.prior_deviations[self.prior_indices]
         C = self._prior_weights @ self.assumed @ self._prior_weights.T
         C[np.diag_indices(len(C))] = sigma**2
-        rows = np.zeros((len(C), len(self.names)))
-        rows[:, self.prior_indices] = np.linalg.inv(np.linalg.cholesky(C))
-        return rows
+        return prior_regressor(C, self.prior_indices, len(self.names))
 
     def prior_with(self, assumed: npt.NDArray[np.intp]) -> Floats:
         """Return the whitened covariance (k, c) of the priors' errors with assumed parameters."""

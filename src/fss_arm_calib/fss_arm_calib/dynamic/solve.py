@@ -20,11 +20,6 @@ class DynamicResult(Fit):
 
     problem: DynamicProblem
 
-    @cached_property
-    def random(self) -> Floats:
-        """Covariance (p, p) due to the errors of observations and priors alone."""
-        return self.minimum.basis.covariance()
-
     @property
     def assumed_names(self) -> tuple[str, ...]:
         """Names of the assumed parameters not known exactly."""

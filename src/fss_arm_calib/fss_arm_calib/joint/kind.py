@@ -140,7 +140,6 @@ def _summary(one: SessionData) -> str:
 
 JOINT = Calibration(
     name="joint",
-    about=JointSettings.ABOUT,
     settings=JointSettings,
     data=Data(
         "session",

@@ -35,6 +35,7 @@ from fss_arm_model.estimation.least_squares import (
     compress_rows,
     eliminate,
     minimize,
+    prior_regressor,
 )
 from fss_arm_model.parameters import bounds, parameter_names, to_vector, unit, values, with_values
 
@@ -192,10 +193,8 @@ class JointProblem:
     @cached_property
     def prior_rows(self) -> Floats:
         """Rows (k, p) of the regressor for the priors: the inverse root of their covariance."""
-        rows = np.zeros((len(self.prior_indices), len(self.names)))
-        C = self.prior[np.ix_(self.prior_indices, self.prior_indices)]
-        rows[:, self.prior_indices] = np.linalg.inv(np.linalg.cholesky(C)) if len(C) else C
-        return rows
+        which = self.prior_indices
+        return prior_regressor(self.prior[np.ix_(which, which)], which, len(self.names))
 
     def linearize(self, x: Floats, without: str = "") -> Linear:
         """Linearize the problem in the p parameters of the arm, `without` the data of a kind."""

@@ -56,7 +56,6 @@ def stale(outcome: Outcome[Observation, Solution], streams: Streams) -> str:
 
 KINEMATIC = Calibration(
     name="kinematic",
-    about=KinematicSettings.ABOUT,
     settings=KinematicSettings,
     data=fieldwise_data(
         "observation",

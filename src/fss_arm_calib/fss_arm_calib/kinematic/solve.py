@@ -45,14 +45,9 @@ class KinematicResult(Fit):
         return np.where(angles, wrap(self.minimum.x), self.minimum.x)
 
     @cached_property
-    def weighted(self) -> Floats:
-        """Covariance (p, p) due to the errors of the observations, (Phi_k' W Phi_k)^-1."""
-        return self.minimum.basis.covariance()
-
-    @cached_property
     def covariance(self) -> Floats:
         """Covariance (p, p), with repeated reading errors and those of assumed parameters."""
-        problem, xi, P = self.problem, self.minimum.x, self.weighted
+        problem, xi, P = self.problem, self.minimum.x, self.random
         G = model.influence(problem, xi, P)
         repeated = model.repeated_error_covariance(problem, xi, P)
         return np.asarray(P + repeated + G @ problem.fixed_covariance @ G.T)
@@ -95,7 +90,7 @@ class KinematicResult(Fit):
     @cached_property
     def _hat(self) -> Floats:
         """Whitened covariance (s, 3, 3) of the observations' own predictions."""
-        return self._prediction_covariance(self.problem, self.weighted)
+        return self._prediction_covariance(self.problem, self.random)
 
     @property
     def residual_sums(self) -> ResidualSums | None:
@@ -138,7 +133,7 @@ class KinematicResult(Fit):
         """Return the arm with the estimates; DescriptionError: a length is not positive."""
         problem, basis, fixed = self.problem, self.problem.basis, self.problem.fixed_covariance
         *values, theta_E = model.all_parameters(problem, self.values).tolist()
-        cross = basis @ model.influence(problem, self.values, self.weighted) @ fixed
+        cross = basis @ model.influence(problem, self.values, self.random) @ fixed
         C = basis @ self.covariance @ basis.T + fixed - cross - cross.T
         uncertain = np.flatnonzero(np.diag(C) > 0.0)
         names = [problem.all_names[k] for k in uncertain]

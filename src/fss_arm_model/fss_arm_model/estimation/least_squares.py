@@ -126,9 +126,19 @@ class Fit:
     max_share: ClassVar = MAX_UNDETERMINED_SHARE  # as in Decomposition.lost
 
     @cached_property
+    def random(self) -> Floats:
+        """Covariance (p, p) due to the errors of observations and priors alone."""
+        return self.minimum.basis.covariance()
+
+    @cached_property
     def covariance(self) -> Floats:
         """Covariance (p, p) of the values."""
-        return self.minimum.basis.covariance()
+        return self.random
+
+    @property
+    def free(self) -> Mask:
+        """Mask of the unknowns that are estimated and not at a bound."""
+        return ~self.minimum.at_bound
 
     @property
     def values(self) -> Floats:
@@ -143,14 +153,14 @@ class Fit:
 
     @property
     def condition_number(self) -> float:
-        """Condition number of the column-scaled regressor and priors, without those at a bound."""
-        Phi = self.minimum.linear.regressor[:, ~self.minimum.at_bound]
+        """Condition number of the column-scaled regressor and priors, of the free unknowns."""
+        Phi = self.minimum.linear.regressor[:, self.free]
         return Decomposition.of(Phi).condition if Phi.size else 1.0
 
     @property
     def missing(self) -> int:
-        """Number of combinations of parameters that are not determined."""
-        return len(self.values) - len(self.minimum.basis.s) - len(self.at_bound)
+        """Number of combinations of free unknowns that are not determined."""
+        return int(np.count_nonzero(self.free)) - len(self.minimum.basis.s)
 
     @property
     def at_bound(self) -> tuple[str, ...]:
@@ -160,7 +170,7 @@ class Fit:
     @property
     def undetermined(self) -> tuple[str, ...]:
         """Names of parameters that the data do not separate, except those at a bound."""
-        lost = self.minimum.basis.lost(self.max_share) & ~self.minimum.at_bound
+        lost = self.minimum.basis.lost(self.max_share) & self.free
         return tuple(compress(self.problem.names, lost))
 
 
@@ -261,6 +271,16 @@ def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
         extend=extend,
         absorbed=np.sum(Q**2, axis=-1).ravel(),
     )
+
+
+def prior_regressor(covariance: Floats, indices: npt.NDArray[np.intp], size: int) -> Floats:
+    """Return rows (k, size) of a regressor for priors of k of its parameters, at `indices`.
+
+    They are the inverse root of the priors' covariance (k, k).
+    """
+    rows = np.zeros((len(covariance), size))
+    rows[:, indices] = np.linalg.inv(np.linalg.cholesky(covariance))
+    return rows
 
 
 def compress_rows(rows: Floats) -> Floats:
