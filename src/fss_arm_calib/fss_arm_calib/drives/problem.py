@@ -38,6 +38,7 @@ from fss_arm_calib.drives.motion import Motion, Samples
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.estimation.least_squares import solve_with_instruments
 from fss_arm_model.joint_loads import reduced_inertia, transmitted_loads
 
 INTEGRATION_STEP = 0.02  # step of the integrals [s]
@@ -82,12 +83,6 @@ class Drive:
     undetermined: dict[str, str]  # reason by name of the parameter
     moving: float  # time for which the joint turned [s]
     residuals: tuple[float, float]  # root mean square of the sensor's [N m] and the drive's [A]
-
-
-def regression(A: Floats, y: Floats, Z: Floats) -> Floats:
-    """Solve Z' (y - A x) = 0 for x, with 0 for empty columns; Z = A gives least squares."""
-    a, z = (np.where(norm, norm, 1.0) for norm in np.linalg.norm([A, Z], axis=1))
-    return np.asarray(np.linalg.pinv((Z / z).T @ (A / a), rcond=1e-10) @ ((Z / z).T @ y) / a)
 
 
 class Windows:
@@ -148,7 +143,7 @@ class Equations(NamedTuple):
     def solve(self, without: float = -1.0) -> Floats:
         """Return the solution x (p,) from all blocks except block `without`."""
         keep = self.t // BLOCK_DURATION != without
-        return regression(self.A[keep], self.y[keep], self.Z[keep])
+        return solve_with_instruments(self.A[keep], self.y[keep], self.Z[keep])
 
 
 def sensor(w: Windows, one: Samples, j: int) -> Equations:

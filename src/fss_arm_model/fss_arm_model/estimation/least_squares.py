@@ -286,3 +286,12 @@ def prior_regressor(covariance: Floats, indices: npt.NDArray[np.intp], size: int
 def compress_rows(rows: Floats) -> Floats:
     """Reduce the number of rows by a QR decomposition; products of columns are unchanged."""
     return np.linalg.qr(rows)[1] if len(rows) > len(rows.T) else rows
+
+
+def solve_with_instruments(A: Floats, y: Floats, Z: Floats) -> Floats:
+    """Solve Z' (y - A x) = 0 for x (p,), with 0 for empty columns; Z = A gives least squares.
+
+    The instruments Z (m, p) are not correlated with the errors of the regressors A (m, p).
+    """
+    a, z = (np.where(norm, norm, 1.0) for norm in np.linalg.norm([A, Z], axis=1))
+    return np.asarray(np.linalg.pinv((Z / z).T @ (A / a), rcond=1e-10) @ ((Z / z).T @ y) / a)
