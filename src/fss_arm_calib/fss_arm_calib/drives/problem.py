@@ -65,7 +65,6 @@ NAMES = {
 }
 KT, GAIN, ZERO, CROSS, VISCOUS, COULOMB, STATIC, SPEED, ROTOR, STIFFNESS, BAND = range(len(NAMES))
 
-
 AVERAGING_TIME = 0.2  # time over which dense samples are averaged [s]
 GAUSS_NEWTON_STEPS = 8
 MAX_DENSE_PERIOD = 0.015  # largest time between frames that resolves the links' swinging [s]
