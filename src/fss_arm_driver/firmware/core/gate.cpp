@@ -14,7 +14,6 @@ uint32_t Gate::turnaround(uint64_t now) const {
 bool Gate::take(const Order& order, uint64_t now) {
   if (!admits(order, now)) return false;
   if (follows(order, now)) newest_ = order.sequence;
-  if (order.clock > latest_) latest_ = order.clock;
   if (!(order.flags & kArm)) unarmed_ = order.clock;
   order_ = order;
   arrival_ = now;
@@ -32,7 +31,7 @@ bool Gate::admits(const Order& order, uint64_t now) const {
   if (order.link != link_) return false;
   if (!stop && order.boot != 0 && order.boot != boot_) return false;
   if (!stop && !follows(order, now)) return false;
-  if (signed_ && taken_ && order.clock <= latest_) return false;  // a replay, be it a stop
+  if (signed_ && taken_ && order.clock <= order_.clock) return false;  // a replay, be it a stop
   return order.expiry == 0 || order.expiry >= now;
 }
 

@@ -38,8 +38,7 @@ class Gate {
   const bool signed_;
   Order order_ = {};
   uint64_t arrival_ = 0;
-  uint64_t latest_ = 0;   // stamp of the computer
-  uint64_t unarmed_ = 0;  // likewise, of the last order that did not arm
+  uint64_t unarmed_ = 0;  // stamp of the last order that did not arm
   uint32_t newest_ = 0;   // sequence
   uint32_t taken_ = 0, refused_ = 0;
 };
