@@ -14,6 +14,7 @@ from firmware import Core, FirmwareLink, needs_arm, needs_emulator
 
 from fss_arm_driver.faults import FAULTS, Word
 from fss_arm_driver.protocol import (
+    LAST_SEGMENT,
     VELOCITY_UNIT,
     LinkCommandFlag,
     Mode,
@@ -82,6 +83,7 @@ def moving(link, command=MOVE):
 
 def test_it_finds_the_drive_and_starts_disarmed_and_off(core, kind):
     link = kind(core, serial=23)
+    assert not link.send(MOVE)
     frames = link.run(2.0)
     assert link.orders() == ["s r0x90 115200"]
     assert (link.joint().baud, link.joint().mode) == (115200, Mode.OFF)
@@ -89,16 +91,21 @@ def test_it_finds_the_drive_and_starts_disarmed_and_off(core, kind):
     assert frames[0].clock < 600_000
 
 
+def test_a_datagram_that_is_too_long_is_refused(link):
+    assert not link.send(encode(DISARM) + b"\0")
+    assert link.send(DISARM)
+
+
 @firmware_only
 def test_it_measures_five_times_a_second_whatever_arrives(link):
-    for _ in range(40):
-        link.send(bytes(72))
+    link.tell("flood 1000000")
     frames = link.run(3.0)
     periods = [later.clock - frame.clock for frame, later in pairwise(frames)]
     assert len(frames) == 15
     assert all(abs(period - 200_000) < 15_000 for period in periods)
     assert {later.sequence - frame.sequence for frame, later in pairwise(frames)} == {1}
     slow = {Slow(frame.slow_id): frame.slow_value for frame in frames}
+    assert 0 < slow.pop(Slow.REFUSED) <= 8 * 30_000  # at most eight each 0.1 ms
     assert slow == {
         Slow.FAULTS: 0,
         Slow.SUPPLY: 240,
@@ -106,7 +113,6 @@ def test_it_measures_five_times_a_second_whatever_arrives(link):
         Slow.TEMPERATURE: 31,
         Slow.FIRMWARE: 0x20100,
         Slow.HOMINGS: 1,
-        Slow.REFUSED: 40,
         Slow.PATH: 0,
         Slow.SERIAL: 23,
     }
@@ -261,15 +267,31 @@ def test_stop_is_obeyed_whatever_exchange_is_under_way(core, command):
         assert link.joint().mode == Mode.POSITION
 
 
+def velocity_when_off(link):
+    """Run until the drive is off; return the velocity of its joint."""
+    end = link.clock + SECOND
+    while link.joint().mode != Mode.OFF:
+        assert link.clock < end
+        link.run(0.001)
+    return link.joint().velocity
+
+
 @pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
 def test_disarming_brakes_and_switches_off_at_rest(link, command):
     moving(link, command)
     assert link.send(replace(DISARM, sequence=3))
-    link.run(0.01)
-    assert link.joint().mode != Mode.OFF
+    assert velocity_when_off(link) == 0
     frame = link.run(1.0)[-1]
     assert (frame.mode, frame.flags & LATCHES) == (Mode.OFF, 0)
-    assert (link.joint().mode, link.joint().velocity) == (Mode.OFF, 0)
+
+
+def test_a_joint_that_has_just_started_is_switched_off_only_at_rest(link):
+    """A measurement from before it started says nothing about rest."""
+    assert link.send(DISARM)
+    assert link.send(replace(TURN, acceleration=100 * TURN.acceleration))
+    link.run(0.015)
+    assert link.send(replace(DISARM, sequence=3))
+    assert velocity_when_off(link) == 0
 
 
 @pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
@@ -588,6 +610,21 @@ def test_a_latched_fault_disarms_and_is_cleared_once_the_drive_is_off(link):
     assert link.frame().flags & State.ARMED
 
 
+@pytest.mark.parametrize("plugged", [0, 1])
+def test_faults_are_cleared_only_once_the_drive_is_off(link, plugged):
+    """A drive that is still on would follow its last set-point again."""
+    moving(link, TURN)
+    link.tell("faults 4")
+    link.run(0.1)
+    assert abs(link.joint().velocity) > 1000
+    link.tell(f"plug {plugged}")
+    assert link.send(replace(DISARM, sequence=3, flags=LinkCommandFlag.CLEAR_FAULTS))
+    link.run(1.0)
+    link.tell("plug 1")
+    link.run(2.0)
+    assert link.orders()[-2:] == ["s r0x24 0", "s r0xa4 4"]
+
+
 # --- paths ---------------------------------------------------------------------------------------
 
 FOLLOW = replace(MOVE, mode=Mode.PATH, set_point=1, velocity=400_000, acceleration=7639)
@@ -741,6 +778,16 @@ def test_a_path_is_gone_when_its_time_or_the_watchdogs_is_over(link, silence):
 
 
 @firmware_only
+def test_a_path_does_not_start_once_its_command_has_expired(link):
+    assert link.send(DISARM)
+    assert link.send(replace(FOLLOW, expiry=link.clock + 300_000))
+    assert all(link.send(segment) for segment in path(link.clock + 500_000, KNOTS))
+    frames = link.run(1.0)
+    assert not any(frame.flags & PATHS for frame in frames)
+    assert link.orders() == ["s r0x24 21"]
+
+
+@firmware_only
 def test_segments_are_for_the_armed(link):
     segments = path(link.clock + 300_000, KNOTS)
     assert link.send(DISARM)
@@ -752,6 +799,19 @@ def test_segments_are_for_the_armed(link):
     link.run(0.1)
     assert link.orders()[-1] == "s r0x24 21"  # told of no path, it holds
     assert link.send(segments[0])
+
+
+@firmware_only
+def test_no_segment_comes_after_a_last_one(link):
+    segments = path(link.clock + 300_000, KNOTS)
+    last = segments[-1]
+    beyond = {"index": last.index + 1, "begin": last.end, "position": last.end_position}
+    assert link.send(DISARM)
+    assert link.send(FOLLOW)
+    assert link.send(segments[2])
+    assert not link.send(replace(segments[0], flags=LAST_SEGMENT, end_velocity=0))
+    assert link.send(last)
+    assert not link.send(replace(last, velocity=0, **beyond))
 
 
 def test_a_segment_recorded_before_the_link_was_disarmed_is_refused(core):

@@ -3,13 +3,16 @@
 import random
 import re
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from types import ModuleType
 
 import base_board as base
 import pytest
 from driver_frames import KEY, ORDER, PIECE, SAMPLE, with_crc
+from firmware import BASE, Core
 from firmware_vectors import (
     KEYS,
     base_commands,
@@ -155,12 +158,12 @@ MEANINGLESS = [
     (SAMPLE, (4, "00"), (5, "40"), (6, "0000"), (38, "02"), (38, "1f"), (39, "0a")),
     # arm and stop, no such flag, arms with any boot, arms without expiry, watchdog, velocity
     (ORDER, (5, "03"), (5, "21"), (6, "0000"), (20, 8 * "00"), (30, "0000"), (39, "80")),
-    (ORDER, (29, "01"), (51, "01")),  # reserved
+    (ORDER, (4, "00"), (28, "02"), (29, "01"), (51, "01")),  # link, mode, reserved
     (DISARM, (5, "10")),  # home without arm
     (FOLLOW, (32, 4 * "00"), (32, "00000100")),  # path 0, path 65536
     # flags, boot, path, index, 999 us, 60.000001 s, it would end in motion
     (PIECE, (5, "02"), (6, "0000"), (20, "0000"), (22, "ffff"), (32, "e7030000"), (32, "01879303")),
-    (PIECE, (48, "01")),
+    (PIECE, (48, "01"), (4, "00")),  # and link
     (MAXIMAL_SEGMENT, (24, 8 * "ff")),  # its end exceeds 64 bits
     # number of a link, flags, boot, gripper, slow ids, reserved
     (base.SAMPLE, (4, "01"), (5, "20"), (6, "0000"), (35, "08"), (40, "00"), (40, "11")),
@@ -180,6 +183,26 @@ def test_what_has_no_meaning_is_refused_as_a_field(row):
     for at, value in changes:
         data = patched(frame, at, bytes.fromhex(value))
         assert refusal(data, protocol_of(frame)) is Refusal.FIELD, (at, value)
+
+
+@pytest.fixture(scope="module")
+def cores() -> Iterator[dict[ModuleType, Core]]:
+    cores = {links: Core(), board: Core(package=BASE)}
+    yield cores
+    for core in cores.values():
+        core.close()
+
+
+ORDERS = [row for row in MEANINGLESS if not isinstance(row[0], Telemetry | BaseTelemetry)]
+
+
+@pytest.mark.parametrize("row", ORDERS)
+def test_the_firmware_refuses_it_too(row, cores):
+    frame, *changes = row
+    for at, value in changes:
+        data = patched(frame, at, bytes.fromhex(value))
+        answer = cores[protocol_of(frame)].ask(f"decode - {data.hex()}")
+        assert answer == "field", (at, value)
 
 
 @pytest.mark.parametrize(

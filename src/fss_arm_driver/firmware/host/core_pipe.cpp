@@ -19,6 +19,7 @@
 //   drive                       a drive alone; time begins
 //   line DATA BAUD TIME         bytes for the drive at this rate; its answers within the time [us]
 //   send DATA                   a datagram arrives: `taken` or `refused`
+//   flood COUNT                 so many datagrams of one byte arrive at once
 //   run TIME                    so much later [us], the frames sent meanwhile
 //   orders                      what the drive was told since the last call, but for readings
 //   joint                       position [counts], velocity [counts/s], mode and baud of the drive
@@ -216,6 +217,7 @@ std::string happen(const std::string& what, Words& words) {
   else if (what == "shake") drive.shake(number<int32_t>(words));
   else if (what == "delay") drive.delay(number<uint64_t>(words));
   else if (what == "fail") drive.fail_next(number<int32_t>(words));
+  else if (what == "flood") world->computer.flood = number<uint32_t>(words);
   else return "unknown request";
   return "done";
 }

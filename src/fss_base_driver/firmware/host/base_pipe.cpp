@@ -7,6 +7,7 @@
 //   start BOOT KEY [LONGEST ALLOWANCE DUTY TOTAL]
 //                               the electronics, the hardware behind them; time begins
 //   send DATA                   a datagram arrives: `taken` or `refused`
+//   flood COUNT                 so many datagrams of one byte arrive at once
 //   run TIME                    so much later [us], the frames sent meanwhile
 //   hang TIME                   the same while nothing but the timer's interrupt runs
 //   valves                      driven, flags, pulse, left [us], opened by the firmware's count [us]
@@ -142,6 +143,8 @@ std::string happen(const std::string& what, Words& words) {
   } else if (what == "gyro") {
     board.rate = number<int32_t>(words);
     board.gyro_on = number<int32_t>(words);
+  } else if (what == "flood") {
+    world->computer.flood = number<uint32_t>(words);
   } else if (what == "hold") {
     board.something = number<int32_t>(words);
   } else {
