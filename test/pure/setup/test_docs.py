@@ -97,13 +97,34 @@ def test_each_trial_and_each_barrier_has_its_tests(page, row):
     cells = [line.split("|")[4] for line in text.splitlines() if re.match(row, line)]
     assert len(cells) > 20
     for cell in cells:
+        check_tests(cell)
+
+
+def check_tests(cell):
+    """Check that a cell names tests that exist: a file, then its functions."""
+    file = None
+    for word in re.findall(r"`([\w/.]+)`", cell):
+        if word.endswith(".py"):
+            file = (ROOT / "test" / word).read_text()
+        else:
+            assert f"def {word}(" in file, word
+    assert file, cell
+
+
+def test_each_statement_removed_from_the_firmware_is_there_with_its_test():
+    text = (ROOT / "test/TRIALS.md").read_text().partition("\n## Barriers of the firmware\n")[2]
+    lines = text.partition("\n## ")[0].splitlines()
+    rows = [line.split("|")[2:4] for line in lines if line.startswith("|")][2:]
+    assert len(rows) > 20
+    for removed, tests in rows:
+        check_tests(tests)
         file = None
-        for word in re.findall(r"`([\w/.]+)`", cell):
-            if word.endswith(".py"):
-                file = (ROOT / "test" / word).read_text()
+        for words in re.findall(r"`([^`]+)`", removed):
+            if words.endswith((".cpp", ".hpp")):
+                (place,) = ROOT.glob(f"src/*/firmware/core/{words}")
+                file = " ".join(place.read_text().split())
             else:
-                assert f"def {word}(" in file, word
-        assert file, cell
+                assert words in file, words
 
 
 def test_the_code_of_each_barrier_is_there():
