@@ -138,7 +138,7 @@ class Drive {
   bool refused_ = false;     // the last command
   bool pending_ = false;     // the last command is another set point for the same goal
   bool clearing_ = false;
-  bool paused_ = false;      // no orders until it has been measured anew
+  bool paused_ = false;      // no orders until it has been measured again
   bool braked_ = false;      // the brake commands are sent
   bool done_ = false;        // all commands are sent
   uint64_t braked_at_ = 0;

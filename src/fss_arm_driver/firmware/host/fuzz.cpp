@@ -55,7 +55,9 @@ class Fuzzer : Chance {
     check(computer_.sent[1] > count / 4000 && computer_.sent[0] == 0, "telemetry does not flow");
     check(taken_ > count / 50, "hardly anything was taken");
     check(kept_ > count / 200, "hardly a segment was taken");
-    check(broken_ >= count / 100'000 && followed_ > count, "hardly a path was followed");
+    // In a short run, chance may give no path that fits.
+    check(count < 100'000 || (broken_ >= count / 100'000 && followed_ > count),
+          "hardly a path was followed");
     check(refused_ > count / 3, "hardly anything was refused");
   }
 

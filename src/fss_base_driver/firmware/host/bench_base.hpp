@@ -10,7 +10,7 @@ namespace fss {
 
 class BenchBase : public BaseBoard {
  public:
-  void restart() { now_ = samples_ = told_at_ = 0; }  // time begins anew
+  void restart() { now_ = samples_ = told_at_ = 0; }  // time starts at 0 again
 
   // Lets time pass until `now` [us].
   void pass(uint64_t now) {
