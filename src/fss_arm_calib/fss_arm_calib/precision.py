@@ -51,8 +51,8 @@ def check_precision(r: Any, s: Any) -> Check:
     if not len(failing):
         facts = [f"{text(worst)} ({required})"] if shares[worst] else []
         if vague:
-            require = f"--max-relative {MAX_USABLE_DEVIATION} requires them"
-            facts.append(f"not determined: {', '.join(vague)} ({require})")
+            require = f"to require them: --max-relative {MAX_USABLE_DEVIATION}"
+            facts.append(f"not determined, which is accepted: {', '.join(vague)} ({require})")
         return Check("precision", PASS, float(shares[worst]), 1.0, "; ".join(facts))
     brief = f"too uncertain: {', '.join(map(text, failing))}"
     limits_met = [

@@ -45,6 +45,7 @@ INITIAL_PARAMETERS = {
     "target_inertia": TARGET.inertia,
     "target_pose": [0.0, 0.0, -0.3],
 }
+UNITS = "kg", "m", "m", "kg m^2"  # of mass, centre of mass and inertia
 TARGET_DRIFT = -0.006, 0.004  # [m/s]
 MAX_DURATION = 600.0  # timeout of the mission [s], in real time
 MOMENTUM_TOLERANCE = 1e-9  # tolerance for momentum before and after the capture [N s, N m s]
@@ -216,29 +217,25 @@ def read(bag: Path) -> Flight:
     )
 
 
-def mass_error(flight: Flight, p: np.ndarray, k: int) -> tuple[float, str]:
-    """Return the largest error of the target's estimate, in standard deviations, and a summary.
+def mass_errors(flight: Flight, p: np.ndarray, k: int) -> tuple[float, list[str]]:
+    """Return the largest error of the target's estimate, in standard deviations, and its lines.
 
     The true values are those of the capture, at row k.
     """
     if flight.estimate is None:
-        return np.inf, "the payload was not estimated"
+        return np.inf, ["mass of the target: not estimated"]
     m = flight.estimate
     values = np.array([m.mass, *m.com, m.inertia])
     deviations = np.sqrt(m.covariance.reshape(4, 4).diagonal())
     pose = payload_pose(p, flight.q[k], flight.target[k])
     truth = np.array([TARGET.mass, *pose[:2], TARGET.inertia])
-    names = (
-        "mass {:.2f} ± {:.2f} kg",
-        "x {:.3f} ± {:.3f} m",
-        "y {:.3f} ± {:.3f} m",
-        "inertia {:.3f} ± {:.3f} kg m^2",
-    )
-    texts = (
-        f"{name.format(value, deviation)} (true: {true:.3f})"
-        for name, value, deviation, true in zip(names, values, deviations, truth, strict=True)
-    )
-    return float((np.abs(values - truth) / deviations).max()), f"payload {', '.join(texts)}"
+    rows = zip(("mass", "x", "y", "inertia"), values, deviations, truth, UNITS, strict=True)
+    lines = [
+        f"  {name:>16}  {value:+.3f} ± {deviation:.3f} {unit}, true {true:+.3f}"
+        for name, value, deviation, true, unit in rows
+    ]
+    title = "target, ± 1 sigma; centre of mass in the last link's frame:"
+    return float((np.abs(values - truth) / deviations).max()), [title, *lines]
 
 
 def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> list[Check]:
@@ -251,29 +248,40 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     change = flight.momentum[k] - flight.momentum[k - 1]
     impulse = flight.impulse[k] - flight.impulse[k - 1]
     when = f"captured between {flight.time[k - 1]:.2f} and {flight.time[k]:.2f} s"
-    log_line(f"{when}; true momentum of all bodies just before and after the grip:")
+    log_line(when)
+    log_line("true momentum of all bodies just before and after the grip:")
     for name, unit, i in (("x", "N s", 0), ("y", "N s", 1), ("about the origin", "N m s", 2)):
         before, after = flight.momentum[k - 1, i], flight.momentum[k, i]
         log_line(f"  {name:>16}  before {before:+#.4g}  after {after:+#.4g} {unit}")
     worst, audit = float(np.abs(change - impulse).max()), float(np.abs(flight.error).max())
-    difference = f"difference at most {worst:.1e}; largest audit error of the mission {audit:.1e}"
+    difference = (
+        f"changed by at most {worst:.1e} N s, N m s; without a cause in the whole mission at most "
+        f"{audit:.1e} N s, N m s, J"
+    )
     spin = np.degrees(flight.target_twist[[0, -1], 2])
     rest = np.round(spin[1], 3) + 0.0  # never -0.000
     spin_text = f"{spin[0]:.2f} deg/s at the start, {rest:.3f} deg/s at the end"
     log_line(f"  {difference}")
     log_line(f"spin of the target: {spin_text}")
-    log_line(f"propellant used {1e3 * flight.propellant[-1]:.1f} g")
-    deviations_off, summary = mass_error(flight, p, k)
-    log_line(summary)
+    log_line(f"propellant used: {1e3 * flight.propellant[-1]:.1f} g")
+    sigmas, lines = mass_errors(flight, p, k)
+    for line in lines:
+        log_line(line)
     return [
-        Check("the payload estimate is within 3 deviations", summary, deviations_off < 3.0),
+        Check(
+            "mass, centre of mass and inertia of the target are within 3 sigma",
+            f"largest error {sigmas:.1f} sigma",
+            sigmas < 3.0,
+        ),
         capture_check._replace(happened=when, passed=True),
         Check(
-            f"momentum before and after agree to {MOMENTUM_TOLERANCE:g}",
+            f"momentum before and after the grip agrees to {MOMENTUM_TOLERANCE:g}",
             difference,
             worst < MOMENTUM_TOLERANCE,
         ),
-        Check("the target's spin is stopped", spin_text, abs(spin[1]) < 0.1 * abs(spin[0])),
+        Check(
+            "the target's spin falls below a tenth", spin_text, abs(spin[1]) < 0.1 * abs(spin[0])
+        ),
     ]
 
 
@@ -285,7 +293,7 @@ def plot(arm: Arm, flight: Flight) -> Any:
     grid = figure.add_gridspec(4, 2, width_ratios=(1.5, 1.0))
     above = figure.add_subplot(grid[:, 0])
     above.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    above.set_title("top view; pale: start, medium: capture, dark: end")
+    above.set_title("from above; pale: start, medium: capture, dark: end")
     k = int(np.argmax(flight.holds)) if flight.holds.any() else len(flight.time) - 1
     for i, shade in ((0, 0.35), (k, 0.65), (len(flight.time) - 1, 1.0)):
         draw_scene(above, arm, flight.q[i], flight.target[i], shade)
@@ -309,7 +317,10 @@ def plot(arm: Arm, flight: Flight) -> Any:
         ),
         (
             "momentum about\nthe origin [N m s]",
-            [("all bodies", flight.momentum[:, 2]), ("from thrusters", flight.impulse[:, 2])],
+            [
+                ("all bodies", flight.momentum[:, 2]),
+                ("initial, and\nby thrusters", flight.momentum[0, 2] + flight.impulse[:, 2]),
+            ],
         ),
     )
     for row, (quantity, lines) in enumerate(panels):
@@ -429,7 +440,7 @@ def budget(result: Capture.Result) -> list[str]:
     )
     return [
         f"result of the guidance: {end}",
-        f"  time {result.duration:.1f} s, propellant {1e3 * result.propellant:.1f} g",
+        f"  time {result.duration:.1f} s, propellant by the nodes {1e3 * result.propellant:.1f} g",
         "  no grip" if np.isnan(x) else momentum,
         f"  largest joint torque {result.largest_torque:.2f} N m",
     ]

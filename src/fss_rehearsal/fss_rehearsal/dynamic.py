@@ -8,8 +8,10 @@ operator puts the base back after each session of maneuvers.
 
 import argparse
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import radians
 from pathlib import Path
 from textwrap import shorten
@@ -43,9 +45,8 @@ from fss_rehearsal.rehearsed import Check, Rehearsed
 
 MAX_STATUS = 28  # characters of the experiment's status beside the progress bar
 PAUSE = 5.2  # between maneuvers [s]
-MANEUVERS_PER_SESSION = (
-    4  # maneuvers before the operator puts the base back to the middle of the table
-)
+# Maneuvers before the operator puts the base back to the middle of the table.
+MANEUVERS_PER_SESSION = 4
 TABLE = (3.7, 3.7)  # table size for planning [m]; the margin allows for drift in a session
 
 
@@ -143,8 +144,8 @@ def maneuvers_done(plan: Sequence[Planned], stops: int) -> int:
 
 def run_sessions(
     options: argparse.Namespace, out: Path, cameras: Cameras, console: Console, domain: Domain
-) -> None:
-    """Run all maneuvers, session after session, and show the progress.
+) -> list[int]:
+    """Run all maneuvers, session after session, and return the times of the starts [ns].
 
     Raises:
         RehearsalError: a node failed, or the deadline passed.
@@ -153,10 +154,11 @@ def run_sessions(
     count = len(list(out.glob("plan_*.yaml")))
     plans = [read_plan(out / f"plan_{session}.yaml", LINKS) for session in range(count)]
     bar = counting_bar(console)
-    task = bar.add_task("maneuvers", total=sum(map(len, plans)))
+    task, starts = bar.add_task("maneuvers", total=sum(map(len, plans))), []
     for session, plan in enumerate(plans):
         logs, before = out / "logs" / f"session_{session}", sum(map(len, plans[:session]))
         with Nodes(logs, console.print, domain) as nodes, bar:
+            starts.append(time.time_ns())
             start_all(nodes, options, out, cameras, session)
             operator = Experimenter(domain)
             while not nodes.has_finished("experiment"):
@@ -171,8 +173,11 @@ def run_sessions(
                     description=f"session {session + 1} of {count}: {status}",
                 )
                 operator.keep_armed()
-            bar.update(task, completed=before + len(plan))
+            bar.update(
+                task, completed=before + len(plan), description=f"session {session + 1} of {count}"
+            )
             operator.destroy_node()
+    return starts
 
 
 def prepare(
@@ -212,17 +217,36 @@ def settings_of(out: Path, cameras: Cameras) -> dict[str, Any]:
     }
 
 
-def solve_first(out: Path, settings: DynamicSettings, count: int) -> Outcome[Maneuver, Solution]:
-    """Solve from the first `count` maneuvers: there are more if gaps made the node repeat some.
+def solve_planned(
+    out: Path, settings: DynamicSettings, starts: Sequence[int], log_line: Callable[[str], None]
+) -> Outcome[Maneuver, Solution]:
+    """Solve from as many maneuvers of each session as were planned; gaps make some repeat.
+
+    Args:
+        out: folder of the rehearsal.
+        settings: of the calibration.
+        starts: time of the start of each session [ns].
+        log_line: receives a line about the maneuvers used.
 
     Raises:
         BagError: a bag cannot be read.
     """
     result = solve_bag(DYNAMIC, out / "bags", settings)
-    if len(result.used) <= count:
+    counts, kept = [0] * len(starts), []
+    for one in result.data:
+        session = max(0, bisect_right(starts, one.start) - 1)
+        if one.used and counts[session] == MANEUVERS_PER_SESSION:
+            continue
+        counts[session] += one.used
+        kept.append(one)
+    used = ", ".join(map(str, counts))
+    log_line(
+        f"{len(result.used)} maneuvers recorded; used of sessions 1 to {len(starts)}: {used}; "
+        f"rejected: {len(result.data) - len(result.used)}"
+    )
+    if len(kept) == len(result.data):
         return result
-    selected = [one for one in result.data if one.start < result.used[count].start]
-    return calibrate(selected, result.arm, settings, source=result.provenance.source)
+    return calibrate(kept, result.arm, settings, source=result.provenance.source)
 
 
 def summary(
@@ -237,8 +261,8 @@ def summary(
             [predicted[k], result.deviations[k], result.values[k] - link.b]
         )
         lines.append(
-            f"b_{i + 1}: 1 sigma {before:.1f} mm predicted, {now:.1f} mm estimated; "
-            f"error {error:+.1f} mm"
+            f"b_{i + 1}: 1 sigma {before:.1f} mm by the plan, {now:.1f} mm estimated; "
+            f"estimate minus truth {error:+.1f} mm"
         )
     largest = 1e3 * max(result.deviations[names.index(f"b_{i}")] for i in range(1, LINKS + 1))
     lines.append(
@@ -283,9 +307,9 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
             f"{domain.number}",
             soft_wrap=True,
         )
-        run_sessions(options, out, cameras, console, domain)
+        starts = run_sessions(options, out, cameras, console, domain)
     with console.status("solving from the bags"):
-        result = solve_first(out, settings, options.count)
+        result = solve_planned(out, settings, starts, partial(console.print, soft_wrap=True))
     summary_report = DYNAMIC.report_of(result, truth)
     console.print(report.printable(summary_report, options.details), highlight=False)
     console.print(summary(result, truth, plan, predicted))
@@ -300,7 +324,7 @@ def center_of_mass_check(result: Outcome[Maneuver, Solution], truth: Arm, i: int
     k = list(result.names).index(f"b_{i + 1}")
     error, deviation = float(result.values[k] - truth.links[i].b), float(result.deviations[k])
     return Check(
-        f"b_{i + 1} is within three standard deviations of the truth",
-        f"{1e3 * error:+.1f} mm error, standard deviation {1e3 * deviation:.1f} mm",
+        f"the error of b_{i + 1} is below three standard deviations",
+        f"{1e3 * error:+.1f} mm, {abs(error) / deviation:.1f} standard deviations",
         abs(error) < 3.0 * deviation,
     )

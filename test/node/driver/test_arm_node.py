@@ -153,7 +153,7 @@ def test_a_disarmed_arm_does_not_move_and_says_once_what_to_do(bench, monkeypatc
     unarmed = "links 1, 2 are not armed: scripts/fss_arm.sh arm"
     for _ in range(3):
         assert bench.move(0.1, 0.1).result.message == unarmed
-    assert said == [f"move ended: {unarmed}"]
+    assert said == [f"move aborted: {unarmed}"]
     bench.enable()
     assert bench.move(0.0, 0.0).result.reached
     bench.enable(data=False)

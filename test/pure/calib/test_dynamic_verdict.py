@@ -131,7 +131,10 @@ def test_a_link_too_light_to_be_seen_is_said_to_be_so():
     rig = Float(postures(8, seed=6), light.vector(), STATE, noise=noise)
     result = calibrate(feed(ManeuverFinder(4), rig.samples(20)), light, SETTINGS)
     assert result.verdict == PASS, result.reason
-    assert "not determined: I_1, I_4 (--max-relative 0.25 requires them)" in result.reason
+    assert (
+        "not determined, which is accepted: I_1, I_4 (to require them: --max-relative 0.25)"
+        in result.reason
+    )
     k = result.names.index("I_4")
     assert result.deviations[k] == np.inf
     assert np.sqrt(result.covariance[k, k]) == pytest.approx(0.5 * 3e-4, rel=0.1)

@@ -253,7 +253,7 @@ def test_beyond_that_it_is_refused_and_the_delay_is_said(key, delay):
     world = World(key, delay)
     session = world.driver()
     world.run(12.0)
-    words = rf"round trip of {2 * delay:.1f}\d s, at most 1 s allowed"
+    words = rf"round trip of {2 * delay:.1f}\d s, at most 1 s allowed: is the computer"
     with pytest.raises(CommandError, match=words):
         session.arm(world.now)
     assert session.link_problem

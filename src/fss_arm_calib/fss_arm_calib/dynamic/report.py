@@ -30,7 +30,8 @@ from fss_arm_model.parameters import values
 from fss_arm_ros import palette
 from fss_arm_ros.report import Figure, Report, Table
 
-PAPER_HEADING_RESIDUAL = float(np.radians(1.54))  # section 4.2
+# Section 4.2: of a turn, the difference of two headings.
+PAPER_HEADING_RESIDUAL = float(np.radians(1.54) / np.sqrt(2.0))
 DRAWN_POSES = 100  # number of predicted poses drawn for a maneuver
 MANEUVER_GAP = 2.0  # gap drawn between two maneuvers [s]
 SCALES = np.array([1e3, 1e3, np.degrees(1.0)])  # to mm, mm, deg
@@ -51,7 +52,9 @@ def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = Non
     tables = _parameter_table(o, truth), _combination_table(o), residual_table("base", residuals)
     makers = _maneuver_table, _direction_table, _bias_table
     details = [make(o, found) for make in makers] if found else []
-    return make_report(f"Dynamic calibration of {o.arm.name}", o, tables, details, figures)
+    return make_report(
+        f"Dynamic calibration of the arm '{o.arm.name}'", o, tables, details, figures
+    )
 
 
 def _parameter_values(arm: Arm, names: Sequence[str]) -> Floats:
@@ -113,8 +116,9 @@ def _combination_table(outcome: Outcome[Maneuver, Solution]) -> Table:
     ]
     head = ["combination", "unit", "estimate", "± 1 sigma", "± before"]
     note = (
-        "The motion depends only on these if base and kinematics are known: m = sum m_k, "
-        "S_j = m_j g_j + a_j sum m_k, K_j = I_j + m_j g_j² + a_j² sum m_k, k > j."
+        "The motion depends only on these if base and kinematics are known. With c_j = a_j - b_j "
+        "and M_j the mass of all links after link j: m is the sum of all masses, "
+        "S_j = m_j c_j + a_j M_j, K_j = I_j + m_j c_j² + a_j² M_j."
     )
     return Table("Link parameters that motion determines", head, rows, words=2, note=note)
 
@@ -126,9 +130,10 @@ def _maneuver_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Ta
         numbers = [format_number(value, "+#.4g") for value in momentum]
         numbers += [format_number(x[k], ".2f") for x in (e.leverage, e.errors, e.weights)]
         rows.append([str(k + 1), *numbers, e.reasons[k]])
-    head = ["", "p_x [N s]", "p_y [N s]", "L [N m s]", "leverage", "error", "weight", ""]
+    head = ["maneuver", "p_x [N s]", "p_y [N s]", "L [N m s]", "leverage", "error", "weight", ""]
     note = (
-        "Momentum at the start; error of the maneuver predicted from the others, in its deviations."
+        "Momentum at the start, in the world's axes, L about the common centre of mass; error of "
+        "the maneuver predicted from the others, in its standard deviations."
     )
     return Table("Maneuvers", head, rows, note=note)
 
@@ -139,7 +144,10 @@ def _direction_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> T
         [one.kind, one.text(outcome.names), format_number(one.gain, ".3g")]
         for one in sorted(found.directions, key=lambda one: one.gain)
     ]
-    note = "gain: reduction of the prior uncertainty by the data alone."
+    note = (
+        "Least visible first. Parameters in units of their prior deviation; gain: prior deviation "
+        "over that from the data alone; below 1 the prior says more than the data."
+    )
     head = ["visibility", "combination", "gain"]
     return Table("Visibility of combinations of parameters", head, rows, words=2, note=note)
 
@@ -148,11 +156,12 @@ def _bias_table(outcome: Outcome[Maneuver, Solution], found: Solution) -> Table:
     """Tabulate the bias by wrong assumptions, in standard deviations of the parameters."""
     bias = found.result.bias / outcome.deviations[:, None]
     rows = [
-        [name, *(format_number(value, "+.2f") for value in row)]
+        [name, *(format_number(value, "+.2f") if abs(value) >= 0.005 else "" for value in row)]
         for name, row in zip(outcome.names, bias, strict=True)
     ]
     note = (
-        "Shift of each value, in its deviations, if an assumed parameter is truly 1 sigma higher."
+        "Shift of each estimate, in its standard deviations, if an assumed parameter is truly 1 "
+        "sigma higher than described; empty: below 0.005, or the estimate is not determined."
     )
     head = ["", *found.result.assumed_names]
     return Table("Bias due to assumed parameters", head, rows, note=note)

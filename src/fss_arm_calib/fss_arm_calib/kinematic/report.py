@@ -39,7 +39,7 @@ def kinematic_report(outcome: Outcome[Observation, Solution], truth: Arm | None 
     drawn = Figure("kinematic_postures", "Postures and residuals", lambda: postures(o))
     tables = (_parameters(o, truth, labels), _residuals(o))
     details = (_observations(o),) if o.solution else ()
-    title = f"Kinematic calibration of {o.arm.name}"
+    title = f"Kinematic calibration of the arm '{o.arm.name}'"
     return make_report(title, o, tables, details, (drawn, correlation, each))
 
 

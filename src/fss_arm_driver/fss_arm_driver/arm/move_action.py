@@ -74,7 +74,7 @@ class MoveAction:
             handle.canceled()
         else:
             if message != self.last_reason:  # a waiting client repeats its goal
-                self.links.node.get_logger().warning(f"move ended: {message}")
+                self.links.node.get_logger().warning(f"move aborted: {message}")
             handle.abort()
         self.last_reason = message
         return MoveArm.Result(reached=not message, message=message, q=self.links.q())

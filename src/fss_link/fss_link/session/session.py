@@ -258,7 +258,10 @@ class Session(ABC, Generic[T]):
         """Message about a communication problem, else empty: delay, or another sender's frames."""
         if (delay := self.echoes.delay) > self.timeout:
             limit = 1e-9 * self.timeout
-            return f"round trip of {1e-9 * delay:.2f} s, at most {limit:g} s allowed"
+            return (
+                f"round trip of {1e-9 * delay:.2f} s, at most {limit:g} s allowed: is the computer "
+                "or the network overloaded?"
+            )
         if self.echoes.crowded:
             return (
                 f"{self.partner.name} refuses frames of another sender: does a second driver run?"
@@ -326,6 +329,8 @@ class Session(ABC, Generic[T]):
         """Raise CommandError if the partner is not armed."""
         if not self.armed:
             name, how = self.partner.name, self.partner.armed_by
+            if self.arming is Arming.ARMING:
+                raise CommandError(f"{name} is still arming: wait until it is armed")
             raise CommandError(f"{name} is {self.arming.value}, not armed: {how} arms it")
 
     def tick(self, now: int) -> None:
