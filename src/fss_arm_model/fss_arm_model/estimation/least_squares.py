@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
-from math import inf
+from math import inf, sqrt
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -46,6 +46,7 @@ LOSSES = {
 
 
 ROUNDING_ERROR = 1e-13  # steps below this are rounding errors [unit of the parameter]
+COST_ROUNDING = 1e-12  # relative rounding error of a sum of squares of thousands of residuals
 UNCHECKED_STEP = 1e-6  # smaller steps are not checked to lower the sum of squares [deviations]
 MAX_CONDITION = 1e6  # of the column-scaled regressor; above, rounding errors dominate
 MAX_UNDETERMINED_SHARE = 1e-6  # of a parameter in omitted directions; above, it is not known
@@ -208,7 +209,8 @@ def minimize(
         x_next[:p] = np.minimum(np.maximum(x_next[:p], low), high)
         linear_next = linearize(x_next)
         # The change by such a short step is quadratic in its length and below rounding errors.
-        if update < UNCHECKED_STEP or linear_next.cost <= linear.cost:
+        unchecked = max(UNCHECKED_STEP, sqrt(COST_ROUNDING * float(linear.cost)))
+        if update < unchecked or linear_next.cost <= linear.cost:
             x, linear = x_next, linear_next
             damping = damping / 10.0 if damping > 1e-3 else 0.0
         else:
@@ -233,17 +235,34 @@ def _step(
 ) -> tuple[Decomposition, Mask, Floats]:
     """Return the decomposition, a mask of the parameters fixed at a bound, and the step.
 
-    Parameters that would cross a bound are moved to it; the others take the best step given that.
+    Parameters whose best step ends at a bound are moved to it.
     """
-    at_bound, fixed = np.zeros(len(x), dtype=bool), np.zeros(len(x))
-    while True:
-        basis = Decomposition.of(np.where(at_bound, 0.0, linear.regressor), max_condition)
-        step = fixed + basis.step(linear.residuals - linear.regressor @ fixed, damping)
-        crossing = ~at_bound & ((x + step < low) | (x + step > high))
-        if not crossing.any():
-            return basis, at_bound, step
-        at_bound |= crossing
-        fixed = np.where(crossing, np.clip(x + step, low, high) - x, fixed)
+    Phi, r = linear.regressor, linear.residuals
+    basis = Decomposition.of(Phi, max_condition)
+    step = basis.step(r, damping)
+    if not ((x + step < low) | (x + step > high)).any():
+        return basis, np.zeros(len(x), dtype=bool), step
+    smallest = (basis.s[0] / max_condition) ** 2
+    bounded = _bounded_step(Phi, r, basis.scale, low - x, high - x, max(damping, smallest))
+    at_bound = (bounded <= low - x) | (bounded >= high - x)
+    fixed = np.where(at_bound, bounded, 0.0)
+    basis = Decomposition.of(np.where(at_bound, 0.0, Phi), max_condition)
+    step = fixed + basis.step(r - Phi @ fixed, damping)
+    return basis, at_bound, np.clip(step, low - x, high - x)
+
+
+def _bounded_step(
+    Phi: Floats, r: Floats, scale: Floats, low: Floats, high: Floats, damping: float
+) -> Floats:
+    """Return the damped least-squares step (p,) between bounds; an active one is met exactly."""
+    from scipy.optimize import lsq_linear
+
+    rows = compress_rows(np.column_stack([Phi / scale, r]))
+    p = len(scale)
+    A = np.concatenate([rows[:, :p], np.sqrt(damping) * np.eye(p)])
+    b = np.concatenate([rows[:, p], np.zeros(p)])
+    found = lsq_linear(A, b, (low * scale, high * scale), method="bvls", max_iter=20 * p)
+    return np.select([found.active_mask < 0, found.active_mask > 0], [low, high], found.x / scale)
 
 
 def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
