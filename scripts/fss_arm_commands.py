@@ -19,6 +19,7 @@ from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, command, subscribe_sensor
 
 ANSWER_TIMEOUT = 10.0  # [s]
+SIMULATED_ANSWER_TIMEOUT = 35.0  # in simulated time, which may be slow [s]
 DISCOVERY_TIME = 1.0  # without a change, discovery is complete [s]
 LINKS = range(1, 13)  # numbers that a link may have
 CALIBRATIONS = ("kinematic", "dynamic", "drift", "drives", "joint")  # joint: from three of these
@@ -42,12 +43,23 @@ def call(node: Node, kind: Any, name: str, request: Any, wait: float) -> Answer:
     if not client.wait_for_service(wait):
         raise NoAnswerError(f"no node offers {name}")
     future = client.call_async(request)
-    rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_TIMEOUT)
-    if not future.done():
-        raise NoAnswerError(f"{name} did not answer within {ANSWER_TIMEOUT:.0f} s")
+    wait_for_answer(node, future, name)
     done, words = future.result().success, future.result().message
     silent = "done" if done else "refused; the log of its node has the reason"
     return done, words or f"{name}: {silent}"
+
+
+def wait_for_answer(node: Node, future: Any, name: str) -> None:
+    """Wait for the answer to a request or goal.
+
+    Raises:
+        NoAnswerError: there is none in time.
+    """
+    simulated = bool(node.count_publishers("/clock"))
+    timeout = SIMULATED_ANSWER_TIMEOUT if simulated else ANSWER_TIMEOUT
+    rclpy.spin_until_future_complete(node, future, timeout_sec=timeout)
+    if not future.done():
+        raise NoAnswerError(f"{name} did not answer within {timeout:.0f} s: try again")
 
 
 def discover(node: Node, find: Callable[[], Any], missing: str, wait: float) -> Any:
@@ -137,9 +149,7 @@ def move(node: Node, angles: list[float], seconds: float, wait: float) -> Answer
             print(f"moving for {durations[0]:.1f} s{least}", flush=True)
 
     sent = client.send_goal_async(goal, on_feedback)
-    rclpy.spin_until_future_complete(node, sent, timeout_sec=ANSWER_TIMEOUT)
-    if not sent.done():
-        raise NoAnswerError(f"arm/move did not answer within {ANSWER_TIMEOUT:.0f} s")
+    wait_for_answer(node, sent, "arm/move")
     if not (handle := sent.result()).accepted:
         return False, "the node arm rejected this move; its log gives the reason"
     alive, ended = node.create_publisher(UUID, "arm/move/alive", 10), handle.get_result_async()

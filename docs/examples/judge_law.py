@@ -1,6 +1,7 @@
 """Have the node `controller` hold the base at the world's origin; print and plot its error."""
 
 import argparse
+import os
 from math import atan2, degrees, hypot
 
 import matplotlib.pyplot as plt
@@ -8,7 +9,10 @@ import rclpy
 from geometry_msgs.msg import Transform
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
+
+from fss_arm_msgs.msg import BaseTelemetry
 
 
 class Judge(Node):
@@ -20,7 +24,17 @@ class Judge(Node):
         self.start = None  # time of the first state [s]
         self.reference = self.create_publisher(MultiDOFJointTrajectory, "base/trajectory", 1)
         self.create_timer(0.2, self.publish_reference)
+        self.armed = None  # True: the valves may open
         self.create_subscription(Odometry, "base/state", self.on_base, 10)
+        self.create_subscription(
+            BaseTelemetry, "base/telemetry", self.on_telemetry, qos_profile_sensor_data
+        )
+
+    def on_telemetry(self, telemetry):
+        """Say if the valves are not armed, or no longer."""
+        if not telemetry.armed and self.armed is not False:
+            print("the valves are not armed: scripts/fss_arm.sh valves", flush=True)
+        self.armed = telemetry.armed
 
     def publish_reference(self):
         """Publish the origin, at rest; a law receives it for 1 s."""
@@ -34,6 +48,9 @@ class Judge(Node):
         """Collect the error of a state."""
         p, o, stamp = state.pose.pose.position, state.pose.pose.orientation, state.header.stamp
         t = stamp.sec + 1e-9 * stamp.nanosec
+        now = 1e-9 * self.get_clock().now().nanoseconds
+        if not self.errors and abs(now - t) > 10.0:
+            print("base/state has another clock: --ros-args -p use_sim_time:=true", flush=True)
         self.start = self.start or t
         self.errors.append((t - self.start, 1e3 * hypot(p.x, p.y), degrees(2.0 * atan2(o.z, o.w))))
 
@@ -46,6 +63,12 @@ def main():
     options, _ = parser.parse_known_args()  # the others, --ros-args, are ROS's
     rclpy.init()
     judge, due = Judge(), 0.0
+    for _ in range(50):
+        if not judge.errors:
+            rclpy.spin_once(judge, timeout_sec=0.1)
+    if not judge.errors:
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        print(f"waiting for base/state in ROS domain {domain}: scripts/fss_up.sh", flush=True)
     print("time [s]  position error [mm]  heading error [deg]")
     while not judge.errors or judge.errors[-1][0] < options.duration:
         rclpy.spin_once(judge)

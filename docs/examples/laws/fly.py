@@ -34,6 +34,7 @@ class Step:
     inputs: Inputs
     outputs: Outputs
     propellant: float  # used since the start [kg]
+    capacity: float  # of the tank [kg]
 
     @property
     def error(self) -> np.ndarray:
@@ -57,7 +58,8 @@ def fly(law: Law, arm: Arm, duration: float) -> Iterator[Step]:
             plant.advance(outputs, 1.0 / RATE)
         except ValueError as error:
             raise LawError(f"the law's commands: {error}") from None
-        yield Step(inputs, outputs, plant.plant.thrusters.propellant_used)
+        tank = plant.plant.thrusters
+        yield Step(inputs, outputs, tank.propellant_used, tank.capacity)
     law.terminate()
 
 
@@ -85,9 +87,13 @@ def show(steps: Iterator[Step]) -> None:
     """Print a line every 5 s, and the last step."""
     print("time [s]  position error [mm]  heading error [deg]  propellant [g]")
     every = round(5.0 * RATE)
+    dry = False
     for k, step in enumerate(steps):
         if k % every == 0:
             print(line(step))
+        if step.propellant >= step.capacity and not dry:
+            dry = True
+            print(f"the tank is empty after {step.inputs.time:.1f} s: its valves give no thrust")
     if k % every:
         print(line(step))
 

@@ -23,6 +23,7 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 
 ANSWER_TIMEOUT = 6.0  # for a link's driver to answer [s]
+SIMULATED_ANSWER_TIMEOUT = 30.0  # in simulated time, which may be slow, by real time [s]
 HEARTBEAT = 0.5  # period of diagnostics: at most 1 s old, even while a long goal is planned [s]
 
 
@@ -94,7 +95,9 @@ class ArmNode(Node):
             return unavailable
         answer = client.call_async(request)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = self.create_timer(ANSWER_TIMEOUT, answer.cancel, clock=steady)
+        simulated = self.get_parameter("use_sim_time").value
+        timeout = SIMULATED_ANSWER_TIMEOUT if simulated else ANSWER_TIMEOUT
+        timer = self.create_timer(timeout, answer.cancel, clock=steady)
         answer.add_done_callback(lambda _: self.destroy_timer(timer))
         return answer
 

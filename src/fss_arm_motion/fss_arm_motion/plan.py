@@ -33,7 +33,7 @@ PROBES_PER_SEGMENT = 40  # number of times in each segment at which limits are c
 
 #: Additional results of the kinds of plans, with units.
 NOTES = {
-    "least_possible": ("no joint alone would be faster than", "s"),
+    "least_possible": ("shortest time of the slowest joint by itself", "s"),
     "fastest_turn": ("turn of the base in the fastest motion", "rad"),
     "travel": ("length in joint space", "rad"),
     "length": ("length of the end effector's way", "m"),

@@ -365,7 +365,7 @@ def _reason(start: Start, report: Floats, q: Floats, gone: float, length: float)
     words = f"ends after {gone:.3f} m of {length:.3f} m"
     if report[0] == JOINT or min(q[i] - low[i], high[i] - q[i]) < LIMIT_DISTANCE:
         limits = f"{in_degrees([low[i]])} to {in_degrees([high[i]])}"
-        return f"joint {i + 1} at {in_degrees([q[i]])} of {limits}: {words}"
+        return f"joint {i + 1} reaches its limit, {limits}: {words}"
     return f"singularity: {words}, the end effector {1e3 * report[2]:.1f} mm off its way"
 
 

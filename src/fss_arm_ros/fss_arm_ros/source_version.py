@@ -7,11 +7,14 @@ from hashlib import sha1
 from pathlib import Path
 
 UNKNOWN = "unknown"
+CODE = "src", "scripts", "docs/examples"  # folders
 
 
 @cache
 def source_version() -> str:
-    """Return the commit of this workspace, with a digest of uncommitted changes, if any.
+    """Return the commit of this workspace, with a digest of changes of its code, if any.
+
+    Uncommitted changes outside of CODE, as of notes or a campaign's file, do not count.
 
     A deployed release has it in its file RELEASE; otherwise git is asked.
     """
@@ -26,8 +29,8 @@ def source_version() -> str:
         return release.read_text().split()[0]
     try:
         commit = git("rev-parse", "--short=10", "HEAD").decode().strip()
-        new_files = git("ls-files", "--others", "--exclude-standard", "--", ".").split(b"\n")
-        changes = git("diff", "HEAD", "--", ".") + b"".join(
+        new_files = git("ls-files", "--others", "--exclude-standard", "--", *CODE).split(b"\n")
+        changes = git("diff", "HEAD", "--", *CODE) + b"".join(
             name + (folder / os.fsdecode(name)).read_bytes() for name in new_files if name
         )
     except (OSError, subprocess.CalledProcessError):

@@ -45,7 +45,7 @@ def test_arms_of_unlike_links_pass_by_default_and_name_what_was_not_measured(n, 
         assert set(left) == {name for name, it in zip(outcome.names, finite, strict=True) if not it}
         assert {name[0] for name in left} <= {"I"}
         if left:
-            assert f"not determined: {', '.join(left)} (--max-relative 0.25" in outcome.reason
+            assert f"which is accepted: {', '.join(left)} (to require" in outcome.reason
             assert "(not determined)" in outcome.summary
     assert 0 < lost < 3 * n
     print(f"{n} links: NEES {squares / count:.2f}, {lost} of {3 * n} inertias not determined")

@@ -138,7 +138,9 @@ def test_the_end_effector_goes_half_a_metre_along_a_line_in_the_world(momentum):
 
 def test_a_way_that_ends_early_names_its_joint_and_the_part_of_it_is_had_for_asking():
     start = rigid_start()
-    with pytest.raises(PlanError, match=r"joint \d at .* deg of .* deg: ends after 0\.\d+ m"):
+    with pytest.raises(
+        PlanError, match=r"joint \d reaches its limit, -90 deg to 90 deg: ends after 0\.\d+ m"
+    ):
         tip_path(start, TipPath(by=(-0.35, 0.35)))
     plan = tip_path(start, TipPath(by=(-0.35, 0.35), partial=True))
     assert 0.05 < plan.notes["length"] < 0.4

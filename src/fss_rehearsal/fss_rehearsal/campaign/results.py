@@ -85,7 +85,8 @@ def check_rows(rows: Sequence[Row], campaign: Campaign, commit: str, path: Path)
         if row["commit"] != commit:
             raise CampaignError(
                 f"{path}: run {row['run']} was made with commit {row['commit']}, expected {commit};"
-                " check out that commit, or start another campaign with --out FOLDER"
+                " check it out (after + is a digest of uncommitted changes), or start another "
+                "campaign with --out FOLDER"
             )
 
 

@@ -68,7 +68,8 @@ def summarize(campaign: Campaign, rows: Sequence[Row], command: str) -> Report:
     if len(rows) < len(campaign.runs):
         reason += f"; {len(campaign.runs) - len(rows)} of {len(campaign.runs)} runs remain"
     if unknown := unknown_measures(campaign, rows):
-        reason += f"; no run returned {', '.join(unknown)}"
+        known = sorted({name for row in rows for name in row if type(row[name]) is float})
+        reason += f"; no run returned {', '.join(unknown)}, only {', '.join(known)}"
     names = [name for name in figure_names(campaign, rows) if len(numbers(rows, name))]
     head = ("runs", "succeeded", "rate", "95 % interval")
     tables = [
@@ -173,9 +174,11 @@ def _histogram(name: str, rows: Sequence[Row]) -> Any:
 
         figure = Drawing(figsize=(6.0, 2.2), layout="constrained")
         ax = figure.subplots()
+        edges = np.histogram_bin_edges(numbers(rows, name), bins=30).tolist()
         for outcome, color in ((SUCCESS, "tab:blue"), ("failure", "tab:red")):
             values = numbers([row for row in rows if row["outcome"] == outcome], name)
-            ax.hist(values, bins=30, color=color, alpha=0.7, label=outcome)
+            if len(values):
+                ax.hist(values, bins=edges, color=color, alpha=0.7, label=outcome)
         ax.set_xlabel(name)
         ax.set_ylabel("runs")
         ax.legend()

@@ -164,8 +164,16 @@ def hold(
     path = np.vstack([np.zeros(postures.shape[1]), postures])[: motion.postures + 1]
     moves = Motion(path, motion.duration, motion.rest)
     held = hold_base(moves, seed, testbed, navigation, control, arm)
+    excess = []
+    if held.max_offset >= MAX_OFFSET:
+        excess.append(f"offset {held.max_offset:.3f} m, at most {MAX_OFFSET:g} m")
+    if held.max_turn >= MAX_TURN:
+        excess.append(
+            f"turn {np.degrees(held.max_turn):.1f} deg, at most {np.degrees(MAX_TURN):g} deg"
+        )
     return {
-        "success": held.max_offset < MAX_OFFSET and held.max_turn < MAX_TURN,
+        "success": not excess,
+        "reason": ", ".join(excess),
         "offset": held.max_offset,
         "turn": held.max_turn,
         "propellant": held.propellant,
