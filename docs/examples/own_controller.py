@@ -53,4 +53,6 @@ class OwnController(Node):
 if __name__ == "__main__":
     rclpy.init()
     with suppress(KeyboardInterrupt, ExternalShutdownException):  # Ctrl-C
-        rclpy.spin(OwnController())
+        controller = OwnController()
+        controller.get_logger().info("running; Ctrl-C ends")
+        rclpy.spin(controller)

@@ -57,7 +57,7 @@ def next_steps(outcome: Outcome[Any, Any]) -> tuple[str, ...]:
 
 #: Recommended next step, by verdict.
 NEXT_STEPS = {
-    PASS: "Next: give the calibrated description (`output` writes it) to the nodes; keep the bag.",
+    PASS: "Next: give the nodes the calibrated description (--output FILE); keep the bag.",
     FAIL: "Next: do not use these numbers. The checks (--details, or the report) show why.",
     NOT_EVALUATED: "Next: record the missing data; the data received count already.",
 }

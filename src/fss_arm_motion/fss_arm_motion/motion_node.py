@@ -56,6 +56,7 @@ class MotionNode(Node):
             self, ExecuteMotion, "arm/execute", self.on_execute, callback_group=group, **callbacks
         )
         self.create_timer(0.1, self.tick, clock=timer_clock(self))
+        self.get_logger().info("ready for arm/execute")
         self.diagnostics = Diagnostics(self, self.health, period=HEARTBEAT)
 
     def close(self) -> None:

@@ -204,7 +204,7 @@ def test_a_preset_sets_joints_and_errors_and_parameters_override_it():
     ("given", "message"),
     [
         ({"gear_stiffness": 400.0}, "stiffness is 400 N m/rad with a rotor_inertia of 0"),
-        ({"static_friction": 0.5}, "static is 0.5, which needs a stiffness above 0"),
+        ({"static_friction": 0.5}, "static is 0.5, which needs a gear stiffness above 0"),
         ({"friction_cancelled": 1.5, "preset": "laboratory"}, "cancelled is 1.5, expected 0 to 1"),
     ],
 )

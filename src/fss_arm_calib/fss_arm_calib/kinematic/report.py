@@ -49,7 +49,7 @@ def _parameters(
     """Tabulate the parameters beside the paper's Tables 2-3 and, if known, the true values."""
     e, paper = outcome.estimate, paper_arm()
     columns = {
-        "Tables 2-3": _values(paper, e.names) * (1.0 if outcome.arm.n == paper.n else np.nan),
+        **({"Tables 2-3": _values(paper, e.names)} if outcome.arm.n == paper.n else {}),
         "guess": e.initial,
         **({"truth": _values(truth, e.names)} if truth else {}),
         "estimate": e.values,
