@@ -1,7 +1,7 @@
 """Speed of the dynamics, compared with MuJoCo and Pinocchio (python bench/bench_plant.py [beds]).
 
 Also the speed of the bed, in multiples of real time, with several vehicles, contact and grips;
-`beds`: only that.
+`beds`: only that. It fails if bodies that touch are slower than MIN_TOUCHING_SPEED.
 
 RK4 at 1 ms; the whole trajectory is stored. Each figure is the median over interleaved runs, so
 that other load affects all programs equally; ratios are medians of the ratios of the runs. The
@@ -23,7 +23,7 @@ from mujoco import rollout as mujoco_rollout
 
 sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from model_arms import random_arm
-from model_oracles import mujoco_index, mujoco_model, pinocchio_model
+from model_oracles import mujoco_index, mujoco_model, mujoco_xml, pinocchio_model
 from peak import PEAK_OPERATIONS, multiply_and_add
 
 from fss_arm_model.description import paper_arm
@@ -41,6 +41,7 @@ from fss_sim.plant.target import Gripper, PassiveTarget
 from fss_sim.plant.vehicle import Demand, Vehicle, World
 
 STEPS, RUNS = 5000, 15
+MIN_TOUCHING_SPEED = 50.0  # times real time
 WIDE = Surroundings(table=(40.0, 40.0))  # the border is far away
 FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
 
@@ -149,50 +150,118 @@ def separate_bed(number, targets, contact, preset="default"):
     return Bed(vehicles(number, preset=preset), free, contact)
 
 
+def pressed_centre():
+    """Return the centre of a disc that just touches the middle of the third link."""
+    a, b = (complex(*at) for at in joint_positions(paper_arm().vector(), np.zeros(7))[2:4])
+    return 0.5 * (a + b) + 1j * (b - a) / abs(b - a) * 0.251
+
+
 def leaning_bed():
     """Return a bed with an arm whose third link presses on a heavy target."""
-    (one,) = vehicles(1)
-    a, b = (complex(*at) for at in joint_positions(one.p, one.q)[2:4])
-    c = 0.5 * (a + b) + 1j * (b - a) / abs(b - a) * 0.251
+    (one,), c = vehicles(1), pressed_centre()
     one.command(0, Demand(MODE_CURRENT, 1.5))
-    return Bed(
-        [one],
-        [PassiveTarget(Target(500.0, 9.0), [[c.real, c.imag, 0], 3 * [0.0]], WIDE)],
-        Contact(),
-    )
+    target = PassiveTarget(Target(500.0, 9.0), [[c.real, c.imag, 0], 3 * [0.0]], WIDE)
+    return Bed([one], [target], Contact())
 
 
-def holding_bed():
-    """Return a bed with two arms that hold each other, a closed chain."""
-    one, other = vehicles(2, Gripper(5.0, 3.2, 5.0))
-    one.closed = True
-    return Bed([one, other], [], Contact())
+def holding_bed(gripper, with_target=False):
+    """Return a bed with two arms that hold each other, or one target: a closed chain."""
+    made = vehicles(2, gripper)
+    for vehicle in made:
+        vehicle.closed = True
+    target = PassiveTarget(Target(radius=0.01), [[1.5, 1.0, 0.0], 3 * [0.0]], WIDE)
+    return Bed(made, [target] if with_target else [], Contact())
 
 
-def measure_beds(time=2.0):
-    """Print the speed of beds in multiples of real time, by processor time; frames of 10 ms."""
-    cases = {
+def pushing_bed():
+    """Return a bed with two vehicles whose bases bump, and one pushes the other."""
+    made = vehicles(2)
+    made[0]._state[0, 2], made[1]._state[0, 0] = np.pi, 0.381
+    made[0]._state[1, 0] = 0.01
+    made[0].thrusters.set_stuck(made[0].thrusters.layout[:, 0] < 0.0, [False] * 8)
+    return Bed(made, [], Contact())
+
+
+def touching_peer(weld):
+    """Return MuJoCo's frame of 10 ms of the leaning arm, or of two arms that hold each other."""
+    kind, c = mujoco.mjtGeom, pressed_centre()
+    spec = mujoco.MjSpec.from_string(mujoco_xml(paper_arm()))
+    spec.body("base").add_geom(type=kind.mjGEOM_SPHERE, size=[0.19, 0, 0], mass=0)
+    for i, link in enumerate(paper_arm().links, 1):
+        line = [0, 0, 0, link.a, 0, 0]
+        spec.body(f"link_{i}").add_geom(
+            type=kind.mjGEOM_CAPSULE, size=[0.06, 0, 0], fromto=line, mass=0
+        )
+    if weld:
+        other = mujoco.MjSpec.from_string(spec.to_xml())
+        spec.attach(other, prefix="other_", frame=spec.worldbody.add_frame(pos=[3.0, 0, 0]))
+        spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1="link_4",
+            name2="other_link_4",
+        )
+    else:
+        disc = spec.worldbody.add_body(name="target", pos=[c.real, c.imag, 0])
+        disc.mass, disc.inertia, disc.explicitinertial = 500.0, [9.0, 9.0, 9.0], True
+        for axis in np.eye(2, 3):
+            disc.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        disc.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+        disc.add_geom(type=kind.mjGEOM_SPHERE, size=[0.19, 0, 0], mass=0)
+    model = spec.compile()
+    model.opt.timestep, data = STEP, mujoco.MjData(model)
+    joints = mujoco_index(model, "q", 4)
+    model.dof_damping[joints], model.dof_frictionloss[joints] = 0.5, 0.3
+    model.dof_damping[joints[1:]] += 80.0  # as of a servo
+    data.qfrc_applied[joints[0]] = 1.2
+    return lambda: mujoco.mj_step(model, data, nstep=10)
+
+
+def times_real_time(make, time=2.0):
+    """Return speed, by processor time in frames of 10 ms, and the share of frames in contact."""
+    bed, in_contact = make(), 0
+    bed.advance(0.01)
+    start = process_time()
+    for _ in range(round(100 * time)):
+        bed.advance(0.01)
+        in_contact += bool(bed.contact_impulses)
+    return time / (process_time() - start), in_contact / (100 * time)
+
+
+def measure_beds():
+    """Print the speed of beds in multiples of real time; return that of the slowest that touch."""
+    print("the bed, in multiples of real time (one thread)")
+    for name, make in {
         "one vehicle": lambda: separate_bed(1, 0, None),
         "one vehicle, a target, contact": lambda: separate_bed(1, 1, Contact()),
         "two vehicles, a target, contact": lambda: separate_bed(2, 1, Contact()),
         "the same, flexible joints": lambda: separate_bed(2, 1, Contact(), "laboratory"),
         "four vehicles, two targets, contact": lambda: separate_bed(4, 2, Contact()),
-        "one presses on a target": leaning_bed,
-        "two hold each other": holding_bed,
-    }
-    print("the bed, in multiples of real time (one thread)")
-    for name, make in cases.items():
-        rows = []
+    }.items():
+        print(f"  {name:36} {np.median([times_real_time(make)[0] for _ in range(4)]):8.1f}")
+    wide, limited = Gripper(5.0, 3.2, 5.0), Gripper(5.0, 3.2, 5.0, force=500.0, torque=500.0)
+    slowest = np.inf
+    for name, make, weld in (
+        ("an arm leans on a target", leaning_bed, False),
+        ("a vehicle bumps and pushes another", pushing_bed, None),
+        ("two arms hold each other", lambda: holding_bed(wide), True),
+        ("two arms hold a target", lambda: holding_bed(wide, True), None),
+        ("the same, with limits", lambda: holding_bed(limited, True), None),
+    ):
+        rows, ratios = [], []
         for _ in range(4):
-            bed, contact_frames = make(), 0
-            bed.advance(0.01)
-            start = process_time()
-            for _ in range(round(100 * time)):
-                bed.advance(0.01)
-                contact_frames += bool(bed.contact_impulses)
-            rows.append(time / (process_time() - start))
-        share = contact_frames / time
-        print(f"  {name:36} {np.median(rows):8.1f}  contact in {share:.0f} of 100 frames")
+            rows.append(times_real_time(make))
+            if weld is not None:
+                frame = touching_peer(weld)
+                start = process_time()
+                for _ in range(200):
+                    frame()
+                ratios.append(rows[-1][0] * (process_time() - start) / 2.0)
+        speed, share = np.median(rows, axis=0)
+        peer = f", {np.median(ratios):.1f} times as fast as MuJoCo" if ratios else ""
+        print(f"  {name:36} {speed:8.1f}, contact in {100 * share:.0f} of 100 frames{peer}")
+        slowest = min(slowest, speed)
+    return slowest
 
 
 def with_gears(arm, joints, has_friction):
@@ -228,7 +297,7 @@ def with_gears(arm, joints, has_friction):
         mujoco_rollout.rollout(model, data, state, tau, control_spec=FORCES)
 
     def ours():
-        plant = Plant(arm, np.zeros(3 + arm.n), world=World(joints, WIDE))
+        plant = Plant(arm, np.zeros(3 + arm.n), world=World(joints, WIDE, contact=None))
         for joint, link in enumerate(arm.links):
             plant.command(joint, Demand(MODE_CURRENT, torques[joint] / link.drive.torque_constant))
         plant.advance(STEPS * STEP)
@@ -245,8 +314,7 @@ def with_gears(arm, joints, has_friction):
 
 def main():
     if sys.argv[1:] == ["beds"]:
-        measure_beds()
-        return
+        return measure_beds() < MIN_TOUCHING_SPEED
     rng = np.random.default_rng(1)
     multiply_and_add()  # compiled
     compare_rollouts(paper_arm(), rng, 8, 25)
@@ -261,8 +329,8 @@ def main():
         none = np.zeros((2000, 3 + n))
         times = [elapsed(partial(rollout, chain, rest, rest, none)) for _ in range(RUNS)]
         print(f"  n = {n:2}  {1e6 * np.median(times) / 2000:8.3f} us")
-    measure_beds()
+    return measure_beds() < MIN_TOUCHING_SPEED
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

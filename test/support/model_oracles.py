@@ -36,6 +36,10 @@ def add_body(model, parent, place, body):
 
 
 def mujoco_model(arm: Arm, joints: Joints | None = None) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(mujoco_xml(arm, joints))
+
+
+def mujoco_xml(arm: Arm, joints: Joints | None = None) -> str:
     """The arm; with joints that give, motors turn their ratio as fast, each a body of its own.
 
     A motor m_i is tied to its joint q_i by a tendon, which is the gear's spring and damper. What
@@ -73,7 +77,7 @@ def mujoco_model(arm: Arm, joints: Joints | None = None) -> mujoco.MjModel:
     slides = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
     own = arm.base.mass, arm.base.inertia - rotor, *arm.base.com
     base = body("base", "", slides + hinge("theta"), *own, inner)
-    return mujoco.MjModel.from_xml_string(
+    return (
         '<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>'
         f"<worldbody>{base}</worldbody><tendon>{tendons}</tendon></mujoco>"
     )

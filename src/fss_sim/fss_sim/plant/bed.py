@@ -1,41 +1,26 @@
-"""Dynamics of everything that floats on the table: vehicles, targets, grips and contacts.
+"""Everything that floats on the table: vehicles, targets, their grips and contacts.
 
-Between contacts each chain moves independently, many steps in one call. The number of steps
-without any contact is estimated from gaps and speeds, and checked afterwards. Impulses at the start
-of a step are needed if it would otherwise end with overlapping parts, or if arms hold each other.
-They are chosen so that at the end of the step
-
-    parts   gap >= 0, by contact.py's law of impact
-    grips   the pose of one gripper relative to the other is unchanged
-
-Parts that lean on each other, or pull, therefore touch at the end of each step, as constraints hold
-in SHAKE (Ryckaert, Ciccotti & Berendsen 1977). Both chains receive their impulse at the same point,
-which conserves momentum. The work of the impulses enters the energy audit.
+A target that one gripper holds is part of its last link. Arms that hold each other, or the same
+target, are welded: their last links move as one body. A grip with limits slides above them.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fss_arm_model.arrays import Floats
-from fss_arm_model.held import Approach, Target, approach
+from fss_arm_model.held import Approach, Target, approach, payload_pose
 from fss_arm_model.integration import STEP
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
-from fss_sim.plant.contact import FEATURES, GAP, Contact, Scene
-from fss_sim.plant.impact import GAP_TOLERANCE, Impact
+from fss_sim.plant.contact import GAP, OVERLAPS, PAIR_SIZE, PUSHED, Contact, pair_parts
+from fss_sim.plant.impact import IMPULSE, NEW_WELD, POSE, WELD_BIAS
+from fss_sim.plant.simulation import ADVANCE, EMPTY_SCENE, SHORT, STOP, Scene, advance
 from fss_sim.plant.target import Load, PassiveTarget, velocity_after_capture
 from fss_sim.plant.vehicle import Vehicle
-from fss_sim.plant.weld import Weld
 
-# Parts can touch in one step within this gap plus their motion in two steps [m].
-CONTACT_RANGE = 5e-3
 # Parts with a smaller initial gap overlap: they pass through each other until apart [m].
 MIN_INITIAL_GAP = -2e-4
-# No check afterwards if the time to a possible contact is this multiple of the advance.
-SAFE_RATIO = 10
-MAX_TRIALS = 8  # of a step
 MAX_MEAN_SHARE = 0.5  # mean load on a grip over several steps, as a share of its limits
 TIP_FIXTURE = Target(fixture=(0.0, 0.0, 0.0))  # a gripper that another gripper can hold
 NO_APPROACH = Approach(np.inf, 0.0, 0.0)
@@ -66,6 +51,14 @@ class Clearance(NamedTuple):
     gap: float  # below 0 if they overlap [m]
 
 
+class Weld(NamedTuple):
+    """Rigid connection of two arms: their last links move as one body."""
+
+    one: Vehicle
+    other: Vehicle
+    pose: Floats  # (3,) of the tip of `other` in the frame of one's last link
+
+
 class Bed:
     """Table with the vehicles and targets that float on it.
 
@@ -89,7 +82,6 @@ class Bed:
         self._welds: list[Weld] = []
         self._contact_work = 0.0  # energy change by contacts and captures [J]
         self._rebuild_scene()
-        self._advance_chains(0)
         self._initial_balance = self.audit.balance
 
     def advance(self, seconds: float) -> None:
@@ -97,10 +89,12 @@ class Bed:
         for vehicle in self.vehicles:
             self._use_gripper(vehicle)
             vehicle.fingers.force = vehicle.fingers.torque = 0.0
-        start, steps = self.step, round(seconds / STEP)
-        self.contact_impulses = {}
-        while self.step < start + steps:
-            self._advance_watched(start + steps - self.step)
+        steps = round(seconds / STEP)
+        end, self.contact_impulses = self.step + steps, {}
+        while self.step < end:
+            grips = [v for v in self.vehicles if v.held and v.world.gripper.limited]
+            left = end - self.step
+            self.step += self._advance_grips(grips, left) if grips else self._advance(left)
         for vehicle in self.vehicles:
             vehicle.end_steps(steps)
 
@@ -118,22 +112,19 @@ class Bed:
 
     def clearances(self) -> list[Clearance]:
         """Return the gap of each pair of parts that can touch, and of each vehicle to the edge."""
-        found = [
-            Clearance(*names, gap)
-            for names, gap in zip(self._scene.names, self._gaps()[:, 0].tolist(), strict=True)
+        edges = [
+            Clearance(vehicle.name or "vehicle", "table edge", vehicle.edge_clearance)
+            for vehicle in self.vehicles
         ]
-        for vehicle in self.vehicles:
-            name, gap = vehicle.name or "vehicle", vehicle.edge_clearance
-            found.append(Clearance(name, "table edge", gap))
-        return found
+        return [*self._pair_clearances(), *edges]
 
     def nearest(self) -> Clearance:
         """Return the pair of parts with the least gap; the gap is infinite if there is no pair."""
-        gaps = self._gaps()[:, 0]
-        if not gaps.size:
-            return Clearance("", "", np.inf)
-        least = int(np.argmin(gaps))
-        return Clearance(*self._scene.names[least], float(gaps[least]))
+        return min(self._pair_clearances(), key=lambda x: x.gap, default=Clearance("", "", np.inf))
+
+    def _pair_clearances(self) -> list[Clearance]:
+        gaps = self._gaps().tolist()
+        return [Clearance(*names, gap) for names, gap in zip(self._names, gaps, strict=True)]
 
     def within_reach(self, vehicle: Vehicle) -> tuple[Vehicle | PassiveTarget | None, Approach]:
         """Return the thing that the vehicle holds, or else the nearest to its gripper.
@@ -196,9 +187,10 @@ class Bed:
             one = self._carrier(thing)
             assert one is not None
             if not any({w.one, w.other} == {one, vehicle} for w in self._welds):
-                self._welds.append(Weld(one, vehicle))
+                tip = tip_pose(vehicle.p, vehicle.q)
+                self._welds.append(Weld(one, vehicle, payload_pose(one.p, one.q, tip)))
                 self._rebuild_scene()
-                self._stop_relative_motion()
+                self._advance(0, STOP)
         self._rebuild_scene()
 
     def _attach(self, vehicle: Vehicle, target: PassiveTarget) -> None:
@@ -209,13 +201,6 @@ class Bed:
         vehicle.attach(target, after)
         vehicle.audit_rows[1] = supplied
         self._contact_work += vehicle.audit_rows[0, 3] - had[3]
-
-    def _stop_relative_motion(self) -> None:
-        """Stop the relative motion of arms that hold each other by an impulse, as a grip closes."""
-        impact = self._impact(self._scene.pairs[:0])
-        self._add_velocity(impact.velocity_change())
-        self._advance_chains(0)
-        self._contact_work += impact.work()
 
     def _release(self, vehicle: Vehicle) -> None:
         """Release the thing held; another vehicle that holds the target keeps it."""
@@ -240,9 +225,9 @@ class Bed:
         return thing
 
     def _load(self, vehicle: Vehicle, before: Floats | None, time: float) -> Load:
-        """Return the load on a grip.
+        """Return the mean load on a grip during the last advance, which took `time` [s].
 
-        `before` is the state (2, 3), `time` [s] ago, of a target that is part of the last link.
+        `before` is the state (2, 3), before it, of a target that is part of the last link.
         """
         payload, force, torque = vehicle.payload, 0j, 0.0
         tip = complex(*tip_pose(vehicle.p, vehicle.q)[:2])
@@ -253,7 +238,7 @@ class Bed:
             torque = gained[2] + (np.conj(complex(x, y) - tip) * force).imag
         for weld in self._welds_of(vehicle):
             sign = 1.0 if weld.other is vehicle else -1.0
-            load = sign * weld.impulse / STEP
+            load = sign / time * self._scene.held[self._welds.index(weld), IMPULSE:WELD_BIAS]
             at = complex(*tip_pose(weld.other.p, weld.other.q)[:2])
             force += complex(load[0], load[1])
             torque += load[2] + (np.conj(at - tip) * complex(load[0], load[1])).imag
@@ -270,93 +255,88 @@ class Bed:
         free = [target for target in self.targets if target.is_free]
         self._chains: list[Vehicle | PassiveTarget] = [*self.vehicles, *free]
         number = {id(chain): c for c, chain in enumerate(self._chains)}
-        rigid = {frozenset((number[id(w.one)], number[id(w.other)])) for w in self._welds}
+        welds = [(number[id(w.one)], number[id(w.other)], *w.pose) for w in self._welds]
+        rigid = {frozenset(row[:2]) for row in welds}
         for vehicle in self.vehicles:
             if vehicle.fingers.slides and id(vehicle.held) in number:
                 rigid.add(frozenset((number[id(vehicle)], number[id(vehicle.held)])))
-        parts = [chain.parts() for chain in self._chains]
-        self._scene = Scene([chain.p for chain in self._chains], parts, rigid)
-        self._overlapping = self._gaps()[:, 0] < MIN_INITIAL_GAP
+        counts, parts = [c.n for c in self._chains], [c.parts() for c in self._chains]
+        self._names, pairs, table = pair_parts(counts, parts, rigid)
+        touched, held = np.zeros((len(pairs), PAIR_SIZE)), np.tile(NEW_WELD, (len(welds), 1))
+        grips = np.array(welds, dtype=float).reshape(-1, POSE + 3)
+        self._scene = Scene(table, pairs, touched, grips, held)
+        self._scene.touched[:, OVERLAPS] = self._gaps() < MIN_INITIAL_GAP
 
     def _gaps(self) -> Floats:
-        """Return each pair's gap [m], and an upper bound of its closing speed [m/s], (g, 2)."""
-        return self._scene.gaps(*self._moving())
+        """Return each pair's gap [m], and update the audit."""
+        scene, _, _ = advance(self._chains, self._scene, 0, self.step)
+        return scene.touched[:, GAP]
 
-    def _moving(self) -> tuple[Floats, Floats]:
-        q = np.concatenate([chain.q for chain in self._chains])
-        return q, np.concatenate([chain.qd for chain in self._chains])
+    def _advance(self, steps: int, way: int = ADVANCE) -> int:
+        """Advance by at most some steps; return their number."""
+        scene, law = self._scene, self.contact
+        if not law:
+            scene = scene._replace(pairs=EMPTY_SCENE.pairs, touched=EMPTY_SCENE.touched)
+        scene, done, work = advance(self._chains, scene, steps, self.step, self.tolerance, law, way)
+        self._contact_work += work
+        self._scene = scene if law else self._scene._replace(held=scene.held)
+        for pair in np.flatnonzero(scene.touched[:, PUSHED]):
+            names, pushed = self._names[pair], float(scene.touched[pair, PUSHED])
+            self.contact_impulses[names] = self.contact_impulses.get(names, 0.0) + pushed
+        return done
 
-    def _impact(self, pairs: Floats) -> Impact:
-        """Return the impulse problem of a step in which these pairs can touch."""
-        (q, v), slices = self._moving(), self._scene.slices
-        inverse = np.zeros((v.size, v.size))
-        for chain, part in zip(self._chains, slices, strict=True):
-            inverse[part, part] = np.linalg.inv(chain.inertia())
-        part_of = {id(chain): part for chain, part in zip(self._chains, slices, strict=True)}
-        welds = [(w, part_of[id(w.one)], part_of[id(w.other)]) for w in self._welds]
-        return Impact(self.contact or Contact(), self._scene, pairs, q, v, inverse, welds)
-
-    def _advance_chains(self, steps: int) -> None:
-        for chain in self._chains:
-            chain.advance_steps(steps, self.step, self.tolerance)
-
-    def _restore(self, snapshot: Sequence[tuple[Floats, ...]]) -> None:
-        for chain, state in zip(self._chains, snapshot, strict=True):
-            chain.snapshot = state
-
-    def _add_velocity(self, change: Floats) -> None:
-        for chain, part in zip(self._chains, self._scene.slices, strict=True):
-            chain.add_velocity(change[part])
-
-    def _advance_watched(self, max_steps: int) -> None:
-        """Advance by at most `max_steps`; a grip holds while its load is within its limits.
+    def _advance_grips(self, grips: Sequence[Vehicle], max_steps: int) -> int:
+        """Advance by at most some steps; a grip holds while its load is within its limits.
 
         The load is that of a grip that holds. A step in which one slides is computed once more.
+        Return the number of steps.
         """
-        grips = [v for v in self.vehicles if v.held and v.world.gripper.limited]
         targets = {v: v.held for v in grips if isinstance(v.held, PassiveTarget)}
         before = {v: target.state for v, target in targets.items()}
         chains = [(chain, chain.snapshot) for chain in self._chains]
-        audit = self._contact_work, dict(self.contact_impulses)
+        work, impulses, scene = self._contact_work, dict(self.contact_impulses), self._scene
+
+        def restore() -> None:
+            for chain, snapshot in chains:
+                chain.snapshot = snapshot
+            self._contact_work, self.contact_impulses = work, dict(impulses)
+
         sliding = [v for v in targets if v.fingers.slides]
         for vehicle in sliding:
             self._attach(vehicle, targets[vehicle])
         if sliding:
             self._rebuild_scene()
-        count = self._advance_free(1 if sliding else max_steps)
+        count = self._advance(1 if sliding else max_steps, SHORT)
         while True:
             loads = {v: self._load(v, before.get(v), count * STEP) for v in grips}
             shares = {v: load.share(v.world.gripper) for v, load in loads.items()}
-            if count == 1 or max(shares.values(), default=0.0) < MAX_MEAN_SHARE:
+            if count == 1 or max(shares.values()) < MAX_MEAN_SHARE:
                 break
-            self._restore([snapshot for _, snapshot in chains])
-            count = self._advance_free(count // 2)
+            restore()
+            self._scene = scene
+            count = self._advance(count // 2, SHORT)
         over = [v for v in grips if shares[v] > 1.0]
         slipping = [v for v in over if v in targets and not self._welds_of(v)]
         lost = [v for v in over if v not in slipping]
+        loads |= {v: loads[v].scaled(1.0 / shares[v]) for v in slipping}
         if slipping:
-            for vehicle in slipping:
-                loads[vehicle] = loads[vehicle].scaled(1.0 / shares[vehicle])
             slipping += [v for v in sliding if v not in slipping]
             for vehicle in slipping:
                 vehicle.let_slide(targets[vehicle], before[vehicle])
-            for chain, snapshot in chains:
-                chain.snapshot = snapshot
-            self._contact_work, self.contact_impulses = audit
+            restore()
             self._slide({v: (targets[v], loads[v]) for v in slipping})
             lost += [v for v in slipping if not v.world.gripper.encloses(self.within_reach(v)[1])]
         for vehicle in grips:
             vehicle.fingers.add_load(loads[vehicle], vehicle in slipping, self.step)
-        self.step += count
         for vehicle in lost:
             vehicle.fingers.missed = True
             vehicle.fingers.losses += 1
             self._release(vehicle)
+        return count
 
     def _slide(self, grips: dict[Vehicle, tuple[PassiveTarget, Load]]) -> None:
         """Advance by one step in which grips transmit these loads."""
         self._rebuild_scene()
-        self._advance_chains(0)
         energy = self.audit.energy
         for vehicle, (target, load) in grips.items():
             fx, fy, torque = load.force.real, load.force.imag, load.torque
@@ -364,59 +344,6 @@ class Bed:
             vehicle.add_velocity(np.asarray(np.linalg.solve(vehicle.inertia(), -STEP * pull)))
             x, y = (tip_pose(vehicle.p, vehicle.q) - target.q)[:2].tolist()
             target.add_velocity(STEP * np.array([fx, fy, torque + x * fy - y * fx]) / target.masses)
-        self._advance_chains(0)
+        self._gaps()
         self._contact_work += self.audit.energy - energy
-        self._advance_free(1)
-
-    def _advance_free(self, max_steps: int) -> int:
-        """Advance by steps without contact, or by one step; return their number."""
-        if not (self._welds or (self.contact and self._scene.names)):
-            self._advance_chains(max_steps)
-            return max_steps
-        gaps = self._gaps()
-        self._overlapping &= gaps[:, 0] < 0.0
-        watched = gaps[~self._overlapping] if self.contact else gaps[:0]
-        slack = (watched[:, 0] / (1.5 * watched[:, 1] + 0.05)).min(initial=np.inf) / STEP
-        count = 1 if self._welds else int(min(max(slack, 1.0), max_steps))
-        snapshot = [chain.snapshot for chain in self._chains]
-        while count > 1:
-            self._advance_chains(count)
-            if slack >= SAFE_RATIO * count:
-                return count
-            after = self._gaps()[~self._overlapping]
-            travel = STEP * count * np.maximum(watched[:, 1], after[:, 1])
-            if (watched[:, 0] + after[:, 0] > travel).all():
-                return count
-            self._restore(snapshot)
-            count //= 2
-        close = ~self._overlapping & (gaps[:, 0] < CONTACT_RANGE + 2.0 * STEP * gaps[:, 1])
-        self._advance_with_contact(snapshot, close if self.contact else np.zeros_like(close))
-        return 1
-
-    def _advance_with_contact(
-        self, snapshot: Sequence[tuple[Floats, ...]], close: npt.NDArray[np.bool_]
-    ) -> None:
-        """Advance by one step, so that no near pair overlaps and no grip changes its pose."""
-        pairs = self._scene.pairs[close]
-        new = np.zeros((len(pairs), FEATURES), dtype=bool)
-        if not self._welds:
-            self._advance_chains(1)
-            new = self._scene.touches(self._moving()[0], pairs)[..., GAP] < -GAP_TOLERANCE
-            if not new.any():
-                return
-            self._restore(snapshot)
-        impact = self._impact(pairs)
-        for _ in range(MAX_TRIALS):
-            impact.add_contacts(new)
-            change = impact.velocity_change()
-            self._restore(snapshot)
-            self._add_velocity(change)
-            self._advance_chains(1)
-            ended = self._scene.touches(self._moving()[0], pairs)[..., GAP]
-            new = (ended < -GAP_TOLERANCE) & ~impact.touching
-            if not impact.correct_goals(ended) and not new.any():
-                break
-        self._contact_work += impact.work()
-        for k, pushed in impact.pair_impulses():
-            names = self._scene.names[int(np.flatnonzero(close)[k])]
-            self.contact_impulses[names] = self.contact_impulses.get(names, 0.0) + pushed
+        self._advance(1)

@@ -1,4 +1,4 @@
-"""Contact between bodies: its location, and the impulses that keep the bodies apart.
+"""Contact between bodies: the parts that can touch, their gaps, and the law of impact.
 
 Everything that moves is a chain of bodies. A body carries parts: discs, and lines with a radius.
 Where two parts touch, with the normal n from the second to the first and the relative velocity J v,
@@ -16,17 +16,16 @@ are then scaled down by one factor until it does not.
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from fss_arm_model import layout
-from fss_arm_model.arrays import Floats
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.centroidal import scaled
-from fss_arm_model.kernels import helper, kernel
-from fss_arm_model.kinematics import body_reach, cross, dot
-from fss_arm_model.layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
+from fss_arm_model.kernels import helper
+from fss_arm_model.kinematics import cross, dot
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, between, setting
 
 
@@ -61,133 +60,143 @@ class Part(NamedTuple):
     held: bool = False  # True for a target that the chain's gripper holds
 
 
-# Columns of the kernels' tables of chains and of parts.
-P, Q, COUNT = range(3)
+# Columns of the tables of parts, and of the state of a pair of parts.
 CHAIN, BODY, START_X, START_Y, END_X, END_Y, RADIUS = range(7)
-# Columns of a touch.
-GAP, AT_X, AT_Y, NORMAL_X, NORMAL_Y = range(5)
+GAP, SPEED, OVERLAPS, PUSHED, BIAS, TREND, RATE = 0, 1, 2, 3, 4, 8, 12
 FEATURES = 4  # possible touches of a pair: each end of either line with the other line
-_SHAPE = np.empty((FEATURES, NORMAL_Y + 1))
+PAIR_SIZE = RATE + FEATURES
+
+
+class Places(NamedTuple):
+    """Places of bodies and parts in a kernel."""
+
+    offsets: npt.NDArray[np.int64]  # (c + 1,) index of a chain's (c, psi) among those of all
+    parts: Floats  # (s, 7)
+    pairs: Floats  # (g, 2)
+    pivots: Complexes  # (c, b) of each body of each chain
+    turns: Complexes  # (c, b) exp(i psi)
+    rates: Complexes  # (c, b) velocity of each pivot
+    spins: Floats  # (c, b) angular velocity
+    ends: Complexes  # (2, s) start and end of each part
+    end_rates: Complexes  # (2, s) their velocities
 
 
 @helper
-def _frames(p, q, chains, r, u):  # type: ignore[no-untyped-def]
-    """Write each body's pivot to r and its direction to u, (chains, bodies)."""
-    for c in range(chains.shape[0]):
-        at, of = int(chains[c, P]), int(chains[c, Q])
-        numbers = p[at : at + LINK_SIZE * int(chains[c, COUNT]) + LINK_SIZE + 2]
-        heading = q[of + 2]
-        r[c, 0], u[c, 0] = complex(q[of], q[of + 1]), complex(math.cos(heading), math.sin(heading))
-        for k in range(1, int(chains[c, COUNT]) + 1):
-            r[c, k] = r[c, k - 1] + body_reach(numbers, k - 1) * u[c, k - 1]
-            heading += numbers[LINK_SIZE * k + OFFSET] + q[of + 2 + k]
-            if k == 1:
-                heading += numbers[MOUNT_ANGLE]
-            u[c, k] = complex(math.cos(heading), math.sin(heading))
+def make_places(parts, pairs, counts):  # type: ignore[no-untyped-def]
+    """Return Places for chains of these numbers of joints."""
+    shape, kind = (counts.size, int(counts.max()) + 2), np.complex128
+    ends, offsets = np.empty((2, parts.shape[0]), kind), np.zeros(counts.size + 1, np.int64)
+    for c in range(counts.size):
+        offsets[c + 1] = offsets[c] + 3 + int(counts[c])
+    return Places(
+        offsets,
+        parts.copy(),
+        pairs.copy(),
+        np.empty(shape, kind),
+        np.empty(shape, kind),
+        np.empty(shape, kind),
+        np.empty(shape),
+        ends,
+        ends.copy(),
+    )
 
 
 @helper
-def _ends(part, r, u):  # type: ignore[no-untyped-def]
-    c, k = int(part[CHAIN]), int(part[BODY])
-    start, end = complex(part[START_X], part[START_Y]), complex(part[END_X], part[END_Y])
-    return r[c, k] + start * u[c, k], r[c, k] + end * u[c, k]
+def place_bodies(chain, places, c):  # type: ignore[no-untyped-def]
+    """Write the places of the bodies of chain c, and of its tip as a further pivot."""
+    r, v = complex(chain.q[0], chain.q[1]), complex(chain.qd[0], chain.qd[1])
+    m, mass = chain.held.size, chain.bodies.mass
+    for k in range(m):
+        d = chain.vectors[1, k] + scaled(1.0 / mass, chain.vectors[2, k])
+        places.pivots[c, k], places.rates[c, k] = r, v
+        places.turns[c, k], places.spins[c, k] = chain.vectors[0, k], chain.z[1, 2 + k]
+        r += d
+        v += 1j * scaled(chain.z[1, 2 + k], d)
+    places.pivots[c, m] = r
 
 
 @helper
-def _velocity(part, chains, r, v, x):  # type: ignore[no-untyped-def]
-    """Return the velocity of the point x as a point of the part's body."""
-    c = int(part[CHAIN])
-    of = int(chains[c, Q])
-    velocity = complex(v[of], v[of + 1])
-    for k in range(int(part[BODY]) + 1):
-        velocity += 1j * v[of + 2 + k] * (x - r[c, k])
-    return velocity
+def place_parts(places):  # type: ignore[no-untyped-def]
+    """Write the places of all parts of bodies that are in place."""
+    for s in range(places.parts.shape[0]):
+        part = places.parts[s]
+        c, k = int(part[CHAIN]), int(part[BODY])
+        for end in range(2):
+            at = places.turns[c, k] * complex(part[START_X + 2 * end], part[START_Y + 2 * end])
+            places.ends[end, s] = places.pivots[c, k] + at
+            places.end_rates[end, s] = places.rates[c, k] + 1j * scaled(places.spins[c, k], at)
+
+
+@helper
+def _length(x):  # type: ignore[no-untyped-def]
+    return math.sqrt(dot(x, x))
 
 
 @helper
 def _nearest(x, a, b):  # type: ignore[no-untyped-def]
-    """Return the position of the point nearest to x on the line from a (0) to b (1)."""
+    """Return the point of the line from a to b that is nearest to x."""
     d = b - a
     square = dot(d, d)
-    return min(max(dot(d, x - a) / max(square, 1e-300), 0.0), 1.0)
+    return a + scaled(min(max(dot(d, x - a) / max(square, 1e-300), 0.0), 1.0), d)
 
 
 @helper
-def _distance(x, a, b):  # type: ignore[no-untyped-def]
-    return abs(x - a - _nearest(x, a, b) * (b - a))
+def time_to_touch(gap, speed):  # type: ignore[no-untyped-def]
+    """Return an estimate of the time in which a gap can close [s]."""
+    return gap / (1.5 * speed + 0.05)
 
 
-@kernel("(p),(m),(m),(c,f),(s,h),(g,w)->(g,w)")
-def _gaps(p, q, v, chains, parts, pairs, out):  # type: ignore[no-untyped-def]
-    bodies = int(chains[:, COUNT].max()) + 1
-    r, u = np.empty((2, chains.shape[0], bodies), np.complex128)
-    _frames(p, q, chains, r, u)
-    for g in range(pairs.shape[0]):
-        i, j = parts[int(pairs[g, 0])], parts[int(pairs[g, 1])]
-        a, b = _ends(i, r, u)
-        c, d = _ends(j, r, u)
-        apart = min(
-            min(_distance(a, c, d), _distance(b, c, d)), min(_distance(c, a, b), _distance(d, a, b))
-        )
-        crossed = cross(b - a, c - a) * cross(b - a, d - a) < 0.0
-        if crossed and cross(d - c, a - c) * cross(d - c, b - c) < 0.0:
-            apart = 0.0
-        out[g, 0] = apart - i[RADIUS] - j[RADIUS]
-        reference = _velocity(i, chains, r, v, a)
-        turning = abs(_velocity(i, chains, r, v, b) - reference)
-        passing = abs(_velocity(j, chains, r, v, c) - reference)
-        out[g, 1] = turning + max(passing, abs(_velocity(j, chains, r, v, d) - reference))
+@helper
+def measure_gaps(places, touched, horizon):  # type: ignore[no-untyped-def]
+    """Write each pair's gap [m], and an upper bound of its closing speed [m/s].
+
+    If even a lower bound of the gap cannot close within the horizon [s], this bound is written.
+    """
+    ends, rates = places.ends, places.end_rates
+    for g in range(places.pairs.shape[0]):
+        i, j = int(places.pairs[g, 0]), int(places.pairs[g, 1])
+        a, b, c, d = ends[0, i], ends[1, i], ends[0, j], ends[1, j]
+        turning = _length(rates[1, i] - rates[0, i])
+        passing = max(_length(rates[0, j] - rates[0, i]), _length(rates[1, j] - rates[0, i]))
+        touched[g, SPEED] = turning + passing
+        radii = places.parts[i, RADIUS] + places.parts[j, RADIUS]
+        reach = 0.5 * (_length(b - a) + _length(d - c))
+        gap = 0.5 * _length(a + b - c - d) - reach - radii
+        if time_to_touch(gap, touched[g, SPEED]) < horizon:
+            gap = min(
+                min(_length(a - _nearest(a, c, d)), _length(b - _nearest(b, c, d))),
+                min(_length(c - _nearest(c, a, b)), _length(d - _nearest(d, a, b))),
+            )
+            crossed = cross(b - a, c - a) * cross(b - a, d - a) < 0.0
+            if crossed and cross(d - c, a - c) * cross(d - c, b - c) < 0.0:
+                gap = 0.0
+            gap -= radii
+        touched[g, GAP] = gap
 
 
-@kernel("(p),(m),(c,f),(s,h),(g,w),(k,t)->(g,k,t)")
-def _touches(p, q, chains, parts, pairs, _kt, out):  # type: ignore[no-untyped-def]
-    bodies = int(chains[:, COUNT].max()) + 1
-    r, u = np.empty((2, chains.shape[0], bodies), np.complex128)
-    _frames(p, q, chains, r, u)
-    for g in range(pairs.shape[0]):
-        i, j = parts[int(pairs[g, 0])], parts[int(pairs[g, 1])]
-        a, b = _ends(i, r, u)
-        c, d = _ends(j, r, u)
-        for f in range(FEATURES):
-            out[g, f, GAP] = np.inf
-            out[g, f, AT_X], out[g, f, AT_Y], out[g, f, NORMAL_X], out[g, f, NORMAL_Y] = 0, 0, 1, 0
-            if f < 2:
-                x = a if f == 0 else b
-                y = c + _nearest(x, c, d) * (d - c)
-            else:
-                y = c if f == 2 else d
-                x = a + _nearest(y, a, b) * (b - a)
-            if (f > 0 and a == b) or (f == 3 and c == d):
-                continue  # the same as another feature
-            apart = abs(x - y)
-            if apart == 0.0:
-                continue
-            n = scaled(1.0 / apart, x - y)
-            out[g, f, GAP] = apart - i[RADIUS] - j[RADIUS]
-            middle = 0.5 * (x - i[RADIUS] * n + y + j[RADIUS] * n)
-            out[g, f, AT_X], out[g, f, AT_Y] = middle.real, middle.imag
-            out[g, f, NORMAL_X], out[g, f, NORMAL_Y] = n.real, n.imag
+@helper
+def find_touch(places, g, f):  # type: ignore[no-untyped-def]
+    """Return gap, middle of the gap, and normal at feature f of a pair.
 
-
-@kernel("(p),(m),(c,f),(s,h),(k,w),(k,t)->(k,w,m)")
-def _jacobian(p, q, chains, parts, pairs, touches, out):  # type: ignore[no-untyped-def]
-    bodies = int(chains[:, COUNT].max()) + 1
-    r, u = np.empty((2, chains.shape[0], bodies), np.complex128)
-    _frames(p, q, chains, r, u)
-    out[:] = 0.0
-    for k in range(pairs.shape[0]):
-        x = complex(touches[k, AT_X], touches[k, AT_Y])
-        n = complex(touches[k, NORMAL_X], touches[k, NORMAL_Y])
-        for side in range(2):
-            part, sign = parts[int(pairs[k, side])], 1.0 - 2.0 * side
-            c = int(part[CHAIN])
-            of = int(chains[c, Q])
-            for row in range(2):
-                along = sign * n if row == 0 else 1j * sign * n
-                out[k, row, of] += along.real
-                out[k, row, of + 1] += along.imag
-                for b in range(int(part[BODY]) + 1):
-                    out[k, row, of + 2 + b] += cross(x - r[c, b], along)
+    The normal points from the second part to the first. The gap is infinite if the pair has no such
+    feature, or it is the same as another one.
+    """
+    i, j = int(places.pairs[g, 0]), int(places.pairs[g, 1])
+    ends = places.ends
+    a, b, c, d = ends[0, i], ends[1, i], ends[0, j], ends[1, j]
+    if f < 2:
+        x = a if f == 0 else b
+        y = _nearest(x, c, d)
+    else:
+        y = c if f == 2 else d
+        x = _nearest(y, a, b)
+    apart = _length(x - y)
+    if apart == 0.0 or (f > 0 and a == b) or (f == 3 and c == d):
+        return math.inf, x, 1.0 + 0.0j
+    n = scaled(1.0 / apart, x - y)
+    one, other = places.parts[i, RADIUS], places.parts[j, RADIUS]
+    middle = scaled(0.5, x - scaled(one, n) + y + scaled(other, n))
+    return apart - one - other, middle, n
 
 
 @helper
@@ -224,101 +233,63 @@ def _solve_rows(W, v, goals, share, friction, impulse):  # type: ignore[no-untyp
     return gained
 
 
-@kernel("(r,r),(r),(c),(s)->(r)")
-def _impulses(W, v, goals, friction, out):  # type: ignore[no-untyped-def]
-    low, high = 0.0, 1.0
-    gained = _solve_rows(W, v, goals, 1.0, friction[0], out)
-    if gained > 0.0:
-        for _ in range(20):
-            share = 0.5 * (low + high)
-            if _solve_rows(W, v, goals, share, friction[0], out) > 0.0:
-                high = share
-            else:
-                low = share
-        gained = _solve_rows(W, v, goals, low, friction[0], out)
-    if gained > 0.0:  # by rounding, or where the rows did not settle
-        out[:] = 0.0
+@helper
+def solve_contacts(W, v, goals, friction, impulse):  # type: ignore[no-untyped-def]
+    """Write the impulses along normals and surfaces, (2 k,) [N s], of k simultaneous contacts.
 
-
-class Scene:
-    """Parts of several chains, and the pairs of them that can touch.
-
-    Args:
-        p: parameters of each chain, (8 + 6 n,) as Arm.vector().
-        parts: parts of each chain.
-        rigid: pairs of chains whose last bodies do not move relative to each other.
-    """
-
-    def __init__(
-        self,
-        p: Sequence[Floats],
-        parts: Sequence[Sequence[Part]],
-        rigid: Collection[frozenset[int]] = (),
-    ) -> None:
-        self.p, counts = np.concatenate(p), [layout.count(one) for one in p]
-        starts = np.cumsum([(0, 0), *((one.size, 3 + layout.count(one)) for one in p)], axis=0)
-        self.slices = [slice(a, b) for a, b in pairwise(starts[:, 1].tolist())]
-        self._chains = np.column_stack([starts[:-1], counts]).astype(float)
-        every = [(c, part) for c, row in enumerate(parts) for part in row]
-        rows = [
-            (c, x.body, x.start.real, x.start.imag, x.end.real, x.end.imag, x.radius)
-            for c, x in every
-        ]
-        self._parts = np.array(rows).reshape(-1, RADIUS + 1)
-
-        def can_touch(c: int, a: Part, d: int, b: Part) -> bool:
-            if c == d and not (a.held or b.held):
-                return a.inner and b.inner and abs(a.body - b.body) > 1
-            if c == d:
-                return a.outer and b.outer and a.body != b.body
-            last = a.body == counts[c] and b.body == counts[d] and frozenset((c, d)) in rigid
-            return a.outer and b.outer and not ((a.gripper and b.gripper) or last)
-
-        pairs = [
-            (i, j) for i, j in combinations(range(len(every)), 2) if can_touch(*every[i], *every[j])
-        ]
-        self.names = [(every[i][1].name, every[j][1].name) for i, j in pairs]
-        self.pairs = np.array(pairs, dtype=float).reshape(-1, 2)
-
-    def gaps(self, q: Floats, v: Floats) -> Floats:
-        """Return each pair's gap [m], and an upper bound of its closing speed [m/s], (g, 2)."""
-        if not self.names:
-            return np.empty((0, 2))
-        gaps: Floats = _gaps(self.p, q, v, self._chains, self._parts, self.pairs)
-        return gaps
-
-    def touches(self, q: Floats, pairs: Floats) -> Floats:
-        """Return the nearest points of some pairs, (g, 4, 5): gap, point, normal.
-
-        Two lines can touch at up to four places: each end of either with the other. The point is in
-        the middle of the gap. The normal points from the second part to the first. The gap is
-        infinite where a pair has no such place.
-        """
-        if not len(pairs):
-            return np.empty((0, *_SHAPE.shape))
-        touches: Floats = _touches(self.p, q, self._chains, self._parts, pairs, _SHAPE)
-        return touches
-
-    def jacobian(self, q: Floats, pairs: Floats, touches: Floats) -> Floats:
-        """Return the Jacobian (2 k, m) of the first part's velocity relative to the second.
-
-        Its rows are along the normal and along the surface of each touch.
-        """
-        rows = _jacobian(self.p, q, self._chains, self._parts, pairs, touches)
-        return rows.reshape(2 * len(pairs), q.size)
-
-
-def impulses(W: Floats, v: Floats, goals: Floats, friction: float) -> Floats:
-    """Return the impulses along normals and surfaces, (2 k,) [N s], of k simultaneous contacts.
+    If those that reach the goals would add energy, the goals above 0 are scaled down.
 
     Args:
         W: (2 k, 2 k) J H^-1 J'.
         v: (2 k,) J v before the impulses [m/s].
         goals: (k,) least J v along the normals after the impulses [m/s].
         friction: Coulomb's coefficient.
-
-    Returns:
-        Impulses that reach the goals. If these would add energy, the goals above 0 are scaled down.
+        impulse: (2 k,) result.
     """
-    out: Floats = _impulses(W, v, goals, np.array([friction]))
-    return out
+    low, high = 0.0, 1.0
+    gained = _solve_rows(W, v, goals, 1.0, friction, impulse)
+    if gained > 0.0:
+        for _ in range(20):
+            share = 0.5 * (low + high)
+            if _solve_rows(W, v, goals, share, friction, impulse) > 0.0:
+                high = share
+            else:
+                low = share
+        gained = _solve_rows(W, v, goals, low, friction, impulse)
+    if gained > 0.0:  # by rounding, or where the rows did not settle
+        impulse[:] = 0.0
+
+
+def pair_parts(
+    counts: Sequence[int],
+    parts: Sequence[Sequence[Part]],
+    rigid: Collection[frozenset[int]] = (),
+) -> tuple[list[tuple[str, str]], Floats, Floats]:
+    """Return names and indices (g, 2) of the pairs that can touch, and the parts' table (s, 7).
+
+    Args:
+        counts: number of links of each chain.
+        parts: parts of each chain.
+        rigid: pairs of chains whose last bodies do not move relative to each other.
+    """
+    every = [(c, part) for c, row in enumerate(parts) for part in row]
+
+    def can_touch(c: int, a: Part, d: int, b: Part) -> bool:
+        if c == d and not (a.held or b.held):
+            return a.inner and b.inner and abs(a.body - b.body) > 1
+        if c == d:
+            return a.outer and b.outer and a.body != b.body
+        last = a.body == counts[c] and b.body == counts[d] and frozenset((c, d)) in rigid
+        return a.outer and b.outer and not ((a.gripper and b.gripper) or last)
+
+    pairs = [
+        (i, j) for i, j in combinations(range(len(every)), 2) if can_touch(*every[i], *every[j])
+    ]
+    rows = [
+        (c, x.body, x.start.real, x.start.imag, x.end.real, x.end.imag, x.radius) for c, x in every
+    ]
+    return (
+        [(every[i][1].name, every[j][1].name) for i, j in pairs],
+        np.array(pairs, dtype=float).reshape(-1, 2),
+        np.array(rows, dtype=float).reshape(-1, RADIUS + 1),
+    )

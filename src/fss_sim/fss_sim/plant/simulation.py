@@ -1,311 +1,267 @@
-"""Simulation of the plant: many steps of arm, drives, thrusters and surroundings in one kernel.
+"""Simulation of chains of bodies, many steps in one kernel: free motion, contact, and welds.
+
+Between contacts each chain moves independently. The number of steps without any contact is
+estimated from gaps and speeds, and checked afterwards. A step that would otherwise end with
+overlapping parts, or with a weld out of place, begins with impulses (impact.py). Both chains
+receive their impulse at the same point, which conserves momentum.
 
 Each call also audits momentum and energy. It computes the momentum and the energy of the bodies,
 and integrates the impulse and the work of every force on them. The two must change by the same
-amount.
+amount, but for the work of contacts and welds, which the call returns.
 """
 
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
 import numpy as np
-import numpy.typing as npt
 
 from fss_arm_model.arrays import Floats
-from fss_arm_model.centroidal import (
-    from_centroidal,
-    make_bodies,
-    to_centroidal,
-    twice_energy_and_moment,
-)
-from fss_arm_model.integration import STEP, classical, controlled
+from fss_arm_model.integration import STEP
 from fss_arm_model.kernels import helper, kernel
-from fss_sim.plant.drives import apply_drives
-from fss_sim.plant.gears import (
-    GearParameters,
-    Gears,
-    apply_geared_drives,
-    gear_twist,
-    spring_torque,
-    write_geared_derivative,
-    write_geared_derivative_called,
+from fss_sim.plant.chain import (
+    FIXED_SIZE,
+    FIXED_STATE,
+    JOINT_SIZE,
+    JOINT_STATE,
+    finish_chain,
+    make_chain,
+    restore,
+    save,
+    step_chain,
 )
-from fss_sim.plant.surroundings import Forces, write_derivative, write_derivative_called
+from fss_sim.plant.contact import (
+    GAP,
+    OVERLAPS,
+    PAIR_SIZE,
+    PUSHED,
+    RADIUS,
+    SPEED,
+    Contact,
+    make_places,
+    measure_gaps,
+    place_bodies,
+    place_parts,
+    time_to_touch,
+)
+from fss_sim.plant.impact import IMPULSE, NEW_WELD, POSE, WELD_BIAS, touch_step
 
-_classical, _controlled = classical(write_derivative), controlled(write_derivative_called)
-_classical_geared = classical(write_geared_derivative)
-_controlled_geared = controlled(write_geared_derivative_called)
+# Parts can touch in one step within this gap plus their motion in two steps [m].
+CONTACT_RANGE = 5e-3
+# No check afterwards if the time to a possible contact is this multiple of the advance.
+SAFE_RATIO = 10
+ADVANCE, SHORT, STOP = range(3)  # ways to advance, see `advance`
+
+
+class Moving(Protocol):
+    """A chain of bodies that moves independently."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+
+    @property
+    def snapshot(self) -> tuple[Floats, ...]:
+        """State that a step changes."""
+
+    @snapshot.setter
+    def snapshot(self, snapshot: tuple[Floats, ...]) -> None: ...
+
+    def constants(self, first_step: int) -> tuple[Floats, ...]:
+        """Return the constants of the steps from `first_step` on."""
+
+
+class Scene(NamedTuple):
+    """Parts of several chains, the pairs that can touch, and welds, with the state of both."""
+
+    parts: Floats  # (s, 7)
+    pairs: Floats  # (g, 2) indices of parts
+    touched: Floats  # (g, PAIR_SIZE)
+    welds: Floats  # (w, 5) two chains, and the pose of the tip of the second in the first one's
+    held: Floats  # (w, 15)
+
+
+EMPTY_SCENE = Scene(
+    np.zeros((0, RADIUS + 1)),
+    np.zeros((0, 2)),
+    np.zeros((0, PAIR_SIZE)),
+    np.zeros((0, POSE + 3)),
+    np.zeros((0, NEW_WELD.size)),
+)
 
 
 @helper
-def _thrust(valves, step, held):  # type: ignore[no-untyped-def]
-    """Return the force of the open valves in a step, as a complex number.
+def _place_chains(chains, places):  # type: ignore[no-untyped-def]
+    for c in range(len(chains)):
+        place_bodies(chains[c], places, c)
+    place_parts(places)
 
-    Their torque is added to held[0].
+
+@helper
+def _find_close(touched, close):  # type: ignore[no-untyped-def]
+    """Return the least time in which a pair can touch [s], and the number of close pairs.
+
+    Their indices are written to `close`. Pairs that have overlapped from the start do not count.
     """
-    thrust = 0j
-    for valve in valves:
-        if valve[3] <= step < valve[4]:
-            thrust += complex(valve[0], valve[1])
-            held[0] += valve[2]
-    return thrust
+    slack, near = math.inf, 0
+    for g in range(touched.shape[0]):
+        gap, speed = touched[g, GAP], touched[g, SPEED]
+        if touched[g, OVERLAPS] > 0.0 and gap < 0.0:
+            continue
+        touched[g, OVERLAPS] = 0.0
+        slack = min(slack, time_to_touch(gap, speed))
+        if gap < CONTACT_RANGE + 2.0 * STEP * speed:
+            close[near] = g
+            near += 1
+    return slack, near
 
 
 @helper
-def _write_audit(  # type: ignore[no-untyped-def]
-    bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit
-):
-    """Write to `audit` the bodies' momentum and energy, and the total impulse and work on them."""
-    audit[0, 0], audit[0, 1] = bodies.mass * z[1, 0], bodies.mass * z[1, 1]
-    audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
-    audit[1, 0] = audit0[1, 0] + bodies.mass * (z[1, 0] - start_x)
-    audit[1, 1] = audit0[1, 1] + bodies.mass * (z[1, 1] - start_y)
-    audit[1, 2], audit[1, 3] = audit0[1, 2] + z[1, 3 + m], audit0[1, 3] + z[1, 2 + m]
+def _touch(before, after, time):  # type: ignore[no-untyped-def]
+    """Return True if a pair may have touched within a time, by its gaps before and after it."""
+    for g in range(after.shape[0]):
+        travel = time * max(before[g, SPEED], after[g, SPEED])
+        if after[g, OVERLAPS] == 0.0 and before[g, GAP] + after[g, GAP] <= travel:
+            return True
+    return False
 
 
-@kernel("(p),(r),(n,l),(e),(t,f),(n,d),(c),(s,m),(n,g),(b,a)->(s,m),(n,g),(b,a),(n,s)")
+@kernel("(a),(x),(c),(s,h),(g,i),(g,t),(w,l),(w,k),(o),(r)->(x),(g,t),(w,k),(r)")
 def _advance(  # type: ignore[no-untyped-def]
-    p,
-    rotor,
-    joints,
-    surroundings,
-    valves,
-    demand,
-    control,
-    state0,
-    reference0,
-    audit0,
-    state,
-    reference,
-    audit,
-    torques,
-):
-    m, kind = state.shape[1] - 2, np.complex128
-    bodies = make_bodies(p.copy(), rotor.copy())
-    z, k = np.zeros((2, 4 + m)), np.zeros((8, 2, 4 + m))
-    start_vectors, turned = np.empty((3, m), kind), np.empty((3, m), kind)
-    work = np.empty((2, m), kind)
-    held, torque, requested, inertia = np.empty(m), np.empty(m), np.empty(m), np.empty((2, m))
-    laws, dz, around = np.empty((m, 6)), np.zeros((2, 4 + m)), surroundings.copy()
-    joint_rows, demands, references = joints.copy(), demand.copy(), reference0.copy()
-    joint_torques = np.zeros((m, 2))
-    q, qd = state0[0].copy(), state0[1].copy()
-    to_centroidal(bodies, q, qd, start_vectors, z)
-    start_x, start_y = z[1, 0], z[1, 1]
-    steps, tolerance = int(control[0]), control[1]
-    for step in range(steps):
-        held[:] = 0.0
-        thrust = _thrust(valves, step, held)
-        forces = Forces(around, thrust, held, torque)
-        apply_drives(
-            bodies,
-            forces,
-            joint_rows,
-            demands,
-            q,
-            qd,
-            references,
-            z,
-            start_vectors,
-            work,
-            dz,
-            inertia,
-            requested,
-            laws,
-            joint_torques,
-        )
-        if tolerance > 0.0:
-            _controlled(bodies, forces, STEP, tolerance, z, start_vectors, turned, work, k)
-        else:
-            _classical(bodies, forces, STEP, z, start_vectors, turned, work, k)
-        from_centroidal(bodies, start_vectors, z, q, qd)
-    for i in range(2 + m):
-        state[0, i], state[1, i] = q[i], qd[i]
-    for j in range(m - 1):
-        reference[j, 0], reference[j, 1] = references[j, 0], references[j, 1]
-        torques[j, 0], torques[j, 1] = joint_torques[j, 0], joint_torques[j, 1]
-    twice_energy, moment = twice_energy_and_moment(bodies, start_vectors, z)
-    _write_audit(bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit)
-
-
-@kernel(
-    "(p),(r),(n,l),(f),(n),(e),(t,v),(n,d),(c),(s,m),(n,g),(n,h),(b,a)->(s,m),(n,g),(n,h),(b,a),(n,s)"
-)
-def _advance_geared(  # type: ignore[no-untyped-def]
-    p,
-    rotor,
-    joints,
-    shared,
-    rest,
-    surroundings,
-    valves,
-    demand,
-    control,
-    state0,
-    reference0,
-    motors0,
-    audit0,
-    state,
-    reference,
-    motors,
-    audit,
-    torques,
-):
-    n, kind = demand.shape[0], np.complex128
-    m, size = n + 1, 5 + 2 * n
-    bodies, z, k = make_bodies(p.copy(), np.zeros(2)), np.zeros((2, size)), np.zeros((8, 2, size))
-    start_vectors, turned = np.empty((3, m), kind), np.empty((3, m), kind)
-    work = np.empty((2, m), kind)
-    dz, still, whole = np.zeros((2, size)), np.zeros((2, size)), bodies.inertia[0].copy()
-    held, torque, turns, drive = np.empty(m), np.empty(m), np.ones(n), np.zeros(n)
-    around, turning, sprung = surroundings.copy(), rotor.copy(), np.empty(m)
-    gear = GearParameters(
-        shared[0],
-        shared[1],
-        shared[2],
-        shared[3],
-        shared[4],
-        shared[5],
-        shared[6],
-        shared[7],
-        shared[8],
-        shared[9],
-        rest.copy(),
-    )
-    joint_rows, demands, references = joints.copy(), demand.copy(), reference0.copy()
-    motor_states = motors0.copy()
-    q, qd = state0[0].copy(), state0[1].copy()
-    to_centroidal(bodies, q, qd, start_vectors, z)
-    for j in range(n):
-        z[0, 4 + m + j], z[1, 4 + m + j] = motor_states[j, 0], motor_states[j, 1]
-    start_x, start_y = z[1, 0], z[1, 1]
-    steps, tolerance = int(control[0]), control[1]
-    for step in range(steps):
-        held[:] = 0.0
-        thrust = _thrust(valves, step, held)
-        forces = Forces(around, thrust, held, torque)
-        geared = Gears(forces, joint_rows, gear, turning, turns, drive, sprung)
-        apply_geared_drives(
-            bodies,
-            geared,
-            whole,
-            demands,
-            references,
-            motor_states,
-            z,
-            start_vectors,
-            work,
-            dz,
-            still,
-        )
-        if tolerance > 0.0:
-            _controlled_geared(bodies, geared, STEP, tolerance, z, start_vectors, turned, work, k)
-        else:
-            _classical_geared(bodies, geared, STEP, z, start_vectors, turned, work, k)
-    from_centroidal(bodies, start_vectors, z, q, qd)
-    for i in range(2 + m):
-        state[0, i], state[1, i] = q[i], qd[i]
-    ratio = turning[1] / turning[0]
-    for i in range(n):
-        bodies.inertia[0, i] = whole[i] - ratio * turning[1]
-    bodies.inertia[0, n] = whole[n]
-    twice_energy, moment = twice_energy_and_moment(bodies, start_vectors, z)
-    for j in range(n):
-        _, x, xd = gear_twist(gear, z, j)
-        wound, spin = spring_torque(gear, x), z[1, 4 + m + j] + ratio * z[1, 2 + j]
-        twice_energy += turning[0] * spin * spin + wound * wound / gear.stiffness
-        moment += turning[1] * spin
-        torques[j, 0], torques[j, 1] = motor_states[j, 2], wound + gear.damping * xd
-        motors[j, 0], motors[j, 1] = z[0, 4 + m + j], z[1, 4 + m + j]
-        motors[j, 2] = motor_states[j, 2]
-        reference[j, 0], reference[j, 1] = references[j, 0], references[j, 1]
-    _write_audit(bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit)
+    constants, state0, counts, parts, pairs, touched0, welds, held0, options, _r,
+    state, touched, held, result,
+):  # fmt: skip
+    steps, tolerance, way = int(options[0]), options[1], int(options[2])
+    at, x, n, done, work = 0, 0, int(counts[0]), 0, 0.0
+    chains = [make_chain(constants, state0, n)]
+    for c in range(1, counts.size):
+        at, x = at + FIXED_SIZE + JOINT_SIZE * n, x + FIXED_STATE + JOINT_STATE * n
+        n = int(counts[c])
+        chains.append(make_chain(constants[at:], state0[x:], n))
+    touched[:], held[:] = touched0, held0
+    touched[:, PUSHED], held[:, IMPULSE:WELD_BIAS] = 0.0, 0.0
+    places = make_places(parts, pairs, counts)
+    close, grips, law = np.empty(pairs.shape[0], np.int64), welds.copy(), options[3:].copy()
+    states, touches = held.copy(), touched.copy()
+    _place_chains(chains, places)
+    measure_gaps(places, touches, SAFE_RATIO * steps * STEP if steps > 0 else math.inf)
+    if way == STOP:
+        work = touch_step(chains, places, close[:0], touches, grips, states, law, 0, 0.0, True)
+    while done < steps:
+        slack, near = _find_close(touches, close)
+        if way == SHORT and near > 0 and done > 0:
+            break
+        count = steps - done
+        if grips.shape[0] > 0:
+            count = 1
+        elif slack < count * STEP:
+            count = max(int(slack / STEP), 1)
+        for c in range(len(chains)):
+            save(chains[c])
+        before = touches.copy()
+        while count > 1:
+            for c in range(len(chains)):
+                chain = chains[c]
+                for i in range(count):
+                    step_chain(chain, done + i, tolerance)
+            if slack >= SAFE_RATIO * count * STEP:
+                break
+            _place_chains(chains, places)
+            measure_gaps(places, touches, math.inf)
+            if not _touch(before, touches, count * STEP):
+                break
+            for c in range(len(chains)):
+                restore(chains[c])
+            _place_chains(chains, places)
+            touches[:] = before
+            count //= 2
+        if count == 1:
+            work += touch_step(
+                chains, places, close[:near], touches, grips, states, law, done, tolerance, False
+            )
+        done += count
+        if way == SHORT and near > 0 and count == 1:
+            break
+        if done < steps:
+            _place_chains(chains, places)
+            measure_gaps(places, touches, SAFE_RATIO * (steps - done) * STEP)
+    x = 0
+    for c in range(len(chains)):
+        finish_chain(chains[c], state[x:])
+        x += FIXED_STATE + JOINT_STATE * int(counts[c])
+    touched[:], held[:], result[0], result[1] = touches, states, done, work
 
 
 def advance(
-    p: npt.ArrayLike,
-    rotor: npt.ArrayLike,
-    joints: npt.ArrayLike,
-    surroundings: npt.ArrayLike,
-    valves: npt.ArrayLike,
-    demand: npt.ArrayLike,
-    state: npt.ArrayLike,
-    reference: npt.ArrayLike,
-    audit: npt.ArrayLike,
+    chains: Sequence[Moving],
+    scene: Scene,
     steps: int,
+    first_step: int,
     tolerance: float = 0.0,
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Advance the plant by `steps` steps of STEP. n may be 0: a base without an arm.
+    law: Contact | None = None,
+    way: int = ADVANCE,
+) -> tuple[Scene, int, float]:
+    """Advance chains by at most `steps` steps; with 0 steps, only update audits and gaps.
 
-    Args:
+    The constants of a chain of n joints are
+
         p: (8 + 6 n,) Arm.vector().
         rotor: (2,) N^2 J and N J [kg m^2]: each joint's rotor has inertia J and turns N times as
             fast as the joint.
+        gears: (10,) GearParameters without `rest`; a stiffness of 0: rigid joints.
+        around: (12,) Surroundings.vector().
+        valves: (8, 5) force on the base's origin in the base frame [N] and torque [N m] of a
+            thruster while its valve is open; the first step in which it is open; the step in which
+            it is closed again.
+        rest: (n,) angle of each joint at an encoder reading of 0 [rad].
         joints: (n, 7) minimum and maximum angle [rad], maximum torque of the motor [N m]; viscous
             [N m s/rad] and Coulomb friction [N m]; stiffness [N m/rad] and damping [N m s/rad] of
             the end stops.
-        surroundings: (12,) Surroundings.vector().
-        valves: (t, 5) force on the base's origin in the base frame [N] and torque [N m] of a
-            thruster while its valve is open; the first step in which it is open; the step in which
-            it is closed again.
         demand: (n, 4) for each drive: mode, set point [N m, rad/s or rad, by mode], speed [rad/s]
             and acceleration [rad/s^2] of the profile. The acceleration is above 0 except in mode
             off. Position mode at speed 0 means: decelerate, then hold the angle reached.
-        state: (2, 3 + n) q and qd.
+
+    and its state, which changes, is
+
+        q and qd, (2, 3 + n).
         reference: (n, 2) reference angle [rad] and rate [rad/s] of each drive.
-        audit: (2, 4) audit of the previous call; its first row is not used.
+        motors: (n, 3) behind flexible gears: angle [rad], rate [rad/s] and torque [N m].
+        torques: (n, 2) [N m] of the last step: of each motor, and transmitted by each gear, which
+            is the former minus friction. With flexible gears: at its end.
+        audit: (2, 4) linear momentum [N s], angular momentum about the world's origin [N m s] and
+            energy [J], with that of the gears' springs. The first row is that of the bodies. The
+            second row is the sum of what forces supplied.
+
+    Args:
+        chains: the chains.
+        scene: what can touch and what is welded.
         steps: number of steps.
+        first_step: number of the first one.
         tolerance: largest error of a step in any coordinate or rate, in SI units, for the
             Dormand-Prince method with error control; 0: classical Runge-Kutta method.
+        law: law of contact; not needed without pairs.
+        way: ADVANCE; SHORT: a step in which parts are close is made alone; STOP: no time passes,
+            and impulses stop the relative motion of welds.
 
     Returns:
-        state and reference after the steps.
-        audit (2, 4): linear momentum [N s], angular momentum about the world's origin [N m s] and
-        energy [J]. The first row is that of the bodies. The second row is the amount supplied by
-        forces, added to the second row of the argument.
-        torques (n, 2) [N m] of the last step: of each motor, and transmitted by each gear, which is
-        the former minus friction; 0 if there was no step.
-        Leading dimensions broadcast.
+        The scene with its new state; the number of steps; the work of contacts and welds [J].
     """
-    control = np.array([steps, tolerance], dtype=float)
-    return _advance(
-        p, rotor, joints, surroundings, valves, demand, control, state, reference, audit
+    law = law or Contact()
+    constants = [row.ravel() for chain in chains for row in chain.constants(first_step)]
+    before = [chain.snapshot for chain in chains]
+    state, touched, held, (done, work) = _advance(
+        np.concatenate(constants),
+        np.concatenate([row.ravel() for rows in before for row in rows]),
+        np.array([chain.n for chain in chains], dtype=float),
+        *scene,
+        np.array([steps, tolerance, way, law.restitution, law.friction, law.threshold]),
+        np.empty(2),
     )
-
-
-def advance_geared(
-    p: npt.ArrayLike,
-    rotor: npt.ArrayLike,
-    joints: npt.ArrayLike,
-    gears: GearParameters,
-    surroundings: npt.ArrayLike,
-    valves: npt.ArrayLike,
-    demand: npt.ArrayLike,
-    state: npt.ArrayLike,
-    reference: npt.ArrayLike,
-    motors: npt.ArrayLike,
-    audit: npt.ArrayLike,
-    steps: int,
-    tolerance: float = 0.0,
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Advance a plant with flexible joints (gears.py); the rotors' inertia must be above 0.
-
-    Arguments and results are those of `advance`, with these additions: gears, from
-    Joints.gears(); motors (n, 3), the angle [rad] and rate [rad/s] of each motor, seen behind its
-    gear, and its torque [N m]. The audit's energy includes that of the springs. The torques are
-    those at the end, of the motors and transmitted by the gears, even if there was no step.
-    """
-    control = np.array([steps, tolerance], dtype=float)
-    *shared, rest = gears
-    return _advance_geared(
-        p,
-        rotor,
-        joints,
-        shared,
-        rest,
-        surroundings,
-        valves,
-        demand,
-        control,
-        state,
-        reference,
-        motors,
-        audit,
-    )
+    at = 0
+    for chain, rows in zip(chains, before, strict=True):
+        after = []
+        for row in rows:
+            after.append(state[at : at + row.size].reshape(row.shape))
+            at += row.size
+        chain.snapshot = tuple(after)
+    return scene._replace(touched=touched, held=held), int(done), float(work)

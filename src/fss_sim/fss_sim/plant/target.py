@@ -20,11 +20,11 @@ import numpy.typing as npt
 from fss_arm_model.arrays import Floats
 from fss_arm_model.held import Approach, Target, payload_jacobian, payload_pose
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
+from fss_sim.plant.chain import GEARS, ROTOR, VALVES
 from fss_sim.plant.contact import Part
-from fss_sim.plant.simulation import advance
+from fss_sim.plant.simulation import EMPTY_SCENE, advance
 from fss_sim.plant.surroundings import Surroundings
 
-VALVES_CLOSED = ((0.0,) * 5,)  # valves, all of them closed
 DWELL = 100  # steps at rest after which another slide counts as another slip
 
 
@@ -124,6 +124,8 @@ class PassiveTarget:
         name: name in clearances and contacts.
     """
 
+    n = 0  # joints
+
     def __init__(
         self,
         target: Target,
@@ -136,8 +138,10 @@ class PassiveTarget:
         self.masses = np.array([target.mass, target.mass, target.inertia])
         around = around or Surroundings()
         radius = max(target.radius, 1e-9)
-        self._around = replace(around, tether=0.0, tether_twist=0.0, base_radius=radius).vector()
+        around = replace(around, tether=0.0, tether_twist=0.0, base_radius=radius)
         self.p, self.audit_rows = target.vector(), np.zeros((2, 4))
+        none = np.zeros(ROTOR + GEARS), around.vector(), np.zeros(VALVES)
+        self._constants = np.concatenate([self.p, *none])
         self._state = np.array(state, dtype=float)
 
     @property
@@ -181,21 +185,13 @@ class PassiveTarget:
         """Add an instantaneous change to the twist."""
         self._state = np.array([self._state[0], self._state[1] + change])
 
-    def advance_steps(self, steps: int, first_step: int, tolerance: float) -> None:
-        """Advance by steps; with 0 steps, only update the audit of momentum and energy."""
-        self._state, _, self.audit_rows, _ = advance(
-            self.p,
-            (0.0, 0.0),
-            np.zeros((0, 7)),
-            self._around,
-            VALVES_CLOSED,
-            np.zeros((0, 4)),
-            self._state,
-            np.zeros((0, 2)),
-            self.audit_rows,
-            steps,
-            tolerance,
-        )
+    def constants(self, _: int) -> tuple[Floats, ...]:
+        """Return the constants of its steps, as of a base without arm and thrusters."""
+        return (self._constants,)
+
+    def update_audit(self) -> None:
+        """Update the audit of momentum and energy after a change of the state."""
+        advance([self], EMPTY_SCENE, 0, 0)
 
     def attach(self, state: Callable[[], Floats]) -> None:
         """Let the target move with a vehicle's last link: `state` returns its pose and twist."""
@@ -204,7 +200,7 @@ class PassiveTarget:
     def set_free(self, state: Floats) -> None:
         """Let the target float freely from this state on."""
         self._attached_state, self._state, self.audit_rows = None, state, np.zeros((2, 4))
-        self.advance_steps(0, 0, 0.0)
+        self.update_audit()
 
 
 def velocity_after_capture(

@@ -12,6 +12,7 @@ from fss_arm_model.thrusters import COUNT, gas_mass, layout
 from fss_arm_model.units import GRAVITY
 
 NEVER_CLOSES = 1e9  # [step]
+VALVES_CLOSED = np.zeros((COUNT, 5))
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ from fss_arm_model.momentum import momentum
 from fss_sim.plant.contact import Contact, Part
 from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_VELOCITY
 from fss_sim.plant.joints import Joints
-from fss_sim.plant.simulation import advance, advance_geared
+from fss_sim.plant.simulation import EMPTY_SCENE, advance
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import VALVES_CLOSED, Fingers, Gripper, PassiveTarget, rotors_inertia
-from fss_sim.plant.thrusters import Propulsion, Thrusters
+from fss_sim.plant.target import Fingers, Gripper, PassiveTarget, rotors_inertia
+from fss_sim.plant.thrusters import VALVES_CLOSED, Propulsion, Thrusters
 
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 BLOCKED_FRICTION = 1000.0  # Coulomb friction of a blocked joint [N m]
@@ -95,7 +95,8 @@ class Vehicle:
         self._p[MASS] -= propellant
         joints = self.world.joints
         common = joints.viscous, joints.coulomb, joints.stop_stiffness, joints.stop_damping
-        self._gears = joints.gears(self._p)
+        *gears, rest = joints.gears(self._p)
+        self._gears, self._rest = np.array([*joints.rotor, *gears]), rest
         self._torque_constant = np.array([k.drive.torque_constant for k in links])
         self._joints = np.array(
             [
@@ -106,7 +107,6 @@ class Vehicle:
         self._rotors = rotors_inertia(3 + self.n, joints.rotor, bool(joints.stiffness))
         self._surroundings = self.world.surroundings.vector()
         self._pads = self.world.surroundings.vector(floats=False)
-        self._valves: tuple[int, npt.ArrayLike] = -1, VALVES_CLOSED  # first step, valves in it
         self._demand = np.tile(np.array([MODE_OFF, 0.0, 0.0, 1.0]), (self.n, 1))
         self._state = np.zeros((2, 3 + self.n))
         if np.shape(q) != (3 + self.n,):
@@ -223,11 +223,11 @@ class Vehicle:
     @property
     def snapshot(self) -> tuple[Floats, ...]:
         """State that a step changes."""
-        return self._state, self._reference, self._motors, self.audit_rows, self._torques
+        return self._state, self._reference, self._motors, self._torques, self.audit_rows
 
     @snapshot.setter
     def snapshot(self, snapshot: tuple[Floats, ...]) -> None:
-        self._state, self._reference, self._motors, self.audit_rows, self._torques = snapshot
+        self._state, self._reference, self._motors, self._torques, self.audit_rows = snapshot
 
     def parts(self) -> list[Part]:
         """Return the parts that can touch others.
@@ -264,45 +264,16 @@ class Vehicle:
             stators = np.cumsum(change[2:])[:-1] / self.world.joints.gear_ratio
             self._motors = self._motors - np.outer(stators, [0.0, 1.0, 0.0])
 
-    def advance_steps(self, steps: int, first_step: int, tolerance: float) -> None:
-        """Advance by steps from `first_step` on; with 0 steps, only update the audit."""
+    def constants(self, first_step: int) -> tuple[Floats, ...]:
+        """Return the constants of the steps from `first_step` on, see simulation.advance."""
         tank = self.thrusters
-        if steps and self._valves[0] != first_step:  # not another trial of the same steps
-            is_active = tank.is_active(first_step)
-            self._valves = first_step, tank.valves(first_step) if is_active else VALVES_CLOSED
-        joints, valves = self.world.joints, self._valves[1]
         around = self._surroundings if tank.floats else self._pads
-        if joints.stiffness:
-            self._state, self._reference, self._motors, self.audit_rows, torques = advance_geared(
-                self._p,
-                joints.rotor,
-                self._joints,
-                self._gears,
-                around,
-                valves,
-                self._demand,
-                self._state,
-                self._reference,
-                self._motors,
-                self.audit_rows,
-                steps,
-                tolerance,
-            )
-        else:
-            self._state, self._reference, self.audit_rows, torques = advance(
-                self._p,
-                joints.rotor,
-                self._joints,
-                around,
-                valves,
-                self._demand,
-                self._state,
-                self._reference,
-                self.audit_rows,
-                steps,
-                tolerance,
-            )
-        self._torques = torques if steps else self._torques
+        valves = tank.valves(first_step) if tank.is_active(first_step) else VALVES_CLOSED
+        return self._p, self._gears, around, valves, self._rest, self._joints, self._demand
+
+    def update_audit(self) -> None:
+        """Update the audit of momentum and energy after a change of state or mass."""
+        advance([self], EMPTY_SCENE, 0, self.step)
 
     def end_steps(self, steps: int) -> None:
         """Count the past steps, and take the gas that bearings and thrusters used in them."""
@@ -314,7 +285,7 @@ class Vehicle:
             return
         had = self.audit_rows[0].copy()
         self._p[MASS] -= used
-        self.advance_steps(0, start, 0.0)
+        self.update_audit()
         self.audit_rows[1] += self.audit_rows[0] - had
 
     def attach(self, target: PassiveTarget, velocity: Floats | None = None) -> None:
@@ -325,13 +296,13 @@ class Vehicle:
         target.attach(self.payload_state)
         if velocity is not None:
             self.add_velocity(velocity - self.qd)
-        self.advance_steps(0, 0, 0.0)
+        self.update_audit()
 
     def detach(self, target: PassiveTarget) -> None:
         """Release the target so that it floats freely; momentum and energy are conserved."""
         state, self.payload, self.held = target.state, None, None
         self._p = np.concatenate([self._p[:BASE_SIZE], self.arm.vector()[BASE_SIZE:]])
-        self.advance_steps(0, 0, 0.0)
+        self.update_audit()
         target.set_free(state)
 
     def let_slide(self, target: PassiveTarget, state: Floats) -> None:
