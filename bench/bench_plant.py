@@ -314,7 +314,7 @@ def with_gears(arm, joints, has_friction):
 
 def main():
     if sys.argv[1:] == ["beds"]:
-        return measure_beds() < MIN_TOUCHING_SPEED
+        return int(measure_beds() < MIN_TOUCHING_SPEED)
     rng = np.random.default_rng(1)
     multiply_and_add()  # compiled
     compare_rollouts(paper_arm(), rng, 8, 25)
@@ -329,7 +329,7 @@ def main():
         none = np.zeros((2000, 3 + n))
         times = [elapsed(partial(rollout, chain, rest, rest, none)) for _ in range(RUNS)]
         print(f"  n = {n:2}  {1e6 * np.median(times) / 2000:8.3f} us")
-    return measure_beds() < MIN_TOUCHING_SPEED
+    return int(measure_beds() < MIN_TOUCHING_SPEED)
 
 
 if __name__ == "__main__":
