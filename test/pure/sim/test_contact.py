@@ -170,7 +170,7 @@ def test_impacts_of_all_pairs_balance_the_audit(seeds, share):
     print(f"{len(hit)} of {len(pairs)} pairs: audit error {worst}, {gained} J, gap {deepest} m")
     assert len(hit) > share * len(pairs)
     assert (worst < 1e-9).all()
-    assert gained < 1e-12
+    assert gained < 1e-11  # in the integration of free motion, of tenths of a joule
     assert deepest > -1e-4
 
 
