@@ -21,7 +21,7 @@ from rich.table import Table
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import paper_arm
 from fss_gnc.control.pose import PoseControl
-from fss_gnc.guidance.base_motion import min_duration
+from fss_gnc.guidance.limits import min_duration
 from fss_gnc.guidance.settings import GuidanceSettings
 from fss_gnc.law import Inputs, Outputs
 from fss_gnc.law.forms import Law, load

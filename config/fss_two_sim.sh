@@ -17,5 +17,7 @@ for k in 1 2; do
   done
   node arm fss_arm_driver arm --ros-args -p arm:=$arm
   node base fss_base_driver base --ros-args -p "url:=udp://127.0.0.1:$at?bind=$((at + 1000))"
-  node base_reaction fss_arm_view base_reaction --ros-args -p arm:=$arm
+  node navigation fss_gnc navigation --ros-args -p arm:=$arm
+  node control fss_gnc control --ros-args -p arm:=$arm
+  node guidance fss_gnc guidance --ros-args -p arm:=$arm -p "vehicles:=['fss1', 'fss2']"
 done

@@ -90,7 +90,7 @@ ACCESS = {
         "arm/joint_commands base/wrench gripper/command thrusters/command"
     ),
     "fss_gnc guidance": Access(
-        "arm/joint_commands base/trajectory gripper/command mission/state",
+        "arm/joint_commands base/footprint base/plan base/trajectory gripper/command mission/state",
         runs="base/follow base/go_to base/hold mission/abort mission/capture mission/detumble",
     ),
     "fss_sim testbed": Access(

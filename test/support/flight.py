@@ -53,8 +53,9 @@ def start(nodes, speed=0.0, links=4, testbed=None, **parameters):
 class Flyer(Node):
     """Arms links and valves, sends goals, and keeps what really happened."""
 
-    def __init__(self, nodes, say=print):
-        super().__init__("flyer", parameter_overrides=[Parameter("use_sim_time", value=True)])
+    def __init__(self, nodes, say=print, namespace=""):
+        simulated = [Parameter("use_sim_time", value=True)]
+        super().__init__("flyer", namespace=namespace, parameter_overrides=simulated)
         self.nodes, self.say, self.truths, self.states = nodes, say, [], []
         self.base = None
         self.clients_to = {n: ActionClient(self, kind, n) for n, kind in ACTIONS.items()}

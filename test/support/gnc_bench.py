@@ -21,8 +21,8 @@ class FakeCraft(Node):
     With `time` [ns] it publishes /clock, too, which advances by 20 ms with each report.
     """
 
-    def __init__(self, time=None):
-        super().__init__("fake_craft")
+    def __init__(self, time=None, namespace=""):
+        super().__init__("fake_craft", namespace=namespace)
         self.time, self.clock = time, time and self.create_publisher(Clock, "/clock", 10)
         self.pose, self.twist = np.zeros(3), np.zeros(3)  # in the world
         self.target = None  # (pose, twist)

@@ -19,11 +19,11 @@ HOLD = BASE[0]
 class Bench(FakeCraft):
     """An ideal craft, which is at the newest reference, and a client that sends goals."""
 
-    def __init__(self, spin, time=None, **parameters):
-        super().__init__(time)
+    def __init__(self, spin, time=None, namespace="", **parameters):
+        super().__init__(time, namespace)
         quick = {"acceleration": 0.01, "turn_acceleration": 0.02, **parameters}
         overrides = [Parameter(name, value=value) for name, value in quick.items()]
-        self.guidance = GuidanceNode(parameter_overrides=overrides)
+        self.guidance = GuidanceNode(namespace=namespace, parameter_overrides=overrides)
         self.run, self.paths, self.states, self.rates, self.grips = spin, [], [], [], []
         self.obeys, self.feedback = True, []
         self.clients_ = {k.name: ActionClient(self, k.action, k.name) for k in guidance_node.KINDS}

@@ -20,11 +20,8 @@ from std_msgs.msg import Empty
 from fss_arm_ros.described_arm import described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.qos import LATCHED, subscribe_sensor
-from fss_arm_ros.subscriptions import PolledSubscription
 from fss_arm_ros.timers import timer_clock
 from fss_arm_ros.timing import Timing
-from fss_arm_ros.validation import subscribe
 from fss_gnc import guidance_topics as topics
 from fss_gnc.guidance import capture
 from fss_gnc.guidance.activity import ActivityError, Craft, Observation, Outcome
@@ -33,6 +30,7 @@ from fss_gnc.guidance.kinds import KINDS
 from fss_gnc.guidance.measurements import Measurements
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.programs import guidance as main
+from fss_gnc.vehicle_topics import VehicleTopics
 
 
 class Running(NamedTuple):
@@ -54,14 +52,8 @@ class GuidanceNode(Node):
         self.running: Running | None = None
         self.timing = Timing(s.rate, self)
         self.measured = Measurements(self.craft.arm.n, s.max_age)
-        self.polled = [
-            PolledSubscription(self, kind, name, partial(self.on_message, name, store))
-            for name, (kind, store) in topics.POLLED.items()
-        ]
-        for name, (kind, store) in topics.SENSORS.items():
-            subscribe_sensor(self, kind, name, partial(self.on_message, name, store))
-        for name, (kind, store) in topics.RESULTS.items():
-            subscribe(self, kind, name, partial(self.on_message, name, store), LATCHED)
+        self.vehicles = VehicleTopics(self, self.craft)
+        self.polled = topics.subscribe_to_states(self, self.on_message)
         for name in ("base/stop", "arm/stop"):
             self.create_subscription(Empty, name, partial(self.on_stop, name), 10)
         self.outputs = {
@@ -109,7 +101,8 @@ class GuidanceNode(Node):
         for subscription in self.polled:
             subscription.poll()
         now = self.now()
-        return self.measured.observe(now, start_time), self.measured.problem(now)
+        others = self.vehicles.observe(now)
+        return self.measured.observe(now, start_time, others), self.measured.problem(now)
 
     async def on_execute(self, kind: Kind, handle: ServerGoalHandle) -> Any:
         """Start the activity of a goal and wait for its end; abort a goal that is rejected."""
@@ -141,6 +134,8 @@ class GuidanceNode(Node):
         """Step the running activity."""
         if not (running := self.running):
             self.timing.interrupt()
+            if self.vehicles.tracks:
+                self.vehicles.announce(None, self.observe()[0], self.now())
             return
         self.timing.add_step()
         execution, handle, _ = running
@@ -153,6 +148,7 @@ class GuidanceNode(Node):
             self.get_logger().warning(f"{execution.kind.name}: {problem}")
         now, horizon = self.now(), self.settings.horizon
         self.publish(topics.command_messages(execution, commands, obs.t, horizon, now))
+        self.vehicles.announce(commands, obs, now)
         self.timing.add_command(self.measured.base.stamp)
         handle.publish_feedback(execution.feedback(commands))
 
@@ -172,7 +168,7 @@ class GuidanceNode(Node):
         if self.running:
             execution = self.running.execution
             return Health(WARN if execution.problem else OK, execution.status)
-        _, problem = self.observe()
+        problem = self.observe()[1] or self.vehicles.problem()
         return Health(WARN if problem else OK, problem or "ready")
 
 

@@ -1,10 +1,12 @@
 """Topics of the node `guidance`: their types, and the conversion of their messages."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
+from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, String
@@ -13,7 +15,9 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from fss_arm_model.arrays import Floats
 from fss_arm_msgs.msg import GripperState, MassProperties, MissionState, ThrusterHealth
 from fss_arm_ros.convert import stamp_ns, to_time
-from fss_arm_ros.qos import COMMAND, LATCHED, command
+from fss_arm_ros.qos import COMMAND, LATCHED, command, subscribe_sensor
+from fss_arm_ros.subscriptions import PolledSubscription
+from fss_arm_ros.validation import subscribe
 from fss_gnc import messages
 from fss_gnc.guidance.activity import Commands, Craft, Outcome
 from fss_gnc.guidance.budget import Budget
@@ -90,6 +94,25 @@ OUTPUTS: dict[str, tuple[type, QoSProfile]] = {
     "gripper/command": (Bool, COMMAND),
     "mission/state": (MissionState, LATCHED),
 }
+
+
+def subscribe_to_states(
+    node: Node, receive: Callable[[str, Store, Any], None]
+) -> list[PolledSubscription]:
+    """Subscribe a node to all topics; return the subscriptions that it must poll.
+
+    Args:
+        node: the subscriber.
+        receive: called with the name of the topic, its conversion and a valid message.
+    """
+    for name, (kind, store) in SENSORS.items():
+        subscribe_sensor(node, kind, name, partial(receive, name, store))
+    for name, (kind, store) in RESULTS.items():
+        subscribe(node, kind, name, partial(receive, name, store), LATCHED)
+    return [
+        PolledSubscription(node, kind, name, partial(receive, name, store))
+        for name, (kind, store) in POLLED.items()
+    ]
 
 
 def idle_messages(craft: Craft, stamp: int) -> Iterator[tuple[str, Any]]:

@@ -8,21 +8,26 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PolygonStamped, WrenchStamped
+from gnc_bench import odometry
 from guidance_bench import Bench
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
 
 from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.settings import SettingError
 from fss_arm_msgs.msg import MassProperties, ThrusterHealth
-from fss_arm_ros.convert import SECOND
+from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import WARN
-from fss_arm_ros.qos import LATCHED
-from fss_gnc import guidance_node
+from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_gnc import guidance_node, vehicle_topics
 from fss_gnc.guidance.activity import Commands, Outcome
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.execution import Kind
 from fss_gnc.guidance.kinds import BASE, MISSIONS, HoldBase
-from fss_gnc.reference import Body
+from fss_gnc.guidance_node import GuidanceNode
+from fss_gnc.reference import Body, Path
 
 HOLD, GO_TO, FOLLOW = BASE
 CAPTURE, DETUMBLE, ABORT = MISSIONS
@@ -240,6 +245,64 @@ def test_open_valve_aborts_a_mission(bench):
     bench.stops["base/stop"].publish(Empty())  # the fake tank is never empty
     ended = bench.end(handle)
     assert (ended.status, ended.result.stopped) == (ABORTED, False)
+
+
+# --- other vehicles -----------------------------------------------------------------------------
+
+
+class Neighbour(Node):
+    """Another vehicle that holds its place, with a square outline."""
+
+    def __init__(self, name, pose):
+        super().__init__("neighbour", namespace=name)
+        self.pose, kinds = pose, vehicle_topics.KINDS
+        self.topics = {n: self.create_publisher(kind, n, SENSOR) for n, kind in kinds.items()}
+        self.create_timer(0.1, self.report)
+
+    def report(self):
+        now = self.get_clock().now().nanoseconds
+        state = odometry(self.pose, np.zeros(3))
+        state.header.stamp = to_time(now)
+        here = Path(np.zeros(1), np.reshape(self.pose, (1, 1, 3)).astype(float))
+        self.topics["base/state"].publish(state)
+        self.topics["base/plan"].publish(vehicle_topics.plan_message(here, 0.0, now))
+        square = 0.1 * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j])
+        self.topics["base/footprint"].publish(vehicle_topics.footprint(square))
+
+
+def test_go_to_waits_for_another_vehicle_and_then_continues(spin):
+    bench, plans, outlines = Bench(spin, namespace="fss2", vehicles=["fss1", "fss2"]), [], []
+    assert bench.guidance.health().message == "waiting for fss1/base/footprint"
+    other = Neighbour("fss1", [1.35, 0.25, 0.0])  # before the arm
+    spin([other], lambda: not bench.guidance.health().message.startswith("waiting"))
+    bench.create_subscription(vehicle_topics.PathMessage, "base/plan", plans.append, SENSOR)
+    bench.create_subscription(PolygonStamped, "base/footprint", outlines.append, SENSOR)
+    handle = bench.begin(GO_TO, pose=[0.15, 0.0, 0.0])
+    bench.until(lambda: bench.states[-1].phase == "wait" and plans)
+    assert bench.states[-1].reason == "waits for fss1"
+    assert bench.guidance.health().message == "base/go_to: wait: waits for fss1"
+    assert np.abs(bench.pose).max() < 1e-6
+    other.pose = [1.35, -1.5, 0.0]
+    ended = bench.end(handle)
+    assert ended.status == DONE, ended.result.message
+    np.testing.assert_allclose(bench.pose, [0.15, 0.0, 0.0], atol=1e-3)
+    assert plans[-1].header.frame_id == "world"
+    assert max(plan.poses[-1].pose.position.x for plan in plans if plan.poses) > 0.14
+    assert outlines[-1].header.frame_id == "fss2/fss"
+    assert max(point.x for point in outlines[-1].polygon.points) > 0.9  # its arm
+
+
+@pytest.mark.parametrize("names", [["fss1", "fss3"], ["fss2", "fss2"]])
+def test_list_of_vehicles_must_name_each_once_with_this_one(ros, names):
+    given = [Parameter("vehicles", value=names)]
+    with pytest.raises(SettingError, match="expected each vehicle once, with this one, 'fss2'"):
+        GuidanceNode(namespace="fss2", parameter_overrides=given)
+
+
+def test_alone_it_announces_nothing(bench):
+    topics = {name for name, _ in bench.get_topic_names_and_types()}
+    assert "/base/trajectory" in topics
+    assert not topics & {"/base/plan", "/base/footprint"}
 
 
 # --- a process `control` that is stopped during a motion, and continued --------------------------

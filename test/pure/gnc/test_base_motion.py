@@ -8,7 +8,8 @@ import pytest
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_gnc.guidance.activity import ActivityError, Craft, Observation
-from fss_gnc.guidance.base_motion import follow, go_to, hold, limit_use
+from fss_gnc.guidance.base_motion import follow, go_to, hold
+from fss_gnc.guidance.limits import limit_use
 from fss_gnc.reference import Body
 
 CRAFT = Craft(paper_arm())

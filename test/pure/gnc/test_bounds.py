@@ -6,7 +6,7 @@ import pytest
 from fss_arm_ros.convert import SECOND
 from fss_gnc import messages
 from fss_gnc.bounds import check_reference, check_stamp
-from fss_gnc.guidance.base_motion import braking
+from fss_gnc.guidance.limits import braking
 from fss_gnc.guidance.settings import GuidanceSettings
 from fss_gnc.reference import Body, Path, Reference
 

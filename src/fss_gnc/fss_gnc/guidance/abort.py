@@ -1,10 +1,10 @@
 """Abort of a mission: valves closed, joints at rest, and a drift without collision.
 
-The thrusters are used for one purpose only. If base and arm would drift into the target or to the
-table's edge within the horizon, a short push gives them the safe motion that needs the least push.
-The joints stop first, because stopping them changes the drift. The thrusters are not used while the
-base is unknown, or while it is unknown whether the gripper holds the target. They may be used once
-both are known again.
+The thrusters are used for one purpose only. If base and arm would drift into target or vehicle, or
+to the table's edge, within the horizon, a short push gives them the safe motion that needs the
+least push. The joints stop first, because stopping them changes the drift. The thrusters are not
+used while the base is unknown, or while it is unknown whether the gripper holds the target. They
+may be used once both are known again.
 
 Joints that no longer send readings are assumed to rest at their last angles after a while,
 because links stop without commands; this does not apply while a target is held. Joints with
@@ -21,8 +21,8 @@ import numpy as np
 from fss_arm_model.arrays import Floats
 from fss_arm_model.held import payload_pose, with_payload
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
-from fss_gnc.guidance.base_motion import min_duration
 from fss_gnc.guidance.drift import Drift, DriftPredictor
+from fss_gnc.guidance.limits import min_duration
 from fss_gnc.guidance.stopping import Grip, braking, joint_stop_time
 from fss_gnc.reference import Body, Path, Reference, pose_error
 
@@ -102,7 +102,8 @@ class Abort:
             self._held_place = payload_pose(self.p, q, obs.target.pose)
             self.p = with_payload(self.p, self.settings.target, self._held_place)
         target = None if obs.holds else obs.target
-        drifting = DriftPredictor(self.p, self.settings, self._held_place if obs.holds else None)
+        held_place = self._held_place if obs.holds else None
+        drifting = DriftPredictor(self.p, self.settings, held_place, obs.others)
         if np.isnan(obs.propellant) and self._valve_leaks and self._push is not None:
             error = pose_error(obs.base.pose, self._push.at(obs.t).pose)
             is_far = float(np.hypot(*error[:2])) > self.settings.max_offset
@@ -161,6 +162,8 @@ class Abort:
             distances = f"{self.drift.edge:.2f} m from the table's edge"
             if np.isfinite(self.drift.target):
                 distances = f"{distances} and {self.drift.target:.2f} m from the target"
+            if np.isfinite(self.drift.vehicles):
+                distances = f"{distances} and {self.drift.vehicles:.2f} m from another vehicle"
             horizon = f"{self.settings.drift_horizon:g} s"
             return Outcome(False, f"{self.reason}; the base drifts to {distances} within {horizon}")
         return Outcome(self.requested, self.reason)

@@ -16,6 +16,7 @@ from fss_arm_model.held import Target
 from fss_arm_model.settings import SettingError
 from fss_arm_model.units import angle_beyond
 from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.guidance.other_vehicles import OtherVehicle
 from fss_gnc.reference import Body, Path
 
 HeldBody = tuple[Target, Floats]  # a body and its place (3,) in the last link's frame (held.py)
@@ -44,6 +45,7 @@ class Observation:
     open_valves: tuple[int, ...] = ()  # valves that do not close, from 1
     unknown_push: bool = False  # momentum changes without a known cause
     stall: str = ""  # why control has dropped the reference; empty: it follows
+    others: tuple[OtherVehicle, ...] = ()  # other vehicles on the table
 
     @property
     def keep_gripper(self) -> bool | None:
@@ -92,6 +94,7 @@ class Commands:
     fixture_distance: float = np.nan  # from the end effector to the target's fixture [m]
     reason: str = ""  # why it aborts, brakes or assumes a state; empty: not so
     outcome: Outcome | None = None
+    plan: Path | None = None  # of the base, for other vehicles; None: it drifts
 
 
 class Activity(Protocol):

@@ -15,10 +15,10 @@ the one that the fixture then faces. Both directions around the target and sever
 inward and around are tried. The first trajectory is chosen that the valves can produce and that
 stays on the table and outside the keep-out zone. It must also do so for a while if all thrust ends
 at any point on it (passive safety, as for a visiting vehicle: Fehse, Automated Rendezvous and
-Docking of Spacecraft, 2003, section 4.4).
+Docking of Spacecraft, 2003, section 4.4). It must be clear of other vehicles.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import pi
 from typing import NamedTuple
@@ -34,6 +34,13 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import system_com
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.guidance.other_vehicles import (
+    MIN_HORIZON,
+    Conflict,
+    OtherVehicle,
+    conflicts,
+    outline,
+)
 
 MAX_DURATION = 150.0  # of a planned approach [s]
 
@@ -185,7 +192,12 @@ class Planner:
         )
 
     def search(
-        self, q: Floats, qd: Floats, state: Floats, lead: float
+        self,
+        q: Floats,
+        qd: Floats,
+        state: Floats,
+        lead: float,
+        others: Sequence[OtherVehicle] = (),
     ) -> Iterator[ApproachTrajectory | None]:
         """Yield feasible trajectories of base and arm, the quickest first; None for a failed try.
 
@@ -194,6 +206,7 @@ class Planner:
             qd: (3 + n,) rate of the state; the joints' rates are ignored.
             state: (2, 3) pose and twist of the target.
             lead: time from the end of a trajectory until the fixture faces the arm [s].
+            others: the other vehicles at the start.
         """
         body = RigidCraft(self.p, q[3:])
         drift = np.array([*state[1, :2], 0.0])
@@ -204,7 +217,9 @@ class Planner:
         for trajectory in self._candidates(body, *initial, state, lead):
             yield (
                 trajectory
-                if self._is_feasible(trajectory) and self._is_clear(trajectory, state)
+                if self._is_feasible(trajectory)
+                and self._is_clear(trajectory, state)
+                and not self.conflicts(trajectory, 0.0, state, others, self.settings.vehicle_gap)
                 else None
             )
 
@@ -253,6 +268,31 @@ class Planner:
             ).any():
                 return False
         return True
+
+    def conflicts(
+        self,
+        trajectory: ApproachTrajectory,
+        since: float,
+        state: Floats,
+        others: Sequence[OtherVehicle],
+        margin: float,
+    ) -> list[Conflict]:
+        """Return the conflicts with other vehicles of the rest of a trajectory.
+
+        Args:
+            trajectory: the approach.
+            since: time since its start [s].
+            state: (2, 3) pose and twist of the target now.
+            others: the other vehicles.
+            margin: smallest gap [m].
+        """
+        if not others:
+            return []
+        ahead = np.linspace(0.0, max(trajectory.duration - since, MIN_HORIZON), 40)
+        target = state[0, :2] + ahead[:, None] * state[1, :2]
+        pose = trajectory.points(since + ahead).pose + np.column_stack([target, np.zeros(40)])
+        own = outline(self.p, trajectory.body.q_m, self.settings)
+        return conflicts(own, ahead, pose, others, margin)
 
     def gaps_at(self, q: Floats, target: Floats) -> Floats:
         """Return the gaps of all bodies to target and edge, (g,)."""

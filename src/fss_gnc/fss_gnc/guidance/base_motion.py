@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import inf
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,19 +11,21 @@ from fss_arm_model.arrays import Floats
 from fss_gnc import bounds
 from fss_gnc.guidance.activity import ActivityError, Commands, Craft, Observation, Outcome
 from fss_gnc.guidance.free_space import FreeSpace
+from fss_gnc.guidance.give_way import GiveWay
+from fss_gnc.guidance.limits import braking, limit_use, min_duration
 from fss_gnc.guidance.settings import GuidanceSettings
 from fss_gnc.reference import Body, Path, Reference, pose_error
 
 MAX_KNOTS = 10_000
 MIN_STEP = 0.001  # between knots [s]
-MIN_DURATION = 1.0  # of a motion [s]
 
 
 class PathMotion:
     """Activity that moves the base along a path and then holds its last pose for a while.
 
-    It brakes, and then fails, if the rest of the path is no longer free. If it is cancelled on the
-    path, it brakes before it ends. For a while it continues without joint states.
+    It gives way to other vehicles, and then continues. It brakes, and then fails, if edge or target
+    are in the way. If it is cancelled on the path, it brakes before it ends. For a while it
+    continues without joint states.
 
     Args:
         craft: whose base.
@@ -39,6 +40,7 @@ class PathMotion:
         self, craft: Craft, phase: str, path: Path, hold: float, arrival_timeout: float | None
     ) -> None:
         self.settings, self.free_space = craft.settings, FreeSpace(craft)
+        self.give_way = GiveWay(craft, self.free_space, path, may_detour=phase == "go_to")
         self.phase, self.path, self.hold, self.arrival_timeout = phase, path, hold, arrival_timeout
         self.arrival_time: float | None = None  # time at which the goal was reached [s]
         self.offset, self.largest_offset = np.zeros(3), np.zeros(3)  # from the reference
@@ -52,24 +54,21 @@ class PathMotion:
         obs = obs.with_joints_at_rest()
         q, qd = obs.floating_state
         base = Body(q[:3], qd[:3])
-        if (
-            obs.t < self.path.end_time
-            and not self.cancel_reason
-            and self.arrival_timeout is not None
-        ):
-            try:
-                self.free_space.check(self.path, obs.t, obs)
-            except ActivityError as error:
-                self.interrupt(str(error))
+        if not self.cancel_reason and self.arrival_timeout is not None:
+            self._keep_clear(obs)
         if self.cancel_reason and not self.cancel_is_success and self.phase != "brake":
             self.phase, self.path = "brake", braking(self.settings, base, obs.t)
         self._measure(obs.t, base)
+        waits = bool(self.give_way.waits_for) and not self.cancel_reason
+        is_moving = obs.t < self.path.end_time or bool(self.cancel_reason)
+        gives_way = self.give_way.reason if is_moving or waits else ""
         return Commands(
-            self.phase if obs.t < self.path.end_time or self.cancel_reason else "hold",
+            "wait" if waits else self.phase if is_moving else "hold",
             self.path,
             keep_out=self.settings.keep_out,
-            reason=self.cancel_reason or joints_unknown,
+            reason=self.cancel_reason or gives_way or joints_unknown,
             outcome=self._outcome(obs.t, base),
+            plan=self.give_way.plan(self.path, obs.t) if waits else self.path,
         )
 
     def tolerates(self, obs: Observation) -> bool:
@@ -86,11 +85,21 @@ class PathMotion:
         """Brake, and fail."""
         self.cancel_reason = self.cancel_reason or reason
 
+    def _keep_clear(self, obs: Observation) -> None:
+        """Give way to other vehicles; brake if the rest of the path is not free otherwise."""
+        try:
+            if obs.t < self.path.end_time or self.give_way.waits_for:
+                self.path = self.give_way.update(self.path, obs)
+            if obs.t < self.path.end_time:
+                self.free_space.check(self.path, obs.t, obs)
+        except ActivityError as error:
+            self.interrupt(str(error))
+
     def _measure(self, t: float, base: Body) -> None:
         self.offset = pose_error(base.pose, self.path.at(t).pose)
         self.largest_offset = np.maximum(self.largest_offset, np.abs(self.offset))
         end = self.path.end_time if self.arrival_time is None else self.arrival_time
-        self.remaining = max(0.0, end + self.hold - t)
+        self.remaining = inf if self.give_way.waits_for else max(0.0, end + self.hold - t)
 
     def _outcome(self, t: float, base: Body) -> Outcome | None:
         s = self.settings
@@ -105,6 +114,8 @@ class PathMotion:
             if not (self.cancel_is_success or t >= self.path.end_time):
                 return None
             return Outcome(True) if self.cancel_is_success else Outcome(False, self.cancel_reason)
+        if self.give_way.waits_for:
+            return None
         if (
             self.arrival_time is None
             and t >= self.path.end_time
@@ -237,69 +248,6 @@ def _checked_motion(
     motion = PathMotion(craft, phase, path, hold, craft.settings.max_overrun)
     motion.free_space.check(path, 0.0, obs, every_segment=True)
     return motion
-
-
-def braking(settings: GuidanceSettings, base: Body, start: float = 0.0) -> Path:
-    """Return a path that brings the base to rest within the limits, from the time `start` [s]."""
-    v, omega = float(np.hypot(*base.twist[:2])), abs(float(base.twist[2]))
-    duration = 1.5 * max(v / settings.acceleration, omega / settings.turn_acceleration)
-    duration = max(MIN_DURATION, duration)
-    initial = Reference(base.pose, base.twist, np.zeros(3))
-    return Path.between(initial, base.pose + 0.5 * duration * base.twist, start, duration)
-
-
-class LimitUse(NamedTuple):
-    """Largest share of a limit that a path takes, and its description."""
-
-    share: float
-    description: str
-
-
-def limit_use(
-    settings: GuidanceSettings, path: Path, initial_twist: Floats | None = None
-) -> LimitUse:
-    """Return the largest share of a limit that a path takes.
-
-    Args:
-        settings: the limits.
-        path: of the base.
-        initial_twist: (3,) twist that the base has already, allowed regardless of the limits.
-    """
-    s, t = settings, np.zeros(3) if initial_twist is None else initial_twist
-    times, states = path.sample_segments(float(path.times[0]))
-    speed, acceleration = np.hypot(*states[:, 1, :2].T), np.hypot(*states[:, 2, :2].T)
-    turn_rate, turn_acceleration = np.abs(states[:, 1:, 2]).T
-    rows = (
-        ("speed", "m/s", speed, max(s.speed, 1.05 * float(np.hypot(*t[:2])))),
-        ("turn rate", "rad/s", turn_rate, max(s.turn_rate, 1.05 * abs(float(t[2])))),
-        ("acceleration", "m/s^2", acceleration, s.acceleration),
-        ("angular acceleration", "rad/s^2", turn_acceleration, s.turn_acceleration),
-    )
-    shares = [float(values.max()) / limit for _, _, values, limit in rows]
-    quantity, unit, values, limit = rows[int(np.argmax(shares))]
-    k = int(values.argmax())
-    description = (
-        f"the path's {quantity} after {times[k]:.1f} s is {values[k]:.4f} {unit}, expected at most "
-        f"{limit:g} {unit}"
-    )
-    return LimitUse(max(shares), description)
-
-
-def min_duration(settings: GuidanceSettings, start: Reference, goal: Floats) -> float:
-    """Return the least time within the limits from a state to a pose at rest [s]."""
-
-    def is_allowed(duration: float) -> bool:
-        path = Path.between(start, goal, 0.0, duration)
-        return limit_use(settings, path, start.twist).share <= 1.0
-
-    upper = MIN_DURATION
-    while not is_allowed(upper):
-        upper *= 2.0
-    lower = MIN_DURATION if upper == MIN_DURATION else 0.5 * upper
-    while upper - lower > 0.01 * upper:
-        middle = 0.5 * (lower + upper)
-        lower, upper = (lower, middle) if is_allowed(middle) else (middle, upper)
-    return upper
 
 
 def _check_limits(settings: GuidanceSettings, path: Path) -> None:

@@ -20,11 +20,12 @@ from fss_arm_model.held import Approach, approach, combined_momentum
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
-from fss_gnc.guidance.approach import ApproachTrajectory, Planner, Points
+from fss_gnc.guidance.approach import ApproachTrajectory, Planner
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import DriftPredictor
-from fss_gnc.guidance.mission_monitor import MissionMonitor
+from fss_gnc.guidance.mission_monitor import BRAKING_TIME, MissionMonitor
+from fss_gnc.guidance.other_vehicles import MONITORED_SHARE, gives_way
 from fss_gnc.guidance.reach import Reach
 from fss_gnc.guidance.stopping import braking, joint_stop_time
 from fss_gnc.reference import Body, Path, pose_error
@@ -144,19 +145,21 @@ class Capture:
         at_posture = np.abs(q[3:] - self.posture).max() < 0.02 and np.abs(qd[3:]).max() < 0.01
         self._last_motion = self._last_motion if at_posture else obs.t
         if obs.t >= self._last_motion + SETTLING_TIME:
-            self._search_trajectory(obs.t, q, qd, state)
+            self._search_trajectory(obs, q, qd, state)
         return Commands("wait", None, self._posture_rates(q), obs.keep_gripper)
 
-    def _search_trajectory(self, t: float, q: Floats, qd: Floats, state: Floats) -> None:
+    def _search_trajectory(self, obs: Observation, q: Floats, qd: Floats, state: Floats) -> None:
         """Search for a trajectory, a few tries per step.
 
         It starts from the state of base, arm and target at the start of the search.
         """
+        t = obs.t
         if self._search is None or t > self._search_start + MAX_SEARCH_TIME:
             assert self.posture is not None
             state_at_posture = np.concatenate([q[:3], self.posture])
             self._search_start = t
-            self._search = self.planner.search(state_at_posture, qd, state, self._lead(state))
+            lead = self._lead(state)
+            self._search = self.planner.search(state_at_posture, qd, state, lead, obs.others)
         for trajectory in islice(self._search, CANDIDATES_PER_STEP):
             if trajectory is not None:
                 self._trajectory, self._search = (self._search_start, trajectory), None
@@ -173,13 +176,17 @@ class Capture:
     def _approach(self, obs: Observation, q: Floats, qd: Floats, state: Floats) -> Commands:
         assert self._trajectory is not None
         start, trajectory = self._trajectory
-        points = trajectory.points(obs.t - start + REFERENCE_TIMES)
-        self._path = path_relative_to_target(points, obs.t, state)
+        self._path = path_relative_to_target(trajectory, start, obs.t, REFERENCE_TIMES, state)
         remaining = start + trajectory.duration - obs.t
         lead = max(remaining, 0.0) + self._lead(state)
         has_turned = abs(self._facing_angle(state, trajectory, lead)) > MAX_FACING_ANGLE
-        if remaining > REPLAN_CUTOFF and has_turned and obs.t > start + MIN_REPLAN_INTERVAL:
-            self._search_trajectory(obs.t, q, qd, state)  # the target's rotation has changed
+        in_the_way = self._vehicle_in_the_way(obs, state)
+        if self.follow_up is not None:
+            return self._adopt_phase(self.follow_up.step(obs))
+        can_replan = remaining > REPLAN_CUTOFF and obs.t > start + MIN_REPLAN_INTERVAL
+        if can_replan and (has_turned or in_the_way):
+            # The target's rotation or another vehicle's motion has changed.
+            self._search_trajectory(obs, q, qd, state)
         elif remaining <= 0.0:
             self._start_reach_if_ready(obs, q, qd, state, trajectory)
         return Commands(
@@ -189,7 +196,25 @@ class Capture:
             obs.keep_gripper,
             keep_out=self.settings.keep_out,
             fixture_distance=self.fixture_error.distance if self.fixture_error else np.nan,
+            reason=f"gives way to {in_the_way}" if in_the_way else "",
+            plan=path_relative_to_target(
+                trajectory, start, obs.t, np.arange(0.0, max(remaining, 2.0) + 1.0), state
+            ),
         )
+
+    def _vehicle_in_the_way(self, obs: Observation, state: Floats) -> str:
+        """Return the vehicle that the approach must give way to; abort if it comes too near."""
+        assert self._trajectory is not None
+        start, trajectory = self._trajectory
+        margin = MONITORED_SHARE * self.settings.vehicle_gap
+        found = self.planner.conflicts(trajectory, obs.t - start, state, obs.others, margin)
+        for conflict in found:
+            if gives_way(conflict, BRAKING_TIME):
+                name = conflict.vehicle.name
+                if conflict.ahead < BRAKING_TIME:
+                    self.cancel(f"{name} would be {conflict.gap:.2f} m away")
+                return name
+        return ""
 
     def _start_reach_if_ready(
         self, obs: Observation, q: Floats, qd: Floats, state: Floats, trajectory: ApproachTrajectory
@@ -213,7 +238,7 @@ class Capture:
         elif abs(facing) > MAX_FACING_ANGLE:
             missed = facing * spin < 0.0 or abs(facing) > FIXTURE_WAIT_TIMEOUT * abs(spin)
             if missed:
-                self._search_trajectory(obs.t, q, qd, state)
+                self._search_trajectory(obs, q, qd, state)
 
     def _lead(self, state: Floats) -> float:
         """Return the time from the start of the reach until the fixture faces the arm [s]."""
@@ -300,16 +325,19 @@ def load_kernels(craft: Craft) -> None:
     reach.rates(q, zero, target)
 
 
-def path_relative_to_target(points: Points, t: float, state: Floats) -> Path:
-    """Return a path in the world of points given relative to the drifting target.
+def path_relative_to_target(
+    trajectory: ApproachTrajectory, start: float, t: float, ahead: Floats, state: Floats
+) -> Path:
+    """Return the path in the world of an approach, which is relative to the drifting target.
 
     Args:
-        points: relative to the target, at the times REFERENCE_TIMES after t.
+        trajectory: the approach.
+        start: time of its start [s].
         t: present time [s].
+        ahead: (k,) times of the path's knots from now [s].
         state: (2, 3) pose and twist of the target.
     """
+    points = trajectory.points(t - start + ahead)
     drift = np.array([*state[1, :2], 0.0])
-    pose = points.pose + np.array([*state[0, :2], 0.0]) + REFERENCE_TIMES[:, None] * drift
-    return Path(
-        t + REFERENCE_TIMES, np.stack([pose, points.twist + drift, points.acceleration], axis=1)
-    )
+    pose = points.pose + np.array([*state[0, :2], 0.0]) + ahead[:, None] * drift
+    return Path(t + ahead, np.stack([pose, points.twist + drift, points.acceleration], axis=1))

@@ -1,5 +1,6 @@
 """Prediction of collisions of base and arm in a drift, joints held, and pushes that avoid them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
 from fss_gnc.guidance.approach import RigidCraft, propagate_coast
 from fss_gnc.guidance.free_space import held_gap
 from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.guidance.other_vehicles import OtherVehicle, gap_excess, outline
 from fss_gnc.reference import Body
 
 SAMPLE_COUNT = 16  # per drift
@@ -27,6 +29,7 @@ class Drift(NamedTuple):
     edge: float  # least gap to the table's edge [m]
     target: float  # least gap to the target [m]; inf: there is no target
     safe: bool
+    vehicles: float = np.inf  # least gap to another vehicle [m]; inf: there is none
 
 
 class DriftPredictor:
@@ -37,10 +40,17 @@ class DriftPredictor:
         settings: sizes and limits.
         held: (3,) place of a held target in the last link's frame (held.py), which must stay on
             the table as well; None: no target is held.
+        others: the other vehicles; the prediction starts now.
     """
 
-    def __init__(self, p: Floats, settings: MissionSettings, held: Floats | None = None) -> None:
-        self.p, self.settings, self.held = p, settings, held
+    def __init__(
+        self,
+        p: Floats,
+        settings: MissionSettings,
+        held: Floats | None = None,
+        others: Sequence[OtherVehicle] = (),
+    ) -> None:
+        self.p, self.settings, self.held, self.others = p, settings, held, others
         n = (p.size - layout.BASE_SIZE) // layout.LINK_SIZE
         self._edge, self._target = list(with_edge(n)), list(with_target(n))
         self._sizes = sizes(settings, settings.target_radius, settings.gripper_length)
@@ -86,7 +96,7 @@ class DriftPredictor:
         twists = np.column_stack([v.real, v.imag, np.zeros(v.size)])
         drifts = self._predict_all(body, q, np.vstack([qd[:3], twists]), target, margin=PUSH_MARGIN)
         safe = [drift for drift in drifts if drift.safe]
-        return safe[0] if safe else max(drifts, key=lambda drift: min(drift.edge, drift.target))
+        return safe[0] if safe else max(drifts, key=_least_gap)
 
     def find_refuge(self, q: Floats, target: Body | None) -> Floats:
         """Return the nearest pose (3,) at which the base can rest; if none, the widest gap."""
@@ -101,7 +111,7 @@ class DriftPredictor:
             for pose in poses
         ]
         safe = [k for k, drift in enumerate(drifts) if drift.safe and drift.edge > STAY_GAP]
-        smallest_gaps = [min(drift.edge, drift.target) for drift in drifts]
+        smallest_gaps = [_least_gap(drift) for drift in drifts]
         return np.asarray(poses[safe[0] if safe else int(np.argmax(smallest_gaps))])
 
     def _edge_gap(self, states: Floats) -> Floats:
@@ -139,7 +149,19 @@ class DriftPredictor:
             is_safe = target_gap >= np.minimum(s.min_target_gap + margin, target_gaps[:, 0] - 1e-3)
             is_safe &= target_gaps[:, -1] >= s.min_target_gap + margin
         is_safe &= edge >= np.minimum(s.min_edge_gap + margin, gap[:, 0] - 1e-3)
+        vehicles = np.full(len(twists), np.inf)
+        own = outline(self.p, body.q_m, s, self.held, s.target_radius)
+        for k, drifting in enumerate(poses if self.others else ()):
+            found = [
+                gap_excess(own, times, drifting, other, s.vehicle_gap) for other in self.others
+            ]
+            vehicles[k] = min(float(gap.min()) for gap, _ in found)
+            is_safe[k] &= all((excess >= 0.0).all() for _, excess in found)
         return [
-            Drift(twist, float(e), float(t), bool(k))
-            for twist, e, t, k in zip(twists, edge, target_gap, is_safe, strict=True)
+            Drift(twist, float(e), float(t), bool(k), float(v))
+            for twist, e, t, k, v in zip(twists, edge, target_gap, is_safe, vehicles, strict=True)
         ]
+
+
+def _least_gap(drift: Drift) -> float:
+    return min(drift.edge, drift.target, drift.vehicles)

@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from fss_arm_model.arrays import Floats
+from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.clearance import body_name, gaps, sizes, with_edge, with_target
 from fss_arm_model.extents import Extents
 from fss_arm_model.held import payload_pose, payload_positions
 from fss_gnc.guidance.activity import ActivityError, Craft, Observation
+from fss_gnc.guidance.other_vehicles import SHRINK_TOLERANCE, outline
 from fss_gnc.reference import Path
-
-SHRINK_TOLERANCE = 1e-3  # allowed decrease of a gap that is too small already [m]
 
 
 def held_gap(p: Floats, states: Floats, place: Floats, radius: float, extents: Extents) -> Floats:
@@ -66,6 +65,13 @@ class FreeSpace:
             ahead = (times - start)[:, None] * target.twist[:2]
             gap = gaps(self.p, states, self.target, self.sizes, target.pose[:2] + ahead)
             self._check_gaps(gap, self.names, times - start, 0.0, "the keep-out zone")
+
+    def outline(self, obs: Observation) -> Complexes:
+        """Return the outline of base, arm and held target (other_vehicles.py)."""
+        (q, _), s = obs.floating_state, self.settings
+        if not obs.holds or obs.target is None:
+            return outline(self.p, q[3:], s)
+        return outline(self.p, q[3:], s, payload_pose(self.p, q, obs.target.pose), s.target_radius)
 
     @staticmethod
     def _check_gaps(

@@ -5,6 +5,7 @@ import numpy as np
 from fss_arm_model.arrays import Floats
 from fss_arm_model.units import SECOND
 from fss_gnc.guidance.activity import HeldBody, Observation
+from fss_gnc.guidance.other_vehicles import OtherVehicle
 from fss_gnc.latest import Latest, body_at
 from fss_gnc.reference import Body
 
@@ -41,8 +42,16 @@ class Measurements:
         """Return why base or joints are unknown at `now` [ns]; empty if both are known."""
         return self.base.problem(now) or self.joints.problem(now)
 
-    def observe(self, now: int, start_time: int) -> Observation:
-        """Return what is known at `now` [ns]: base, target and joints are extrapolated to it."""
+    def observe(
+        self, now: int, start_time: int, others: tuple[OtherVehicle, ...] = ()
+    ) -> Observation:
+        """Return what is known at `now` [ns]: base, target and joints are extrapolated to it.
+
+        Args:
+            now: present time [ns].
+            start_time: start of the activity [ns].
+            others: the other vehicles now.
+        """
         joints, propellant = self.joints.valid_value(now), self.propellant.valid_value(now)
         q, qd, effort = (None,) * 3 if joints is None else joints
         if q is not None and qd is not None:
@@ -62,4 +71,5 @@ class Measurements:
             open_valves=self.open_valves,
             unknown_push=self.unknown_push,
             stall=self.stall.valid_value(now) or "",
+            others=others,
         )

@@ -81,6 +81,17 @@ class GuidanceSettings(Extents):
         unit="m",
         check=NOT_NEGATIVE,
     )
+    vehicles: tuple[str, ...] = setting(
+        (),
+        "names (namespaces) of all vehicles on the table, this one included, in the order of their "
+        "right of way; the same for all of them; empty: there is no other one",
+    )
+    vehicle_gap: float = setting(
+        0.1,
+        "smallest gap to another vehicle, beside 3 standard deviations of its position",
+        unit="m",
+        check=NOT_NEGATIVE,
+    )
     edge_margin: float = like(GuardSettings, "edge_margin")
     target_radius: float = like(GuardSettings, "target_radius")
     gripper_length: float = like(GuardSettings, "gripper_length")

@@ -20,6 +20,7 @@ from fss_rehearsal.campaign.function import find_function
 RUNS = {
     "capture": "fss_rehearsal.loops.capture:capture",
     "hold": "fss_rehearsal.loops.holding:hold",
+    "crossing": "fss_rehearsal.loops.crossing:crossing",
     "calibration": "fss_rehearsal.loops.calibration:calibration",
 }
 KEYS = "about", "run", "seeds", "settings", "grid", "draw", "measure", "success_rate"
