@@ -50,6 +50,7 @@ class GiveWay:
         self.waits_for = ""  # vehicle for which it rests, or moves aside; empty: none
         self.reason = ""  # why it does not follow the path as requested; empty: it does
         self._goal = path.knots[-1, 0]
+        self._was_checked = False  # True once the requested path was checked
         # The requested duration as a multiple of the shortest one.
         self._slowness = max(1.0, path.end_time / self._shortest(path.knots[0, 0], self._goal))
         self._rest = path, 0.0  # path, and time on it, at which the base rests
@@ -76,7 +77,8 @@ class GiveWay:
         if self.waits_for:
             return path if obs.t < path.end_time else self._depart(path, obs, own)
         stopping_time = self._min_ramp(reference) + REACTION_TIME
-        conflict = self._conflict(own, path, obs, stopping_time, MONITORED_SHARE)
+        share, self._was_checked = MONITORED_SHARE if self._was_checked else 1.0, True
+        conflict = self._conflict(own, path, obs, stopping_time, share)
         if conflict is None:
             return path
         self.reason = f"gives way to {conflict.vehicle.name}"
