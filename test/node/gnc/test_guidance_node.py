@@ -271,9 +271,13 @@ class Neighbour(Node):
 
 
 def test_go_to_waits_for_another_vehicle_and_then_continues(spin):
-    bench, plans, outlines = Bench(spin, namespace="fss2", vehicles=["fss1", "fss2"]), [], []
+    bench, plans, outlines = (
+        Bench(spin, namespace="fss2", vehicles=["fss1", "fss2"], max_age=3.0),
+        [],
+        [],
+    )
     assert bench.guidance.health().message == "waiting for fss1/base/footprint"
-    other = Neighbour("fss1", [1.35, 0.25, 0.0])  # before the arm
+    other = Neighbour("fss1", [1.3, 0.25, 0.0])  # before the arm
     spin([other], lambda: not bench.guidance.health().message.startswith("waiting"))
     bench.create_subscription(vehicle_topics.PathMessage, "base/plan", plans.append, SENSOR)
     bench.create_subscription(PolygonStamped, "base/footprint", outlines.append, SENSOR)
@@ -282,7 +286,7 @@ def test_go_to_waits_for_another_vehicle_and_then_continues(spin):
     assert bench.states[-1].reason == "waits for fss1"
     assert bench.guidance.health().message == "base/go_to: wait: waits for fss1"
     assert np.abs(bench.pose).max() < 1e-6
-    other.pose = [1.35, -1.5, 0.0]
+    other.pose = [1.3, -1.5, 0.0]
     ended = bench.end(handle)
     assert ended.status == DONE, ended.result.message
     np.testing.assert_allclose(bench.pose, [0.15, 0.0, 0.0], atol=1e-3)
