@@ -164,8 +164,9 @@ def test_silent_vehicle_keeps_its_plan_and_its_twist_and_grows_uncertain():
     beside = straight([-1.0, 0.7, 0.0], [0.5, 0.7, 0.0], 40.0)
     assert not path_conflicts(SQUARE, beside, 0.0, [speaking], 0.1)
     (found,) = path_conflicts(SQUARE, beside, 0.0, [silent], 0.1)
-    assert gives_way(found)  # whatever its rank
-    assert gives_way(found._replace(vehicle=replace(silent, precedes=False)))
+    assert gives_way(found)
+    assert not gives_way(found._replace(vehicle=replace(silent, precedes=False)))
+    assert gives_way(found._replace(vehicle=replace(silent, plan=None, precedes=False)))
 
 
 def test_margin_includes_the_deviation():

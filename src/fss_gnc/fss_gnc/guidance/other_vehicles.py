@@ -13,7 +13,8 @@ A vehicle that drifts keeps its twist. One that follows a plan keeps to it, with
 from it. A silent vehicle may do both, and its uncertainty grows with the time since its last state.
 
 Right of way: the vehicle that comes first in the list. A vehicle that cannot give way, because it
-holds its place, drifts or is silent, has it before all others.
+holds its place or drifts, has it before all others. Silence changes nothing: a silent vehicle may
+still receive, and if each gave way to the other, neither would move as predicted.
 """
 
 from collections.abc import Iterable, Sequence
@@ -124,8 +125,8 @@ class OtherVehicle:
 
     @property
     def can_give_way(self) -> bool:
-        """True if it is known to follow a plan that it can change."""
-        return not self.is_silent and self.plan is not None and self.plan.end_time > 0.0
+        """True if it follows a plan that it can change; a silent vehicle may do so as well."""
+        return self.plan is not None and self.plan.end_time > 0.0
 
     def predict(self, ahead: Floats) -> list[Prediction]:
         """Return each motion that it may make, at times from now (m,) [s]."""

@@ -73,7 +73,9 @@ class CrossingSettings(Settings):
     loss: float = setting(
         0.2, "fraction of the exchanged messages that is lost", check=between(0.0, 1.0)
     )
-    silent: int = setting(1, "vehicle that falls silent: 1 or 2", check=between(1, 2))
+    silent: int = setting(
+        1, "vehicle that falls silent, but still receives: 1 or 2", check=between(1, 2)
+    )
 
 
 TESTBED, COURSES = TestbedSettings(q=CURLED), CrossingSettings()
@@ -268,11 +270,13 @@ class Crossing:
 
     def exchange(self, step: int) -> None:
         """Send and receive the announcements of a step."""
-        is_silent = self.settings.kind == "silent" and self.t >= SILENT_FROM
-        if step and step % ANNOUNCEMENT_STEPS == 0 and not is_silent:
+        s, silent = self.settings, ""
+        if s.kind == "silent" and self.t >= SILENT_FROM:
+            silent = NAMES[s.silent - 1]
+        if step and step % ANNOUNCEMENT_STEPS == 0:
             for sender, receiver in zip(self.pilots, self.pilots[::-1], strict=True):
-                for store in sender.announcement(self.t):
-                    if self.rng.random() >= self.settings.loss:
+                for store in sender.announcement(self.t) if sender.name != silent else ():
+                    if self.rng.random() >= s.loss:
                         arrival = step + ANNOUNCEMENT_DELAY
                         self.mail.append((arrival, receiver.tracks[0], store))
         while self.mail and self.mail[0][0] <= step:
