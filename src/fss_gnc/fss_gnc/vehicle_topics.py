@@ -31,7 +31,7 @@ KINDS = {"base/state": Odometry, "base/plan": PathMessage, "base/footprint": Pol
 
 
 class VehicleTopics:
-    """What the vehicles of the parameter `vehicles` announce to each other.
+    """Announcements of the vehicles in the parameter `vehicles` to each other.
 
     Args:
         node: the guidance of one of them.

@@ -228,7 +228,7 @@ def gives_way(conflict: Conflict, stopping_time: float = 0.0) -> bool:
 
 
 def announced(path: Path, t: float) -> Path:
-    """Return a path from its time t on as it is announced: poses by the time from now."""
+    """Return a path from its time t on in the announced form: poses by the time from now."""
     length = min(max(path.end_time - t, 0.0), MAX_PLAN_DURATION)
     ahead = np.linspace(0.0, length, int(np.ceil(length / POSE_SPACING)) + 1)
     return Path(ahead, path.states(t + ahead)[:, :1])

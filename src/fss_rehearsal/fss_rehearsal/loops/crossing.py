@@ -44,7 +44,7 @@ from fss_sim.settings import TestbedSettings
 
 NAMES = "fss1", "fss2"  # in the order of their right of way
 HALF_WAY = 1.3  # from the table's centre to start and goal [m]
-SLOW = 100.0  # duration of a motion that is overtaken [s]
+SLOW_DURATION = 100.0  # duration of a motion that is overtaken [s]
 READING_FRAMES = 20  # frames from one reading of the joints to the next
 ANNOUNCEMENT_STEPS = 2  # steps of the guidance from one announcement to the next
 ANNOUNCEMENT_DELAY = 1  # of its arrival [steps]
@@ -97,7 +97,7 @@ def routes(s: CrossingSettings) -> tuple[Route, Route]:
     if s.kind == "head-on":
         return first, Route((d, -o, pi), (-d, -o, pi - turn), delay=s.delay)
     if s.kind == "overtaking":
-        return first, Route((-0.3, -o, 0.0), (0.2, -o, 0.0), SLOW)
+        return first, Route((-0.3, -o, 0.0), (0.2, -o, 0.0), SLOW_DURATION)
     if s.kind == "holding":
         return first, Route((0.0, -o, turn), None)
     return first, Route((o, -d, 0.5 * pi), (o, d, 0.5 * pi + turn), delay=s.delay)
