@@ -4,6 +4,7 @@ import sys
 
 import rclpy
 from rclpy.action import ActionClient
+from rclpy.executors import ExternalShutdownException
 
 from fss_arm_msgs.action import GoToPose
 from fss_arm_msgs.msg import MissionState
@@ -32,7 +33,11 @@ def main(vehicle, *pose):
     )
     rclpy.spin_until_future_complete(node, sent)
     ended = sent.result().get_result_async()
-    rclpy.spin_until_future_complete(node, ended)
+    try:
+        rclpy.spin_until_future_complete(node, ended)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        print(f"{vehicle}: this program ends, the goal continues")
+        return
     result = ended.result().result
     print(f"{vehicle} reached: {result.reached} {result.message}")
 

@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 REACHED_TOPIC = "/sim/reached"
 REPORT_PERIOD = 0.05  # simulated [s]
 SEARCH_PERIOD = 1.0  # of looking for a simulator that waits [s]
-QOS = QoSProfile(depth=10)
+QOS = QoSProfile(depth=1000)  # the subscriber keeps the reports of all nodes together
 
 
 def report_reached_time(node: Node) -> None:

@@ -134,6 +134,18 @@ def test_in_lockstep_time_waits_for_each_node_until_it_ends(spin, call):
     spin([bed, slow], lambda: bed.frame > 100)
 
 
+def test_reports_of_many_nodes_at_once_are_all_received(spin):
+    """Two vehicles have some 25 nodes; a lost report would stop the time for 10 s."""
+    bed = testbed(keep_clock=True, lockstep=True, paused=True)
+    nodes = {f"/node_{i}": Node(f"node_{i}") for i in range(30)}
+    reports = {name: n.create_publisher(Header, REACHED_TOPIC, QOS) for name, n in nodes.items()}
+    spin([bed, *nodes.values()], lambda: all(p.get_subscription_count() for p in reports.values()))
+    for name, publisher in reports.items():  # the first one, which is the slowest, is not lost
+        stamp = to_time(1_000_000_000 if name == "/node_0" else 2_000_000_000)
+        publisher.publish(Header(stamp=stamp, frame_id=name))
+    spin(bed, lambda: bed.timeline.nodes.slowest()[0] == "/node_0")
+
+
 SCRIPT = """
 - {at: 0.1, part: fss, fault: dropout, value: 0.3, duration: 0.5}
 - {at: 0.1, part: end_effector, fault: occlusion, value: 0.3}
