@@ -83,8 +83,8 @@ class GuidanceSettings(Extents):
     )
     vehicles: tuple[str, ...] = setting(
         (),
-        "names (namespaces) of all vehicles on the table, this one included, in the order of their "
-        "right of way; the same for all of them; empty: there is no other one",
+        "names (namespaces) of all vehicles on the table, this one included, by right of way; alike "
+        "in each guidance; empty: there is no other one",
     )
     vehicle_gap: float = setting(
         0.1,
