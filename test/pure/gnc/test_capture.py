@@ -1,5 +1,6 @@
 """The capture and its parts, simulated with delayed and noisy sensors."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +67,16 @@ def test_a_capture_names_the_states_that_it_waited_for():
     assert commands.reason == (
         f"arm/joint_states and target/state not known within {SETTINGS.wait_timeout:g} s"
     )
+
+
+def test_a_reach_that_misses_states_how_far_away_the_fixture_was():
+    never = replace(SETTINGS, grip_distance=1e-5, reach_timeout=2.0, attempts=1)
+    flown = Flight(Case(distance=1.4), settings=never).fly()
+    assert not flown.captured
+    assert flown.safe
+    assert flown.phases[:3] == ["wait", "approach", "reach"]
+    words = r"target not captured in 1 attempts; reach 1 of 1 missed after 2\.1 s: fixture 0\.\d+ m"
+    assert re.match(words, flown.message), flown.message
 
 
 def test_it_captures_a_tumbling_target_and_stops_it():

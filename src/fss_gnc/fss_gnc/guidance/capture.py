@@ -10,6 +10,7 @@ abort     from any of them
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -39,6 +40,7 @@ MAX_POSITION_ERROR, MAX_HEADING_ERROR = 0.03, 0.05  # at the start of the reach 
 MAX_SPEED_ERROR, MAX_TURN_RATE_ERROR = 0.008, 0.008  # then [m/s], [rad/s]
 MAX_FACING_ANGLE = 0.25  # largest error of the fixture's angle when the reach starts [rad]
 MAX_LEAD_ANGLE = 1.1  # largest angle that the fixture turns in the lead [rad]
+NEAR_LIMIT = 0.05  # distance of a joint to its limit that is reported [rad]
 LOST_ANGLE, LOST_DISTANCE = 1.4, 0.35  # errors beyond which a reach is abandoned [rad], [m]
 REPLAN_CUTOFF = 5.0  # time before the end of a trajectory in which no other is searched for [s]
 FIXTURE_WAIT_TIMEOUT = 25.0  # longest wait for the fixture, before another side is chosen [s]
@@ -60,6 +62,7 @@ class Capture:
         self.planner, self.monitor = Planner(self.p, settings), MissionMonitor(craft)
         self.guard = Guard(craft.arm, settings)
         self.phase, self.phase_start, self.attempts = "wait", 0.0, 0
+        self.missed = ""  # how the last reach ended, if it missed the fixture
         self.fixture_error: Approach | None = None
         self.posture: Floats | None = None  # joint angles held in the approach
         self.follow_up: Detumble | Abort | None = None
@@ -96,7 +99,10 @@ class Capture:
             "reach": self._reach,
             "grip": self._reach,
         }
-        return handlers[self.phase](obs, q, qd, state)
+        commands = handlers[self.phase](obs, q, qd, state)
+        if self.missed and self.phase in ("wait", "approach") and not commands.reason:
+            return replace(commands, reason=self.missed)
+        return commands
 
     def cancel(self, reason: str) -> None:
         """Abort the mission."""
@@ -259,6 +265,7 @@ class Capture:
         is_lost = abs(error.angle) > LOST_ANGLE or error.distance > LOST_DISTANCE
         timeout = s.reach_timeout if self.phase == "reach" else s.grip_timeout + closing
         if is_lost or obs.t - self.phase_start > timeout:
+            self.missed = self._miss_reason(q, obs.t, error.distance, error.angle)
             self._retreat(obs.t)
         elif self.phase == "reach" and is_near and error.speed < speed:
             self._enter_phase("grip", obs.t)
@@ -272,10 +279,22 @@ class Capture:
             fixture_distance=error.distance,
         )
 
+    def _miss_reason(self, q: Floats, t: float, distance: float, angle: float) -> str:
+        """Return how far the fixture was at the end of a reach, and which joint was at a limit."""
+        limits = np.array([(link.q_min, link.q_max) for link in self.craft.arm.links])
+        room = np.abs(q[3:, None] - limits).min(axis=1)
+        joint = int(room.argmin())
+        limited = f", joint {joint + 1} at its limit" if room[joint] < NEAR_LIMIT else ""
+        return (
+            f"{self.phase} {self.attempts} of {self.settings.attempts} missed after "
+            f"{t - self.phase_start:.1f} s: fixture {distance:.3f} m and "
+            f"{abs(np.degrees(angle)):.0f} deg away{limited}"
+        )
+
     def _retreat(self, t: float) -> None:
         """Back off with open gripper, to try another approach."""
         if self.attempts >= self.settings.attempts:
-            self.cancel(f"target not captured in {self.attempts} attempts")
+            self.cancel(f"target not captured in {self.attempts} attempts; {self.missed}")
             return
         self._trajectory, self._search = None, None
         self._enter_phase("wait", t)

@@ -46,9 +46,9 @@ class MissionMonitor:
         target = None if obs.target is None or obs.holds else obs.target.pose
         edge_gap, target_gap = self.predictor.clearances(q, target)
         if edge_gap < s.min_edge_gap:
-            return f"table's edge is {edge_gap:.3f} m away, expected at least {s.min_edge_gap:g} m"
+            return f"table's edge is {edge_gap:.4f} m away, expected at least {s.min_edge_gap:g} m"
         if target_gap < s.min_target_gap:
-            return f"target is {target_gap:.3f} m away, expected at least {s.min_target_gap:g} m"
+            return f"target is {target_gap:.4f} m away, expected at least {s.min_target_gap:g} m"
         self._push_start = min(self._push_start, obs.t) if obs.unknown_push else np.inf
         if path is not None:
             if obs.t - self._push_start > UNKNOWN_PUSH_TIMEOUT:
