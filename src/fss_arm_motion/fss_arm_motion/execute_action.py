@@ -178,7 +178,7 @@ class PlanExecution:
         while not future.done():
             if not said and not moving() and monotonic() - start > 2.0 * QUIET_TIME:
                 said = True
-                self.say("planning: seconds, or a minute or two if kernels must be compiled")
+                self.say("planning takes seconds, or a minute or two if kernels must be compiled")
             spin_once(self.node, 0.05)
 
     def advice(self, message: str) -> str:

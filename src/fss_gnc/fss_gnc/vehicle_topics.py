@@ -4,8 +4,10 @@ Each vehicle publishes `base/plan`, the poses of its base with their times, and 
 its outline. Without poses it drifts; at the last pose it stays.
 """
 
+from collections.abc import Callable
 from functools import partial
 from math import cos, sin
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point32, PolygonStamped, PoseStamped
@@ -27,6 +29,9 @@ from fss_gnc.guidance.other_vehicles import OtherVehicle, VehicleTrack, announce
 from fss_gnc.reference import Path
 
 PERIOD = 0.2  # of the announcements [s]
+MAX_POINTS = 1000  # of a plan or an outline
+MAX_RADIUS = 10.0  # of an outline about the base's origin [m]
+MAX_LEAD = 1.0  # of a stamp before this computer's time [s]
 KINDS = {"base/state": Odometry, "base/plan": PathMessage, "base/footprint": PolygonStamped}
 
 
@@ -58,11 +63,12 @@ class VehicleTopics:
         ]
         self._frame = default_in(Vehicle.__dataclass_fields__["base_frame"], node.get_namespace())
         self._subscriptions = [
-            PolledSubscription(node, kind, f"{space}/{track.name}/{topic}", partial(store, track))
+            PolledSubscription(node, kind, name, partial(self._store, name, store, track))
             for track in self.tracks
             for (topic, kind), store in zip(
-                KINDS.items(), (store_state, self._store_plan, store_footprint), strict=True
+                KINDS.items(), (store_state, store_plan, store_footprint), strict=True
             )
+            for name in [f"{space}/{track.name}/{topic}"]
         ]
         topics = list(KINDS)[1:] if self.tracks else []
         self._outputs = [node.create_publisher(KINDS[name], name, SENSOR) for name in topics]
@@ -104,17 +110,31 @@ class VehicleTopics:
         ):
             publisher.publish(message)
 
-    def _store_plan(self, track: VehicleTrack, message: PathMessage) -> None:
-        """Store a plan; reject it if it is invalid."""
+    def _store(
+        self,
+        topic: str,
+        store: Callable[[VehicleTrack, Any], None],
+        track: VehicleTrack,
+        message: Any,
+    ) -> None:
+        """Store a message of another vehicle; reject it if it is invalid."""
         try:
-            store_plan(track, message)
+            now = self._node.get_clock().now().nanoseconds
+            lead = (stamp_ns(message.header.stamp) - now) / SECOND
+            if lead > MAX_LEAD:
+                raise ValueError(f"header.stamp is {lead:.1f} s in the future")
+            store(track, message)
         except ValueError as error:
-            line = f"{track.name}/base/plan: {error}"
+            line = f"{topic} rejected: {error}"
             self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
 
 def store_state(track: VehicleTrack, message: Odometry) -> None:
-    """Store a state with the largest standard deviations of position and speed."""
+    """Store a state with the largest standard deviations of position and speed.
+
+    Raises:
+        ValueError: the pose or the twist is invalid.
+    """
     variances = (max(c[0], c[7], 0.0) for c in (message.pose.covariance, message.twist.covariance))
     deviations = (float(np.sqrt(variance)) for variance in variances)
     track.store_state(stamp_ns(message.header.stamp), messages.body(message), *deviations)
@@ -124,8 +144,10 @@ def store_plan(track: VehicleTrack, message: PathMessage) -> None:
     """Store a plan.
 
     Raises:
-        ValueError: it is not a planar path in the world.
+        ValueError: it is not a planar path in the world, or too long.
     """
+    if (count := len(message.poses)) > MAX_POINTS:
+        raise ValueError(f"{count} poses, expected at most {MAX_POINTS}")
     if (frame := message.header.frame_id) != messages.WORLD:
         raise ValueError(f"frame_id is {frame[:40]!r}, expected {messages.WORLD!r}")
     stamp, path = stamp_ns(message.header.stamp), None
@@ -138,11 +160,20 @@ def store_plan(track: VehicleTrack, message: PathMessage) -> None:
 
 
 def store_footprint(track: VehicleTrack, message: PolygonStamped) -> None:
-    """Store an outline; one with fewer than three vertices is ignored."""
+    """Store an outline.
+
+    Raises:
+        ValueError: it has too few or too many vertices, no area, or is too large.
+    """
+    if not 3 <= (count := len(message.polygon.points)) <= MAX_POINTS:
+        raise ValueError(f"{count} vertices, expected 3 to {MAX_POINTS}")
     outline = np.array([complex(point.x, point.y) for point in message.polygon.points])
-    area = np.imag(np.conj(outline) * np.roll(outline, -1)).sum()
-    if len(outline) > 2:
-        track.outline = outline if area > 0.0 else outline[::-1]
+    if not (radius := float(np.abs(outline).max())) <= MAX_RADIUS:
+        raise ValueError(f"a vertex is {radius:g} m from the base, expected at most {MAX_RADIUS:g}")
+    area = float(np.imag(np.conj(outline) * np.roll(outline, -1)).sum())
+    if not area:
+        raise ValueError("the outline has no area")
+    track.outline = outline if area > 0.0 else outline[::-1]
 
 
 def plan_message(path: Path | None, t: float, stamp: int) -> PathMessage:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
-from geometry_msgs.msg import PolygonStamped, WrenchStamped
+from geometry_msgs.msg import PolygonStamped, PoseStamped, WrenchStamped
 from gnc_bench import odometry
 from guidance_bench import Bench
+from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
@@ -26,6 +27,7 @@ from fss_gnc.guidance.activity import Commands, Outcome
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.execution import Kind
 from fss_gnc.guidance.kinds import BASE, MISSIONS, HoldBase
+from fss_gnc.guidance.other_vehicles import VehicleTrack
 from fss_gnc.guidance_node import GuidanceNode
 from fss_gnc.reference import Body, Path
 
@@ -294,6 +296,60 @@ def test_go_to_waits_for_another_vehicle_and_then_continues(spin):
     assert max(plan.poses[-1].pose.position.x for plan in plans if plan.poses) > 0.14
     assert outlines[-1].header.frame_id == "fss2/fss"
     assert max(point.x for point in outlines[-1].polygon.points) > 0.9  # its arm
+
+
+def outline_of(count, radius):
+    return vehicle_topics.footprint(radius * np.exp(2j * np.pi * np.arange(count) / count))
+
+
+def plan_of(count=1, frame="world", step=1.0):
+    """Return a plan with poses at the origin, some time apart [s]."""
+    message = vehicle_topics.plan_message(None, 0.0, SECOND)
+    message.header.frame_id = frame
+    for k in range(count):
+        message.poses.append(PoseStamped())
+        message.poses[-1].pose.orientation.w = 1.0
+        message.poses[-1].header.stamp = to_time(SECOND + round(k * step * SECOND))
+    return message
+
+
+@pytest.mark.parametrize(
+    ("store", "message", "words"),
+    [
+        (vehicle_topics.store_footprint, outline_of(2, 0.1), "2 vertices, expected 3 to 1000"),
+        (vehicle_topics.store_footprint, outline_of(1001, 0.1), "1001 vertices"),
+        (vehicle_topics.store_footprint, outline_of(4, 11.0), "a vertex is 11 m from the base"),
+        (vehicle_topics.store_footprint, outline_of(4, 0.0), "the outline has no area"),
+        (vehicle_topics.store_plan, plan_of(frame="table"), "frame_id is 'table'"),
+        (vehicle_topics.store_plan, plan_of(1001), "1001 poses, expected at most 1000"),
+        (vehicle_topics.store_plan, plan_of(2, step=0.0), "time of point 1 is 0 s"),
+        (vehicle_topics.store_state, Odometry(), "."),  # a quaternion of zeros
+    ],
+)
+def test_invalid_messages_of_another_vehicle_are_rejected(store, message, words):
+    if isinstance(message, Odometry):
+        message.pose.pose.orientation.w = 0.0
+    with pytest.raises(ValueError, match=words):
+        store(VehicleTrack("fss1", precedes=True), message)
+
+
+def test_guidance_outlives_invalid_states_of_another_vehicle(spin):
+    bench = Bench(spin, namespace="fss2", vehicles=["fss1", "fss2"], max_age=3.0)
+    other = Node("neighbour", namespace="fss1")
+    states = other.create_publisher(Odometry, "base/state", SENSOR)
+    spin([other], states.get_subscription_count)
+    invalid, early = odometry([0.0, 0.0, 0.0], np.zeros(3)), odometry([0.0, 0.0, 0.0], np.zeros(3))
+    invalid.pose.pose.orientation.z = invalid.pose.pose.orientation.w = 0.0
+    early.header.stamp = to_time(other.get_clock().now().nanoseconds + 3600 * SECOND)
+    for message in (invalid, early):
+        if message is invalid:
+            message.header.stamp = other.get_clock().now().to_msg()
+        states.publish(message)
+        handle = bench.begin(GO_TO, pose=[0.0, 0.0, 0.0])  # it receives the state meanwhile
+        assert bench.end(handle).status == DONE
+    (track,) = bench.guidance.vehicles.tracks
+    track.outline = np.array([0.1, 0.1j, -0.1])
+    assert track.predicted(other.get_clock().now().nanoseconds) is None  # no state was stored
 
 
 @pytest.mark.parametrize("names", [["fss1", "fss3"], ["fss2", "fss2"]])

@@ -85,8 +85,8 @@ def check_rows(rows: Sequence[Row], campaign: Campaign, commit: str, path: Path)
         if row["commit"] != commit:
             raise CampaignError(
                 f"{path}: run {row['run']} was made with commit {row['commit']}, expected {commit};"
-                " check it out (after + is a digest of uncommitted changes), or start another "
-                "campaign with --out FOLDER"
+                " check out that commit (after + is a digest of uncommitted changes), or start "
+                "another campaign with --out FOLDER"
             )
 
 

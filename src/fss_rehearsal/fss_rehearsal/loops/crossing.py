@@ -32,9 +32,9 @@ from fss_rehearsal.loops.capture import (
     NAVIGATION,
     PERIOD,
     WITHOUT_ELECTRONICS,
-    WITHOUT_TOPICS,
     marker_free_noise,
 )
+from fss_rehearsal.loops.holding import ControlWithoutTarget, NavigationWithoutTarget
 from fss_rehearsal.loops.parameters import Without
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.drives import MODE_POSITION
@@ -306,15 +306,8 @@ def crossing(
     guidance: Annotated[
         MissionSettings, Without("rate", "horizon", "max_age", "vehicles")
     ] = GUIDANCE,
-    navigation: Annotated[
-        NavigationSettings,
-        WITHOUT_TOPICS,
-        Without("target_*", "mass_error", "com_error", "momentum_walk"),
-    ] = NAVIGATION,
-    control: Annotated[
-        ControlSettings,
-        Without("rate", "timeout", "max_age", "table", "full_tank", "target_*", "base_frame"),
-    ] = CONTROL,
+    navigation: NavigationWithoutTarget = NAVIGATION,
+    control: ControlWithoutTarget = CONTROL,
 ) -> dict[str, Any]:
     """Fly two vehicles past each other; it succeeds if both arrive and do not touch."""
     run = Crossing(seed, crossing, testbed, guidance, navigation, control)

@@ -37,6 +37,18 @@ FEEDBACK = 2.0  # rate per error of a joint's angle [1/s]
 MAX_OFFSET, MAX_TURN = 0.01, np.radians(1.0)  # of a successful run [m], [rad]
 
 
+#: Parameters of navigation and control that have an effect without topics and without a target.
+NavigationWithoutTarget = Annotated[
+    NavigationSettings,
+    WITHOUT_TOPICS,
+    Without("target_*", "mass_error", "com_error", "momentum_walk"),
+]
+ControlWithoutTarget = Annotated[
+    ControlSettings,
+    Without("rate", "timeout", "max_age", "table", "full_tank", "target_*", "base_frame"),
+]
+
+
 @dataclass(frozen=True)
 class MotionSettings(Settings):
     """Motion of the arm."""
@@ -147,15 +159,8 @@ def hold(
         WITHOUT_ELECTRONICS,
         Without("q", "target_*", "grip*", "contact*", "restitution", "encoder_error"),
     ] = TESTBED,
-    navigation: Annotated[
-        NavigationSettings,
-        WITHOUT_TOPICS,
-        Without("target_*", "mass_error", "com_error", "momentum_walk"),
-    ] = NAVIGATION,
-    control: Annotated[
-        ControlSettings,
-        Without("rate", "timeout", "max_age", "table", "full_tank", "target_*", "base_frame"),
-    ] = CONTROL,
+    navigation: NavigationWithoutTarget = NAVIGATION,
+    control: ControlWithoutTarget = CONTROL,
     motion: MotionSettings = MOTION,
     arm: ArmValues = NO_VALUES,
 ) -> dict[str, Any]:
