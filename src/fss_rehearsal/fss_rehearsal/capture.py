@@ -56,8 +56,9 @@ class CaptureOperator(Operator):
 
     TIMEOUT = 120.0  # timeout until all nodes are discovered and armed [s]
 
-    def __init__(self, domain: Domain) -> None:
-        super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
+    def __init__(self, domain: Domain, links: int = LINKS) -> None:
+        simulated = [Parameter("use_sim_time", value=True)]
+        super().__init__(domain, links, parameter_overrides=simulated)
         self.base = self.create_client(SetBool, "base/arm")
         self.capture = ActionClient(self, Capture, "mission/capture")
         self.phase = ""

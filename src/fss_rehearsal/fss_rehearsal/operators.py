@@ -65,10 +65,10 @@ class Operator(Node):
 
     TIMEOUT = 60.0  # default timeout of each wait [s]
 
-    def __init__(self, domain: Domain, **options: Any) -> None:
+    def __init__(self, domain: Domain, links: int = LINKS, **options: Any) -> None:
         super().__init__("operator", **options)
         self.domain = domain
-        self.armed = dict.fromkeys(range(1, LINKS + 1), False)
+        self.armed = dict.fromkeys(range(1, links + 1), False)
         for i in self.armed:
             self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
         self.arm = self.create_client(SetBool, "arm/enable")

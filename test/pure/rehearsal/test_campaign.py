@@ -83,6 +83,12 @@ def test_cycle_is_a_latin_square_of_last_axis_and_seed(file):
             "swing_study:sing",
             "run is 'swing_study:sing', expected a function module:function",
         ),
+        ("seeds: 4", "loop: graf", "loop is 'graf', expected graph (all nodes), or no such key"),
+        (
+            "seeds: 4",
+            "loop: graph",
+            "loop is 'graph', expected run: capture or run: hold with it, not run: swing_study:swi",
+        ),
         (
             "mass: 12",
             "mas: 12",

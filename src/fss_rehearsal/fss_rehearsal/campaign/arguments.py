@@ -18,22 +18,23 @@ from fss_arm_model.settings import NAMES, SettingError, converted
 from fss_rehearsal.loops.parameters import ArmValues
 
 KEY = re.compile(r"([\w.]+?)(?:\[(\d+)\])?")
-SEED = "seed"  # argument that a campaign sets itself
+SEED, BAG = "seed", "bag"  # arguments that a campaign sets itself
 
 
 class Arguments:
     """The parameters of a function, checked and converted."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self.takes_seed = False
+        self.takes_seed = self.takes_bag = False
         self.hints: dict[str, Any] = {}  # type of each parameter, by full name
         self.defaults: dict[str, Any] = {}  # default of each argument
         self.unused: set[str] = set()  # full names of settings without effect
         hints = get_type_hints(function)
         annotations = get_type_hints(function, include_extras=True)
         for name, argument in signature(function).parameters.items():
-            if name == SEED:
-                self.takes_seed = True
+            if name in (SEED, BAG):
+                self.takes_seed |= name == SEED
+                self.takes_bag |= name == BAG
                 continue
             default = self.defaults[name] = argument.default
             if isinstance(default, ArmValues):

@@ -89,20 +89,22 @@ def replay(campaign: Campaign, number: int, path: Path, console: Console) -> int
         )
     one = campaign.runs[number]
     before = {row["run"]: row for row in read_rows(path)} if path.exists() else {}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture = path.with_name(f"run_{number}.png")
+    files = path.with_name(f"run_{number}")
+    if files.exists():
+        raise CampaignError(f"{files} exists: move it away to repeat run {number} once more")
     row = expected_columns(one) | perform(
-        campaign.function, campaign.file.parent, number, one.seed, one.values, picture
+        campaign.function, campaign.file.parent.absolute(), number, one.seed, one.values, files
     )
     width = max(map(len, row))
     for name, value in row.items():
         shown = f"{value:.4g}" if isinstance(value, float) else value
         console.print(f"{name:>{width}}  {shown}", soft_wrap=True)
-    if picture.exists():
-        console.print(f"{picture}")
+    for file in sorted(files.glob("*")):
+        console.print(f"  {file}", soft_wrap=True)
     if number not in before:
         console.print(f"not compared: {path} does not contain this run", soft_wrap=True)
         return 0
-    changed = differences(row, before[number])
-    console.print("the same as before" if not changed else f"differs: {'; '.join(changed)}")
+    changed = differences(row, before[number], () if campaign.is_repeatable else ("outcome",))
+    same = "the same as before" if campaign.is_repeatable else "the same outcome as before"
+    console.print(same if not changed else f"differs: {'; '.join(changed)}")
     return 2 if changed else 0

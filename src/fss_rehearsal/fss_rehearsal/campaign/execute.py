@@ -150,7 +150,7 @@ def _row(future: Any, run: Run) -> Row:
         row = columns | future.result()
     except KilledWorker:
         reason = "the worker's process ended, also when the run was repeated"
-        lost = {"outcome": CRASHED, "reason": reason, "commit": source_version()}
+        lost = {"outcome": CRASHED, "reason": reason, "function": "", "commit": source_version()}
         return columns | lost | {"worker": "", "wall_time": 0.0}
     except (CancelledError, asyncio.CancelledError, OSError):
         raise CampaignError("lost the scheduler; continue with --resume") from None

@@ -40,27 +40,32 @@ def perform(
     number: int,
     seed: int,
     values: Mapping[str, Any],
-    picture: Path | None = None,
+    files: Path | None = None,
 ) -> Row:
     """Run the function; return the row, in which an exception is a crash with its reason.
 
     A function may return `success`, `reason` and `picture`, a function that returns a matplotlib
-    figure; it is drawn if a file is given for it.
+    figure. With a folder `files`, that figure is drawn to picture.png, and a function with an
+    argument `bag` records its topics to bag.
     """
-    from fss_rehearsal.campaign.arguments import SEED, Arguments
+    from fss_rehearsal.campaign.arguments import BAG, SEED, Arguments
 
     start = time.perf_counter()
-    row: Row = {"run": number, "seed": seed, "outcome": SUCCESS, "reason": "", **values}
+    row: Row = {"run": number, "seed": seed, "function": place, "outcome": SUCCESS, "reason": ""}
+    row |= values
     try:
         function = find_function(place, folder)
         arguments = Arguments(function)
         given = arguments.build(values)
         if arguments.takes_seed:
             given[SEED] = seed
+        if arguments.takes_bag:
+            given[BAG] = files and files / "bag"
         result = function(**given)
         draw = result.get("picture") if isinstance(result, Mapping) else None
-        if picture and draw:
-            draw().savefig(picture, dpi=110)
+        if files and draw:
+            files.mkdir(parents=True, exist_ok=True)
+            draw().savefig(files / "picture.png", dpi=110)
         figures = figures_of(result)
         reason, success = str(figures.pop("reason", "")), figures.pop("success", True)
         if clashes := sorted(figures.keys() & row.keys()):

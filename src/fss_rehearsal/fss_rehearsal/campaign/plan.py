@@ -23,7 +23,12 @@ RUNS = {
     "crossing": "fss_rehearsal.loops.crossing:crossing",
     "calibration": "fss_rehearsal.loops.calibration:calibration",
 }
-KEYS = "about", "run", "seeds", "settings", "grid", "draw", "measure", "success_rate"
+#: The same with all nodes on the simulated test bed, for `loop: graph`.
+GRAPH_RUNS = {
+    "capture": "fss_rehearsal.loops.graph:capture",
+    "hold": "fss_rehearsal.loops.graph:hold",
+}
+KEYS = "about", "run", "loop", "seeds", "settings", "grid", "draw", "measure", "success_rate"
 
 
 class CampaignError(ValueError):
@@ -66,6 +71,11 @@ class Campaign:
     distributions: Mapping[str, Distribution]
     measures: tuple[str, ...]  # figures in the report; empty: all
     success_rate: float  # smallest rate with which the campaign passes
+
+    @property
+    def is_repeatable(self) -> bool:
+        """True if a repeated run gives the same figures; with nodes, only its outcome is alike."""
+        return self.function not in GRAPH_RUNS.values()
 
     @cached_property
     def runs(self) -> tuple[Run, ...]:
@@ -116,10 +126,7 @@ def _campaign(file: Path, given: Any) -> Campaign:
             raise ContentError(
                 str(key), value, f"{near[0]}: ..." if near else f"one of the keys {', '.join(KEYS)}"
             )
-    name = given.get("run")
-    place = RUNS.get(name, name) if isinstance(name, str) else ""
-    if ":" not in place:
-        raise ContentError("run", name, f"one of {', '.join(RUNS)}, or module:function")
+    place = _function_place(given.get("run"), given.get("loop"))
     arguments = Arguments(find_function(place, file.parent))
     settings = _mapping("settings", given.get("settings"))
     axes = tuple(_axis(name, v) for name, v in _mapping("grid", given.get("grid")).items())
@@ -145,6 +152,21 @@ def _campaign(file: Path, given: Any) -> Campaign:
         tuple(measures),
         float(rate),
     )
+
+
+def _function_place(name: Any, loop: Any) -> str:
+    """Return the place of the function that the keys `run` and `loop` name, MODULE:NAME."""
+    if loop not in (None, "graph"):
+        raise ContentError("loop", loop, "graph (all nodes), or no such key (without ROS)")
+    if loop:
+        if name not in GRAPH_RUNS:
+            choices = " or ".join(f"run: {known}" for known in GRAPH_RUNS)
+            raise ContentError("loop", loop, f"{choices} with it, not run: {name}")
+        return GRAPH_RUNS[name]
+    place = RUNS.get(name, name) if isinstance(name, str) else ""
+    if ":" not in place:
+        raise ContentError("run", name, f"one of {', '.join(RUNS)}, or module:function")
+    return place
 
 
 def _mapping(key: str, value: Any) -> dict[str, Any]:

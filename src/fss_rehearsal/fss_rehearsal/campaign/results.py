@@ -82,6 +82,12 @@ def check_rows(rows: Sequence[Row], campaign: Campaign, commit: str, path: Path)
                     f"{path}: run {row['run']} has {name} {row.get(name)}, expected {value} as in "
                     f"{campaign.file}; start another campaign with --out FOLDER"
                 )
+        if row["function"] != campaign.function:
+            raise CampaignError(
+                f"{path}: run {row['run']} is one of {row['function']}, expected "
+                f"{campaign.function} as in {campaign.file}; start another campaign with --out "
+                "FOLDER"
+            )
         if row["commit"] != commit:
             raise CampaignError(
                 f"{path}: run {row['run']} was made with commit {row['commit']}, expected {commit};"
@@ -96,9 +102,12 @@ def expected_columns(run: Run) -> Row:
     return {"run": run.number, "seed": run.seed, **labels, **run.values}
 
 
-def differences(row: Row, other: Row) -> list[str]:
-    """Return the columns in which two rows of the same run differ, with both values."""
-    names = dict.fromkeys([*row, *other])
+def differences(row: Row, other: Row, only: Sequence[str] = ()) -> list[str]:
+    """Return the columns in which two rows of the same run differ, with both values.
+
+    If names are given, only these columns are compared.
+    """
+    names = only or dict.fromkeys([*row, *other])
     return [
         f"{name}: {row.get(name)}, before {other.get(name)}"
         for name in names

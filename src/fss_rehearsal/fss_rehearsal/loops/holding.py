@@ -7,6 +7,7 @@ import numpy as np
 
 from fss_arm_calib.experiment.postures import default_postures
 from fss_arm_model.arrays import Floats
+from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, at_least, setting
 from fss_arm_model.units import SECOND
@@ -56,6 +57,11 @@ class MotionSettings(Settings):
     postures: int = setting(13, "number of postures after the first one", check=at_least(1))
     duration: float = setting(120.0, "duration of each move", unit="s", check=POSITIVE)
     rest: float = setting(6.0, "time at rest after each move", unit="s", check=NOT_NEGATIVE)
+
+    def path(self, arm: Arm) -> Floats:
+        """Return the stretched posture and the following ones, (postures + 1, n) [rad]."""
+        postures = default_postures(arm)
+        return np.vstack([np.zeros(arm.n), postures])[: self.postures + 1]
 
 
 TESTBED, MOTION = TestbedSettings(), MotionSettings()
@@ -165,21 +171,28 @@ def hold(
     arm: ArmValues = NO_VALUES,
 ) -> dict[str, Any]:
     """Hold the base; it succeeds if it stays within 1 cm and 1 degree."""
-    postures = default_postures(described(testbed.arm))
-    path = np.vstack([np.zeros(postures.shape[1]), postures])[: motion.postures + 1]
-    moves = Motion(path, motion.duration, motion.rest)
+    moves = Motion(motion.path(described(testbed.arm)), motion.duration, motion.rest)
     held = hold_base(moves, seed, testbed, navigation, control, arm)
+    return outcome(held.max_offset, held.max_turn, held.propellant)
+
+
+def outcome(offset: float, turn: float, propellant: float) -> dict[str, Any]:
+    """Return the row of a hold.
+
+    Args:
+        offset: largest distance of the base from its pose [m].
+        turn: largest heading error [rad].
+        propellant: used [kg].
+    """
     excess = []
-    if held.max_offset >= MAX_OFFSET:
-        excess.append(f"offset {held.max_offset:.3f} m, at most {MAX_OFFSET:g} m")
-    if held.max_turn >= MAX_TURN:
-        excess.append(
-            f"turn {np.degrees(held.max_turn):.1f} deg, at most {np.degrees(MAX_TURN):g} deg"
-        )
+    if offset >= MAX_OFFSET:
+        excess.append(f"offset {offset:.3f} m, at most {MAX_OFFSET:g} m")
+    if turn >= MAX_TURN:
+        excess.append(f"turn {np.degrees(turn):.1f} deg, at most {np.degrees(MAX_TURN):g} deg")
     return {
         "success": not excess,
         "reason": ", ".join(excess),
-        "offset": held.max_offset,
-        "turn": held.max_turn,
-        "propellant": held.propellant,
+        "offset": offset,
+        "turn": turn,
+        "propellant": propellant,
     }
