@@ -115,6 +115,14 @@ class Figure:
         return stream.getvalue()
 
 
+class StoredFigure(Figure):
+    """Drawing that was made before; `draw` returns its PNG file."""
+
+    def png(self) -> bytes:
+        """Return the drawing as a PNG file."""
+        return bytes(self.draw())
+
+
 @dataclass(frozen=True)
 class Report:
     """Report of a calibration or a rehearsal."""

@@ -1,7 +1,9 @@
 """Campaigns: the file, its runs, their rows, and the statistics."""
 
 from dataclasses import dataclass
+from functools import partial
 from math import nan
+from pathlib import Path
 from typing import Annotated
 
 import pytest
@@ -12,7 +14,13 @@ from fss_rehearsal.campaign.arguments import Arguments
 from fss_rehearsal.campaign.function import perform
 from fss_rehearsal.campaign.options import parser
 from fss_rehearsal.campaign.plan import CampaignError, read_campaign
-from fss_rehearsal.campaign.results import Results, check_rows, differences, read_rows
+from fss_rehearsal.campaign.results import (
+    Results,
+    check_rows,
+    differences,
+    picture_file,
+    read_rows,
+)
 from fss_rehearsal.campaign.summary import summarize, wilson_interval
 from fss_rehearsal.loops.parameters import ArmValues, Without
 
@@ -184,9 +192,33 @@ def test_wilson_interval_is_that_of_scipy(successes, runs):
     assert wilson_interval(successes, runs) == pytest.approx(tuple(expected), abs=1e-6)
 
 
+def no_picture(_):
+    return Path("no such file")
+
+
+def test_report_shows_the_pictures_of_failed_runs(file):
+    drawn = "return {'success': gain < 2.0, 'picture': figure, 'reason': 'too fast'}"
+    (file.parent / "drawn_study.py").write_text(
+        f"def figure():\n    from matplotlib.figure import Figure\n    return Figure()\n"
+        f"def swing(seed, gain):\n    {drawn}\n"
+    )
+    file.write_text("run: drawn_study:swing\ngrid: {gain: [1.0, 3.0]}\n")
+    campaign, results = read_campaign(file), Results(file.parent / "runs.parquet")
+    for row in rows_of(campaign):
+        results.add(row)
+    assert not picture_file(results.path, 0).exists()
+    report = summarize(
+        campaign, list(results.rows.values()), "", partial(picture_file, results.path)
+    )
+    (figure,) = report.figures
+    assert figure.title == "run 1: too fast"
+    assert figure.png().startswith(b"\x89PNG")
+    assert list(read_rows(results.path)[0]) == list(results.rows[0])
+
+
 def test_report_has_rates_and_the_worst_runs(file):
     campaign = read_campaign(file)
-    report = summarize(campaign, rows_of(campaign), "campaign study.yaml")
+    report = summarize(campaign, rows_of(campaign), "campaign study.yaml", no_picture)
     assert report.verdict == "fail"
     assert report.reason.startswith(
         "12 of 24 runs succeeded, 50.0 % (95 % interval 31.4 to 68.6 %)"

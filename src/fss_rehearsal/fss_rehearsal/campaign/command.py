@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -13,7 +14,7 @@ from fss_arm_ros import report
 from fss_arm_ros.command_line import in_words
 from fss_arm_ros.source_version import source_version
 from fss_rehearsal.campaign.execute import execute, open_client
-from fss_rehearsal.campaign.function import perform
+from fss_rehearsal.campaign.function import PICTURE, perform
 from fss_rehearsal.campaign.options import parser
 from fss_rehearsal.campaign.plan import Campaign, CampaignError, read_campaign
 from fss_rehearsal.campaign.results import (
@@ -21,6 +22,7 @@ from fss_rehearsal.campaign.results import (
     check_rows,
     differences,
     expected_columns,
+    picture_file,
     read_rows,
 )
 from fss_rehearsal.campaign.summary import summarize
@@ -72,7 +74,8 @@ def run(campaign: Campaign, out: Path, options: argparse.Namespace, console: Con
                 results.write()
     folder = [] if options.out is None else ["--out", str(options.out)]
     command = " ".join(["ros2 run fss_rehearsal campaign", str(options.file), *folder])
-    summary = summarize(campaign, [results.rows[k] for k in sorted(results.rows)], command)
+    rows = [results.rows[k] for k in sorted(results.rows)]
+    summary = summarize(campaign, rows, command, partial(picture_file, path))
     console.print(report.printable(replace(summary, below=())))
     console.print("\n".join(summary.below), soft_wrap=True)  # commands stay in one line
     page = report.write(out / "report", summary)
@@ -95,6 +98,9 @@ def replay(campaign: Campaign, number: int, path: Path, console: Console) -> int
     row = expected_columns(one) | perform(
         campaign.function, campaign.file.parent.absolute(), number, one.seed, one.values, files
     )
+    if png := row.pop(PICTURE, None):
+        files.mkdir(parents=True, exist_ok=True)
+        (files / "picture.png").write_bytes(png)
     width = max(map(len, row))
     for name, value in row.items():
         shown = f"{value:.4g}" if isinstance(value, float) else value

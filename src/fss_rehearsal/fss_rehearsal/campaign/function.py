@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from fss_arm_model.files import ContentError, short
+from fss_arm_ros.report import Figure
 from fss_arm_ros.source_version import source_version
 
 SUCCESS, FAILURE, CRASHED = "success", "failure", "crashed"
+PICTURE = "picture"  # in what a function returns, and in a row before it is stored
 Row = dict[str, Any]
 
 
@@ -45,8 +47,8 @@ def perform(
     """Run the function; return the row, in which an exception is a crash with its reason.
 
     A function may return `success`, `reason` and `picture`, a function that returns a matplotlib
-    figure. With a folder `files`, that figure is drawn to picture.png, and a function with an
-    argument `bag` records its topics to bag.
+    figure. The row of a run that failed, or that is repeated, has it as `picture`, a PNG file. A
+    function with an argument `bag` records its topics there in a folder `files`, if one is given.
     """
     from fss_rehearsal.campaign.arguments import BAG, SEED, Arguments
 
@@ -62,15 +64,14 @@ def perform(
         if arguments.takes_bag:
             given[BAG] = files and files / "bag"
         result = function(**given)
-        draw = result.get("picture") if isinstance(result, Mapping) else None
-        if files and draw:
-            files.mkdir(parents=True, exist_ok=True)
-            draw().savefig(files / "picture.png", dpi=110)
+        draw = result.get(PICTURE) if isinstance(result, Mapping) else None
         figures = figures_of(result)
         reason, success = str(figures.pop("reason", "")), figures.pop("success", True)
         if clashes := sorted(figures.keys() & row.keys()):
             raise ValueError(f"the figure {clashes[0]} has the name of another column")
         row |= {"outcome": SUCCESS if success else FAILURE, "reason": reason, **figures}
+        if draw and (files or not success):
+            row[PICTURE] = Figure("", "", draw).png()
     except Exception as error:
         frame = traceback.extract_tb(error.__traceback__)[-1]
         at = f"{Path(frame.filename).name}:{frame.lineno}"
@@ -89,7 +90,7 @@ def figures_of(result: Any) -> Row:
     if not isinstance(result, Mapping):
         kind = type(result).__name__
         raise TypeError(f"the function returned {kind}, expected a mapping or a dataclass")
-    return {str(name): _scalar(value) for name, value in result.items() if name != "picture"}
+    return {str(name): _scalar(value) for name, value in result.items() if name != PICTURE}
 
 
 def _scalar(value: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow
 import pyarrow.parquet
 
-from fss_rehearsal.campaign.function import Row
+from fss_rehearsal.campaign.function import PICTURE, Row
 from fss_rehearsal.campaign.plan import Campaign, CampaignError, Run
 
 MAX_WRITING_SHARE = 0.05  # share of the time that writing may take
@@ -20,7 +20,8 @@ class Results:
     """The rows of the runs that have finished, and their file.
 
     The file is replaced atomically with each row, or less often if it is large. If the campaign is
-    killed, the few runs since the last replacement run again, with the same result.
+    killed, the few runs since the last replacement run again, with the same result. Pictures of
+    runs go to files of their own.
     """
 
     def __init__(self, path: Path, rows: Sequence[Row] = ()) -> None:
@@ -30,6 +31,10 @@ class Results:
 
     def add(self, row: Row) -> None:
         """Add the row of a run, and write the file if it is time."""
+        if png := row.pop(PICTURE, None):
+            file = picture_file(self.path, row["run"])
+            file.parent.mkdir(exist_ok=True)
+            file.write_bytes(png)
         self.rows[row["run"]] = row
         if time.monotonic() >= self._next_writing:
             self.write()
@@ -45,6 +50,11 @@ class Results:
         part.replace(self.path)
         now = time.monotonic()
         self._next_writing = now + (now - start) / MAX_WRITING_SHARE
+
+
+def picture_file(results: Path, run: int) -> Path:
+    """Return the file of a run's picture, beside the file of the results."""
+    return results.with_name("pictures") / f"run_{run}.png"
 
 
 def _column(values: list[Any]) -> Any:

@@ -1,12 +1,13 @@
 """Report of a campaign: success rates, figures and the runs to look at first."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fss_arm_ros.report import Figure, Report, Table
+from fss_arm_ros.report import Figure, Report, StoredFigure, Table
 from fss_rehearsal.campaign.function import CRASHED, SUCCESS, Row
 from fss_rehearsal.campaign.plan import Campaign
 
@@ -57,8 +58,17 @@ def unknown_measures(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
     return [m for m in campaign.measures if done and not any(m in row for row in done)]
 
 
-def summarize(campaign: Campaign, rows: Sequence[Row], command: str) -> Report:
-    """Return the report; `command` is the command line of the campaign."""
+def summarize(
+    campaign: Campaign, rows: Sequence[Row], command: str, picture_of: Callable[[int], Path]
+) -> Report:
+    """Return the report.
+
+    Args:
+        campaign: the campaign.
+        rows: rows of its runs.
+        command: command line of the campaign.
+        picture_of: returns the file of a run's picture, which need not exist.
+    """
     runs, good, rate, interval = rate_text(rows)
     crashed = sum(row["outcome"] == CRASHED for row in rows)
     passed = bool(rows) and int(good) >= campaign.success_rate * len(rows)
@@ -95,7 +105,10 @@ def summarize(campaign: Campaign, rows: Sequence[Row], command: str) -> Report:
         reason,
         tables,
         f"commit {', '.join(versions)}, {campaign.file}",
-        [Figure(f"{name.replace(' ', '_')}", name, _histogram(name, rows)) for name in names],
+        [
+            *(Figure(f"{name.replace(' ', '_')}", name, _histogram(name, rows)) for name in names),
+            *pictures(worst, picture_of),
+        ],
         details,
         below=[f"repeat a run: {command} --replay {worst[0]['run']}"] if worst else [],
         texts={"The campaign": campaign.file.read_text(encoding="utf-8")},
@@ -151,6 +164,14 @@ def worst_rows(rows: Sequence[Row], names: Sequence[str]) -> list[Row]:
         return (row["outcome"] != SUCCESS) + (row["outcome"] == CRASHED), size
 
     return sorted(rows, key=badness, reverse=True)[:MAX_WORST_RUNS]
+
+
+def pictures(rows: Sequence[Row], picture_of: Callable[[int], Path]) -> Iterator[Figure]:
+    """Yield the pictures of runs that have one."""
+    for row in rows:
+        file = picture_of(row["run"])
+        if file.exists():
+            yield StoredFigure(file.stem, f"run {row['run']}: {row['reason']}", file.read_bytes)
 
 
 def _worst_table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
