@@ -28,7 +28,7 @@ from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_calib.segments.replay import replay
 from fss_arm_calib.segments.samples import MAX_VALUE
 from fss_arm_model.arrays import Floats
-from fss_arm_model.description import Arm
+from fss_arm_model.description import Arm, joint_names
 from fss_arm_model.planar import project_to_plane
 from fss_arm_model.units import SECOND
 from fss_arm_ros.dates import describe_clock_error
@@ -85,7 +85,7 @@ def explain_failure(
 def other_arm(arm: Arm, recorded: Recorded) -> str:
     """Describe the difference if the recorded joints are all those of another arm; else empty."""
     n = len(recorded.joints)
-    if n == arm.n or recorded.joints.keys() != {f"joint_{i}" for i in range(1, n + 1)}:
+    if n == arm.n or recorded.joints.keys() != set(joint_names(n)):
         return ""
     return (
         f"the data have {n} joints, description {arm.name!r} has {arm.n}: give the arm's "
@@ -145,7 +145,7 @@ def hypotheses(recorded: Recorded, arm: Arm, settings: Any, lacking: bool) -> It
 
 
 def _name_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
-    wanted = [f"joint_{i}" for i in range(1, arm.n + 1)]
+    wanted = joint_names(arm.n)
     heard = sorted(recorded.joints, key=_last_number)
     if len(heard) == arm.n and heard != wanted:
         named = ", ".join(heard)
@@ -276,7 +276,7 @@ def _tip_from_base(recorded: Recorded) -> Recorded:
 
 
 def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
-    names = [f"joint_{i}" for i in range(1, arm.n + 1) if f"joint_{i}" in recorded.joints]
+    names = [name for name in joint_names(arm.n) if name in recorded.joints]
     jumps = [n for n in names if (np.abs(np.diff(recorded.joints[n].values[:, 0])) > np.pi).any()]
     if jumps:
         changed = recorded.change(joints=lambda n, t: _unwrap_readings(t) if n in jumps else t)

@@ -369,6 +369,11 @@ class Arm:
         return replace(self, base=base, links=tuple(links))
 
 
+def joint_names(n: int) -> list[str]:
+    """Return the names of joints 1 to n in messages and bags."""
+    return [f"joint_{i}" for i in range(1, n + 1)]
+
+
 def paper_arm() -> Arm:
     """Return the arm of Tables 2-4 of the paper, with a base of 10 kg and 0.25 kg m^2 (assumed)."""
     offsets = [0.0, 5.801, -3.402, -1.391]

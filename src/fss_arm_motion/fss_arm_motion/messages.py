@@ -13,6 +13,7 @@ from rclpy.duration import Duration
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from fss_arm_model.arrays import Floats
+from fss_arm_model.description import joint_names
 from fss_arm_motion import plan_command
 from fss_arm_motion.plan import Plan, PlanError, Start
 from fss_arm_motion.plan_file import plan_from_file
@@ -93,7 +94,7 @@ def trajectory(plan: Plan, begin: int) -> FollowJointTrajectory.Goal:
     """Return a plan as a goal of the arm's node that starts at time `begin` [ns]."""
     goal = FollowJointTrajectory.Goal()
     goal.trajectory.header.stamp = to_time(begin)
-    goal.trajectory.joint_names = [f"joint_{i + 1}" for i in range(plan.q.shape[1])]
+    goal.trajectory.joint_names = joint_names(plan.q.shape[1])
     goal.trajectory.points = [
         JointTrajectoryPoint(
             positions=q.tolist(),

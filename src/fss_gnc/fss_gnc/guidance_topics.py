@@ -13,6 +13,7 @@ from std_msgs.msg import Bool, Float64, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from fss_arm_model.arrays import Floats
+from fss_arm_model.description import joint_names
 from fss_arm_msgs.msg import GripperState, MassProperties, MissionState, ThrusterHealth
 from fss_arm_ros.convert import stamp_ns, to_time
 from fss_arm_ros.qos import COMMAND, LATCHED, command, subscribe_sensor
@@ -165,8 +166,8 @@ def end_messages(
 
 def joint_command(rates: Floats, stamp: int) -> JointState:
     """Return rates of all joints (n,) [rad/s] as a command at a time [ns]."""
-    names = [f"joint_{i + 1}" for i in range(len(rates))]
-    message = JointState(name=names, velocity=np.asarray(rates, dtype=float).tolist())
+    values = np.asarray(rates, dtype=float).tolist()
+    message = JointState(name=joint_names(len(values)), velocity=values)
     message.header.stamp = to_time(stamp)
     return message
 

@@ -9,7 +9,7 @@ from rclpy.duration import Duration
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 from fss_arm_model.arrays import Floats
-from fss_arm_model.description import Arm
+from fss_arm_model.description import Arm, joint_names
 from fss_arm_model.held import Target
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
 from fss_gnc import bounds
@@ -69,7 +69,7 @@ def planned_rates(message: Any, arm: Arm) -> tuple[int, Floats, Floats]:
     Raises:
         ValueError: a name, a number or a count does not fit this arm; the message names it.
     """
-    names, points = [f"joint_{i}" for i in range(1, arm.n + 1)], message.points
+    names, points = joint_names(arm.n), message.points
     if list(message.joint_names) != names:
         raise ValueError(f"joint_names is {_abbreviate(message.joint_names)}, expected {names}")
     if not points:

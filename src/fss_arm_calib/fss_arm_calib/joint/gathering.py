@@ -8,6 +8,7 @@ from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Datum, Streams
+from fss_arm_model.description import joint_names
 
 
 @dataclass(frozen=True)
@@ -84,10 +85,10 @@ class SessionCollector:
         """Report joints that are missing in the data or unknown, and nodes without data."""
         others = [joints for joints in self._joints.values() if joints != self.n]
         fewest, most = min([self.n, *others]), max([self.n, *others])
-        silent = [f"joint_{i}" for i in range(fewest + 1, self.n + 1)]
+        silent = joint_names(self.n)[fewest:]
         return Streams(
             silent=tuple(silent) if any(self.gathered.data.values()) else (*self.kinds, *silent),
-            unknown=tuple(f"joint_{i}" for i in range(self.n + 1, most + 1)),
+            unknown=tuple(joint_names(most)[self.n :]),
             rejected=dict(self.rejected),
         )
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from fss_arm_calib.segments.samples import MAX_VALUE, NOT_FINITE, OUT_OF_RANGE, Stream
 from fss_arm_model.arrays import Floats, Stamps
+from fss_arm_model.description import joint_names
 from fss_arm_model.stillness import Run
 from fss_arm_model.units import SECOND
 
@@ -82,7 +83,7 @@ class Rests:
     """
 
     def __init__(self, n: int, motion_threshold: float, horizon: int) -> None:
-        self.joints = [Joint(f"joint_{i}", horizon) for i in range(1, n + 1)]
+        self.joints = [Joint(name, horizon) for name in joint_names(n)]
         self.unknown_joints: set[int] = set()  # numbers received that the arm does not have
         self.other_names: set[str] = set()  # names received that are not joint_<i>
         self.motion_threshold, self.horizon = motion_threshold, horizon

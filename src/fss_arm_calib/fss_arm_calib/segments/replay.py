@@ -7,6 +7,7 @@ import numpy as np
 
 from fss_arm_bags.recorded import Recorded, Track
 from fss_arm_calib.segments.finder import Finder
+from fss_arm_model.description import joint_names
 from fss_arm_model.planar import project_to_plane
 from fss_arm_model.units import SECOND
 
@@ -16,7 +17,7 @@ CHUNK_DURATION = 10 * SECOND  # length of the chunks in which streams are replay
 def replay(recorded: Recorded, finder: Finder[Any, Any]) -> Sequence[Any]:
     """Replay the streams to a finder and return the segments that it finds."""
     planar = {name: project_to_plane(track.values) for name, track in recorded.poses.items()}
-    names = {f"joint_{i}": i for i in range(1, len(finder.sensors.joints) + 1)}
+    names = {name: i for i, name in enumerate(joint_names(len(finder.sensors.joints)), 1)}
     times = [int(t) for one in recorded.tracks if len(one.t) for t in one.receipt[[0, -1]]]
     found: list[Any] = []
     for begin in range(min(times, default=0), max(times, default=-1) + 1, CHUNK_DURATION):

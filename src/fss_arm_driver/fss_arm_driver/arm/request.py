@@ -16,7 +16,7 @@ import numpy as np
 from fss_arm_driver.move import MAX_DURATION
 from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.arrays import Floats
-from fss_arm_model.description import Arm
+from fss_arm_model.description import Arm, joint_names
 from fss_arm_model.units import SECOND
 
 MAX_POINTS = 10_000
@@ -57,8 +57,7 @@ def parse_request(arm: Arm, message: Any) -> Request:
     Raises:
         TrajectoryError: it breaks a rule of joint_trajectory_controller, or has over MAX_POINTS.
     """
-    joints = [f"joint_{i}" for i in range(1, arm.n + 1)]
-    order = _joint_order(message.joint_names, joints)
+    order = _joint_order(message.joint_names, joint_names(arm.n))
     points = message.points
     if not 1 <= len(points) <= MAX_POINTS:
         raise _invalid("points", f"{len(points)} elements", f"1 to {MAX_POINTS}", "has")

@@ -14,6 +14,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_driver.arm.link_topics import LinkTopics
 from fss_arm_driver.arm.state import Joints, extrapolate
+from fss_arm_model.description import joint_names
 from fss_arm_model.urdf import Frame, frames, urdf
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
@@ -92,7 +93,7 @@ class StateTopics:
             return
         self.withheld_reason = ""
         message = JointState(
-            name=[f"joint_{i}" for i in links.numbers],
+            name=joint_names(links.arm.n),
             position=joints.q,
             velocity=joints.qd,
             effort=joints.effort,
@@ -116,7 +117,7 @@ class StateTopics:
 
     def planned_motion(self, joints: Joints, now: int) -> JointTrajectory:
         """Return the joints' planned motion from now on; without a plan, the present state."""
-        message = JointTrajectory(joint_names=[f"joint_{i}" for i in self.links.numbers])
+        message = JointTrajectory(joint_names=joint_names(self.links.arm.n))
         message.header.stamp = to_time(now)
         plan = self.links.arbiter.current_plan(now)
         for k in range(PLAN_POINTS if plan else 1):

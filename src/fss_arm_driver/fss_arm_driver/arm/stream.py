@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.scale import MAX_MAGNITUDE
-from fss_arm_model.description import Arm
+from fss_arm_model.description import Arm, joint_names
 from fss_arm_model.units import SECOND, angle_beyond
 
 MAX_LEAD = SECOND // 10  # largest lead of a stamp, as computers' clocks differ [ns]
@@ -75,7 +75,7 @@ class Stream:
 
     def __init__(self, arm: Arm, time_to_live: float) -> None:
         self._arm, self._time_to_live = arm, round(time_to_live * SECOND)
-        self._links = {f"joint_{i}": i for i in range(1, arm.n + 1)}
+        self._links = {name: i for i, name in enumerate(joint_names(arm.n), 1)}
         self.accepted = 0
         self.refused: Counter[str] = Counter()
         self.kind = ""  # of the last message's refusal; empty: it was accepted

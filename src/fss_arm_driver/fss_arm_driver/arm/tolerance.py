@@ -8,6 +8,7 @@ from typing import Any
 from fss_arm_driver.arm.request import Code, TrajectoryError
 from fss_arm_driver.move import MAX_DURATION
 from fss_arm_driver.scale import MAX_MAGNITUDE
+from fss_arm_model.description import joint_names
 from fss_arm_model.units import SECOND
 
 NO_TOLERANCE = -1.0  # as a tolerance in a goal: none
@@ -63,7 +64,7 @@ def _merged(
     if len(given) > len(default):
         words = f"{field} has {len(given)} elements, expected at most {len(default)}, one per joint"
         raise TrajectoryError(Code.INVALID_GOAL, words)
-    found = {f"joint_{i}": one for i, one in enumerate(default, 1)}
+    found = dict(zip(joint_names(len(default)), default, strict=True))
     names = [one.name for one in given]
     for one in given:
         if one.name not in found or names.count(one.name) > 1:

@@ -28,6 +28,7 @@ from fss_arm_driver.arm.trajectory import Trajectory, check_time, plan_trajector
 from fss_arm_driver.arm.trajectory_monitor import Progress, TrajectoryMonitor
 from fss_arm_driver.liveness import GoalClient
 from fss_arm_model.arrays import Floats
+from fss_arm_model.description import joint_names
 from fss_arm_model.guard.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.goal_thread import GoalThread
@@ -226,7 +227,7 @@ class TrajectoryAction:
             )
 
         message = FollowJointTrajectory.Feedback(
-            joint_names=[f"joint_{i}" for i in self.links.numbers],
+            joint_names=joint_names(self.links.arm.n),
             desired=point(lambda k: progress.desired[k]),
             actual=point(lambda k: progress.actual[k]),
             error=point(lambda k: progress.desired[k] - progress.actual[k]),

@@ -9,7 +9,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from fss_arm_model.arrays import Floats
-from fss_arm_model.description import Arm
+from fss_arm_model.description import Arm, joint_names
 from fss_arm_msgs.msg import ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import to_time
 from fss_gnc.law.contract import Outputs
@@ -58,7 +58,7 @@ def output_messages(command: Command, arm: Arm, base_frame: str) -> Iterator[tup
         thrust.header.stamp, thrust.header.frame_id = stamp, base_frame
         yield "thrusters/command", thrust
     if values := _joint_values(outputs, arm):
-        joints = JointState(name=[f"joint_{i}" for i in range(1, arm.n + 1)], **values)
+        joints = JointState(name=joint_names(arm.n), **values)
         joints.header.stamp = stamp
         yield "arm/joint_commands", joints
     if outputs.gripper_closed is not None:
