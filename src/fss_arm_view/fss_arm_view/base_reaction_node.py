@@ -59,9 +59,9 @@ class BaseReactionNode(Node):
         self.reaction_publisher = self.create_publisher(
             BaseReactionMessage, "base_reaction", SENSOR
         )
-        subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
+        subscribe_sensor(self, JointState, "joint_states", self.on_joints)
         subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
-        subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
+        subscribe_sensor(self, Imu, "fog/imu", self.on_gyro)
         for topic in ("thrusters/command", "thrusters/pulses"):
             subscribe(self, ThrusterCommand, topic, self.on_thrust, sensor(best_effort=True))
         for kind, topic in (
@@ -90,7 +90,7 @@ class BaseReactionNode(Node):
 
     def on_joints(self, message: JointState) -> None:
         """Add readings of one or more links; publish the reaction at all times known now."""
-        t = self.check_stamp(self.settings.joints_topic, message)
+        t = self.check_stamp("joint_states", message)
         t -= self.offsets.get(KINEMATIC, self.offsets.get(DYNAMIC, 0))
         for i, q, qd, effort in joint_readings(message):
             if 1 <= i <= self.calibrated.arm.n and isfinite(q) and isfinite(qd):
@@ -112,7 +112,7 @@ class BaseReactionNode(Node):
 
     def on_gyro(self, message: Imu) -> None:
         """Add a sample of the base's rate."""
-        t = self.check_stamp(self.settings.gyro_topic, message) - self.offsets.get(DYNAMIC, 0)
+        t = self.check_stamp("fog/imu", message) - self.offsets.get(DYNAMIC, 0)
         self.filter.update_rate(t, message.angular_velocity.z)
 
     def on_thrust(self, message: ThrusterCommand) -> None:

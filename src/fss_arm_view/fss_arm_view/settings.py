@@ -68,9 +68,7 @@ class BaseReactionSettings(ReactionSettings):
     arm: str = setting(
         "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
     )
-    joints_topic: str = setting("joint_states", "topic of the joints' readings")
     base_topic: str = like(Vehicle, "base_topic")
-    gyro_topic: str = setting("fog/imu", "topic of the base's rate")
     world_frame: str = setting("world", "frame id of the published poses")
     base_frame: str = like(Vehicle, "base_frame")
     publish_state: bool = setting(
@@ -115,7 +113,6 @@ class ViewSettings(Settings):
     arm: str = setting(
         "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
     )
-    joints_topic: str = setting("joint_states", "topic of the joints' readings")
     base_topic: str = like(Vehicle, "base_topic")
     tip_topic: str = like(Vehicle, "tip_topic")
     target_topic: str = like(Vehicle, "target_topic")

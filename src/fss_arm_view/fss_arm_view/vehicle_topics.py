@@ -85,7 +85,7 @@ class VehicleTopics:
     def _subscribe(self, node: Node) -> None:
         s, strip, n = self.settings, self.strip, self.scene.arm.n
         sensors: list[tuple[type, str, Callable[[Any], None]]] = [
-            (JointState, s.joints_topic, self.on_joints),
+            (JointState, "joint_states", self.on_joints),
             (ThrusterCommand, "thrusters/command", self.on_thrust),
             (ThrusterCommand, "thrusters/pulses", self.on_thrust),
             (MissionState, "mission/state", self.on_mission),

@@ -20,5 +20,4 @@ class WorkspaceSettings(AnalysisSettings):
     world_frame: str = setting(
         "world", "frame id of straight paths, once a pose of the base is received"
     )
-    joints_topic: str = setting("joint_states", "topic of the readings of joint_1 .. joint_n")
     base_topic: str = like(Vehicle, "base_topic")

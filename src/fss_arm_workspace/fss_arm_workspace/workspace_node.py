@@ -54,7 +54,7 @@ class WorkspaceNode(Node):
         self.paths = Worker(self.compute_paths)
         self.maps.submit("description")
         subscribe_calibrations(self, self.on_calibration)
-        subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
+        subscribe_sensor(self, JointState, "joint_states", self.on_joints)
         self.base = PolledSubscription(self, PoseStamped, s.base_topic, self.on_pose)
         self.create_timer(1.0 / s.rate, self.on_timer, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health)

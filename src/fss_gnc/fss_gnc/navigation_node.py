@@ -58,8 +58,8 @@ class NavigationNode(Node):
         self.reset()
         for topic in (s.base_topic, s.target_topic):
             subscribe_sensor(self, PoseStamped, topic, partial(self.on_pose, topic))
-        subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
-        subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
+        subscribe_sensor(self, Imu, "fog/imu", self.on_gyro)
+        subscribe_sensor(self, JointState, "joint_states", self.on_joints)
         subscribe_sensor(self, JointTrajectory, "arm/planned", self.on_planned)
         subscribe_sensor(self, ThrusterCommand, "thrusters/pulses", self.on_pulses)
         subscribe_sensor(
@@ -100,13 +100,13 @@ class NavigationNode(Node):
     def on_gyro(self, message: Imu) -> None:
         """Update the base's filter with a sample of its rate."""
         t = stamp_ns(message.header.stamp)
-        if self.accept_stamp(self.settings.gyro_topic, t):
+        if self.accept_stamp("fog/imu", t):
             self.navigation.base.update_rate(t, message.angular_velocity.z)
 
     def on_joints(self, message: JointState) -> None:
         """Process readings of one link or more."""
         t = stamp_ns(message.header.stamp)
-        if self.accept_stamp(self.settings.joints_topic, t):
+        if self.accept_stamp("joint_states", t):
             self.navigation.add_joint_readings(t, joint_readings(message))
 
     def on_planned(self, message: JointTrajectory) -> None:

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
+from fss_arm_calib.experiment import sequencer
 from fss_arm_calib.experiment.experiment_node import ExperimentNode
 from fss_arm_calib.experiment.sequencer import Phase
 from fss_arm_msgs.action import MoveArm
@@ -84,8 +85,15 @@ class FakeObserver(Node):
         self.results.publish(DynamicCalibration(calibration=one))
 
 
+@pytest.fixture(autouse=True)
+def times(monkeypatch):
+    """Failed moves are requested again at once; moves without feedback are not."""
+    monkeypatch.setattr(sequencer, "RETRY_DELAY", 0.1)
+    monkeypatch.setattr(sequencer, "FEEDBACK_TIMEOUT", 60.0)
+
+
 def make_node(**settings):
-    known = {"postures": POSTURES, "rest": 0.2, "retry": 0.1, "silence": 0.5, **settings}
+    known = {"postures": POSTURES, "rest": 0.2, **settings}
     node = ExperimentNode(parameter_overrides=[Parameter(k, value=v) for k, v in known.items()])
     node.log = []
     logger = SimpleNamespace(info=node.log.append, warning=node.log.append)
@@ -124,7 +132,7 @@ def test_postures_are_visited_in_order_and_repeated_if_a_gap_spoiled_a_rest(spin
 
 
 def test_it_keeps_its_move_alive_and_none_before(spin, spin_to_the_end):
-    arm, experiment, heard = FakeArm("silence"), make_node(silence=60.0), []
+    arm, experiment, heard = FakeArm("silence"), make_node(), []
     arm.create_subscription(UUID, "arm/move/alive", heard.append, 10)
     spin([arm, experiment], lambda: len(heard) > 2)
     assert arm.keep_alive == [0.5]
@@ -136,7 +144,7 @@ def test_it_keeps_its_move_alive_and_none_before(spin, spin_to_the_end):
 
 
 def test_after_its_process_stood_still_a_person_must_start_it_again(spin, spin_to_the_end):
-    arm, experiment = FakeArm("reach", "silence"), make_node(silence=60.0)
+    arm, experiment = FakeArm("reach", "silence"), make_node()
     spin([arm, experiment], lambda: len(arm.goals) == 2)
     experiment.last_tick -= 5.0  # as after SIGSTOP and SIGCONT
     words = spin_to_the_end(arm, experiment)
@@ -147,7 +155,7 @@ def test_after_its_process_stood_still_a_person_must_start_it_again(spin, spin_t
 
 def test_an_experiment_that_is_interrupted_says_how_far_it_is(spin, start, tmp_path):
     arm, state = FakeArm("reach", "reach", "silence"), tmp_path / "progress.json"
-    given = "-p", "rest:=0.1", "-p", "silence:=60.0", "-p", f"state_file:={state}"
+    given = "-p", "rest:=0.1", "-p", f"state_file:={state}"
     experiment = start("fss_arm_calib.experiment.experiment_node", "--ros-args", *given)
     spin([arm], lambda: len(arm.goals) == 3, 30.0)
     assert experiment.stop(signal.SIGINT) == 130, experiment.output

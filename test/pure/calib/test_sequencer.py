@@ -131,7 +131,7 @@ DISARMED = SimpleNamespace(reached=False, message="link 2 is not armed")
     ],
 )
 def test_a_move_that_fails_or_is_lost_is_requested_again(result, words, wait):
-    bed = Bed(retry=1.0, silence=3.0)
+    bed = Bed()
     bed.results = [result, result]
     assert bed.run(lambda: len(bed.goals) == 3) == pytest.approx(2.0 * wait, abs=0.7)
     assert bed.has_visited(A, A, A)
@@ -144,7 +144,7 @@ def test_a_move_that_fails_or_is_lost_is_requested_again(result, words, wait):
 
 
 def test_it_waits_for_the_arm_and_after_a_rejected_goal():
-    bed = Bed(retry=1.0)
+    bed = Bed()
     bed.ready = False
     bed.run(lambda: bed.now > START + 5 * SECOND)
     assert (bed.goals, bed.lines) == ([], ["waiting for arm/move"])

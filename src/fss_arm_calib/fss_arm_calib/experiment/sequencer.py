@@ -16,6 +16,8 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.units import SECOND
 
 MAX_REPEATS = 3  # largest number of repeats of the rejected rests, or of a maneuver
+RETRY_DELAY = 1.0  # before a failed move is requested again [s]
+FEEDBACK_TIMEOUT = 3.0  # of a move [s]
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ class Sequencer:
         return not moving and (not before or before.pause != 0.0)
 
     def _request_move(self, now: int, is_ready: bool) -> bool:
-        if not self._has_elapsed(now, self.settings.retry):
+        if not self._has_elapsed(now, RETRY_DELAY):
             return False
         if is_ready:
             self._enter(Phase.MOVE, now)
@@ -168,7 +170,7 @@ class Sequencer:
         elif result:
             self._log(f"waiting to move: {result.message}")
             self._enter(Phase.REQUEST, now)
-        elif self._has_elapsed(now, self.settings.silence):
+        elif self._has_elapsed(now, FEEDBACK_TIMEOUT):
             self._log("no feedback from arm/move: requesting the move again")
             self._enter(Phase.REQUEST, now)
 

@@ -63,8 +63,6 @@ class ExperimentSettings(Settings):
     )
     rest: float = positive(3.0, "s", "rest at each posture if no `kinematic` runs")
     observation_timeout: float = positive(20.0, "s", "longest wait for an observation")
-    retry: float = positive(1.0, "s", "wait before a failed move is requested again")
-    silence: float = positive(3.0, "s", "timeout of a move without feedback")
     keep_alive: float = positive(
         0.5, "s", "the arm stops if this node pauses for longer, in real time"
     )

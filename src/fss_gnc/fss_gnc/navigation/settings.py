@@ -181,8 +181,6 @@ class NavigationSettings(EstimatorSettings, MassErrors):
     )
     base_topic: str = like(Vehicle, "base_topic")
     target_topic: str = like(Vehicle, "target_topic")
-    gyro_topic: str = setting("fog/imu", "topic of the gyro")
-    joints_topic: str = setting("joint_states", "topic of the joints' readings")
     world_frame: str = setting("world", "frame id of the published poses")
     base_frame: str = like(Vehicle, "base_frame")
     frame_prefix: str = like(Vehicle, "frame_prefix")
