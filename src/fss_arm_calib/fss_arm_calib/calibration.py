@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from fss_arm_calib import checks
-from fss_arm_calib.acceptance import Check
+from fss_arm_calib.acceptance import Check, format_count
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import table_report
 from fss_arm_calib.segments.streams import Datum, Streams
@@ -124,6 +124,14 @@ class Calibration(Generic[D, C]):
     def about(self) -> str:
         """The estimated parameters and the data used."""
         return self.settings.ABOUT
+
+    def describe_start(self, settings: Any, joints: int, restored: int) -> str:
+        """Describe the start of the node for its log, with the number of restored data."""
+        if restored:
+            what = format_count(restored, self.data.noun)
+            return f"resumed with {what} from {settings.state_file}"
+        topics = ", ".join(one.topic for one in self.inputs(settings, joints))
+        return f"ready for {topics} (joints: {joints})"
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:
         """Return the report of an outcome, with the features that this kind does not have."""

@@ -72,9 +72,8 @@ class CalibrationNode(Node):
             self.create_subscription(message, topic, partial(self.on_result, topic), LATCHED)
         self.create_service(Trigger, "~/solve", self.on_solve)
         self.create_service(Trigger, "~/forget", self.on_forget)
+        self.get_logger().info(kind.describe_start(s, arm.n, len(restored)))
         if restored:
-            what = format_count(len(restored), kind.data.noun)
-            self.get_logger().info(f"resumed with {what} from {s.state_file}")
             self.publish()
         self.diagnostics = Diagnostics(self, self.health)
 

@@ -58,6 +58,10 @@ class ArmNode(Node):
         self.create_service(SetBool, "arm/enable", self.on_arm, callback_group=concurrent)
         self.create_timer(1.0 / self.settings.rate, self.tick, clock=self.links.clock)
         self.diagnostics = Diagnostics(self, self.health, period=HEARTBEAT)
+        self.get_logger().info(
+            "ready for arm/move, arm_controller/follow_joint_trajectory and arm/joint_commands "
+            f"(joints: {self.links.arm.n})"
+        )
 
     def close(self) -> None:
         """Release what the node does not destroy by itself."""

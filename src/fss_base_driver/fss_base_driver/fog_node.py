@@ -52,6 +52,7 @@ class FogNode(Node):
             why = error.strerror or error
             raise ValueError(f"device {settings.device!r} cannot be opened: {why}") from None
         self.diagnostics = Diagnostics(self, self.health, settings.device)
+        self.get_logger().info(f"ready for rates from {settings.device}")
         self.thread = Thread(target=self.read_port, daemon=True)
         self.thread.start()
 

@@ -52,9 +52,9 @@ class MocapNode(Node):
         self.receiver: Receiver | None = None
         if s.system:
             require("motioncapture")  # the receiving process imports it
-            self.get_logger().info(f"waiting for {s.source()}")
             host = [f"hostname={s.host}"] if s.host else []
             self.receiver = Receiver(s.system, [*host, *s.options], self.on_frame, self.on_end)
+        self.get_logger().info(f"waiting for {s.source()}")
 
     def on_frame(self, arrival: int, poses: dict[str, Pose]) -> None:
         """Publish a frame of the system."""

@@ -49,9 +49,8 @@ class ControllerNode(Node):
         self.snapshot, self.timing = Snapshot(self.arm.n, period), Timing(s.rate, self)
         self.topics = LatestTopics(self)
         self.subscribe()
-        lifetime = command(s.time_to_live)
         self.outputs = {
-            topic: self.create_publisher(kind, topic, lifetime)
+            topic: self.create_publisher(kind, topic, command(s.time_to_live))
             for topic, kind in law_messages.OUTPUT_TYPES.items()
         }
         self.gripper_closed: bool | None = None  # as last commanded
@@ -60,6 +59,7 @@ class ControllerNode(Node):
         self.law = LawRun(self.process, self.arm.n, period, s.time_to_live)
         self.create_timer(period, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
+        self.get_logger().info(f"ready for base/state, with {s.law} (joints: {self.arm.n})")
 
     def subscribe(self) -> None:
         """Subscribe to the inputs of the law."""

@@ -69,6 +69,8 @@ class GuidanceNode(Node):
         self.publish(topics.idle_messages(self.craft, self.now()))
         self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
+        actions = ", ".join(kind.name for kind in KINDS)
+        self.get_logger().info(f"ready for {actions} (joints: {self.craft.arm.n})")
 
     def close(self) -> None:
         """Destroy the action servers, which the node does not destroy by itself."""

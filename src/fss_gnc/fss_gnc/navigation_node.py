@@ -37,8 +37,7 @@ class NavigationNode(Node):
     """Publish base/state and target/state, through outages too, until the state is unknown.
 
     The node merges poses of motion capture with the gyro. It predicts with the pulses of the
-    thrusters and with the motion of the joints. When the state of a body becomes unknown, the
-    node stops publishing it and reports the reason in diagnostics.
+    thrusters and with the motion of the joints. Diagnostics report why a state is unknown.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -68,6 +67,7 @@ class NavigationNode(Node):
         subscribe_calibrations(self, self.on_calibration)
         self.create_timer(1.0 / s.rate, self.publish_states, clock=self.clock)
         self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
+        self.get_logger().info(f"ready for {s.base_topic} (joints: {self.known.arm.n})")
 
     def reset(self) -> None:
         """Reset the estimates of base and target."""

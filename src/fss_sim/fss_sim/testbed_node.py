@@ -64,6 +64,7 @@ class TestbedNode(Node):
         self.create_service(ResetTestbed, "sim/reset", self.on_reset)
         self.create_service(Trigger, "sim/charge", self.on_charge)
         self.diagnostics = [Diagnostics(self, self.health)]
+        self.get_logger().info(f"ready for drivers (links: {len(self.wires)})")
         for vehicle in self.vehicles if settings.vehicles else ():
             name = f"{vehicle.namespace}{self.get_name()}"
             health = partial(vehicle.health, "no contact")
