@@ -63,6 +63,18 @@ NEXT_STEPS = {
 }
 
 
+#: Units of value and threshold of a check, by its name; those of other checks have none.
+CHECK_UNITS = {
+    "clocks": "s",
+    "time": "s",
+    "lengths": "m",
+    "description": "m",
+    "end_effector": "m",
+    "tilt": "rad",
+    "torque": "N m",
+}
+
+
 def table_report(outcome: Outcome[Any, Any], truth: Arm | None = None) -> Report:
     """Return the default report of a calibration: its parameters and its checks."""
     what = f"{len(outcome.used)} {'datum' if len(outcome.used) == 1 else 'data'}"
@@ -126,8 +138,9 @@ def check_table(outcome: Outcome[Any, Any]) -> Table:
     rows = []
     for c in outcome.checks:
         numbers = [format_number(x, ".4g") for x in (c.value, c.threshold)]
-        rows.append([c.name, c.verdict.replace("_", " "), c.reason, *numbers])
-    head = ["check", "verdict", "reason", "value", "threshold"]
+        unit = CHECK_UNITS.get(c.name, "")
+        rows.append([c.name, c.verdict.replace("_", " "), c.reason, *numbers, unit])
+    head = ["check", "verdict", "reason", "value", "threshold", "unit"]
     note = (
         "chi-square of the fit: of the residuals in the given deviations, or in the largest "
         "accepted ones where the deviations are estimated."

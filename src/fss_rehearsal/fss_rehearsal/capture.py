@@ -276,7 +276,7 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
         ),
         capture_check._replace(happened=when, passed=True),
         Check(
-            f"momentum before and after the grip agrees to {MOMENTUM_TOLERANCE:g}",
+            f"momentum before and after the grip agrees to {MOMENTUM_TOLERANCE:g} N s, N m s",
             difference,
             worst < MOMENTUM_TOLERANCE,
         ),

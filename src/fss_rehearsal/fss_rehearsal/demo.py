@@ -204,7 +204,7 @@ def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> Check:
         comparison = f"from {len(offline.used)} rests, {len(live.used)} live"
     else:
         worst = float(abs(offline.values - live.values).max())
-        comparison = f"parameters differ by at most {worst:.2g}"
+        comparison = f"parameters differ by at most {worst:.2g} m, rad"
     happened = f"solved again from the bag: {offline.verdict}, {comparison}"
     return Check(expected, happened, offline.verdict == live.verdict)
 

@@ -176,12 +176,15 @@ def evaluate(live: DriftCalibration, offline: Outcome[Any, Any]) -> list[Check]:
             offline.verdict == result.verdict,
         ),
     ]
+    units = dict(zip(offline.estimate.names, offline.estimate.units, strict=True))
     for name, value, deviation in zip(result.names, result.values, result.deviations, strict=True):
+        unit = units[name]
         error = (value - TRUTH[name]) / deviation
         checks.append(
             Check(
-                f"{name} is within {MAX_DEVIATIONS:g} deviations of the truth, {TRUTH[name]:.3g}",
-                f"{value:.3g} ± {deviation:.2g}, error {abs(error):.1f} deviations",
+                f"{name} is within {MAX_DEVIATIONS:g} deviations of the truth, "
+                f"{TRUTH[name]:.3g} {unit}",
+                f"{value:.3g} ± {deviation:.2g} {unit}, error {abs(error):.1f} deviations",
                 bool(isfinite(deviation) and abs(error) < MAX_DEVIATIONS),
             )
         )

@@ -22,7 +22,7 @@ from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, OFFSETS
 from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.outcome import Estimate
-from fss_arm_calib.report_parts import next_steps, table_report
+from fss_arm_calib.report_parts import check_table, next_steps, table_report
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_ros import report
@@ -50,6 +50,12 @@ def test_the_tables_compare_with_the_paper_and_the_truth():
     for words in ("a_1 .. a_3", "0.3825", "5.801", "18.211", "0.0150", "0.683", "truth", "pass: "):
         assert words in text
     assert "from a <bag>" in text
+
+
+def test_checks_with_a_dimension_have_a_unit():
+    table = check_table(outcome())
+    units = {row[0]: row[-1] for row in table.rows}
+    assert (table.head[-1], units["description"], units["fit"]) == ("unit", "m", "")
 
 
 def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
