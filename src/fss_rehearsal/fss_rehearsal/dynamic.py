@@ -99,13 +99,18 @@ def draw_truth(guess: Arm, settings: DynamicSettings, seed: int) -> Arm:
     return replace(arm, name="truth", base=base, links=tuple(links))
 
 
+def plan_file(out: Path, session: int) -> Path:
+    """Return the file with the plan of a session, which has index `session`."""
+    return out / f"plan_{session + 1}.yaml"
+
+
 def start_all(
     nodes: Nodes, options: argparse.Namespace, out: Path, cameras: Cameras, session: int
 ) -> None:
     """Start all nodes for a session, with the base in the middle of the table."""
     rng = np.random.default_rng((options.seed, session))
     twist = (rng.uniform(-1.0, 1.0, 3) * [0.003, 0.003, 0.004]).tolist()
-    (first, *_) = read_plan(out / f"plan_{session}.yaml", LINKS)
+    (first, *_) = read_plan(plan_file(out, session), LINKS)
     nodes.start(
         "testbed",
         "fss_sim",
@@ -131,7 +136,7 @@ def start_all(
         "experiment",
         "fss_arm_calib",
         "experiment",
-        maneuvers=out / f"plan_{session}.yaml",
+        maneuvers=plan_file(out, session),
         pause=PAUSE,
     )
 
@@ -152,11 +157,11 @@ def run_sessions(
     """
     end_time = time.monotonic() + options.deadline
     count = len(list(out.glob("plan_*.yaml")))
-    plans = [read_plan(out / f"plan_{session}.yaml", LINKS) for session in range(count)]
+    plans = [read_plan(plan_file(out, session), LINKS) for session in range(count)]
     bar = counting_bar(console)
     task, starts = bar.add_task("maneuvers", total=sum(map(len, plans))), []
     for session, plan in enumerate(plans):
-        logs, before = out / "logs" / f"session_{session}", sum(map(len, plans[:session]))
+        logs, before = out / "logs" / f"session_{session + 1}", sum(map(len, plans[:session]))
         with Nodes(logs, console.print, domain) as nodes, bar:
             starts.append(time.time_ns())
             start_all(nodes, options, out, cameras, session)
@@ -202,7 +207,7 @@ def prepare(
     )
     for session, first in enumerate(range(0, len(plan), MANEUVERS_PER_SESSION)):
         part = plan[first : first + MANEUVERS_PER_SESSION]
-        (out / f"plan_{session}.yaml").write_text(plan_to_yaml(part), encoding="utf-8")
+        plan_file(out, session).write_text(plan_to_yaml(part), encoding="utf-8")
     return truth, plan
 
 
