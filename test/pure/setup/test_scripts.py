@@ -33,6 +33,7 @@ from shell_scripts import script_package, write_script
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.source_version import source_version
 from fss_arm_ros.timing import MISSED, Timing
+from fss_listener import Listener, Received
 
 ROOT = Path(__file__).parents[3]
 STAND_IN = ROOT / "scripts/bin/ros2"
@@ -318,7 +319,7 @@ def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_pa
 
 def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path, status):
     kinds = {"/fss2/link_1/telemetry": LinkTelemetry, "/fss2/joint_states": JointState}
-    heard = {topic: status["Received"](kind) for topic, kind in kinds.items()}
+    heard = {topic: Received(kind) for topic, kind in kinds.items()}
     link = LinkTelemetry(link=1, armed=True, position=1, flags=8, current=-120, battery=165)
     for q, name in ((radians(-12.34), "joint_1"), (radians(5.0), "joint_2")):
         heard["/fss2/joint_states"].add(
@@ -326,7 +327,7 @@ def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path, status):
         )  # a message each
     heard["/fss2/link_1/telemetry"].add(serialize_message(link))
     listener = SimpleNamespace(measured=heard, results={}, reports={})
-    listener.angles = partial(status["Listener"].angles, listener)
+    listener.angles = partial(Listener.angles, listener)
     shown = status["screen"](status["Processes"](tmp_path, [], []), listener)
     lines = lines_of(shown)
     row = next(line for line in lines if line.startswith("fss2/link_1")).split()
