@@ -14,7 +14,7 @@ from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import momentum
 from fss_sim.environments.batch import PERIOD
 from fss_sim.environments.register import register_environments
-from fss_sim.environments.tasks import TASKS
+from fss_sim.environments.tasks import TASKS, draw_postures, draw_start
 
 NAMES = list(TASKS)
 
@@ -70,6 +70,22 @@ def test_momentum_is_conserved_without_thrusters():
     drift = momentum(batch.p, batch.q, batch.qd)
     np.testing.assert_allclose(drift[:, :2], 0.0, atol=1e-12)
     np.testing.assert_allclose(drift[:, 2], 0.0, atol=1e-7)
+
+
+def test_each_fixture_can_be_reached():
+    """The posture that it was drawn for brings the end effector there, while the base floats."""
+    envs = gymnasium.make_vec("FssReach-v0", num_envs=50, randomize={"m_0": {"uniform": [5, 15]}})
+    envs.reset(seed=6)
+    task, rows = envs.episodes.task, np.arange(50)
+    task.reset(rows, np.random.default_rng(6))
+    rng = np.random.default_rng(6)
+    draw_start(task.batch, rows, rng)  # the same again
+    postures, arrived = draw_postures(task.batch, 50, rng), np.zeros(50, dtype=bool)
+    for _ in range(300):
+        way = postures - task.batch.q[:, 3:]
+        furthest = np.abs(way).max(axis=1, keepdims=True)
+        arrived |= task.step(0.2 * way / np.maximum(furthest, 0.1)).terminated  # straight
+    assert arrived.all()
 
 
 def test_drives_follow_rates_within_their_limits():

@@ -12,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.arrays import Floats
+from fss_arm_model.base_motion import STATE_NAMES, base_poses
 from fss_arm_model.held import Target
+from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import tip_pose
 from fss_sim.environments.batch import PERIOD, Batch, rotated, wrapped
 from fss_sim.plant.target import Gripper
@@ -90,6 +92,25 @@ def draw_postures(batch: Batch, count: int, rng: np.random.Generator) -> Floats:
     return START_RANGE * rng.uniform(batch.q_min, batch.q_max, (count, batch.n))
 
 
+def after_motion(p: Floats, q: Floats, postures: Floats) -> Floats:
+    """Return the states of arms at rest after straight joint motions, while their bases float.
+
+    Args:
+        p: (N, 8 + 6 n) Arm.vector() of each.
+        q: (N, 3 + n) states before the motions.
+        postures: (N, n) of the joints after them [rad].
+    """
+    start, travel = q[:, None, 3:], (postures - q[:, 3:])[:, None]
+
+    def law(t: Floats) -> tuple[Floats, Floats]:
+        angles = start + t[..., None] * travel
+        return angles, np.broadcast_to(travel, angles.shape)
+
+    marks, state = np.tile([0.0, 1.0], (len(q), 1)), np.zeros((len(q), len(STATE_NAMES)))
+    state[:, :3] = q[:, :3]
+    return np.concatenate([base_poses(p, path(law, marks, marks), state)[:, 1], postures], axis=1)
+
+
 @dataclass
 class Reach:
     """Move the end effector to a fixture in the world; the base floats without thrusters.
@@ -107,12 +128,11 @@ class Reach:
         self.fixture = np.zeros((len(self.batch.q), 3))
 
     def reset(self, rows: Rows, rng: np.random.Generator) -> None:
-        """Draw a start, and a fixture where another posture would have the end effector."""
+        """Draw a start, and a fixture where a motion to another posture has the end effector."""
         batch = self.batch
         draw_start(batch, rows, rng)
-        there = batch.q[rows].copy()
-        there[:, 3:] = draw_postures(batch, len(rows), rng)
-        self.fixture[rows] = tip_pose(batch.p[rows], there)
+        p, postures = batch.p[rows], draw_postures(batch, len(rows), rng)
+        self.fixture[rows] = tip_pose(p, after_motion(p, batch.q[rows], postures))
 
     def step(self, action: Floats) -> Score:
         """Command the joints' rates, and score the end effector's error."""
