@@ -27,6 +27,7 @@ from fss_rehearsal.animation import animation
 from fss_rehearsal.capture_figure import plot
 from fss_rehearsal.capture_flight import TARGET, evaluate, read
 from fss_rehearsal.domain import CONFIG, Domain
+from fss_rehearsal.mission_nodes import start_mission_nodes
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes, RehearsalError
 from fss_rehearsal.rehearsed import Check, Rehearsed
@@ -104,48 +105,24 @@ class CaptureOperator(Operator):
         return self.result_of(answer, "the mission does not end", MAX_DURATION).result
 
 
-def start_all(nodes: Nodes, options: argparse.Namespace, arm: Path, out: Path) -> None:
-    """Start all nodes, with the options of this rehearsal."""
-    clock, ports = {"use_sim_time": True}, nodes.domain.ports(2 * LINKS + 2)
-    board, base = ports[2 * LINKS :]
-    nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
-    nodes.start(
-        "testbed",
-        "fss_sim",
-        "testbed",
-        arm=arm,
-        seed=options.seed,
-        ports=ports[:LINKS],
-        board_port=board,
-        keep_clock=True,
-        speed=options.speed,
-        lockstep=True,
-        truth_rate=50.0,
-        telemetry_rate=20.0,
-        **INITIAL_PARAMETERS,
-        target_twist=[*TARGET_DRIFT, options.spin],
-        **gripper(options),
-    )
-    nodes.start(
-        "links",
-        "fss_arm_driver",
-        "link",
-        arm=arm,
-        urls=nodes.domain.urls(LINKS),
-        rate=20.0,
-        timeout=10.0,
-        watchdog=10.0,
-        **clock,
-    )
-    nodes.start("arm", "fss_arm_driver", "arm", arm=arm, rate=20.0, time_to_live=10.0, **clock)
-    url = f"udp://127.0.0.1:{board}?bind={base}"
-    nodes.start("base", "fss_base_driver", "base", url=url, timeout=10.0, **clock)
+def parameters_of(options: argparse.Namespace, arm: Path) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the nodes for the options of this rehearsal."""
+    description = {"arm": arm}
     inertia = TARGET.inertia * options.assumed / TARGET.mass
     target = {"target_mass": options.assumed, "target_inertia": inertia}
-    nodes.start("navigation", "fss_gnc", "navigation", arm=arm, **target, **clock)
-    nodes.start("control", "fss_gnc", "control", arm=arm, max_pause=10.0, **target, **clock)
-    target |= {"posture": POSTURE, **gripper(options)}
-    nodes.start("guidance", "fss_gnc", "guidance", arm=arm, **target, **clock)
+    twist = [*TARGET_DRIFT, options.spin]
+    fingers = gripper(options)
+    return {
+        "testbed": description
+        | INITIAL_PARAMETERS
+        | fingers
+        | {"seed": options.seed, "target_twist": twist},
+        "links": description,
+        "arm": description,
+        "navigation": description | target,
+        "control": description | target,
+        "guidance": description | target | fingers | {"posture": POSTURE},
+    }
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -191,7 +168,8 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     log_line = partial(console.print, soft_wrap=True, highlight=False)
     with isolated_domain() as domain, Nodes(out / "logs", log_line, domain) as nodes:
         log_line(f"starting test bed, drivers, recorder and guidance in ROS domain {domain.number}")
-        start_all(nodes, options, CONFIG / "arm.yaml", out)
+        parameters = parameters_of(options, CONFIG / "arm.yaml")
+        start_mission_nodes(nodes, arm.n, parameters, options.speed, out / "bag")
         operator = CaptureOperator(domain)
         operator.arm_all()
         result = operator.run_capture()

@@ -41,14 +41,12 @@ from fss_rehearsal.loops.capture import (
 )
 from fss_rehearsal.loops.holding import MOTION, MotionSettings, outcome
 from fss_rehearsal.loops.parameters import WITHOUT_NODES, ArmValues, Without
+from fss_rehearsal.mission_nodes import start_mission_nodes
 from fss_rehearsal.operators import isolated_domain
 from fss_rehearsal.processes import Nodes, RehearsalError
 from fss_sim.settings import TestbedSettings
 
 MAX_SPEED = 5.0  # of the simulation, in multiples of real time
-TELEMETRY_RATE = 20.0  # of the links [Hz]
-MAX_SILENCE = 10.0  # of a board or driver on a busy computer [s]
-TRUTH_RATE = 50.0  # [Hz]
 MAX_MISSION_TIME = 1800.0  # in real time [s]
 SETTLING_TIME = 5.0  # of a hold before the arm moves [s]
 MOVING_RATE = 0.02  # rate above which a joint moves [rad/s]
@@ -146,12 +144,13 @@ def changes(settings: Settings) -> dict[str, Any]:
 
 @contextmanager
 def running_graph(
-    arm: Arm, parameters: Mapping[str, Settings], bag: Path | None
+    arm: Arm, assumed: str, parameters: Mapping[str, Settings], bag: Path | None
 ) -> Iterator[tuple[Nodes, GraphOperator]]:
     """Start the test bed and all nodes in a domain of their own, arm links and base.
 
     Args:
         arm: the true arm.
+        assumed: name or file of the description that the drivers use.
         parameters: settings of `testbed`, `navigation`, `control` and `guidance`.
         bag: folder for a recording; with it, the live view is started, too.
     """
@@ -160,7 +159,13 @@ def running_graph(
     log_line = print if bag else lambda _: None
     try:
         with isolated_domain() as domain, Nodes(folder / "logs", log_line, domain) as nodes:
-            start_nodes(nodes, arm, parameters, bag)
+            given = {name: changes(settings) for name, settings in parameters.items()}
+            given["testbed"]["arm"] = nodes.logs / "arm.yaml"
+            save(arm, given["testbed"]["arm"])
+            given |= {name: {"arm": assumed} for name in ("links", "arm")}
+            start_mission_nodes(nodes, arm.n, given, MAX_SPEED, bag)
+            if bag:
+                nodes.start("view", "fss_arm_view", "view", use_sim_time=True)
             operator = GraphOperator(domain, arm.n, is_silent=bag is None)
             operator.arm_all()
             yield nodes, operator
@@ -169,60 +174,6 @@ def running_graph(
         rclpy.try_shutdown()
     if not bag:
         shutil.rmtree(folder)
-
-
-def start_nodes(
-    nodes: Nodes, arm: Arm, parameters: Mapping[str, Settings], bag: Path | None
-) -> None:
-    """Start the test bed and all nodes."""
-    clock, ports, n = {"use_sim_time": True}, nodes.domain.ports(2 * arm.n + 2), arm.n
-    board, base = ports[2 * n :]
-    true_arm = nodes.logs / "arm.yaml"
-    save(arm, true_arm)
-    given = {name: changes(settings) for name, settings in parameters.items()}
-    assumed = {"arm": given["guidance"].get("arm", "paper")}
-    url = f"udp://127.0.0.1:{board}?bind={base}"
-    if bag:
-        nodes.start("record", "fss_arm_bags", "record", output=bag, **clock)
-        nodes.start("view", "fss_arm_view", "view", **clock)
-    timeouts = {"timeout": MAX_SILENCE, "watchdog": MAX_SILENCE}
-    nodes.start(
-        "testbed",
-        "fss_sim",
-        "testbed",
-        **given["testbed"] | {"arm": true_arm},
-        ports=ports[:n],
-        board_port=board,
-        keep_clock=True,
-        lockstep=True,
-        speed=MAX_SPEED,
-        truth_rate=TRUTH_RATE,
-        telemetry_rate=TELEMETRY_RATE,
-    )
-    nodes.start(
-        "links",
-        "fss_arm_driver",
-        "link",
-        urls=nodes.domain.urls(n),
-        rate=TELEMETRY_RATE,
-        **assumed,
-        **timeouts,
-        **clock,
-    )
-    nodes.start(
-        "arm",
-        "fss_arm_driver",
-        "arm",
-        rate=TELEMETRY_RATE,
-        time_to_live=MAX_SILENCE,
-        **assumed,
-        **clock,
-    )
-    nodes.start("base", "fss_base_driver", "base", url=url, timeout=MAX_SILENCE, **clock)
-    nodes.start("navigation", "fss_gnc", "navigation", **given["navigation"], **clock)
-    control = given["control"] | {"max_pause": MAX_SILENCE}
-    nodes.start("control", "fss_gnc", "control", **control, **clock)
-    nodes.start("guidance", "fss_gnc", "guidance", **given["guidance"], **clock)
 
 
 def capture(
@@ -243,7 +194,7 @@ def capture(
         "guidance": guidance,
     }
     true_arm = arm.apply(described(testbed.arm))
-    with running_graph(true_arm, parameters, bag) as (nodes, operator):
+    with running_graph(true_arm, navigation.arm, parameters, bag) as (nodes, operator):
         goal = Capture.Goal(detumble=True)
         answer = operator.send("mission/capture", operator.capture, goal).get_result_async()
         started = operator.now() / SECOND
@@ -335,7 +286,7 @@ def hold(
         "guidance": replace(GUIDANCE, arm=navigation.arm),
     }
     true_arm = arm.apply(described(testbed.arm))
-    with running_graph(true_arm, parameters, bag) as (_, operator):
+    with running_graph(true_arm, navigation.arm, parameters, bag) as (_, operator):
         handle = operator.send("base/hold", operator.hold, HoldBase.Goal())
         ended = handle.get_result_async()
         operator.pass_time(SETTLING_TIME)
