@@ -9,13 +9,14 @@ from fss_base_driver.protocol import VALVES
 from fss_base_driver.session import BoardSession
 from fss_base_driver.settings import BaseSettings
 from fss_base_driver.wrench import planar_wrench
+from fss_link.session import CommandError
 
 
 class WrenchFollower:
     """Allocation of the active wrench to the valves that work. Times are in nanoseconds.
 
-    A wrench is active until it is replaced, is older than its lifetime, or has become zero, which
-    closes all valves once.
+    A wrench is active until it is replaced, is older than its lifetime, is rejected by the session,
+    or has become zero, which closes all valves once.
 
     Args:
         settings: the valves, the base's frame, the period and the lifetime of a wrench.
@@ -54,7 +55,7 @@ class WrenchFollower:
 
     def is_due(self, now: int) -> bool:
         """Return True if the last pulses were commanded at least a period ago."""
-        return now - self._commanded >= self._period
+        return not 0 <= now - self._commanded < self._period
 
     def command_pulses(self, session: BoardSession, now: int) -> bool:
         """Command the pulses of the next period; return False if no wrench is active.
@@ -62,12 +63,12 @@ class WrenchFollower:
         The session counts the wrenches that the valves cannot produce as `wrenches_clipped`.
 
         Raises:
-            CommandError: the session rejects them.
+            CommandError: the session rejects them; the wrench is no longer active.
         """
         if self._wrench is None:
             return False
         wrench, given = self._wrench
-        expired = now - given > self._lifetime
+        expired = not 0 <= now - given <= self._lifetime  # a simulated clock can be set back
         if expired or not any(wrench):
             self.cancel()
             self.exclude(*self._stuck)
@@ -77,6 +78,10 @@ class WrenchFollower:
         if any(wrench):
             on_times = self._allocation.on_times(wrench).tolist()
             session.counts["wrenches_clipped"] += self._allocation.clipped
-        session.thrust(on_times, now, now)
+        try:
+            session.thrust(on_times, now, now)
+        except CommandError:
+            self.cancel()  # so that it opens no valve after the board is armed again
+            raise
         self._commanded = now
         return True

@@ -83,15 +83,35 @@ def test_a_cancelled_wrench_opens_nothing(follower, session):
     assert session.on_times == []
 
 
+def test_a_wrench_from_before_the_clock_was_set_back_opens_nothing(follower, session):
+    """Otherwise it would stay active until the clock reaches its time again."""
+    follower.follow(push(-0.05), START)
+    assert follower.command_pulses(session, START)
+    assert follower.is_due(START - 50 * SECOND)
+    assert not follower.command_pulses(session, START - 50 * SECOND)
+    assert not follower.active
+    assert len(session.on_times) == 1
+
+
+def test_a_rejected_wrench_opens_nothing_after_the_board_is_armed_again(follower, session):
+    follower.follow(push(-0.05), START)
+    session.armed = False
+    with pytest.raises(CommandError):
+        follower.command_pulses(session, START)
+    session.armed = True
+    assert not follower.command_pulses(session, START)
+    assert session.on_times == []
+
+
 def test_the_next_pulses_are_due_after_a_period(follower, session):
     assert follower.is_due(START)
     follower.follow(push(-0.05), START)
     session.armed = False
     with pytest.raises(CommandError):
         follower.command_pulses(session, START)
-    assert follower.active
     assert follower.is_due(START)  # none were commanded
     session.armed = True
+    follower.follow(push(-0.05), START)
     follower.command_pulses(session, START)
     assert not follower.is_due(START + SECOND // 10 - 1)
     assert follower.is_due(START + SECOND // 10)
