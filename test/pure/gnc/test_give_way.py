@@ -115,6 +115,22 @@ def test_silent_vehicle_is_kept_clear_of(silent):
     assert least > LEAST_GAP
 
 
+def test_right_of_way_is_kept_before_a_vehicle_that_falls_silent_and_still_receives():
+    names = ("fss1", "fss2")
+    first, second = Ideal("fss1", names, [-1.3, 0.0, 0.0]), Ideal("fss2", names, [0.0, -1.3, 1.6])
+    fly([first, second], until=5.0)
+    first.go_to(5.0, [1.3, 0.0, 0.6])
+    fly([first, second], start=5.0, until=8.5)
+    second.go_to(8.5, [0.0, 1.3, 2.1])
+    fly([first, second], start=8.5, until=30.0)
+    fly([first, second], start=30.0, until=40.0, silent=lambda name, t: name == "fss2")
+    assert set(first.reasons) == {""}  # it flies as announced, on which the other one relies
+    _, least = fly([first, second], start=40.0, silent=lambda name, t: name == "fss2")
+    assert first.arrived
+    assert second.arrived
+    assert least > LEAST_GAP
+
+
 def test_follow_waits_and_then_keeps_to_its_path():
     names = ("fss1", "fss2")
     first, second = Ideal("fss1", names, [0.0, -1.3, 1.5]), Ideal("fss2", names, [-1.3, 0.0, 0.0])

@@ -23,6 +23,7 @@ from fss_gnc.guidance.other_vehicles import (
     VehicleTrack,
     announced,
     conflicts,
+    facing_announced_plan,
     gives_way,
     outline,
     outline_gap,
@@ -167,6 +168,20 @@ def test_silent_vehicle_keeps_its_plan_and_its_twist_and_grows_uncertain():
     assert gives_way(found)
     assert not gives_way(found._replace(vehicle=replace(silent, precedes=False)))
     assert gives_way(found._replace(vehicle=replace(silent, plan=None, precedes=False)))
+
+
+def test_announced_plan_is_not_changed_for_the_silence_of_a_vehicle_that_must_give_way():
+    silent = vehicle(plan=straight(REST, [1.0, 0.0, 0.0], 40.0), precedes=False, age=3.0)
+    beside = straight([-1.0, 0.7, 0.0], [0.5, 0.7, 0.0], 40.0)
+
+    def conflicts_with(other):
+        return path_conflicts(SQUARE, beside, 0.0, facing_announced_plan([other]), 0.1)
+
+    assert path_conflicts(SQUARE, beside, 0.0, [silent], 0.1)  # a new plan
+    assert not conflicts_with(silent)
+    assert conflicts_with(replace(silent, precedes=True))
+    assert conflicts_with(replace(silent, plan=PLANS["holds"]))
+    assert conflicts_with(replace(silent, body=Body(REST, np.array([0.0, 0.01, 0.0]))))  # drifts
 
 
 def test_margin_includes_the_deviation():

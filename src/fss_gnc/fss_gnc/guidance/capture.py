@@ -26,7 +26,7 @@ from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import DriftPredictor
 from fss_gnc.guidance.mission_monitor import BRAKING_TIME, MissionMonitor
-from fss_gnc.guidance.other_vehicles import MONITORED_SHARE, gives_way
+from fss_gnc.guidance.other_vehicles import MONITORED_SHARE, facing_announced_plan, gives_way
 from fss_gnc.guidance.reach import Reach
 from fss_gnc.guidance.stopping import braking, joint_stop_time
 from fss_gnc.reference import Body, Path, pose_error
@@ -213,7 +213,8 @@ class Capture:
         assert self._trajectory is not None
         start, trajectory = self._trajectory
         margin = MONITORED_SHARE * self.settings.vehicle_gap
-        found = self.planner.conflicts(trajectory, obs.t - start, state, obs.others, margin)
+        others = facing_announced_plan(obs.others)
+        found = self.planner.conflicts(trajectory, obs.t - start, state, others, margin)
         for conflict in found:
             if gives_way(conflict, BRAKING_TIME):
                 name = conflict.vehicle.name

@@ -6,6 +6,7 @@ clear of all predicted motions. If there is none, the base rests, and tries agai
 moves aside if another vehicle comes to its place.
 """
 
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -18,6 +19,8 @@ from fss_gnc.guidance.other_vehicles import (
     MONITORED_SHARE,
     REACTION_TIME,
     Conflict,
+    OtherVehicle,
+    facing_announced_plan,
     gives_way,
     path_conflicts,
 )
@@ -77,8 +80,12 @@ class GiveWay:
         if self.waits_for:
             return path if obs.t < path.end_time else self._depart(path, obs, own)
         stopping_time = self._min_ramp(reference) + REACTION_TIME
-        share, self._was_checked = MONITORED_SHARE if self._was_checked else 1.0, True
-        conflict = self._conflict(own, path, obs, stopping_time, share)
+        if self._was_checked:
+            others, share = facing_announced_plan(obs.others), MONITORED_SHARE
+        else:
+            others, share = obs.others, 1.0
+        self._was_checked = True
+        conflict = self._conflict(own, path, obs.t, others, stopping_time, share)
         if conflict is None:
             return path
         self.reason = f"gives way to {conflict.vehicle.name}"
@@ -124,13 +131,14 @@ class GiveWay:
     def _insist_or_move_aside(self, path: Path, obs: Observation, own: Complexes) -> Path:
         """Return a path to the goal if all vehicles in its way must make room, or a path aside."""
         direct = shifted(self._direct, obs.t)
-        conflict = self._conflict(own, direct, obs, self._ramp(direct, direct.times.mean()))
+        stopping_time = self._ramp(direct, direct.times.mean())
+        conflict = self._conflict(own, direct, obs.t, obs.others, stopping_time)
         if conflict is None and self._is_free(direct, obs):
             return self._leave(direct)
         if conflict is not None:
             self.waits_for = conflict.vehicle.name
             self.reason = f"waits for {self.waits_for}"
-        if self._conflict(own, path, obs, np.inf) is None:
+        if self._conflict(own, path, obs.t, facing_announced_plan(obs.others), np.inf) is None:
             return path
         here = path.at(obs.t)
         for place in self._refuges(here.pose):
@@ -144,16 +152,17 @@ class GiveWay:
         self,
         own: Complexes,
         path: Path,
-        obs: Observation,
+        t: float,
+        others: Sequence[OtherVehicle],
         stopping_time: float,
         share: float = 1.0,
     ) -> Conflict | None:
-        """Return the first conflict of a path that this vehicle must resolve.
+        """Return the first conflict of a path from its time t on that this vehicle must resolve.
 
         `share` is the required part of the gap.
         """
         margin = share * self.settings.vehicle_gap
-        found = path_conflicts(own, path, obs.t, obs.others, margin)
+        found = path_conflicts(own, path, t, others, margin)
         return next((one for one in found if gives_way(one, stopping_time)), None)
 
     def _is_clear(self, own: Complexes, path: Path, obs: Observation) -> bool:

@@ -10,15 +10,18 @@ the other. It never exceeds their distance, because a line that separates two ou
 they are at least that far apart, and is their distance unless two corners face each other.
 
 A vehicle that drifts keeps its twist. One that follows a plan keeps to it, with its present offset
-from it. A silent vehicle may do both, and its uncertainty grows with the time since its last state.
+from it. A silent vehicle may do both, and its uncertainty grows with the time since its last state,
+because its plan may change.
 
 Right of way: the vehicle that comes first in the list. A vehicle that cannot give way, because it
 holds its place or drifts, has it before all others. Silence changes nothing: a silent vehicle may
-still receive, and if each gave way to the other, neither would move as predicted.
+still receive, and if each gave way to the other, neither would move as predicted. For the same
+reason, the growth does not count against an announced plan that the silent vehicle must give way
+to: its own changes keep clear of that plan.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -117,6 +120,7 @@ class OtherVehicle:
     deviation: float = 0.0  # standard deviation of its position [m]
     speed_deviation: float = 0.0  # and of its speed [m/s]
     plan: Path | None = None  # by the time from now; None: it drifts
+    growth: float = SPEED_DEVIATION  # of its deviation while it is silent [m/s]
 
     @property
     def is_silent(self) -> bool:
@@ -128,10 +132,15 @@ class OtherVehicle:
         """True if it follows a plan that it can change; a silent vehicle may do so as well."""
         return self.plan is not None and self.plan.end_time > 0.0
 
+    @property
+    def must_give_way(self) -> bool:
+        """True if it must change its plan in a conflict, and not this vehicle."""
+        return self.can_give_way and not self.precedes
+
     def predict(self, ahead: Floats) -> list[Prediction]:
         """Return each motion that it may make, at times from now (m,) [s]."""
         since = (self.age + ahead)[:, None]
-        growth = SPEED_DEVIATION * since[:, 0] if self.is_silent else np.zeros(len(ahead))
+        growth = self.growth * since[:, 0] if self.is_silent else np.zeros(len(ahead))
         found = []
         if self.plan is not None:
             offset = self.body.pose - self.plan.at(-self.age).pose
@@ -223,8 +232,15 @@ def gives_way(conflict: Conflict, stopping_time: float = 0.0) -> bool:
         stopping_time: that this vehicle needs to come to rest [s]; it also brakes when a vehicle
             that should give way has not done so in time.
     """
-    other = conflict.vehicle
-    return other.precedes or not other.can_give_way or conflict.ahead < stopping_time
+    return not conflict.vehicle.must_give_way or conflict.ahead < stopping_time
+
+
+def facing_announced_plan(others: Iterable[OtherVehicle]) -> tuple[OtherVehicle, ...]:
+    """Return the vehicles as they move beside a plan that was announced to them.
+
+    Those that must give way to it do not grow uncertain while they are silent.
+    """
+    return tuple(replace(one, growth=0.0) if one.must_give_way else one for one in others)
 
 
 def announced(path: Path, t: float) -> Path:
