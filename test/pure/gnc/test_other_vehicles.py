@@ -221,7 +221,7 @@ def test_vehicle_brakes_for_one_that_does_not_give_way_in_time():
 def test_track_predicts_from_the_newest_messages():
     track, second = VehicleTrack("fss2", True), SECOND
     assert track.predicted(0) is None
-    track.store_state(10 * second, Body(np.array([1.0, 0.0, 0.0]), np.zeros(3)), 0.01, 0.001)
+    track.store_state(10 * second, Body(np.array([1.05, 0.0, 0.0]), np.zeros(3)), 0.01, 0.001)
     assert track.predicted(10 * second) is None  # its extent is unknown
     track.outline = SQUARE
     plan = straight([1.0, 0.0, 0.0], [2.0, 0.0, 0.0], 40.0)
@@ -229,7 +229,7 @@ def test_track_predicts_from_the_newest_messages():
     found = track.predicted(11 * second)
     assert (found.age, found.deviation, found.speed_deviation) == (1.0, 0.01, 0.001)
     ahead = np.array([0.0, 20.0])
-    offset = 1.0 - plan.at(1.0).pose[0]  # of its base from its plan, when the state was new
+    offset = 1.05 - plan.at(1.0).pose[0]  # of its base from its plan, when the state was new
     expected = plan.states(ahead + 2.0)[:, 0, 0] + offset
     np.testing.assert_allclose(found.predict(ahead)[0].poses[:, 0], expected, atol=2e-3)
 
