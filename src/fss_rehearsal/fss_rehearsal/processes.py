@@ -79,16 +79,25 @@ class Nodes:
         Raises:
             RehearsalError: a node exited with an error, or was killed too often.
         """
+        self.check_alive()
         for name, process in self.processes.items():
             code = process.poll()
             if code is None or code == 0:
                 continue
-            if code > 0 or self.starts[name] >= MAX_STARTS:
-                raise RehearsalError(
-                    f"node {name} exited with code {code}: {self.last_log_line(name)}"
-                )
+            if self.starts[name] >= MAX_STARTS:
+                raise self.exit_of(name, code)
             self.log_line(f"node {name} was killed ({signal.Signals(-code).name}), restarting it")
             self._start(name)
+
+    def check_alive(self) -> None:
+        """Raise RehearsalError if a node exited with an error; it may have been killed."""
+        for name, process in self.processes.items():
+            if code := max(process.poll() or 0, 0):
+                raise self.exit_of(name, code)
+
+    def exit_of(self, name: str, code: int) -> RehearsalError:
+        """Return the error for a node that has exited."""
+        return RehearsalError(f"node {name} exited with code {code}: {self.last_log_line(name)}")
 
     def last_log_line(self, name: str) -> str:
         """Return the last line of the node's log, and the log's path."""

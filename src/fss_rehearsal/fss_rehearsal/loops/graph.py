@@ -5,7 +5,7 @@ computer have the same outcome as on an idle one, though not the same digits.
 """
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import inf, nan
@@ -24,11 +24,11 @@ from fss_arm_msgs.action import Capture, HoldBase, MoveArm
 from fss_arm_msgs.msg import MissionState, SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import SENSOR
+from fss_arm_view.settings import ViewSettings
 from fss_gnc.control.settings import ControlSettings
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.navigation.settings import NavigationSettings
 from fss_rehearsal.capture import CaptureOperator
-from fss_rehearsal.domain import Domain
 from fss_rehearsal.loops.capture import (
     CONTROL,
     GUIDANCE,
@@ -90,11 +90,11 @@ class GraphOperator(CaptureOperator):
 
     TIMEOUT = 600.0  # [s], in real time
 
-    def __init__(self, domain: Domain, links: int, is_silent: bool) -> None:
+    def __init__(self, nodes: Nodes, links: int, is_silent: bool) -> None:
         self.truths: list[SimTruth] = []
         self.phases: list[str] = []
-        self.is_silent = is_silent
-        super().__init__(domain, links)
+        self.nodes, self.is_silent = nodes, is_silent
+        super().__init__(nodes.domain, links)
         self.create_subscription(SimTruth, "sim/truth", self.truths.append, SENSOR)
         self.hold = ActionClient(self, HoldBase, "base/hold")
         self.move = ActionClient(self, MoveArm, "arm/move")
@@ -105,6 +105,19 @@ class GraphOperator(CaptureOperator):
             self.phases.append(message.phase)
         if not self.is_silent:
             super().on_state(message)
+
+    def wait(self, condition: Callable[[], bool], error: str, timeout: float = 0.0) -> None:
+        """Spin until the condition holds.
+
+        Raises:
+            RehearsalError: it does not hold within `timeout` [s], or a node exited with an error.
+        """
+
+        def is_met() -> bool:
+            self.nodes.check_alive()
+            return condition()
+
+        super().wait(is_met, error, timeout)
 
     def pass_time(self, duration: float) -> None:
         """Wait until a duration of simulated time [s] has passed."""
@@ -150,7 +163,7 @@ def running_graph(
 
     Args:
         arm: the true arm.
-        assumed: name or file of the description that the drivers use.
+        assumed: name or file of the description that the drivers use; empty: their default.
         parameters: settings of `testbed`, `navigation`, `control` and `guidance`.
         bag: folder for a recording; with it, the live view is started, too.
     """
@@ -162,11 +175,12 @@ def running_graph(
             given = {name: changes(settings) for name, settings in parameters.items()}
             given["testbed"]["arm"] = nodes.logs / "arm.yaml"
             save(arm, given["testbed"]["arm"])
-            given |= {name: {"arm": assumed} for name in ("links", "arm")}
+            given |= {name: {"arm": assumed} for name in ("links", "arm") if assumed}
             start_mission_nodes(nodes, arm.n, given, MAX_SPEED, bag)
             if bag:
                 nodes.start("view", "fss_arm_view", "view", use_sim_time=True)
-            operator = GraphOperator(domain, arm.n, is_silent=bag is None)
+                print(f"live view: http://127.0.0.1:{ViewSettings().web_port}", flush=True)
+            operator = GraphOperator(nodes, arm.n, is_silent=bag is None)
             operator.arm_all()
             yield nodes, operator
             operator.destroy_node()
