@@ -1,5 +1,8 @@
 """Learning environments: Gymnasium's own checks, MuJoCo's dynamics, momentum, and the tasks."""
 
+import re
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
@@ -178,6 +181,13 @@ def test_parameters_are_drawn_for_each_episode():
         gymnasium.make("FssHold-v0", randomize={"m_7": {"uniform": [1.0, 2.0]}})
     with pytest.raises(ContentError, match="randomize: m_0"):
         gymnasium.make("FssHold-v0", randomize={"m_0": [1.0, 2.0]})
+
+
+def test_the_code_of_the_page_runs(capsys):
+    page = (Path(__file__).parents[3] / "docs/how-to/learning.md").read_text()
+    (code,) = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
+    exec(compile(code, "learning.md", "exec"), {})
+    assert "fixture x [m]" in capsys.readouterr().out
 
 
 def test_a_simple_law_holds_the_base():
