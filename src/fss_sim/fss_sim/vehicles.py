@@ -15,6 +15,7 @@ from fss_sim.plant.surroundings import Surroundings
 from fss_sim.settings import PlantSettings, TestbedSettings
 
 NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # name of a vehicle, which is also its namespace
+PORT_STEP = 10  # from the ports of a vehicle to those of the next one
 SHARED_SETTINGS = {
     *("vehicles", "keep_clock", "speed", "paused", "truth_rate", "state_file", "world_frame"),
     *("tilt", "table", "tolerance", "contact", "restitution", "contact_friction"),
@@ -78,6 +79,8 @@ def _vehicle_settings(bed: TestbedSettings, name: str, k: int, values: Any) -> T
     changed: dict[str, Any] = {"vehicles": "", "seed": bed.seed + k, "state_file": file}
     changed |= {n: default_in(f, name) for n, f in allowed.items() if f.metadata.get("within")}
     changed |= {"target_mass": 0.0} if k else {}
+    ports = [port and port + k * PORT_STEP for port in (bed.board_port, *bed.ports)]  # 0: any
+    changed |= {"board_port": ports[0], "ports": tuple(ports[1:])}
     try:
         changed |= {n: converted(n, value, hints[n]) for n, value in values.items()}
         return replace(bed, **changed)

@@ -179,7 +179,8 @@ def test_vehicles_with_a_common_key_are_rejected(ros, bed, tmp_path):
 
 def test_the_example_is_a_valid_vehicles_file(monkeypatch):
     monkeypatch.chdir(ROOT)
-    each = read_vehicles(TestbedSettings(vehicles="config/two_vehicles.yaml"))
+    first = {"board_port": 5000, "ports": (5001, 5002, 5003, 5004)}
+    each = read_vehicles(TestbedSettings(vehicles="config/two_vehicles.yaml", **first))
     assert list(each) == ["fss1", "fss2"]
     ports = [port for one in each.values() for port in (*one.ports, one.board_port)]
     assert len(set(ports)) == len(ports) == 10
