@@ -4,6 +4,7 @@ import re
 import sys
 from collections import defaultdict
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.io import savemat
@@ -47,6 +48,7 @@ def main(*paths):
         topic: {name.lstrip("_"): column(values) for name, values in rows.items()}
         for topic, rows in found.items()
     }
+    Path(file).parent.mkdir(parents=True, exist_ok=True)
     savemat(file, tables, long_field_names=True, oned_as="column")
     for topic, rows in tables.items():
         print(f"{topic}: {len(rows['t'])} messages, {', '.join(rows)}")

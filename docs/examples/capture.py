@@ -1,16 +1,35 @@
-"""Capture a target and stop its motion; print each phase and the result. Ctrl-C cancels."""
+"""Capture a target and stop its motion; print each phase and the result. Ctrl-C aborts."""
 
 import rclpy
 from rclpy.action import ActionClient
+from rclpy.signals import SignalHandlerOptions
 
 from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import MissionState
 from fss_arm_ros.qos import LATCHED
 
 
+def wait(node, future):
+    """Wait for a future; Ctrl-C takes effect between two short waits."""
+    while not future.done():
+        rclpy.spin_until_future_complete(node, future, timeout_sec=0.1)
+    return future.result()
+
+
+def fly(node, client):
+    """Send the goal, and return the mission's result; Ctrl-C aborts the mission."""
+    sent = client.send_goal_async(Capture.Goal(detumble=True))
+    try:
+        return wait(node, wait(node, sent).get_result_async()).result
+    except KeyboardInterrupt:
+        goal = wait(node, sent)
+        wait(node, goal.cancel_goal_async())
+        return wait(node, goal.get_result_async()).result
+
+
 def main():
     """Send the goal, and print each phase until the end."""
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C must not end ROS
     node = rclpy.create_node("operator")
     phases = []
 
@@ -24,15 +43,7 @@ def main():
     client = ActionClient(node, Capture, "mission/capture")
     print("waiting for mission/capture", flush=True)
     client.wait_for_server()
-    sent = client.send_goal_async(Capture.Goal(detumble=True))
-    rclpy.spin_until_future_complete(node, sent)
-    ended = sent.result().get_result_async()
-    try:
-        rclpy.spin_until_future_complete(node, ended)
-    except KeyboardInterrupt:
-        rclpy.spin_until_future_complete(node, sent.result().cancel_goal_async())
-        rclpy.spin_until_future_complete(node, ended)
-    result = ended.result().result
+    result = fly(node, client)
     print(f"captured: {result.captured}, stopped: {result.stopped} {result.message}")
     print(f"{result.duration:.1f} s, {1e3 * result.propellant:.1f} g of gas")
 

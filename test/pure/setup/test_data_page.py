@@ -40,9 +40,9 @@ def test_joints_are_brought_to_one_time():
 
 def test_matlab_gets_all_numbers_of_a_bag(tmp_path, capsys):
     example = runpy.run_path(str(ROOT / "docs/examples/bag_to_mat.py"))
-    example["main"]("test/data/first", str(tmp_path / "first.mat"))
+    example["main"]("test/data/first", str(tmp_path / "out/first.mat"))
     assert "joint_states: 986 messages, t, " in capsys.readouterr().out
-    found = loadmat(tmp_path / "first.mat", simplify_cells=True)
+    found = loadmat(tmp_path / "out/first.mat", simplify_cells=True)
     np.testing.assert_allclose(
         found["vicon_fss_fss"]["pose_position_x"], run(CODE[0])["base"][:, 1]
     )
