@@ -1,4 +1,4 @@
-"""Dependencies: package.xml has keys that rosdep resolves, pip adds the rest, README lists both."""
+"""Dependencies: package.xml has keys of rosdep, pip adds the rest, CONTRIBUTING.md lists both."""
 
 import re
 from pathlib import Path
@@ -24,9 +24,10 @@ REVIEWED = {
 }
 
 
-def readme():
-    text = (ROOT / "README.md").read_text()
-    return text.partition("\n### Libraries")[2].partition("\n## ")[0]
+def section():
+    """Return the section of CONTRIBUTING.md about libraries."""
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    return text.partition("\n## Libraries")[2].partition("\n## ")[0]
 
 
 def keys(manifest):
@@ -48,12 +49,12 @@ def test_every_library_is_pinned_for_pip(name):
 
 
 def test_the_table_of_libraries_is_that_of_the_code():
-    rows = re.findall(r"^\| `([\w-]+)` \| (?:`([\w-]+)`|pip) \|", readme(), re.M)
+    rows = re.findall(r"^\| `([\w-]+)` \| (?:`([\w-]+)`|pip) \|", section(), re.M)
     expected = {(library.pip, library.rosdep) for library in LIBRARIES.values()}
     assert sorted(rows) == sorted(expected)
 
 
-def test_the_readme_has_pip_install_what_rosdep_does_not():
-    (names,) = re.findall(r"^pip install -c scripts/requirements-jazzy.txt (.*)$", readme(), re.M)
+def test_pip_installs_what_rosdep_does_not():
+    (names,) = re.findall(r"^pip install -c scripts/requirements-jazzy.txt (.*)$", section(), re.M)
     expected = {library.pip for library in LIBRARIES.values() if not library.rosdep}
     assert sorted(names.split()) == sorted(expected)
