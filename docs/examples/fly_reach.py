@@ -113,7 +113,7 @@ class FlyReach(Node):
     def move(self, posture: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the rates to a posture, until the arm has been there for 1 s."""
         away = self.time
-        while self.time - away < 1.0:
+        while self.time - away < 1.0 or np.abs(posture - self.state[3:]).max() > 0.005:
             travel = posture - self.state[3:]
             if np.abs(travel).max() > 0.005:
                 away = self.time
