@@ -333,6 +333,14 @@ def test_invalid_messages_of_another_vehicle_are_rejected(store, message, words)
         store(VehicleTrack("fss1", precedes=True), message)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_footprint_is_stored_counter_clockwise(order):
+    square = 0.1 * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j])
+    track = VehicleTrack("fss1", precedes=True)
+    vehicle_topics.store_footprint(track, vehicle_topics.footprint(square[::order]))
+    np.testing.assert_allclose(track.outline, square, atol=1e-7)
+
+
 def test_guidance_outlives_invalid_states_of_another_vehicle(spin):
     bench = Bench(spin, namespace="fss2", vehicles=["fss1", "fss2"], max_age=3.0)
     other = Node("neighbour", namespace="fss1")
