@@ -37,7 +37,8 @@ def open_client(scheduler: str, workers: int) -> "Iterator[Client]":
     import dask
     from distributed import Client, LocalCluster
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is in the rows
+    for name in "distributed", "distributed.client":  # what matters is in the rows
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(DASK):
         if scheduler:
             try:
