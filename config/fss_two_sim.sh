@@ -15,7 +15,7 @@ for k in 1 2; do
   at=$((port + 10 * (k - 1)))    # of its board
   node record fss_arm_bags record --ros-args -p "output:=out/$fss_name/$FSS_NAMESPACE/bags"
   for i in $(seq "$links"); do
-    node "link_$i" fss_arm_driver link --ros-args -p arm:=$arm -p link:=$i \
+    node "link_$i" fss_arm_driver link --ros-args -p arm:=$arm -p link:="$i" \
       -p "url:=udp://127.0.0.1:$((at + i))?bind=$((at + 20 + i))"
   done
   node arm fss_arm_driver arm --ros-args -p arm:=$arm
