@@ -31,7 +31,7 @@ CAPTURES = Path(__file__).parents[1] / "config/campaigns/captures.yaml"
 MAX_OVERHEAD = 0.05
 REPETITIONS = 3
 WORKERS, MEAN_SLEEP, RUNS_EACH = 32, 2.0, 10  # of the simulated cluster; [s]
-EMPTY_RUNS = 2000
+EMPTY_RUNS = 500
 STUDY = """
 import time
 

@@ -13,7 +13,7 @@ from fss_arm_msgs.msg import SimTruth
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_rehearsal.campaign.plan import GRAPH_RUNS, read_campaign
 from fss_rehearsal.domain import CONFIG
-from fss_rehearsal.loops.graph import GraphFaultSettings, changes, figures
+from fss_rehearsal.loops.graph import GraphFaultSettings, capture, changes, figures
 from fss_sim.faults import LinkFaults
 from fss_sim.settings import TestbedSettings
 
@@ -48,6 +48,15 @@ def test_a_fault_is_a_parameter_of_the_test_bed():
     assert hasattr(LinkFaults(), name.removeprefix("link_2."))
     with pytest.raises(SettingError, match="kind is 'gripper'"):
         GraphFaultSettings("gripper")
+
+
+@pytest.mark.parametrize(
+    ("fault", "missing"),
+    [(GraphFaultSettings("gyro"), "phase"), (GraphFaultSettings("kill", "reach"), "node")],
+)
+def test_an_incomplete_fault_is_rejected_before_anything_starts(fault, missing):
+    with pytest.raises(SettingError, match=f"fault.{missing} is ''"):
+        capture(1, fault=fault)
 
 
 def truth(second, gap=0.5, holds=False, rate=0.0, valve=False):

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 import pytest
+from distributed import KilledWorker
 from scipy.stats import binomtest
 
 from fss_arm_model.settings import POSITIVE, Settings, setting
 from fss_rehearsal.campaign.arguments import Arguments
+from fss_rehearsal.campaign.execute import finished_row
 from fss_rehearsal.campaign.function import perform
 from fss_rehearsal.campaign.options import parser
 from fss_rehearsal.campaign.plan import CampaignError, read_campaign
@@ -178,6 +180,24 @@ def test_results_are_read_as_written_and_can_continue(file):
     file.write_text(FILE.replace("mass: 12", "mass: 13"))
     with pytest.raises(CampaignError, match=r"run 0 has mass 12, expected 13 as in"):
         check_rows(read, read_campaign(file), rows[0]["commit"], results.path)
+
+
+def test_a_campaign_does_not_continue_with_the_rows_of_another_function(file):
+    campaign = read_campaign(file)
+    row = rows_of(campaign)[0]
+    with pytest.raises(CampaignError, match=r"run 0 is one of other:swing, expected swing_study:s"):
+        check_rows([row | {"function": "other:swing"}], campaign, row["commit"], file)
+
+
+def test_a_run_whose_worker_died_is_a_row_with_which_the_campaign_continues(file):
+    class Lost:
+        def result(self):
+            raise KilledWorker("run-0", None, 2)
+
+    campaign = read_campaign(file)
+    row = finished_row(Lost(), campaign, campaign.runs[0])
+    assert row["outcome"] == "crashed"
+    check_rows([row], campaign, row["commit"], file)
 
 
 def test_differences_of_rows_ignore_when_and_where_they_ran():

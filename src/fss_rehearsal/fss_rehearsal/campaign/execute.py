@@ -119,7 +119,7 @@ def execute(
     with _progress(console) as progress:
         task = progress.add_task("", total=len(futures), rate="", failures="")
         for future in as_completed(futures):
-            row = _row(future, by_key[future.key])
+            row = finished_row(future, campaign, by_key[future.key])
             future.release()
             results.add(row)
             failures += row["outcome"] != SUCCESS
@@ -138,7 +138,7 @@ def perform_on_worker(*arguments: Any) -> Row:
     return perform(*arguments) | {"worker": f"{worker.name} at {worker.address}"}
 
 
-def _row(future: Any, run: Run) -> Row:
+def finished_row(future: Any, campaign: Campaign, run: Run) -> Row:
     """Return the row of a finished run.
 
     Raises:
@@ -151,8 +151,8 @@ def _row(future: Any, run: Run) -> Row:
         row = columns | future.result()
     except KilledWorker:
         reason = "the worker's process ended, also when the run was repeated"
-        lost = {"outcome": CRASHED, "reason": reason, "function": "", "commit": source_version()}
-        return columns | lost | {"worker": "", "wall_time": 0.0}
+        lost = {"function": campaign.function, "outcome": CRASHED, "reason": reason}
+        return columns | lost | {"commit": source_version(), "worker": "", "wall_time": 0.0}
     except (CancelledError, asyncio.CancelledError, OSError):
         raise CampaignError("lost the scheduler; continue with --resume") from None
     name, _, address = row["worker"].partition(" at ")

@@ -92,17 +92,17 @@ def check_rows(rows: Sequence[Row], campaign: Campaign, commit: str, path: Path)
                     f"{path}: run {row['run']} has {name} {row.get(name)}, expected {value} as in "
                     f"{campaign.file}; start another campaign with --out FOLDER"
                 )
-        if row["function"] != campaign.function:
-            raise CampaignError(
-                f"{path}: run {row['run']} is one of {row['function']}, expected "
-                f"{campaign.function} as in {campaign.file}; start another campaign with --out "
-                "FOLDER"
-            )
         if row["commit"] != commit:
             raise CampaignError(
                 f"{path}: run {row['run']} was made with commit {row['commit']}, expected {commit};"
                 " check out that commit (after + is a digest of uncommitted changes), or start "
                 "another campaign with --out FOLDER"
+            )
+        if row["function"] != campaign.function:
+            raise CampaignError(
+                f"{path}: run {row['run']} is one of {row['function']}, expected "
+                f"{campaign.function} as in {campaign.file}; start another campaign with --out "
+                "FOLDER"
             )
 
 

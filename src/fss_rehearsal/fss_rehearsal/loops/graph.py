@@ -19,7 +19,7 @@ from rclpy.action import ActionClient
 
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described, save
-from fss_arm_model.settings import Settings, one_of, setting
+from fss_arm_model.settings import SettingError, Settings, one_of, setting
 from fss_arm_msgs.action import Capture, HoldBase, MoveArm
 from fss_arm_msgs.msg import MissionState, SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
@@ -40,6 +40,7 @@ from fss_rehearsal.loops.capture import (
     FaultSettings,
 )
 from fss_rehearsal.loops.holding import MOTION, MotionSettings, outcome
+from fss_rehearsal.loops.holding import TESTBED as HOLD_TESTBED
 from fss_rehearsal.loops.parameters import WITHOUT_NODES, ArmValues, Without
 from fss_rehearsal.mission_nodes import start_mission_nodes
 from fss_rehearsal.operators import isolated_domain
@@ -70,6 +71,13 @@ class GraphFaultSettings(FaultSettings):
         check=one_of("", "outage", "open", "closed", "gyro", "link", "kill"),
     )
     node: str = setting("", "node to kill", check=one_of("", *KILLABLE))
+
+    def check(self) -> None:
+        """Raise SettingError if a fault has no phase, or a kill no node."""
+        if self.kind and not self.phase:
+            raise SettingError(f"fault.phase is '', expected a phase for the fault {self.kind!r}")
+        if self.kind == "kill" and not self.node:
+            raise SettingError(f"fault.node is '', expected one of {', '.join(KILLABLE)}")
 
     def parameters(self) -> dict[str, float]:
         """Return the parameters of the test bed that cause the fault."""
@@ -201,6 +209,7 @@ def capture(
     bag: Path | None = None,
 ) -> dict[str, Any]:
     """Fly one capture; it succeeds if the target is held and stopped at the end."""
+    fault.check()
     parameters = {
         "testbed": replace(testbed, seed=seed),
         "navigation": navigation,
@@ -285,7 +294,7 @@ def body_gap(truth: SimTruth) -> float:
 
 def hold(
     seed: int,
-    testbed: Testbed = TestbedSettings(),  # noqa: B008
+    testbed: Testbed = HOLD_TESTBED,
     navigation: NavigationSettings = NAVIGATION,
     control: ControlSettings = CONTROL,
     motion: MotionSettings = MOTION,
