@@ -21,6 +21,7 @@ from fss_sim.testbed import FRAME
 # Largest number of late frames per tick, so that the node remains responsive.
 MAX_FRAMES_PER_TICK = RATE
 MAX_CATCH_UP = 0.3  # longest stall of a busy computer that is made up for, in real time [s]
+MAX_DEAFNESS = SECOND  # longest time without reading datagrams because frames are late [ns]
 FRAMES_PER_CLOCK = 5  # number of frames for which the clock is published once
 PAUSED_CLOCK_PERIOD = 0.5  # period of publishing the clock while paused [s]
 MAX_FRAMES = 60 * RATE  # largest number of frames of one step, so that the node responds soon
@@ -80,6 +81,7 @@ class Timeline:
         self.paused, self.ros_time = paused, ros_time
         self.drivers, self.nodes = Followers(), Followers()
         self._clock_published = 0.0  # when the clock was last published [s]
+        self._late_since: int | None = None  # ROS time since which frames are late [ns]
 
     def start(self) -> None:
         """Start the time at the present frame."""
@@ -117,14 +119,22 @@ class Timeline:
         due = self._due_frames()
         for done in range(0, min(due, MAX_FRAMES_PER_TICK), FRAMES_PER_CLOCK):
             self._make_frames(min(due - done, FRAMES_PER_CLOCK))
-            if self.keep_clock:
+            if self.keep_clock or self._is_too_slow():
                 self._receive()
         # Check again: after a stall meanwhile, datagrams would be processed too early.
-        if not self.paused and max(due, self._due_frames()) <= MAX_FRAMES_PER_TICK:
-            self._receive()
+        if max(due, self._due_frames()) > MAX_FRAMES_PER_TICK:
+            self._late_since = self._late_since or self.ros_time()
+        else:
+            self._late_since = None
+            if not self.paused:
+                self._receive()
         if self.paused and time.monotonic() - self._clock_published > PAUSED_CLOCK_PERIOD:
             self._publish_clock(self.stamp())  # for nodes that have started meanwhile
         return self.pace.check_period if due <= MAX_FRAMES_PER_TICK else 0.0
+
+    def _is_too_slow(self) -> bool:
+        """Return whether frames are late for more than MAX_DEAFNESS: datagrams do not wait then."""
+        return self._late_since is not None and self.ros_time() - self._late_since > MAX_DEAFNESS
 
     def _due_frames(self) -> int:
         if self.paused:

@@ -17,19 +17,18 @@ NAMES = "fss1", "fss2"
 STARTS = [-1.2, 0.0, 0.0], [0.0, -1.2, 1.57]
 GOALS = [1.2, 0.0, 0.0], [0.0, 1.2, 1.57]
 CURLED = [1.3, 1.15, 1.15, 1.1]
-SPEED = 0.5  # of the time, that a busy computer keeps up with it
 
 
 def start_vehicle(nodes, name, board, links):
     """Start the nodes of one vehicle, in its namespace."""
-    clock, patient = {"use_sim_time": True}, {"timeout": 4.0, "watchdog": 4.0}
+    clock = {"use_sim_time": True}
     urls = [f"udp://127.0.0.1:{port}?bind=0" for port in links]
     given = {
-        "fss_arm_driver link": {"urls": urls, **patient},
-        "fss_arm_driver arm": {"time_to_live": 2.0},
-        "fss_base_driver base": {"url": f"udp://127.0.0.1:{board}?bind=0", **patient},
+        "fss_arm_driver link": {"urls": urls},
+        "fss_arm_driver arm": {},
+        "fss_base_driver base": {"url": f"udp://127.0.0.1:{board}?bind=0"},
         "fss_gnc navigation": {},
-        "fss_gnc control": {"max_pause": 4.0},
+        "fss_gnc control": {},
         "fss_gnc guidance": {"vehicles": list(NAMES)},
     }
     for what, parameters in given.items():
@@ -50,7 +49,7 @@ def flyers(tmp_path_factory):
     (folder / "vehicles.yaml").write_text(yaml.safe_dump({"vehicles": vehicles}))
     rclpy.init(args=[])
     with Nodes(folder, print, OWN) as nodes:
-        parameters = {"vehicles": folder / "vehicles.yaml", "keep_clock": True, "speed": SPEED}
+        parameters = {"vehicles": folder / "vehicles.yaml", "keep_clock": True, "lockstep": True}
         nodes.start("testbed", "fss_sim", "testbed", truth_rate=50.0, **parameters)
         for name, (board, *links) in ports.items():
             start_vehicle(nodes, name, board, links)

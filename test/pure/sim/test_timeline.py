@@ -2,6 +2,7 @@
 
 import time
 
+import numpy as np
 import pytest
 
 from fss_arm_model.units import SECOND
@@ -9,6 +10,7 @@ from fss_sim.pace import DRIVER_TIMEOUT, MAX_LEAD, NODE_LEAD, NODE_TIMEOUT, Cloc
 from fss_sim.testbed import FRAME
 from fss_sim.timeline import (
     FRAMES_PER_CLOCK,
+    MAX_DEAFNESS,
     MAX_FRAMES,
     MAX_FRAMES_PER_TICK,
     PAUSED_CLOCK_PERIOD,
@@ -72,6 +74,24 @@ def test_datagrams_received_during_a_stall_are_not_processed_early():
     while ("receive", 0) not in bench.tick():
         pass
     assert bench.frame == 300
+
+
+def test_a_simulation_that_stays_late_reads_its_datagrams_regularly():
+    bench, make = Bench(), Bench.make_frames
+
+    def slow(count):  # half as fast as the clock
+        make(bench, count)
+        bench.now += 2 * count * FRAME
+
+    bench.make_frames, bench.now = slow, 2 * SECOND
+    read = [bench.now]
+    bench.receive = lambda delay: read.append(bench.now) or iter([])
+    while bench.now < 10 * SECOND:
+        bench.tick()
+    tick = 2 * MAX_FRAMES_PER_TICK * FRAME
+    assert read[1] <= read[0] + MAX_DEAFNESS + 2 * tick
+    assert max(np.diff(read[1:])) == 2 * FRAMES_PER_CLOCK * FRAME
+    assert bench.timeline._due_frames() > MAX_FRAMES_PER_TICK
 
 
 def test_late_frames_are_made_in_several_ticks():
