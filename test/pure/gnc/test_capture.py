@@ -24,8 +24,9 @@ from fss_gnc.guidance.activity import Craft, Observation
 from fss_gnc.guidance.approach import Planner, propagate_coast
 from fss_gnc.guidance.capture import Capture
 from fss_gnc.guidance.detumble import Detumble
-from fss_gnc.guidance.drift import DriftPredictor
+from fss_gnc.guidance.drift import PUSH_MARGIN, DriftPredictor
 from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.guidance.other_vehicles import OtherVehicle
 from fss_gnc.guidance.reach import RESPONSE_TIME, Reach, fixture_poses
 from fss_gnc.guidance.stopping import Grip, braking, grip_load, joint_stop_time
 from fss_gnc.reference import Body
@@ -280,6 +281,20 @@ def test_abort_pushes_away_from_the_target_and_then_drifts():
     pose, twist = commands.path.knots[-1, :2]
     after = np.append(pose, POSTURE), np.append(twist, np.zeros(4))
     assert DriftPredictor(P, SETTINGS).predict(*after, RESTING_TARGET).safe
+
+
+@pytest.mark.parametrize("y", [-0.2, 0.0, 0.4, 0.8])
+def test_push_away_from_another_vehicle_leaves_room_for_its_duration(y):
+    square = 0.2 * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j])
+    body = Body(np.array([0.9, y, 0.0]), np.zeros(3))
+    others = [OtherVehicle("fss2", True, body, square)]
+    drifting = DriftPredictor(P, SETTINGS, others=others)
+    q, qd = at(-0.4, 0.0, 0.0, (1.3, 1.15, 1.15, 1.1)), np.array([0.03, 0.01, *np.zeros(5)])
+    assert not drifting.predict(q, qd, None).safe
+    push = drifting.plan_push(q, qd, None)
+    assert push.safe
+    assert push.vehicles >= SETTINGS.vehicle_gap + PUSH_MARGIN
+    assert push.edge >= SETTINGS.min_edge_gap + PUSH_MARGIN
 
 
 def test_abort_keeps_the_valves_closed_if_the_base_is_unknown_or_drifts_safely():

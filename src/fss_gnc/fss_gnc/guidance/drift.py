@@ -153,7 +153,8 @@ class DriftPredictor:
         own = outline(self.p, body.q_m, s, self.held, s.target_radius)
         for k, drifting in enumerate(poses if self.others else ()):
             found = [
-                gap_excess(own, times, drifting, other, s.vehicle_gap) for other in self.others
+                gap_excess(own, times, drifting, other, s.vehicle_gap + margin)
+                for other in self.others
             ]
             vehicles[k] = min(float(gap.min()) for gap, _ in found)
             is_safe[k] &= all((excess >= 0.0).all() for _, excess in found)
