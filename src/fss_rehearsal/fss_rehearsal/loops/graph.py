@@ -24,7 +24,6 @@ from fss_arm_msgs.action import Capture, HoldBase, MoveArm
 from fss_arm_msgs.msg import MissionState, SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import SENSOR
-from fss_arm_view.settings import ViewSettings
 from fss_gnc.control.settings import ControlSettings
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.navigation.settings import NavigationSettings
@@ -186,8 +185,10 @@ def running_graph(
             given |= {name: {"arm": assumed} for name in ("links", "arm") if assumed}
             start_mission_nodes(nodes, arm.n, given, MAX_SPEED, bag)
             if bag:
-                nodes.start("view", "fss_arm_view", "view", use_sim_time=True)
-                print(f"live view: http://127.0.0.1:{ViewSettings().web_port}", flush=True)
+                data, page = domain.ports(2 * arm.n + 4)[-2:]  # another view may have the default
+                ports = {"port": data, "web_port": page}
+                nodes.start("view", "fss_arm_view", "view", use_sim_time=True, **ports)
+                print(f"live view: http://127.0.0.1:{page}", flush=True)
             operator = GraphOperator(nodes, arm.n, is_silent=bag is None)
             operator.arm_all()
             yield nodes, operator
