@@ -7,7 +7,8 @@ import numpy as np
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.navigation.settings import NavigationSettings
 from fss_rehearsal.loops import capture
-from fss_rehearsal.loops.capture import POSTURE, FaultSettings
+from fss_rehearsal.loops.faults import FaultSettings
+from fss_rehearsal.loops.settings import POSTURE
 from fss_sim.plant.target import Gripper
 from fss_sim.settings import TestbedSettings
 

@@ -10,7 +10,7 @@ import pytest
 from distributed import KilledWorker
 from scipy.stats import binomtest
 
-from fss_arm_model.settings import POSITIVE, Settings, setting
+from fss_arm_model.settings import POSITIVE, SettingError, Settings, setting
 from fss_rehearsal.campaign.arguments import Arguments
 from fss_rehearsal.campaign.execute import finished_row
 from fss_rehearsal.campaign.function import perform
@@ -24,6 +24,8 @@ from fss_rehearsal.campaign.results import (
     read_rows,
 )
 from fss_rehearsal.campaign.summary import summarize, wilson_interval
+from fss_rehearsal.loops.capture import capture
+from fss_rehearsal.loops.faults import FaultSettings
 from fss_rehearsal.loops.parameters import ArmValues, Without
 
 STUDY = """
@@ -162,6 +164,11 @@ def test_a_crash_is_a_row_with_its_reason(file):
     row = rows_of(read_campaign(file))[3]
     assert row["outcome"] == "crashed"
     assert row["reason"] == "RuntimeError: gain too high (swing_study.py:5)"
+
+
+def test_a_fault_without_phase_is_refused():
+    with pytest.raises(SettingError, match=r"fault\.phase is '', .* for the fault 'gyro'"):
+        capture(1, fault=FaultSettings("gyro"))
 
 
 def test_results_are_read_as_written_and_can_continue(file):

@@ -7,7 +7,7 @@ and commands to them take effect 0.1 s late.
 from collections import deque
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from math import cos, inf, nan, pi, sin
+from math import cos, inf, nan, sin
 from typing import Annotated, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from fss_arm_model.clearance import gaps, links_and_base, sizes, with_edge, with
 from fss_arm_model.description_file import described
 from fss_arm_model.kinematics import joint_positions, tip_pose
 from fss_arm_model.momentum import momentum
-from fss_arm_model.settings import NOT_NEGATIVE, SettingError, Settings, between, one_of, setting
+from fss_arm_model.settings import SettingError
 from fss_arm_model.units import SECOND
 from fss_base_driver.allocation import Allocation
 from fss_gnc.control import PoseControl
@@ -37,7 +37,17 @@ from fss_gnc.navigation.body_filter import BodyFilter
 from fss_gnc.navigation.navigation import Navigation
 from fss_gnc.navigation.settings import NavigationSettings
 from fss_gnc.reference import Body
-from fss_rehearsal.loops.parameters import WITHOUT_NODES, ArmValues, Without
+from fss_rehearsal.loops.faults import LOST_LINK, FaultSettings
+from fss_rehearsal.loops.parameters import ArmValues, Without
+from fss_rehearsal.loops.settings import (
+    CONTROL,
+    GUIDANCE,
+    NAVIGATION,
+    NO_VALUES,
+    TESTBED,
+    WITHOUT_ELECTRONICS,
+    WITHOUT_TOPICS,
+)
 from fss_sim.noise import Noise
 from fss_sim.plant.drives import MODE_OFF, MODE_VELOCITY
 from fss_sim.plant.plant import Plant
@@ -54,67 +64,7 @@ TIMEOUT = 600.0  # longest mission [s]
 OBSERVATION_TIME = 30.0  # simulated after a failed mission [s]
 GRIPPER_DEPTH = 0.04  # that the gripper may reach into the target's disc, its reach included [m]
 NEAR_FIXTURE = 0.05  # distance of the gripper from the fixture at which a grip may follow [m]
-POSTURE = 0.95, 1.3, 1.36, -1.23
-LOST_LINK = 1  # joint whose link a fault silences, from 0
-
-TESTBED = TestbedSettings(
-    base=(1.6 * cos(-0.75 * pi), 1.6 * sin(-0.75 * pi), -1.4),
-    q=POSTURE,
-    target_mass=10.0,
-    target_pose=(0.0, 0.0, -0.3),
-    target_twist=(-0.006, 0.004, 0.15),
-)
-#: Parameters of the test bed without effect in a loop without electronics, links and markers.
-WITHOUT_ELECTRONICS = Without(
-    *WITHOUT_NODES,
-    "telemetry_rate",
-    "vicon_jitter",
-    "vicon_edge_error",
-    "vicon_occlusion",
-    "vicon_merge*",
-    "vicon_cameras",
-    "*_markers",
-    "marker_*",
-    "heights",
-    "wifi*",
-    "torque_noise",
-    "torque_zero",
-    "torque_crosstalk",
-    "torque_drift",
-    "torque_rate",
-    "clock_drift",
-    "encoder_eccentricity",
-    "battery*",
-    "faults",
-    "twist",
-)
-
-#: Parameters of the navigation without effect in a loop without topics.
-WITHOUT_TOPICS = Without("latency", "rate", "*_topic", "*_frame", "frame_prefix")
-
-
-@dataclass(frozen=True)
-class FaultSettings(Settings):
-    """A fault that occurs in a phase of the mission."""
-
-    kind: str = setting(
-        "",
-        "fault: no poses (outage), a valve stuck open or closed, gyro or a link lost, no "
-        "gripper/state; empty: none",
-        check=one_of("", "outage", "open", "closed", "gyro", "link", "gripper"),
-    )
-    phase: str = setting(
-        "", "phase of the fault", check=one_of("", "approach", "reach", "grip", "detumble")
-    )
-    delay: float = setting(PERIOD, "time from the start of the phase", unit="s", check=NOT_NEGATIVE)
-    duration: float = setting(
-        0.0, "duration of the fault; 0: until the end", unit="s", check=NOT_NEGATIVE
-    )
-    valve: int = setting(3, "number of the stuck valve", check=between(1, 8))
-
-
-GUIDANCE, NAVIGATION, CONTROL = MissionSettings(), NavigationSettings(), ControlSettings()
-NO_FAULT, NO_VALUES = FaultSettings(), ArmValues()
+NO_FAULT = FaultSettings()
 
 
 @dataclass
@@ -443,6 +393,7 @@ def capture(
     arm: ArmValues = NO_VALUES,
 ) -> dict[str, Any]:
     """Fly one capture; it succeeds if the target is held and stopped at the end."""
+    fault.check()
     flight = Flight(seed, testbed, guidance, navigation, control, fault, arm)
     flown = flight.fly()
     return {

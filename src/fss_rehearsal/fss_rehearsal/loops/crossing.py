@@ -25,17 +25,14 @@ from fss_gnc.navigation.navigation import Navigation
 from fss_gnc.navigation.settings import NavigationSettings
 from fss_gnc.reference import Body
 from fss_rehearsal.loops.capture import (
-    CONTROL,
     FRAMES,
     FRAMES_PER_ESTIMATE,
-    GUIDANCE,
-    NAVIGATION,
     PERIOD,
-    WITHOUT_ELECTRONICS,
     marker_free_noise,
 )
 from fss_rehearsal.loops.holding import ControlWithoutTarget, NavigationWithoutTarget
 from fss_rehearsal.loops.parameters import Without
+from fss_rehearsal.loops.settings import CONTROL, GUIDANCE, NAVIGATION, WITHOUT_ELECTRONICS
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.drives import MODE_POSITION
 from fss_sim.plant.vehicle import Demand, Vehicle

@@ -7,7 +7,7 @@ computer have the same outcome as on an idle one, though not the same digits.
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, nan
 from pathlib import Path
 from tempfile import mkdtemp
@@ -19,7 +19,7 @@ from rclpy.action import ActionClient
 
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described, save
-from fss_arm_model.settings import SettingError, Settings, one_of, setting
+from fss_arm_model.settings import Settings
 from fss_arm_msgs.action import Capture, HoldBase, MoveArm
 from fss_arm_msgs.msg import MissionState, SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
@@ -28,19 +28,12 @@ from fss_gnc.control.settings import ControlSettings
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.navigation.settings import NavigationSettings
 from fss_rehearsal.capture import CaptureOperator
-from fss_rehearsal.loops.capture import (
-    CONTROL,
-    GUIDANCE,
-    LOST_LINK,
-    NAVIGATION,
-    NO_VALUES,
-    OBSERVATION_TIME,
-    TESTBED,
-    FaultSettings,
-)
+from fss_rehearsal.loops.capture import OBSERVATION_TIME
+from fss_rehearsal.loops.faults import GraphFaultSettings
 from fss_rehearsal.loops.holding import MOTION, MotionSettings, outcome
 from fss_rehearsal.loops.holding import TESTBED as HOLD_TESTBED
 from fss_rehearsal.loops.parameters import WITHOUT_NODES, ArmValues, Without
+from fss_rehearsal.loops.settings import CONTROL, GUIDANCE, NAVIGATION, NO_VALUES, TESTBED
 from fss_rehearsal.mission_nodes import start_mission_nodes
 from fss_rehearsal.operators import isolated_domain
 from fss_rehearsal.processes import Nodes, RehearsalError
@@ -51,44 +44,10 @@ MAX_MISSION_TIME = 1800.0  # in real time [s]
 SETTLING_TIME = 5.0  # of a hold before the arm moves [s]
 MOVING_RATE = 0.02  # rate above which a joint moves [rad/s]
 GRIP_PAIR = "gripper, target"
-SUBJECTS = "fss", "end_effector", "target"
-KILLABLE = "navigation", "control", "guidance", "base", "arm", "links"
 
 #: Parameters of the test bed that a run chooses itself.
 CHOSEN = Without(*WITHOUT_NODES, "telemetry_rate")
 Testbed = Annotated[TestbedSettings, CHOSEN]
-
-
-@dataclass(frozen=True)
-class GraphFaultSettings(FaultSettings):
-    """A fault that occurs in a phase of the mission, or a node that is killed."""
-
-    kind: str = setting(
-        "",
-        "fault: no poses (outage), a valve stuck open or closed, gyro or a link lost, a node "
-        "killed (kill); empty: none",
-        check=one_of("", "outage", "open", "closed", "gyro", "link", "kill"),
-    )
-    node: str = setting("", "node to kill", check=one_of("", *KILLABLE))
-
-    def check(self) -> None:
-        """Raise SettingError if a fault has no phase, or a kill no node."""
-        if self.kind and not self.phase:
-            raise SettingError(f"fault.phase is '', expected a phase for the fault {self.kind!r}")
-        if self.kind == "kill" and not self.node:
-            raise SettingError(f"fault.node is '', expected one of {', '.join(KILLABLE)}")
-
-    def parameters(self) -> dict[str, float]:
-        """Return the parameters of the test bed that cause the fault."""
-        return {
-            "outage": {f"{subject}.dropout": 1.0 for subject in SUBJECTS},
-            "open": {f"valve_{self.valve}.stuck_open": 1.0},
-            "closed": {f"valve_{self.valve}.stuck_closed": 1.0},
-            "gyro": {"fog.dropout": 1.0},
-            "link": {f"link_{LOST_LINK + 1}.dead": 1.0},
-        }[self.kind]
-
-
 NO_FAULT = GraphFaultSettings()
 
 

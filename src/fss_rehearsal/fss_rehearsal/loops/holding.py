@@ -17,15 +17,15 @@ from fss_gnc.control.settings import ControlSettings
 from fss_gnc.navigation import Navigation
 from fss_gnc.navigation.settings import NavigationSettings
 from fss_gnc.reference import Reference
-from fss_rehearsal.loops.capture import (
+from fss_rehearsal.loops.capture import marker_free_noise
+from fss_rehearsal.loops.parameters import ArmValues, Without
+from fss_rehearsal.loops.settings import (
     CONTROL,
     NAVIGATION,
     NO_VALUES,
     WITHOUT_ELECTRONICS,
     WITHOUT_TOPICS,
-    marker_free_noise,
 )
-from fss_rehearsal.loops.parameters import ArmValues, Without
 from fss_sim.plant.drives import MODE_VELOCITY
 from fss_sim.plant.plant import Plant
 from fss_sim.plant.vehicle import Demand
