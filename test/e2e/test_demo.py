@@ -70,7 +70,7 @@ class Demo:
 
     def domain(self):
         """The ROS domain that it says it is in."""
-        found = re.search(r"in ROS domain (\d+)", self.text)
+        found = re.search(r"own ROS domain (\d+)", self.text)
         return found and int(found[1])
 
     def observed(self):

@@ -66,10 +66,10 @@ def other_description(stored: Stored, running: str, initial: Arm | None) -> str:
     if initial is None or digest(initial) == stored.digest:
         return ""
     if initial.name == stored.arm:
-        return f"warning: description {stored.arm!r} has changed since this was planned"
+        return f"warning: the node motion has another version of {stored.arm!r} than this plan"
     if running == stored.arm:  # a calibration, which the node `motion` has received, too
         return ""
-    return f"warning: planned for {stored.arm!r}, but the node motion uses {initial.name!r}"
+    return f"warning: the node motion has {initial.name!r}, this plan is for {stored.arm!r}"
 
 
 def format_report(report: Report) -> str:

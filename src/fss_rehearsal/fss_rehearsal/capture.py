@@ -167,7 +167,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     arm = load(CONFIG / "arm.yaml")
     log_line = partial(console.print, soft_wrap=True, highlight=False)
     with isolated_domain() as domain, Nodes(out / "logs", log_line, domain) as nodes:
-        log_line(f"starting test bed, drivers, recorder and guidance in ROS domain {domain.number}")
+        log_line(f"starting test bed and nodes in their own ROS domain {domain.number}")
         parameters = parameters_of(options, CONFIG / "arm.yaml")
         start_mission_nodes(nodes, arm.n, parameters, options.speed, out / "bag")
         operator = CaptureOperator(domain)

@@ -238,7 +238,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Run the experiment, and solve again from its bag."""
     with isolated_domain() as domain:
         console.print(
-            f"starting test bed, {LINKS} drivers, recorder and calibration in ROS domain "
+            f"starting test bed, {LINKS} drivers, recorder and calibration in their own ROS domain "
             f"{domain.number}",
             soft_wrap=True,
         )

@@ -308,7 +308,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     predicted = expected_result(paper_arm(), plan, settings, PAUSE).deviations
     with isolated_domain() as domain:
         console.print(
-            "running them: test bed, drivers, recorder and calibration in ROS domain "
+            "running them: test bed, drivers, recorder and calibration in their own ROS domain "
             f"{domain.number}",
             soft_wrap=True,
         )

@@ -62,8 +62,8 @@ CAD = replace(paper_arm(), name="cad")
         ("", None, ""),
         ("cad", None, ""),
         ("cad", paper_arm(), ""),
-        ("cad", CAD, "planned for 'paper', but the node motion uses 'cad'"),
-        ("", replace(paper_arm(), theta_E=0.1), "'paper' has changed since this was planned"),
+        ("cad", CAD, "the node motion has 'cad', this plan is for 'paper'"),
+        ("", replace(paper_arm(), theta_E=0.1), "another version of 'paper' than this plan"),
         ("paper", CAD, ""),  # after a calibration
     ],
 )
