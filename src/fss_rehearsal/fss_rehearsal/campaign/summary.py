@@ -72,9 +72,9 @@ def summarize(
     runs, good, rate, interval = rate_text(rows)
     crashed = sum(row["outcome"] == CRASHED for row in rows)
     passed = bool(rows) and int(good) >= campaign.success_rate * len(rows)
-    reason = (
-        f"{good} of {runs} runs succeeded, {rate} (95 % interval {interval}), {crashed} crashed"
-    )
+    reason = f"{good} of {runs} runs succeeded, {rate} (95 % interval {interval})"
+    if crashed:
+        reason += f", {crashed} crashed"
     if len(rows) < len(campaign.runs):
         reason += f"; {len(campaign.runs) - len(rows)} of {len(campaign.runs)} runs remain"
     if unknown := unknown_measures(campaign, rows):
