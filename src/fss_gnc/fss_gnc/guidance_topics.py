@@ -14,7 +14,13 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import joint_names
-from fss_arm_msgs.msg import GripperState, MassProperties, MissionState, ThrusterHealth
+from fss_arm_msgs.msg import (
+    BaseTelemetry,
+    GripperState,
+    MassProperties,
+    MissionState,
+    ThrusterHealth,
+)
 from fss_arm_ros.convert import stamp_ns, to_time
 from fss_arm_ros.qos import COMMAND, LATCHED, command, subscribe_sensor
 from fss_arm_ros.subscriptions import PolledSubscription
@@ -68,6 +74,11 @@ def store_propellant(measured: Measurements, message: Float64, now: int) -> None
     measured.propellant.store(now, message.data)
 
 
+def store_armed(measured: Measurements, message: BaseTelemetry, now: int) -> None:
+    """Store whether the valves may open."""
+    measured.armed.store(now, message.armed)
+
+
 def store_stall(measured: Measurements, message: String, now: int) -> None:
     """Store why control has dropped the reference."""
     measured.stall.store(now, short_reason(message.data, "control paused"))
@@ -85,6 +96,7 @@ SENSORS: dict[str, tuple[type, Store]] = {
     "gripper/state": (GripperState, store_gripper),
     "target/mass_properties": (MassProperties, store_mass),
     "base/propellant": (Float64, store_propellant),
+    "base/telemetry": (BaseTelemetry, store_armed),
     "control/stall": (String, store_stall),
 }
 RESULTS: dict[str, tuple[type, Store]] = {"thrusters/health": (ThrusterHealth, store_valves)}

@@ -18,7 +18,7 @@ from std_msgs.msg import Empty
 
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.settings import SettingError
-from fss_arm_msgs.msg import MassProperties, ThrusterHealth
+from fss_arm_msgs.msg import BaseTelemetry, MassProperties, ThrusterHealth
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import WARN
 from fss_arm_ros.qos import LATCHED, SENSOR
@@ -229,6 +229,17 @@ def test_held_body_is_the_navigation_s_estimate_until_its_release(bench):
     assert budget.momentum[0] == pytest.approx(alone + 20.0)
     bench.holds = False
     bench.until(lambda: bench.guidance.observe(bench.now())[0].held_body is None)
+
+
+def test_hold_with_a_disarmed_board_names_the_cause(bench):
+    publisher = bench.create_publisher(BaseTelemetry, "base/telemetry", SENSOR)
+    bench.until(publisher.get_subscription_count)
+    handle = bench.holding()
+    publisher.publish(BaseTelemetry(armed=False))
+    bench.until(lambda: bench.guidance.observe(bench.now())[0].armed is False)
+    bench.obeys, bench.pose = False, np.add(bench.pose, [0.3, 0.0, 0.0])
+    ended = bench.end(handle)
+    assert ended.result.message.endswith("; its board is disarmed: scripts/fss_arm.sh valves")
 
 
 def test_open_valve_aborts_a_mission(bench):

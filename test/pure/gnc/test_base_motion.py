@@ -164,13 +164,19 @@ def test_hold_pose_must_be_near():
         hold(CRAFT, observed(), [0.5, 0.0, 0.0], 0.0)
 
 
-def test_base_far_from_its_reference_aborts_the_hold():
+@pytest.mark.parametrize(
+    ("armed", "cause"),
+    [
+        (None, ""),
+        (True, ""),
+        (False, "; its board is disarmed: scripts/fss_arm.sh valves"),
+    ],
+)
+def test_base_far_from_its_reference_aborts_the_hold(armed, cause):
     motion = hold(CRAFT, observed(), [0.0, 0.0, 0.0], 0.0)
-    outcome = motion.step(observed(2.0, pose=(0.0, 0.2, 0.1))).outcome
-    assert outcome == (
-        False,
-        "the base is 0.200 m and 5.7 deg off its reference, expected at most 0.15 m and 20 deg",
-    )
+    outcome = motion.step(observed(2.0, pose=(0.0, 0.2, 0.1), armed=armed)).outcome
+    reason = "the base is 0.200 m and 5.7 deg off its reference"
+    assert outcome == (False, f"{reason}, expected at most 0.15 m and 20 deg{cause}")
 
 
 def test_goal_not_reached_in_time_is_aborted():

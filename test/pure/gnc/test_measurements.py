@@ -18,7 +18,7 @@ def test_nothing_is_known_at_first():
     obs = measured.observe(STAMP, STAMP - SECOND)
     assert obs.t == 1.0
     known = obs.base, obs.target, obs.q, obs.qd, obs.effort, obs.holds, obs.last_q, obs.held_body
-    assert known == (None,) * 8
+    assert (*known, obs.armed) == (None,) * 9
     assert np.isnan(obs.propellant)
     assert measured.problem(STAMP) == "waiting for base/state"
 

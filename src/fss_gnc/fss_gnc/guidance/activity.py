@@ -44,6 +44,7 @@ class Observation:
     held_body: HeldBody | None = None  # held body as measured; None: not measured yet
     open_valves: tuple[int, ...] = ()  # valves that do not close, from 1
     unknown_push: bool = False  # momentum changes without a known cause
+    armed: bool | None = None  # whether the valves may open; None: not known
     stall: str = ""  # why control has dropped the reference; empty: it follows
     others: tuple[OtherVehicle, ...] = ()  # other vehicles on the table
 
@@ -70,6 +71,23 @@ class Observation:
         if self.q is None or self.qd is None:
             raise ActivityError("arm/joint_states are not known")
         return np.concatenate([self.base.pose, self.q]), np.concatenate([self.base.twist, self.qd])
+
+
+def tracking_problem(obs: Observation, offset: Floats, settings: MissionSettings) -> str:
+    """Return a reason if the base is too far from its reference; empty if it follows.
+
+    Args:
+        obs: state now.
+        offset: (3,) from the reference.
+        settings: limits.
+    """
+    distance, turn = float(np.hypot(*offset[:2])), abs(float(offset[2]))
+    if distance <= settings.max_offset and turn <= settings.max_turn:
+        return ""
+    limits = f"{settings.max_offset:g} m and {np.degrees(settings.max_turn):.0f} deg"
+    reason = f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off its reference"
+    cause = "; its board is disarmed: scripts/fss_arm.sh valves" if obs.armed is False else ""
+    return f"{reason}, expected at most {limits}{cause}"
 
 
 class Outcome(NamedTuple):

@@ -9,7 +9,14 @@ import numpy.typing as npt
 
 from fss_arm_model.arrays import Floats
 from fss_gnc import bounds
-from fss_gnc.guidance.activity import ActivityError, Commands, Craft, Observation, Outcome
+from fss_gnc.guidance.activity import (
+    ActivityError,
+    Commands,
+    Craft,
+    Observation,
+    Outcome,
+    tracking_problem,
+)
 from fss_gnc.guidance.free_space import FreeSpace
 from fss_gnc.guidance.give_way import GiveWay
 from fss_gnc.guidance.limits import braking, limit_use, min_duration
@@ -67,7 +74,7 @@ class PathMotion:
             self.path,
             keep_out=self.settings.keep_out,
             reason=self.cancel_reason or gives_way or joints_unknown,
-            outcome=self._outcome(obs.t, base),
+            outcome=self._outcome(obs, base),
             plan=self.give_way.plan(self.path, obs.t) if waits else self.path,
         )
 
@@ -101,15 +108,11 @@ class PathMotion:
         end = self.path.end_time if self.arrival_time is None else self.arrival_time
         self.remaining = inf if self.give_way.waits_for else max(0.0, end + self.hold - t)
 
-    def _outcome(self, t: float, base: Body) -> Outcome | None:
-        s = self.settings
+    def _outcome(self, obs: Observation, base: Body) -> Outcome | None:
+        s, t = self.settings, obs.t
         distance, turn = float(np.hypot(*self.offset[:2])), abs(float(self.offset[2]))
-        if distance > s.max_offset or turn > s.max_turn:
-            return Outcome(
-                False,
-                f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off its reference, "
-                f"expected at most {s.max_offset:g} m and {np.degrees(s.max_turn):.0f} deg",
-            )
+        if problem := tracking_problem(obs, self.offset, s):
+            return Outcome(False, problem)
         if self.cancel_reason:
             if not (self.cancel_is_success or t >= self.path.end_time):
                 return None

@@ -28,6 +28,7 @@ class Measurements:
         self.joints = Latest[Floats]("arm/joint_states", max_age)  # (3, n) q, qd, effort
         self.holds = Latest[bool]("gripper/state", STALE_AFTER)
         self.propellant = Latest[float]("base/propellant", STALE_AFTER)  # left [kg]
+        self.armed = Latest[bool]("base/telemetry", STALE_AFTER)
         self.stall = Latest[str]("control/stall", STALL_REPORT_TIME)
         self.held_body: HeldBody | None = None  # as estimated by the navigation
         self.open_valves: tuple[int, ...] = ()  # valves that do not close, from 1
@@ -70,6 +71,7 @@ class Measurements:
             held_body=self.held_body,
             open_valves=self.open_valves,
             unknown_push=self.unknown_push,
+            armed=self.armed.valid_value(now),
             stall=self.stall.valid_value(now) or "",
             others=others,
         )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fss_gnc.guidance.activity import Craft, Observation
+from fss_gnc.guidance.activity import Craft, Observation, tracking_problem
 from fss_gnc.guidance.drift import DriftPredictor
 from fss_gnc.reference import Path, pose_error
 
@@ -53,13 +53,9 @@ class MissionMonitor:
         if path is not None:
             if obs.t - self._push_start > UNKNOWN_PUSH_TIMEOUT:
                 return "an unknown force pushes the base"
-            x, y, heading_error = pose_error(obs.base.pose, path.at(obs.t).pose).tolist()
-            distance, turn = np.hypot(x, y), abs(heading_error)
-            if distance > s.max_offset or turn > s.max_turn:
-                return (
-                    f"base is {distance:.3f} m and {np.degrees(turn):.1f} deg off the reference, "
-                    f"expected at most {s.max_offset:g} m and {np.degrees(s.max_turn):.0f} deg"
-                )
+            offset = pose_error(obs.base.pose, path.at(obs.t).pose)
+            if problem := tracking_problem(obs, offset, s):
+                return problem
             drift = self.predictor.predict(q, qd, None, BRAKING_TIME)
             if drift.edge < 0.0:
                 return f"base would drift into the table's edge within {BRAKING_TIME:g} s"
