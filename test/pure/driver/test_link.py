@@ -513,3 +513,5 @@ def test_a_watchdog_that_trips_and_a_link_that_does_not_arm_are_told(armed):
     ]
     armed.session.arm(armed.now)
     assert logged(30, down=False, flags=0) == ["link 1 is arming", "link 1 did not arm"]
+    words = "link_1 is disarmed: not referenced; it did not confirm in time, try again"
+    assert armed.session.describe_outcome(True) == (False, words)

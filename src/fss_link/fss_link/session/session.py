@@ -184,8 +184,13 @@ class Session(ABC, Generic[T]):
         """Return whether the request to arm or disarm has succeeded, and the state in words."""
         done = self.armed if arm else self.released
         if done or arm or self.arming is not Arming.DISARMED:
-            words = self.describe_state(), "" if done else self.link_problem
-            return done, "; ".join(filter(None, words))
+            words = [self.describe_state()]
+            if not done:
+                reasons = self.disarm_reason, self.link_problem
+                words += [reason for reason in reasons if reason and reason not in words[0]]
+                if arm and self.arming is Arming.DISARMED and not any(reasons):
+                    words += ["it did not confirm in time, try again"]
+            return done, "; ".join(words)
         how = "is lost" if self.lost else self.partner.unconfirmed
         return False, f"{self.partner.label} {how}: disarming requested, not confirmed"
 
