@@ -23,10 +23,14 @@ def exchange(core, data, baud, microseconds):
 class CopleyLink(FirmwareLink):
     """A link that the driver makes of a drive alone, for the tests of the firmware's link."""
 
-    def __init__(self, core, number=2, boot=7, key=None, serial=0):
+    def __init__(self, core, boot=7, key=None, serial=0, baud=115_200):
         self.protocol, self.core, self.key, self.clock = protocol, core, key, 0
-        self.link, self.answer = DriveLink(number, boot, key, 115_200), b""
+        self.baud = baud
         self.tell("drive")
+        self.restart(boot)
+
+    def restart(self, boot):
+        self.link, self.answer = DriveLink(2, boot, self.key, self.baud), b""
 
     def send(self, frame):
         data = frame if isinstance(frame, bytes) else protocol.encode(frame, self.key)

@@ -147,6 +147,10 @@ class FirmwareLink(Electronics):
     ) -> None:
         super().__init__(protocol, core, f"{number} {boot}", key, serial)
 
+    def restart(self, boot: int) -> None:
+        """Restart the electronics alone; the drive goes on."""
+        self.tell(f"restart 2 {boot} - 0")
+
     def run(self, seconds: float) -> list[protocol.Telemetry]:
         """Let time pass; what it sent meanwhile."""
         return self.sent("run", round(1e6 * seconds), protocol.Telemetry)

@@ -8,17 +8,16 @@ import time
 from dataclasses import replace
 
 import pytest
-from driver_drive import CopleyLink, DriveOnPty, exchange
-from driver_frames import BOOT, DISARM, MOVE, path_segments
+from driver_drive import CopleyLink, DriveOnPty
+from driver_frames import DISARM, MOVE
 from driver_wire import ENDS, go_in_mid_open
 from firmware import Core
 from running import wait_until
 
 from fss_arm_driver.copley import drive
-from fss_arm_driver.copley.drive import REPLY_TIMEOUT, Demand, Drive, DriveGoal
 from fss_arm_driver.copley.language import ERRORS, Error, LineError, Ok, Value, parse
 from fss_arm_driver.copley.link import DriveLink
-from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, evaluate
+from fss_arm_driver.protocol import LinkCommandFlag, Mode, State
 from fss_arm_driver.session import LinkSession
 from fss_arm_driver.transport import open_transport
 from fss_arm_model.description import paper_arm
@@ -62,128 +61,54 @@ def core():
     core.close()
 
 
-class Bench:
-    """A drive's two sides at a line, in simulated time."""
-
-    def __init__(self, core, baud=115_200):
-        self.core, self.here, self.now, self.answer = core, Drive(baud), 0, b""
-        self.tell("drive")
-
-    def tell(self, what):
-        assert self.core.ask(what) == "done"
-
-    def run(self, seconds=0.5, until=lambda: False):
-        end = self.now + round(seconds * SECOND)
-        while self.now < end and not until():
-            line = self.here.poll(self.answer, self.now)
-            self.answer = exchange(self.core, line, self.here.baud, 2000)
-            self.now += 2000
-        return self
-
-    def orders(self):
-        return [line for line in self.core.ask("orders").split("; ") if line[:1] in ("s", "t")]
-
-    def demand(self, goal, *values):
-        self.orders()
-        self.here.demand = Demand(goal, *values)
-        self.run()
-        return self.orders()
-
-    def mode(self):
-        return int(self.core.ask("joint").split()[2])
-
-
-@pytest.fixture
-def bench(core):
-    bench = Bench(core)
-    return bench.run(2.0, lambda: bench.here.reading)
-
-
-@pytest.mark.parametrize("working", [9600, 115_200])
-def test_a_drive_is_found_at_both_rates_and_set_to_the_working_one(core, working):
-    bench = Bench(core, working).run(2.0)
-    assert bench.here.reading
-    assert bench.here.referenced
-    assert bench.orders() == ["s r0x90 115200"] * (working != 9600)
-    assert int(core.ask("joint").split()[3]) == bench.here.baud == working
-    bench.here = Drive(115_200)  # a driver that starts again
-    bench.run(2.0)
-    assert bench.here.reading
-    assert bench.here.baud == 115_200
-
-
-@pytest.mark.parametrize("code", [1, 15, 48])
-def test_whatever_is_refused_is_held_and_said(bench, code):
-    bench.tell(f"fail {code}")
-    bench.demand(DriveGoal.POSITION, 40000, 70000)
-    assert f"error {code}: {ERRORS[code]}" in bench.here.refusal
-    assert bench.here.reading.position == 0
-    assert bench.here.reading.mode in (Mode.POSITION, Mode.OFF)
-    bench.demand(DriveGoal.RELEASE)
-    assert bench.here.refusal == ""
-    assert bench.mode() == Mode.OFF
-
-
-def test_a_demand_made_again_while_braking_is_followed(bench):
-    bench.tell("shake 1")
-    bench.demand(DriveGoal.POSITION, 40000, 70000)
-    bench.orders()
-    bench.here.demand = Demand(DriveGoal.HOLD)
-    bench.run(0.4)
-    bench.here.demand = Demand(DriveGoal.POSITION, 40000, 70000)
-    bench.run(0.4)
-    assert bench.orders()[-1] == "t 1"
-
-
-@pytest.mark.parametrize("goal", [DriveGoal.RELEASE, DriveGoal.HOLD])
-def test_a_joint_found_in_motion_is_braked_with_the_drives_abort_deceleration(bench, goal):
-    bench.demand(DriveGoal.VELOCITY, 300_000, 0, 7639)
-    bench.demand(DriveGoal.VELOCITY, 300_000, 0, 100)  # would brake in half a minute
-    bench.here = Drive(115_200)  # a driver that starts again
-    bench.here.demand = Demand(goal)
-    bench.run(1.0)
-    rest = {DriveGoal.RELEASE: Mode.OFF, DriveGoal.HOLD: Mode.POSITION}[goal]
-    orders = ["s r0x90 115200", "s r0x37 300", "s r0x2f 0", "s r0x24 11", f"s r0x24 {rest:d}"]
-    assert bench.orders() == orders
-    assert float(bench.core.ask("joint").split()[1]) == 0.0
-
-
-@pytest.mark.parametrize("cut_at", range(0, 12, 3))
-def test_a_cable_pulled_in_mid_line_costs_the_demand_and_not_the_drive(bench, cut_at):
-    bench.here.demand = Demand(DriveGoal.VELOCITY, 5000)
-    bench.run(0.002 * cut_at)
-    exchange(bench.core, b"s r0x2", 115_200, 1000)  # the start of a line
-    bench.tell("plug 0")
-    bench.run(2.0)
-    assert bench.here.reading is None
-    bench.here.demand = Demand()
-    bench.tell("plug 1")
-    bench.run(4.0)
-    assert bench.here.reading
-    assert bench.here.reading.velocity == 0
-    assert bench.mode() == Mode.OFF
-
-
-def test_noise_in_an_answer_is_asked_again(bench):
-    bench.here.poll(b"v 1\xff7\r", bench.now)
-    assert bench.run(0.6).here.reading
-
-
-def test_a_silent_drive_is_lost_in_time(bench):
-    bench.tell("plug 0")
-    bench.run(1.0, lambda: bench.here.reading is None)
-    assert bench.here.reading is None
-    assert bench.now < 4 * REPLY_TIMEOUT + SECOND
-
-
-# --- as a link ---
-
-
 @pytest.fixture
 def link(core):
     link = CopleyLink(core)
     link.run(1.0)
+    link.orders()
     return link
+
+
+@pytest.mark.parametrize("working", [9600, 115_200])
+def test_a_drive_is_found_at_both_rates_and_set_to_the_working_one(core, working):
+    link = CopleyLink(core, baud=working)
+    assert link.run(2.0)[-1].flags == State.REFERENCED
+    assert link.orders() == ["s r0x90 115200"] * (working != 9600)
+    assert link.joint().baud == link.link.drive.baud == working
+
+
+@pytest.mark.parametrize("code", [1, 15, 48])
+def test_whatever_is_refused_is_held_and_said(link, code):
+    assert link.send(DISARM)
+    link.tell(f"fail {code}")
+    assert link.send(MOVE)
+    frame = link.run(0.5)[-1]
+    assert f"error {code}: {ERRORS[code]}" in link.link.drive.refusal
+    assert frame.position == 0
+    assert frame.mode in (Mode.POSITION, Mode.OFF)
+    assert link.send(replace(DISARM, sequence=3))
+    link.run(0.5)
+    assert link.link.drive.refusal == ""
+    assert link.joint().mode == Mode.OFF
+
+
+def test_a_demand_made_again_while_braking_is_followed(link):
+    assert link.send(DISARM)
+    assert link.send(MOVE)
+    link.tell("shake 1")
+    link.run(0.5)
+    hold = LinkCommandFlag.ARM | LinkCommandFlag.HOLD
+    assert link.send(replace(MOVE, sequence=3, flags=hold))
+    link.run(0.4)
+    link.orders()
+    assert link.send(replace(MOVE, sequence=4))
+    link.run(0.4)
+    assert link.orders()[-1] == "t 1"
+
+
+def test_noise_in_an_answer_is_asked_again(link):
+    link.answer = b"v 1\xff7\r"
+    assert link.run(0.6)
 
 
 def test_telemetry_comes_at_its_rate_and_says_what_there_is(link):
@@ -205,54 +130,6 @@ def test_each_frame_echoes_what_was_taken_before_its_measurement(link):
     for frame in frames:
         assert frame.echo == max(clock for clock in told if clock <= frame.clock)
         assert frame.turnaround == frame.clock - frame.echo
-
-
-KNOTS = [(3 * SECOND, 0, 0), (4 * SECOND, 40_000, 0), (5 * SECOND, 0, 0)]
-PIECES = path_segments(KNOTS, boot=BOOT, clock=9, path=4)
-FOLLOW = replace(
-    MOVE, mode=Mode.PATH, set_point=4, velocity=700_000, acceleration=100_000, watchdog=60_000
-)
-
-
-@pytest.fixture
-def following(link):
-    """At 3.2 s; path 4 began at 3 s, goes to 40000 counts within 1 s, and back."""
-    assert link.send(DISARM)
-    assert link.send(FOLLOW)
-    assert all(link.send(piece) for piece in PIECES)
-    link.run(1.0)
-    assert link.joint().mode == Mode.POSITION  # it holds
-    link.run(3.2 - 1e-6 * link.clock)
-    link.orders()
-    return link
-
-
-def test_a_path_is_followed_at_50_hz_or_more(following):
-    begin, off, frames = following.clock, [], []
-    while following.clock < PIECES[1].end - 20_000:
-        frames += following.run(0.01)
-        piece = PIECES[following.clock >= PIECES[1].begin]
-        off.append(abs(following.joint().position - evaluate(piece, following.clock)[0]))
-    orders = [line for line in following.orders() if line.startswith("s r0x2f")]
-    assert len(orders) >= 50e-6 * (following.clock - begin)
-    assert max(off) < 400  # 0.6 degrees
-    frames += following.run(1.0)
-    assert not frames[-1].flags & (State.FOLLOWING | State.BROKEN)
-    assert following.joint().position == pytest.approx(0, abs=20)
-    assert 4 << 16 | 2 in {frame.slow_value for frame in frames if frame.slow_id == Slow.PATH}
-
-
-@pytest.mark.parametrize(
-    "flags", [LinkCommandFlag.ARM | LinkCommandFlag.HOLD, LinkCommandFlag.STOP]
-)
-def test_a_path_that_is_stopped_is_held(following, flags):
-    assert following.send(replace(FOLLOW, sequence=3, flags=flags))
-    following.run(0.5)
-    where = following.joint()
-    frame = following.run(1.0)[-1]
-    assert (where.velocity, where.mode) == (0, Mode.POSITION)
-    assert following.joint() == where
-    assert not frame.flags & (State.FOLLOWING | State.BROKEN)
 
 
 # --- on a port ---

@@ -14,7 +14,6 @@ from firmware import Core, FirmwareLink, needs_arm, needs_emulator
 
 from fss_arm_driver.faults import FAULTS, Word
 from fss_arm_driver.protocol import (
-    LAST_SEGMENT,
     VELOCITY_UNIT,
     LinkCommandFlag,
     Mode,
@@ -168,7 +167,6 @@ def test_a_command_repeated_is_the_same_move(link):
     assert link.orders() == []
 
 
-@firmware_only
 def test_set_points_faster_than_the_line_do_not_keep_it_from_measuring(link):
     moving(link, TURN)
     frames = []
@@ -449,7 +447,6 @@ def test_a_pulled_cable_disarms_and_says_nothing_stale(link):
     assert link.joint()[1:] == (0, Mode.OFF, 115200)
 
 
-@firmware_only
 def test_a_cable_pulled_in_mid_line_is_survived(link):
     for cut in range(1, 60, 4):
         link.run(0.0001 * cut)
@@ -560,26 +557,25 @@ def test_nothing_switches_a_dropped_drive_on_again(link, happening, goes_on):
     assert link.joint().mode == Mode.VELOCITY
 
 
-@firmware_only
 @pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
 def test_its_own_restart_stops_a_moving_drive(link, command):
     moving(link, command)
-    link.tell(f"restart 2 {BOOT + 1} - 0")
+    link.restart(BOOT + 1)
     frames = link.run(2.0)
     assert link.joint()[1:] == (0, Mode.OFF, 115200)
     assert frames[-1].boot == BOOT + 1
     assert not frames[-1].flags & LATCHES
 
 
-@firmware_only
 def test_after_its_own_restart_it_brakes_with_the_drives_abort_deceleration(link):
     moving(link, TURN)
     assert link.send(replace(TURN, sequence=3, acceleration=100))  # would brake in half a minute
     link.run(0.2)
     assert link.orders() == ["s r0x36 1", "s r0x37 1", "s r0x2f -300000"]
-    link.tell(f"restart 2 {BOOT + 1} - 0")
+    link.restart(BOOT + 1)
     link.run(1.0)
-    assert link.orders() == ["s r0x90 115200", "s r0x37 300", "s r0x2f 0", "s r0x24 0"]
+    repeated = ["s r0x24 11"] * isinstance(link, CopleyLink)
+    assert link.orders() == ["s r0x90 115200", "s r0x37 300", "s r0x2f 0", *repeated, "s r0x24 0"]
     assert link.joint()[1:] == (0, Mode.OFF, 115200)
 
 
@@ -630,6 +626,9 @@ def test_faults_are_cleared_only_once_the_drive_is_off(link, plugged):
 FOLLOW = replace(MOVE, mode=Mode.PATH, set_point=1, velocity=400_000, acceleration=7639)
 DEGREE = 240_000 / 360  # [counts]
 PATHS = State.FOLLOWING | State.BROKEN
+#: Largest median and largest error on a path [deg], most set-points [1/s], and the time from the
+#: start until the mode is read [us].
+PATH_BOUNDS = {FirmwareLink: (0.005, 0.02, 100, 0), CopleyLink: (0.03, 0.1, 140, 100_000)}
 
 
 def path(begin, knots, number=1):
@@ -681,16 +680,17 @@ def track(link):
     return errors, rate, segments, frames
 
 
-@firmware_only
 def test_a_path_is_followed_in_time(link):
     errors, rate, segments, frames = track(link)
-    assert sorted(errors)[525] < 0.005
-    assert max(errors) < 0.02
-    assert 80 < rate < 100
+    median, largest, fastest, delay = PATH_BOUNDS[type(link)]
+    assert sorted(errors)[525] < median
+    assert max(errors) < largest
+    assert 80 < rate < fastest
     begin, end = segments[0].begin, segments[-1].end
     seen = [(frame.clock, frame.flags & PATHS, frame.mode) for frame in frames]
     assert {flags for clock, flags, _ in seen if clock < begin - 30_000} == {0}
-    assert {f[1:] for f in seen if begin < f[0] < end} == {(State.FOLLOWING, Mode.VELOCITY)}
+    assert {f[1] for f in seen if begin < f[0] < end} == {State.FOLLOWING}
+    assert {f[2] for f in seen if begin + delay < f[0] < end} == {Mode.VELOCITY}
     assert {f[1:] for f in seen if f[0] > end + 300_000} == {(0, Mode.VELOCITY)}
 
 
@@ -703,7 +703,6 @@ def test_a_slow_drive_is_given_set_points_and_read_in_turns(link, latency):
     assert len(frames) > 40  # in 11.5 s
 
 
-@firmware_only
 def test_a_path_whose_segments_run_out_is_broken_and_does_not_come_back(link):
     segments = following(link, SLOW_KNOTS, seconds=1.2, kept=5)
     assert link.joint()[1:3] == (0, Mode.POSITION)
@@ -716,7 +715,6 @@ def test_a_path_whose_segments_run_out_is_broken_and_does_not_come_back(link):
     assert link.orders() == []
 
 
-@firmware_only
 def test_a_fault_ends_a_path(link):
     following(link, SLOW_KNOTS)
     link.tell("status 1")
@@ -743,7 +741,6 @@ ENDINGS = {
 }
 
 
-@firmware_only
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_a_path_is_gone_after(link, ending):
     segments = following(link, SLOW_KNOTS)
@@ -760,7 +757,6 @@ def test_a_path_is_gone_after(link, ending):
     assert abs(link.joint().velocity) < 2
 
 
-@firmware_only
 @pytest.mark.parametrize("silence", [False, True])
 def test_a_path_is_gone_when_its_time_or_the_watchdogs_is_over(link, silence):
     expiry = 100 * SECOND if silence else link.clock + 2 * SECOND
@@ -777,7 +773,6 @@ def test_a_path_is_gone_when_its_time_or_the_watchdogs_is_over(link, silence):
     assert not link.send(segments[25])
 
 
-@firmware_only
 def test_a_path_does_not_start_once_its_command_has_expired(link):
     assert link.send(DISARM)
     assert link.send(replace(FOLLOW, expiry=link.clock + 300_000))
@@ -787,7 +782,6 @@ def test_a_path_does_not_start_once_its_command_has_expired(link):
     assert link.orders() == ["s r0x24 21"]
 
 
-@firmware_only
 def test_segments_are_for_the_armed(link):
     segments = path(link.clock + 300_000, KNOTS)
     assert link.send(DISARM)
@@ -799,19 +793,6 @@ def test_segments_are_for_the_armed(link):
     link.run(0.1)
     assert link.orders()[-1] == "s r0x24 21"  # told of no path, it holds
     assert link.send(segments[0])
-
-
-@firmware_only
-def test_no_segment_comes_after_a_last_one(link):
-    segments = path(link.clock + 300_000, KNOTS)
-    last = segments[-1]
-    beyond = {"index": last.index + 1, "begin": last.end, "position": last.end_position}
-    assert link.send(DISARM)
-    assert link.send(FOLLOW)
-    assert link.send(segments[2])
-    assert not link.send(replace(segments[0], flags=LAST_SEGMENT, end_velocity=0))
-    assert link.send(last)
-    assert not link.send(replace(last, velocity=0, **beyond))
 
 
 def test_a_segment_recorded_before_the_link_was_disarmed_is_refused(core):
