@@ -92,5 +92,8 @@ class Bench:
     def is_open(self):
         return self.board.valves(self.transport.clock())
 
+    def status(self):
+        return self.user.health[-1].status[0]
+
     def values(self):
-        return {pair.key: pair.value for pair in self.user.health[-1].status[0].values}
+        return {pair.key: pair.value for pair in self.status().values}

@@ -22,19 +22,8 @@ def test_a_valve_that_does_not_open_is_found_and_the_others_fit(spin, start, tmp
     bed = TestbedNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
     output = tmp_path / "found.yaml"
     start("fss_base_driver.base_node", "--ros-args", "-p", f"url:=udp://127.0.0.1:{port}?bind=0")
-    check = start(
-        "fss_base_driver.check_node",
-        *ALONE,
-        "--valves",
-        1,
-        3,
-        "--before",
-        2,
-        "--after",
-        3,
-        "--output",
-        output,
-    )
+    options = "--valves", 1, 3, "--before", 2, "--after", 3, "--output", output
+    check = start("fss_base_driver.check_node", *ALONE, *options)
     spin(bed, lambda: check.process.poll() is not None, 90.0)
     assert check.process.returncode == 2, check.output
     first, third = read_yaml(output.read_text())["valves"]

@@ -28,13 +28,25 @@ def gyro():
         os.close(file)
 
 
+def fog(device, clock=None, **gyro):
+    values = {"device": str(device), **{f"gyro.{name}": value for name, value in gyro.items()}}
+    return FogNode(clock, parameter_overrides=[Parameter(k, value=v) for k, v in values.items()])
+
+
+class User(Node):
+    """Receives the rates and the diagnostics."""
+
+    def __init__(self):
+        super().__init__("user")
+        self.rates, self.health = [], []
+        self.create_subscription(Imu, "fog/imu", self.rates.append, 100)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.health.append, 10)
+
+
 def test_rates_are_published_corrected_and_in_order(spin, gyro):
     end, device = gyro
-    values = {"device": device, "gyro.scale": -1.0, "gyro.bias": 0.001}
-    node = FogNode(parameter_overrides=[Parameter(k, value=v) for k, v in values.items()])
-    user, heard, health = Node("user"), [], []
-    user.create_subscription(Imu, "fog/imu", heard.append, 100)
-    user.create_subscription(DiagnosticArray, "/diagnostics", health.append, 10)
+    node, user = fog(device, scale=-1.0, bias=0.001), User()
+    heard, health = user.rates, user.health
     spin([node, user], lambda: health and node.imu.get_subscription_count())
     assert "the gyro is lost" in health[0].status[0].message
     os.write(end, b"56 1\r\n-5.729578 1\r\n1.000000 0\r\n\xff\xfe")
@@ -51,12 +63,12 @@ def test_rates_are_published_corrected_and_in_order(spin, gyro):
 
 def test_a_port_that_cannot_be_opened_is_named(ros, tmp_path):
     with pytest.raises(ValueError, match=r"device '.*none' cannot be opened: No such file"):
-        FogNode(parameter_overrides=[Parameter("device", value=str(tmp_path / "none"))])
+        fog(tmp_path / "none")
 
 
 def test_what_is_no_line_of_the_gyro_is_said(spin, gyro):
     end, device = gyro
-    node = FogNode(parameter_overrides=[Parameter("device", value=device)])
+    node = fog(device)
     spin(node, lambda: node.health().message == "the gyro is lost: nothing received yet")
     os.write(end, b"\x00\xfe garbage\r\n" * 3)
     words = "the gyro is lost: the received bytes are no rates: "
@@ -68,15 +80,13 @@ def test_a_clock_that_is_set_shows_in_the_stamps_and_nowhere_else(spin, gyro, st
     end, device = gyro
     day = [0]  # what was added to the time of day [ns]
     clock = HostClock(day=lambda: time.time_ns() + day[0])
-    node = FogNode(clock, parameter_overrides=[Parameter("device", value=device)])
-    user, heard = Node("user"), []
-    user.create_subscription(Imu, "fog/imu", heard.append, 100)
+    node, user = fog(device, clock), User()
     spin([node, user], node.imu.get_subscription_count)
     for count in (1, 2):
         os.write(end, b"\r\n0.500000 1\r\n")
-        spin([node, user], lambda count=count: len(heard) == count)
+        spin([node, user], lambda count=count: len(user.rates) == count)
         day[0] = step * SECOND
-    first, second = (stamp_ns(imu.header.stamp) for imu in heard)
+    first, second = (stamp_ns(imu.header.stamp) for imu in user.rates)
     assert second - first == pytest.approx(step * SECOND, abs=30 * SECOND)  # a slow computer
 
 
@@ -84,7 +94,7 @@ def test_a_gyro_that_is_plugged_in_again_is_heard_without_a_warning(spin, gyro, 
     end, device = gyro
     link = tmp_path / "gyro"
     link.symlink_to(device)
-    node = FogNode(parameter_overrides=[Parameter("device", value=str(link))])
+    node = fog(link)
     write = functools.partial(os.write, end, b"0.500000 1\r\n0.500000 1\r\n")
     spin(node, lambda: write() and node.lines.counts.rates > 3)
     node.health()

@@ -32,8 +32,9 @@ from fss_base_driver.mocap_node import MocapNode
 NAMES = ["fss", "end_effector"]
 
 
-def parameters(**values):
-    return [Parameter(name, value=value) for name, value in values.items()]
+def mocap(**values):
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    return MocapNode(parameter_overrides=overrides)
 
 
 def pose(k, x=0.0):
@@ -57,8 +58,7 @@ class User(Node):
 
 
 def served_node(server, **values):
-    options = {"system": "optitrack", "host": "127.0.0.1", "options": server.options}
-    return MocapNode(parameter_overrides=parameters(**options, **values))
+    return mocap(system="optitrack", host="127.0.0.1", options=server.options, **values)
 
 
 @pytest.fixture
@@ -178,11 +178,7 @@ def test_a_receiver_that_is_closed_as_its_process_begins_ends(monkeypatch):
 def test_the_librarys_mock_and_only_the_subjects_asked_for(spin):
     user = User()
     bodies = "rigid_bodies=fss(1,2,0,1,0,0,0);other(0,0,0,1,0,0,0)"
-    node = MocapNode(
-        parameter_overrides=parameters(
-            system="mock", options=[bodies], subjects=["fss", "tip"], latency=0.005
-        )
-    )
+    node = mocap(system="mock", options=[bodies], subjects=["fss", "tip"], latency=0.005)
     spin([node, user], lambda: user.heard["fss"], 30.0)
     assert numbers(user.heard["fss"][0]) == (1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     frames = node.reception.frames
@@ -195,11 +191,7 @@ def test_the_librarys_mock_and_only_the_subjects_asked_for(spin):
 
 def test_other_receivers_are_relayed_with_their_stamps(spin):
     user = User()
-    node = MocapNode(
-        parameter_overrides=parameters(
-            relays=["fss=/vrpn_mocap/fss/pose", "end_effector=/tip"], relay_scale=0.001
-        )
-    )
+    node = mocap(relays=["fss=/vrpn_mocap/fss/pose", "end_effector=/tip"], relay_scale=0.001)
     poses = user.create_publisher(PoseStamped, "/vrpn_mocap/fss/pose", SENSOR)
     tips = user.create_publisher(TransformStamped, "/tip", SENSOR)
     spin([node, user], lambda: poses.get_subscription_count() and tips.get_subscription_count())
@@ -217,7 +209,7 @@ def test_other_receivers_are_relayed_with_their_stamps(spin):
 
 
 def test_what_is_to_be_relayed_and_does_not_come_is_named(spin):
-    node, user = MocapNode(parameter_overrides=parameters(relays=["fss=/a", "/b"])), User()
+    node, user = mocap(relays=["fss=/a", "/b"]), User()
     spin([node, user], lambda: node.health().level == DiagnosticStatus.ERROR)
     wanted = "waiting for /a: it has no publisher; /b: it has no publisher ("
     assert node.health().message.startswith(wanted)
@@ -249,7 +241,7 @@ def test_what_is_to_be_relayed_and_does_not_come_is_named(spin):
 )
 def test_wrong_settings_are_named(ros, given, expected):
     with pytest.raises(ValueError, match=expected):
-        MocapNode(parameter_overrides=parameters(**given))
+        mocap(**given)
 
 
 def test_the_command_shows_what_is_seen(ros, spin, start):

@@ -12,6 +12,7 @@ from fss_arm_driver.protocol import LinkCommandFlag, Mode, Slow, State, decode, 
 from fss_arm_model.description import Drive, Link, TorqueSensor
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.vehicle import Motion
+from fss_sim.settings import TestbedSettings
 
 LINK = Link(
     a=0.38, theta_0=0.0, mass=2.88, inertia=0.034, b=0.19,
@@ -55,6 +56,11 @@ def test_frames_have_their_rate_and_slow_fields_alternate():
     slow = {f.slow_id: f.slow_value for f in frames}
     assert slow.keys() == set(Slow)
     assert slow[Slow.SERIAL] == 23
+
+
+def test_links_of_a_test_bed_have_the_serial_numbers_given():
+    arm = TestbedSettings(serials=(7, 9, 8, 23)).description()
+    assert [link.serial for link in arm.links] == [7, 9, 8, 23]
 
 
 def test_an_armed_link_obeys_commands():
