@@ -17,6 +17,7 @@ from arm_links import ARM, FakeLinks
 from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
+from rclpy.action import ActionClient
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -60,10 +61,12 @@ class Bench:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.links, self.client, self.spin = FakeLinks(), StandardClient(), spin
         self.arm = ArmNode(parameter_overrides=overrides)
+        self.mover = ActionClient(self.client, MoveArm, "arm/move")
         self.health, self.beats = {}, 0
         self.client.create_subscription(DiagnosticArray, "/diagnostics", self.on_health, 10)
         self.until(lambda: len(self.arm.links.states) == 4 and self.client.ready())
         self.until(lambda: all(p.get_subscription_count() for p in self.links.telemetry))
+        self.until(self.mover.server_is_ready)
         paths = self.arm.links.paths.values()
         self.until(lambda: all(p.get_subscription_count() for p in paths))
 
@@ -79,6 +82,19 @@ class Bench:
         self.until(future.done)
         return future.result()
 
+    def receive(self, kind, topic, qos=10):
+        """Return the list that messages of a topic are added to, once there are any."""
+        received = []
+        self.client.create_subscription(kind, topic, received.append, qos)
+        self.until(lambda: received)
+        return received
+
+    def publisher(self, kind, topic, qos=10):
+        """Return a publisher that the node receives from."""
+        publisher = self.client.create_publisher(kind, topic, qos)
+        self.until(publisher.get_subscription_count)
+        return publisher
+
     def send_goal(self, goal):
         handle = self.after(self.client.send(goal))
         assert handle.accepted
@@ -90,12 +106,23 @@ class Bench:
     def execute(self, goal):
         return self.end(self.send_goal(goal))
 
+    def moving(self, seconds=5.0, **tolerances):
+        """Return the handle of a goal under way."""
+        handle = self.send_goal(self.client.goal([(seconds, THERE)], **tolerances))
+        self.until(lambda: self.links.q[0] > 0.02)
+        return handle
+
+    def move(self, q):
+        """Return the result of the action of moves."""
+        return self.end(self.after(self.mover.send_goal_async(MoveArm.Goal(q=q)))).result
+
 
 @pytest.fixture
 def bench(spin, request):
     bench = Bench(spin, **getattr(request, "param", {}))
     yield bench
     bench.client.action.destroy()
+    bench.mover.destroy()
 
 
 def with_parameters(**values):
@@ -126,13 +153,6 @@ def test_joints_are_extrapolated_but_not_for_long(bench):
     bench.until(lambda: len(bench.client.states) > count)
 
 
-def plan_trajectory(bench):
-    heard = []
-    bench.client.create_subscription(JointTrajectory, "arm/planned", heard.append, 10)
-    bench.until(lambda: heard)
-    return heard
-
-
 def moving(message):
     return len(message.points) > 1 and max(map(abs, message.points[0].velocities)) > 0.05
 
@@ -143,12 +163,11 @@ def since(message, point):
 
 @pytest.mark.parametrize("by", ["trajectory", "move"])
 def test_what_is_planned_is_told_before_the_joints_do_it(bench, by):
-    heard = plan_trajectory(bench)
+    heard = bench.receive(JointTrajectory, "arm/planned")
     assert [list(p.velocities) for p in heard[-1].points] == [[0.0] * 4]
     if by == "move":
         bench.links.deaf = {1, 2, 3, 4}  # else they would be there at once
-        mover = standard_action(bench)
-        mover.send_goal_async(MoveArm.Goal(q=THERE, duration=3.0))
+        bench.mover.send_goal_async(MoveArm.Goal(q=THERE, duration=3.0))
     else:
         bench.send_goal(bench.client.goal([(1.0, THERE, (0.1, 0.0, 0.0, 0.0)), (3.0, (0.0,) * 4)]))
     bench.until(lambda: moving(heard[-1]))
@@ -160,8 +179,6 @@ def test_what_is_planned_is_told_before_the_joints_do_it(bench, by):
         moved = np.array(point.positions) + ahead * np.array(point.velocities)
         np.testing.assert_allclose(late.points[0].positions, moved, atol=0.02)
     bench.until(lambda: len(heard[-1].points) == 1 and not any(heard[-1].points[0].velocities))
-    if by == "move":
-        mover.destroy()
 
 
 def heading(rotation):
@@ -202,10 +219,8 @@ def test_without_publish_tf_robot_state_publisher_has_the_transforms(bench):
 
 
 def test_the_described_base_is_lighter_by_the_propellant_used(bench):
-    heard = []
-    bench.client.create_subscription(String, "robot_description", heard.append, LATCHED)
-    left = bench.client.create_publisher(Float64, "base/propellant", SENSOR)
-    bench.until(lambda: heard and left.get_subscription_count())
+    heard = bench.receive(String, "robot_description", LATCHED)
+    left = bench.publisher(Float64, "base/propellant", SENSOR)
     full, masses = bench.arm.settings.full_tank, [ARM.base.mass]
     for grams in ((2.0, 4.0, 30.0), (32.0, 1e6, 60.0)):  # 1 t was never in it
         for used in grams:
@@ -218,10 +233,8 @@ def test_the_described_base_is_lighter_by_the_propellant_used(bench):
 
 
 def test_the_description_follows_a_calibration_that_passes(bench):
-    heard = []
-    bench.client.create_subscription(String, "robot_description", heard.append, LATCHED)
-    results = bench.client.create_publisher(KinematicCalibration, "calibration/kinematic", LATCHED)
-    bench.until(lambda: heard and results.get_subscription_count())
+    heard = bench.receive(String, "robot_description", LATCHED)
+    results = bench.publisher(KinematicCalibration, "calibration/kinematic", LATCHED)
     assert heard[-1].data == urdf(ARM)
     better = replace(ARM, theta_E=0.1)
     message = KinematicCalibration()
@@ -287,8 +300,7 @@ def test_a_stream_of_a_million_numbers_is_refused_unread(bench):
 
 
 def test_a_stream_takes_the_turn_of_a_trajectory_and_the_rest_of_the_joints_rest(bench):
-    handle = bench.send_goal(bench.client.goal([(5.0, THERE)]))
-    bench.until(lambda: bench.links.q[0] > 0.02)
+    handle = bench.moving()
     bench.client.command(("joint_1",), velocity=(0.1,))
     ended = bench.end(handle)
     assert ended.status == GoalStatus.STATUS_ABORTED
@@ -299,7 +311,7 @@ def test_a_stream_takes_the_turn_of_a_trajectory_and_the_rest_of_the_joints_rest
 
 
 def test_rates_are_planned_for_as_long_as_their_stream_lives(bench):
-    heard = plan_trajectory(bench)
+    heard = bench.receive(JointTrajectory, "arm/planned")
     bench.client.command(("joint_3",), velocity=(0.1,))
     bench.until(lambda: moving(heard[-1]))
     rates = np.array([point.velocities for point in heard[-1].points])
@@ -315,24 +327,11 @@ def test_rates_are_planned_for_as_long_as_their_stream_lives(bench):
 
 
 def test_a_move_is_refused_while_a_stream_has_the_turn(bench):
-    mover = standard_action(bench)
     bench.client.command(("joint_1",), velocity=(0.1,))
     bench.until(lambda: bench.links.taken)
-    handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=THERE)))
-    result = bench.end(handle).result
-    assert result.message == "arm/joint_commands is in progress"
+    assert bench.move(THERE).message == "arm/joint_commands is in progress"
     bench.until(lambda: not bench.arm.links.arbiter.current_name(bench.arm.links.now()))
-    handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=THERE)))
-    assert bench.end(handle).result.reached
-    mover.destroy()
-
-
-def standard_action(bench):
-    from rclpy.action import ActionClient
-
-    mover = ActionClient(bench.client, MoveArm, "arm/move")
-    bench.until(mover.server_is_ready)
-    return mover
+    assert bench.move(THERE).reached
 
 
 # --- trajectories --------------------------------------------------------------------------------
@@ -371,8 +370,7 @@ TROUBLES = {
 @with_parameters(time_to_live=1.5)
 @pytest.mark.parametrize("words", TROUBLES)
 def test_a_link_in_trouble_ends_a_trajectory_and_all_come_to_rest(bench, words):
-    handle = bench.send_goal(bench.client.goal([(5.0, THERE)], path=[("joint_2", 0.01)]))
-    bench.until(lambda: bench.links.q[0] > 0.02)
+    handle = bench.moving(path=[("joint_2", 0.01)])
     TROUBLES[words](bench.links)
     ended = bench.end(handle).result
     assert ended.error_string.startswith(words)
@@ -384,8 +382,7 @@ def test_the_result_gives_the_reason_of_a_link_that_refuses_its_path(bench):
     bench.until(status.get_subscription_count)
     refusal = CommandStatus(status=CommandStatus.REFUSED, reason="an old command")
     status.publish(refusal)  # stamped before the path
-    handle = bench.send_goal(bench.client.goal([(5.0, THERE)]))
-    bench.until(lambda: bench.links.q[0] > 0.02)
+    handle = bench.moving()
     refusal.header.stamp, refusal.reason = to_time(bench.links.now()), "its buffer is full"
     status.publish(refusal)
     ended = bench.end(handle)
@@ -394,10 +391,8 @@ def test_the_result_gives_the_reason_of_a_link_that_refuses_its_path(bench):
 
 
 def test_a_stop_or_a_cancel_ends_it_and_a_goal_needs_armed_links(bench):
-    stopper = bench.client.create_publisher(Empty, "arm/stop", 10)
-    bench.until(stopper.get_subscription_count)
-    handle = bench.send_goal(bench.client.goal([(5.0, THERE)]))
-    bench.until(lambda: bench.links.q[0] > 0.02)
+    stopper = bench.publisher(Empty, "arm/stop")
+    handle = bench.moving()
     stopper.publish(Empty())
     ended = bench.end(handle).result
     assert (ended.error_code, ended.error_string) == (ENDED.INVALID_GOAL, "stopped")
@@ -417,21 +412,15 @@ def test_a_stop_or_a_cancel_ends_it_and_a_goal_needs_armed_links(bench):
 def test_oversized_goals_are_rejected_in_one_line(bench, monkeypatch):
     said = []
     monkeypatch.setattr(bench.arm.get_logger(), "warning", said.append)
-    point = bench.client.goal([(1.0, THERE)]).trajectory.points[0]
-    for sec, count, words in (
-        (10**6, 1, "time_from_start of point 0 is 1000000 s, expected 0 to 3600 s"),
-        (1, 10_001, "points has 10001 elements, expected 1 to 10000"),
-    ):
-        goal = bench.client.goal([])
-        point.time_from_start.sec = sec
-        goal.trajectory.points = [point] * count
-        assert not bench.after(bench.client.send(goal)).accepted
-        assert said == [f"goal rejected: INVALID_GOAL: {words}"]
-        said.clear()
-        bench.client.topic.publish(goal.trajectory)
-        bench.until(lambda: said)
-        assert said == [f"trajectory rejected: INVALID_GOAL: {words}"]
-        said.clear()
+    goal = bench.client.goal([(1.0, THERE)])
+    goal.trajectory.points *= 10_001
+    words = "rejected: INVALID_GOAL: points has 10001 elements, expected 1 to 10000"
+    assert not bench.after(bench.client.send(goal)).accepted
+    assert said == [f"goal {words}"]
+    said.clear()
+    bench.client.topic.publish(goal.trajectory)
+    bench.until(lambda: said)
+    assert said == [f"trajectory {words}"]
     assert not bench.links.taken
 
 
@@ -443,8 +432,7 @@ def test_while_a_goal_is_received_the_node_and_a_motion_continue(bench, monkeypa
         assert release.wait(30.0)
         return parse_request(*given)
 
-    handle = bench.send_goal(bench.client.goal([(20.0, THERE)]))
-    bench.until(lambda: bench.links.q[0] > 0.01)
+    handle = bench.moving(20.0)
     monkeypatch.setattr(trajectory_action, "parse_request", slow)
     second = bench.client.send(bench.client.goal([(2.0, (0.0, 0.0, 0.0, 0.0))]))
     beats, commands, feedback = bench.beats, len(bench.links.taken), len(bench.client.feedback)
@@ -506,8 +494,7 @@ def test_a_new_goal_goes_on_from_where_the_old_one_will_be(bench):
 
 def test_a_topic_is_listened_to_by_best_effort_publishers(bench):
     qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    loose = bench.client.create_publisher(JointState, "arm/joint_commands", qos)
-    bench.until(loose.get_subscription_count)
+    bench.publisher(JointState, "arm/joint_commands", qos)
 
 
 # --- the guard -----------------------------------------------------------------------------------
@@ -523,12 +510,9 @@ def test_nothing_folds_the_arm_into_itself_or_the_base(bench):
     )
     bench.client.command(position=FOLDED)
     bench.until(lambda: bench.health.get("commands refused: guard") == "1")
-    mover = standard_action(bench)
-    handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=FOLDED)))
-    assert "m apart with the joints at" in bench.end(handle).result.message
+    assert "m apart with the joints at" in bench.move(FOLDED).message
     assert not bench.links.taken
     assert bench.health["guarded against"] == "self"
-    mover.destroy()
 
 
 def odometry(pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0), stamp=None):
@@ -543,13 +527,11 @@ def odometry(pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0), stamp=None):
 
 
 def test_a_path_ends_when_the_base_drifts_to_the_edge(bench):
-    base = bench.client.create_publisher(Odometry, "base/state", 10)
-    bench.until(base.get_subscription_count)
+    base = bench.publisher(Odometry, "base/state")
     bench.client.create_timer(0.05, lambda: base.publish(odometry(**state)))
     state = {}
     bench.until(lambda: bench.health.get("guarded against") == "self, edge")
-    handle = bench.send_goal(bench.client.goal([(8.0, THERE)]))
-    bench.until(lambda: bench.links.q[0] > 0.02)
+    handle = bench.moving(8.0)
     state = {"pose": (-1.2, 0.0, 0.0), "twist": (-0.3, 0.0, 0.0)}
     ended = bench.end(handle).result
     assert ended.error_string.startswith("table edge and ")
@@ -606,8 +588,7 @@ def test_the_joints_rest_soon_after_the_example_of_a_client_is_killed(bench):
 
 def test_a_stop_ends_a_motion_though_the_executor_is_busy(bench):
     """The node is not spun meanwhile."""
-    stop = bench.client.create_publisher(Empty, "arm/stop", 10)
-    bench.until(stop.get_subscription_count)
+    stop = bench.publisher(Empty, "arm/stop")
     bench.send_goal(bench.client.goal([(20.0, THERE)]))
     bench.until(lambda: bench.arm.trajectories.motion)
     motion = bench.arm.trajectories.motion
