@@ -9,7 +9,7 @@ from zlib import crc32
 
 import pytest
 import yaml
-from damaged_bags import make_plain
+from damaged_bags import make_plain, places
 from mcap.reader import make_reader
 from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -93,16 +93,8 @@ def test_a_bag_without_messages(tmp_path):
         assert list(bags.messages()) == []
 
 
-def chunk_ends(path):
-    """Offsets of all ends of records, and those of the ends of chunks."""
-    data, at, ends, chunks = path.read_bytes(), 8, [8], []
-    while at < len(data) - 8:
-        length = int.from_bytes(data[at + 1 : at + 9], "little")
-        if data[at] == 6:
-            chunks.append(at + 9 + length)
-        at += 9 + length
-        ends.append(at)
-    return ends, chunks
+def chunk_ends(file):
+    return [end for kind, _, end in places(file.read_bytes()) if kind == 6]
 
 
 def overwrite_with_zeros(file, begin, end):
@@ -115,7 +107,7 @@ def overwrite_with_zeros(file, begin, end):
 def test_a_file_cut_anywhere_keeps_its_complete_chunks(tmp_path):
     whole = make_bag(tmp_path / "whole", 20)
     data = (whole / "bag_0.mcap").read_bytes()
-    ends, chunks = chunk_ends(whole / "bag_0.mcap")
+    ends, chunks = [8, *(end for _, _, end in places(data))], chunk_ends(whole / "bag_0.mcap")
     assert len(chunks) == 2
     around = {end + d for end in ends[::5] for d in (-1, 0, 5) if 0 <= end + d < len(data)}
     for cut in sorted({0, 1, 7, *around, *range(8, len(data), 29_989)}):
@@ -147,11 +139,8 @@ def test_repair_makes_a_standard_bag_and_keeps_the_damaged_file(tmp_path):
     assert repair(bag) is None
     with open_bags(tmp_path) as bags:
         assert states(bags.messages()) == list(range(100))
-
-
-def test_repair_of_a_single_file(tmp_path):
-    file = make_killed_bag(tmp_path) / "bag_0.mcap"
-    repair(file)
+    (file,) = make_killed_bag(tmp_path / "file").iterdir()
+    repair(file)  # without its folder
     with Reader(file) as reader:
         assert reader.message_count == 101
 
@@ -183,7 +172,7 @@ def test_repair_of_a_bag_whose_files_have_other_names(tmp_path, monkeypatch, pla
 def make_bag_with_damaged_chunk(folder):
     """Make a bag whose last chunk is damaged."""
     bag = make_bag(folder)
-    _, ends = chunk_ends(bag / "bag_0.mcap")
+    ends = chunk_ends(bag / "bag_0.mcap")
     overwrite_with_zeros(bag / "bag_0.mcap", ends[-1] - 300, ends[-1] - 100)
     return bag
 
@@ -269,20 +258,13 @@ def test_a_chunk_with_a_wrong_checksum_is_left_out(tmp_path):
         assert len(bags.recovered) == 1
 
 
-def test_no_repair_is_advised_if_nothing_can_be_recovered(tmp_path, capsys):
-    file = make_bag(tmp_path) / "bag_0.mcap"
-    file.write_bytes(file.read_bytes()[:100])
-    assert doctor([str(tmp_path)]) == 2
-    assert "; nothing can be recovered" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("chunks", [(0, 0), (3, 3), (4, 6), (9, 9)])
 def test_the_advised_repair_of_a_damaged_bag_works(tmp_path, capsys, chunks):
     bag = make_bag(tmp_path)
     make_bag(tmp_path, 10, first=100)
     first, last = chunks
     kept = [k for k in range(110) if not 10 * first <= k < 10 * (last + 1)]
-    _, ends = chunk_ends(bag / "bag_0.mcap")  # of these chunks and of what is between them
+    ends = chunk_ends(bag / "bag_0.mcap")  # of these chunks and of what is between them
     overwrite_with_zeros(bag / "bag_0.mcap", ends[first] - 300, ends[last] - 100)
     before = {file.name: file.read_bytes() for file in bag.iterdir()}
     with open_bags(bag) as bags:
@@ -308,7 +290,7 @@ def test_the_advised_repair_of_a_damaged_bag_works(tmp_path, capsys, chunks):
 
 def test_messages_of_a_lost_type_count_as_lost(tmp_path, capsys):
     bag = make_killed_bag(tmp_path, 30)
-    _, ends = chunk_ends(bag / "bag_0.mcap")
+    ends = chunk_ends(bag / "bag_0.mcap")
     # The first chunk is the only one with schemas and channels.
     overwrite_with_zeros(bag / "bag_0.mcap", ends[0] - 300, ends[0])
     with open_bags(bag) as bags:
@@ -334,6 +316,10 @@ def test_doctor_reports_and_sets_its_exit_code(tmp_path, capsys):
     assert doctor([str(bad)]) == 0
     assert doctor([str(tmp_path / "none")]) == 1
     assert "no such file" in capsys.readouterr().err
+    file = good / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:100])
+    assert doctor([str(good)]) == 2
+    assert "; nothing can be recovered" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("limits", [Limits(size=20_000), Limits(span=SECOND)])
