@@ -67,7 +67,6 @@ class Target:
 
 def frames(data: bytes) -> Iterator[tuple[bytes, int]]:
     """Yield frames with the time since the one before [us]; half of them sealed anew."""
-
     for at in range(0, len(data) - 3, 75):
         flags, time = struct.unpack_from("<BH", data, at)
         frame = data[at + 3 : at + 75].ljust(72, b"\0")
@@ -101,7 +100,6 @@ def decode_frame(protocol):
 
 
 def split_stream(data):
-
     whole, parts, cut = StreamDecoder(), StreamDecoder(), data[0] if data else 0
     found = whole.feed(data)
     assert parts.feed(data[:cut]) + parts.feed(data[cut:]) == found
@@ -109,7 +107,6 @@ def split_stream(data):
 
 
 def split_gyro(data):
-
     whole, parts, cut = Lines(), Lines(), data[0] if data else 0
     found = whole.feed(data)
     assert all(abs(rate) < 7.0 for rate in found)
@@ -133,7 +130,6 @@ def feed_session(make):
 
 def board_state(data):
     """Commands at a board: its valves are closed while it is not armed."""
-
     state, clock = base_board.board(), 1_000_000
     for frame, later in frames(data):
         clock += later
@@ -144,7 +140,6 @@ def board_state(data):
 
 def link_state(data):
     """Commands at a simulated link: each is taken or refused, and telemetry goes on."""
-
     link, clock = LinkElectronics(2, ARM.links[1], 7), 1_000_000
     rest = Motion(q=0.0, qd=0.0, current=0.0, torque=0.0)
     for frame, later in frames(data):
@@ -158,7 +153,6 @@ def link_state(data):
 
 
 def check_move(data):
-
     given = numbers(data)
     q, (duration, keep_alive) = given[:-2], (0.0, 0.0, *given)[-2:]
     reject_unsupported_fields(ARM, q, duration, keep_alive)
@@ -167,7 +161,6 @@ def check_move(data):
 
 
 def check_trajectory(data):
-
     names, at, points = 4, 0, []
     while len(data) - at >= 8:
         sec, nanosec = struct.unpack_from("<iI", data, at)
@@ -188,7 +181,6 @@ def check_trajectory(data):
 
 
 def check_bounds(data):
-
     given = numbers(data)
     check_duration("duration", given[0] if given else 0.0)
     k = len(given) // 7
@@ -199,7 +191,6 @@ def check_bounds(data):
 
 
 def check_wrench(data):
-
     given = (numbers(data) + 7 * [0.0])[:7]
     force, torque = (
         SimpleNamespace(**dict(zip("xyz", n, strict=True))) for n in (given[:3], given[3:6])
@@ -232,14 +223,12 @@ def read_file(read, suffix):
 
 
 def read_bag(path):
-
     with open_bags(path) as bags:
         for _ in bags.messages():
             pass
 
 
 def small_bag():
-
     path = Path(folder().name, "seed.mcap")
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=200, compression=CompressionType.NONE)

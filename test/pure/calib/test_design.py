@@ -176,18 +176,6 @@ def test_what_is_no_plan_is_named(tmp_path, text, message):
         read_plan(path, 4)
 
 
-@pytest.mark.parametrize(
-    ("conditions", "message"),
-    [
-        ({"duration": 0.0}, r"duration is 0.0.*, expected a positive number"),
-        ({"kinds": ("spin",)}, "expected one of single, sweep, loop"),
-    ],
-)
-def test_impossible_conditions_are_refused(conditions, message):
-    with pytest.raises(ValueError, match=message):
-        Conditions(**conditions)
-
-
 def test_a_goal_is_kept_to_with_as_few_maneuvers_as_it_takes(tmp_path, capsys):
     output, asked = tmp_path / "plan.yaml", ["--kinds", "sweep", "--goal"]
     given = "--count", "12", "--rest", "9", "--output", str(output)

@@ -143,22 +143,13 @@ def test_what_came_from_the_prior_is_told():
     assert solve(heavy).prior_share.max() < 0.01
 
 
-def test_a_maneuver_that_went_wrong_stands_out():
-    path = several(12)
-    exact = observe(problem(path), ARM.vector(), at_rest(12), np.random.default_rng(4))
-    exact.poses[7, 6, 2] += 20 * exact.sigma[0, 0, 2]
-    leverage, error = solve(exact).checks
-    assert np.argmax(error) == 7
-    assert error[7] > 3.0 > np.delete(error, 7).max()
-    assert leverage.sum() < 13.0 + 21.0  # parameters estimated and assumed
-    assert (leverage > 0.0).all()
-
-
 def test_held_out_errors_are_those_of_predictions_from_the_others():
     known = problem(several(10), ARM, "b_i I_i", EXACT, tilt=0.0, momentum=np.zeros(3))
     known = replace(known, prior=np.full(8, np.inf))
     noisy = observe(known, ARM.vector(), at_rest(10), np.random.default_rng(6))
-    _, error = solve(noisy).checks
+    leverage, error = solve(noisy).checks
+    assert (leverage > 0.0).all()
+    assert leverage.sum() < 8.0 + 1.0  # parameters estimated; none is assumed
     rest = solve(noisy.select(np.arange(10) != 3))
     one = replace(noisy.select(np.array([3])), arm=rest.calibrated())
     linear = one.eliminate_states(one.start, one.to_model)
@@ -219,19 +210,6 @@ def test_the_paper_s_fit_is_that_of_scipy_on_an_ode():
 def test_impossible_problems_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         replace(problem(several(4)), **change)
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("", "names no parameter"),
-        ("b_9", "estimate has 'b_9'"),
-        ("I I_i", "names I_1, I_2, I_3, I_4 twice"),
-    ],
-)
-def test_a_choice_that_cannot_be_is_refused(words, message):
-    with pytest.raises(ValueError, match=message):
-        Choice.of(words, 4)
 
 
 @pytest.mark.parametrize(

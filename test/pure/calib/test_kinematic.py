@@ -29,6 +29,11 @@ def problem(arm: Arm, q: np.ndarray, parametrization: str, guess: Arm | None = N
     return KinematicProblem(q, tip, guess or arm, parametrization, **known)
 
 
+def seen(exact: KinematicProblem, rng: np.random.Generator) -> KinematicProblem:
+    """The problem with errors of its deviations."""
+    return replace(exact, tip=exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma)
+
+
 def perturbed(arm: Arm, rng: np.random.Generator, length: float, angle: float) -> Arm:
     """A guess off by up to so much [m, rad] in every parameter."""
     names = kinematic_names(arm.n)
@@ -67,8 +72,7 @@ def test_a_thousand_random_starts_lead_to_the_same_minimum(parametrization, draw
     rng = np.random.default_rng(7)
     exact = problem(paper_arm(), DEFAULT_POSTURES, parametrization)
     for _ in range(draws):
-        noise = rng.normal(size=exact.tip.shape) * exact.sigma
-        noisy = replace(exact, tip=exact.tip + noise)
+        noisy = seen(exact, rng)
         expected = solve(noisy)
         angles = np.array(exact.units) == "rad"
         for _ in range(20):
@@ -129,7 +133,7 @@ def test_a_robust_loss_bears_outliers(loss):
     rng = np.random.default_rng(11)
     exact, ratios = problem(paper_arm(), DEFAULT_POSTURES, EQUAL), []
     for _ in range(20):
-        tip = exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma
+        tip = seen(exact, rng).tip
         wrong = rng.choice(len(tip), 2, replace=False)
         tip[wrong] += rng.choice([-1.0, 1.0], (2, 3)) * [0.3, 0.3, 0.5]
         far, near = (solve(replace(exact, tip=tip, loss=kind)) for kind in (SQUARE, loss))
@@ -149,8 +153,7 @@ def test_leverage_and_normalized_residuals_tell_what_they_say():
     inside, outside = [], []
     kept = np.arange(13) % 4 != 3
     for _ in range(100):
-        noise = rng.normal(size=exact.tip.shape) * exact.sigma
-        noisy = replace(exact, tip=exact.tip + noise)
+        noisy = seen(exact, rng)
         result = solve(noisy)
         assert np.sum(result.leverage) == pytest.approx(8 / 3)
         assert 0.0 < result.leverage.min() < result.leverage.max() < 1.0
@@ -192,9 +195,7 @@ def test_errors_are_as_large_as_the_covariance_says(parametrization, trials, bou
     exact = problem(truth, DEFAULT_POSTURES, parametrization)
     squares, position, heading = [], [], []
     for _ in range(trials):
-        noise = rng.normal(size=exact.tip.shape) * exact.sigma
-        noisy = replace(exact, tip=exact.tip + noise, arm=guess)
-        result = solve(noisy)
+        result = solve(replace(seen(exact, rng), arm=guess))
         assert result.minimum.converged
         error = result.values - exact.guess
         squares.append(error @ np.linalg.solve(result.covariance, error))

@@ -5,6 +5,7 @@ import re
 import pytest
 
 from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.settings import ManeuverSettings, RestSettings
 
@@ -20,8 +21,12 @@ from fss_arm_calib.segments.settings import ManeuverSettings, RestSettings
         (KinematicSettings, {"min_probability": 1.0}, "is 1.0, expected 0 or more, and below 1"),
         (KinematicSettings, {"held_out": 1}, "held_out is 1, expected 0, or 2 or more"),
         (KinematicSettings, {"loss": "none"}, "loss is 'none', expected one of square, huber, cau"),
+        (Conditions, {"duration": 0.0}, "duration is 0.0 s, expected a positive number"),
+        (Conditions, {"kinds": ("spin",)}, "expected one of single, sweep, loop"),
         (DynamicSettings, {"residuals": "tip"}, "residuals is 'tip', expected one of pose, headi"),
         (DynamicSettings, {"estimate": "b_i q"}, "estimate has 'q'"),
+        (DynamicSettings, {"estimate": ""}, "names no parameter"),
+        (DynamicSettings, {"estimate": "I_1 I_i"}, "names I_1 twice"),
         (DynamicSettings, {"b_deviation": float("inf")}, "b_deviation is inf m, expected 0 or mor"),
         (DynamicSettings, {"base_com_deviation": 0.0},
          "estimate has 'com_0', known exactly (its deviation is 0): remove it"),
