@@ -3,12 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
+from calib_joint import BIN, drift_of
 
 from fss_arm_calib.drift.problem import DriftProblem
-from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import paper_arm
 from fss_arm_model.drifting import single_body
-from fss_arm_model.units import GRAVITY
+from fss_arm_model.units import GRAVITY, SECOND
 from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.vehicle import Demand, World
@@ -18,7 +18,7 @@ TILT = (8e-5, -5e-5)  # [rad]
 TETHER, TWIST = 0.02, 0.003  # [N s/m], [N m s]
 SHARED = np.array([GRAVITY * TILT[0], GRAVITY * TILT[1], 0.0, TWIST, TETHER])
 SIGMA = np.array([0.001, 0.001, 0.009])  # of a VICON frame [m, m, rad]
-BIN, FRESH = 0.5, 5  # of averaged poses [s], frames in it
+FRESH = 5  # frames in an averaged pose
 
 
 class Truth(NamedTuple):
@@ -49,17 +49,7 @@ def drifts(seed, count=4, length=40.0, tilt=TILT, tether=TETHER, twist=TWIST):
             poses.append(plant.base)
         gains.append(plant.momentum()[2] - momenta[-1][2])
         seen = np.array(poses) + rng.standard_normal((len(times), 3)) * SIGMA / np.sqrt(FRESH)
-        found.append(
-            Drift(
-                k * 10**12,
-                k * 10**12 + int(length * 1e9),
-                tuple(q),
-                tuple(times),
-                tuple(map(tuple, seen.tolist())),
-                (50,) * len(times),
-                (BIN,) * len(times),
-            )
-        )
+        found.append(drift_of(k * 1000 * SECOND, length, q, times, seen))
     return found, Truth(sum(gains) / (count * times[-1]), np.array(momenta))
 
 

@@ -2,20 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from random import Random
 
 import numpy as np
-from calib_rig import START, Sample
-from rclpy.serialization import serialize_message
+from calib_rig import START, Sample, feed
 
-from fss_arm_bags.recorder import Recording
 from fss_arm_calib.drives.calibrate import Telemetry
 from fss_arm_calib.segments.excitations import Excitation, ExcitationFinder, Frame
 from fss_arm_model.description import Arm
-from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.convert import to_time
-from fss_arm_ros.qos import SENSOR
 from fss_sim.link.instruments import Instruments, make_instruments
 from fss_sim.noise import PRESETS as NOISES
 from fss_sim.plant.joints import PRESETS as JOINTS
@@ -117,35 +111,7 @@ def samples(telemetry: Sequence[Telemetry]) -> list[Sample]:
 
 def excitations(telemetry: Sequence[Telemetry], arm: Arm) -> list[Excitation]:
     """What a finder makes of it."""
-    return heard(ExcitationFinder(arm), samples(telemetry))
-
-
-def heard(finder: ExcitationFinder, samples: Sequence[Sample]) -> list[Excitation]:
-    """What a finder makes of samples in the order given."""
-    found = []
-    for t, i, frame in samples:
-        found += finder.add_frame(i, t, frame)
-    return found + finder.close()
-
-
-def message(sample: Sample) -> tuple[str, LinkTelemetry]:
-    """A sample's topic and message."""
-    numbers = {name: int(x) for name, x in sample.value._asdict().items()}
-    content = LinkTelemetry(link=sample.stream, **numbers)
-    content.header.stamp = to_time(sample.t)
-    return f"link_{sample.stream}/telemetry", content
-
-
-def record(folder: Path, samples: Sequence[Sample]) -> Path:
-    """The samples as a bag."""
-    bag = Recording(folder)
-    for i in sorted({one.stream for one in samples}):
-        bag.add(f"/link_{i}/telemetry", "fss_arm_msgs/msg/LinkTelemetry", [SENSOR])
-    for one in samples:
-        topic, content = message(one)
-        bag.write(f"/{topic}", one.t, serialize_message(content))
-    bag.close()
-    return bag.path
+    return feed(ExcitationFinder(arm), samples(telemetry))
 
 
 def _telemetry(rows: list[tuple[float, ...]]) -> Telemetry:

@@ -1,12 +1,8 @@
 """A floating arm that makes maneuvers, as its streams: joints at 5 Hz, the base and its gyro."""
 
-from functools import partial
-
-import calib_rig
 import numpy as np
 from calib_maneuvers import ARM, moves
 from calib_rig import COUNT, Sample, at
-from sensor_msgs.msg import Imu
 
 from fss_arm_model import base_motion, joint_path
 from fss_arm_model.kinematics import tip_in_base
@@ -87,11 +83,6 @@ class Float:
             found += [Sample(at(a), "tip", tuple(p)) for a, p in zip(t, seen, strict=True)]
         found += [Sample(at(a), "gyro", r) for a, r in zip(t, rates.tolist(), strict=True)]
         return sorted(found, key=lambda sample: sample.t)
-
-
-TYPES = {**calib_rig.TYPES, "fog/imu": Imu}
-feed, message = calib_rig.feed, calib_rig.message
-record = partial(calib_rig.record, types=TYPES)
 
 
 def telemetry(samples, armed=lambda i, t: True, reference=lambda i, t: (7, 1)):

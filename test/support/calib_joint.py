@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from calib_maneuvers import moves
+from calib_rests import observations
 
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.dynamic.settings import DynamicSettings
@@ -16,7 +17,6 @@ from fss_arm_calib.kinematic.solution import problem_of as kinematic_problem
 from fss_arm_calib.kinematic.solve import solve as fit_kinematics
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
-from fss_arm_calib.segments.rests import Observation
 from fss_arm_model import base_motion, joint_path
 from fss_arm_model.description import Arm, Known, paper_arm
 from fss_arm_model.drifting import drift, single_body
@@ -84,12 +84,7 @@ def rests(arm, count, rng, start=0, s=KINEMATIC):
     q = rng.uniform(-1.3, 1.3, (count, arm.n))
     sigma = [s.position_deviation, s.position_deviation, s.heading_deviation]
     tip = tip_in_base(arm.vector(), q) + sigma * rng.standard_normal((count, 3))
-    return [
-        Observation(
-            start + k * SECOND, start + k * SECOND + 1, tuple(a), tuple(b), (0.0,) * 3, 10, 200
-        )
-        for k, (a, b) in enumerate(zip(q.tolist(), tip.tolist(), strict=True))
-    ]
+    return observations(q, tip, start)
 
 
 def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC, ends=None, rest=REST, along=False):
@@ -145,19 +140,14 @@ def drifts(arm, count, rng, acting, start=0, s=DRIFT, length=40.0):
                rng.normal(0.0, 0.02)]  # fmt: skip
         poses = drift(single_body(arm.vector(), q), acting, own, times)[:, :3]
         poses = poses + sigma * rng.standard_normal(poses.shape)
-        at = start + k * 100 * SECOND
-        found.append(
-            Drift(
-                at,
-                at + round(length) * SECOND,
-                tuple(q),
-                tuple(times),
-                tuple(map(tuple, poses.tolist())),
-                (FRAMES,) * len(times),
-                (BIN,) * len(times),
-            )
-        )
+        found.append(drift_of(start + k * 100 * SECOND, length, q, times, poses))
     return found
+
+
+def drift_of(start, length, q, times, poses) -> Drift:
+    end, rows = start + round(length) * SECOND, map(tuple, poses.tolist())
+    bins = (FRAMES,) * len(times), (BIN,) * len(times)
+    return Drift(start, end, tuple(q), tuple(times), tuple(rows), *bins)
 
 
 def day(arm, rng, counts=(13, 12, 3), zeros=0.0, number=0) -> Day:

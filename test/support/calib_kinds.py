@@ -7,9 +7,9 @@ from functools import cache
 from typing import Any
 
 import calib_drives
-import calib_float
-import calib_rig
 import numpy as np
+from calib_float import Float, postures
+from calib_rig import ARM, message, resting
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -20,10 +20,8 @@ from std_srvs.srv import Trigger
 from fss_arm_bags.definitions import definition
 from fss_arm_bags.recorder import Recording
 from fss_arm_calib.calibration_node import CalibrationNode
-from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_ros.qos import LATCHED, sensor
 
-ARM = calib_rig.ARM
 TRUTH = replace(
     ARM,
     base=replace(ARM.base, inertia=0.24, com=(0.004, -0.006)),
@@ -36,12 +34,7 @@ PRECISE = {"position_deviation": 0.0005, "heading_deviation": 0.001}
 CLOSELY = {
     "kinematic": {"position_deviation": 0.001, "heading_deviation": 0.002},
     "dynamic": PRECISE,
-    "drift": {
-        "min_duration": 3.0,
-        "bin": 0.2,
-        "position_deviation": 0.0005,
-        "heading_deviation": 0.001,
-    },
+    "drift": {"min_duration": 3.0, "bin": 0.2, **PRECISE},
 }
 
 
@@ -51,7 +44,6 @@ class Case:
 
     kind: str
     samples: Callable[[], list[Any]]
-    module: Any  # whose `message` and `record` know the samples
     settings: dict[str, Any]
     count: int  # data in the samples
     most: str  # the setting of how many data a result is from
@@ -59,9 +51,7 @@ class Case:
 
 
 def drifting() -> list[Any]:
-    flight = calib_float.Float(
-        calib_float.postures(2), state=DRIFTING, rest=40.0, noise=(0.001, 0.009)
-    )
+    flight = Float(postures(2), state=DRIFTING, rest=40.0, noise=(0.001, 0.009))
     return [s for s in flight.samples(rate=20) if s.stream != "gyro"]
 
 
@@ -70,22 +60,18 @@ def turning() -> list[Any]:
     return calib_drives.samples(calib_drives.fly(ARM, moves[: len(moves) // 2], seed=0).telemetry)
 
 
-def resting() -> list[Any]:
-    return calib_rig.Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=25.0).samples()
-
-
-def maneuvering() -> list[Any]:
-    flight = calib_float.Float(calib_float.postures(10, seed=3), TRUTH.vector(), STATE)
-    return flight.samples(rate=20)
+def maneuvering(tip: bool = False, noise: tuple[float, float] = (0.0, 0.0)) -> list[Any]:
+    """Ten maneuvers between rests."""
+    return Float(postures(10, seed=3), TRUTH.vector(), STATE, noise=noise).samples(20, tip)
 
 
 CASES = {
     case.kind: case
     for case in (
-        Case("kinematic", resting, calib_rig, {}, 8, "max_observations"),
-        Case("dynamic", maneuvering, calib_float, PRECISE, 10, "max_maneuvers"),
-        Case("drives", turning, calib_drives, {"max_relative": 0.3}, 53, "max_excitations", "link"),
-        Case("drift", drifting, calib_float, {}, 3, "max_drifts"),
+        Case("kinematic", resting, {}, 8, "max_observations"),
+        Case("dynamic", maneuvering, PRECISE, 10, "max_maneuvers"),
+        Case("drives", turning, {"max_relative": 0.3}, 53, "max_excitations", "link"),
+        Case("drift", drifting, {}, 3, "max_drifts"),
     )
 }
 
@@ -123,7 +109,7 @@ class Bed(Node):
         return len(self.kind.data.from_message(self.data[-1])) if self.data else -1
 
 
-def play(spin, bed, node, samples, message):
+def play(spin, bed, node, samples):
     """Publish samples as fast as the node hears them."""
     spin([bed, node], bed.ready)
     heard, on_sample = [], node.on_sample
@@ -150,12 +136,15 @@ def types(kind):
     return store
 
 
-def recorded(folder, kind, data, result):
-    """A bag of a result and the data that it is from."""
-    bag = Recording(folder)
-    for stamp, topic, message in ((1, kind.data.topic, data), (2, kind.topic, result)):
-        bag.add(f"/{topic}", f"fss_arm_msgs/msg/{type(message).__name__}", [LATCHED])
-        bag.write(f"/{topic}", stamp, serialized(message))
+def recorded(folder, kind, *pairs):
+    """A bag of results, each after the data that it is from; one of both may be None."""
+    bag, topics = Recording(folder), (kind.data.topic, kind.topic)
+    for k, pair in enumerate(pairs):
+        for topic, one in zip(topics, pair, strict=True):
+            if one:
+                if f"/{topic}" not in bag.topics:
+                    bag.add(f"/{topic}", f"fss_arm_msgs/msg/{type(one).__name__}", [LATCHED])
+                bag.write(f"/{topic}", 10 * k + 1, serialized(one))
     bag.close()
     return str(bag.path)
 

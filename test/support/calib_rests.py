@@ -1,6 +1,7 @@
 """Observations at rest of the paper's arm, and a kinematic calibration of them to report."""
 
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 
@@ -24,9 +25,14 @@ def observe(q=DEFAULT_POSTURES, seed=1, sigma=SIGMA, arm=ARM):
     """Observations of an arm at postures, with errors of `sigma` (3,): the paper's by default."""
     tips = tip_in_base(arm.vector(), q)
     tips = tips + sigma * np.random.default_rng(seed).normal(size=tips.shape)
+    return observations(q, tips)
+
+
+def observations(q, tips, start=0):
+    """Observations at postures (s, n), one a second, from poses of the end effector (s, 3)."""
     return [
-        Observation(k * SECOND, k * SECOND + 1, tuple(a), tuple(b), (0.0,) * 3, 10, 200)
-        for k, (a, b) in enumerate(zip(q.tolist(), tips.tolist(), strict=True))
+        Observation(t, t + 1, tuple(a), tuple(b), (0.0,) * 3, 10, 200)
+        for t, a, b in zip(count(start, SECOND), q.tolist(), tips.tolist(), strict=False)
     ]
 
 
@@ -44,13 +50,15 @@ def seen_tips(tip, deviations, rng, count=1):
     return np.stack([seen.real, seen.imag, heading], axis=-1)
 
 
+def shifted(observation, x=0.0, y=0.0, heading=0.0):
+    """The observation with another pose of the end effector."""
+    return replace(observation, tip=tuple(np.add(observation.tip, (x, y, heading)).tolist()))
+
+
 def with_outlier(count=13):
     """Of which the fifth is far off."""
     found = observe(DEFAULT_POSTURES[:count])
-    for one in found[4:5]:
-        x, y, heading = one.tip
-        found[4] = replace(one, tip=(x + 0.4, y, heading))
-    return found
+    return found[:4] + [shifted(one, 0.4) for one in found[4:5]] + found[5:]
 
 
 def outcome(count=13, settings=SETTINGS):

@@ -1,18 +1,20 @@
 """An arm that goes from posture to posture, as its streams of readings and poses."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_bags.recorder import Recording
+from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
+from fss_arm_calib.segments.excitations import Frame
 from fss_arm_calib.segments.rests import BASE, TIP
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.qos import SENSOR
 
@@ -22,13 +24,12 @@ COUNT = 2 * np.pi / 240_000
 POSTURES = np.array([[0.0, 0.1, -0.1, 0.2], [0.5, -0.4, 0.8, -0.2], [-0.7, -0.4, 0.3, 1.0]])
 SUBJECTS = {"base": BASE, "tip": TIP}  # in samples of calib_float
 TOPICS = {BASE: "vicon/fss/fss", TIP: "vicon/end_effector/end_effector"}
-TYPES = {"joint_states": JointState, **dict.fromkeys(TOPICS.values(), PoseStamped)}
 
 
 class Sample(NamedTuple):
     t: int  # [ns]
     stream: int | str  # joint number, subject, "base", "tip", "gyro" or "link_<i>"
-    value: Any  # q or (q, qd), pose, rate or (armed, start of the electronics, homings)
+    value: Any  # q, (q, qd) or Frame; pose; rate; (armed, start of the electronics, homings)
 
 
 class Rig:
@@ -82,26 +83,34 @@ def at(t: float) -> int:
     return START + round(t * SECOND)
 
 
-def message(sample: Any) -> tuple[str, Any]:
-    """A sample's topic and message, also of calib_float; occluded poses are zero throughout."""
+def message(sample: Sample) -> tuple[str, Any]:
+    """A sample's topic and message; occluded poses are zero throughout."""
     t, stream, value = sample
-    if isinstance(stream, int):
+    if isinstance(value, Frame):
+        topic, content = f"link_{stream}/telemetry", LinkTelemetry(link=stream)
+        for name, number in value._asdict().items():
+            setattr(content, name, int(number))
+    elif isinstance(stream, int):
         q, qd = value if isinstance(value, tuple) else (value, 0.0)
-        state = JointState(name=[f"joint_{stream}"], position=[q], velocity=[qd], effort=[0.0])
-        state.header.stamp = to_time(t)
-        return "joint_states", state
-    if stream == "gyro":
-        imu = Imu()
-        imu.header.stamp, imu.angular_velocity.z = to_time(t), value
-        return "fog/imu", imu
-    pose = pose_stamped(t, "world", value or (0.0, 0.0, 0.0))
-    if value is None:
-        pose.pose.orientation.w = 0.0
-    return TOPICS[SUBJECTS.get(stream, stream)], pose
+        topic, content = "joint_states", JointState(name=[f"joint_{stream}"], effort=[0.0])
+        content.position, content.velocity = [q], [qd]
+    elif stream == "gyro":
+        topic, content = "fog/imu", Imu()
+        content.angular_velocity.z = value
+    elif stream.startswith("link_"):
+        topic, content = f"{stream}/telemetry", LinkTelemetry(link=int(stream[5:]))
+        content.armed, content.boot, content.homings = value
+    else:
+        topic = TOPICS[SUBJECTS.get(stream, stream)]
+        content = pose_stamped(t, "world", value or (0.0, 0.0, 0.0))
+        if value is None:
+            content.pose.orientation.w = 0.0
+    content.header.stamp = to_time(t)
+    return topic, content
 
 
-def feed(finder: Any, samples: Iterable[Any], close: bool = True) -> list[Any]:
-    """Return what a finder finds in samples in the order given, also those of calib_float."""
+def feed(finder: Any, samples: Iterable[Sample], close: bool = True) -> list[Any]:
+    """Return what a finder finds in samples in the order given."""
     found = []
     for t, stream, value in samples:
         subject = SUBJECTS.get(stream, stream)
@@ -111,6 +120,8 @@ def feed(finder: Any, samples: Iterable[Any], close: bool = True) -> list[Any]:
             found += finder.add_rate(t, value)
         elif isinstance(stream, str):
             found += finder.add_telemetry(int(stream.removeprefix("link_")), t, *value)
+        elif isinstance(value, Frame):
+            found += finder.add_frame(stream, t, value)
         else:
             reading = value if isinstance(value, tuple) else (value,)
             found += finder.add_reading(stream, t, *reading)
@@ -131,17 +142,26 @@ def frozen(samples, stream, begin, end):
     ]
 
 
-def record(folder, samples, topics=(), late=lambda _: SECOND // 100, types=TYPES) -> Path:
-    """The samples as a bag of some topics, in many chunks, received `late(sample)` ns late."""
-    bag, topics = Recording(folder), topics or types
-    for topic in topics:
-        kind = types[topic]
-        bag.add(f"/{topic}", f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", [SENSOR])
+def record(
+    folder: Path,
+    samples: Iterable[Sample],
+    late: Callable[[Sample], int] = lambda _: SECOND // 100,
+    renamed: Callable[[str], str] = str,
+) -> Path:
+    """The samples as a bag, in many chunks, received `late(sample)` ns late, topics `renamed`."""
+    bag = Recording(folder)
     for k, sample in enumerate(samples):
+        topic, content = message(sample)
+        topic, kind = f"/{renamed(topic)}", type(content)
+        if topic not in bag.topics:
+            bag.add(topic, f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", [SENSOR])
         if k % 200 == 199:
             bag.flush()
-        topic, content = message(sample)
-        if topic in topics:
-            bag.write(f"/{topic}", sample.t + late(sample), serialize_message(content))
+        bag.write(topic, sample.t + late(sample), serialize_message(content))
     bag.close()
     return bag.path
+
+
+def resting(lag: int = 0) -> list[Sample]:
+    """Eight rests that nothing is wrong with, VICON at 25 Hz."""
+    return Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=25.0).samples(lag)

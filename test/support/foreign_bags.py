@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -234,44 +235,45 @@ def write(folder: Path, what: Heard) -> Path:
     return folder
 
 
-Spoil = Callable[[Heard, np.random.Generator], None]
+Rng = np.random.Generator
 
 
-@dataclass(frozen=True)
 class Kind:
-    """A way to spoil a bag, and what the verdict must begin with."""
+    """A way to spoil a bag, what the verdict must begin with, and settings that are given."""
 
-    name: str
-    spoil: Spoil
-    says: str  # pattern
-    options: dict[str, object] = field(default_factory=dict)  # settings that are given
+    def __init__(
+        self, name: str, says: str, spoil: Callable[..., None], *args: Any, **options: object
+    ) -> None:
+        self.name, self.says, self.options = name, re.compile(says), options
+        self._spoil, self._args = spoil, args
+
+    def spoil(self, what: Heard, rng: Rng) -> None:
+        self._spoil(what, rng, *self._args)
 
     def named(self, reasons: tuple[str, ...]) -> bool:
-        return bool(reasons) and bool(re.search(self.says, reasons[0]))
+        return bool(reasons) and bool(self.says.search(reasons[0]))
 
 
-def _scaled(columns: slice, by: float, *names: str) -> Spoil:
-    def spoil(what: Heard, _: np.random.Generator) -> None:
-        for name in names or what.poses:
-            what.poses[name][:, columns] *= by
-
-    return spoil
+def _millimeters(what: Heard, _: Rng, *names: str) -> None:
+    for name in names or what.poses:
+        what.poses[name][:, 2:5] *= 1e3
 
 
-def _joint(change: Callable[[np.ndarray], None], every: bool = False) -> Spoil:
-    def spoil(what: Heard, rng: np.random.Generator) -> None:
-        names = list(what.joints)
-        for name in names if every else [names[rng.integers(1, len(names))]]:
-            change(what.joints[name])
-
-    return spoil
+def _joint(what: Heard, rng: Rng, change: Callable[[np.ndarray], None]) -> None:
+    change(list(what.joints.values())[rng.integers(1, len(what.joints))])
 
 
-def _times(by: float) -> Callable[[np.ndarray], None]:
-    def change(track: np.ndarray) -> None:
-        track[:, 2:] *= by
+def _joints(what: Heard, _: Rng, change: Callable[[np.ndarray], None]) -> None:
+    for track in what.joints.values():
+        change(track)
 
-    return change
+
+def _degrees(track: np.ndarray) -> None:
+    track[:, 2:] *= np.degrees(1.0)
+
+
+def _negated(track: np.ndarray) -> None:
+    track[:, 2:] *= -1.0
 
 
 def _counts(track: np.ndarray) -> None:
@@ -279,59 +281,53 @@ def _counts(track: np.ndarray) -> None:
     track[:, 2] = np.round(track[:, 2])
 
 
-def _wrap(what: Heard, _: np.random.Generator) -> None:
+def _wrap(what: Heard, _: Rng) -> None:
     for name in list(what.joints)[1:2]:
         q = what.joints[name][:, 2]
         middle = 0.5 * (q.max() + q.min())
         what.joints[name][:, 2] = (q - middle) % (2 * np.pi) + middle
 
 
-def _exchange(what: Heard, rng: np.random.Generator) -> None:
+def _exchange(what: Heard, rng: Rng) -> None:
     names = list(what.joints)
     k = int(rng.integers(0, len(names) - 1))
     a, b = names[k], names[k + 1]
     what.joints[a], what.joints[b] = what.joints[b], what.joints[a]
 
 
-def _columns(order: list[int], signs: list[int]) -> Spoil:
-    def spoil(what: Heard, _: np.random.Generator) -> None:
-        for track in what.poses.values():
-            track[:, 2:] = track[:, 2:][:, order] * signs
-
-    return spoil
+def _columns(what: Heard, _: Rng, order: list[int], signs: list[int]) -> None:
+    for track in what.poses.values():
+        track[:, 2:] = track[:, 2:][:, order] * signs
 
 
-def _swap(what: Heard, _: np.random.Generator) -> None:
+def _swap(what: Heard, _: Rng) -> None:
     a, b = what.poses["fss"], what.poses["end_effector"]
     what.poses.update({"fss": b, "end_effector": a})
 
 
-def _late(by: float) -> Spoil:
-    def spoil(what: Heard, _: np.random.Generator) -> None:
-        for track in [*what.joints.values(), what.gyro]:
-            track[:, 0] += by
-
-    return spoil
+def _late(what: Heard, _: Rng, by: float) -> None:
+    for track in [*what.joints.values(), what.gyro]:
+        track[:, 0] += by
 
 
-def _boot(what: Heard, _: np.random.Generator) -> None:
+def _boot(what: Heard, _: Rng) -> None:
     what.start.update({"joints": 4321 * SECOND, "gyro": 4321 * SECOND})
 
 
-def _renamed(what: Heard, _: np.random.Generator) -> None:
+def _renamed(what: Heard, _: Rng) -> None:
     what.joints = {f"q{i}": track for i, track in enumerate(what.joints.values(), 1)}
 
 
-def _rare(what: Heard, _: np.random.Generator) -> None:
+def _rare(what: Heard, _: Rng) -> None:
     what.joints = {name: track[:: 2 * JOINT_RATE] for name, track in what.joints.items()}
 
 
-def _restless(what: Heard, rng: np.random.Generator) -> None:
+def _restless(what: Heard, rng: Rng) -> None:
     for track in what.joints.values():
         track[:, 2] += 0.003 * rng.standard_normal(len(track))
 
 
-def _relative(what: Heard, _: np.random.Generator) -> None:
+def _relative(what: Heard, _: Rng) -> None:
     base, tip = what.poses["fss"], what.poses["end_effector"]
     turn = [2.0 * np.arctan2(track[:, 7], track[:, 8]) for track in (base, tip)]
     away = (tip[:, 2] - base[:, 2]) + 1j * (tip[:, 3] - base[:, 3])
@@ -342,43 +338,38 @@ def _relative(what: Heard, _: np.random.Generator) -> None:
     what.frames["end_effector"] = "fss"
 
 
-def _gyro_degrees(what: Heard, _: np.random.Generator) -> None:
+def _gyro_degrees(what: Heard, _: Rng) -> None:
     what.gyro[:, 2] = np.degrees(what.gyro[:, 2])
 
 
-def _jump(by: float) -> Spoil:
+def _jump(what: Heard, _: Rng, by: float) -> None:
     """The joints' clock, set in the middle of the bag."""
-
-    def spoil(what: Heard, _: np.random.Generator) -> None:
-        for track in [*what.joints.values(), what.gyro]:
-            track[track[:, 0] > 0.5 * track[-1, 0], 0] += by
-
-    return spoil
+    for track in [*what.joints.values(), what.gyro]:
+        track[track[:, 0] > 0.5 * track[-1, 0], 0] += by
 
 
-def _backwards(what: Heard, _: np.random.Generator) -> None:
-    for track in what.joints.values():
-        track[:, 0] = track[-1, 0] - track[:, 0]
+def _backwards(track: np.ndarray) -> None:
+    track[:, 0] = track[-1, 0] - track[:, 0]
 
 
-def _unstamped(what: Heard, _: np.random.Generator) -> None:
+def _unstamped(what: Heard, _: Rng) -> None:
     what.start["joints"] = 0
     for track in what.joints.values():
         track[:, 0] = 0.0
 
 
-def _no_turn(what: Heard, _: np.random.Generator) -> None:
+def _no_turn(what: Heard, _: Rng) -> None:
     what.poses["fss"][:, 5:] = 0.0
 
 
-def _turned(what: Heard, _: np.random.Generator) -> None:
+def _turned(what: Heard, _: Rng) -> None:
     """The end effector's subject, by 90 degrees."""
     track = what.poses["end_effector"]
     half = np.arctan2(track[:, 7], track[:, 8]) + 0.25 * np.pi
     track[:, 7], track[:, 8] = np.sin(half), np.cos(half)
 
 
-def _frozen(what: Heard, _: np.random.Generator) -> None:
+def _frozen(what: Heard, _: Rng) -> None:
     track = what.poses["end_effector"]
     track[len(track) // 8 :, 2:] = track[len(track) // 8, 2:]
 
@@ -387,60 +378,57 @@ def _fast(track: np.ndarray) -> None:
     track[:, 3] = np.degrees(track[:, 3])
 
 
-def _same(_: Heard, __: np.random.Generator) -> None:
+def _same(_: Heard, __: Rng) -> None:
     """Nothing is spoilt but what is asked."""
 
 
-MILLIMETERS = Kind("millimeters", _scaled(slice(2, 5), 1e3), r"^position in millimeters\?")
-DEGREES = Kind("degrees", _joint(_times(np.degrees(1.0)), every=True), r"^joints in degrees\?")
-SIGN = Kind("one sign", _joint(_times(-1.0)), r"^joint_\d with the wrong sign\?")
-ORDER = Kind("order", _exchange, r"^joint_\d and joint_\d swapped\?")
-SIGNS = Kind("all signs", _joint(_times(-1.0), every=True), r"^all joints with the wrong sign\?")
-MIRRORED = Kind(
-    "mirrored", _columns([0, 1, 2, 3, 4, 5, 6], [1, -1, 1, -1, 1, -1, 1]), r"^poses mirrored\?"
+STRAIGHT = [0, 1, 2, 3, 4, 5, 6]  # order of the columns of poses
+MILLIMETERS = Kind(
+    "millimeters", r"^position in millimeters\?", _millimeters, "fss", "end_effector"
 )
-W_FIRST = Kind("w first", _columns([0, 1, 2, 6, 3, 4, 5], [1] * 7), r"^quaternions with w first\?")
-Y_UP = Kind("y up", _columns([0, 2, 1, 3, 5, 4, 6], [1, 1, -1, 1, 1, -1, 1]), r"^poses with y up\?")
-SWAPPED = Kind("swapped", _swap, r"^base and end effector are swapped")
-HOUR_APART = Kind("an hour", _late(3600.0), r"^clock of the joints .*\(an hour\) ahead")
-
-ONE_MILLIMETERS = Kind("millimeters, one", _scaled(slice(2, 5), 1e3, "end_effector"),
-                       r"^position of end_effector in millimeters\?")  # fmt: skip
+DEGREES = Kind("degrees", r"^joints in degrees\?", _joints, _degrees)
+SIGN = Kind("one sign", r"^joint_\d with the wrong sign\?", _joint, _negated)
+ORDER = Kind("order", r"^joint_\d and joint_\d swapped\?", _exchange)
+SIGNS = Kind("all signs", r"^all joints with the wrong sign\?", _joints, _negated)
+MIRRORED = Kind("mirrored", r"^poses mirrored\?", _columns, STRAIGHT, [1, -1, 1, -1, 1, -1, 1])
+W_FIRST = Kind("w first", r"^quaternions with w first\?", _columns, [0, 1, 2, 6, 3, 4, 5], [1] * 7)
+Y_UP = Kind("y up", r"^poses with y up\?", _columns, [0, 2, 1, 3, 5, 4, 6], [1, 1, -1, 1, 1, -1, 1])
+SWAPPED = Kind("swapped", r"^base and end effector are swapped", _swap)
+HOUR_APART = Kind("an hour", r"^clock of the joints .*\(an hour\) ahead", _late, 3600.0)
 STREAMS = [
     Kind(
-        "clock set", _jump(30.0), r"^clock of the joints(, gyro)? jumps ahead by 30 s after \d+ s"
+        "clock set", r"^clock of the joints(, gyro)? jumps ahead by 30 s after \d+ s", _jump, 30.0
     ),
-    Kind("clock backwards", _backwards, r"^clock of the joints runs backwards"),
-    Kind("no stamps", _unstamped, r"^stamps of the joints are 0"),
-    Kind("no quaternions", _no_turn, r"^quaternions of fss are 0"),
-]
+    Kind("clock backwards", r"^clock of the joints runs backwards", _joints, _backwards),
+    Kind("no stamps", r"^stamps of the joints are 0", _unstamped),
+    Kind("no quaternions", r"^quaternions of fss are 0", _no_turn),
+]  # fmt: skip
 
 KINEMATIC = [
-    MILLIMETERS,
-    *STREAMS, ONE_MILLIMETERS,
-    Kind("end effector turned", _turned, r"^end effector's subject rotated .* with --theta-e"),
-    DEGREES,
-    Kind("degrees, one joint", _joint(_times(np.degrees(1.0))), r"^joint_\d in degrees\?"),
-    Kind("counts", _joint(_counts, every=True), r"^joints in counts\?"),
-    SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED,
-    Kind("headings clockwise", _columns([0, 1, 2, 3, 4, 5, 6], [1, 1, 1, 1, 1, -1, 1]),
-         r"^headings clockwise\?"),
-    Kind("clocks 3 s apart", _late(3.0), r"^clock of the joints (3|2\.9\d|3\.0\d) s ahead"),
-    HOUR_APART,
-    Kind("since boot", _boot, r"^clock of the joints .*from its start"),
-    Kind("other names", _renamed, r"^joints named q1, q2"),
-    Kind("seen from the base", _relative, r"^end effector already relative to the base\?"),
-    Kind("taken as equal", _same, r"^links of different lengths", {"parametrization": "equal"}),
-    Kind("joints at 0.5 Hz", _rare, r"^joints sampled only every 2 s"),
-    Kind("never still", _restless, r"^joints never at rest"),
+    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
+    *STREAMS,
+    Kind("millimeters, one", r"^position of end_effector in millimeters\?", _millimeters,
+         "end_effector"),
+    Kind("end effector turned", r"^end effector's subject rotated .* with --theta-e", _turned),
+    Kind("degrees, one joint", r"^joint_\d in degrees\?", _joint, _degrees),
+    Kind("counts", r"^joints in counts\?", _joints, _counts),
+    Kind("headings clockwise", r"^headings clockwise\?", _columns, STRAIGHT,
+         [1, 1, 1, 1, 1, -1, 1]),
+    Kind("clocks 3 s apart", r"^clock of the joints (3|2\.9\d|3\.0\d) s ahead", _late, 3.0),
+    Kind("since boot", r"^clock of the joints .*from its start", _boot),
+    Kind("other names", r"^joints named q1, q2", _renamed),
+    Kind("seen from the base", r"^end effector already relative to the base\?", _relative),
+    Kind("taken as equal", r"^links of different lengths", _same, parametrization="equal"),
+    Kind("joints at 0.5 Hz", r"^joints sampled only every 2 s", _rare),
+    Kind("never still", r"^joints never at rest", _restless),
 ]  # fmt: skip
 DYNAMIC = [
-    *STREAMS,
-    Kind("end effector frozen", _frozen, r"^pose of end_effector frozen for \d+ s"),
-    Kind("deg/s", _joint(_fast, every=True), r"^joint velocities in degrees per second\?"),
     MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
-    Kind("one wrapped", _wrap, r"^joint_\d wrapped\?"),
-    Kind("gyro in degrees", _gyro_degrees, r"^gyro in degrees per second\?"),
+    *STREAMS,
+    Kind("end effector frozen", r"^pose of end_effector frozen for \d+ s", _frozen),
+    Kind("deg/s", r"^joint velocities in degrees per second\?", _joints, _fast),
+    Kind("one wrapped", r"^joint_\d wrapped\?", _wrap),
+    Kind("gyro in degrees", r"^gyro in degrees per second\?", _gyro_degrees),
 ]  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import calib_rig
 import pytest
 import yaml
-from calib_float import Float, postures, record
+from calib_float import Float, postures
 from running import DOMAIN, OWN
 
 from fss_arm_bags.reader import open_bags
@@ -134,7 +134,7 @@ def watched(text):
 def test_tilt_and_hose(tmp_path):
     state = [0.1, -0.2, 0.4, 0.02, -0.01, 0.01, 2e-4, -1e-4]
     flight = Float(postures(2), state=state, rest=40.0, noise=(0.001, 0.009))
-    record(tmp_path / "monday", flight.samples(rate=20))
+    calib_rig.record(tmp_path / "monday", flight.samples(rate=20))
     text = typed("explanation/drift.md").replace("bags/monday", str(tmp_path / "monday"))
     text = text.replace("drift.yaml", str(tmp_path / "drift.yaml"))
     text = text.replace("=arm.yaml", "=config/arm.yaml")
@@ -173,7 +173,7 @@ def test_by_hand(tmp_path):
 @pytest.mark.slow
 def test_dynamics(tmp_path):
     calib_rig.record(tmp_path / "sunday", calib_rig.Rig(DEFAULT_POSTURES[:8], rate=50.0).samples())
-    record(tmp_path / "monday", Float(postures(8)).samples(rate=20))
+    calib_rig.record(tmp_path / "monday", Float(postures(8)).samples(rate=20))
     text = typed("explanation/dynamic.md")
     text = text.replace("scripts/rehearse.sh dynamic", ":")  # has a test of its own
     text = re.sub(r"^.*(--goal|tuesday).*\n", "", text, flags=re.M)  # of other bags and results

@@ -92,7 +92,7 @@ def test_two_mistakes_at_once_are_not_explained_by_one_and_the_search_ends(tmp_p
         SIGN.spoil(what, rng)
         SWAPPED.spoil(what, rng)
 
-    outcome = solved(tmp_path / "both", 3, False, Kind("both", both, ""))
+    outcome = solved(tmp_path / "both", 3, False, Kind("both", "", both))
     assert outcome.verdict != PASS
     assert not accused(outcome)
     monkeypatch.setattr(causes, "MAX_SEARCH_TIME", -1.0)

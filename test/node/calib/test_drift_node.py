@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import yaml
-from calib_float import ARM, Float, feed, postures, record
+from calib_float import ARM, Float, postures
+from calib_rig import feed, record
 
 from fss_arm_calib.calibration_node import CalibrationNode
 from fss_arm_calib.drift.calibrate import calibrate

@@ -21,22 +21,14 @@ GOLDEN = json.loads((DATA / "golden.json").read_text())
 STATE = np.array([0.1, 0.2, 0.3, 0.01, -0.02, 0.005, 0.0, 0.0])
 RIG, FLOAT = calib_rig.Rig, calib_float.Float
 
-#: Of each bag, which is made once: where, and how it is recorded.
-BAGS = {
-    "rig": lambda p: calib_rig.record(p, RIG(DEFAULT_POSTURES, noise=0.005, seed=3).samples()),
-    "lag": lambda p: calib_rig.record(
-        p, RIG(DEFAULT_POSTURES, noise=0.005, seed=4).samples(30_000_000)
-    ),
-    "long": lambda p: calib_rig.record(
-        p, RIG(DEFAULT_POSTURES[:6], rest=45.0, noise=0.003, seed=7, rate=50.0).samples()
-    ),
-    "float": lambda p: calib_float.record(
-        p,
-        FLOAT(calib_float.postures(10, 5), state=STATE, noise=(0.001, 0.005), seed=6).samples(
-            tip=True
-        ),
-    ),
-    "first": lambda _: DATA / "first",
+#: Of each bag, which is made once, its samples.
+SAMPLES = {
+    "rig": lambda: RIG(DEFAULT_POSTURES, noise=0.005, seed=3).samples(),
+    "lag": lambda: RIG(DEFAULT_POSTURES, noise=0.005, seed=4).samples(30_000_000),
+    "long": lambda: RIG(DEFAULT_POSTURES[:6], rest=45.0, noise=0.003, seed=7, rate=50.0).samples(),
+    "float": lambda: FLOAT(
+        calib_float.postures(10, 5), state=STATE, noise=(0.001, 0.005), seed=6
+    ).samples(tip=True),
 }
 
 #: The deviations that were the defaults then.
@@ -62,11 +54,11 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    made = {}
+    made = {"first": DATA / "first"}
 
     def get(name):
         if name not in made:
-            made[name] = BAGS[name](tmp_path_factory.mktemp(name) / "bag")
+            made[name] = calib_rig.record(tmp_path_factory.mktemp(name), SAMPLES[name]())
         return made[name]
 
     return get

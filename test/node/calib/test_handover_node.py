@@ -3,11 +3,11 @@
 import json
 from pathlib import Path
 
-import calib_float
 import numpy as np
 import pytest
 from calib_joint import ARM, kinematics, rests
-from calib_kinds import CASES, PRECISE, STATE, TRUTH, Bed, make_node
+from calib_kinds import CASES, PRECISE, Bed, make_node, maneuvering
+from calib_rig import record
 
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.from_bag import main as from_bag
@@ -27,10 +27,8 @@ def joint(args):
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     """Ten maneuvers between rests, the end effector in sight."""
-    flight = calib_float.Float(
-        calib_float.postures(10, seed=3), TRUTH.vector(), STATE, noise=(0.0005, 0.002)
-    )
-    return str(calib_float.record(tmp_path_factory.mktemp("bag"), flight.samples(20, tip=True)))
+    samples = maneuvering(tip=True, noise=(0.0005, 0.002))
+    return str(record(tmp_path_factory.mktemp("bag"), samples))
 
 
 @pytest.mark.parametrize("kind", ["dynamic", "drift", "drives"])
@@ -81,7 +79,7 @@ def test_the_command_begins_from_a_result_or_from_a_bag(bag, tmp_path, capsys):
 def test_drives_may_begin_from_a_bag_of_rests(tmp_path):
     """Take settings that both kinds have from the command line."""
     case, rig = CASES["drives"], CASES["kinematic"]
-    bag, rests = (str(one.module.record(tmp_path / one.kind, one.samples())) for one in (case, rig))
+    bag, rests = (str(record(tmp_path / one.kind, one.samples())) for one in (case, rig))
     result = tmp_path / "drives.json"
     asked = ["--max-relative", "0.3", "--kinematic", rests, "--result", str(result)]
     assert from_bag(["--drives", bag, *asked]) == 0

@@ -3,12 +3,12 @@
 import json
 from dataclasses import fields, replace
 
-import calib_float
 import numpy as np
 import pytest
 import yaml
 from calib_joint import ARM, DRIFT, SETTINGS, day, draw_arm
-from calib_kinds import CLOSELY, STATE, TRUTH, Bed, ask, make_node, recorded
+from calib_kinds import CLOSELY, Bed, ask, make_node, maneuvering, recorded
+from calib_rig import Sample, message, record
 from std_srvs.srv import Trigger
 
 from fss_arm_calib.calibration_node import CalibrationNode
@@ -117,10 +117,7 @@ def test_one_that_comes_late_hears_all_and_solves_as_the_mathematics_do(spin, ot
 
 def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, capsys):
     """All nodes hear one flight; it is recorded, and the joint estimate made from the bag, too."""
-    flight = calib_float.Float(
-        calib_float.postures(10, seed=3), TRUTH.vector(), STATE, noise=(0.0005, 0.001)
-    )
-    samples = flight.samples(20, tip=True)
+    samples = maneuvering(tip=True, noise=(0.0005, 0.001))
     output, page = tmp_path / "new" / "arm.yaml", tmp_path / "report"
     bed, joint = Bed(JOINT), node("joint", output=str(output), report=str(page))
     others = [make_node(JOINT_SOURCES[kind], **given) for kind, given in CLOSELY.items()]
@@ -128,9 +125,9 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
     for one in others:
         for source in one.kind.inputs(one.settings, 4):
             hear.setdefault(source.topic, []).append((one, source.feed))
-    for topic, message in map(calib_float.message, samples):
+    for topic, content in map(message, samples):
         for one, feed in hear[topic]:
-            one.on_sample(feed, message)
+            one.on_sample(feed, content)
     for one in others:
         one.on_solve(Trigger.Request(), Trigger.Response())
     counts = [len(one.data) for one in others]
@@ -143,7 +140,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
     found = calibration_part(result)
     assert (found.kind, found.provenance.source, found.header.frame_id) == ("joint", "live", "fss")
 
-    bag = calib_float.record(tmp_path / "bag", samples)
+    bag = record(tmp_path / "bag", samples)
     params, files = tmp_path / "params.yaml", tmp_path / "joint.json"
     params.write_text(
         yaml.safe_dump({**CLOSELY, "dynamic": {"ros__parameters": CLOSELY["dynamic"]}})
@@ -158,7 +155,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
     )
 
     capsys.readouterr()
-    assert recompute([recorded(tmp_path / "told", JOINT, session, result)]) == 0
+    assert recompute([recorded(tmp_path / "told", JOINT, (session, result))]) == 0
     assert "pass: the same" in capsys.readouterr().out
     assert recalibrate(JOINT, result, session).description == found.description
     assert from_yaml(output.read_text()) == from_yaml(found.description)
@@ -238,8 +235,7 @@ def test_a_clock_that_ran_back_at_another_node_is_taken_note_of(spin, others, no
     )
     end = data["kinematic"][-1].end + 100 * SECOND
     for t in (end, end + 2 * SECOND, end - 20 * SECOND):  # the first counts once confirmed
-        sample = calib_float.Sample(t, 1, (0.0, 0.0))
-        kinematic.on_sample(joints.feed, calib_float.message(sample)[1])
+        kinematic.on_sample(joints.feed, message(Sample(t, 1, (0.0, 0.0)))[1])
     kinematic.on_solve(Trigger.Request(), Trigger.Response())
     joint = node("joint", output=str(output))
     spin(

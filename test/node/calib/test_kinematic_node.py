@@ -3,26 +3,21 @@
 import numpy as np
 import pytest
 from calib_kinds import Bed, ask, make_node, play
-from calib_rig import TYPES, Rig, at, message, record
+from calib_rig import TOPICS, Rig, Sample, at, message, record, resting
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
 
 from fss_arm_bags.reader import BagError
-from fss_arm_bags.recorder import Recording
 from fss_arm_bags.replay_node import ReplayNode
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.convert import SECOND, to_time
-from fss_arm_ros.qos import SENSOR
 
 
 @pytest.fixture(scope="module")
 def samples():
-    """Eight postures of the default list, VICON at 25 Hz."""
-    return Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=25.0).samples(lag=3_000_000)
+    return resting(lag=3_000_000)
 
 
 @pytest.fixture(scope="module")
@@ -30,36 +25,30 @@ def bag(samples, tmp_path_factory):
     return record(tmp_path_factory.mktemp("bag"), samples)
 
 
-def reference(i, seconds, homings):
-    message = LinkTelemetry(link=i, boot=3, homings=homings)
-    message.header.stamp = to_time(at(seconds))
-    return message
+def homed(seconds, homings):
+    """What link 2 tells."""
+    return Sample(at(seconds), "link_2", (False, 3, homings))
 
 
 def test_a_link_homed_later_asks_for_its_offsets(spin, samples):
     bed, node = Bed(KINEMATIC), make_node(KINEMATIC)
     link = bed.create_publisher(LinkTelemetry, "link_2/telemetry", 10)
     spin([bed, node], link.get_subscription_count)
-    link.publish(reference(2, 0.0, 1))
-    play(spin, bed, node, [s for s in samples if s.t < at(9.0)], message)
+    link.publish(message(homed(0.0, 1))[1])
+    play(spin, bed, node, [s for s in samples if s.t < at(9.0)])
     ask(spin, bed, node, bed.solver)
     result = spin([bed, node], lambda: bed.found() == 2 and bed.results[-1])
     assert list(result.boots) == [0, 3, 0, 0]
     assert list(result.homings) == [0, 1, 0, 0]
     assert node.health().message == "2 observations"
-    link.publish(reference(2, 100.0, 2))
+    link.publish(message(homed(100.0, 2))[1])
     said = "joint_2 homed or restarted since: calibrate the offsets"
     spin([bed, node], lambda: node.health().message == said)
 
 
 def test_homings_are_read_from_bags(bag, tmp_path):
-    told = Recording(tmp_path / "a")
-    told.add("/link_2/telemetry", "fss_arm_msgs/msg/LinkTelemetry", [SENSOR])
-    for seconds, homings in ((0.0, 1), (14.0, 2)):
-        message = serialize_message(reference(2, seconds, homings))
-        told.write("/link_2/telemetry", at(seconds), message)
-    told.close()
-    found = solve_bag(KINEMATIC, [told.path, bag])
+    told = record(tmp_path / "a", [homed(0.0, 1), homed(14.0, 2)])
+    found = solve_bag(KINEMATIC, [told, bag])
     assert found.used[-1].homings == (0, 2, 0, 0)
     assert len(found.used) == 5
     assert "3 observations left out: joint_2 homed or restarted since" in found.reason
@@ -70,7 +59,8 @@ def test_homings_are_read_from_bags(bag, tmp_path):
     [
         (["/nowhere"], "/nowhere: no such file or folder"),
         (["BAG", "--arm", "/nowhere.yaml"], "/nowhere.yaml"),
-        (["BAG", "--tip-topic", "vicon/x/x"], "no /vicon/x/x in "),
+        (["BAG", "--tip-topic", "nothing"], ", which has /vicon/"),
+        (["BAG", "--dynamic", "--base-topic", "vicon/x/x"], "no /vicon/x/x in "),
         (["BAG", "--tip-topic", "joint_states"], "expected geometry_msgs/msg/PoseStamped"),
         (["BAG", "--report", "/dev/null/report"], "/dev/null/report"),
         (["BAG", "--settle-time", "x"], "argument --settle-time: invalid float value: 'x'"),
@@ -97,30 +87,14 @@ VEHICLE_2 = {
 }
 
 
-def test_of_a_bag_with_two_vehicles_each_is_calibrated_from_its_own(samples, bag, tmp_path, capsys):
+def test_of_bags_of_two_vehicles_each_is_calibrated_from_its_own(bag, tmp_path, capsys):
     others = Rig(DEFAULT_POSTURES[:8] * 0.9, seed=3, rest=3.2, rate=25.0).samples(lag=3_000_000)
-    both, own = Recording(tmp_path / "both"), {topic: topic for topic in TYPES}
-    for topic, kind in TYPES.items():
-        for name in (topic, VEHICLE_2[topic]):
-            both.add(f"/{name}", f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", [SENSOR])
-    content = [(s, names) for one, names in ((samples, own), (others, VEHICLE_2)) for s in one]
-    for sample, names in sorted(content, key=lambda pair: pair[0].t):
-        topic, one = message(sample)
-        both.write(f"/{names[topic]}", sample.t + SECOND // 100, serialize_message(one))
-    both.close()
+    both = [bag, record(tmp_path / "second", others, renamed=VEHICLE_2.get)]
     for alone, space in ((bag, ""), (record(tmp_path / "other", others), "fss2")):
-        found = [solve_bag(KINEMATIC, *given) for given in ((alone,), (both.path, None, space))]
+        found = [solve_bag(KINEMATIC, *given) for given in ((alone,), (both, None, space))]
         assert found[0].provenance.data_hash == found[1].provenance.data_hash
-    assert from_bag([str(both.path), "--namespace", "fss3"]) == 1
+    assert from_bag([*map(str, both), "--namespace", "fss3"]) == 1
     assert "no /fss3/joint_states" in capsys.readouterr().err
-
-
-def test_a_bag_of_a_vehicle_in_a_namespace_says_how_to_read_it(samples, tmp_path, capsys):
-    bag = Recording(tmp_path)
-    bag.add("/fss2/joint_states", "sensor_msgs/msg/JointState", [SENSOR])
-    bag.close()
-    assert from_bag([str(bag.path)]) == 1
-    assert capsys.readouterr().err.endswith("; see --namespace fss2\n")
 
 
 def test_bags_are_taken_one_after_the_other(samples, bag, tmp_path):
@@ -136,7 +110,7 @@ def test_bags_are_taken_one_after_the_other(samples, bag, tmp_path):
 def test_replayed_the_result_is_that_of_the_bag(spin, samples, bag):
     offline = solve_bag(KINEMATIC, bag)
     node = make_node(KINEMATIC)
-    settings = {"rate": 0.0, "discovery": 0.0, "wait_for": [f"/{topic}" for topic in TYPES]}
+    settings = {"rate": 0.0, "discovery": 0.0, "wait_for": ["joint_states", *TOPICS.values()]}
     player = ReplayNode(
         str(bag), parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
     )

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import yaml
-from calib_float import ARM, Float, postures, record
+from calib_float import ARM, Float, postures
+from calib_rig import record
 
 from fss_arm_calib.experiment.design_command import main as design
 from fss_arm_calib.from_bag import main as from_bag

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 import pytest
 from calib_kinds import CASES, Bed, ask, make_node, play, recorded
+from calib_rig import message, record
 from std_srvs.srv import Trigger
 
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check
@@ -51,7 +52,7 @@ class Made:
 
     @cached_property
     def bag(self):
-        return self.case.module.record(self.folder / "bag", self.samples)
+        return record(self.folder / "bag", self.samples)
 
     @cached_property
     def outcome(self):
@@ -63,8 +64,8 @@ class Made:
     def reading(self, t):
         """The feeding of what is heard of joint 1, and that at t [ns]."""
         sample = next(s for s in self.samples if s.stream == 1)
-        topic, message = self.case.module.message(sample._replace(t=t))
-        return next(i.feed for i in self.kind.inputs(self.settings, 4) if i.topic == topic), message
+        topic, content = message(sample._replace(t=t))
+        return next(i.feed for i in self.kind.inputs(self.settings, 4) if i.topic == topic), content
 
     def set_clock_back(self, node):
         """Let the clock of joint 1 jump back by more than 10 s."""
@@ -107,7 +108,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path, c
     kind, case = made.kind, made.case
     output, report = tmp_path / "new" / "output.yaml", tmp_path / "report"
     bed, node = Bed(kind), made.node(output=str(output), report=str(report))
-    play(spin, bed, node, made.samples, case.module.message)
+    play(spin, bed, node, made.samples)
     answer = ask(spin, bed, node, bed.solver)
     assert answer.success, answer.message
     spin([bed, node], lambda: bed.found() == case.count and bed.results)
@@ -123,7 +124,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path, c
     np.testing.assert_allclose(found.values, made.outcome.values, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.covariance, made.outcome.covariance.ravel(), rtol=1e-9)
     capsys.readouterr()
-    assert recompute([recorded(tmp_path / "told", kind, data, result)]) == 0
+    assert recompute([recorded(tmp_path / "told", kind, (data, result))]) == 0
     assert "pass: the same" in capsys.readouterr().out
     assert recalibrate(kind, result, data).description == found.description
     assert output.read_text().partition("\n")[2] == kind.output(node.outcome).partition("\n")[2]
@@ -172,13 +173,13 @@ def test_a_state_file_of_another_kind_or_arm_is_named(kept, toy, tmp_path):
     kept(toy, state_file=str(state)).add_data(toy.outcome.data)
     saved = json.loads(state.read_text())
     spoilt = {"data": [{**one, "q": []} for one in saved["data"]]}
-    for change, message in (
+    for change, words in (
         ({"kind": "other"}, "kind is 'other', expected "),
         ({"joints": 5}, "joints is 5, expected 4"),
         (spoilt, "the saved data cannot be solved"),
     ):
         state.write_text(json.dumps({**saved, **change}))
-        with pytest.raises(StateError, match=message) as caught:
+        with pytest.raises(StateError, match=words) as caught:
             kept(toy, state_file=str(state))
         assert str(state) in str(caught.value)
 
@@ -240,9 +241,9 @@ def hear(node, made):
     """Give a node the samples of the first 2 s."""
     inputs = {one.topic: one.feed for one in made.kind.inputs(made.settings, 4)}
     heard = [s for s in made.samples if s.t < made.samples[0].t + 2 * SECOND]
-    for topic, message in map(made.case.module.message, heard):
+    for topic, content in map(message, heard):
         if topic in inputs:
-            node.on_sample(inputs[topic], message)
+            node.on_sample(inputs[topic], content)
     return heard
 
 

@@ -7,18 +7,15 @@ from math import nan
 from pathlib import Path
 
 import pytest
-from calib_kinds import serialized
-from calib_rests import ARM, observe
+from calib_kinds import recorded
+from calib_rests import ARM, observe, shifted
 
-from fss_arm_bags.recorder import Recording
 from fss_arm_calib.kinematic.calibrate import calibrate
-from fss_arm_calib.kinematic.kind import KINEMATIC as KINEMATIC_KIND
+from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.recompute import main
-from fss_arm_ros.qos import LATCHED
 
 FIRST = Path(__file__).parents[2] / "data/first"
-KINEMATIC = "/calibration/observations", "/calibration/kinematic"
 SETTINGS = KinematicSettings(max_outliers=2, loss="huber")
 
 
@@ -26,14 +23,13 @@ SETTINGS = KinematicSettings(max_outliers=2, loss="huber")
 def results():
     """Return observations and result after each rest."""
     rests = observe(sigma=0.0)
-    x, y, heading = rests[4].tip
-    rests[4] = replace(rests[4], tip=(x + 0.5, y + 0.5, heading + 0.5))
+    rests[4] = shifted(rests[4], 0.5, 0.5, 0.5)
     rests.insert(7, replace(rests[7], used=False, reason="a gap", tip=3 * (nan,)))
     found = []
     for count in range(1, len(rests) + 1):
         result = calibrate(rests[:count], ARM, SETTINGS)
-        observations = KINEMATIC_KIND.data.to_message(rests[:count], "fss")
-        found.append((observations, KINEMATIC_KIND.to_message(result, "fss")))
+        observations = KINEMATIC.data.to_message(rests[:count], "fss")
+        found.append((observations, KINEMATIC.to_message(result, "fss")))
     return found
 
 
@@ -42,19 +38,8 @@ def published():
     return deepcopy(results())
 
 
-def record(folder, published, topics=KINEMATIC):
-    bag = Recording(folder)
-    for topic, message in zip(topics, published[0], strict=False):
-        bag.add(topic, f"fss_arm_msgs/msg/{type(message).__name__}", [LATCHED])
-    for k, pair in enumerate(published):
-        for topic, message in zip(topics, pair, strict=False):
-            bag.write(topic, 10 * k + 1, serialized(message))
-    bag.close()
-    return str(bag.path)
-
-
 def test_every_result_follows_from_its_observations(published, tmp_path, capsys):
-    assert main([record(tmp_path, published)]) == 0
+    assert main([recorded(tmp_path, KINEMATIC, *published)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 14
     assert lines[0] == "1 observation, not_evaluated: the same, to 0.0e+00"
@@ -64,18 +49,18 @@ def test_every_result_follows_from_its_observations(published, tmp_path, capsys)
 
 def test_a_result_may_end_before_the_last_observation_used(published, tmp_path, capsys):
     """What follows was observed with other zeros of the joints than the last rest."""
-    rests = [replace(o, boots=4 * (3,)) for o in KINEMATIC_KIND.data.from_message(published[-1][0])]
+    rests = [replace(o, boots=4 * (3,)) for o in KINEMATIC.data.from_message(published[-1][0])]
     told = [replace(o, homings=4 * (2 if k in (4, 5, 13) else 1,)) for k, o in enumerate(rests)]
     told[13] = replace(told[13], used=False)
     result = calibrate(told, ARM, SETTINGS)
-    pair = KINEMATIC_KIND.data.to_message(told, "fss"), KINEMATIC_KIND.to_message(result, "fss")
-    assert main([record(tmp_path, [pair])]) == 0
+    pair = KINEMATIC.data.to_message(told, "fss"), KINEMATIC.to_message(result, "fss")
+    assert main([recorded(tmp_path, KINEMATIC, pair)]) == 0
     assert capsys.readouterr().out.startswith("2 observations, not_evaluated: the same")
 
 
 def test_a_result_that_does_not_is_told(published, tmp_path, capsys):
     published[-1][1].calibration.values[2] += 1e-8
-    assert main([record(tmp_path, published)]) == 2
+    assert main([recorded(tmp_path, KINEMATIC, *published)]) == 2
     assert capsys.readouterr().out.splitlines()[-1].endswith("NOT the same, to 1.0e-08")
 
 
@@ -89,11 +74,11 @@ def test_of_an_earlier_version_it_is_said_in_a_line_what_is_in_the_way(capsys):
 
 
 def test_what_is_missing_is_named(published, tmp_path, capsys):
-    assert main([record(tmp_path / "a", published, KINEMATIC[:1])]) == 1
+    assert main([recorded(tmp_path / "a", KINEMATIC, (published[0][0], None))]) == 1
     error = capsys.readouterr().err
     assert "no result on /calibration/kinematic or /calibration/dynamic or " in error
     others = [(published[0][0], result) for _, result in published]
-    assert main([record(tmp_path / "b", others)]) == 1
+    assert main([recorded(tmp_path / "b", KINEMATIC, *others)]) == 1
     error = capsys.readouterr().err
     assert error.startswith(
         "recompute: the bag lacks the observations of a result on /calibration/kinematic ("

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calib_float import Float, feed, postures
+from calib_float import Float, postures
 from calib_joint import errors
+from calib_rig import feed
 from sim_rehearsal import DYNAMIC, Rehearsal
 
 from fss_arm_calib.acceptance import FAIL, PASS

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from calib_rig import Rig, feed
+from calib_rig import feed, resting
 
 from fss_arm_calib.acceptance import NOT_EVALUATED, PASS
-from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.rests import BASE, TIP, RestFinder
@@ -18,7 +17,7 @@ JOINTS = "joint_1, joint_2, joint_3, joint_4"
 
 @pytest.fixture(scope="module")
 def samples():
-    return Rig(DEFAULT_POSTURES[:8], rest=3.2, rate=25.0).samples()
+    return resting()
 
 
 def found(samples):
@@ -74,6 +73,13 @@ def test_a_joint_that_is_never_still_is_named(samples):
     assert outcome.verdict == NOT_EVALUATED
     words = "joint_2 never at rest for 1 s with a motion_threshold of 0.001 rad"
     assert outcome.reasons[0] == words
+
+
+def test_samples_that_are_rejected_are_counted(samples):
+    outcome = found([s._replace(value=np.nan) if s.stream == 3 else s for s in samples])
+    assert outcome.verdict == NOT_EVALUATED
+    count = sum(s.stream == 3 for s in samples)
+    assert f"samples rejected: {count} joint_3 not finite" in outcome.reason
 
 
 def test_names_heard_are_told_beside_those_that_are_not():

@@ -6,8 +6,8 @@ from random import Random
 
 import numpy as np
 import pytest
-from calib_drives import excitation, excitations, fly, heard
-from calib_rig import START, Sample
+from calib_drives import excitation, excitations, fly
+from calib_rig import START, Sample, feed
 
 from fss_arm_calib.drives.calibrate import Telemetry, calibrate
 from fss_arm_calib.drives.problem import Windows, _collect_turning
@@ -43,7 +43,7 @@ def in_order(links):
 
 
 def find(samples, **settings):
-    return heard(ExcitationFinder(ARM, ExcitationSettings(**settings)), samples)
+    return feed(ExcitationFinder(ARM, ExcitationSettings(**settings)), samples)
 
 
 def blocks(found):
@@ -96,10 +96,10 @@ def test_nothing_is_lost_when_it_is_closed_amid_a_motion():
     """Nor does one that goes on take again what was kept."""
     samples, finder = in_order(arm(30.0)), ExcitationFinder(ARM)
     cut = len(samples) // 2 + 1
-    first = heard(finder, samples[:cut])
+    first = feed(finder, samples[:cut])
     for then in (
-        heard(finder, samples[cut:]),
-        heard(ExcitationFinder(ARM, kept=first), samples),
+        feed(finder, samples[cut:]),
+        feed(ExcitationFinder(ARM, kept=first), samples),
     ):
         assert then[0].start > first[-1].start
         assert all(one.used for one in [*first, *then])
@@ -132,7 +132,7 @@ def test_frames_that_are_too_late_are_counted():
     links = arm(200.0)
     mixed = sorted(chain(*links), key=lambda one: one.t + 100 * SECOND * (one.stream == 2))
     finder = ExcitationFinder(ARM)
-    found = heard(finder, mixed)
+    found = feed(finder, mixed)
     assert finder.links[1].rejected[TOO_LATE] > 0
     ends = [one.end for one in found if one.used]
     assert ends == sorted(ends)

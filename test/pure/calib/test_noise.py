@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calib_rests import ARM, observe
+from calib_rests import ARM, observe, shifted
 
 from fss_arm_calib.acceptance import FAIL, PASS
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
@@ -63,8 +63,7 @@ def test_of_too_few_nothing_is_estimated():
 
 def test_one_far_off_is_named_though_it_makes_the_noise_larger():
     seen = observe(sigma=CAMERA, seed=3)
-    x, y, heading = seen[4].tip
-    seen[4] = replace(seen[4], tip=(x + 0.012, y, heading))
+    seen[4] = shifted(seen[4], 0.012)
     found = calibrate(seen, ARM, SETTINGS)
     assert found.verdict == FAIL
     assert "observation 5 inconsistent" in found.reason

@@ -2,10 +2,12 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from calib_joint import ARM, SETTINGS, SURROUNDINGS, drifts, maneuvers, rests
+from calib_rests import shifted
 
 from fss_arm_calib.acceptance import FAIL, PASS
 from fss_arm_calib.kinds import KINDS
@@ -17,11 +19,6 @@ DATA = {
     "drift": drifts(ARM, 4, RNG, SURROUNDINGS),
 }
 WRONG = 2  # of the data
-
-
-def shifted_tip(rest):
-    x, y, heading = rest.tip
-    return replace(rest, tip=(x + 0.02, y - 0.01, heading))
 
 
 def turned_at_the_end(maneuver):
@@ -36,7 +33,11 @@ def pushed(drift):
     return replace(drift, poses=tuple(poses))
 
 
-SPOIL = {"kinematic": shifted_tip, "dynamic": turned_at_the_end, "drift": pushed}
+SPOIL = {
+    "kinematic": partial(shifted, x=0.02, y=-0.01),
+    "dynamic": turned_at_the_end,
+    "drift": pushed,
+}
 
 
 def calibrate(kind, data, **settings):

@@ -9,8 +9,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from calib_float import Float, feed, postures
+from calib_float import Float, postures
 from calib_rests import ARM, SETTINGS, outcome, with_outlier
+from calib_rig import feed
 from rich.console import Console
 
 from fss_arm_calib.acceptance import FAIL, PASS, Check, summarize

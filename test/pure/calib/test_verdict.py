@@ -6,7 +6,7 @@ from math import isnan
 import numpy as np
 import pytest
 import yaml
-from calib_rests import ARM, SIGMA, observe
+from calib_rests import ARM, SIGMA, observe, shifted
 
 from fss_arm_calib import __version__
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
@@ -65,9 +65,8 @@ def test_an_observation_that_decides_alone_is_not_believed():
     trusting, verdicts = replace(settings, min_redundancy=0.0), []
     for angle in np.radians(np.arange(0.0, 360.0, 45.0)):
         observations = observe(DEFAULT_POSTURES[:6], seed=3)
-        x, y, heading = observations[0].tip
-        x, y = x + 0.42 * np.cos(angle), y + 0.42 * np.sin(angle)
-        observations[0] = replace(observations[0], tip=(x, y, heading))
+        x, y = 0.42 * np.cos(angle), 0.42 * np.sin(angle)
+        observations[0] = shifted(observations[0], x, y)
         verdicts.append(calibrate(observations, ARM, trusting).verdict)
         assert calibrate(observations, ARM, settings).verdict != PASS
         if verdicts[-1] == PASS:
@@ -182,8 +181,7 @@ def test_predictions_worse_than_assumed_fail():
     q = np.concatenate([DEFAULT_POSTURES, DEFAULT_POSTURES + 0.05])
     observations = observe(q, sigma=0.2 * SIGMA)
     for k in (3, 7, 11, 15, 19, 23):
-        x, y, heading = observations[k].tip
-        observations[k] = replace(observations[k], tip=(x + 0.06, y, heading))
+        observations[k] = shifted(observations[k], 0.06)
     calibration = calibrate(observations, ARM, replace(SETTINGS, min_probability=0.01))
     assert stage(calibration, "prediction").verdict == FAIL
     assert "worse than the deviations allow: chi-square" in calibration.reason
