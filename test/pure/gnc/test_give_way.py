@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from traffic import Ideal, fly, gap
 
-from fss_gnc.guidance.activity import Observation
 from fss_gnc.guidance.base_motion import follow
 from fss_gnc.guidance.give_way import pause, resumed
 from fss_gnc.guidance.limits import limit_use
@@ -13,6 +12,14 @@ from fss_gnc.reference import Path, Reference
 
 LEAST_GAP = 0.04  # half of the planned one, and what is between two steps [m]
 WAY = Path.between(Reference.at_rest([-1.0, 0.2, 0.0]), [1.0, -0.2, 1.0], 0.0, 64.0)
+
+
+def meeting(*starts, n=4, until=3.0):
+    """Return vehicles that rest at these poses, once each has announced its plan to the others."""
+    names = tuple(f"fss{k}" for k in range(1, len(starts) + 1))
+    vehicles = [Ideal(name, names, start, n) for name, start in zip(names, starts, strict=True)]
+    fly(vehicles, until=until)
+    return vehicles
 
 
 def test_pause_stays_on_the_way_and_within_the_limits():
@@ -47,13 +54,9 @@ COURSES = {
 @pytest.mark.parametrize("n", [3, 4, 8])
 @pytest.mark.parametrize("courses", COURSES)
 def test_two_vehicles_pass_each_other(n, courses):
-    names = ("fss1", "fss2")
-    vehicles = [
-        Ideal(name, names, start, n)
-        for name, (start, _) in zip(names, COURSES[courses], strict=True)
-    ]
-    fly(vehicles, until=3.0)
-    for one, (_, goal) in zip(vehicles, COURSES[courses], strict=True):
+    starts, goals = zip(*COURSES[courses], strict=True)
+    vehicles = meeting(*starts, n=n)
+    for one, goal in zip(vehicles, goals, strict=True):
         one.go_to(3.0, goal)
     t, least = fly(vehicles, start=3.0)
     print(f"{courses}, {n} links: {t:.0f} s, {least:.3f} m")
@@ -67,11 +70,7 @@ def test_two_vehicles_pass_each_other(n, courses):
 @pytest.mark.parametrize("count", [1, 3, 4])
 def test_up_to_three_vehicles_arrive_and_a_fourth_holds(count):
     places = [[1.2, 0.0], [0.0, 1.2], [-1.2, 0.0], [1.25, 1.25]][:count]
-    names = tuple(f"fss{k}" for k in range(1, count + 1))
-    vehicles = [
-        Ideal(name, names, [*place, 0.0]) for name, place in zip(names, places, strict=True)
-    ]
-    fly(vehicles, until=3.0)
+    vehicles = meeting(*([*place, 0.0] for place in places))
     for one, place in zip(vehicles[:3], places, strict=False):
         one.go_to(3.0, [-place[0], -place[1], 0.3])
     t, least = fly(vehicles, start=3.0)
@@ -81,9 +80,7 @@ def test_up_to_three_vehicles_arrive_and_a_fourth_holds(count):
 
 
 def test_vehicle_that_holds_is_passed_by_the_one_before_it_in_the_list():
-    names = ("fss1", "fss2")
-    first, second = Ideal("fss1", names, [-1.3, 0.0, 0.0]), Ideal("fss2", names, [0.0, 0.0, 0.0])
-    fly([first, second], until=3.0)
+    first, second = meeting([-1.3, 0.0, 0.0], [0.0, 0.0, 0.0])
     first.go_to(3.0, [1.3, 0.0, 0.0])
     _, least = fly([first, second], start=3.0)
     assert first.arrived
@@ -92,9 +89,7 @@ def test_vehicle_that_holds_is_passed_by_the_one_before_it_in_the_list():
 
 
 def test_goal_that_is_occupied_is_waited_for_and_the_vehicle_is_named():
-    names = ("fss1", "fss2")
-    first, second = Ideal("fss1", names, [-1.3, 0.0, 0.0]), Ideal("fss2", names, [1.0, 0.0, 0.0])
-    fly([first, second], until=3.0)
+    first, second = meeting([-1.3, 0.0, 0.0], [1.0, 0.0, 0.0])
     first.go_to(3.0, [1.0, 0.0, 0.0])
     fly([first, second], start=3.0, until=60.0)
     assert (first.commands.phase, first.commands.reason) == ("wait", "waits for fss2")
@@ -106,9 +101,7 @@ def test_goal_that_is_occupied_is_waited_for_and_the_vehicle_is_named():
 
 @pytest.mark.parametrize("silent", ["fss1", "fss2"])
 def test_silent_vehicle_is_kept_clear_of(silent):
-    names = ("fss1", "fss2")
-    first, second = Ideal("fss1", names, [-1.3, 0.0, 0.0]), Ideal("fss2", names, [0.0, -1.3, 1.5])
-    fly([first, second], until=3.0)
+    first, second = meeting([-1.3, 0.0, 0.0], [0.0, -1.3, 1.5])
     first.go_to(3.0, [1.3, 0.0, 0.0])
     second.go_to(3.0, [0.0, 1.3, 1.5])
     _, least = fly([first, second], start=3.0, silent=lambda name, t: name == silent and t > 30.0)
@@ -116,9 +109,7 @@ def test_silent_vehicle_is_kept_clear_of(silent):
 
 
 def test_right_of_way_is_kept_before_a_vehicle_that_falls_silent_and_still_receives():
-    names = ("fss1", "fss2")
-    first, second = Ideal("fss1", names, [-1.3, 0.0, 0.0]), Ideal("fss2", names, [0.0, -1.3, 1.6])
-    fly([first, second], until=5.0)
+    first, second = meeting([-1.3, 0.0, 0.0], [0.0, -1.3, 1.6], until=5.0)
     first.go_to(5.0, [1.3, 0.0, 0.6])
     fly([first, second], start=5.0, until=8.5)
     second.go_to(8.5, [0.0, 1.3, 2.1])
@@ -132,14 +123,13 @@ def test_right_of_way_is_kept_before_a_vehicle_that_falls_silent_and_still_recei
 
 
 def test_follow_waits_and_then_keeps_to_its_path():
-    names = ("fss1", "fss2")
-    first, second = Ideal("fss1", names, [0.0, -1.3, 1.5]), Ideal("fss2", names, [-1.3, 0.0, 0.0])
-    fly([first, second], until=3.0)
+    first, second = meeting([0.0, -1.3, 1.5], [-1.3, 0.0, 0.0])
     first.go_to(3.0, [0.0, 1.3, 1.5])
     poses = [[-1.3, 0.0, 0.0], [0.0, -0.2, 0.0], [1.3, 0.0, 0.0]]
-    seen: Observation = second.observe(3.0)
     second.start, second.moves = 3.0, True
-    second.activity = follow(second.craft, seen, [0.0, 45.0, 90.0], np.ravel(poses), [])
+    second.activity = follow(
+        second.craft, second.observe(3.0), [0.0, 45.0, 90.0], np.ravel(poses), []
+    )
     way = second.activity.path.states(np.linspace(0.0, 90.0, 2000))[:, 0]
     t, least, off = 3.0, np.inf, 0.0
     while not (first.arrived and second.arrived) and t < 400.0:
