@@ -35,6 +35,23 @@ def add_body(model, parent, place, body):
     return joint
 
 
+def pinocchio_inertia(model: pin.Model, data: pin.Data, q: np.ndarray) -> np.ndarray:
+    """Inertia matrix, of which Pinocchio computes the upper triangle."""
+    upper = np.triu(pin.crba(model, data, q))
+    return upper + np.triu(upper, 1).T
+
+
+def pinocchio_tip_jacobian(arm: Arm, q: np.ndarray, floating: bool) -> np.ndarray:
+    """Jacobian (3, n) from joint rates to the tip's twist, of a base that is held or floats."""
+    model, state = pinocchio_model(arm), np.concatenate([np.zeros(3), q])
+    data, tip = model.createData(), model.getFrameId("tip")
+    J = pin.computeFrameJacobian(model, data, state, tip, pin.LOCAL_WORLD_ALIGNED)[[0, 1, 5]]
+    if not floating:
+        return J[:, 3:]
+    H = pinocchio_inertia(model, data, state)
+    return J[:, 3:] - J[:, :3] @ np.linalg.solve(H[:3, :3], H[:3, 3:])
+
+
 def mujoco_model(arm: Arm, joints: Joints | None = None) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(mujoco_xml(arm, joints))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from model_arms import random_arm, random_states
-from model_oracles import pinocchio_model
+from model_oracles import pinocchio_inertia, pinocchio_model
 from numpy.testing import assert_allclose
 
 from fss_arm_model import dynamics
@@ -113,9 +113,7 @@ def test_what_acts_from_around_acts_as_in_pinocchio(n):
     data = model.createData()
 
     def rate(q, v, tau):
-        pin.crba(model, data, q)
-        H = np.triu(data.M) + np.triu(data.M, 1).T
-        forces = tau - film * H @ v
+        forces = tau - film * pinocchio_inertia(model, data, q) @ v
         forces[:2] -= drag * v[:2]
         forces[2] -= twist * v[2]
         return pin.aba(model, data, q, v, forces)

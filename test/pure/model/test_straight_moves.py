@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fss_arm_model import dynamics
 from fss_arm_model.description import paper_arm
-from fss_arm_model.free_floating import free_torques
 from fss_arm_model.straight_moves import RAMP_SHARE, speed_profile, torque_limited_duration
 
 ARM = paper_arm()
@@ -21,19 +19,6 @@ def test_a_profile_is_a_trapezoid_of_the_rate():
     assert np.gradient(way, x)[1:-1] == pytest.approx(rate[1:-1], abs=1e-4)
     assert rate.max() == 1.0 / (1.0 - RAMP_SHARE)
     assert np.trapezoid(acceleration, x) == pytest.approx(0.0, abs=1e-3)
-
-
-def test_torques_are_those_of_the_floating_arm():
-    """The accelerations they cause, at the base's rates without momentum, are those asked for."""
-    rng = np.random.default_rng(3)
-    q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 6, 4))
-    for tau, *motion in zip(free_torques(ARM.vector(), q, qd, qdd)[0], q, qd, qdd, strict=True):
-        p, state = ARM.vector(), np.concatenate([np.zeros(3), motion[0]])
-        H = dynamics.inertia_matrix(p, state)
-        twist = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ motion[1])
-        rates = np.concatenate([twist, motion[1]])
-        found = dynamics.forward_dynamics(p, state, rates, [0.0, 0.0, 0.0, *tau])
-        assert found[3:] == pytest.approx(motion[2], abs=1e-9)
 
 
 def test_time_grows_with_what_torque_asks():
