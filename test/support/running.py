@@ -55,6 +55,14 @@ def memory(pid: int | str = "self") -> int:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096
 
 
+def run_command(
+    *command: Any, timeout: float = 600.0, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end and return it with its output as text."""
+    words = list(map(str, command))
+    return subprocess.run(words, capture_output=True, text=True, timeout=timeout, **options)
+
+
 class Program:
     """A process of ours under test: its output so far, and how it ended."""
 

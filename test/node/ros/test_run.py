@@ -2,14 +2,13 @@
 
 import os
 import signal
-import subprocess
 import sys
 import time
 
 import pytest
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
-from running import wait_until
+from running import run_command, wait_until
 from std_msgs.msg import Header
 
 from fss_arm_ros.convert import stamp_ns, to_time
@@ -37,8 +36,7 @@ sys.exit(run(make))
 
 @pytest.mark.parametrize("late", ["Node('late')", "ActionClient(node, MoveArm, 'late')"])
 def test_told_to_end_while_it_is_made_it_ends_well(late):
-    code = [sys.executable, "-W", "ignore", "-c", TOLD % late]
-    ended = subprocess.run(code, capture_output=True, text=True, timeout=30)
+    ended = run_command(sys.executable, "-W", "ignore", "-c", TOLD % late)
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
@@ -52,8 +50,7 @@ sys.exit(run(lambda: Path("/nowhere/arm.yaml").read_text(), ["lib/arm"]))
 
 
 def test_a_file_that_a_node_lacks_is_named_as_commands_do():
-    code = [sys.executable, "-c", MISSING]
-    ended = subprocess.run(code, capture_output=True, text=True, timeout=30)
+    ended = run_command(sys.executable, "-c", MISSING)
     assert ended.returncode == 1
     assert ended.stderr == "arm: /nowhere/arm.yaml: No such file or directory\n"
 
@@ -77,7 +74,7 @@ sys.exit(run.run(Held))
 
 
 def test_a_node_that_cannot_leave_is_ended_and_says_where():
-    ended = subprocess.run([sys.executable, "-c", HELD], capture_output=True, text=True, timeout=30)
+    ended = run_command(sys.executable, "-c", HELD)
     assert ended.returncode == 1
     assert "in destroy_node" in ended.stderr
 
@@ -109,8 +106,7 @@ sys.exit(run(Closing))
 
 
 def test_further_interrupts_do_not_keep_a_node_from_closing():
-    code = [sys.executable, "-W", "ignore", "-c", IMPATIENT]
-    ended = subprocess.run(code, capture_output=True, text=True, timeout=30)
+    ended = run_command(sys.executable, "-W", "ignore", "-c", IMPATIENT)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "closed\n", "")
 
 
@@ -132,8 +128,7 @@ sys.exit(run(lambda: Node("early")))
 
 
 def test_an_interrupt_just_before_rclpy_handles_them_is_not_lost():
-    code = [sys.executable, "-W", "ignore", "-c", EARLY]
-    ended = subprocess.run(code, capture_output=True, text=True, timeout=30)
+    ended = run_command(sys.executable, "-W", "ignore", "-c", EARLY)
     assert (ended.returncode, ended.stderr) == (0, "")
 
 

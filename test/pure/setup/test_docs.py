@@ -3,7 +3,6 @@
 import os
 import re
 import shlex
-import subprocess
 import sys
 from dataclasses import fields
 from importlib import import_module
@@ -14,6 +13,7 @@ from typing import get_type_hints
 
 import pytest
 import yaml
+from running import run_command
 
 from fss_arm_bags.replay import is_command
 from fss_arm_ros.program import Command, Program, named
@@ -52,9 +52,7 @@ def commands():
 
 
 def test_the_tables_are_those_of_the_code():
-    run = subprocess.run(
-        [sys.executable, ROOT / "scripts/make_docs.py", "--check"], capture_output=True, text=True
-    )
+    run = run_command(sys.executable, ROOT / "scripts/make_docs.py", "--check")
     assert run.returncode == 0, run.stdout + run.stderr
 
 

@@ -11,8 +11,8 @@ import shlex
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from io import StringIO
 from itertools import pairwise
@@ -27,6 +27,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
 from rclpy.serialization import serialize_message
 from rich.console import Console
+from running import run_command as run
 from sensor_msgs.msg import JointState
 from shell_scripts import script_package, write_script
 
@@ -42,14 +43,6 @@ SCRIPTS = [
     for pattern in ("scripts/**/*.sh", "scripts/bin/*", ".ci/run", "config/*.sh")
     for path in sorted(ROOT.glob(pattern))
 ]
-
-
-def run(
-    *command: str | Path, env: Mapping[str, str] | None = None, cwd: Path | None = None
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(part) for part in command], env=env, cwd=cwd, capture_output=True, text=True
-    )
 
 
 def test_shellcheck_finds_nothing():
@@ -128,17 +121,19 @@ def test_env_says_in_one_line_what_it_lacks(tmp_path):
 # --- the spacecraft's configuration --------------------------------------------------------------
 
 
+def write_units(folder: Path, *config: Path | str, **env: str) -> None:
+    """Write the units of a configuration, by default of config/fss.sh."""
+    written = run("scripts/fss_systemd.sh", folder, *config, cwd=ROOT, env=os.environ | env)
+    assert (written.returncode, written.stderr) == (0, "")
+
+
 @pytest.mark.parametrize(
-    ("name", "first", "last"),
-    [
-        ("fss", ["record"], ["kinematic", "base_reaction"]),
-        ("fss_sim", ["record", "testbed"], ["kinematic", "base_reaction"]),
-    ],
+    ("name", "first"), [("fss", ["record"]), ("fss_sim", ["record", "testbed"])]
 )
-def test_systemd_takes_the_units_of_each_configuration(tmp_path, name, first, last):
-    written = run("scripts/fss_systemd.sh", tmp_path, f"config/{name}.sh", cwd=ROOT)
-    assert written.returncode == 0, written.stderr
-    nodes = [*first, *(f"link_{i}" for i in range(1, 5)), "arm", *last]
+def test_systemd_takes_the_units_of_each_configuration(tmp_path, name, first):
+    write_units(tmp_path, f"config/{name}.sh")
+    links = [f"link_{i}" for i in range(1, 5)]
+    nodes = [*first, *links, "arm", "kinematic", "base_reaction"]
     units = {tmp_path / f"{name}-{node}.service" for node in nodes}
     assert set(tmp_path.iterdir()) == units | {tmp_path / f"{name}.target"}
     after = dict(pairwise(nodes))
@@ -162,8 +157,7 @@ def test_units_reach_the_nodes_and_leave_the_logs_to_their_user(tmp_path):
     config = tmp_path / "lab.sh"
     settings = [f"FSS_LOGS={tmp_path}/logs", *(f'export {k}="{v}"' for k, v in reach.items())]
     config.write_text("\n".join([*settings, "node arm p x", "node b p y"]) + "\n")
-    written = run("scripts/fss_systemd.sh", tmp_path / "units", config, cwd=ROOT)
-    assert (written.returncode, written.stderr) == (0, "")
+    write_units(tmp_path / "units", config)
     for node in ("arm", "b"):
         unit = (tmp_path / f"units/lab-{node}.service").read_text()
         given = re.findall(r'^Environment="(.*?)=(.*)"$', unit, re.M)
@@ -176,7 +170,7 @@ def test_units_reach_the_nodes_and_leave_the_logs_to_their_user(tmp_path):
 def test_systemd_disarms_by_the_arm_node_if_there_is_one_left(tmp_path, process, said):
     config = tmp_path / "lab.sh"
     config.write_text(f"FSS_LOGS={tmp_path}/logs\nnode arm p x\nnode b p y\n")
-    run("scripts/fss_systemd.sh", tmp_path / "units", config, cwd=ROOT)
+    write_units(tmp_path / "units", config)
     assert "ExecStop=" not in (tmp_path / "units/lab-b.service").read_text()
     (command,) = re.findall(
         r"^ExecStop=-(.*)$", (tmp_path / "units/lab-arm.service").read_text(), re.M
@@ -187,15 +181,14 @@ def test_systemd_disarms_by_the_arm_node_if_there_is_one_left(tmp_path, process,
 
 
 def test_units_of_two_vehicles_are_told_apart(tmp_path):
-    written = run("scripts/fss_systemd.sh", tmp_path, "config/fss_two_sim.sh", cwd=ROOT)
-    assert written.returncode == 0, written.stderr
+    write_units(tmp_path, "config/fss_two_sim.sh")
     unit = (tmp_path / "fss_two_sim-fss2-arm.service").read_text()
     assert "After=fss_two_sim-fss2-link_4.service" in unit
     assert "fss_two_sim.sh fss2/arm\n" in unit
     assert "fss_arm.sh --vehicle fss2 disarm" in unit
     assert "fss_two_sim-fss1-record.service" in (tmp_path / "fss_two_sim.target").read_text()
     assert "FSS_NAMESPACE" not in unit
-    run("scripts/fss_systemd.sh", tmp_path, cwd=ROOT, env=os.environ | {"FSS_NAMESPACE": "fss2"})
+    write_units(tmp_path, FSS_NAMESPACE="fss2")
     unit = (tmp_path / "fss-fss2-arm.service").read_text()
     assert 'Environment="FSS_NAMESPACE=fss2"' in unit
 
@@ -287,6 +280,22 @@ def status(monkeypatch) -> dict[str, Any]:
     return runpy.run_path(str(ROOT / "scripts/fss_status.py"))
 
 
+def listener_of(*reports: DiagnosticStatus, **more: Any) -> SimpleNamespace:
+    """Return what the screen reads of a listener that has received these reports."""
+    named = {report.name: report for report in reports}
+    values = {"measured": {}, "results": {}, "reports": named, "report": named.get}
+    return SimpleNamespace(**(values | more))
+
+
+@contextmanager
+def running(folder: Path, *names: str) -> Iterator[None]:
+    """Hold the locks of nodes, as their processes do."""
+    with ExitStack() as files:
+        for name in names:
+            fcntl.flock(files.enter_context((folder / f"{name}.node").open("w")), fcntl.LOCK_EX)
+        yield
+
+
 def lines_of(shown: Any, width: int = 80) -> list[str]:
     """Return the lines that something has on a terminal of this width."""
     screen = StringIO()
@@ -296,8 +305,7 @@ def lines_of(shown: Any, width: int = 80) -> list[str]:
 
 def test_the_status_has_the_commit_and_the_hash_of_each_law(status):
     values = [KeyValue(key="law", value="pd.py:Pd"), KeyValue(key="hash of its file", value="1a2b")]
-    report = DiagnosticStatus(name="controller", values=values)
-    listener = SimpleNamespace(reports={"controller": report}, report={"controller": report}.get)
+    listener = listener_of(DiagnosticStatus(name="controller", values=values))
     _, _, commit, law = lines_of(status["versions"](listener))
     assert commit.split() == ["commit", source_version()]
     assert law.split() == ["pd.py:Pd", "1a2b"]
@@ -306,11 +314,8 @@ def test_the_status_has_the_commit_and_the_hash_of_each_law(status):
 def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_path, status):
     processes = status["Processes"](tmp_path, ["links", "arm"], ["vicon"])
     ok = DiagnosticStatus(name="arm", level=DiagnosticStatus.OK, message="all is well")
-    listener = SimpleNamespace(reports={"arm": ok}, report={"arm": ok}.get)
-    with ExitStack() as files:
-        for name in ("links", "arm", "vicon"):
-            fcntl.flock(files.enter_context((tmp_path / f"{name}.node").open("w")), fcntl.LOCK_EX)
-        lines = lines_of(status["nodes"](processes, listener), 120)
+    with running(tmp_path, "links", "arm", "vicon"):
+        lines = lines_of(status["nodes"](processes, listener_of(ok)), 120)
     shown = {line.split()[0]: line for line in lines}
     assert "runs, but no node of this name reports" in shown["links"]
     assert shown["arm"].endswith("all is well")
@@ -326,7 +331,7 @@ def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path, status):
             serialize_message(JointState(name=[name], position=[q]))
         )  # a message each
     heard["/fss2/link_1/telemetry"].add(serialize_message(link))
-    listener = SimpleNamespace(measured=heard, results={}, reports={})
+    listener = listener_of(measured=heard)
     listener.angles = partial(Listener.angles, listener)
     shown = status["screen"](status["Processes"](tmp_path, [], []), listener)
     lines = lines_of(shown)
@@ -342,14 +347,11 @@ def test_what_is_not_healthy_is_named_with_its_state(tmp_path, status):
     names = "arm", "link", "record", "view"
     processes = status["Processes"](tmp_path, [*names, "base"], ["vicon"])
     levels = {"arm": DiagnosticStatus.OK, "link": DiagnosticStatus.ERROR}
-    reports = {name: DiagnosticStatus(name=name, level=level) for name, level in levels.items()}
-    listener = SimpleNamespace(reports=reports, report=reports.get)
+    reports = [DiagnosticStatus(name=name, level=level) for name, level in levels.items()]
     (tmp_path / "record.keep").write_text("failed\n")
     (tmp_path / "base.keep").write_text("ended\n")
-    with ExitStack() as files:
-        for name in ("arm", "link", "view", "vicon"):
-            fcntl.flock(files.enter_context((tmp_path / f"{name}.node").open("w")), fcntl.LOCK_EX)
-        found = status["problems"](processes, listener)
+    with running(tmp_path, "arm", "link", "view", "vicon"):
+        found = status["problems"](processes, listener_of(*reports))
     assert found == ["record is failed", "view does not report", "link reports an error"]
 
 
@@ -371,9 +373,8 @@ def test_timing_is_shown_within_80_columns(status):
     values = [KeyValue(key=key, value=f"{value:.6g}") for key, value in timing.values().items()]
     unknown = [KeyValue(key=MISSED, value="n/a"), KeyValue(key="period p50 [ms]", value="[b]")]
     names = ["fss2/control", "fss2/navigation"]
-    reports = {name: DiagnosticStatus(name=name, values=values) for name in names}
-    reports["x"] = DiagnosticStatus(name="x", values=unknown)
-    listener = SimpleNamespace(reports=reports, report=reports.get)
+    reports = [DiagnosticStatus(name=name, values=values) for name in names]
+    listener = listener_of(*reports, DiagnosticStatus(name="x", values=unknown))
     rows = [line.split() for line in lines_of(status["timing"](listener))]
     assert [row[0] for row in rows if len(row) == 8] == names
     assert ["x", "n/a"] in rows
@@ -389,7 +390,7 @@ def test_a_marked_node_has_its_priority_and_cores(tmp_path):
     )
     shown = run("sh", "-c", script, tmp_path / "lab.sh", cwd=ROOT)
     assert shown.stdout.splitlines() == ["b  ", "a 60 1,2", "c 50 ", "d  "]
-    run("scripts/fss_systemd.sh", tmp_path / "units", tmp_path / "lab.sh", cwd=ROOT)
+    write_units(tmp_path / "units", tmp_path / "lab.sh")
     limits = "LimitRTPRIO=60\nLimitMEMLOCK=infinity\n"
     assert limits in (tmp_path / "units/lab-a.service").read_text()
     assert "LimitRTPRIO" not in (tmp_path / "units/lab-b.service").read_text()
@@ -407,9 +408,8 @@ def test_a_failed_node_says_why_and_events_are_those_of_this_session(tmp_path, s
         (tmp_path / f"{name}.log").write_text(f"[ERROR] [1795718826.249418224] [{name}]: lost\n")
     events = ["old link failed", "nodes are started: link", "link failed (1)"]
     (tmp_path / "events.log").write_text("\n".join(events) + "\n")
-    listener = SimpleNamespace(measured={}, results={}, reports={}, report={}.get)
-    shown = status["screen"](status["Processes"](tmp_path, ["link", "arm", "record"], []), listener)
-    lines = lines_of(shown)
+    processes = status["Processes"](tmp_path, ["link", "arm", "record"], [])
+    lines = lines_of(status["screen"](processes, listener_of()))
     assert any(re.fullmatch(r"link +failed +link: the port is taken", line) for line in lines)
     assert any(re.fullmatch(r"arm +failed +\[arm\]: lost", line) for line in lines)
     assert any(re.fullmatch(r"record +stopped", line) for line in lines)  # as requested
@@ -425,29 +425,29 @@ def test_help_is_what_the_script_says_of_itself(name):
     assert not told.stdout.startswith("#")
 
 
+def line_of_fss_up(folder):
+    """Return the line in which starting a recorder fails."""
+    config = folder / "lab.sh"
+    config.write_text(f"FSS_LOGS={folder}/logs\nnode record fss_arm_bags record\n")
+    up = run("scripts/fss_up.sh", config, cwd=ROOT)
+    assert (up.returncode, up.stderr.count("\n")) == (1, 1)
+    return up.stderr
+
+
 def test_a_full_disk_is_named_before_a_node_is_started(tmp_path):
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs/events.log").symlink_to("/dev/full")
-    config = tmp_path / "lab.sh"
-    node = "node record fss_arm_bags record"
-    config.write_text(f"FSS_LOGS={tmp_path}/logs\n{node} --ros-args -p output:={tmp_path}/bags\n")
-    up = run("scripts/fss_up.sh", config, cwd=ROOT)
-    assert up.returncode == 1
-    assert up.stderr.startswith(f"fss_up.sh: cannot write to {tmp_path}/logs: is the disk full?")
-    assert up.stderr.count("\n") == 1
+    problem = f"fss_up.sh: cannot write to {tmp_path}/logs: is the disk full?"
+    assert line_of_fss_up(tmp_path).startswith(problem)
     assert not (tmp_path / "logs/record.keep").exists()
 
 
 def test_a_node_that_cannot_be_started_is_named_with_the_reason(tmp_path):
     (tmp_path / "logs/record.keep").mkdir(parents=True)  # in place of the lock's file
-    config = tmp_path / "lab.sh"
-    config.write_text(f"FSS_LOGS={tmp_path}/logs\nnode record fss_arm_bags record\n")
-    up = run("scripts/fss_up.sh", config, cwd=ROOT)
-    assert up.returncode == 1
-    assert up.stderr.startswith("fss_up.sh: record cannot be started: ")
-    assert "record.keep: " in up.stderr
-    assert up.stderr.endswith(f"; scripts/fss_down.sh {config}, then try again\n")
-    assert up.stderr.count("\n") == 1
+    line = line_of_fss_up(tmp_path)
+    assert line.startswith("fss_up.sh: record cannot be started: ")
+    assert "record.keep: " in line
+    assert line.endswith(f"; scripts/fss_down.sh {tmp_path}/lab.sh, then try again\n")
 
 
 @pytest.mark.parametrize(
@@ -485,16 +485,8 @@ def test_an_ordinary_user_in_a_clone_of_root_is_told_to_make_another(command, wo
             shutil.copytree(ROOT / part, root / part)
         (root / ".venv/bin").mkdir(parents=True)
         (root / ".venv/bin/python").symlink_to("/root/python3")
-        ended = subprocess.run(
-            [root / "scripts" / name, *arguments],
-            user=65534,
-            group=65534,
-            extra_groups=[],
-            env=BARE,
-            cwd=root,
-            capture_output=True,
-            text=True,
-        )
+        other_user = {"user": 65534, "group": 65534, "extra_groups": []}
+        ended = run(root / "scripts" / name, *arguments, env=BARE, cwd=root, **other_user)
     assert ended.returncode == 1
     assert re.match(words, ended.stderr)
     assert ended.stderr.count("\n") == 1

@@ -9,6 +9,7 @@ from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
+from running import run_command
 from shell_scripts import mark_packages, write_script
 
 ROOT = Path(__file__).parents[3]
@@ -19,6 +20,7 @@ NEEDED = (
     *("ament_cmake", "rosidl_default_generators"),
     *("common_interfaces", "control_msgs", "tf2_msgs"),
 )
+TIMEOUT = 1500.0  # of a whole set-up [s]
 NO_WHEELS = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": ""}
 
 
@@ -69,13 +71,8 @@ class Machine:
 
     def run(self, *commands, **env):
         """Run commands in one bash, in the workspace."""
-        return subprocess.run(
-            ["bash", "-ec", "\n".join(commands)],
-            env=self.env | env,
-            cwd=self.root,
-            capture_output=True,
-            text=True,
-        )
+        text = "\n".join(commands)
+        return run_command("bash", "-ec", text, timeout=TIMEOUT, env=self.env | env, cwd=self.root)
 
     def setup(self, arguments="", **env):
         """Run the set-up, which must fail; return the lines that it ends in."""
