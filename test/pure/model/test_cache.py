@@ -6,9 +6,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from running import run_command
 
 import fss_arm_model
 
+COMPILE_TIMEOUT = 1200.0  # [s]
 ENERGY = """
 import numpy as np
 from fss_arm_model import description, dynamics
@@ -28,8 +30,7 @@ class Copy:
     def run(self, *arguments: str, **others: str) -> subprocess.CompletedProcess[str]:
         places = {"PYTHONPATH": str(self.package.parent), "NUMBA_CACHE_DIR": str(self.cache)}
         env = {**os.environ, **places, **others}
-        command = [sys.executable, *arguments]
-        return subprocess.run(command, env=env, text=True, capture_output=True, check=False)
+        return run_command(sys.executable, *arguments, timeout=COMPILE_TIMEOUT, env=env)
 
     def energy(self) -> float:
         return float(self.run("-c", ENERGY).stdout)

@@ -1,22 +1,19 @@
-"""Settings: a value's meaning, unit and bounds stand at its field."""
+"""Settings that are like others, and angles in degrees."""
 
-from dataclasses import dataclass, fields
-from math import radians
+from dataclasses import dataclass
+from math import inf, nan, pi, radians
 
 import pytest
 
 from fss_arm_model.settings import (
-    FINITE,
     POSITIVE,
     SettingError,
     Settings,
     above,
-    between,
-    default_text,
     like,
-    meaning,
     setting,
 )
+from fss_arm_model.units import angle_beyond, in_degrees
 
 
 @dataclass(frozen=True)
@@ -41,28 +38,20 @@ def test_a_field_is_like_another_under_its_own_name_and_default():
         Station(tank_sides=(1.0,))
 
 
-def test_meaning_unit_and_bounds_are_told_in_one_line():
-    assert [meaning(f) for f in fields(Station)] == [
-        "share that is full; above 0, at most 1",
-        "sides [m]; each a positive number",
-    ]
-    slope = setting(0.0, "slope", unit="rad", check=FINITE)
-    assert meaning(slope) == "slope [rad]"  # no number may be infinite
-    assert between(300, 4_000_000).expected == "300 to 4000000"
+def test_angles_are_shown_in_degrees_with_four_digits():
+    assert in_degrees([radians(10.0), 1.0, -pi / 2, 0.0]) == "10, 57.3, -90, 0 deg"
 
 
 @pytest.mark.parametrize(
-    ("value", "text"),
+    ("angle", "text"),
     [
-        (radians(0.1), "0.00174533"),
-        (1e-5, "1e-05"),
-        (0.0, "0.0"),
-        (20e6, "20000000.0"),
-        ((1.5, 2.0), "[1.5, 2.0]"),
-        (True, "true"),
-        ((), "[]"),
-        ("", ""),
+        (1.7453292519943295, "100 deg"),
+        (1.5708, "90 deg (0.00021 deg beyond)"),
+        (-1.5708, "-90 deg (0.00021 deg beyond)"),
+        (nan, "nan deg"),
+        (inf, "inf deg"),
+        (1e18, "5.73e+19 deg"),
     ],
 )
-def test_a_default_is_shown_as_in_a_parameters_file_without_needless_digits(value, text):
-    assert default_text(value) == text
+def test_an_angle_beyond_its_range_is_shown_with_it(angle, text):
+    assert angle_beyond(angle, -pi / 2, pi / 2) == f"{text}, expected -90 to 90 deg"
