@@ -1,4 +1,4 @@
-"""Conversions between messages and plain values, for rclpy's and rosbags' classes alike."""
+"""Conversions between messages and plain values, for rclpy's and rosbags' classes; dates."""
 
 from math import nan, pi
 
@@ -11,6 +11,7 @@ from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 
+from fss_arm_model.units import SECOND
 from fss_arm_ros.convert import (
     PoseError,
     joint_readings,
@@ -19,11 +20,18 @@ from fss_arm_ros.convert import (
     stamp_ns,
     to_time,
 )
+from fss_arm_ros.dates import format_period, format_time
 
 
 @given(st.integers(0, 2**31 * 10**9 - 1))
 def test_times_survive_to_the_nanosecond(ns):
     assert stamp_ns(to_time(ns)) == ns
+
+
+def test_data_have_a_date_unless_they_are_simulated():
+    assert format_time(1_795_694_646 * SECOND) == "2026-11-26 12:04 UTC"
+    assert format_time(312 * SECOND) == "312 s of simulated time"
+    assert format_period(4 * SECOND, 312 * SECOND) == "4 to 312 s of simulated time"
 
 
 def test_readings_are_told_by_their_joints_names():

@@ -1,13 +1,13 @@
 """What executables import: little to tell what they are for, nothing that computes to begin."""
 
 import re
-import subprocess
 import sys
 from importlib.metadata import distribution
 from inspect import getdoc
 from pathlib import Path
 
 import pytest
+from running import run_command
 
 from fss_arm_ros.command_line import in_one_line, in_words
 from fss_arm_ros.libraries import LIBRARIES
@@ -34,8 +34,7 @@ for package in sys.argv[2:]:
 
 
 def run(code, *arguments):
-    command = [sys.executable, "-c", code, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = run_command(sys.executable, "-c", code, *arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -119,7 +118,3 @@ def test_an_interrupted_command_ends_in_one_line(monkeypatch, capsys):
 )
 def test_an_error_is_one_line_without_its_number(error, words):
     assert in_words(error) == words
-
-
-def test_a_command_runs_with_its_arguments():
-    assert Command("builtins:len", "argparse:ArgumentParser")(["a", "b"]) == 2

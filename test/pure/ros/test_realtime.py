@@ -1,10 +1,10 @@
 """Real-time scheduling of a process, in processes of their own."""
 
 import os
-import subprocess
 import sys
 
 import pytest
+from running import run_command
 
 SHOW = """
 import os
@@ -25,8 +25,8 @@ os.geteuid, resource.getrlimit = lambda: 1000, lambda _: (8 << 20, 8 << 20)
 
 
 def shown(script, **environment):
-    command, env = [sys.executable, "-c", script], {**os.environ, **environment}
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=env)
+    env = os.environ | environment
+    done = run_command(sys.executable, "-c", script, check=True, env=env)
     return done.stdout.splitlines()
 
 

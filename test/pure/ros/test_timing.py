@@ -8,33 +8,18 @@ from fss_arm_model.units import SECOND
 from fss_arm_ros.timing import MAX_SAMPLES, Timing
 
 
-class Clock:
-    """Clock that is set."""
-
-    t = 0
-
-    def now(self):
-        return SimpleNamespace(nanoseconds=self.t)
-
-
-class SimulatedNode:
-    """Node with a simulated clock."""
-
-    def __init__(self, clock):
-        self.get_clock = lambda: clock
-
-    def get_parameter(self, _):
-        return SimpleNamespace(value=True)
-
-
 @pytest.fixture
 def clock():
-    return Clock()
+    """The simulated time of a node [ns], as its attribute t."""
+    return SimpleNamespace(t=0)
 
 
 @pytest.fixture
 def timing(clock):
-    return Timing(100.0, SimulatedNode(clock))
+    simulated = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=clock.t))
+    parameter = SimpleNamespace(value=True)  # use_sim_time
+    node = SimpleNamespace(get_clock=lambda: simulated, get_parameter=lambda _: parameter)
+    return Timing(100.0, node)
 
 
 @pytest.fixture
