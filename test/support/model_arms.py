@@ -1,10 +1,13 @@
 """Arms and states to test the model with."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from fss_arm_model.description import Arm, Base, Link
+from fss_arm_model.description import Arm, Base, Link, paper_arm
+from fss_arm_model.description_file import save
 
 
 def random_arm(n: int, rng: np.random.Generator) -> Arm:
@@ -23,6 +26,12 @@ def random_arm(n: int, rng: np.random.Generator) -> Arm:
     )
     links = (link(0.0), *(link(rng.uniform(-0.3, 0.3)) for _ in range(n - 1)))
     return Arm(name=f"{n} links", base=base, links=links, theta_E=rng.uniform(-0.5, 0.5))
+
+
+def short_arm(count: int, folder: Path) -> Path:
+    """Save the paper's arm with only its first links; return the file."""
+    save(replace(paper_arm(), links=paper_arm().links[:count]), folder / "arm.yaml")
+    return folder / "arm.yaml"
 
 
 def random_states(n: int, count: int, rng: np.random.Generator) -> tuple[np.ndarray, ...]:

@@ -1,10 +1,11 @@
-"""The command `map`: figures, numbers and errors."""
+"""The command `map`: figures, numbers and errors; calibrations of the described arm."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from calib_kinds import serialized
+from model_arms import short_arm
 
 from fss_arm_bags.reader import BagError
 from fss_arm_bags.recorder import Recording
@@ -15,6 +16,7 @@ from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibrati
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED
 from fss_arm_workspace.analysis import load_kernels
+from fss_arm_workspace.calibrations import Calibrations
 from fss_arm_workspace.map import load_arm, main
 from fss_arm_workspace.regions.fixed import fixed_workspace
 
@@ -42,8 +44,7 @@ def test_figures_and_their_numbers_are_written(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_single_link_has_no_maps(tmp_path, capsys):
-    save(replace(paper_arm(), links=paper_arm().links[:1]), tmp_path / "arm.yaml")
-    assert main([str(tmp_path / "arm.yaml"), "--output", str(tmp_path)]) == 0
+    assert main([str(short_arm(1, tmp_path)), "--output", str(tmp_path)]) == 0
     assert sorted(path.stem for path in tmp_path.glob("*.png")) == ["figure_7", "figure_8"]
     with np.load(tmp_path / "workspace.npz") as data:
         assert data["area"] == pytest.approx(0.0, abs=1e-12)
@@ -116,6 +117,24 @@ def test_passed_calibrations_are_used_with_their_covariance_in_any_order():
     newest = other.with_message("calibration/dynamic", both)
     assert newest.arm == heavy
     assert np.sqrt(newest.covariance[8, 8]) == pytest.approx(5e-3)
+
+
+def with_mass(mass):
+    arm = paper_arm()
+    return replace(arm, links=(*arm.links[:3], replace(arm.links[3], mass=mass)))
+
+
+def test_the_newest_of_each_kind_counts_and_that_of_another_arm_changes_nothing():
+    arm, calibrations = paper_arm(), Calibrations(Calibrated(paper_arm()))
+    for kind, found in (("dynamic", with_mass(3.0)), ("kinematic", arm), ("dynamic", with_mass(2))):
+        calibrations.add(f"calibration/{kind}", passed(DynamicCalibration, found, [], 0.0))
+    assert list(calibrations.messages) == ["calibration/kinematic", "calibration/dynamic"]
+    assert calibrations.calibrated.arm == with_mass(2.0)
+    shorter = passed(KinematicCalibration, replace(arm, links=arm.links[:3]), [], 0.0)
+    with pytest.raises(ValueError, match="it is for 3 links, expected 4"):
+        calibrations.add("calibration/kinematic", shorter)
+    assert calibrations.messages["calibration/kinematic"] is not shorter
+    assert calibrations.calibrated.arm == with_mass(2.0)
 
 
 def test_the_last_passed_calibration_of_a_bag_is_used(tmp_path):
