@@ -1,6 +1,25 @@
-"""Changes of single fields of messages."""
+"""Fields of messages, and changes of single ones."""
 
 from copy import deepcopy
+from importlib import import_module
+
+
+def fields(message, path=()):
+    """Yield the path of each field that is no message, with its value and type."""
+    for field, kind in message.get_fields_and_field_types().items():
+        value, here = getattr(message, field), (*path, field)
+        if hasattr(value, "get_fields_and_field_types"):
+            yield from fields(value, here)
+        else:
+            yield here, value, kind
+
+
+def element(kind):
+    """Return an element of a sequence of this type."""
+    if "/" in kind:
+        package, name = kind.split("/")
+        return getattr(import_module(f"{package}.msg"), name)()
+    return "x" if kind == "string" else 0.0
 
 
 def changed(message, path, value):

@@ -7,7 +7,6 @@ one with a number that is almost 0. test_validation.py has the measurements.
 
 from bisect import bisect
 from collections import Counter
-from importlib import import_module
 from math import inf, nan
 
 import numpy as np
@@ -19,7 +18,7 @@ from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from flight import Flyer, start
 from geometry_msgs.msg import WrenchStamped
-from message_fields import changed
+from message_fields import changed, element, fields
 from rclpy.action import ActionClient
 from rclpy.qos import QoSProfile
 from running import OWN, memory
@@ -100,16 +99,6 @@ GOALS = {
 }
 
 
-def fields(message, path=()):
-    """Yield the path of each field that is no message, with its value and type."""
-    for field, kind in message.get_fields_and_field_types().items():
-        value, here = getattr(message, field), (*path, field)
-        if hasattr(value, "get_fields_and_field_types"):
-            yield from fields(value, here)
-        else:
-            yield here, value, kind
-
-
 def extremes(message):
     """Yield (path, value) for the numbers of a message, alone or one in a sequence."""
     for path, value, kind in fields(message):
@@ -141,14 +130,6 @@ def long_ones(message):
             one = value[0] if len(value) else element(kind[9:-1])
             # Points of a trajectory are large: a hundred thousand are tens of megabytes.
             yield path, (MILLION // 10 if "/" in kind else MILLION) * [one]
-
-
-def element(kind):
-    """Return an element of a sequence of this type."""
-    if "/" in kind:
-        package, name = kind.split("/")
-        return getattr(import_module(f"{package}.msg"), name)()
-    return "x" if kind == "string" else 0.0
 
 
 class Stranger(Flyer):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from all_nodes import NODES
 from diagnostic_msgs.msg import DiagnosticArray
-from message_fields import changed
+from message_fields import changed, element, fields
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from running import OWN, memory
@@ -52,13 +52,10 @@ def plausible(kind):
     return message
 
 
-def extremes(message, path=()):
+def extremes(message):
     """(path, value) for each field of a message, those of messages in it too."""
-    for field, kind in message.get_fields_and_field_types().items():
-        value, here = getattr(message, field), (*path, field)
-        if hasattr(value, "get_fields_and_field_types"):
-            yield from extremes(value, here)
-        elif kind.startswith("sequence<"):
+    for here, value, kind in fields(message):
+        if kind.startswith("sequence<"):
             yield from ((here, one) for one in sequences(value, kind[9:-1]))
         elif "[" in kind:
             yield from ((here, [number] * len(value)) for number in numbers(kind.split("[")[0]))
@@ -85,8 +82,7 @@ def sequences(value, kind):
     value = list(value)
     yield []
     if "/" in kind:
-        package, name = kind.split("/")
-        one = getattr(import_module(f"{package}.msg"), name)()
+        one = element(kind)
         yield [*value, one]
         for path, extreme in extremes(one):
             yield [changed(one, path, extreme)]
