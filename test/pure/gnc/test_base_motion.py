@@ -62,12 +62,6 @@ def test_given_duration_is_kept_or_rejected():
         go_to(CRAFT, observed(), [0.5, 0.0, 0.0], 3.0, 0.0)
 
 
-def test_goal_beyond_the_edge_is_rejected():
-    message = r"would be -?0.* m from the table's edge in .* s, expected at least 0.05"
-    with pytest.raises(ActivityError, match=message):
-        go_to(CRAFT, observed(), (1.9, 0.0, 0.0), 0.0, 0.0)
-
-
 def test_path_through_the_keep_out_zone_is_rejected_unless_the_target_is_held_or_leaves():
     state, goal = observed(pose=(-1.5, 0.0, 0.0)), [0.8, 0.0, 0.0]
     go_to(CRAFT, state, goal, 0.0, 0.0)
@@ -157,13 +151,6 @@ def test_hold_stops_and_holds_a_moving_base():
     assert motion.largest_offset.max() < 1e-9
 
 
-def test_hold_pose_must_be_near():
-    with pytest.raises(
-        ActivityError, match=r"pose is 0.500 m and 0.0 deg .* use base/go_to to move there"
-    ):
-        hold(CRAFT, observed(), [0.5, 0.0, 0.0], 0.0)
-
-
 @pytest.mark.parametrize(
     ("armed", "cause"),
     [
@@ -208,7 +195,6 @@ def test_follow_takes_the_shorter_turns():
     [
         ({"times": np.linspace(0.0, 30.0, 25)}, "the path's .* expected at most"),
         ({"poses": (CIRCLE_POSES + 0.5).ravel()}, "the first pose is 0.707 m and 28.6 deg"),
-        ({"twists": np.eye(75)[4] * -2.0}, r"twist\[4\] is -2 m/s, expected -1 to 1 m/s"),
         ({"poses": (3.15 * CIRCLE_POSES * [1, 1, 0]).ravel(), "times": np.linspace(0.0, 900.0, 25)},
          "the table's edge"),
     ],

@@ -124,7 +124,7 @@ def test_state_is_lost_after_an_outage_and_found_again():
     assert filter_.lost_reason(4000 * MS) == "not observed for 3.0 s"
     assert (np.sqrt(filter_.state().pose_variance) > 2.0 * deviations).all()
     assert filter_.update_pose(4001 * MS, 0.001, 0.0, 0.0)
-    assert filter_.lost_reason(4001 * MS) == ""
+    assert (filter_.lost_reason(4001 * MS), filter_.start_count) == ("", 1)
 
 
 def test_uncertain_state_is_lost_before_the_outage_timeout():
@@ -193,6 +193,8 @@ def test_problems_and_values_of_a_new_navigation():
         "no gyro: heading from motion capture only",
         "readings of a joint are missing: motion of the arm unknown",
     ]
+    late = find_problems(*bodies, now + 990 * MS)
+    assert late[0] == "base predicted, not observed for 1.0 s"
     values = diagnostic_values(*bodies, 0, {})
     assert (values["base"], values["filter restarts"]) == ("known", 0)
     assert "gyro bias [rad/s]" in values

@@ -45,8 +45,8 @@ def execute(*commands, **options):
     return start_activity(kind, CRAFT, GOAL, observation(), 0)
 
 
-def observation(t=0.0):
-    return Observation(t, AT_REST, None, np.zeros(4), np.zeros(4))
+def observation(t=0.0, *torques):
+    return Observation(t, AT_REST, None, *np.zeros((2, 4)), np.array(torques) if torques else None)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
@@ -174,28 +174,23 @@ def test_abort_shortens_any_reason_to_one_line(reason, shown):
     assert kind.start(CRAFT, FOLDED, kind.action.Goal(reason=reason)).reason == shown
 
 
-def with_torques(t, *torques):
-    return Observation(t, AT_REST, None, np.zeros(4), np.zeros(4), np.array(torques))
-
-
 def test_missing_torque_of_a_joint_hides_no_other():
     budget = Budget(CRAFT)
-    budget.update(with_torques(0.0, 0.5, np.nan, -1.5, 0.0))
-    budget.update(with_torques(0.1, np.nan, np.nan, np.nan, np.nan))
+    budget.update(observation(0.0, 0.5, np.nan, -1.5, 0.0))
+    budget.update(observation(0.1, np.nan, np.nan, np.nan, np.nan))
     assert budget.largest_torque == pytest.approx(1.5)
 
 
 def test_lasting_overload_of_a_joint_is_reported():
     monitor = MissionMonitor(CRAFT)
     reasons = [
-        monitor.abort_reason(with_torques(t, 0.0, np.nan, -3.2, 0.0), None, "reach", 60.0, 0.0)
+        monitor.abort_reason(observation(t, 0.0, np.nan, -3.2, 0.0), None, "reach", 60.0, 0.0)
         for t in (0.0, 0.2, 0.4)
     ]
     assert reasons == ["", "", "torque of joint 3 is 3.20 N m, expected at most 3 N m"]
 
 
 def test_phase_timeout_is_reported():
-    reason = MissionMonitor(CRAFT).abort_reason(
-        with_torques(7.0, *4 * [0.0]), None, "reach", 5.0, 1.0
-    )
+    still = observation(7.0, *4 * [0.0])
+    reason = MissionMonitor(CRAFT).abort_reason(still, None, "reach", 5.0, 1.0)
     assert reason == "phase reach took longer than its timeout of 5 s"

@@ -146,7 +146,7 @@ GOALS = [
     ],
     *[(kind, {"pose": [5.0, 0.0, 0.0]}, "pose[0]") for kind in (HOLD, GO_TO)],
     *[(HOLD, {"pose": count * [0.0]}, "pose has") for count in (2, MILLION)],
-    (HOLD, {"pose": [0.0, 0.0, 2.0]}, "pose is"),
+    *[(HOLD, {"pose": pose}, "pose is") for pose in ([0.5, 0.0, 0.0], [0.0, 0.0, 2.0])],
     *[(HOLD, {"duration": value}, "duration") for value in DURATIONS],
     *[
         (GO_TO, {"pose": [0.1, 0.0, 0.0], name: value}, name)

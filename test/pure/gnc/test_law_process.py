@@ -10,7 +10,7 @@ from time import monotonic
 import pytest
 from faulty_laws import GOOD_STEPS
 from law_bench import inputs
-from running import wait_until
+from running import run_command, wait_until
 
 from fss_gnc.law.contract import LawError
 from fss_gnc.law.process import LawProcess
@@ -50,14 +50,6 @@ def run(process, steps):
     return outputs
 
 
-def test_a_law_runs_step_by_step(start):
-    process = start("Good")
-    outputs = run(process, 2 * GOOD_STEPS)
-    assert outputs.wrench.tolist() == [0.01] * 3
-    assert outputs.joint_velocities.tolist() == [0.02] * 4
-    assert len(process.hash) == 12
-
-
 REAL_TIME = """
 import os, resource
 from test_law_process import GOOD_STEPS, LAWS, LawProcess, inputs, run
@@ -79,8 +71,8 @@ def test_an_endless_law_leaves_its_real_time_node_the_core():
         pytest.skip("the system permits no real-time priority")
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     path = f"{Path(__file__).parent}:{LAWS.parent}:{os.environ['PYTHONPATH']}"
-    command, env = [sys.executable, "-c", REAL_TIME], os.environ | {"PYTHONPATH": path}
-    ended = subprocess.run(command, env=env, capture_output=True, text=True, timeout=TIMEOUT)
+    env = os.environ | {"PYTHONPATH": path}
+    ended = run_command(sys.executable, "-c", REAL_TIME, timeout=TIMEOUT, env=env)
     assert (ended.stdout, ended.returncode) == ("None\n", 0), ended.stderr
 
 
