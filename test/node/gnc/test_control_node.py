@@ -24,23 +24,10 @@ def bench(spin):
     return Bench(spin)
 
 
-def test_wrench_points_to_the_reference_in_the_base_s_axes(bench):
-    bench.pose = np.array([0.0, 0.0, np.pi / 2])
-    bench.path = at(0.05, 0.0, np.pi / 2)
-    bench.until(lambda: bench.control.controller.base.value.pose[2] > 1.5)
-    w = bench.acts()
-    g = bench.control.settings
-    mass = inertia_matrix(ARM.vector(), [0, 0, np.pi / 2, *FOLDED])[0, 0]
-    assert w[1] == pytest.approx(-mass * g.bandwidth**2 * 0.05, rel=0.05)
-    assert abs(w[0]) < 1e-3
-    assert {
-        "period p50 [ms]",
-        "latency p50 [ms]",
-    } <= bench.control.diagnostics.timing.values().keys()
-
-
 def test_age_counts_from_the_stamp_and_not_from_the_arrival(bench):
     bench.acts()
+    keys = bench.control.diagnostics.timing.values().keys()
+    assert {"period p50 [ms]", "latency p50 [ms]"} <= keys
     bench.late = 2.0
     bench.stops("thrusters idle: base/state is 2.0 s old", within=1.0)
 

@@ -163,16 +163,11 @@ def reach(name, preempts):
     )
 
 
-@pytest.fixture
-def mission(spin, monkeypatch):
-    kinds = reach("mission/capture", ("base/",)), reach("mission/abort", ("base/", "mission/"))
-    monkeypatch.setattr(guidance_node, "KINDS", BASE + kinds)
+def test_mission_commands_joints_and_gripper_and_is_preempted_only_by_an_abort(spin, monkeypatch):
+    capture = reach("mission/capture", ("base/",))
+    abort = reach("mission/abort", ("base/", "mission/"))
+    monkeypatch.setattr(guidance_node, "KINDS", (*BASE, capture, abort))
     bench = Bench(spin)
-    return bench, *kinds
-
-
-def test_mission_commands_joints_and_gripper_and_is_preempted_only_by_an_abort(mission):
-    bench, capture, abort = mission
     hold = bench.holding()
     running = bench.begin(capture)
     assert bench.end(hold).result.message == "preempted by mission/capture"
