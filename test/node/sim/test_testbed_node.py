@@ -240,11 +240,7 @@ def test_faults_are_set_live_and_published(spin, listener, call):
     listener.create_subscription(SimFaults, "sim/faults", recorded.append, LATCHED)
 
     def active_faults():
-        return (
-            list(zip(recorded[-1].part, recorded[-1].fault, recorded[-1].value, strict=True))
-            if recorded
-            else []
-        )
+        return [row for m in recorded[-1:] for row in zip(m.part, m.fault, m.value, strict=True)]
 
     spin([bed, listener], lambda: active_faults() == [("link_2", "loss", 0.25)])
     (result,) = bed.set_parameters([Parameter("end_effector.occlusion", value=1)])
@@ -280,13 +276,8 @@ def test_faults_are_set_live_and_published(spin, listener, call):
         ({"transports": ["can"]}, "transports is 'can', expected one of udp, tcp, serial"),
         ({"tilt": (0.1,)}, "tilt has 1 numbers, expected 2"),
         ({"torque_rate": 50}, "expected 10 or 80"),
-        ({"battery": 0.0}, "battery is 0.0"),
         ({"speed": 500.0, "keep_clock": True}, "speed is 500"),
-        ({"target_mass": -1.0}, "target_mass is -1.0"),
         ({"table": (0.0, 4.0)}, "table"),
-        ({"tank_volume": 0.0}, "tank_volume is 0.0"),
-        ({"truth_rate": 0.0}, "truth_rate is 0.0"),
-        ({"film_damping": -0.1}, "film_damping is -0.1"),
         ({"q": [0.0]}, "expected 4"),
         ({"seed": -1}, "seed is -1"),
         ({"vicon_latency": 2.0}, "vicon_latency is 2.0 s, expected 0 to 1"),
@@ -425,27 +416,15 @@ def test_time_joints_held_target_and_used_propellant_survive_a_restart(spin, ope
 STAMP = 1_700_000_000_123_456_789
 
 
-def test_a_pose_equals_the_converted_one_for_any_frame_id():
-    for frame_id in ("", "w", "world", "a_longer_name_of_the_world"):
-        message = SerializedPose(frame_id)
-        for pose in ((1.5, -2.5, 3.0), (0.0, 1e-9, -0.1)):
-            got = deserialize_message(message.serialize(STAMP, SubjectReading(pose)), PoseStamped)
-            assert got == pose_stamped(STAMP, frame_id, pose)
-
-
-def test_an_occluded_subject_is_all_zero_and_the_next_pose_is_complete():
-    message = SerializedPose("world")
-    got = deserialize_message(
-        message.serialize(STAMP, SubjectReading((1.0, 2.0, 3.0), occluded=True)), PoseStamped
-    )
-    expected = PoseStamped()
-    expected.header.stamp, expected.header.frame_id = to_time(STAMP), "world"
-    expected.pose.orientation.w = 0.0
-    assert got == expected
-    got = deserialize_message(
-        message.serialize(STAMP, SubjectReading((1.0, 2.0, 3.0))), PoseStamped
-    )
-    assert got == pose_stamped(STAMP, "world", (1.0, 2.0, 3.0))
+@pytest.mark.parametrize("frame_id", ["", "w", "world", "a_longer_name_of_the_world"])
+def test_a_pose_equals_the_converted_one_and_an_occluded_subject_is_all_zero(frame_id):
+    message, occluded = SerializedPose(frame_id), PoseStamped()
+    occluded.header.stamp, occluded.header.frame_id = to_time(STAMP), frame_id
+    occluded.pose.orientation.w = 0.0
+    for pose in ((1.5, -2.5, 3.0), (0.0, 1e-9, -0.1)):
+        for hidden, expected in ((True, occluded), (False, pose_stamped(STAMP, frame_id, pose))):
+            data = message.serialize(STAMP, SubjectReading(pose, occluded=hidden))
+            assert deserialize_message(data, PoseStamped) == expected
 
 
 def test_the_gyro_message_has_its_rate_and_marks_unmeasured_fields():
@@ -458,6 +437,5 @@ def test_the_gyro_message_has_its_rate_and_marks_unmeasured_fields():
 
 
 def test_the_clock_is_exact():
-    assert deserialize_message(SerializedClock().serialize(STAMP), Clock) == Clock(
-        clock=to_time(STAMP)
-    )
+    data = SerializedClock().serialize(STAMP)
+    assert deserialize_message(data, Clock) == Clock(clock=to_time(STAMP))
