@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from model_arms import short_arm
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -11,14 +12,13 @@ from std_msgs.msg import String
 from fss_arm_calib.experiment.experiment_node import ExperimentNode
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_model.description import Arm, paper_arm
-from fss_arm_model.description_file import save
 from fss_arm_model.urdf import urdf
 from fss_arm_ros.described_arm import JointCount, count_joints, described_arm, joint_mismatch
 from fss_arm_ros.qos import LATCHED, SENSOR
 
 
 def arm_of(n: int) -> Arm:
-    return replace(paper_arm(), name=f"arm{n}", links=paper_arm().links[:n])
+    return replace(paper_arm(), links=paper_arm().links[:n])
 
 
 MISMATCH = "the arm has 3 joints, description 'paper' has 4; give -p arm:=..."
@@ -84,11 +84,10 @@ def test_the_first_description_decides(spin, publish):
 
 
 def test_the_arm_node_ends_if_more_joints_are_driven(spin, publish, tmp_path):
-    save(arm_of(3), tmp_path / "arm.yaml")
-    node = ArmNode(parameter_overrides=[Parameter("arm", value=str(tmp_path / "arm.yaml"))])
+    node = ArmNode(parameter_overrides=[Parameter("arm", value=str(short_arm(3, tmp_path)))])
     message = JointState(name=["joint_4"], position=[0.0])
     publish("joint_states", message, SENSOR)
     spin(node, lambda: node.count_publishers("joint_states"))
     publish("joint_states", message, SENSOR)
-    wanted = "the arm has 4 joints, description 'arm3' has 3; give -p arm:=..."
+    wanted = "the arm has 4 joints, description 'paper' has 3; give -p arm:=..."
     assert reason_to_end(spin, node) == wanted

@@ -1,6 +1,5 @@
 """The node `workspace` on real topics."""
 
-from dataclasses import replace
 from functools import partial
 from threading import Event
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped
+from model_arms import short_arm
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from fss_arm_model.description import paper_arm
-from fss_arm_model.description_file import from_yaml, save, to_yaml
+from fss_arm_model.description_file import from_yaml, to_yaml
 from fss_arm_model.layout import kinematic_index
 from fss_arm_msgs.msg import (
     Calibration,
@@ -120,9 +120,7 @@ def test_maps_and_paths_are_published(spin):
 
 
 def test_a_single_link_is_drawn_without_invalid_readings(ros, tmp_path):
-    single = replace(paper_arm(), links=paper_arm().links[:1])
-    save(single, tmp_path / "arm.yaml")
-    node = make_node(arm=str(tmp_path / "arm.yaml"))
+    node = make_node(arm=str(short_arm(1, tmp_path)))
     node.on_joints(JointState(name=["joint_1"], position=[float("nan")]))
     assert not node.readings
     node.on_joints(JointState(name=["joint_1"], position=[0.3]))
@@ -146,7 +144,6 @@ def test_late_subscribers_get_results(spin):
 @pytest.mark.parametrize(
     ("settings", "error"),
     [
-        ({"cell": 0.0}, "cell is 0.0 m"),
         ({"redundancy": "luck"}, "redundancy is 'luck', expected one of minimum norm"),
         ({"table_corners": [1.0, 2.0]}, "table_corners has 2 numbers, expected 4"),
     ],
