@@ -25,34 +25,33 @@ def script_for(parts, *lines):
     return "".join(f"- {{part: {part}, {line}}}\n" for part in parts for line in lines)
 
 
+def on_links(*faults):
+    """Return a fault script with each of these for all links, from 3 s on."""
+    return script_for(LINKS, *(f"at: 3, fault: {fault}" for fault in faults))
+
+
 class Case(NamedTuple):
     script: str
     counts: tuple[str, ...] = ()  # counters of link 2's driver that must be above 0
     adopted: int = 1  # least number of times that this driver adopted its link
     unused: str = ""  # part of the reason why a rest is not used
     verdict: str = PASS  # of the kinematic calibration
-    dynamic: str = (
-        ""  # part of the reason why the dynamic calibration does not pass; empty: it passes
-    )
+    dynamic: str = ""  # part of the reason why the dynamic one does not pass; empty: it passes
     options: dict = {}  # of the test bed  # noqa: RUF012
 
 
 MARKERS = VICON | {"rest_position_error": 0.001, "rest_heading_error": 0.002}
-CAMERAS_BEHIND_BASE = (-3.0, 0.0, 3.0, -3.0, 1.0, 3.0, 1.0, 3.0, 3.0)  # cameras
+CAMERAS_BEHIND_BASE = (-3.0, 0.0, 3.0, -3.0, 1.0, 3.0, 1.0, 3.0, 3.0)
+ROOM_BEHIND_BASE = Room(cameras=CAMERAS_BEHIND_BASE, heights=(1.2, 0.3, 0.3))
 GAPS = "rejected (joint_1 silent for"
 CASES = {
     "nothing": Case(""),
-    "loss": Case(script_for(LINKS, "at: 3, fault: loss, value: 0.3"), ("missed",), dynamic=GAPS),
-    "delay": Case(script_for(LINKS, "at: 3, fault: delay, value: 0.3")),
-    "jitter": Case(
-        script_for(LINKS, "at: 3, fault: delay, value: 0.15", "at: 3, fault: jitter, value: 0.15"),
-        ("reordered", "missed"),
-    ),
-    "duplication": Case(script_for(LINKS, "at: 3, fault: duplication, value: 0.3"), ("repeated",)),
-    "reordering": Case(script_for(LINKS, "at: 3, fault: reordering, value: 0.3"), ("reordered",)),
-    "corruption": Case(
-        script_for(LINKS, "at: 3, fault: corruption, value: 0.3"), ("crc", "missed"), dynamic=GAPS
-    ),
+    "loss": Case(on_links("loss, value: 0.3"), ("missed",), dynamic=GAPS),
+    "delay": Case(on_links("delay, value: 0.3")),
+    "jitter": Case(on_links("delay, value: 0.15", "jitter, value: 0.15"), ("reordered", "missed")),
+    "duplication": Case(on_links("duplication, value: 0.3"), ("repeated",)),
+    "reordering": Case(on_links("reordering, value: 0.3"), ("reordered",)),
+    "corruption": Case(on_links("corruption, value: 0.3"), ("crc", "missed"), dynamic=GAPS),
     "reboot": Case(
         script_for(["link_2"], "at: 12, fault: reset, duration: 0.5"),
         ("candidates", "lost"),
@@ -97,10 +96,7 @@ CASES = {
         "",
         unused="end_effector silent for",
         verdict=NOT_EVALUATED,
-        options={
-            "noise": MARKERS,
-            "room": Room(cameras=CAMERAS_BEHIND_BASE, heights=(1.2, 0.3, 0.3)),
-        },
+        options={"noise": MARKERS, "room": ROOM_BEHIND_BASE},
     ),
     "gyro silent": Case(
         script_for(["fog"], "at: 3, fault: dropout", "at: 3, fault: bias, value: 0.1")
