@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from driver_link import RATE, FakeTransport
+from model_arms import short_arm
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -21,7 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
-from running import DOMAIN, free_port
+from running import DOMAIN, free_port, run_command
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool, Trigger
@@ -30,7 +31,6 @@ from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import LinkCommandFlag, State
 from fss_arm_model.description import paper_arm
-from fss_arm_model.description_file import save
 from fss_arm_motion.plan import Plan, Prediction, Start
 from fss_arm_motion.plan_file import written
 from fss_arm_msgs.action import ExecuteMotion
@@ -40,13 +40,7 @@ from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_base_driver.protocol import BaseState
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts/fss_arm.py"
-
-
-def start_bed(start):
-    """Start a simulated test bed; the urls of its links."""
-    ports = [free_port() for _ in range(4)]
-    start("fss_sim.testbed_node", "--ros-args", "-p", f"ports:={ports}")
-    return [f"udp://127.0.0.1:{port}?bind=0" for port in ports]
+PYTHON, SHELL = (sys.executable, SCRIPT), (SCRIPT.with_suffix(".sh"),)
 
 
 def test_nobody_there_is_said_in_one_line(domain):
@@ -64,14 +58,7 @@ def test_nobody_there_is_said_in_one_line(domain):
 
 def shell(*words, **env):
     """Run fss_arm.sh; return its exit code, output and errors."""
-    done = subprocess.run(
-        [SCRIPT.with_suffix(".sh"), *words],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={**os.environ, **env},
-    )
+    done = run_command(*SHELL, *words, env=os.environ | env)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -162,19 +149,20 @@ def test_a_stop_of_all_vehicles_needs_no_name(domain):
 
 @pytest.fixture
 def telling(spin):
-    """telling(nodes, command, **env): what came of a command while these nodes were run."""
+    """telling(nodes, *words, **env): exit code, output and errors while these nodes are run.
+
+    It is interrupted once `interrupt_when()` holds.
+    """
     running = []
 
-    def run(nodes, command, cwd=None, **env):
-        process = subprocess.Popen(
-            list(map(str, command)),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, **env},
-            cwd=cwd,
-        )
+    def run(nodes, *words, program=PYTHON, cwd=None, interrupt_when=None, how=signal.SIGINT, **env):
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        command = list(map(str, (*program, *words)))
+        process = subprocess.Popen(command, env=os.environ | env, cwd=cwd, **pipes)
         running.append(process)
+        if interrupt_when:
+            spin(nodes, interrupt_when, 60.0)
+            process.send_signal(how)
         spin(nodes, lambda: process.poll() is not None, 60.0)
         return (process.returncode, *process.communicate())
 
@@ -205,24 +193,21 @@ def arm(spin, nodes, node):
 
 def test_links_that_are_armed_are_homed(spin, bench, telling):
     nodes, transports = bench
-    home = sys.executable, SCRIPT, "home", "--within", "2"
+    home = "home", "--within", "2"
     looks = "link {} searches for its reference\n"
     arm(spin, nodes, nodes[0])
     unarmed = "link 2 is not referenced: it is not armed\n"
-    assert telling(nodes, home) == (1, looks.format(1), unarmed)
+    assert telling(nodes, *home) == (1, looks.format(1), unarmed)
     assert [transport.link.referenced for transport in transports] == [True, False]
 
     arm(spin, nodes, nodes[1])
     transports[1].hears = False
     said = "link 2 is not referenced after 2 s\n"
-    assert telling(nodes, home) == (1, looks.format(2), said)
+    assert telling(nodes, *home) == (1, looks.format(2), said)
     transports[1].hears = True  # the last HOME may still be in force
-    code, out, err = telling(nodes, home)
+    code, out, err = telling(nodes, *home)
     assert (code, err) == (0, "")
     assert out.endswith("all 2 links are referenced\n")
-
-
-MOVE = sys.executable, SCRIPT, "move"
 
 
 @pytest.fixture
@@ -231,9 +216,7 @@ def moving(bench, spin, tmp_path):
     nodes, transports = bench
     for transport in transports:
         transport.link.referenced = True
-    description = paper_arm()
-    save(replace(description, links=description.links[:2]), tmp_path / "arm.yaml")
-    given = {"arm": str(tmp_path / "arm.yaml"), "rate": RATE, "time_to_live": 2.5}
+    given = {"arm": str(short_arm(2, tmp_path)), "rate": RATE, "time_to_live": 2.5}
     whole = ArmNode(parameter_overrides=[Parameter(k, value=v) for k, v in given.items()])
     spin([*nodes, whole], lambda: len(whole.links.states) == 2)
     return [*nodes, whole], transports
@@ -243,12 +226,11 @@ def test_the_arm_is_moved_in_degrees(spin, moving, telling):
     nodes, transports = moving
     for node in nodes[:2]:
         arm(spin, nodes, node)
-    code, out, err = telling(nodes, (*MOVE, "10", "-20", "--seconds", "2"))
-    assert (code, err) == (0, "")
-    assert out == "moving for 2.0 s\nthe joints are at 10.0, -20.0 deg\n"
+    said = "moving for 2.0 s\nthe joints are at 10.0, -20.0 deg\n"
+    assert telling(nodes, "move", "10", "-20", "--seconds", "2") == (0, said, "")
     turned = [transport.link.position / 240_000 * 360 for transport in transports]
     assert turned == pytest.approx([10.0, -20.0], abs=0.3)
-    code, out, _ = telling(nodes, (*MOVE, "--seconds", "0.1", "30", "0"))  # options may come first
+    code, out, _ = telling(nodes, "move", "--seconds", "0.1", "30", "0")  # options may come first
     assert code == 0
     assert re.match(r"moving for \d\.\d s \(as fast as its limits allow\)\n", out)
 
@@ -259,9 +241,9 @@ def test_moves_are_refused_in_degrees_with_the_reason(moving, telling):
         (("10",), "1 angles are given, but the arm has 2 joints"),
         (("10", "95"), "joint 2 cannot go to 95 deg: its limits are -90 to 90 deg"),
     ):
-        assert telling(nodes, (*MOVE, *angles)) == (1, "", f"{words}\n")
+        assert telling(nodes, "move", *angles) == (1, "", f"{words}\n")
     unarmed = "links 1, 2 are not armed: scripts/fss_arm.sh arm; the joints are at 0.0, 0.0 deg\n"
-    assert telling(nodes, (*MOVE, "10", "20")) == (1, "", unarmed)
+    assert telling(nodes, "move", "10", "20") == (1, "", unarmed)
 
 
 def test_hints_repeat_the_vehicle_and_the_configuration(program, monkeypatch):
@@ -346,8 +328,8 @@ def plan_file(tmp_path):
 
 def test_a_plan_is_executed_and_its_effect_on_the_base_compared(telling, plan_file):
     motion = FakeMotion()
-    command = SCRIPT.with_suffix(".sh"), "execute", plan_file.name
-    code, out, err = telling([motion], command, cwd=plan_file.parent)
+    given = {"program": SHELL, "cwd": plan_file.parent}
+    code, out, err = telling([motion], "execute", plan_file.name, **given)
     assert (code, err) == (0, "")
     assert motion.files == [str(plan_file)]
     warning, *lines = out.splitlines()[1:]
@@ -364,8 +346,8 @@ def test_a_plan_is_executed_and_its_effect_on_the_base_compared(telling, plan_fi
 def test_a_plan_waits_for_the_arm_and_names_what_is_missing(telling, plan_file):
     motion = FakeMotion()
     motion.armed[2] = False
-    command = sys.executable, SCRIPT, "execute", plan_file, "--wait", "2", "--vehicle", "/"
-    code, out, err = telling([motion], command)
+    words = "execute", plan_file, "--wait", "2", "--vehicle", "/"
+    code, out, err = telling([motion], *words)
     missing = "waiting for link 2 to be armed: scripts/fss_arm.sh --vehicle / arm"
     assert code == 1
     assert missing in out
@@ -373,84 +355,75 @@ def test_a_plan_waits_for_the_arm_and_names_what_is_missing(telling, plan_file):
     assert not motion.files
 
 
-@pytest.mark.parametrize("joints", [1, 3])
-def test_a_plan_for_another_number_of_joints_is_refused(telling, plan_file, joints):
-    motion = FakeMotion(joints=joints)
-    code, _, err = telling([motion], (sys.executable, SCRIPT, "execute", plan_file))
-    assert (code, err) == (1, f"the plan has 2 joints, the arm 'other' has {joints}\n")
-    assert not motion.files
+ELSEWHERE = "joint 1 is at 9.00 deg, plan.yaml starts at 0.00 deg"
 
 
-def test_a_plan_that_starts_elsewhere_names_the_move_to_its_start(telling, plan_file):
-    motion = FakeMotion("joint 1 is at 9.00 deg, plan.yaml starts at 0.00 deg")
-    code, _, err = telling([motion], (sys.executable, SCRIPT, "execute", plan_file))
-    assert (code, err) == (1, f"{motion.message}; move there: scripts/fss_arm.sh move 0 0\n")
+@pytest.mark.parametrize(
+    ("message", "joints", "said"),
+    [
+        ("", 1, "the plan has 2 joints, the arm 'other' has 1"),
+        ("", 3, "the plan has 2 joints, the arm 'other' has 3"),
+        (ELSEWHERE, 2, f"{ELSEWHERE}; move there: scripts/fss_arm.sh move 0 0"),
+    ],
+)
+def test_a_plan_that_does_not_fit_the_arm_is_refused(telling, plan_file, message, joints, said):
+    motion = FakeMotion(message, joints)
+    code, _, err = telling([motion], "execute", plan_file)
+    assert (code, err) == (1, f"{said}\n")
+    assert bool(motion.files) == bool(message)
 
 
-@pytest.fixture
-def interrupt(spin):
-    """interrupt(nodes, words, begun, how): a command's output; it is interrupted once it began."""
-
-    def run(nodes, words, begun, how=signal.SIGINT):
-        command = [sys.executable, SCRIPT, *words]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        with subprocess.Popen(command, **pipes) as process:
-            try:
-                spin(nodes, begun, 60.0)
-                process.send_signal(how)
-                spin(nodes, lambda: process.poll() is not None, 20.0)
-            finally:
-                process.kill()
-            assert process.returncode == 130
-            return process.communicate()
-
-    return run
-
-
-def test_a_plan_that_is_interrupted_is_cancelled(interrupt, plan_file):
+def test_a_plan_that_is_interrupted_is_cancelled(telling, plan_file):
     motion = FakeMotion("cancel")  # by SIGTERM, as SIGINT is ignored in the background
-    interrupt([motion], ["execute", plan_file], lambda: motion.files, signal.SIGTERM)
+    given = {"interrupt_when": lambda: motion.files, "how": signal.SIGTERM}
+    assert telling([motion], "execute", plan_file, **given)[0] == 130
     assert motion.cancelled
 
 
-def test_a_move_that_is_interrupted_comes_to_rest(spin, moving, interrupt):
+def test_a_move_that_is_interrupted_comes_to_rest(spin, moving, telling):
     nodes, transports = moving
     for node in nodes[:2]:
         arm(spin, nodes, node)
     words = "move", "80", "80", "--seconds", "60"
-    interrupt(nodes, words, lambda: transports[0].link.position > 100)
+    moves = {"interrupt_when": lambda: transports[0].link.position > 100}
+    assert telling(nodes, *words, **moves)[0] == 130
     spin(nodes, lambda: not nodes[2].links.arbiter.current_name(nodes[2].links.now()))
     assert transports[0].link.position < 240_000 / 360 * 70
 
 
-def test_homing_that_is_interrupted_says_so(spin, bench, interrupt):
+def test_homing_that_is_interrupted_says_so(spin, bench, telling):
     nodes, transports = bench
     arm(spin, nodes, nodes[0])
     transports[0].link.take = lambda *_: None  # it never finds its reference
-    said = interrupt(nodes, ["home"], lambda: nodes[0].session.progress is not None)
-    assert said == ("link 1 searches for its reference\n", "interrupted\n")
+    said = 130, "link 1 searches for its reference\n", "interrupted\n"
+    searches = {"interrupt_when": lambda: nodes[0].session.progress is not None}
+    assert telling(nodes, "home", **searches) == said
 
 
-STOP = sys.executable, SCRIPT, "stop"
 STOPPED = r"stopped after [01]\.\d\d s\n"
+
+
+def assert_confirmed(told, names):
+    """Check that a stop has been confirmed by all of these at once."""
+    code, out, err = told
+    assert (code, err) == (0, "")
+    assert re.fullmatch(f"{names}: {STOPPED}", out)
 
 
 def test_a_stop_is_confirmed_by_all_links_or_names_those_that_are_silent(spin, bench, telling):
     nodes, transports = bench
     arm(spin, nodes, nodes[0])
-    code, out, err = telling(nodes, STOP)
-    assert (code, err) == (0, "")
-    assert re.fullmatch(f"link_1, link_2: {STOPPED}", out)
+    assert_confirmed(telling(nodes, "stop"), "link_1, link_2")
     for node, transport in zip(nodes, transports, strict=True):
         assert transport.link.flags == State.STOPPED
         assert not node.session.armed
 
     transports[0].talks = False
     silent = "link_1: stop not confirmed (link_2: stopped); use the emergency stop\n"
-    assert telling(nodes, STOP) == (1, "", silent)
+    assert telling(nodes, "stop") == (1, "", silent)
     transports[0].talks, transports[0].hears = True, False
     transports[0].link.flags = 0
-    assert telling(nodes, STOP) == (1, "", silent)
+    assert telling(nodes, "stop") == (1, "", silent)
 
 
 def test_a_stop_that_only_a_recorder_hears_is_none(spin, telling):
@@ -458,17 +431,15 @@ def test_a_stop_that_only_a_recorder_hears_is_none(spin, telling):
     recorder.create_subscription(Empty, "arm/stop", lambda _: None, 10)
     recorder.create_subscription(LinkTelemetry, "link_1/telemetry", lambda _: None, SENSOR)
     nobody = f"no link in ROS domain {DOMAIN} confirms the stop; use the emergency stop\n"
-    assert telling([recorder], STOP) == (1, "", nobody)
+    assert telling([recorder], "stop") == (1, "", nobody)
 
 
 def test_a_stop_names_links_of_the_arm_whose_drivers_are_gone(spin, bench, telling, tmp_path):
     nodes, _ = bench
-    description = paper_arm()
-    save(replace(description, links=description.links[:3]), tmp_path / "arm.yaml")
-    whole = [Parameter("arm", value=str(tmp_path / "arm.yaml"))]
-    code, out, err = telling([*nodes, ArmNode(parameter_overrides=whole)], STOP)
+    whole = [Parameter("arm", value=str(short_arm(3, tmp_path)))]
+    told = telling([*nodes, ArmNode(parameter_overrides=whole)], "stop")
     silent = "link_3: stop not confirmed (link_1, link_2: stopped); use the emergency stop\n"
-    assert (code, out, err) == (1, "", silent)
+    assert told == (1, "", silent)
 
 
 def test_a_stop_is_for_all_namespaces_unless_one_is_given(spin, bench, telling):
@@ -478,16 +449,12 @@ def test_a_stop_is_for_all_namespaces_unless_one_is_given(spin, bench, telling):
     node = LinkNode(1, transport=there, namespace="/fss2", parameter_overrides=parameters)
     nodes = [*nodes, node]
     spin(nodes, lambda: not node.session.lost)
-    code, out, err = telling(nodes, (*STOP, "--namespace", "fss2"))
-    assert (code, err) == (0, "")
-    assert re.fullmatch(f"fss2/link_1: {STOPPED}", out)
+    assert_confirmed(telling(nodes, "stop", "--namespace", "fss2"), "fss2/link_1")
     assert there.link.flags & State.STOPPED
     assert not any(transport.link.flags & State.STOPPED for transport in transports)
-    code, out, err = telling(nodes, STOP, FSS_NAMESPACE="fss2")  # narrows all else
-    assert (code, err) == (0, "")
-    assert re.fullmatch(f"fss2/link_1, link_1, link_2: {STOPPED}", out)
-    arm_it = sys.executable, SCRIPT, "arm", "--wait", "0.5"
-    code, _, err = telling(nodes, arm_it, FSS_NAMESPACE="fss2")
+    narrow = {"FSS_NAMESPACE": "fss2"}  # all commands else
+    assert_confirmed(telling(nodes, "stop", **narrow), "fss2/link_1, link_1, link_2")
+    code, _, err = telling(nodes, "arm", "--wait", "0.5", **narrow)
     nobody = f"no node offers arm/enable in /fss2, in ROS domain {DOMAIN}"
     assert (code, err) == (1, f"{nobody}; --vehicle is one of /\n")
 
@@ -505,15 +472,13 @@ def test_a_stop_is_confirmed_by_the_bases_boards_too(spin, telling):
 
     board.create_timer(0.05, tell)
     silent = "fss3/base: stop not confirmed; use the emergency stop\n"
-    assert telling([board], STOP) == (1, "", silent)
+    assert telling([board], "stop") == (1, "", silent)
     board.create_subscription(
         Empty, "arm/stop", lambda _: flags.__setitem__(0, int(BaseState.STOPPED)), 10
     )
-    code, out, err = telling([board], STOP)
-    assert (code, err) == (0, "")
-    assert re.fullmatch(f"fss3/base: {STOPPED}", out)
+    assert_confirmed(telling([board], "stop"), "fss3/base")
     stamps.append(board.get_clock().now().to_msg())  # delayed: from before the next stop
-    assert telling([board], STOP) == (1, "", silent)
+    assert telling([board], "stop") == (1, "", silent)
 
 
 def test_a_stop_is_confirmed_in_simulated_time(spin, telling):
@@ -529,14 +494,14 @@ def test_a_stop_is_confirmed_in_simulated_time(spin, telling):
 
     bed.create_timer(0.01, pass_time)
     spin([node, bed], lambda: not node.session.lost)
-    code, out, err = telling([node, bed], STOP)
-    assert (code, err) == (0, "")
-    assert re.fullmatch(f"link_1: {STOPPED}", out)
+    assert_confirmed(telling([node, bed], "stop"), "link_1")
 
 
 @pytest.mark.slow
 def test_a_hundred_stops_tell_the_truth_each_time(spin, start, telling, capsys):
-    urls = start_bed(start)
+    ports = [free_port() for _ in range(4)]
+    start("fss_sim.testbed_node", "--ros-args", "-p", f"ports:={ports}")
+    urls = [f"udp://127.0.0.1:{port}?bind=0" for port in ports]
     start("fss_arm_driver.link_node", "--ros-args", "-p", f"urls:={urls[:3]}")
     driver = start(
         "fss_arm_driver.link_node", "--ros-args", "-p", "link:=4", "-p", f"url:={urls[3]}"
@@ -583,7 +548,7 @@ def test_a_hundred_stops_tell_the_truth_each_time(spin, start, telling, capsys):
     for k in range(50):
         speed = 0.1 * (-1) ** k
         spin(nodes, turn, 60.0)
-        code, out, err = telling(nodes, STOP)
+        code, out, err = telling(nodes, "stop")
         if code:  # a busy machine may silence links
             assert re.match(r"link_\d.*: stop not confirmed", err)
             refused.append(err)
@@ -595,7 +560,7 @@ def test_a_hundred_stops_tell_the_truth_each_time(spin, start, telling, capsys):
     assert len(refused) <= 5, refused
     spin(nodes, bed.set_parameters([Parameter("link_2.dead", value=1.0)]).done)
     for _ in range(15):
-        code, _, err = telling(nodes, STOP)
+        code, _, err = telling(nodes, "stop")
         assert code == 1
         assert "link_2" in err.partition(": ")[0]  # a busy machine may silence others, too
     spin(nodes, bed.set_parameters([Parameter("link_2.dead", value=0.0)]).done)
@@ -604,11 +569,11 @@ def test_a_hundred_stops_tell_the_truth_each_time(spin, start, telling, capsys):
     for how in (signal.SIGSTOP, signal.SIGKILL):
         driver.process.send_signal(how)
         for _ in range(10):
-            code, _, err = telling(nodes, STOP)
+            code, _, err = telling(nodes, "stop")
             assert code == 1
             assert "link_4" in err.partition(": ")[0]
     for _ in range(15):
-        code, _, err = telling(nodes, (*STOP, "--namespace", "nobody"))
+        code, _, err = telling(nodes, "stop", "--namespace", "nobody")
         assert (code, err[:16]) == (1, "there is no link")
     with capsys.disabled():
         print(f"\n{len(took)} stops of 4 links that turn confirmed, {len(refused)} refused")
@@ -622,7 +587,7 @@ def test_faults_of_all_links_are_cleared(spin, bench, telling):
     nodes, transports = bench
     arm(spin, nodes, nodes[0])
     said = "".join(f"link_{i}/clear_faults: clearing requested\n" for i in (1, 2))
-    assert telling(nodes, (sys.executable, SCRIPT, "clear")) == (0, said, "")
+    assert telling(nodes, "clear") == (0, said, "")
     assert not nodes[0].session.armed
     for transport in transports:
         assert transport.link.taken.flags & LinkCommandFlag.CLEAR_FAULTS
@@ -639,19 +604,18 @@ def test_the_valves_are_armed(ros, telling):
 
     node.create_service(SetBool, "base/arm", on_arm)
     said = "the base's board is armed\n"
-    assert telling([node], (sys.executable, SCRIPT, "valves")) == (0, said, "")
+    assert telling([node], "valves") == (0, said, "")
     refused = "base/arm: refused; the log of its node has the reason\n"
-    assert telling([node], (sys.executable, SCRIPT, "valves")) == (1, "", refused)
+    assert telling([node], "valves") == (1, "", refused)
     assert asked == [True, True]
 
 
 def test_an_arm_without_the_bases_board_has_no_valves(ros, telling):
     node = Node("link")
     node.create_publisher(LinkTelemetry, "link_1/telemetry", SENSOR)
-    code, out, err = telling([node], (sys.executable, SCRIPT, "valves", "--wait", "1"))
-    assert (code, out) == (1, "")
     remedy = "it needs a node base that runs, as config/fss_gnc_sim.sh has"
-    assert err == f"no node offers base/arm in ROS domain {DOMAIN}: {remedy}\n"
+    said = f"no node offers base/arm in ROS domain {DOMAIN}: {remedy}\n"
+    assert telling([node], "valves", "--wait", "1") == (1, "", said)
 
 
 def test_all_calibrations_that_run_solve_in_the_domain_of_the_configuration(ros, telling, tmp_path):
@@ -671,9 +635,8 @@ def test_all_calibrations_that_run_solve_in_the_domain_of_the_configuration(ros,
         f"export ROS_DOMAIN_ID={DOMAIN}\nFSS_LOGS={tmp_path / 'logs'}\n"
         "node kinematic fss_arm_calib kinematic\n"
     )
-    code, out, err = telling(node, (SCRIPT.with_suffix(".sh"), "solve", config), ROS_DOMAIN_ID="0")
-    assert (code, out) == (1, "")
-    assert err == "kinematic/solve: pass: fits\ndrift/solve: fail: a push\n"
+    said = "kinematic/solve: pass: fits\ndrift/solve: fail: a push\n"
+    assert telling(node, "solve", config, program=SHELL, ROS_DOMAIN_ID="0") == (1, "", said)
     node.create_service(Trigger, "kinematic/forget", answer("pass: 13 observations forgotten"))
-    told = telling(node, (sys.executable, SCRIPT, "forget"))
-    assert told == (0, "kinematic/forget: pass: 13 observations forgotten\n", "")
+    said = "kinematic/forget: pass: 13 observations forgotten\n"
+    assert telling(node, "forget") == (0, said, "")
