@@ -2,7 +2,6 @@
 
 import os
 import re
-import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 from fuzz_targets import TARGETS
 from fuzzing import corpus
+from running import run_command
 
 MINUTES = float(os.environ.get("FSS_FUZZ_MINUTES", "30"))  # for all targets
 PROGRAM = Path(__file__).parents[1] / "support/fuzzing.py"
@@ -28,10 +28,8 @@ def test_each_input_of_the_corpus_is_read_or_refused(name):
 @pytest.mark.parametrize("name", TARGETS)
 def test_fuzzing_finds_nothing(name, tmp_path):
     seconds = max(1, round(60.0 * MINUTES / len(TARGETS)))
-    command = [sys.executable, PROGRAM, name, f"-max_total_time={seconds}"]
-    path = f"{os.environ.get('PYTHONPATH', '')}:{PROGRAM.parent}"
-    ended = subprocess.run(
-        command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True
-    )
+    command = sys.executable, PROGRAM, name, f"-max_total_time={seconds}"
+    env = os.environ | {"PYTHONPATH": f"{os.environ.get('PYTHONPATH', '')}:{PROGRAM.parent}"}
+    ended = run_command(*command, timeout=2.0 * seconds + 600.0, cwd=tmp_path, env=env)
     print(re.findall(r"cov: \d+ ft: \d+", ended.stderr)[-1:], *ended.stderr.splitlines()[-1:])
     assert ended.returncode == 0, ended.stderr[-5000:]

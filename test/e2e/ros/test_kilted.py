@@ -2,11 +2,11 @@
 
 import os
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 from firmware import ROOT
+from running import run_command
 
 PINS = ROOT / "test/data/requirements-kilted.txt"
 SETUP_TIMEOUT = 1500.0  # installs all packages, builds, and compiles the kernels [s]
@@ -19,16 +19,14 @@ def python_3_12():
     candidates = [shutil.which("python3.12"), *versions.glob("3.12.*/bin/python3.12")]
     for candidate in filter(None, candidates):
         # A version manager's stand-in fails unless its version is selected.
-        if not subprocess.run([candidate, "-c", "import venv"], capture_output=True).returncode:
+        if not run_command(candidate, "-c", "import venv").returncode:
             return candidate
     return None
 
 
 def copy_for_kilted(folder):
     """Copy the files under version control, with Kilted's packages and Fast DDS 3's spelling."""
-    listed = subprocess.run(
-        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    listed = run_command("git", "ls-files", cwd=ROOT, check=True)
     for name in listed.stdout.splitlines():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, folder / name, follow_symlinks=False)
@@ -53,14 +51,7 @@ def test_each_node_runs_on_the_rclpy_of_kilted(tmp_path):
     passed |= {"HOME": str(Path.home()), "PATH": f"{tmp_path / 'bin'}:/usr/local/bin:/usr/bin:/bin"}
 
     def run(command, timeout):
-        done = subprocess.run(
-            ["bash", "-c", command],
-            cwd=copy,
-            env=passed,
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-        )
+        done = run_command("bash", "-c", command, timeout=timeout, cwd=copy, env=passed)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 

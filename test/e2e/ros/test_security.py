@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from all_nodes import NODES
 from rclpy.node import Node
-from running import DOMAIN, OWN
+from running import DOMAIN, OWN, run_command
 
 from fss_policies import ACCESS, COMMON, topics
 from fss_rehearsal.processes import Nodes
@@ -71,15 +71,8 @@ OPTIONAL = ("rt/vicon/*", "rt/clock", "rt/tf")
 
 
 def run(*command, **env):
-    """Run a command to its end."""
-    return subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        env={**os.environ, **env},
-    )
+    """Run a command to its end, with further variables."""
+    return run_command(*command, env=os.environ | env)
 
 
 def keystore(folder, *lines):

@@ -18,6 +18,7 @@ from threading import Event
 
 import pytest
 from running import OWN, wait_until
+from running import run_command as run
 from shell_scripts import write_script
 
 SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
@@ -37,10 +38,6 @@ chmod +x install/lib/fss_pkg/tool
 echo 'export AMENT_PREFIX_PATH=$COLCON_CURRENT_PREFIX' >install/setup.sh
 sleep 0.1
 """
-
-
-def run(*command, **options):
-    return subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, **options)
 
 
 @pytest.fixture

@@ -1,19 +1,17 @@
 """The documentation as a site, built by scripts/docs.sh from pages and docstrings."""
 
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
+from running import run_command
 
 ROOT = Path(__file__).resolve().parents[3]
 BUILD_TIMEOUT = 1500.0  # installs the packages, then reads and writes some hundred pages [s]
 
 
 def build(root):
-    return subprocess.run(
-        [root / "scripts/docs.sh"], capture_output=True, text=True, timeout=BUILD_TIMEOUT
-    )
+    return run_command(root / "scripts/docs.sh", timeout=BUILD_TIMEOUT)
 
 
 @pytest.mark.slow

@@ -7,19 +7,17 @@ import re
 import signal
 import subprocess
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Event
 
 import pytest
-from running import DOMAIN, OWN, wait_until
+from model_arms import short_arm
+from running import DOMAIN, OWN, run_command, wait_until
 from shell_scripts import script_package
 
 from fss_arm_bags.inspection import is_sound
 from fss_arm_bags.reader import find_bags, open_bags
-from fss_arm_model.description import paper_arm
-from fss_arm_model.description_file import save
 
 SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
 PAUSE = partial(Event().wait, 0.05)
@@ -35,14 +33,8 @@ class Laboratory:
         self.config.write_text("\n".join((*settings, *lines)) + "\n")
 
     def run(self, script, *options):
-        return subprocess.run(
-            [SCRIPTS / f"fss_{script}.sh", *options, self.config],
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-            stdin=subprocess.DEVNULL,
-        )
+        command = SCRIPTS / f"fss_{script}.sh", *options, self.config
+        return run_command(*command, stdin=subprocess.DEVNULL)
 
     def pid(self, name):
         """The node's process, if it runs: it holds the lock then."""
@@ -88,9 +80,7 @@ def laboratory(tmp_path):
 
 @pytest.mark.slow
 def test_nodes_outlive_the_line_are_started_again_and_stop_in_order(laboratory, tmp_path):
-    save(replace(paper_arm(), links=paper_arm().links[:2]), tmp_path / "arm.yaml")
-    arm = tmp_path / "arm.yaml"
-    ports = OWN.ports(2)
+    arm, ports = short_arm(2, tmp_path), OWN.ports(2)
     names = ["record", "testbed", "link_1", "link_2", "arm"]
     lab = laboratory(
         f"node record fss_arm_bags record --ros-args -p output:={tmp_path / 'bags'}",
@@ -179,8 +169,7 @@ def test_a_node_that_lost_its_keeper_is_stopped_all_the_same(laboratory, tmp_pat
 @pytest.fixture
 def armed(laboratory, tmp_path):
     """The nodes of an arm of one link, which is armed, and the sessions that they are in."""
-    save(replace(paper_arm(), links=paper_arm().links[:1]), tmp_path / "arm.yaml")
-    given = f"--ros-args -p arm:={tmp_path / 'arm.yaml'}"
+    given = f"--ros-args -p arm:={short_arm(1, tmp_path)}"
     (port,) = OWN.ports(1)
     lab = laboratory(
         f"node testbed fss_sim testbed {given} -p ports:=[{port}]",
@@ -269,9 +258,7 @@ def test_two_laboratories_do_not_share_a_domain(laboratory, tmp_path):
     assert first.run("up").stdout.startswith(f"ROS domain {DOMAIN}, logs in {first.logs}\n")
     other = tmp_path / "other.sh"
     other.write_text(first.config.read_text().replace(str(first.logs), str(tmp_path / "logs_2")))
-    up = subprocess.run(
-        [SCRIPTS / "fss_up.sh", other], capture_output=True, text=True, check=False, timeout=60
-    )
+    up = run_command(SCRIPTS / "fss_up.sh", other)
     assert up.returncode == 1
     assert f"scripts/fss_down.sh {first.config}" in up.stderr
     assert first.pid("record")
@@ -302,9 +289,7 @@ def test_without_a_name_the_running_configuration_is_meant(laboratory, tmp_path)
     lab = laboratory(f"node record fss_arm_bags record --ros-args -p output:={tmp_path / 'bags'}")
 
     def run(script):
-        return subprocess.run(
-            [SCRIPTS / f"fss_{script}.sh"], capture_output=True, text=True, check=False, timeout=60
-        )
+        return run_command(SCRIPTS / f"fss_{script}.sh")
 
     assert "no configuration runs on this computer" in run("status").stderr
     lab.run("up")

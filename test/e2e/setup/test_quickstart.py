@@ -10,7 +10,7 @@ import calib_rig
 import pytest
 import yaml
 from calib_float import Float, postures
-from running import DOMAIN, OWN
+from running import DOMAIN, OWN, run_command
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
@@ -35,14 +35,8 @@ def replaced(text, changes):
 
 def shell(text, timeout):
     """Run it line by line, up to the first that fails; what it said."""
-    run = subprocess.run(
-        ["bash", "-ec", text],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
-    )
+    env = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)}
+    run = run_command("bash", "-ec", text, timeout=timeout, cwd=ROOT, env=env)
     assert run.returncode == 0, run.stdout + run.stderr
     return run.stdout
 

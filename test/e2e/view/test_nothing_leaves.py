@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from browser import CHROMIUM
+from running import run_command
 
 #: In a network of its own, whose only way out is a cable that leads nowhere: what arrives at its
 #: end is counted, by where it was to go. Then the page is opened: the live one, that of rerun by
@@ -116,13 +117,8 @@ def test_the_page_asks_nobody_else(tmp_path, way, leaves):
     folder = tmp_path / "browser"
     folder.mkdir()
     with network() as inside:
-        done = subprocess.run(
-            [*inside, sys.executable, "-c", INSIDE, support, folder, way],
-            capture_output=True,
-            text=True,
-            timeout=240.0,
-            check=False,
-        )
+        command = *inside, sys.executable, "-c", INSIDE, support, folder, way
+        done = run_command(*command, timeout=240.0)
     print(done.stdout, done.stderr)
     assert ("sent {}" not in done.stdout) == leaves
     if way != "bare":

@@ -118,3 +118,7 @@ def test_an_interrupted_command_ends_in_one_line(monkeypatch, capsys):
 )
 def test_an_error_is_one_line_without_its_number(error, words):
     assert in_words(error) == words
+
+
+def test_a_command_runs_with_its_arguments():
+    assert Command("builtins:len", "argparse:ArgumentParser")(["a", "b"]) == 2
