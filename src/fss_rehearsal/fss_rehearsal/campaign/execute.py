@@ -24,6 +24,7 @@ DASK = {
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.allowed-failures": 2,
     "distributed.worker.daemon": False,  # a run may start processes
+    "distributed.worker.profile.enabled": False,  # it stops the run 100 times a second
 }
 
 
