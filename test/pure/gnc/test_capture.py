@@ -283,7 +283,7 @@ def test_abort_pushes_away_from_the_target_and_then_drifts():
     assert DriftPredictor(P, SETTINGS).predict(*after, RESTING_TARGET).safe
 
 
-@pytest.mark.parametrize("y", [-0.2, 0.0, 0.4, 0.8])
+@pytest.mark.parametrize("y", [0.0, 0.4, 0.8])
 def test_push_away_from_another_vehicle_leaves_room_for_its_duration(y):
     square = 0.2 * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j])
     body = Body(np.array([0.9, y, 0.0]), np.zeros(3))
