@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import rclpy
@@ -245,6 +245,32 @@ def is_final(processes: Processes, listener: Listener) -> bool:
     return down or is_healthy(processes, listener)
 
 
+def wait_for_health(
+    processes: Processes,
+    listener: Listener,
+    patience: float,
+    listen: Callable[[float], None],
+    now: Callable[[], float] = time.monotonic,
+) -> None:
+    """Wait until all nodes are healthy or one is down.
+
+    On a slow computer nodes start one after the other: give up `patience` seconds after the last
+    improvement.
+
+    Args:
+        processes: the nodes' processes.
+        listener: receives the nodes' reports.
+        patience: longest time without improvement [s].
+        listen: receives reports for a time [s].
+        now: reads a clock [s].
+    """
+    fewest, deadline = len(problems(processes, listener)), now() + patience
+    while now() < deadline and not is_final(processes, listener):
+        listen(0.1)
+        if (count := len(problems(processes, listener))) < fewest:
+            fewest, deadline = count, now() + patience
+
+
 def _table(*headings: str, rows: Iterable[list[str]] = ()) -> Table:
     """Return a table; a heading that starts with `>` marks a column of numbers."""
     table = Table(box=box.SIMPLE, pad_edge=False, collapse_padding=True)
@@ -282,7 +308,8 @@ def arguments() -> argparse.ArgumentParser:
         "--wait",
         type=float,
         default=1.0,
-        help="timeout waiting until all nodes are healthy or one is down [s]",
+        help="wait until all nodes are healthy or one is down, at most this long since another one "
+        "became healthy [s]",
     )
     parser.add_argument("--namespace", default="", help="of the vehicle to show; all by default")
     parser.add_argument("--logs", type=Path, required=True, help="folder of the nodes' logs")
@@ -318,9 +345,7 @@ def main() -> int:
                 while True:
                     live.update(screen(processes, listener), refresh=True)
                     listen(1.0)
-        deadline = time.monotonic() + options.wait
-        while time.monotonic() < deadline and not is_final(processes, listener):
-            listen(0.1)
+        wait_for_health(processes, listener, options.wait, listen)
         listen(1.0)  # for the rates
         console.print(screen(processes, listener))
         if found := problems(processes, listener):

@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from io import StringIO
 from itertools import pairwise
-from math import radians
+from math import inf, radians
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
@@ -320,6 +320,21 @@ def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_pa
     assert "runs, but no node of this name reports" in shown["links"]
     assert shown["arm"].endswith("all is well")
     assert "runs, but" not in shown["vicon"]
+
+
+@pytest.mark.parametrize(("last", "end"), [(inf, 50.0), (45.0, 45.0)])
+def test_slow_nodes_are_waited_for_while_others_become_healthy(tmp_path, status, last, end):
+    clock, reports, due = [0.0], {}, {"links": 15.0, "arm": 30.0, "late": last}
+
+    def listen(seconds):
+        clock[0] += seconds
+        reports.update({name: DiagnosticStatus() for name in due if clock[0] >= due[name]})
+
+    listener = SimpleNamespace(reports=reports, report=reports.get)
+    processes = status["Processes"](tmp_path, list(due), [])
+    with running(tmp_path, *due):
+        status["wait_for_health"](processes, listener, 20.0, listen, lambda: clock[0])
+    assert clock[0] == pytest.approx(end, abs=0.2)
 
 
 def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path, status):
