@@ -2,7 +2,8 @@
 
     . scripts/env.sh; python bench/bench_campaign.py [--runs 8]
 
-First the same captures in a plain loop, on one worker and on two, interleaved: runs per minute.
+First the same captures in a plain loop, on one worker and on two: runs per minute. Loop and one
+worker take turns after each run; the overhead is the median of the ratios of their times.
 Then a simulated cluster: 32 workers in this process whose runs only sleep, as long as the captures
 took, scaled to 2 s on average; its efficiency is the time slept divided by that of all workers.
 Last, the rate of runs that take no time: the limit of scheduler and results, for any number of
@@ -14,6 +15,8 @@ import io
 import os
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -41,43 +44,48 @@ def sleep(seed, duration: float):
 """
 
 
-def plain_time(campaign, runs):
-    """Return the time of the runs in a loop in this process [s], and of each run."""
-    start = time.perf_counter()
-    folder = campaign.file.parent
-    rows = [perform(campaign.function, folder, r.number, r.seed, r.values) for r in runs]
-    return time.perf_counter() - start, [row["wall_time"] for row in rows]
+def plain_time(campaign, run, loop):
+    """Return the time of a run in another process [s]."""
+    start, folder = time.perf_counter(), campaign.file.parent
+    place, values = campaign.function, dict(run.values)
+    loop.submit(perform, place, folder, run.number, run.seed, values).result()
+    return time.perf_counter() - start
 
 
 def executed_time(campaign, runs, client, folder):
     """Return the time of the runs on a client's workers [s]."""
     start = time.perf_counter()
-    quiet = Console(file=io.StringIO())
     results = Results(folder / "runs.parquet")
-    execute(campaign, runs, client, results, quiet)
+    execute(campaign, runs, client, results, Console(file=io.StringIO()))
     results.write()
     assert len(results.rows) == len(runs)
     return time.perf_counter() - start
 
 
 def compare(count, folder):
-    """Print the rates of captures; return the overhead of one worker and the time of each run."""
+    """Print the rates of captures; return the overhead of one worker and the time of each run.
+
+    Loop and worker take turns after each run, so that the load of the computer affects both.
+    """
     campaign = read_campaign(CAPTURES)
-    runs, times = campaign.in_random_order()[:count], {"plain loop": []}
-    durations = plain_time(campaign, runs[:1])[1]  # kernels are loaded
-    for workers in (1, 2):
-        times[f"{workers} worker{'s' * (workers > 1)}"] = []
-    for _ in range(REPETITIONS):
-        elapsed, durations = plain_time(campaign, runs)
-        times["plain loop"].append(elapsed)
-        for workers, name in zip((1, 2), list(times)[1:], strict=True):
-            with open_client("", workers) as client:
-                executed_time(campaign, runs[:workers], client, folder)  # workers are warm
-                times[name].append(executed_time(campaign, runs, client, folder))
-    for name, elapsed in times.items():
-        print(f"{name:>12}  {60.0 * count / np.median(elapsed):6.1f} captures/min")
-    ratio = np.median(np.array(times["1 worker"]) / np.array(times["plain loop"]))
-    return float(ratio) - 1.0, durations
+    runs, plain, worked = campaign.in_random_order()[:count], [], []
+    with ProcessPoolExecutor(1, get_context("spawn")) as loop, open_client("", 1) as client:
+        plain_time(campaign, runs[0], loop)  # kernels are loaded
+        executed_time(campaign, runs[:1], client, folder)
+        for run in REPETITIONS * runs:
+            plain.append(plain_time(campaign, run, loop))
+            worked.append(executed_time(campaign, [run], client, folder))
+    with open_client("", 2) as client:
+        executed_time(campaign, runs[:2], client, folder)
+        both = executed_time(campaign, runs, client, folder)
+    rates = {
+        "plain loop": 60.0 / np.mean(plain),
+        "1 worker": 60.0 / np.mean(worked),
+        "2 workers": 60.0 * count / both,
+    }
+    for name, rate in rates.items():
+        print(f"{name:>12}  {rate:6.1f} captures/min")
+    return float(np.median(np.divide(worked, plain))) - 1.0, plain
 
 
 def simulate_cluster(durations, folder):

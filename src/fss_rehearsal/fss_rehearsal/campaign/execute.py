@@ -24,7 +24,11 @@ DASK = {
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.allowed-failures": 2,
     "distributed.worker.daemon": False,  # a run may start processes
-    "distributed.worker.profile.enabled": False,  # it stops the run 100 times a second
+    # Monitors share Python's lock with the run, which they interrupt up to 100 times a second.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.worker.memory.monitor-interval": "1s",
 }
 
 
