@@ -1,12 +1,11 @@
-"""The base's board: table of states, telemetry, limits of random commands.
+"""Behavior of the base's board: table of states, limits, exact times."""
 
-Its exact times are tested beside those of the firmware, in `test_board_firmware.py`.
-"""
-
+import random
 from dataclasses import replace
 
 import pytest
-from base_board import BOOT, GO, QUIET, SECOND, STOP, board, numbered, opens
+from base_board import BOOT, GO, KEY, QUIET, SECOND, STOP, board, numbered, opens
+from firmware_vectors import damaged
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,10 +14,12 @@ from fss_base_driver.protocol import (
     BaseCommandFlag,
     BaseSlow,
     BaseState,
+    BoardState,
     Gripper,
     GripperFlag,
     Limits,
     Measured,
+    board_gate,
     decode,
     encode,
 )
@@ -28,10 +29,24 @@ ARM = replace(GO, pulse=0, on_times=VALVES * (0,), expiry=1 << 63)
 MAX_ON_TIMES = VALVES * (0xFFFF,)
 
 
+def send_command(state, command, clock=SECOND):
+    return state.receive(encode(command), clock)
+
+
 def test_it_starts_disarmed_and_closed():
     state = board()
     state.tick(10 * SECOND)
     assert (state.armed, state.valves(), state.flags()) == (False, 0, 0)
+
+
+def test_a_pulse_opens_each_valve_for_its_time():
+    state = board(QUIET, GO)
+    assert state.armed
+    for ms, valves in ((0, 3), (99.999, 3), (100, 2), (199.999, 2), (200, 0)):
+        state.tick(SECOND + round(MS * ms))
+        assert state.valves() == valves
+    assert state.opened == [100 * MS, 200 * MS, *6 * [0]]
+    assert state.left == Limits().total - 300 * MS
 
 
 #: What comes after QUIET, at 1.05 s, while the pulse of GO (valves 1 and 2) is open; then armed,
@@ -57,9 +72,49 @@ AFTER = [
 def test_the_table(commands, flags, valves):
     state = board(QUIET, GO)
     for command in numbered(commands, 10):
-        assert state.receive(encode(command), SECOND + 50 * MS)
+        assert send_command(state, command, SECOND + 50 * MS)
     assert (state.flags(), state.valves()) == (flags, valves)
     assert state.armed == bool(flags & BaseState.ARMED)
+
+
+def test_what_repeats_neither_lengthens_nor_shortens_a_pulse():
+    state = board(QUIET, opens((1000, *7 * (0,))))
+    for k in range(10):
+        assert send_command(state, opens((1000, *7 * (0,)), 1, 3 + k), SECOND + 10 * MS * k)
+        assert state.valves() == 1
+    state.tick(SECOND + 100 * MS)
+    assert state.valves() == 0
+
+
+def test_a_command_that_expires_closes():
+    state = board(QUIET, replace(GO, expiry=SECOND + 60 * MS))
+    state.tick(SECOND + 60 * MS)
+    assert state.valves() == 3
+    state.tick(SECOND + 60 * MS + 1)
+    assert state.valves() == 0
+    assert state.armed
+    assert state.flags() == BaseState.ARMED
+
+
+def test_silence_closes_at_the_watchdog_however_late_it_is_asked():
+    state = board(QUIET, opens(8 * (10_000,), watchdog=100))
+    state.tick(5 * SECOND)
+    assert state.flags() == BaseState.WATCHDOG
+    assert state.opened == 8 * [100 * MS + 1]
+
+
+@pytest.mark.parametrize("watchdog", [100, 500])
+def test_silence_closes_and_disarms_within_the_watchdog(watchdog):
+    state = board(QUIET, opens(8 * (10_000,), watchdog=watchdog))
+    state.tick(SECOND + watchdog * MS)
+    assert state.valves() == 255
+    state.tick(SECOND + watchdog * MS + 1)
+    assert (state.flags(), state.valves()) == (BaseState.WATCHDOG, 0)
+    late = SECOND + 700 * MS
+    assert not send_command(state, opens(MAX_ON_TIMES, 2, 3), late)  # a session cannot begin armed
+    assert send_command(state, replace(QUIET, sequence=1), late)
+    assert send_command(state, opens(MAX_ON_TIMES, 2, 2), late)
+    assert state.valves() == 255
 
 
 def test_a_pulse_longer_than_the_longest_is_cut():
@@ -70,7 +125,7 @@ def test_a_pulse_longer_than_the_longest_is_cut():
     assert state.valves() == 3
     state.tick(2 * SECOND)
     assert state.valves() == 0
-    assert state.receive(encode(replace(QUIET, sequence=3)), 2 * SECOND)
+    assert send_command(state, replace(QUIET, sequence=3), 2 * SECOND)
     assert state.flags() == 0
 
 
@@ -79,7 +134,7 @@ def test_a_valve_that_is_kept_open_is_held_to_its_duty():
     clock, sequence = SECOND, 2
     while clock < 101 * SECOND:  # pulses of 100 ms, without a gap, of the first valve
         clock, sequence = clock + 100 * MS, sequence + 1
-        assert state.receive(encode(opens((1000, *7 * (0,)), sequence, sequence)), clock)
+        assert send_command(state, opens((1000, *7 * (0,)), sequence, sequence), clock)
     # Full at the start, and a quarter of the time; a pulse that begins takes what there is.
     assert state.opened[0] == pytest.approx(2_000_000 + 25 * SECOND, rel=0.01)
     assert state.opened[0] <= 2_000_000 + 25 * SECOND
@@ -98,6 +153,34 @@ def test_a_valve_closed_by_its_allowance_stays_so_until_the_next_pulse():
     state.tick(SECOND + 800 * MS)
     assert state.valves() == 0
     assert state.opened[:2] == [200 * MS] * 2
+
+
+def test_the_total_time_is_spent_once_and_given_back_by_an_order_to_disarm():
+    state = board(QUIET, opens(8 * (5000,)), limits=Limits(total=1_000_000))
+    state.tick(SECOND + 125 * MS - 1)
+    assert state.valves() == 255
+    state.tick(SECOND + 125 * MS)
+    assert (state.armed, state.valves(), state.flags()) == (False, 0, BaseState.SPENT)
+    assert send_command(state, opens(MAX_ON_TIMES, 2, 3), SECOND + 130 * MS)
+    assert (state.armed, state.valves()) == (False, 0)
+    assert send_command(state, replace(QUIET, sequence=4), SECOND + 140 * MS)
+    assert send_command(state, opens(MAX_ON_TIMES, 2, 5), SECOND + 140 * MS)
+    assert state.valves() == 255
+
+
+GRIPS = [
+    ([opens(gripper=2)], Gripper.CLOSE),
+    ([opens(gripper=2), opens()], Gripper.CLOSE),
+    ([opens(gripper=2), STOP], Gripper.CLOSE),
+    ([opens(gripper=2), QUIET], Gripper.CLOSE),
+    ([opens(gripper=2), opens(gripper=1)], Gripper.OPEN),
+    ([opens(gripper=2), STOP, opens(gripper=1)], Gripper.CLOSE),
+]
+
+
+@pytest.mark.parametrize(("commands", "expected"), GRIPS)
+def test_the_gripper_stays_as_it_is_but_for_an_order_that_arms(commands, expected):
+    assert board(*numbered([QUIET, *commands])).gripper is expected
 
 
 def test_telemetry_says_all():
@@ -166,3 +249,45 @@ def test_how_often_it_is_asked_changes_nothing_and_no_limit_is_exceeded(history,
         most = TIGHT.allowance + TIGHT.duty / 100 * (clock - SECOND)
         assert max(state.opened) <= most + 1
         assert max(state.remaining()) <= TIGHT.longest
+
+
+# --- whatever comes ------------------------------------------------------------------------------
+
+
+def following(state, order, clock):
+    """The order as the next of a driver whom the board has heard all the time."""
+    gate = state.gate
+    return replace(
+        order,
+        sequence=(gate._newest + 1) & 0xFFFFFFFF,
+        clock=min(gate._latest + 1, (1 << 64) - 1),
+        expiry=clock + 500_000 if order.flags else 0,
+    )
+
+
+@pytest.mark.parametrize("inputs", [10_000, pytest.param(5_000_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("key", [None, KEY])
+def test_whatever_comes_no_valve_is_open_unarmed_and_nothing_is_raised(inputs, key):
+    rng, clock, taken, seen = random.Random(7), SECOND, 0, set()
+    for k in range(inputs):
+        clock += rng.choice((0, 3, 100, 5000, 70_000))
+        if k % 1000 == 0:  # one who has the key may have used up the order of stamps
+            state = BoardState(board_gate(BOOT, key))
+            pool = [encode(QUIET, key), encode(STOP, key)]
+        if k % 50 < 2:  # the driver continues in between
+            order = QUIET if k % 250 == 0 else opens([rng.randrange(3000)] * 8, k % 65535 + 1)
+            data = encode(following(state, order, clock), key)
+            pool = [*pool[-8:], data]
+        else:
+            data = damaged(rng, rng.choice(pool), key)
+        armed, opened = state.armed, list(state.opened)
+        took = state.receive(data, clock)
+        taken += took
+        seen.add(state.flags())
+        assert state.armed or not state.valves()
+        assert armed or state.opened == opened  # none was open in the time that has passed
+        if took:
+            frame = state.telemetry(clock, k, Measured())
+            assert decode(encode(frame, key), key) == frame
+    assert taken > inputs // 100
+    assert len(seen) > 3

@@ -133,6 +133,15 @@ def test_an_impulse_is_carried_over_but_not_beyond_the_wrench(follower, session)
     assert opened() == first
 
 
+def test_a_wrench_beyond_the_working_valves_is_counted(follower, session):
+    follower.follow(push(0.31), START)
+    follower.command_pulses(session, START)
+    assert session.counts["wrenches_clipped"] == 0
+    follower.exclude((), [int(SETTINGS.valves()[:, 0].argmax())])
+    follower.command_pulses(session, START)
+    assert session.counts["wrenches_clipped"] == 1
+
+
 def test_valves_are_stuck_by_parameter_or_as_detected():
     configured = {f"valve_{i}": ValveSettings() for i in range(1, VALVES + 1)}
     configured["valve_2"] = ValveSettings(stuck_open=1.0)
