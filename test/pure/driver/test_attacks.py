@@ -196,6 +196,16 @@ def test_pieces_of_a_path_from_before_are_refused_after_a_disarm(key):
     assert not world.link.paths.following
 
 
+def test_what_one_side_said_is_not_taken_by_itself():
+    world = World().moving()
+    before = state(world)
+    for data in world.down:
+        assert world.session.feed(data, world.now) is None
+    for data in world.up:
+        assert not world.link.receive(data, world.clock())
+    assert state(world) == before
+
+
 @pytest.mark.parametrize("pause", [0, 3600 * SECOND])
 @pytest.mark.parametrize("restarts", [False, True])
 def test_a_recording_is_not_taken_for_a_link_that_went_silent(pause, restarts):
@@ -225,6 +235,18 @@ def test_frames_of_an_earlier_start_are_refused_by_the_driver():
     before = state(world)
     for data in earlier:
         assert world.session.feed(data, world.now) is None
+    assert state(world) == before
+
+
+def test_a_frame_held_back_is_stale():
+    world = World()
+    world.run(10)
+    world.run(4, up=False)
+    held = world.up[-4]
+    world.step()
+    world.now += SECOND
+    before = state(world)
+    assert world.session.feed(held, world.now) is None
     assert state(world) == before
 
 
@@ -282,6 +304,16 @@ def test_recorded_commands_change_nothing_after(what):
     before = without(world.link.gate.refused, world.link)
     for data in recorded:
         assert not world.link.receive(data, world.clock())
+    assert without(world.link.gate.refused, world.link) == before
+
+
+def test_a_command_held_back_beyond_its_time_to_live_is_not_executed():
+    world = World().armed()
+    world.session.set(Mode.POSITION, 0.3, 0.0, 0.0, world.now + SECOND // 2, world.now)
+    world.step(down=False)
+    world.now += SECOND // 2
+    before = without(world.link.gate.refused, world.link)
+    assert not world.link.receive(world.down[-1], world.clock())
     assert without(world.link.gate.refused, world.link) == before
 
 

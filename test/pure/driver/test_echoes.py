@@ -293,3 +293,13 @@ def test_a_driver_that_stood_still_starts_from_rest(key, still):
         world.step()
         assert not world.link.armed
     world.arm(session)
+
+
+def test_a_stop_outlives_a_standstill():
+    world = World()
+    session = world.driver()
+    world.run(3.0)
+    world.arm(session)
+    session.stop()
+    world.now += 10 * SECOND
+    assert decode(session.command(world.now)).flags == LinkCommandFlag.STOP

@@ -37,6 +37,15 @@ def armed(connected):
     return connected
 
 
+def test_the_second_frame_in_a_row_is_believed(bench):
+    assert bench.session.lost
+    assert bench.step() is None
+    sample = bench.step()
+    assert sample.frame == bench.link.frame
+    assert not bench.session.lost
+    assert bench.session.counts["adopted"] == 1
+
+
 def test_a_sample_is_in_si_units_and_host_time():
     sensor = TorqueSensor(gain=2.1 / 2**23, zero=1000.0)
     bench = Bench(replace(LINK, drive=Drive(direction=-1), torque_sensor=sensor))
@@ -303,6 +312,13 @@ def test_a_lost_link_cannot_be_armed(bench):
         bench.session.arm(bench.now)
 
 
+def test_arming_that_comes_to_nothing_ends(connected):
+    connected.session.arm(connected.now)
+    for _ in range(12):
+        connected.step(down=False)
+    assert connected.session.arming is Arming.DISARMED
+
+
 def test_an_old_confirmation_does_not_arm(armed):
     armed.session.disarm()
     armed.session.arm(armed.now)
@@ -433,6 +449,16 @@ def test_faults_are_cleared_after_a_stop(armed):
     armed.step()
     armed.session.clear_faults(armed.now)
     assert armed.last_command().flags == LinkCommandFlag.CLEAR_FAULTS
+
+
+def test_a_link_that_disarmed_itself_is_not_armed_again(armed):
+    armed.set(Mode.POSITION, 0.2)
+    armed.link.flags = State.WATCHDOG
+    armed.step(down=False)
+    assert armed.session.arming is Arming.DISARMED
+    assert armed.last_command().flags == 0
+    armed.step()
+    assert armed.link.flags == 0
 
 
 class LogLines:

@@ -48,6 +48,14 @@ def test_all_joints_take_the_same_time_within_their_limits(q, goal, duration):
         assert move.duration * (0.99 - step / velocity) <= time <= move.duration * 1.01
 
 
+@pytest.mark.parametrize("duration", [0.0, 10.0, 60.0])
+def test_long_and_short_ways_arrive_together(duration):
+    q = (0.0,) * 4
+    move = plan(ARM, q, (1.5, 0.1, -0.02, 0.0), duration)
+    times = [time for time, _ in arrivals(q, move)]
+    assert times == pytest.approx([move.duration] * 3, rel=0.01)
+
+
 @given(st.tuples(*[ANGLE] * 4), st.tuples(*[ANGLE] * 4), st.floats(0.0, 60.0))
 def test_where_the_joints_are_to_be_in_between(q, goal, duration):
     move, h = plan(ARM, q, goal, duration), 1e-3
@@ -68,6 +76,10 @@ def test_the_slowest_joint_sets_the_pace():
     velocities = [part.velocity for part in move.profiles]
     assert velocities == pytest.approx([0.1, 0.2, 0.3, 0.0], abs=3e-6)
     assert move.duration == pytest.approx(5.0 + 0.3 / 2.0)
+
+
+def test_no_way_takes_no_time():
+    assert plan(ARM, (0.1,) * 4, (0.1,) * 4).duration == 0.0
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,7 @@ class Joint:
     def __init__(self, follower, clock=START_CLOCK, position=0.0):
         self.follower, self.clock, self.position = follower, clock, position
         self.told = 0.0  # velocity [counts/s]; None: hold
+        self.fastest_turn = 0.0
 
     def until(self, clock, order=ORDER):
         while self.clock < clock:
@@ -71,6 +72,7 @@ class Joint:
             self.told = self.follower.follow(order, self.clock, self.position, speed)
             self.clock += STEP
             self.position += 1e-6 * STEP * (self.told or 0.0)
+            self.fastest_turn = max(self.fastest_turn, abs(self.told or 0.0))
         return self
 
 
@@ -167,6 +169,78 @@ def test_a_last_segment_cannot_come_before_one_that_is_held():
     )
 
 
+def test_segments_alone_move_nothing_and_a_command_without_them_holds():
+    paths = PathFollower()
+    joint = Joint(paths).until(START_CLOCK + 500_000)
+    assert joint.told is None
+    for segment in reversed(path()):
+        assert paths.store(segment, joint.clock) is None
+    joint.until(START_CLOCK + 900_000)
+    assert (joint.told, joint.position, paths.following) == (None, 0.0, False)
+    joint.until(START_CLOCK + 1_500_000)
+    assert paths.following
+
+
+def test_a_joint_follows_from_the_first_knot_to_the_last():
+    joint = Joint(follower(*path()), position=30.0)
+    spline = CubicHermiteSpline(
+        [k[0] for k in KNOTS], [k[1] for k in KNOTS], [1e-7 * k[2] for k in KNOTS]
+    )
+    for t in range(0, 3_000_000, STEP):
+        joint.until(START_CLOCK + 1_000_000 + t)
+        assert joint.position == pytest.approx(float(spline(t)), abs=150.0)
+    assert joint.follower.following
+    joint.until(START_CLOCK + 6_000_000)
+    assert not joint.follower.following
+    assert not joint.follower.broken
+    assert joint.follower.followed == 5
+    assert joint.position == pytest.approx(0.0, abs=1.0)
+
+
+def test_a_disturbed_joint_returns_to_its_path_within_the_most_velocity():
+    joint = following()
+    joint.position += 9000.0
+    joint.until(START_CLOCK + 3_900_000)
+    assert joint.follower.following
+    assert joint.fastest_turn <= FASTEST
+    assert abs(joint.position - 0.0) < 2000.0
+
+
+@pytest.mark.parametrize(
+    ("change", "clock"),
+    [
+        (lambda joint: setattr(joint, "position", joint.position + 11_000.0), 0),  # too far off
+        (lambda joint: setattr(joint, "position", -11_000.0), 0),
+        (lambda joint: None, 1_600_000),  # the third segment has not come
+    ],
+)
+def test_a_path_breaks_off_for_good(change, clock):
+    joint = following(FIRST_SEGMENT, SECOND_SEGMENT)
+    change(joint)
+    joint.until(joint.clock + clock + 2 * STEP)
+    paths = joint.follower
+    assert (joint.told, paths.following, paths.broken) == (None, False, True)
+    for segment in path():
+        assert paths.store(segment, joint.clock) in (Refused.PATH, Refused.TIME)
+    where = joint.position
+    joint.until(joint.clock + 200_000)
+    assert (joint.position, paths.broken, paths.report) == (where, True, 0)
+    begin = joint.clock + 100_000
+    for segment in path(6, begin, [(t, p + round(where), v) for t, p, v in KNOTS]):
+        assert paths.store(segment, joint.clock) is None
+    joint.until(begin + 200_000, replace(ORDER, set_point=6))
+    assert (paths.following, paths.broken) == (True, False)
+
+
+def test_a_late_command_joins_a_path_that_has_begun():
+    paths = follower(*path())
+    joint = Joint(paths, clock=START_CLOCK + 2_200_000, position=5500.0).until(
+        START_CLOCK + 3_000_000
+    )
+    assert paths.following
+    assert joint.position == pytest.approx(9000.0, abs=100.0)
+
+
 def test_the_next_path_takes_over_when_it_begins():
     joint = following()
     there = START_CLOCK + 2_000_000
@@ -192,6 +266,26 @@ def test_until_the_next_path_has_come_the_joint_goes_on():
     assert joint.follower.followed == 6
     joint.until(joint.clock + 100_000, replace(ORDER, set_point=4))  # long over
     assert (joint.told, joint.follower.report) == (None, 0)
+
+
+def test_another_order_ends_the_followed_path_and_keeps_the_next():
+    joint = following()
+    for segment in path(6, START_CLOCK + 9_000_000):
+        joint.follower.store(segment, joint.clock)
+    joint.follower.abandon()
+    assert joint.follower.followed == 0
+    assert joint.follower.report >> 16 == 6
+    assert joint.until(joint.clock + 100_000).told is None
+
+
+def test_the_report_counts_what_came_without_a_gap():
+    paths = follower(FIRST_SEGMENT)
+    assert paths.report == 5 << 16 | 1
+    assert paths.store(THIRD_SEGMENT, START_CLOCK) is None
+    assert paths.report == 5 << 16 | 1
+    assert paths.store(SECOND_SEGMENT, START_CLOCK) is None
+    assert paths.report == 5 << 16 | 3
+    assert follower(*path(0x8000)).report == (0x8000 << 16 | 3) - (1 << 32)
 
 
 # --- the computer's side ---

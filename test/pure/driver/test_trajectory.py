@@ -14,6 +14,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
 
 from fss_arm_driver.arm.request import (
+    MAX_MAGNITUDE,
     MAX_POINTS,
     Code,
     Request,
@@ -33,6 +34,7 @@ from fss_arm_driver.arm.trajectory import (
 from fss_arm_driver.arm.trajectory_monitor import TrajectoryMonitor
 from fss_arm_model.description import paper_arm
 from fss_arm_model.units import SECOND
+from fss_arm_ros import validation
 
 ARM = paper_arm()
 JOINTS = [f"joint_{i}" for i in range(1, 5)]
@@ -91,15 +93,24 @@ def test_a_path_is_the_cubic_between_its_knots():
     np.testing.assert_array_equal(path.at(path.end), [path.q[-1], np.zeros(4)])
 
 
+def test_names_come_in_any_order():
+    times, q = wavy()
+    points = [*list(zip(times, q, -q, strict=True))[:-1], (times[-1], q[-1])]
+    straight = parse_request(ARM, message(points))
+    turned = [(t, np.asarray(q)[::-1], *(np.asarray(v)[::-1] for v in qd)) for t, q, *qd in points]
+    other = parse_request(ARM, message(turned, JOINTS[::-1]))
+    np.testing.assert_array_equal(straight.q, other.q)
+    np.testing.assert_array_equal(straight.qd, other.qd)
+    assert np.isnan(straight.qd[-1]).all()
+
+
 @pytest.mark.parametrize("n", [1, 9, 10, 12])
-def test_an_arm_may_have_any_number_of_joints_named_in_any_order(n):
+def test_an_arm_may_have_any_number_of_joints(n):
     """`joint_10` comes before `joint_2` in the order of letters."""
     arm = replace(ARM, links=(ARM.links * 3)[:n])
     names = [f"joint_{i}" for i in range(n, 0, -1)]
-    numbers = np.arange(n, 0, -1)
-    asked = parse_request(arm, message([(1.0, numbers, -numbers), (2.0, numbers)], names))
-    np.testing.assert_array_equal(asked.q, 2 * [numbers[::-1]])
-    np.testing.assert_array_equal(asked.qd, [-numbers[::-1], n * [nan]])
+    asked = parse_request(arm, message([(1.0, np.arange(n, 0, -1))], names))
+    assert asked.q[0].tolist() == list(range(1, n + 1))
 
 
 def test_a_path_begins_where_the_arm_is_and_reaches_every_point():
@@ -165,7 +176,6 @@ REFUSED = {
     "is joint_1, joint_2, joint_3, expected each of joint_1":
         (Code.INVALID_JOINTS, [(1.0, np.zeros(3))], JOINTS[:3]),
     "joint_names is 1000000 names": (Code.INVALID_JOINTS, [(1.0, FOUR)], JOINTS * 250_000),
-    "has 'xxx": (Code.INVALID_JOINTS, [(1.0, FOUR)], ["x" * 1_000_000, *JOINTS[1:]]),
     "joint_names is empty": (Code.INVALID_JOINTS, [(1.0, FOUR)], []),
     "points has 0 elements, expected 1 to 10000": (Code.INVALID_GOAL, [], JOINTS),
     "positions of point 0 has 3 numbers, expected 4":
@@ -191,6 +201,7 @@ def test_malformed_trajectories_are_refused(words):
 def test_rounding_errors_in_the_last_velocity_are_removed():
     request = parse_request(ARM, message([(1.0, np.zeros(4), [-9e-17, 1e-8, 0.0, 0.0])]))
     assert not request.qd[-1].any()
+    assert np.isnan(parse_request(ARM, message([(1.0, np.zeros(4))])).qd[-1]).all()
 
 
 def test_the_longest_trajectory_is_read_and_a_longer_one_is_not():
@@ -234,6 +245,10 @@ def refusal(goal):
     return ""
 
 
+def test_numbers_of_goals_are_bounded_as_those_of_topics():
+    assert MAX_MAGNITUDE == validation.MAX_MAGNITUDE
+
+
 def test_a_goal_with_every_field_filled_is_valid():
     assert refusal(valid_goal()) == ""
 
@@ -266,7 +281,6 @@ SIZES = [  # a field, its value, and why that is refused
     *((field, TWICE, f"{field} names 'joint_1', expected some of joint_1, joint_2")
       for field in ("path_tolerance", "goal_tolerance")),
     ("path_tolerance", [JointTolerance(name="elbow")], "path_tolerance names 'elbow'"),
-    ("path_tolerance", [JointTolerance(name="x" * 1_000_000)], "path_tolerance names 'xxx"),
 ]  # fmt: skip
 
 
@@ -277,7 +291,6 @@ def test_each_field_has_as_many_elements_as_there_are_joints(field, value, words
     place, _, name = field.rpartition(".")
     setattr(places[place], name, value)
     assert refusal(goal).startswith(words)
-    assert len(refusal(goal)) < 200
 
 
 @pytest.mark.parametrize("value", [nan, inf, -1e18, -0.5, 5e-324])
@@ -317,6 +330,15 @@ def test_nanoseconds_are_less_than_a_second():
         goal = valid_goal()
         goal.trajectory.header.stamp = Time(sec=sec, nanosec=nanosec)
         assert refusal(goal).startswith(f"header.stamp is {sec} s")
+
+
+def test_long_names_are_shown_in_part():
+    goal = valid_goal()
+    goal.trajectory.joint_names = ["x" * 1_000_000, *JOINTS[1:]]
+    assert len(refusal(goal)) < 200
+    goal = valid_goal()
+    goal.path_tolerance = [JointTolerance(name="x" * 1_000_000)]
+    assert len(refusal(goal)) < 200
 
 
 # --- limits --------------------------------------------------------------------------------------
