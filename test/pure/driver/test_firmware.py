@@ -14,6 +14,7 @@ from firmware import Core, FirmwareLink, needs_arm, needs_emulator
 
 from fss_arm_driver.faults import FAULTS, Word
 from fss_arm_driver.protocol import (
+    LAST_SEGMENT,
     VELOCITY_UNIT,
     LinkCommandFlag,
     Mode,
@@ -793,6 +794,18 @@ def test_segments_are_for_the_armed(link):
     link.run(0.1)
     assert link.orders()[-1] == "s r0x24 21"  # told of no path, it holds
     assert link.send(segments[0])
+
+
+def test_no_segment_comes_after_a_last_one(link):
+    segments = path(link.clock + 300_000, KNOTS)
+    last = segments[-1]
+    beyond = {"index": last.index + 1, "begin": last.end, "position": last.end_position}
+    assert link.send(DISARM)
+    assert link.send(FOLLOW)
+    assert link.send(segments[2])
+    assert not link.send(replace(segments[0], flags=LAST_SEGMENT, end_velocity=0))
+    assert link.send(last)
+    assert not link.send(replace(last, velocity=0, **beyond))
 
 
 def test_a_segment_recorded_before_the_link_was_disarmed_is_refused(core):
