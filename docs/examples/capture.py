@@ -7,21 +7,27 @@ from rclpy.signals import SignalHandlerOptions
 from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import MissionState
 from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.run import deferred_signals
 
 
 def wait(node, future):
     """Wait for a future; Ctrl-C takes effect between two short waits."""
     while not future.done():
-        rclpy.spin_until_future_complete(node, future, timeout_sec=0.1)
+        with deferred_signals():
+            rclpy.spin_until_future_complete(node, future, timeout_sec=0.1)
     return future.result()
 
 
 def fly(node, client):
     """Send the goal, and return the mission's result; Ctrl-C aborts the mission."""
-    sent = client.send_goal_async(Capture.Goal(detumble=True))
+    sent = None
     try:
+        with deferred_signals():  # a goal that was sent can be cancelled
+            sent = client.send_goal_async(Capture.Goal(detumble=True))
         return wait(node, wait(node, sent).get_result_async()).result
     except KeyboardInterrupt:
+        if sent is None:
+            raise
         goal = wait(node, sent)
         wait(node, goal.cancel_goal_async())
         return wait(node, goal.get_result_async()).result

@@ -1,6 +1,7 @@
 """Faults that a campaign injects in a phase of a capture."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from fss_arm_model.settings import NOT_NEGATIVE, SettingError, Settings, between, one_of, setting
 
@@ -9,16 +10,21 @@ SUBJECTS = "fss", "end_effector", "target"
 KILLABLE = "navigation", "control", "guidance", "base", "arm", "links"
 
 
+def fault_kind(kind: str, words: str) -> Any:
+    """Return the setting of a fault's kind: one of those of all loops, or this one."""
+    return setting(
+        "",
+        f"fault: no poses (outage), a valve stuck open or closed, gyro or a link lost, {words} "
+        f"({kind}); empty: none",
+        check=one_of("", "outage", "open", "closed", "gyro", "link", kind),
+    )
+
+
 @dataclass(frozen=True)
 class FaultSettings(Settings):
     """A fault that occurs in a phase of the mission."""
 
-    kind: str = setting(
-        "",
-        "fault: no poses (outage), a valve stuck open or closed, gyro or a link lost, no "
-        "gripper/state; empty: none",
-        check=one_of("", "outage", "open", "closed", "gyro", "link", "gripper"),
-    )
+    kind: str = fault_kind("gripper", "no gripper/state")
     phase: str = setting(
         "", "phase of the fault", check=one_of("", "approach", "reach", "grip", "detumble")
     )
@@ -38,12 +44,7 @@ class FaultSettings(Settings):
 class GraphFaultSettings(FaultSettings):
     """A fault that occurs in a phase of the mission, or a node that is killed."""
 
-    kind: str = setting(
-        "",
-        "fault: no poses (outage), a valve stuck open or closed, gyro or a link lost, a node "
-        "killed (kill); empty: none",
-        check=one_of("", "outage", "open", "closed", "gyro", "link", "kill"),
-    )
+    kind: str = fault_kind("kill", "a node killed")
     node: str = setting("", "node to kill", check=one_of("", *KILLABLE))
 
     def check(self) -> None:

@@ -8,7 +8,7 @@ from fss_gnc.navigation.settings import NavigationSettings
 from fss_rehearsal.loops.parameters import WITHOUT_NODES, ArmValues, Without
 from fss_sim.settings import TestbedSettings
 
-POSTURE = 0.95, 1.3, 1.36, -1.23
+POSTURE = 0.95, 1.3, 1.36, -1.23  # [rad]
 TESTBED = TestbedSettings(
     base=(1.6 * cos(-0.75 * pi), 1.6 * sin(-0.75 * pi), -1.4),
     q=POSTURE,
