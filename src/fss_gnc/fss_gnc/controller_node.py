@@ -169,7 +169,7 @@ class ControllerNode(Node):
             return Health(WARN, "base/wrench has another publisher; stop the node control", values)
         if missed:
             return Health(WARN, f"law has missed {missed} deadlines of {1e3 / s.rate:g} ms", values)
-        return Health(OK, "law is running", values)
+        return Health(OK, f"law is running{self.snapshot.disarmed(self.now())}", values)
 
     def close(self) -> None:
         """End the law; its last commands expire."""

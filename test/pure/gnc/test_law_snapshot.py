@@ -61,6 +61,16 @@ def test_a_trajectory_without_points_leaves_no_inputs(snapshot):
     assert snapshot.problem(NOW) == "base/trajectory has no points"
 
 
+def test_after_coasting_the_base_is_held_where_it_is_then(snapshot):
+    snapshot.at(NOW)
+    snapshot.trajectory.store(NOW, (NOW, None))
+    assert snapshot.at(NOW) is None
+    later = NOW + 2 * SECOND
+    snapshot.base.store(later, Body(np.array([3.0, 2.0, 0.5]), np.zeros(3)))
+    snapshot.joints.store(later, snapshot.joints.value)
+    np.testing.assert_array_equal(snapshot.at(later).reference_pose, [3.0, 2.0, 0.5])
+
+
 def test_boards_count_as_armed_while_they_report_it(snapshot):
     snapshot.valves_armed.store(NOW, True)
     snapshot.links_armed[1].store(NOW, True)
@@ -68,6 +78,10 @@ def test_boards_count_as_armed_while_they_report_it(snapshot):
     inputs = snapshot.at(NOW)
     assert inputs.valves_armed
     assert inputs.joints_armed.tolist() == [False, True]
+    assert snapshot.disarmed(NOW) == "; disarmed: links 1"
+    snapshot.links_armed[0].store(NOW, True)
+    assert snapshot.disarmed(NOW) == ""
+    assert snapshot.disarmed(NOW + 3 * SECOND) == "; disarmed: the base's board and links 1, 2"
 
 
 def test_the_covariance_of_the_twist_is_turned_into_the_world():

@@ -21,7 +21,7 @@ Flags = npt.NDArray[np.bool_]
 Contract = TypeVar("Contract", "Inputs", "Outputs")
 
 MAX_JOINTS = 12
-VALVES = thrusters.COUNT
+VALVES = thrusters.THRUSTER_COUNT
 JOINTS = -1  # size of an array with one element for each joint
 POSE_UNIT, TWIST_UNIT = "m, m, rad", "m/s, m/s, rad/s"
 ACCELERATION_UNIT = "m/s^2, m/s^2, rad/s^2"

@@ -14,7 +14,7 @@ from fss_arm_msgs.msg import ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import to_time
 from fss_gnc.law.contract import Outputs
 from fss_gnc.law.run import Command
-from fss_gnc.law.snapshot import Health
+from fss_gnc.law.snapshot import ValveHealth
 
 PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and heading among the six axes of a covariance
 OUTPUT_TYPES = {
@@ -33,9 +33,9 @@ def planar_covariances(message: Any) -> tuple[Floats, Floats]:
     return pose, twist
 
 
-def health(message: ThrusterHealth) -> Health:
+def health(message: ThrusterHealth) -> ValveHealth:
     """Return the stuck valves of a ThrusterHealth."""
-    return Health(np.array(message.stuck_open), np.array(message.stuck_closed))
+    return ValveHealth(np.array(message.stuck_open), np.array(message.stuck_closed))
 
 
 def output_messages(command: Command, arm: Arm, base_frame: str) -> Iterator[tuple[str, Any]]:

@@ -11,12 +11,12 @@ from fss_gnc.latest import Latest, body_at
 from fss_gnc.law.contract import VALVES, Flags, Inputs
 from fss_gnc.reference import Body, Path, Reference
 
-MAX_AGE = 0.5  # of the states of base, target and joints [s]
-MAX_TRAJECTORY_AGE = 1.0  # since base/trajectory was received [s]
-MAX_TELEMETRY_AGE = 2.0  # since a board reported that it is armed [s]
+MAX_AGE = 0.5  # largest age of the states of base, target and joints [s]
+MAX_TRAJECTORY_AGE = 1.0  # time for which base/trajectory is valid after it was received [s]
+MAX_TELEMETRY_AGE = 2.0  # largest age of a report that a board is armed [s]
 
 
-class Health(NamedTuple):
+class ValveHealth(NamedTuple):
     """Valves that do not follow their commands, (8,) each."""
 
     stuck_open: Flags
@@ -26,8 +26,8 @@ class Health(NamedTuple):
 class Snapshot:
     """Newest states and reference; base, target and joints are extrapolated to a common time.
 
-    Without base/trajectory the reference is the pose at which the base was when it was first
-    without one.
+    Without a valid base/trajectory, the reference is the base's pose at the first step without
+    one, at rest.
 
     Args:
         joints: number of joints.
@@ -46,7 +46,7 @@ class Snapshot:
         self.links_armed = [
             Latest[bool](f"link_{i}/telemetry", MAX_TELEMETRY_AGE) for i in range(1, joints + 1)
         ]
-        self.health = Health(np.zeros(VALVES, dtype=bool), np.zeros(VALVES, dtype=bool))
+        self.health = ValveHealth(np.zeros(VALVES, dtype=bool), np.zeros(VALVES, dtype=bool))
         self.propellant: float | None = None  # [kg]
         self._hold: Reference | None = None
         self._start: int | None = None  # time of the first inputs [ns]
@@ -57,9 +57,18 @@ class Snapshot:
         coasting = "base/trajectory has no points" if trajectory and not trajectory[1] else ""
         return self.base.problem(now) or self.joints.problem(now) or coasting
 
+    def disarmed(self, now: int) -> str:
+        """Return which boards do not report that they are armed, for a status; empty: none."""
+        links = [str(i) for i, one in enumerate(self.links_armed, 1) if not one.valid_value(now)]
+        found = [] if self.valves_armed.valid_value(now) else ["the base's board"]
+        found += [f"links {', '.join(links)}"] if links else []
+        return f"; disarmed: {' and '.join(found)}" if found else ""
+
     def at(self, now: int) -> Inputs | None:
-        """Return the inputs at `now` [ns]; None if base or joints are unknown, or it coasts."""
+        """Return the inputs at `now` [ns]; None: base or joints are unknown, or the base coasts."""
         base, target, joints = body_at(self.base, now), body_at(self.target, now), self.joints.value
+        if self.trajectory.valid_value(now):
+            self._hold = None
         if self.problem(now) or base is None or joints is None:
             return None
         self._start = now if self._start is None else self._start
@@ -89,22 +98,23 @@ class Snapshot:
 
     def _reference(self, base: Body, now: int) -> Reference:
         if (trajectory := self.trajectory.valid_value(now)) and trajectory[1]:
-            self._hold = None
             return trajectory[1].at((now - trajectory[0]) / SECOND)
         self._hold = self._hold or Reference.at_rest(base.pose)
         return self._hold
 
 
-def world_covariance(pose: Floats, twist: Floats, heading: float) -> Floats:
-    """Return the covariance (6, 6) of pose and twist in the world's axes.
+def world_covariance(pose_covariance: Floats, twist_covariance: Floats, heading: float) -> Floats:
+    """Return the covariance (6, 6) of pose and twist in the world's axes; m, rad, m/s, rad/s.
+
+    Pose and twist are taken as uncorrelated.
 
     Args:
-        pose: (3, 3) of the pose in the world.
-        twist: (3, 3) of the twist along the body's axes.
+        pose_covariance: (3, 3) of the pose in the world.
+        twist_covariance: (3, 3) of the twist along the body's axes.
         heading: of the body [rad].
     """
     c, s = cos(heading), sin(heading)
     to_world = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     whole = np.zeros((6, 6))
-    whole[:3, :3], whole[3:, 3:] = pose, to_world @ twist @ to_world.T
+    whole[:3, :3], whole[3:, 3:] = pose_covariance, to_world @ twist_covariance @ to_world.T
     return whole
