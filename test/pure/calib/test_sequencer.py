@@ -1,13 +1,16 @@
 """The state machine of the experiment, step by step in simulated time."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from fss_arm_calib.experiment.excitation import plan_excitation
 from fss_arm_calib.experiment.sequencer import MAX_REPEATS, Phase, Progress, Seen, Sequencer
 from fss_arm_calib.experiment.settings import ExperimentSettings
-from fss_arm_calib.experiment.waypoints import Waypoint
+from fss_arm_calib.experiment.waypoints import TELEMETRY_PERIOD, Waypoint, maneuver_waypoints
+from fss_arm_model.description import paper_arm
 from fss_arm_model.units import SECOND
 
 START = 1000 * SECOND
@@ -126,7 +129,7 @@ DISARMED = SimpleNamespace(reached=False, message="link 2 is not armed")
 @pytest.mark.parametrize(
     ("result", "words", "wait"),
     [
-        (DISARMED, "waiting to move: link 2 is not armed", 1.0),
+        (DISARMED, "the move failed and is requested again: link 2 is not armed", 1.0),
         (None, "no feedback from arm/move: requesting the move again", 4.0),
     ],
 )
@@ -232,3 +235,25 @@ def test_at_the_end_it_waits_for_the_result_of_the_last_data():
     assert late.finish() == "goal not met: no calibration result received"
     assert late.lines[-2:] == ["waiting for the calibration", "all 1 postures done"]
     assert (late.now - START) / SECOND > 10.0
+
+
+def test_a_move_starts_after_its_delay():
+    bed = Bed([Waypoint(A, 0.0, 1.0), Waypoint(B, 1.0, 0.0), Waypoint(C, 1.0, 1.0, delay=0.7)])
+    requested = []
+    while bed.sequencer.exit_code is None:
+        if bed.step():
+            requested.append((bed.now - START) / SECOND)
+    _, second, third = requested
+    assert third - second == pytest.approx(0.7, abs=0.21)  # and two steps
+    assert third - second > 0.7
+
+
+def test_moves_of_single_joints_start_at_all_phases_of_slow_telemetry():
+    plan = plan_excitation(paper_arm())
+    delays = [stop.delay for stop in maneuver_waypoints(plan, 5.0)]
+    phases = np.sort(delays) / TELEMETRY_PERIOD
+    assert phases[0] < 0.02
+    assert phases[-1] < 1.0
+    assert np.diff([*phases, 1.0]).max() < 0.03  # of 97; evenly spread they are 0.01 apart
+    others = maneuver_waypoints([replace(one, kind="reorientation") for one in plan], 5.0)
+    assert not any(stop.delay for stop in others)

@@ -24,7 +24,7 @@ from fss_arm_model.files import read_yaml
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations, Maneuvers
 from fss_arm_ros.convert import stamp_ns
-from fss_arm_ros.described_arm import described_arm
+from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
@@ -52,7 +52,7 @@ class ExperimentNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("experiment", **options)
         s = self.settings = declare(self, ExperimentSettings)
-        waypoints = read_waypoints(s, described_arm(self, s.arm))
+        waypoints = read_waypoints(s, load_described_arm(self, s.arm))
         plan: Any = read_yaml(Path(s.maneuvers)) if s.maneuvers else {}
         self.writer = FileWriter(self.get_logger())
         self.saved = self.restore()
@@ -68,7 +68,7 @@ class ExperimentNode(Node):
         self.kind = DYNAMIC if s.maneuvers else KINEMATIC
         if s.goal:
             subscribe(self, self.kind.message, self.kind.topic, self.on_result, LATCHED)
-        self.create_timer(0.1, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(0.05, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health)
 
     def restore(self) -> Progress:
@@ -106,7 +106,7 @@ class ExperimentNode(Node):
             raise SystemExit(str(error)) from None
 
     def tick(self) -> None:
-        """Run the experiment, ten times per second."""
+        """Run the experiment, twenty times per second."""
         self.send_keep_alive()
         now = self.now()
         if not now:
@@ -146,7 +146,7 @@ class ExperimentNode(Node):
 
     def request_move(self) -> None:
         """Request the move to the next posture."""
-        q, duration, _ = self.sequencer.waypoint
+        q, duration, *_ = self.sequencer.waypoint
         goal = MoveArm.Goal(q=q.tolist(), duration=duration, keep_alive=self.settings.keep_alive)
         self.goal = self.move_client.send_goal_async(goal, feedback_callback=self.on_feedback)
         self.goal.add_done_callback(self.on_answer)

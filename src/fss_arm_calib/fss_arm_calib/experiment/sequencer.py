@@ -77,6 +77,7 @@ class Sequencer:
         self.phase = Phase.REQUEST
         self._since = 0  # start of the phase, or last feedback in it [ns]
         self._rounds = 0  # repeats of all rejected rests, or of the current maneuver
+        self._arrival = 0  # end of the last move that reached its goal [ns]
         self._last_departure = 0  # end of the last pause, or start of the experiment [ns]
         self._result_stamp = 0  # end of the data of the last calibration result [ns]
         self._way_back: deque[Waypoint] = deque()  # to the start of a maneuver to repeat
@@ -156,7 +157,7 @@ class Sequencer:
         return not moving and (not before or before.pause != 0.0)
 
     def _request_move(self, now: int, is_ready: bool) -> bool:
-        if not self._has_elapsed(now, RETRY_DELAY):
+        if not self._has_elapsed(now, RETRY_DELAY) or not self._has_departed(now):
             return False
         if is_ready:
             self._enter(Phase.MOVE, now)
@@ -164,18 +165,23 @@ class Sequencer:
             self._log("waiting for arm/move")
         return is_ready
 
+    def _has_departed(self, now: int) -> bool:
+        """Return True if the delay before the move is over, or if time has jumped back."""
+        return not 0 <= now - self._arrival < self.waypoint.delay * SECOND
+
     def _await_result(self, now: int, result: Any) -> None:
         if result and result.reached:
+            self._arrival = now
             self._enter(Phase.OBSERVE, now)
         elif result:
-            self._log(f"waiting to move: {result.message}")
+            self._log(f"the move failed and is requested again: {result.message}")
             self._enter(Phase.REQUEST, now)
         elif self._has_elapsed(now, FEEDBACK_TIMEOUT):
             self._log("no feedback from arm/move: requesting the move again")
             self._enter(Phase.REQUEST, now)
 
     def _await_observation(self, now: int) -> None:
-        s, (posture, _, pause) = self.settings, self.waypoint
+        s, (posture, _, pause, _) = self.settings, self.waypoint
         if pause >= 0.0:
             if self._has_elapsed(now, pause):
                 self._finish_maneuver(now)

@@ -9,12 +9,17 @@ import numpy as np
 
 from fss_arm_calib.experiment.planned import Planned, read_plan
 from fss_arm_calib.experiment.postures import default_postures
-from fss_arm_calib.experiment.settings import ExperimentSettings
+from fss_arm_calib.experiment.settings import JOINT, ExperimentSettings
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.guard.guard import Guard, GuardError
 from fss_arm_model.guard.settings import GuardSettings
 from fss_arm_model.units import angle_beyond
+
+#: Moves of single joints start at all phases of telemetry with this period, the slowest usual one:
+#: samples at equal phases of their ramps would bias torque constants by several percent [s].
+TELEMETRY_PERIOD = 0.2
+GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)  # its multiples are spread evenly over the period
 
 
 class Waypoint(NamedTuple):
@@ -23,6 +28,7 @@ class Waypoint(NamedTuple):
     q: Floats  # (n) [rad]
     duration: float = 0.0  # duration of the move [s]; 0: as fast as the arm's limits allow
     pause: float = -1.0  # rest at the posture [s]; < 0: until it has been observed
+    delay: float = 0.0  # before the move starts [s]
 
 
 def read_waypoints(settings: ExperimentSettings, arm: Arm) -> list[Waypoint]:
@@ -44,8 +50,9 @@ def maneuver_waypoints(plan: Sequence[Planned], pause: float) -> list[Waypoint]:
     """Return the stops of maneuvers, with a pause before the first and after each."""
     found = [Waypoint(plan[0].waypoints[0], 0.0, pause)] if plan else []
     for one in plan:
-        moves = zip(one.waypoints[1:], one.durations.tolist(), strict=True)
-        found += [Waypoint(q, duration, 0.0) for q, duration in moves]
+        for q, duration in zip(one.waypoints[1:], one.durations.tolist(), strict=True):
+            phase = len(found) * GOLDEN_RATIO % 1.0 if one.kind == JOINT else 0.0
+            found.append(Waypoint(q, duration, 0.0, phase * TELEMETRY_PERIOD))
         found[-1] = found[-1]._replace(pause=pause)
     return found
 
