@@ -4,7 +4,7 @@ setup(
     name="fss_rehearsal",
     version="0.2.0",
     packages=find_packages(),
-    package_data={"fss_rehearsal": ["py.typed"]},
+    package_data={"fss_rehearsal": ["py.typed", "dataset/data_sheet.md"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fss_rehearsal"]),
         ("share/fss_rehearsal", ["package.xml"]),

@@ -4,7 +4,7 @@ Telemetry, readings and poses pass through the same code as in the nodes; the op
 links again, and the node `experiment` are a few lines each.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import nan, radians
@@ -29,7 +29,7 @@ from fss_arm_calib.segments.rests import (
     rejected_without_repeat,
 )
 from fss_arm_driver.move import Move, plan
-from fss_arm_driver.session import LinkSession
+from fss_arm_driver.session import LinkSession, Sample
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_model.parameters import parameter_names, values, with_values
@@ -39,6 +39,7 @@ from fss_rehearsal.loops.parameters import WITHOUT_NODES, ArmValues, Without
 from fss_sim.faults import read_script
 from fss_sim.noise import Noise
 from fss_sim.plant.vehicle import World
+from fss_sim.sensors import Readings
 from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import State, Testbed
 
@@ -88,6 +89,9 @@ class Experiment:
         options: further arguments of the Testbed.
     """
 
+    #: Receives samples of the links and the readings of motion capture and gyro, in each frame.
+    recorder: Callable[[Mapping[int, Sample], Readings], None] = staticmethod(lambda *_: None)
+
     def __init__(
         self,
         truth: Arm,
@@ -109,6 +113,7 @@ class Experiment:
         self.samples: list[list[Any]] = [[] for _ in self.links]
         self.deviations: list[list[float]] = [[] for _ in self.links]  # of the samples' stamps [s]
         self.arming_asked = [0] * guess.n
+        self.has_commands = False  # True: drivers send without waiting for their next period
 
     @property
     def now(self) -> int:
@@ -117,11 +122,12 @@ class Experiment:
 
     def step(self) -> None:
         """Simulate a frame; pass its outputs to drivers and calibrations, and send commands."""
-        report = self.bed.step()
+        report, samples = self.bed.step(), dict[int, Sample]()
         for i, datagrams in enumerate(report.telemetry):
             for datagram in datagrams:
                 if sample := self.links[i].feed(datagram.data, self.now):
                     self.samples[i].append(sample)
+                    samples[i] = sample
                     self.deviations[i].append(self.links[i].deviation(self.now))
                     reading = i + 1, sample.stamp, sample.position
                     self.observations += self.finder.add_reading(*reading)
@@ -134,7 +140,9 @@ class Experiment:
                     self.maneuvers += self.maneuver_finder.add_pose(name, self.now, pose)
         if report.readings.rate is not None:
             self.maneuvers += self.maneuver_finder.add_rate(self.now, report.readings.rate)
-        if self.bed.frame % FRAMES_PER_COMMAND == 0:
+        self.recorder(samples, report.readings)
+        if self.has_commands or self.bed.frame % FRAMES_PER_COMMAND == 0:
+            self.has_commands = False
             for i, link in enumerate(self.links):
                 self.bed.receive(i, link.command(self.now), peer="driver")
 
@@ -182,11 +190,14 @@ class Experiment:
         """
         for stop in maneuver_waypoints(maneuvers, pause):
             move, since, end = None, 0, self.bed.now + MOVE_TIMEOUT * SECOND
+            start = self.bed.now + round(stop.delay * SECOND)
             while not since or self.bed.now < since + stop.pause * SECOND:
                 if not since and self.bed.now >= end:
                     raise TimeoutError(f"waypoint {stop.q} was not reached in {MOVE_TIMEOUT} s")
-                if self.bed.frame % FRAMES_PER_COMMAND == 0 and self.arm_links():
+                is_due = not move or self.bed.frame % FRAMES_PER_COMMAND == 0
+                if is_due and self.bed.now >= start and self.arm_links():
                     q = self.angles()
+                    self.has_commands = not move
                     move = move or plan(self.guess, q, tuple(stop.q), stop.duration)
                     self.send(move)
                     if np.abs(np.subtract(q, stop.q)).max() < ARRIVED:

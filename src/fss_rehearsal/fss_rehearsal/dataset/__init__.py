@@ -1,0 +1,1 @@
+"""Public data set of calibration experiments on simulated arms, with their truth."""
