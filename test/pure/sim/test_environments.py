@@ -183,6 +183,13 @@ def test_parameters_are_drawn_for_each_episode():
         gymnasium.make("FssHold-v0", randomize={"m_0": [1.0, 2.0]})
 
 
+def test_a_seed_starts_a_cycle_of_arms_again():
+    env = gymnasium.make("FssHold-v0", randomize={"m_0": {"cycle": [8.0, 12.0]}})
+    batch = env.unwrapped.episodes.task.batch
+    masses = [(env.reset(seed=seed), float(batch.p[0, 0]))[1] for seed in (1, 1, None, 2)]
+    assert masses == [8.0, 8.0, 12.0, 8.0]
+
+
 def test_the_code_of_the_page_runs(capsys):
     page = (Path(__file__).parents[3] / "docs/how-to/learning.md").read_text()
     (code,) = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)

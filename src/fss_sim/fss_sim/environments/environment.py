@@ -41,14 +41,18 @@ class Episodes:
         self.task: Task = TASKS[task](Batch(self.arm, count))
         self.distributions = arm_distributions(self.arm, randomize)
         self.elapsed = np.zeros(count, dtype=int)  # periods since the start of the episode
-        self.episodes = 0  # number of started episodes
+        self.drawn_arms = 0  # number of arms drawn, which a cycle counts
         self.max_periods = round(self.task.duration / PERIOD)
         size = len(self.task.names)
         self.observations = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.actions = spaces.Box(-1.0, 1.0, (self.task.actions,), np.float32)
 
-    def start(self, rows: npt.NDArray[np.intp], rng: np.random.Generator) -> None:
-        """Start new episodes in these rows."""
+    def start(
+        self, rows: npt.NDArray[np.intp], rng: np.random.Generator, is_seeded: bool = False
+    ) -> None:
+        """Start new episodes in these rows; with a new seed, a cycle of arms starts again, too."""
+        if is_seeded:
+            self.drawn_arms = 0
         if self.distributions:
             self.task.batch.p[rows] = [self._draw_arm(rng) for _ in rows]
         self.task.reset(rows, rng)
@@ -57,12 +61,15 @@ class Episodes:
     def _draw_arm(self, rng: np.random.Generator) -> Floats:
         names, drawn = parameter_names(self.arm.n), np.array(values(self.arm))
         for name, distribution in self.distributions.items():
-            drawn[names.index(name)] = distribution.draw(rng, self.episodes)
-        self.episodes += 1
+            drawn[names.index(name)] = distribution.draw(rng, self.drawn_arms)
+        self.drawn_arms += 1
         return with_values(self.arm, drawn).vector()
 
     def step(self, actions: npt.ArrayLike) -> tuple[Floats, Any, Any]:
-        """Advance by a period; return rewards, and whether episodes end or are cut off, (N,)."""
+        """Advance by PERIOD; return reward, terminated and truncated, (N,) each.
+
+        Actions (N, task.actions) are clipped to -1 .. 1.
+        """
         score = self.task.step(np.clip(np.asarray(actions, dtype=float), -1.0, 1.0))
         self.elapsed += 1
         return score.reward, score.terminated, self.elapsed >= self.max_periods
@@ -85,7 +92,7 @@ def arm_distributions(arm: Arm, given: Mapping[str, Any]) -> dict[str, Distribut
     return {name: parse_distribution(f"randomize: {name}", value) for name, value in given.items()}
 
 
-class FloatingArm(gymnasium.Env[Any, Any]):
+class FloatingArmEnv(gymnasium.Env[Any, Any]):
     """One arm; arguments as in Episodes."""
 
     def __init__(
@@ -100,20 +107,21 @@ class FloatingArm(gymnasium.Env[Any, Any]):
     ) -> tuple[Any, Info]:
         """Start a new episode."""
         super().reset(seed=seed)
-        self.episodes.start(np.arange(1), self.np_random)
+        self.episodes.start(np.arange(1), self.np_random, seed is not None)
         return self.episodes.observe()[0], {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, Info]:
-        """Advance by one period of 0.05 s."""
+        """Advance by PERIOD."""
         reward, terminated, truncated = self.episodes.step(np.asarray(action)[None])
         observation = self.episodes.observe()[0]
         return observation, float(reward[0]), bool(terminated[0]), bool(truncated[0]), {}
 
 
-class FloatingArms(VectorEnv[Any, Any, Any]):
+class FloatingArmVectorEnv(VectorEnv[Any, Any, Any]):
     """Many arms, advanced together; arguments as in Episodes.
 
-    The step after the last one of an episode starts the next one, without an action.
+    The step after the last one of an episode starts the next one: its action is ignored, its
+    reward is 0.
     """
 
     def __init__(
@@ -135,13 +143,14 @@ class FloatingArms(VectorEnv[Any, Any, Any]):
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, Info]:
         """Start a new episode in each environment; one seed serves all."""
-        super().reset(seed=seed[0] if isinstance(seed, list) else seed)
-        self.episodes.start(np.arange(self.num_envs), self.np_random)
+        seed = seed[0] if isinstance(seed, list) else seed
+        super().reset(seed=seed)
+        self.episodes.start(np.arange(self.num_envs), self.np_random, seed is not None)
         self.ended[:] = False
         return self.episodes.observe(), {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, Info]:
-        """Advance by one period of 0.05 s."""
+        """Advance by PERIOD."""
         rewards, terminated, truncated = self.episodes.step(actions)
         if len(rows := np.flatnonzero(self.ended)):
             self.episodes.start(rows, self.np_random)

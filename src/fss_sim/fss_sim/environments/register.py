@@ -16,7 +16,7 @@ def register_environments() -> None:
         if name not in gymnasium.registry:
             gymnasium.register(
                 name,
-                entry_point=f"{WHERE}:FloatingArm",
-                vector_entry_point=f"{WHERE}:FloatingArms",
+                entry_point=f"{WHERE}:FloatingArmEnv",
+                vector_entry_point=f"{WHERE}:FloatingArmVectorEnv",
                 kwargs={"task": name},
             )
