@@ -1,6 +1,7 @@
 """Show nodes, links, rates, faults and verdicts at a glance.
 
-Exit code 0: every node runs and none reports an error; 1: otherwise.
+Exit code 0: every node runs or ended with success, and none reports an
+error; 1: otherwise; 2: the ROS domain is invalid; 130: interrupted.
 """
 
 import argparse
@@ -10,6 +11,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable
+from math import isnan
 from pathlib import Path
 
 import rclpy
@@ -23,6 +25,7 @@ from rich.table import Table
 
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.command_line import INTERRUPTED
 from fss_arm_ros.run import check_domain
 from fss_arm_ros.source_version import source_version
 from fss_arm_ros.timing import MISSED, percentile_names
@@ -38,6 +41,7 @@ LEVELS = {
     DiagnosticStatus.ERROR: ("ERROR", "bold red"),
     DiagnosticStatus.STALE: ("stale", "yellow"),
 }
+UNKNOWN_LEVEL = "unknown", "bold red"
 STATES = {
     "up": "green",
     "starting": "yellow",
@@ -102,18 +106,18 @@ class Processes:
 
 def screen(processes: Processes, listener: Listener) -> Group:
     """Return all tables, to be printed by rich."""
-    parts = [nodes(processes, listener), links(listener), rates(listener), timing(listener)]
-    parts.append(verdicts(listener))
+    parts = [node_table(processes, listener), link_table(listener), rate_table(listener)]
+    parts += [timing_table(listener), verdict_table(listener)]
     if not listener.reports and not listener.measured:
         domain = os.environ.get("ROS_DOMAIN_ID") or 0
         parts.append(_table(f"no node reports in ROS domain {domain}", rows=[[""]]))
-    parts.append(versions(listener))
+    parts.append(version_table(listener))
     if events := processes.events():
         parts.append(_table("event", rows=([escape(line)] for line in events)))
     return Group(*(part for part in parts if part.row_count))
 
 
-def nodes(processes: Processes, listener: Listener) -> Table:
+def node_table(processes: Processes, listener: Listener) -> Table:
     """Return the table of processes and their reports."""
     table = _table("node", "process", "health", "")
     others = sorted(name for name in listener.reports if name not in processes.names)
@@ -126,18 +130,18 @@ def nodes(processes: Processes, listener: Listener) -> Table:
             elsewhere = "another process reports under this name; " if status else ""
             why = processes.last_log_line(name) if state != "stopped" else ""
             status, report = None, escape(elsewhere + why)
-        word, tone = LEVELS[status.level] if status else ("", "")
+        word, tone = LEVELS.get(status.level, UNKNOWN_LEVEL) if status else ("", "")
         if state == "up" and not status and name not in processes.mute:
-            report = "runs, but no node of this name reports: it starts, or has another name"
+            report = "runs, has not reported: it is starting, or the node has another name"
         table.add_row(name, _style(shown, STATES.get(state, "")), _style(word, tone), report)
     return table
 
 
-def links(listener: Listener) -> Table:
+def link_table(listener: Listener) -> Table:
     """Return the table of the links' electronics."""
     table = _table(
         *("link", "state", ">joint\n[deg]", ">current\n[A]", ">battery\n[V]", ">drive\n[deg C]"),
-        *(">rate\n[Hz]", ">delay\n[ms]", ">faults"),
+        *(">rate\n[Hz]", ">round\ntrip [ms]", ">faults"),
     )
     for topic, received in sorted(listener.measured.items()):
         if received.kind is not LinkTelemetry or not received.recent:
@@ -148,12 +152,12 @@ def links(listener: Listener) -> Table:
         table.add_row(
             link.lstrip("/"),
             _link_state(m, received.rate()),
-            "" if q is None else f"{round(q, 1) + 0.0:.1f}",
-            f"{0.01 * m.current:.2f}",
-            f"{0.1 * m.battery:.1f}" if m.battery else "-",  # 0: not reported yet
+            "" if q is None else f"{round(q, 1) + 0.0:.1f}",  # -0.0 is shown as 0.0
+            f"{0.01 * m.current:.2f}",  # in 0.01 A
+            f"{0.1 * m.battery:.1f}" if m.battery else "-",  # in 0.1 V; 0: not reported yet
             str(m.temperature),
             f"{received.rate():.1f}",
-            f"{1e3 * m.round_trip:.0f}",
+            "-" if isnan(m.round_trip) else f"{1e3 * m.round_trip:.0f}",
             _style(f"{m.faults:#x}", "bold red") if m.faults else "none",
         )
     return table
@@ -169,7 +173,7 @@ def _link_state(m: LinkTelemetry, rate: float) -> str:
     return "disarmed" if m.flags & State.REFERENCED else _style("not homed", "yellow")
 
 
-def rates(listener: Listener) -> Table:
+def rate_table(listener: Listener) -> Table:
     """Return the table of the rates of measurements."""
     table = _table("topic", ">rate [Hz]")
     for topic, received in sorted(listener.measured.items()):
@@ -179,7 +183,7 @@ def rates(listener: Listener) -> Table:
     return table
 
 
-def timing(listener: Listener) -> Table:
+def timing_table(listener: Listener) -> Table:
     """Return the table of periods, and of latencies from a measurement to the command."""
     table = _table(
         *("timing [ms]", ">period\nmedian", ">99 %", ">99.9 %"),
@@ -195,7 +199,7 @@ def timing(listener: Listener) -> Table:
     return table
 
 
-def verdicts(listener: Listener) -> Table:
+def verdict_table(listener: Listener) -> Table:
     """Return the table of the calibrations."""
     table = _table("result", "verdict", "reason")
     for topic, received in sorted(listener.results.items()):
@@ -206,7 +210,7 @@ def verdicts(listener: Listener) -> Table:
     return table
 
 
-def versions(listener: Listener) -> Table:
+def version_table(listener: Listener) -> Table:
     """Return the table of the workspace's commit, and of each law with the hash of its file."""
     table = _table("source", "version")
     table.add_row("commit", source_version())
@@ -214,7 +218,7 @@ def versions(listener: Listener) -> Table:
         status = listener.report(name)
         values = {value.key: value.value for value in status.values} if status else {}
         if "law" in values:
-            table.add_row(escape(values["law"]), values["hash of its file"])
+            table.add_row(escape(values["law"]), escape(values.get("hash of its file", "")))
     return table
 
 
@@ -321,7 +325,7 @@ def arguments() -> argparse.ArgumentParser:
 
 
 def main() -> int:
-    """Run."""
+    """Show the status once, or until interrupted; return the exit code."""
     options = arguments().parse_args()
     processes = Processes(options.logs, options.names, options.mute)
     console = Console(highlight=False)
@@ -352,7 +356,7 @@ def main() -> int:
             print(f"not healthy: {', '.join(found)}; logs: {options.logs}", file=sys.stderr)
         return 1 if found else 0
     except KeyboardInterrupt:
-        return 0
+        return 0 if options.watch else INTERRUPTED
     finally:
         listener.destroy_node()
         rclpy.try_shutdown()

@@ -49,4 +49,4 @@ done
 [ -z "$started" ] || FSS_TTY='' log_event "nodes are started:$started"   # older events belong to another session
 [ -z "${fss_unwritten:-}" ] || fail "cannot write to $FSS_LOGS: is the disk full? df -h $FSS_LOGS shows it"
 each_node start
-exec "$fss_scripts/fss_status.sh" --wait 20 "$fss_config"
+exec "$fss_scripts/fss_status.sh" --wait 60 "$fss_config"

@@ -87,8 +87,9 @@ def parameters() -> str:
     parts += ["Set them with `--ros-args -p NAME:=VALUE`; the node's `--help` lists them, too."]
     parts += [
         "A file (`--params-file`) may set a parameter of all nodes (`/**:`), as `base_radius`. "
-        "But `arm`, `rate`, `tolerance`, `max_turn` and `target_mass` mean something else in some "
-        "nodes. Unknown parameters are refused. The test bed also has its "
+        "But many names, such as `arm`, `rate`, `tolerance`, `acceleration` or `output`, mean "
+        "something else in other nodes: compare the tables first. A node refuses parameters that "
+        "it does not have, except from `/**:`. The test bed also has its "
         "[faults](../explanation/simulator.md#faults) as parameters."
     ]
     parts += [f"All nodes have `{ALLOW}` (false): {ABOUT}."]

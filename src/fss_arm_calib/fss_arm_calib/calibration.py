@@ -105,7 +105,7 @@ class Calibration(Generic[D, C]):
     calibrate: Callable[[Sequence[D], Arm, C, Streams, str], Outcome[D, Any]]
     message: type[Any]
     to_message: Callable[[Outcome[D, Any], str], Any]  # takes the outcome and a frame id
-    compared_fields: tuple[str, ...] = ()  # message fields to recompute besides the common ones
+    recomputed_fields: tuple[str, ...] = ()  # message fields to recompute besides the common ones
     frame: str = "fss"  # frame id of the results
     report: Callable[[Outcome[D, Any], Arm | None], Report] = table_report
     output: Callable[[Outcome[D, Any]], str] = lambda outcome: outcome.description

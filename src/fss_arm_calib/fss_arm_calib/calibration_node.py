@@ -17,7 +17,7 @@ from fss_arm_calib.state import Flags, restore, save
 from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.described_arm import described_arm
+from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.libraries import require
 from fss_arm_ros.memory import give_back
@@ -44,7 +44,7 @@ class CalibrationNode(Node):
         s = self.settings = declare(self, node_settings(kind.name, kind.settings))
         base = default_in(BASE, self.get_namespace())
         self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
-        arm = described_arm(self, s.arm)
+        arm = load_described_arm(self, s.arm)
         # A kinematic calibration does not replace the masses of this description.
         self.initial = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
         restored, self.flags = restore(s.state_file, kind.name, arm.n, kind.data.type)
@@ -126,7 +126,8 @@ class CalibrationNode(Node):
             self.data = keep_newest([*self.data, *found], self.kind.max_data(self.settings))
             self.outcome = self.solve()
             self.publish()
-            lines = [self.kind.data.describe(one, len(self.data)) for one in found]
+            first = len(self.data) - len(found) + 1
+            lines = [self.kind.data.describe(one, k) for k, one in enumerate(found, first)]
             for line in (*lines, f"{self.outcome.verdict}: {self.outcome.summary}"):
                 self.get_logger().info(line)
         return bool(found)

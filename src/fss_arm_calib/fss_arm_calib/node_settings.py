@@ -15,7 +15,7 @@ from fss_arm_model.settings import Settings, setting
 class NodeSettings(Settings):
     """Parameters of a calibration node in addition to the settings of its kind."""
 
-    frame_id: str = setting("", "frame id of the results; empty: the default of the kind")
+    frame_id: str = setting("", "frame id of the results; empty: that of the base (drift: world)")
     state_file: str = setting("", "file that keeps the data across restarts; empty: none")
     output: str = setting(
         "", "file written at each pass: the description (drift: parameters); empty: none"

@@ -62,7 +62,7 @@ def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison
         return None
     message = kind.to_message(outcome, "")
     common = [(found, calibration_part(message), name) for name in COMPUTED_FIELDS]
-    every = [*common, *((result, message, name) for name in kind.compared_fields)]
+    every = [*common, *((result, message, name) for name in kind.recomputed_fields)]
     known = [one for one in every if hasattr(one[0], one[2])]  # earlier versions have fewer fields
     difference = max(_difference(getattr(a, name), getattr(b, name)) for a, b, name in known)
     return Comparison(format_count(len(outcome.used), kind.data.noun), found.verdict, difference)

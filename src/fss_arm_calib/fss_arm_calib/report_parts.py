@@ -57,7 +57,7 @@ def next_steps(outcome: Outcome[Any, Any]) -> tuple[str, ...]:
 
 #: Recommended next step, by verdict.
 NEXT_STEPS = {
-    PASS: "Next: give the nodes the calibrated description (--output FILE); keep the bag.",
+    PASS: "Next: keep the bag; give the nodes the calibrated description (from_bag --output FILE).",
     FAIL: "Next: do not use these numbers. The checks (--details, or the report) show why.",
     NOT_EVALUATED: "Next: record the missing data; the data received count already.",
 }

@@ -44,7 +44,8 @@ class CalibrationSettings(RestSettings, KindSettings):
     )
     min_redundancy: float = setting(
         0.0,
-        "smallest share in which the others check a datum; below it, record more of them",
+        "smallest accepted redundancy of a datum (0: the others do not check it); below it, record "
+        "more data",
         check=FRACTION,
     )
 

@@ -38,7 +38,8 @@ class LinkSettings(Settings):
     )
     timeout: float = setting(
         1.0,
-        "silence after which the link is lost, on a path twice watchdog; longest round trip to arm",
+        "silence after which the link is lost, on a path twice watchdog; longest round trip at "
+        "which it can be armed",
         unit="s",
         check=between(0.001, 3600.0),
     )
@@ -50,7 +51,8 @@ class LinkSettings(Settings):
     )
     empty: float = setting(
         12.0,
-        "voltage of an empty battery, for the minutes left; it switches nothing off",
+        "voltage of an empty battery, for the estimate of the minutes left; it switches nothing "
+        "off",
         unit="V",
         check=NOT_NEGATIVE,
     )

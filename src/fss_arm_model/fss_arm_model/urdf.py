@@ -1,9 +1,10 @@
 """URDF of the arm, for robot_state_publisher, RViz, MoveIt and Foxglove.
 
 Links `fss`, `fss_body`, `link_1` .. `link_n`, `end_effector`; joints `joint_1` .. `joint_n` as in
-`joint_states`: a joint's frame is turned by theta_0 against the link before it, so that the joint's
-position is the encoder's reading. The arm lies in the plane z = 0 of the base. The root `fss` has
-no mass because KDL ignores the mass of a root; the base's mass is that of `fss_body`, fixed to it.
+`joint_states`: a joint's frame is rotated by +theta_0 about z from the link before it, so that the
+joint's position is the encoder's reading. The arm lies in the plane z = 0 of the base. The root
+`fss` has no mass because KDL ignores the mass of a root; the base's mass is that of `fss_body`,
+fixed to it.
 The collision box of a link is its visual box; at a joint the boxes of neighbours overlap.
 """
 
@@ -49,10 +50,10 @@ def urdf(arm: Arm) -> str:
         _joint(robot, frame, arm)
         link = SubElement(robot, "link", name=frame.name)
         if frame.joint:
-            one = arm.links[frame.joint - 1]
-            _inertial(link, one.mass, one.inertia, (one.g, one.lateral))
-            _box(link, (one.a, WIDTH, HEIGHT), (0.5 * one.a, 0.0))
-        elif frame.parent == ROOT:
+            of_arm = arm.links[frame.joint - 1]
+            _inertial(link, of_arm.mass, of_arm.inertia, (of_arm.g, of_arm.lateral))
+            _box(link, (of_arm.a, WIDTH, HEIGHT), (0.5 * of_arm.a, 0.0))
+        elif frame.name == "fss_body":
             base = arm.base
             _inertial(link, base.mass, base.inertia, base.com)
             _box(link, (BASE_SIZE, BASE_SIZE, BASE_SIZE), base.com)
@@ -85,7 +86,7 @@ def _inertial(link: Element, mass: float, inertia: float, com: tuple[float, floa
     inertial = SubElement(link, "inertial")
     _add_origin(inertial, (*com, 0.0))
     SubElement(inertial, "mass", value=repr(mass))
-    # Only the moment about z is known; the others are those of a slender rod along x.
+    # Only izz is known, and alone matters in the plane; the others are those of a rod along x.
     moments = {"ixx": SLENDER_RATIO * inertia, "iyy": inertia, "izz": inertia}
     zeros = dict.fromkeys(("ixy", "ixz", "iyz"), 0.0)
     SubElement(inertial, "inertia", {k: repr(v) for k, v in {**moments, **zeros}.items()})

@@ -25,7 +25,7 @@ from fss_arm_msgs.msg import MotionReport
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.calibrations import subscribe_calibrations
 from fss_arm_ros.convert import SECOND, joint_readings, planar_pose, stamp_ns
-from fss_arm_ros.described_arm import described_arm
+from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -40,7 +40,7 @@ class MotionNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("motion", **options)
         self.settings = declare(self, MotionSettings)
-        self.calibrated = Calibrated(described_arm(self, self.settings.arm))
+        self.calibrated = Calibrated(load_described_arm(self, self.settings.arm))
         self.measured = Measured(self.settings)
         self.busy = False
         self.next_tick: Future = Future()

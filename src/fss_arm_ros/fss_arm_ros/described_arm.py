@@ -29,7 +29,7 @@ def count_joints(urdf: str) -> int:
     return len(set(JOINT.findall(urdf)))
 
 
-def joint_mismatch(joints: int, arm: Arm) -> str:
+def describe_joint_mismatch(joints: int, arm: Arm) -> str:
     """Return the difference between the arm that runs and a description; empty: there is none."""
     if joints in (0, arm.n):
         return ""
@@ -57,7 +57,7 @@ class JointCount:
         return max([self.n, *self.received])
 
 
-def described_arm(node: Node, name: str) -> Arm:
+def load_described_arm(node: Node, name: str) -> Arm:
     """Return the arm that a parameter names; the node ends if the arm that runs has other joints.
 
     Raises:
@@ -69,7 +69,7 @@ def described_arm(node: Node, name: str) -> Arm:
 
     def receive(message: String) -> None:
         if not counts and (joints := count_joints(message.data)):
-            if why := joint_mismatch(joints, arm):
+            if why := describe_joint_mismatch(joints, arm):
                 raise SystemExit(why)
             counts.append(joints)
 
@@ -83,7 +83,7 @@ def compare_with_joint_states(node: Node, arm: Arm) -> None:
 
     def receive(message: JointState) -> None:
         joints = count.add(i for i, *_ in joint_readings(message) if 0 < i <= MAX_LINKS)
-        if why := joint_mismatch(joints, arm):
+        if why := describe_joint_mismatch(joints, arm):
             raise SystemExit(why)
         if count.settled:
             unsubscribe(node, subscription)

@@ -22,7 +22,7 @@ from fss_arm_ros.convert import (
     seen_pose,
     stamp_ns,
 )
-from fss_arm_ros.described_arm import described_arm
+from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor, subscribe_sensor
@@ -47,7 +47,7 @@ class BaseReactionNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("base_reaction", **options)
         s = self.settings = declare(self, BaseReactionSettings)
-        self.calibrated = Calibrated(described_arm(self, s.arm))
+        self.calibrated = Calibrated(load_described_arm(self, s.arm))
         self.offsets: dict[str, int] = {}  # clock offsets to motion capture [ns], by calibration
         self.reset()
         self.occluded = 0
@@ -158,7 +158,7 @@ class BaseReactionNode(Node):
             **{f"{what} rejected": count for what, count in self.filter.rejected.items()},
         }
         count = self.filter.rejected["late"]
-        late = f"; {count} late samples of the base rejected" if count else ""
+        late = f"; late samples of the base rejected: {count}" if count else ""
         if self.reaction.prediction is None:
             return Health(WARN, f"waiting for joints and base at rest{late}", values)
         silence = monotonic() - self.last_published

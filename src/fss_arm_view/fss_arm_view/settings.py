@@ -96,7 +96,7 @@ class ViewSettings(Settings):
     url: str = setting("rerun+http://127.0.0.1:9876/proxy", "address of the viewer in mode connect")
     memory: str = setting(
         "100MB",
-        "memory limit of rerun, about 40 minutes; the oldest drawings are deleted first",
+        "memory limit of rerun; 100MB hold about 40 minutes; the oldest drawings are deleted first",
         check=MEMORY,
     )
     rate: float = setting(

@@ -8,7 +8,7 @@ import numpy as np
 
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.thrusters import COUNT
+from fss_arm_model.thrusters import THRUSTER_COUNT
 from fss_arm_model.units import SECOND
 
 from . import scene
@@ -41,7 +41,7 @@ class VehicleScene:
     def reset(self) -> None:
         """Discard all measurements except the joint angles."""
         self.mission = Mission()
-        self.plumes_until = [0] * COUNT  # [ns]
+        self.plumes_until = [0] * THRUSTER_COUNT  # [ns]
         self.pose: Pose | None = None  # of the base
         self.tip: Pose | None = None
         self.target: Pose | None = None

@@ -27,7 +27,7 @@ from fss_arm_msgs.msg import (
 )
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import joint_readings, seen_pose, stamp_ns
-from fss_arm_ros.described_arm import described_arm
+from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_ros.stamps import Stamps
 from fss_arm_ros.subscriptions import PolledSubscription
@@ -64,7 +64,7 @@ class VehicleTopics:
     ) -> None:
         self.settings, self.sink, self.legend = settings, sink, legend
         self.restart, self.name = restart, name
-        self.calibrated = Calibrated(described_arm(node, settings.arm))
+        self.calibrated = Calibrated(load_described_arm(node, settings.arm))
         self.scene = VehicleScene(self.calibrated.arm, name)
         self.strip, self.received = Strip(), time.monotonic()  # time of the last measurement [s]
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet

@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.calibrations import subscribe_calibrations
 from fss_arm_ros.convert import joint_readings, seen_pose
-from fss_arm_ros.described_arm import described_arm
+from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -40,7 +40,7 @@ class WorkspaceNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("workspace", **options)
         s = self.settings = declare(self, WorkspaceSettings)
-        self.calibrations = Calibrations(Calibrated(described_arm(self, s.arm)))
+        self.calibrations = Calibrations(Calibrated(load_described_arm(self, s.arm)))
         self.received: deque[tuple[str, Any]] = deque()  # calibrations that passed, by topic
         load_kernels(self.calibrations.calibrated.arm)
         self.readings: dict[int, float] = {}  # joint readings, by joint number

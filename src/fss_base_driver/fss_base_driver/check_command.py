@@ -14,7 +14,7 @@ from rich.console import Console
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
 from fss_arm_model.settings import default_in
-from fss_arm_model.thrusters import COUNT, layout
+from fss_arm_model.thrusters import THRUSTER_COUNT, thruster_wrenches
 from fss_arm_ros.command_line import in_words, interrupt_at_end
 from fss_base_driver.check_node import ANSWER_TIMEOUT, CheckError, CheckNode
 from fss_base_driver.check_options import BASE_TOPIC, parse
@@ -58,8 +58,8 @@ def run(arm: Arm, given: argparse.Namespace, findings: list[Finding]) -> None:
     Raises:
         CheckError: the check cannot be carried out.
     """
-    rows = np.reshape(given.layout, (COUNT, 3)) if given.layout else None
-    rows = layout(given.thrust, given.lever) if rows is None else rows
+    rows = np.reshape(given.layout, (THRUSTER_COUNT, 3)) if given.layout else None
+    rows = thruster_wrenches(given.thrust, given.lever) if rows is None else rows
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # to disarm at the end
     try:
         topic = given.base_topic or default_in(BASE_TOPIC, given.namespace)
@@ -71,7 +71,7 @@ def run(arm: Arm, given: argparse.Namespace, findings: list[Finding]) -> None:
             if not node.wait(lambda: node.trial.poses, ANSWER_TIMEOUT):
                 raise CheckError(f"no poses on {topic}: is the base visible to motion capture?")
             for valve in valve_order(rows):
-                if valve + 1 in (given.valves or range(1, COUNT + 1)):
+                if valve + 1 in (given.valves or range(1, THRUSTER_COUNT + 1)):
                     trial = node.try_valve(valve, given)
                     findings.append(judge_valve(trial, body, rows, given.tolerance))
                     print(f"valve {valve + 1}: {findings[-1].verdict} {findings[-1].words}")

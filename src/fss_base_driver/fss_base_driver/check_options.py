@@ -4,7 +4,7 @@ import argparse
 import os
 from collections.abc import Sequence
 
-from fss_arm_model.thrusters import COUNT
+from fss_arm_model.thrusters import THRUSTER_COUNT
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.command_line import Parser
 
@@ -49,7 +49,7 @@ def parser() -> argparse.ArgumentParser:
         type=float,
         nargs="+",
         metavar="N",
-        help=f"layout as the parameter of `base`, {3 * COUNT} numbers",
+        help=f"layout as the parameter of `base`, {3 * THRUSTER_COUNT} numbers",
     )
     p.add_argument(
         "--valves", type=int, nargs="+", metavar="I", help="valves to test (default: all)"
@@ -80,8 +80,8 @@ def parse(args: Sequence[str] | None) -> argparse.Namespace:
     for name in ("thrust", "lever", "on_time", "before", "after", "tolerance"):
         if not 0.0 < getattr(given, name) < 60.0:
             command.error(f"--{name.replace('_', '-')} is {getattr(given, name)}, expected above 0")
-    if len(given.layout or ()) not in (0, 3 * COUNT):
-        command.error(f"--layout has {len(given.layout)} numbers, expected {3 * COUNT}")
-    if not set(given.valves or [1]) <= set(range(1, COUNT + 1)):
-        command.error(f"--valves is {given.valves}, expected 1 to {COUNT}")
+    if len(given.layout or ()) not in (0, 3 * THRUSTER_COUNT):
+        command.error(f"--layout has {len(given.layout)} numbers, expected {3 * THRUSTER_COUNT}")
+    if not set(given.valves or [1]) <= set(range(1, THRUSTER_COUNT + 1)):
+        command.error(f"--valves is {given.valves}, expected 1 to {THRUSTER_COUNT}")
     return given

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 
-from fss_arm_model.thrusters import COUNT
+from fss_arm_model.thrusters import THRUSTER_COUNT
 from fss_base_driver.thrust import Body, Thrust, TrackError, estimate, verdict
 
 PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"
@@ -79,7 +79,7 @@ def as_yaml(findings: Sequence[Finding], when: str) -> str:
             lines += [f"    torque: {thrust.torque:.5f}  # about the base's origin [N m]"]
             lines += [f"    deviation: [{thrust.deviation[0]:.4f}, {thrust.deviation[1]:.5f}]"]
     rows = {f.valve: [*f.thrust.force, f.thrust.torque] for f in findings if f.thrust}
-    if len(rows) == COUNT:
+    if len(rows) == THRUSTER_COUNT:
         numbers = [f"{x:.5f}" for valve in sorted(rows) for x in rows[valve]]
         lines += [
             "# The parameter of the node `base`, as measured:",

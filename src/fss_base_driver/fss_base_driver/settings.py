@@ -16,7 +16,7 @@ from fss_arm_model.settings import (
     one_of,
     setting,
 )
-from fss_arm_model.thrusters import layout
+from fss_arm_model.thrusters import thruster_wrenches
 from fss_arm_model.vehicle import Vehicle
 from fss_base_driver.dsp3000 import BAUD
 from fss_base_driver.protocol import BOARD, VALVES
@@ -144,7 +144,8 @@ class BaseSettings(Settings):
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11,
-        "lever of a thruster: from the base's origin to the line of thrust; alike in all nodes",
+        "lever of a thruster: from the base's origin to the line of thrust; the same as in "
+        "`navigation` (thruster_lever)",
         unit="m",
         check=POSITIVE,
     )
@@ -226,7 +227,7 @@ class BaseSettings(Settings):
         """Return force along x and y [N] and torque [N m] of each valve, (8, 3)."""
         if self.layout:
             return np.reshape(self.layout, (VALVES, 3))
-        return layout(self.thrust, self.lever)
+        return thruster_wrenches(self.thrust, self.lever)
 
     def max_wrench(self) -> float:
         """Return the largest accepted component of a wrench [N, N m]."""

@@ -5,7 +5,7 @@ from typing import Any
 
 from fss_base_driver.protocol import VALVES
 
-HOW = "stuck_open", "stuck_closed"
+STUCK_STATES = "stuck_open", "stuck_closed"
 
 
 def stuck_valves(configured: Mapping[str, Any], detected: Any) -> tuple[list[int], list[int]]:
@@ -27,11 +27,10 @@ def describe_stuck_valves(configured: Mapping[str, Any], detected: Any) -> dict[
     """Return the values for diagnostics; arguments as of `stuck_valves`."""
     values = {}
     for i in range(1, VALVES + 1):
-        for how in HOW:
-            if getattr(configured[f"valve_{i}"], how):
-                values[f"valve_{i} is configured as"] = how.replace("_", " ")
-    for how in HOW:
-        for i in range(1, VALVES + 1):
-            if getattr(detected, how)[i - 1]:
-                values[f"valve_{i} is detected as"] = how.replace("_", " ")
+        by_parameters = [how for how in STUCK_STATES if getattr(configured[f"valve_{i}"], how)]
+        by_navigation = [how for how in STUCK_STATES if getattr(detected, how)[i - 1]]
+        for source, found in (("configured", by_parameters), ("detected", by_navigation)):
+            if found:
+                words = " and ".join(found).replace("_", " ")
+                values[f"valve_{i} is {source} as"] = words
     return values

@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from fss_arm_model.arrays import Floats
 from fss_arm_msgs.msg import GripperState, MassProperties
 from fss_arm_ros.convert import stamp_ns, to_time
-from fss_arm_ros.described_arm import described_arm
+from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import command, sensor
@@ -42,7 +42,7 @@ class ControlNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("control", **options)
         self.settings = s = declare(self, ControlSettings)
-        self.controller = BaseControl(described_arm(self, s.arm), s)
+        self.controller = BaseControl(load_described_arm(self, s.arm), s)
         self.controller.load_kernels()
         self.timing = Timing(s.rate, self)
         self.topics = topics = LatestTopics(self)

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_msgs.msg import Empty
 
-from fss_arm_ros.described_arm import described_arm
+from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.timers import timer_clock
@@ -47,7 +47,7 @@ class GuidanceNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("guidance", **options)
         self.settings = s = declare(self, MissionSettings)
-        self.craft = Craft(described_arm(self, s.arm), s)
+        self.craft = Craft(load_described_arm(self, s.arm), s)
         capture.load_kernels(self.craft)
         self.running: Running | None = None
         self.timing = Timing(s.rate, self)

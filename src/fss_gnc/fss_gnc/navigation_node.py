@@ -16,7 +16,7 @@ from fss_arm_msgs.msg import GripperState, MassProperties, ThrusterCommand, Thru
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.calibrations import subscribe_calibrations
 from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns
-from fss_arm_ros.described_arm import described_arm
+from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
@@ -44,7 +44,7 @@ class NavigationNode(Node):
         super().__init__("navigation", **options)
         s = self.settings = declare(self, NavigationSettings)
         self.clock = timer_clock(self)
-        self.known = Calibrated(described_arm(self, s.arm))
+        self.known = Calibrated(load_described_arm(self, s.arm))
         self.stamps = StampCheck(s.base_topic, lambda: int(self.clock.now().nanoseconds))
         self.rejected: Counter[str] = Counter()
         self.timing = Timing(s.rate, self)

@@ -206,12 +206,13 @@ def budget(result: Capture.Result) -> list[str]:
     x, y, turning = result.momentum.tolist()
     end = "captured and stopped" if result.stopped else f"{result.phase}: {result.message}"
     momentum = (
-        f"  estimated momentum at the grip: x {x:+#.4g}, y {y:+#.4g} N s, "
-        f"about the common centre of mass {turning:+#.4g} N m s"
+        f"  estimated momentum at the grip: x {x:+#.4g}, y {y:+#.4g} N s,\n"
+        f"    about the common centre of mass {turning:+#.4g} N m s"
     )
     return [
         f"result of the guidance: {end}",
-        f"  time {result.duration:.1f} s, propellant by the nodes {1e3 * result.propellant:.1f} g",
+        f"  time {result.duration:.1f} s, propellant estimated by the nodes "
+        f"{1e3 * result.propellant:.1f} g",
         "  no grip" if np.isnan(x) else momentum,
         f"  largest joint torque {result.largest_torque:.2f} N m",
     ]

@@ -117,14 +117,11 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
         before, after = flight.momentum[k - 1, i], flight.momentum[k, i]
         log_line(f"  {name:>16}  before {before:+#.4g}  after {after:+#.4g} {unit}")
     worst, audit = float(np.abs(change - impulse).max()), float(np.abs(flight.error).max())
-    difference = (
-        f"changed by at most {worst:.1e} N s, N m s; without a cause in the whole mission at most "
-        f"{audit:.1e} N s, N m s, J"
-    )
+    difference = f"largest change without a cause: {worst:.0e} (N s or N m s)"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
     rest = np.round(spin[1], 3) + 0.0  # never -0.000
     spin_text = f"{spin[0]:.2f} deg/s at the start, {rest:.3f} deg/s at the end"
-    log_line(f"  {difference}")
+    log_line(f"  {difference}; in the whole mission {audit:.0e} (or J)")
     log_line(f"spin of the target: {spin_text}")
     log_line(f"propellant used: {1e3 * flight.propellant[-1]:.1f} g")
     sigmas, lines = mass_errors(flight, p, k)
@@ -143,6 +140,8 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
             worst < MOMENTUM_TOLERANCE,
         ),
         Check(
-            "the target's spin falls below a tenth", spin_text, abs(spin[1]) < 0.1 * abs(spin[0])
+            "the target's spin falls below a tenth of its initial value",
+            spin_text,
+            abs(spin[1]) < 0.1 * abs(spin[0]),
         ),
     ]

@@ -204,7 +204,7 @@ def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> Check:
         comparison = f"from {len(offline.used)} rests, {len(live.used)} live"
     else:
         worst = float(abs(offline.values - live.values).max())
-        comparison = f"parameters differ by at most {worst:.2g} m, rad"
+        comparison = f"parameters differ by at most {worst:.2g} (m or rad)"
     happened = f"solved again from the bag: {offline.verdict}, {comparison}"
     return Check(expected, happened, offline.verdict == live.verdict)
 
@@ -239,8 +239,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     with isolated_domain() as domain:
         console.print(
             f"starting test bed, {LINKS} drivers, recorder and calibration in their own ROS domain "
-            f"{domain.number}",
-            soft_wrap=True,
+            f"{domain.number}"
         )
         result = observe(options, out, console, domain)
     found = KINEMATIC.report_of(result, load(CONFIG / "truth.yaml"))

@@ -12,7 +12,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import radians
+from math import isfinite, radians
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
@@ -175,11 +175,13 @@ def run_sessions(
                 bar.update(
                     task,
                     completed=before + maneuvers_done(plan, operator.stops),
-                    description=f"session {session + 1} of {count}: {status}",
+                    description=f"maneuvers, session {session + 1} of {count}: {status}",
                 )
                 operator.keep_armed()
             bar.update(
-                task, completed=before + len(plan), description=f"session {session + 1} of {count}"
+                task,
+                completed=before + len(plan),
+                description=f"maneuvers, session {session + 1} of {count}",
             )
             operator.destroy_node()
     return starts
@@ -246,8 +248,8 @@ def solve_planned(
         kept.append(one)
     used = ", ".join(map(str, counts))
     log_line(
-        f"{len(result.used)} maneuvers recorded; used of sessions 1 to {len(starts)}: {used}; "
-        f"rejected: {len(result.data) - len(result.used)}"
+        f"{len(result.data)} maneuvers recorded: {len(result.data) - len(result.used)} rejected, "
+        f"{sum(counts)} used ({used} in sessions 1 to {len(starts)})"
     )
     if len(kept) == len(result.data):
         return result
@@ -266,15 +268,19 @@ def summary(
             [predicted[k], result.deviations[k], result.values[k] - link.b]
         )
         lines.append(
-            f"b_{i + 1}: 1 sigma {before:.1f} mm by the plan, {now:.1f} mm estimated; "
+            f"b_{i + 1}: 1 sigma {before:.1f} mm by the plan, {_in_millimeters(now)}; "
             f"estimate minus truth {error:+.1f} mm"
         )
     largest = 1e3 * max(result.deviations[names.index(f"b_{i}")] for i in range(1, LINKS + 1))
     lines.append(
         f"{len(result.used)} maneuvers of at most {max(p.length for p in plan):.1f} s; "
-        f"largest 1 sigma of b_1 .. b_{LINKS}: {largest:.1f} mm"
+        f"largest 1 sigma of b_1 .. b_{LINKS}: {_in_millimeters(largest)}"
     )
     return "\n".join(lines)
+
+
+def _in_millimeters(deviation: float) -> str:
+    return f"estimated to {deviation:.1f} mm" if isfinite(deviation) else "not determined"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -308,9 +314,8 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     predicted = expected_result(paper_arm(), plan, settings, PAUSE).deviations
     with isolated_domain() as domain:
         console.print(
-            "running them: test bed, drivers, recorder and calibration in their own ROS domain "
-            f"{domain.number}",
-            soft_wrap=True,
+            "running the maneuvers: test bed, drivers, recorder and calibration in their own ROS "
+            f"domain {domain.number}"
         )
         starts = run_sessions(options, out, cameras, console, domain)
     with console.status("solving from the bags"):
@@ -330,6 +335,8 @@ def center_of_mass_check(result: Outcome[Maneuver, Solution], truth: Arm, i: int
     error, deviation = float(result.values[k] - truth.links[i].b), float(result.deviations[k])
     return Check(
         f"the error of b_{i + 1} is below three standard deviations",
-        f"{1e3 * error:+.1f} mm, {abs(error) / deviation:.1f} standard deviations",
-        abs(error) < 3.0 * deviation,
+        f"{1e3 * error:+.1f} mm, {abs(error) / deviation:.1f} standard deviations"
+        if isfinite(deviation)
+        else "not determined",
+        isfinite(deviation) and abs(error) < 3.0 * deviation,
     )

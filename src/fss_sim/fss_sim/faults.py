@@ -24,7 +24,7 @@ from fss_arm_model.settings import (
     between,
     setting,
 )
-from fss_arm_model.thrusters import COUNT
+from fss_arm_model.thrusters import THRUSTER_COUNT
 
 
 class FaultError(ValueError):
@@ -119,7 +119,7 @@ class ValveFaults(Settings):
 FaultsByPart = dict[str, Any]  # LinkFaults, DriveFaults, SubjectFaults, ..., by part
 BASE, TIP, TARGET, GYRO = "fss", "end_effector", "target", "fog"
 BOARD, RADIO = "board", "radio"
-VALVES = [f"valve_{i}" for i in range(1, COUNT + 1)]
+VALVES = [f"valve_{i}" for i in range(1, THRUSTER_COUNT + 1)]
 NO_FAULTS, NO_DRIVE_FAULTS = LinkFaults(), DriveFaults()
 
 

@@ -293,7 +293,7 @@ class TestbedSettings(PlantSettings):
     torque_drift: float = _preset_setting(Noise, "torque_drift")
     torque_rate: int = setting(
         80,
-        "sample rate of a torque converter",
+        "sample rate of a torque sensor's A/D converter",
         unit="Hz",
         check=Check("10 or 80", lambda rate: rate in (10, 80), 10, 80),
     )

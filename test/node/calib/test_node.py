@@ -37,7 +37,7 @@ TOY = replace(
     data=replace(KINEMATIC.data, topic="calibration/toy_rests"),
     message=Calibration,
     to_message=lambda outcome, frame: common_message("toy", outcome, frame),
-    compared_fields=(),
+    recomputed_fields=(),
 )
 POOR = {"position_deviation": 1e-7, "heading_deviation": 1e-7}  # no result is as good
 

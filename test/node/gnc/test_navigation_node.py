@@ -16,7 +16,7 @@ from tf2_msgs.msg import TFMessage
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.thrusters import layout
+from fss_arm_model.thrusters import thruster_wrenches
 from fss_arm_msgs.msg import GripperState, MassProperties, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK
@@ -198,7 +198,7 @@ def test_open_valve_is_reported(fly, spin):
     bench.create_subscription(ThrusterHealth, "thrusters/health", reports.append, LATCHED)
     spin([node, bench], lambda: reports)
     assert not any((*reports[-1].stuck_open, *reports[-1].stuck_closed, reports[-1].pushed))
-    p, (fx, fy, torque) = paper_arm().vector(), layout(0.16, 0.11)[2]
+    p, (fx, fy, torque) = paper_arm().vector(), thruster_wrenches(0.16, 0.11)[2]
     q, twist = np.array([*pose(BASE, DRIFT, bench.t), *4 * [0.1]]), np.array(DRIFT)
     for _ in range(800):
         force = complex(fx, fy) * np.exp(1j * q[2])

@@ -13,7 +13,12 @@ from fss_arm_calib.experiment.experiment_node import ExperimentNode
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.urdf import urdf
-from fss_arm_ros.described_arm import JointCount, count_joints, described_arm, joint_mismatch
+from fss_arm_ros.described_arm import (
+    JointCount,
+    count_joints,
+    describe_joint_mismatch,
+    load_described_arm,
+)
 from fss_arm_ros.qos import LATCHED, SENSOR
 
 
@@ -32,12 +37,12 @@ def test_joints_of_a_urdf_are_counted(n):
 @pytest.mark.parametrize("text", ["", "arm", "<joint", "<robot><joint name='slider'/></robot>"])
 def test_a_text_without_joints_of_an_arm_decides_nothing(text):
     assert count_joints(text) == 0
-    assert joint_mismatch(0, paper_arm()) == ""
+    assert describe_joint_mismatch(0, paper_arm()) == ""
 
 
 def test_a_mismatch_names_both_numbers_and_the_option():
-    assert joint_mismatch(4, paper_arm()) == ""
-    assert joint_mismatch(3, paper_arm()) == MISMATCH
+    assert describe_joint_mismatch(4, paper_arm()) == ""
+    assert describe_joint_mismatch(3, paper_arm()) == MISMATCH
 
 
 def test_silent_joints_are_not_missing_but_further_joints_count():
@@ -74,7 +79,7 @@ def test_an_experiment_with_the_wrong_arm_ends_in_one_line(spin, publish):
 
 def test_the_first_description_decides(spin, publish):
     node = Node("navigation")
-    assert described_arm(node, "") == paper_arm()
+    assert load_described_arm(node, "") == paper_arm()
     heard = []
     node.create_subscription(String, "robot_description", heard.append, LATCHED)
     for n in (4, 3):

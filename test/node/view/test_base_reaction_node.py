@@ -222,7 +222,7 @@ def test_a_gyro_ahead_of_the_poses_is_reported(node):
         node.on_pose(base_pose(0.01 * k))
     late = node.filter.rejected["late"]
     assert late > 50
-    assert node.health().message.endswith(f"; {late} late samples of the base rejected")
+    assert node.health().message.endswith(f"; late samples of the base rejected: {late}")
 
 
 def test_readings_do_not_accumulate_without_a_base(node):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from fss_arm_model.thrusters import layout
+from fss_arm_model.thrusters import thruster_wrenches
 from fss_base_driver.allocation import Allocation
 
-VALVES = layout(0.16, 0.11)
+VALVES = thruster_wrenches(0.16, 0.11)
 PERIOD, MIN_ON_TIME = 0.1, 0.01
 SCALE = np.array([1.0, 1.0, 0.16 / 0.0176])
 

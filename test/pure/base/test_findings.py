@@ -5,7 +5,7 @@ import pytest
 from rich.console import Console
 
 from fss_arm_model.files import read_yaml
-from fss_arm_model.thrusters import layout
+from fss_arm_model.thrusters import thruster_wrenches
 from fss_base_driver.findings import (
     FAIL,
     NOT_TRIED,
@@ -19,7 +19,7 @@ from fss_base_driver.findings import (
 )
 from fss_base_driver.thrust import Body, Thrust
 
-VALVES = layout(0.16, 0.11)
+VALVES = thruster_wrenches(0.16, 0.11)
 BODY = Body(10.0, 0.25, (0.0, 0.0))
 BEGIN = 3.0
 

@@ -7,7 +7,7 @@ import pytest
 
 from fss_arm_driver.protocol import Mode
 from fss_arm_model.description import paper_arm
-from fss_arm_model.thrusters import layout
+from fss_arm_model.thrusters import thruster_wrenches
 from fss_base_driver.thrust import Body, Thrust, TrackError, estimate, valve_order, verdict
 from fss_sim.noise import PRESETS
 from fss_sim.plant.plant import Plant
@@ -15,7 +15,7 @@ from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.vehicle import Demand, World
 from fss_sim.sensors import RATE, Sensors
 
-VALVES = layout(0.16, 0.11)
+VALVES = thruster_wrenches(0.16, 0.11)
 Q = (0.3, -0.5, 0.7, 0.2)
 ARM = paper_arm()
 TIME_BEFORE, TIME_AFTER, ON_TIME = 3.0, 4.0, 1.0

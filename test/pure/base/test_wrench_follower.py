@@ -146,10 +146,10 @@ def test_valves_are_stuck_by_parameter_or_as_detected():
     configured = {f"valve_{i}": ValveSettings() for i in range(1, VALVES + 1)}
     configured["valve_2"] = ValveSettings(stuck_open=1.0)
     detected = SimpleNamespace(stuck_open=VALVES * [False], stuck_closed=VALVES * [False])
-    detected.stuck_open[7] = detected.stuck_closed[0] = True
-    assert stuck_valves(configured, detected) == ([1, 7], [0])
+    detected.stuck_open[7] = detected.stuck_closed[0] = detected.stuck_closed[7] = True
+    assert stuck_valves(configured, detected) == ([1, 7], [0, 7])
     assert describe_stuck_valves(configured, detected) == {
         "valve_2 is configured as": "stuck open",
-        "valve_8 is detected as": "stuck open",
+        "valve_8 is detected as": "stuck open and stuck closed",
         "valve_1 is detected as": "stuck closed",
     }

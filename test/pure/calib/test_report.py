@@ -296,7 +296,7 @@ def test_a_pass_names_what_is_too_uncertain_to_use_and_how_to_plan_more(case):
     assert found.verdict == PASS
     if not named:
         assert "chi-square" in found.summary
-        assert next_steps(found)[0].startswith("Next: give the nodes the calibrated description")
+        assert next_steps(found)[0].startswith("Next: keep the bag; give the nodes")
         return
     assert found.summary == f"13 observations; record more to use {named}"
     seen = lines(report.printable(table_report(found)))

@@ -395,7 +395,7 @@ def test_a_stop_latches_until_armed_anew(armed):
     assert armed.last_command().flags == LinkCommandFlag.STOP
     armed.step()
     assert armed.link.flags == State.STOPPED
-    with pytest.raises(CommandError, match=r"stopped, not armed: scripts/fss_arm\.sh arm arms it"):
+    with pytest.raises(CommandError, match=r"stopped; to arm it: scripts/fss_arm\.sh arm"):
         armed.set(Mode.POSITION, 0.2)
     armed.session.arm(armed.now)
     while not armed.session.armed:
@@ -499,7 +499,7 @@ def test_each_change_of_state_is_told_once(bench):
 def test_a_link_that_was_never_heard_is_told_once(bench):
     logged = LogLines(bench)
     assert logged(20, up=False) == []
-    words = "link 1: nothing received yet: is it switched on, and does no other driver use it?"
+    words = "link 1: nothing received yet: is it switched on? Does another driver use it?"
     assert logged(200, up=False) == [words]
     assert logged(2) == ["link 1 is connected and disarmed"]
 

@@ -436,7 +436,7 @@ def given_path(bed, number, begin, time):
 def test_a_path_needs_an_armed_link():
     bed = PathBed(n=1)
     bed.run(2.0)
-    with pytest.raises(CommandError, match="link 1 is disarmed, not armed"):
+    with pytest.raises(CommandError, match="link 1 is disarmed; to arm it"):
         given_path(bed, 1, 1, [0.0, 2.0])
 
 

@@ -6,13 +6,13 @@ from capturing import POSTURE, Case, Flight
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.thrusters import COUNT, layout
+from fss_arm_model.thrusters import THRUSTER_COUNT, thruster_wrenches
 from fss_gnc.navigation import EstimatorSettings, KnownInputs
 from fss_gnc.navigation.mass_estimator import Sample
 from fss_gnc.navigation.valve_faults import SPACING, Faults, Moment, ValveFaults, shift_momentum
 
 P = paper_arm().vector()
-VALVES = layout(0.16, 0.11)
+VALVES = thruster_wrenches(0.16, 0.11)
 NOISE = np.array([8e-4, 8e-4, 3e-4])  # of a twist [m/s, m/s, rad/s]
 TIMEOUT = 60.0  # [s]
 NO_FAULTS = Faults()
@@ -25,7 +25,7 @@ class Bed:
         self.rng, self.thrust = np.random.default_rng(seed), thrust
         self.monitor = ValveFaults(0.05)
         self.t, self.q, self.momentum = 0.0, np.array([0.3, -0.2, 0.4, *POSTURE]), np.zeros(3)
-        self.commanded, self.always_open = np.zeros((2, COUNT, 3))
+        self.commanded, self.always_open = np.zeros((2, THRUSTER_COUNT, 3))
 
     def step(self, shares, faults=NO_FAULTS, push=(0.0, 0.0, 0.0)):
         """Open the valves for these fractions of a step; return the detected faults."""
@@ -60,7 +60,7 @@ class Bed:
 
 def random_shares(rng):
     """Return fractions of a step, as of a busy controller."""
-    return rng.uniform(0.0, 1.0, COUNT) * (rng.uniform(size=COUNT) < 0.3)
+    return rng.uniform(0.0, 1.0, THRUSTER_COUNT) * (rng.uniform(size=THRUSTER_COUNT) < 0.3)
 
 
 @pytest.mark.parametrize(("used", "most"), [(0.0, 4.0), (1.0, 6.0)])
@@ -74,9 +74,9 @@ def test_open_valve_is_detected_whether_or_not_others_are_used(valve, used, most
 
 def test_closed_valve_is_detected_and_no_other_valve_is_suspected():
     isolated = 0
-    for valve in range(COUNT):
+    for valve in range(THRUSTER_COUNT):
         bed, faults = Bed(20 + valve), Faults(closed=frozenset({valve}))
-        is_faulty = np.eye(COUNT)[valve]
+        is_faulty = np.eye(THRUSTER_COUNT)[valve]
 
         def shares(bed=bed, is_faulty=is_faulty):
             return is_faulty * bed.rng.uniform(0.3, 1.0)
@@ -86,7 +86,7 @@ def test_closed_valve_is_detected_and_no_other_valve_is_suspected():
         assert at < 6.0
         isolated += bed.until_found(shares, True, faults=faults)[0].closed == {valve}
         assert not bed.monitor.faults.open
-    assert isolated >= COUNT // 2
+    assert isolated >= THRUSTER_COUNT // 2
 
 
 @pytest.mark.parametrize("thrust", [0.95, 1.0, 1.05])
@@ -99,16 +99,16 @@ def test_noise_thrust_error_and_tilt_cause_no_false_alarm(thrust):
 
 def test_external_push_is_reported_until_it_ends():
     bed = Bed(4)
-    found, at = bed.until_found(lambda: np.zeros(COUNT), push=(0.0, 0.3, 0.3))
+    found, at = bed.until_found(lambda: np.zeros(THRUSTER_COUNT), push=(0.0, 0.3, 0.3))
     assert found == Faults(unknown_push=True)
     assert at < 3.0
     for _ in range(20):
-        found = bed.step(np.zeros(COUNT))
+        found = bed.step(np.zeros(THRUSTER_COUNT))
     assert found == NO_FAULTS
 
 
 def test_open_valve_and_opposite_closed_valve_are_indistinguishable():
-    against = np.zeros(COUNT)
+    against = np.zeros(THRUSTER_COUNT)
     against[2] = 1.0  # pushes opposite to valve 0
     for faults in (Faults(open=frozenset({0})), Faults(closed=frozenset({2}))):
         assert Bed(5).until_found(lambda: against, faults=faults)[0] == Faults(unknown_push=True)
@@ -118,7 +118,7 @@ def test_open_valve_clears_earlier_findings_of_closed_valves():
     bed = Bed(6)
     bed.monitor.faults = Faults(closed=frozenset({2}))
     opened = Faults(open=frozenset({0}))
-    assert bed.until_found(lambda: np.zeros(COUNT), True, faults=opened)[0] == opened
+    assert bed.until_found(lambda: np.zeros(THRUSTER_COUNT), True, faults=opened)[0] == opened
 
 
 def test_prediction_uses_the_real_state_of_faulty_valves():
@@ -132,7 +132,7 @@ def test_prediction_uses_the_real_state_of_faulty_valves():
         inputs.add_pulses(now, on_times)
         return inputs.mean_accelerations([now, now + 50 * ms, now + 100 * ms])[0]
 
-    one, other = 0.1 * np.eye(COUNT)[[2, 5]]
+    one, other = 0.1 * np.eye(THRUSTER_COUNT)[[2, 5]]
     faults = Faults(open=frozenset({2}), closed=frozenset({5}))
     np.testing.assert_allclose(
         accelerations(other, faults), accelerations(one), rtol=1e-12, atol=1e-15

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
-from fss_arm_model.thrusters import layout
+from fss_arm_model.thrusters import thruster_wrenches
 from fss_base_driver.gyro import GyroSums
 from fss_base_driver.protocol import BaseSlow, Gripper
 from fss_base_driver.session import BoardSession
@@ -16,7 +16,7 @@ from fss_sim.noise import PRESETS
 from fss_sim.sensors import RATE
 from fss_sim.testbed import FRAME, State, Testbed
 
-VALVES = layout(0.16, 0.11)
+VALVES = thruster_wrenches(0.16, 0.11)
 START = State(frame=0, boots=3, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7, boot_offset=0)
 KEY = bytes(range(16))
 

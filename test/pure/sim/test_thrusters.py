@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
-from fss_arm_model.thrusters import CORNERS, layout
+from fss_arm_model.thrusters import CORNERS, thruster_wrenches
 from fss_sim.plant.plant import Plant
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.thrusters import Propulsion, Thrusters
@@ -18,7 +18,7 @@ def pulse(*numbers, seconds=1.0):
 
 
 def test_pairs_give_each_force_and_torque_alone():
-    L = layout(0.16, 0.11)
+    L = thruster_wrenches(0.16, 0.11)
     np.testing.assert_allclose(L.sum(axis=0), 0.0, atol=1e-15)
     np.testing.assert_allclose(np.abs(L[:, 2]), 0.16 * 0.11)
     at = 0.11 * np.repeat(CORNERS, 2, axis=0)

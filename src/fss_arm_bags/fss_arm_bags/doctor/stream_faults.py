@@ -45,7 +45,7 @@ def _stamp_fault(track: Track) -> str:
         return ""
     since = (track.receipt[k] - track.receipt[0]) / SECOND
     way = "ahead" if jump > 0.0 else "back"
-    return f"clock of {{}} jumps {way} by {abs(jump):.3g} s after {since:.0f} s"
+    return f"clock of {{}} jumps {way} by {abs(jump):.3g} s, {since:.0f} s after its first message"
 
 
 def _pose_fault(track: Track, recorded: Recorded) -> str:

@@ -12,14 +12,16 @@ from fss_arm_model.estimation.outliers import expand
 from fss_arm_model.units import GRAVITY
 from fss_arm_ros.report import Report, Table
 
-#: Texts for the parameters 2 to 4 of the problem.
+#: Explanations of the parameters that follow the two of the tilt.
 EXPLANATIONS = "of the hose at rest", "resistance to rotation", "resistance to translation"
 
 
 def drift_report(outcome: Outcome[Drift, Solution], _: Arm | None = None) -> Report:
     """Report the result of a drift calibration; a description holds none of its parameters."""
     o = outcome
-    figures = common_figures(o, "drift", "drift", "error predicted from others [deviations]")
+    figures = common_figures(
+        o, "drift", "drift", "error predicted from others [standard deviations]"
+    )
     title = f"Drift of {o.arm.name}, {format_count(len(o.used), 'drift')}"
     return make_report(title, o, (_parameters(o), _momenta(o)), figures=figures)
 
@@ -29,7 +31,7 @@ def _parameters(outcome: Outcome[Drift, Solution]) -> Table:
     torque = found.result.hose_torque if found else (np.nan, np.nan)
     acting = [
         (f"tilt along {axis}", "deg", *np.degrees([e.values[k], e.deviations[k]]) / GRAVITY)
-        for k, axis in enumerate("xy")
+        for k, axis in enumerate("xy")  # acceleration [m/s^2] / g: slope [rad]
     ]
     acting.append(("mean torque of the hose", "N m", *torque))
     acting += [
@@ -59,5 +61,5 @@ def _momenta(outcome: Outcome[Drift, Solution]) -> Table:
         pairs = (f"{v:#.4g} ± {d:.2g}" for v, d in zip(value, deviation, strict=True))
         fit = f"{outcome.estimate.errors[k]:.2f}", outcome.estimate.reasons[k]
         rows.append([str(k + 1), f"{one.times[-1]:.0f}", *pairs, *fit])
-    head = ["drift", "time [s]", "x [N s]", "y [N s]", "angular [N m s]", "error", ""]
+    head = ["drift", "duration [s]", "x [N s]", "y [N s]", "angular [N m s]", "error", "reason"]
     return Table("Momentum at the start of each drift", head, rows)

@@ -58,7 +58,7 @@ DRIVES = Calibration(
     calibrate=calibrate,
     message=msg.DrivesCalibration,
     to_message=to_message,
-    compared_fields=("moving", "torque_residuals", "current_residuals"),
+    recomputed_fields=("moving", "torque_residuals", "current_residuals"),
     report=drives_report,
     unavailable={
         "time offset": "all data of a link have the same clock; no other stream is used",

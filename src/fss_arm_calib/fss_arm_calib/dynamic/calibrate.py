@@ -69,7 +69,7 @@ def check_number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings
     number = format_count(found, "maneuver")
     reason = f"{number} (at least {s.min_maneuvers})"
     if found < s.min_maneuvers and lost:
-        reason += f"; {format_count(len(lost), 'maneuver')} rejected ({lost[0].reason})"
+        reason += f"; {format_count(len(lost), 'maneuver')} rejected (the first: {lost[0].reason})"
     return checks.data_amount("maneuvers", found, s.min_maneuvers, reason, streams, number)
 
 

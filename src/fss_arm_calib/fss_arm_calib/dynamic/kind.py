@@ -21,7 +21,7 @@ from fss_arm_msgs import msg
 
 
 def inputs(s: DynamicSettings, n: int) -> list[Input]:
-    """Return the inputs: joints and base; gyro, end effector and telemetry may be absent."""
+    """Return the inputs: n joints and base; gyro, end effector and telemetry are optional."""
     return [
         *telemetry_inputs(n),
         joints_input(s.joints_topic),
@@ -38,7 +38,7 @@ def to_message(outcome: Outcome[Maneuver, Solution], frame_id: str) -> msg.Dynam
     if not found:
         return message
     r = found.result
-    message.random_covariance = flatten(r.random)
+    message.random_covariance = flatten(r.random)  # of observations and priors, (p, p)
     message.known = flatten(r.problem.prior_deviations)
     message.prior_share = flatten(r.prior_share)
     message.at_bound = list(r.at_bound)
@@ -65,7 +65,7 @@ DYNAMIC = Calibration(
         Maneuver,
         "calibration/maneuvers",
         msg.Maneuvers,
-        lambda one: f"joints {list(one.moved_joints)} moved",
+        lambda one: f"used, joints {', '.join(map(str, one.moved_joints))} moved",
         pose_times="marks",
         needed=("times", "q", "marks", "poses", "seconds"),
     ),
@@ -76,7 +76,7 @@ DYNAMIC = Calibration(
     measurements=lambda maneuvers, arm, s: ManeuverMeasurements(problem_of(maneuvers, arm, s)),
     message=msg.DynamicCalibration,
     to_message=to_message,
-    compared_fields=("combination_values", "momenta"),
+    recomputed_fields=("combination_values", "momenta"),
     report=dynamic_report,
     prior_results={"calibration/kinematic": msg.KinematicCalibration},
 )

@@ -27,7 +27,9 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     gyro_topic: str = setting("fog/imu", "topic of the base's turn rates")
     max_maneuvers: int = max_data(100, "maneuvers")
     plan: str = setting(
-        "", "plan of `design` for these maneuvers; the report compares its predicted deviations"
+        "",
+        "plan of `design` for these maneuvers; the report compares its predicted deviations "
+        "with the estimated ones",
     )
     estimate: str = setting(
         "b_i I_i I_0 com_0",

@@ -56,7 +56,10 @@ class ExperimentSettings(Settings):
         "of calibration/dynamic for maneuvers, of calibration/kinematic for postures; empty: none",
     )
     pause: float = positive(
-        5.2, "s", "rest about a maneuver: more than settle_time and twice max_duration of `dynamic`"
+        5.2,
+        "s",
+        "rest before the first maneuver and after each: more than settle_time + 2 max_duration of "
+        "`dynamic`",
     )
     tolerance: float = positive(
         0.0175, "rad", "largest difference between a posture and its observation"

@@ -73,7 +73,7 @@ KINEMATIC = Calibration(
     measurements=lambda rests, arm, s: RestMeasurements(problem_of(rests, arm, s)),
     message=KinematicCalibration,
     to_message=to_message,
-    compared_fields=("held_out_residuals", "held_out_normalized"),
+    recomputed_fields=("held_out_residuals", "held_out_normalized"),
     report=kinematic_report,
     stale=stale,
 )

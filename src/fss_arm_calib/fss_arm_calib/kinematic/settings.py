@@ -40,12 +40,13 @@ class KinematicSettings(NoiseSettings):
         0.0,
         "m",
         "the end effector's position seen from the base, each axis; if base_heading_deviation is "
-        "0, with the base's heading error times the reach; 0: estimated",
+        "0, including the base's heading error times the reach; 0: estimated",
     )
     base_heading_deviation: float = sigma(
         0.0,
         "rad",
-        "the base's heading, within heading_deviation; 0: estimated if the other two are 0, too",
+        "the base's heading, contained in heading_deviation; 0: estimated if "
+        "position_deviation and heading_deviation are 0, too",
     )
     max_position_deviation: float = like(
         NoiseSettings, "max_position_deviation", POSITION_DEVIATION

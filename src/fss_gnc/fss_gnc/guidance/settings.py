@@ -84,11 +84,11 @@ class GuidanceSettings(Extents):
     vehicles: tuple[str, ...] = setting(
         (),
         "names (namespaces) of all vehicles on the table, this one included, by right of way; the "
-        "list is alike in each guidance; empty: there is no other one",
+        "list is the same in each guidance; empty: there is no other one",
     )
     vehicle_gap: float = setting(
         0.1,
-        "smallest gap to another vehicle, beside 3 standard deviations of its position",
+        "smallest gap to another vehicle, in addition to 3 standard deviations of its position",
         unit="m",
         check=NOT_NEGATIVE,
     )

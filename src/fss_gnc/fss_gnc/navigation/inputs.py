@@ -22,7 +22,7 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.dynamics import write_bias, write_inertia
 from fss_arm_model.kernels import kernel
 from fss_arm_model.layout import count
-from fss_arm_model.thrusters import COUNT, layout
+from fss_arm_model.thrusters import THRUSTER_COUNT, thruster_wrenches
 from fss_arm_model.units import SECOND
 
 from .settings import EstimatorSettings
@@ -201,14 +201,14 @@ class KnownInputs:
 
     def __init__(self, p: npt.ArrayLike, settings: EstimatorSettings | None = None) -> None:
         self.settings = s = settings or EstimatorSettings()
-        self.valves = layout(s.thrust, s.thruster_lever)
+        self.valves = thruster_wrenches(s.thrust, s.thruster_lever)
         self._working_valves, self._leak_wrench, self.faults = self.valves, np.zeros(3), Faults()
         self._base_noise = np.diag(
             np.square([s.acceleration, s.acceleration, s.angular_acceleration])
         )
         self._opened, self._closed = (
             np.full(MAX_PULSES, UNUSED),
-            np.full((MAX_PULSES, COUNT), UNUSED),
+            np.full((MAX_PULSES, THRUSTER_COUNT), UNUSED),
         )
         self._prediction = Prediction(
             0.0, s.thrust_error**2, JOINT_CHANGE_ERROR**2 * PLAN_CORRELATION_TIME
@@ -260,7 +260,7 @@ class KnownInputs:
             False if it was ignored: a number is invalid, or a later command is known.
         """
         times = np.asarray(on_times, dtype=float)
-        if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
+        if times.shape != (THRUSTER_COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
             return False
         start = self._seconds(t) + self.settings.valve_delay
         if start <= self._opened[-1]:

@@ -7,7 +7,7 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_model.thrusters import COUNT
+from fss_arm_model.thrusters import THRUSTER_COUNT
 from fss_arm_msgs.msg import MassProperties, ThrusterHealth
 from fss_arm_ros.convert import to_time
 
@@ -65,8 +65,8 @@ def mass_properties(found: MassEstimate, samples: int, stamp: int, frame_id: str
 def thruster_health(faults: Faults, stamp: int, frame_id: str) -> ThrusterHealth:
     """Return the ThrusterHealth message of the valves' faults at a time [ns]."""
     message = ThrusterHealth(
-        stuck_open=[i in faults.open for i in range(COUNT)],
-        stuck_closed=[i in faults.closed for i in range(COUNT)],
+        stuck_open=[i in faults.open for i in range(THRUSTER_COUNT)],
+        stuck_closed=[i in faults.closed for i in range(THRUSTER_COUNT)],
         pushed=faults.unknown_push,
     )
     message.header.stamp, message.header.frame_id = to_time(stamp), frame_id

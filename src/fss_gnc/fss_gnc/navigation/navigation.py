@@ -16,7 +16,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.held import Target, payload_pose, payload_state, with_payload
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
 from fss_arm_model.planar import wrap
-from fss_arm_model.thrusters import COUNT
+from fss_arm_model.thrusters import THRUSTER_COUNT
 from fss_arm_model.units import SECOND
 
 from .body_filter import GATE_SIGMA, BodyFilter, BodyState, NoInputs, Pose
@@ -99,7 +99,7 @@ class Navigation:
         )
         self.valves = ValveFaults(self.settings.thrust_error)
         # Impulses of each valve, as commanded and if always open, and until when they count [ns].
-        self._impulse_sum, self._impulse_end = np.zeros((2, COUNT, 3)), -MAX_ESTIMATE_GAP
+        self._impulse_sum, self._impulse_end = np.zeros((2, THRUSTER_COUNT, 3)), -MAX_ESTIMATE_GAP
 
     @property
     def holds(self) -> bool:
@@ -247,7 +247,10 @@ class Navigation:
             fx, fy, torque = self.inputs.valves.T
             force = (fx + 1j * fy) * np.exp(1j * heading)
             each = np.stack([force.real, force.imag, torque + x * force.imag - y * force.real], -1)
-            durations = self.inputs.open_times(start, end), np.full(COUNT, (end - start) / SECOND)
+            durations = (
+                self.inputs.open_times(start, end),
+                np.full(THRUSTER_COUNT, (end - start) / SECOND),
+            )
             found: Floats = np.stack(durations)[:, :, None] * each
             return found
 

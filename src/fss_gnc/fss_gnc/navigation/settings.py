@@ -172,7 +172,7 @@ class NavigationSettings(EstimatorSettings, MassErrors):
     target_inertia: float = like(Target, "inertia")
     rate: float = setting(
         20.0,
-        "rate of base/state and target/state without poses",
+        "rate of base/state and target/state while no poses arrive",
         unit="Hz",
         check=between(1.0, 100.0),
     )

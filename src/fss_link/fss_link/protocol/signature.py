@@ -1,10 +1,11 @@
-"""Signatures of frames, and the file of keys.
+"""Signatures of frames (message authentication codes), and the file of keys.
 
 A signature is the BLAKE2s hash (RFC 7693) of the 56 bytes before it, keyed with the link's key and
 16 bytes long. It proves that a holder of the key made the frame. It does not detect replayed
 frames: clocks and sequence numbers do.
 """
 
+import os
 import re
 import stat
 from collections.abc import Mapping
@@ -27,12 +28,14 @@ def sign(data: bytes, key: bytes | None) -> bytes:
 
 
 def is_signed(data: bytes, signature: bytes, key: bytes | None) -> bool:
-    """Return True if `signature` is that of `data` (comparison in constant time)."""
+    """Return True if `signature` is that of `data`, without a key all zeros; in constant time."""
     return compare_digest(signature, sign(data, key))
 
 
 def parse_keys(text: str, name: str = "keys") -> Mapping[int, bytes]:
-    """Parse the links' keys. A line is a link's number (0: the board) and 32 to 64 hex digits.
+    """Parse the keys of links and board: in each line a number and 32 to 64 hex digits.
+
+    Numbers are those of the links; 0 is the base's board.
 
     Raises:
         KeyFileError: a line has another form, or a link or a key appears twice.
@@ -73,7 +76,7 @@ def load_keys(path: str | Path) -> Mapping[int, bytes]:
         KeyFileError: users other than its owner have access to it, or it is invalid.
     """
     with Path(path).open(encoding="utf-8", errors="replace") as file:
-        mode = stat.S_IMODE(Path(path).stat().st_mode)
+        mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
         if mode & 0o077:
             raise KeyFileError(
                 f"{path} can be read by others (mode {mode:o}, expected 600): chmod 600 {path}"

@@ -238,7 +238,7 @@ class Session(ABC, Generic[T]):
         if self._version != VERSION:
             return self.version_problem
         if (silence := self.silence(self.now)) == inf:
-            return "nothing received yet: is it switched on, and does no other driver use it?"
+            return "nothing received yet: is it switched on? Does another driver use it?"
         return f"silent for {silence:.1f} s"
 
     @property
@@ -269,7 +269,8 @@ class Session(ABC, Generic[T]):
             )
         if self.echoes.crowded:
             return (
-                f"{self.partner.name} refuses frames of another sender: does a second driver run?"
+                f"{self.partner.name} refuses frames of another sender: does a second driver run, "
+                "or is the computer overloaded?"
             )
         return ""
 
@@ -336,7 +337,7 @@ class Session(ABC, Generic[T]):
             name, how = self.partner.name, self.partner.armed_by
             if self.arming is Arming.ARMING:
                 raise CommandError(f"{name} is still arming: wait until it is armed")
-            raise CommandError(f"{name} is {self.arming.value}, not armed: {how} arms it")
+            raise CommandError(f"{name} is {self.arming.value}; to arm it: {how}")
 
     def tick(self, now: int) -> None:
         """Advance to time `now`: handle loss, expiry, arming timeouts, a simulated clock set back.

@@ -8,11 +8,11 @@ import numpy as np
 from fss_arm_model.arrays import Floats
 from fss_arm_model.integration import STEP
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
-from fss_arm_model.thrusters import COUNT, gas_mass, layout
+from fss_arm_model.thrusters import THRUSTER_COUNT, gas_mass, thruster_wrenches
 from fss_arm_model.units import GRAVITY
 
 NEVER_CLOSES = 1e9  # [step]
-VALVES_CLOSED = np.zeros((COUNT, 5))
+VALVES_CLOSED = np.zeros((THRUSTER_COUNT, 5))
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,14 @@ class Thrusters:
 
     def __init__(self, propulsion: Propulsion | None = None, used: float = 0.0) -> None:
         self.propulsion = p = propulsion or Propulsion()
-        self.layout = layout(p.thrust, p.lever)
+        self.layout = thruster_wrenches(p.thrust, p.lever)
         self.capacity = gas_mass(p.tank_pressure, p.tank_volume, p.temperature)  # [kg]
         self.propellant_used = min(used, self.capacity)  # propellant [kg]
-        self._start, self._end = np.zeros(COUNT), np.zeros(COUNT)  # of each pulse [step]
-        self._stuck_open = self._stuck_closed = np.zeros(COUNT, dtype=bool)
+        self._start, self._end = (
+            np.zeros(THRUSTER_COUNT),
+            np.zeros(THRUSTER_COUNT),
+        )  # of each pulse [step]
+        self._stuck_open = self._stuck_closed = np.zeros(THRUSTER_COUNT, dtype=bool)
         self.pulse_commanded = False  # True if the last command opened a valve
 
     @property
@@ -123,8 +126,10 @@ class Thrusters:
             ValueError: if there are not eight times, or one is negative or not finite.
         """
         times = np.asarray(on_times, dtype=float)
-        if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
-            raise ValueError(f"on times are {times.tolist()}, expected {COUNT} of 0 or more [s]")
+        if times.shape != (THRUSTER_COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
+            raise ValueError(
+                f"on times are {times.tolist()}, expected {THRUSTER_COUNT} of 0 or more [s]"
+            )
         p, self.pulse_commanded = self.propulsion, bool(times.any())
         at, min_steps = now + round(p.valve_delay / STEP), round(p.minimum_on_time / STEP)
         is_open = self._end > now  # or is about to open
