@@ -144,8 +144,8 @@ class BaseSettings(Settings):
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11,
-        "lever of a thruster: from the base's origin to the line of thrust; the same as in "
-        "`navigation` (thruster_lever)",
+        "lever of a thruster: from the base's origin to the line of thrust; must equal "
+        "thruster_lever of `navigation`",
         unit="m",
         check=POSITIVE,
     )

@@ -218,7 +218,7 @@ def test_a_silent_link_is_lost_and_returns_disarmed(armed):
     assert armed.session.counts["lost"] == 1
     assert armed.session.counts["adopted"] == 2
     assert not armed.last_command().flags & LinkCommandFlag.ARM
-    with pytest.raises(CommandError, match="not armed"):
+    with pytest.raises(CommandError, match="to arm it"):
         armed.set(Mode.POSITION, 0.2)
 
 

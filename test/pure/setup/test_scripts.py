@@ -306,7 +306,7 @@ def lines_of(shown: Any, width: int = 80) -> list[str]:
 def test_the_status_has_the_commit_and_the_hash_of_each_law(status):
     values = [KeyValue(key="law", value="pd.py:Pd"), KeyValue(key="hash of its file", value="1a2b")]
     listener = listener_of(DiagnosticStatus(name="controller", values=values))
-    _, _, commit, law = lines_of(status["versions"](listener))
+    _, _, commit, law = lines_of(status["version_table"](listener))
     assert commit.split() == ["commit", source_version()]
     assert law.split() == ["pd.py:Pd", "1a2b"]
 
@@ -315,7 +315,7 @@ def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_pa
     processes = status["Processes"](tmp_path, ["links", "arm"], ["vicon"])
     ok = DiagnosticStatus(name="arm", level=DiagnosticStatus.OK, message="all is well")
     with running(tmp_path, "links", "arm", "vicon"):
-        lines = lines_of(status["nodes"](processes, listener_of(ok)), 120)
+        lines = lines_of(status["node_table"](processes, listener_of(ok)), 120)
     shown = {line.split()[0]: line for line in lines}
     assert "runs, has not reported" in shown["links"]
     assert shown["arm"].endswith("all is well")
@@ -354,7 +354,7 @@ def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path, status):
     assert row[:5] == ["fss2/link_1", "armed", "-12.3", "-1.20", "16.5"]
     link.battery = 0  # not reported yet
     heard["/fss2/link_1/telemetry"].add(serialize_message(link))
-    (row,) = (line.split() for line in lines_of(status["links"](listener)) if "fss2" in line)
+    (row,) = (line.split() for line in lines_of(status["link_table"](listener)) if "fss2" in line)
     assert row[4] == "-"
 
 
@@ -390,7 +390,7 @@ def test_timing_is_shown_within_80_columns(status):
     names = ["fss2/control", "fss2/navigation"]
     reports = [DiagnosticStatus(name=name, values=values) for name in names]
     listener = listener_of(*reports, DiagnosticStatus(name="x", values=unknown))
-    rows = [line.split() for line in lines_of(status["timing"](listener))]
+    rows = [line.split() for line in lines_of(status["timing_table"](listener))]
     assert [row[0] for row in rows if len(row) == 8] == names
     assert ["x", "n/a"] in rows
 

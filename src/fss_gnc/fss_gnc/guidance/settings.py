@@ -84,7 +84,7 @@ class GuidanceSettings(Extents):
     vehicles: tuple[str, ...] = setting(
         (),
         "names (namespaces) of all vehicles on the table, this one included, by right of way; the "
-        "list is the same in each guidance; empty: there is no other one",
+        "list is alike in each guidance; empty: there is no other one",
     )
     vehicle_gap: float = setting(
         0.1,

@@ -33,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     found = Parser("dataset.sh", description=__doc__)
     found.add_argument("folder", type=Path, metavar="DIR", help="new folder of the data set")
-    found.add_argument("--seed", type=int, default=1, help="seed of all that is not blind (1)")
+    found.add_argument("--seed", type=int, default=1, help="seed of the part that is not blind (default 1)")
     return found
 
 

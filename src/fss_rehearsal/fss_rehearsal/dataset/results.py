@@ -24,7 +24,7 @@ from fss_rehearsal.dataset.bags import DRIFT_TRUTH, KINDS
 from fss_sim.plant.joints import PRESETS as JOINTS
 from fss_sim.settings import TestbedSettings
 
-OWN, PLAIN = "fss_arm_calib", "plain least squares"
+OWN_METHOD, PLAIN_METHOD = "fss_arm_calib", "plain least squares"
 WITHIN_95 = 1.96  # standard deviations of the 95 % interval
 #: Kinds of parameters in the table: starts of their names, factor to the unit, unit.
 QUANTITIES = {
@@ -94,7 +94,7 @@ def evaluate(folder: Path, description: Path, preset: str, pair: ArmPair) -> lis
         true = true_values(kind, preset, pair.truth)
         compared = compare(outcome.names, outcome.values, outcome.deviations, true)
         passed = outcome.verdict == PASS
-        found.append(Estimates(kind, preset, OWN, passed, seconds, *compared))
+        found.append(Estimates(kind, preset, OWN_METHOD, passed, seconds, *compared))
         if kind == "kinematic":
             found.append(evaluate_plain(folder / kind, preset, pair))
         if passed and kind in ("kinematic", "dynamic"):
@@ -111,7 +111,7 @@ def evaluate_plain(bag: Path, preset: str, pair: ArmPair) -> Estimates:
     estimate = least_squares.fit(*rests, pair.described.vector()[kinematic_index(n)])
     seconds, true = perf_counter() - start, true_values("kinematic", preset, pair.truth)
     compared = compare(kinematic_names(n), *estimate, true)
-    return Estimates("kinematic", preset, PLAIN, True, seconds, *compared)
+    return Estimates("kinematic", preset, PLAIN_METHOD, True, seconds, *compared)
 
 
 def results_table(estimates: Sequence[Estimates]) -> list[list[str]]:
@@ -123,7 +123,7 @@ def results_table(estimates: Sequence[Estimates]) -> list[list[str]]:
         names = [name for one in group for name in one.names]
         errors = np.concatenate([one.errors for one in group])
         ratios = errors / np.concatenate([one.deviations for one in group])
-        passed = "" if key[2] == PLAIN else f"{sum(one.passed for one in group)} of {len(group)}"
+        passed = "" if key[2] == PLAIN_METHOD else f"{sum(one.passed for one in group)} of {len(group)}"
         row = [*key, passed, str(len(names)), median_errors(key[0], names, errors)]
         coverage, rms = np.mean(np.abs(ratios) < WITHIN_95), np.sqrt(np.mean(ratios**2))
         row += [f"{100.0 * coverage:.0f} %", f"{rms:.2f}"] if names else ["", ""]
