@@ -123,7 +123,9 @@ def results_table(estimates: Sequence[Estimates]) -> list[list[str]]:
         names = [name for one in group for name in one.names]
         errors = np.concatenate([one.errors for one in group])
         ratios = errors / np.concatenate([one.deviations for one in group])
-        passed = "" if key[2] == PLAIN_METHOD else f"{sum(one.passed for one in group)} of {len(group)}"
+        passed = (
+            "" if key[2] == PLAIN_METHOD else f"{sum(one.passed for one in group)} of {len(group)}"
+        )
         row = [*key, passed, str(len(names)), median_errors(key[0], names, errors)]
         coverage, rms = np.mean(np.abs(ratios) < WITHIN_95), np.sqrt(np.mean(ratios**2))
         row += [f"{100.0 * coverage:.0f} %", f"{rms:.2f}"] if names else ["", ""]
