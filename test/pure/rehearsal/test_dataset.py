@@ -12,7 +12,7 @@ from fss_arm_model.layout import kinematic_index
 from fss_arm_model.parameters import parameter_names, values
 from fss_rehearsal.dataset import least_squares
 from fss_rehearsal.dataset.arms import BLIND, LINKS, ArmPair, draw_pair
-from fss_rehearsal.dataset.bags import KINDS, record
+from fss_rehearsal.dataset.bags import KINDS, plan, record
 from fss_rehearsal.dataset.command import main
 from fss_rehearsal.dataset.results import (
     OWN_METHOD,
@@ -44,7 +44,8 @@ def test_a_kinematic_bag_is_calibrated_by_both_methods(tmp_path):
     pair = draw_pair("a", 5)
     description = tmp_path / "a.yaml"
     save(pair.described, description)
-    record(tmp_path / "kinematic", "kinematic", "ideal", pair, 6)
+    planned = plan("kinematic", pair.described, 0)
+    record(tmp_path / "kinematic", "kinematic", "ideal", pair, planned, 6)
     with open_bags(tmp_path / "kinematic") as bags:
         topics = {topic for topic, *_ in bags.messages()}
     assert topics == {
@@ -117,7 +118,7 @@ def test_each_calibration_finds_the_truth_from_its_bag(preset, tmp_path):
     save(pair.truth, tmp_path / "truth.yaml")
     assert load(tmp_path / "truth.yaml") == pair.truth
     for k, kind in enumerate(KINDS):
-        record(tmp_path / kind, kind, preset, pair, 10 + k)
+        record(tmp_path / kind, kind, preset, pair, plan(kind, pair.described, 7), 10 + k)
     for one in evaluate(tmp_path, tmp_path / "b.yaml", preset, pair):
         ratios = np.abs(one.errors / one.deviations)
         print(one.kind, one.method, one.passed, dict(zip(one.names, ratios.round(1), strict=True)))

@@ -26,8 +26,9 @@ class ArmPair:
 def draw_truth(name: str, n: int, rng: np.random.Generator) -> Arm:
     """Return a random arm of n different links, the outer ones lighter."""
     links = []
+    scale = min(1.0, 5.0 / n)  # a longer arm would not have enough room on the table
     for i in range(n):
-        a, mass = rng.uniform(0.25, 0.4), rng.uniform(1.8, 3.0) * (1.0 - 0.06 * i)
+        a, mass = scale * rng.uniform(0.25, 0.4), rng.uniform(1.8, 3.0) * (1.0 - 0.06 * i)
         drive = Drive(torque_constant=0.8 * rng.uniform(0.93, 1.07))
         sensor = TorqueSensor(gain=2.1 / 2**23 * rng.uniform(0.96, 1.04))
         links.append(

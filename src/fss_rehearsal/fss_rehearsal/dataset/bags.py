@@ -31,7 +31,7 @@ from fss_sim.settings import TestbedSettings
 KINDS = "kinematic", "dynamic", "drift", "drives"
 USED_PRESETS = "ideal", "default", "laboratory"
 MANEUVERS_PER_LINK, MORE_MANEUVERS = 4, 4  # of a dynamic experiment
-CANDIDATES = 20  # tried for each maneuver
+CANDIDATES = 100  # tried for each maneuver
 REST = 5.2  # between maneuvers [s]
 DRIFT_TIME = 160.0  # [s]
 #: Hose and table of a drift; its result has these names: tilt as gravity along the table [m/s^2].
@@ -122,7 +122,11 @@ def testbed_of(kind: str, preset: str, n: int, q: Sequence[float], seed: int) ->
 
 
 def plan(kind: str, arm: Arm, seed: int) -> Any:
-    """Return the postures or maneuvers of an experiment, planned with the description."""
+    """Return the postures or maneuvers of an experiment, planned with the description.
+
+    Raises:
+        NoManeuver: no maneuver satisfies the conditions.
+    """
     match kind:
         case "kinematic":
             return default_postures(arm)
@@ -135,9 +139,9 @@ def plan(kind: str, arm: Arm, seed: int) -> Any:
     return ()
 
 
-def record(path: Path, kind: str, preset: str, pair: ArmPair, seed: int) -> None:
-    """Run the experiment of a kind of calibration and write its bag."""
-    planned, n = plan(kind, pair.described, seed), pair.truth.n
+def record(path: Path, kind: str, preset: str, pair: ArmPair, planned: Any, seed: int) -> None:
+    """Run the experiment of a kind of calibration, as planned, and write its bag."""
+    n = pair.truth.n
     first = planned[0] if kind == "kinematic" else planned[0].waypoints[0] if planned else ()
     q = [float(angle) for angle in first] if len(first) else [0.4 * (-1) ** i for i in range(n)]
     testbed = testbed_of(kind, preset, n, q, seed)

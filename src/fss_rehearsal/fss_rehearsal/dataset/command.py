@@ -7,17 +7,18 @@ with the seed of their experiments. Takes about half an hour on two cores.
 import argparse
 import os
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from fss_arm_model.description_file import save
 from fss_arm_ros.command_line import Parser, in_one_line
 from fss_arm_ros.report import console
 from fss_arm_ros.source_version import source_version
 from fss_rehearsal.dataset.arms import BLIND, LINKS, ArmPair, draw_pair
-from fss_rehearsal.dataset.bags import KINDS, USED_PRESETS, record
+from fss_rehearsal.dataset.bags import KINDS, USED_PRESETS, plan, record
 from fss_rehearsal.dataset.results import Estimates, evaluate, results_table
 from fss_rehearsal.dataset.sheet import (
     BLIND_CHECKSUMS,
@@ -38,12 +39,19 @@ def parser() -> argparse.ArgumentParser:
     return found
 
 
-def make_part(folder: Path, pair: ArmPair, name: str, preset: str, seed: int) -> list[Estimates]:
+def make_plans(pair: ArmPair, seed: int) -> dict[str, Any]:
+    """Return the plan of each kind of experiment with an arm."""
+    return {kind: plan(kind, pair.described, seed) for kind in KINDS}
+
+
+def make_part(
+    folder: Path, pair: ArmPair, plans: Mapping[str, Any], name: str, preset: str, seed: int
+) -> list[Estimates]:
     """Record the bags of an arm with a preset, and calibrate from them."""
     bags = folder / "bags" / name / preset
     bags.mkdir(parents=True)
     for k, kind in enumerate(KINDS):
-        record(bags / kind, kind, preset, pair, seed + k)
+        record(bags / kind, kind, preset, pair, plans[kind], seed + k)
     return evaluate(bags, folder / "arms" / f"{name}.yaml", preset, pair)
 
 
@@ -64,11 +72,23 @@ def make(folder: Path, seed: int) -> list[Estimates]:
     found: dict[tuple[str, str], list[Estimates]] = {}
     workers = ProcessPoolExecutor(os.cpu_count(), get_context("spawn"))
     with counting_bar(console()) as bar, workers:
+        planning = bar.add_task("arms planned", total=len(LINKS))
+        waiting = {n: workers.submit(make_plans, pairs[n], seeds[n]) for n in reversed(LINKS)}
+        plans = {}  # all of them first: an arm without room for its maneuvers ends this at once
+        for name, plan_future in waiting.items():
+            plans[name] = plan_future.result()
+            bar.advance(planning)
         parts = [(name, preset) for preset in USED_PRESETS for name in reversed(LINKS)]
         task = bar.add_task("arms with a preset", total=len(parts))
         futures = {
             workers.submit(
-                make_part, folder, pairs[name], name, preset, 100 * seeds[name] + 10 * k
+                make_part,
+                folder,
+                pairs[name],
+                plans[name],
+                name,
+                preset,
+                100 * seeds[name] + 10 * k,
             ): (name, preset)
             for k, (name, preset) in enumerate(parts)
         }
