@@ -87,8 +87,8 @@ def test_the_table_has_a_row_for_each_kind_preset_and_method():
         ]
     )
     assert own == [
-        *("kinematic", "ideal", OWN_METHOD, "1 of 2", "4", "1.8e+03 mm, 1e+02 deg"),
-        *("50 %", "2.15", "1.5"),
+        *("kinematic", "ideal", OWN_METHOD, "1 of 2", "2", "5e+02 mm, 29 deg"),
+        *("100 %", "0.50", "1.5"),
     ]
     assert plain[3] == ""
     lines = markdown([head, own, plain]).splitlines()

@@ -115,21 +115,26 @@ def evaluate_plain(bag: Path, preset: str, pair: ArmPair) -> Estimates:
 
 
 def results_table(estimates: Sequence[Estimates]) -> list[list[str]]:
-    """Return a row for each kind, preset and method, as text; the first row is the head."""
+    """Return a row for each kind, preset and method, as text; the first row is the head.
+
+    Errors are those of the results that passed.
+    """
     head = ["kind", "preset", "method", "passed", "values", "median error", "95 % coverage"]
     rows = [[*head, "RMS error [deviations]", "time [s]"]]
     for key in dict.fromkeys((one.kind, one.preset, one.method) for one in estimates):
-        group = [one for one in estimates if (one.kind, one.preset, one.method) == key]
+        every = [one for one in estimates if (one.kind, one.preset, one.method) == key]
+        group = [one for one in every if one.passed]
         names = [name for one in group for name in one.names]
-        errors = np.concatenate([one.errors for one in group])
-        ratios = errors / np.concatenate([one.deviations for one in group])
-        passed = (
-            "" if key[2] == PLAIN_METHOD else f"{sum(one.passed for one in group)} of {len(group)}"
-        )
+        errors = np.array([error for one in group for error in one.errors])
+        ratios = errors / [deviation for one in group for deviation in one.deviations]
+        passed = "" if key[2] == PLAIN_METHOD else f"{len(group)} of {len(every)}"
         row = [*key, passed, str(len(names)), median_errors(key[0], names, errors)]
-        coverage, rms = np.mean(np.abs(ratios) < WITHIN_95), np.sqrt(np.mean(ratios**2))
-        row += [f"{100.0 * coverage:.0f} %", f"{rms:.2f}"] if names else ["", ""]
-        rows.append([*row, f"{np.median([one.seconds for one in group]):.1f}"])
+        if names:
+            coverage, rms = np.mean(np.abs(ratios) < WITHIN_95), np.sqrt(np.mean(ratios**2))
+            row += [f"{100.0 * coverage:.0f} %", f"{rms:.2f}"]
+        else:
+            row += ["", ""]
+        rows.append([*row, f"{np.median([one.seconds for one in every]):.1f}"])
     return rows
 
 
