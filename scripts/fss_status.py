@@ -16,7 +16,7 @@ from pathlib import Path
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rich import box
 from rich.console import Console, Group
 from rich.live import Live
@@ -355,7 +355,7 @@ def main() -> int:
         if found := problems(processes, listener):
             print(f"not healthy: {', '.join(found)}; logs: {options.logs}", file=sys.stderr)
         return 1 if found else 0
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         return 0 if options.watch else INTERRUPTED
     finally:
         listener.destroy_node()

@@ -102,7 +102,7 @@ def run(given: argparse.Namespace) -> int:
             if rig is None:
                 findings.append(Finding(0, "answers", FAIL, f"nothing at {url}"))
                 places.setdefault(0, url)
-                print(f"{url}: no link answers")
+                print(f"{url}: no link answers: is it switched on? Does another driver use it?")
                 continue
             number = rig.number
             with closing(rig.transport):

@@ -16,7 +16,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_topic_name import validate_topic_name
 from rich.console import Console
-from rich.table import Table
+from rich.markup import escape
+from rich.table import Column, Table
 
 from fss_arm_model.planar import mean_pose, wrap
 from fss_arm_model.settings import POSITIVE
@@ -87,7 +88,8 @@ class Listener(Node):
 
 def table(subjects: dict[str, SubjectLog]) -> Table:
     """Return the received subjects as a table."""
-    shown = Table("topic", *map("\n".join, zip(COLUMNS, UNITS, strict=True)), box=None)
+    headings = (escape(f"{name}\n{unit}") for name, unit in zip(COLUMNS, UNITS, strict=True))
+    shown = Table(Column("topic", overflow="fold"), *headings, box=None)
     for topic, subject in sorted(subjects.items()):
         shown.add_row(topic, *(subject.row() if subject.stamps else ["silent"]))
     return shown

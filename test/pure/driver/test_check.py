@@ -310,7 +310,7 @@ def test_a_place_where_nothing_answers_is_a_failure(checked, capsys):
     bench = Bench(LINK, deaf=True)
     bench.receive = list
     assert checked({FIRST_URL: bench})[0] == 2
-    assert "udp://first:5001: no link answers" in capsys.readouterr().out
+    assert "udp://first:5001: no link answers: is it switched on?" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("when", ["by hand", "free of any torque", "known torque", "type yes"])
