@@ -18,6 +18,7 @@ from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
 from fss_arm_model.units import SECOND
 from fss_link.protocol import Refused
+from fss_link.session import CommandError
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.vehicle import Motion
 
@@ -262,6 +263,14 @@ def test_commands_of_an_earlier_start_of_the_link_neither_arm_nor_shut_the_compu
     world.run(10)
     assert not world.link.gate.refused[Refused.SEQUENCE]
     assert not world.session.lost
+
+
+def test_a_link_without_the_driver_s_key_is_named_as_such():
+    world = World(key=None)
+    world.session = LinkSession(1, LINK, key=KEY)
+    world.run(3)
+    with pytest.raises(CommandError, match="3 frames without a valid signature: is its key in the"):
+        world.session.arm(world.now)
 
 
 def anew(world):

@@ -238,6 +238,8 @@ class Session(ABC, Generic[T]):
         if self._version != VERSION:
             return self.version_problem
         if (silence := self.silence(self.now)) == inf:
+            if unsigned := self.counts["signature"]:
+                return f"{unsigned} frames without a valid signature: is its key in the key file?"
             return "nothing received yet: is it switched on? Does another driver use it?"
         return f"silent for {silence:.1f} s"
 
