@@ -397,7 +397,10 @@ SWAPPED = Kind("swapped", r"^base and end effector are swapped", _swap)
 HOUR_APART = Kind("an hour", r"^clock of the joints .*\(an hour\) ahead", _late, 3600.0)
 STREAMS = [
     Kind(
-        "clock set", r"^clock of the joints(, gyro)? jumps ahead by 30 s after \d+ s", _jump, 30.0
+        "clock set",
+        r"^clock of the joints(, gyro)? jumps ahead by 30 s, \d+ s after its first message",
+        _jump,
+        30.0,
     ),
     Kind("clock backwards", r"^clock of the joints runs backwards", _joints, _backwards),
     Kind("no stamps", r"^stamps of the joints are 0", _unstamped),
