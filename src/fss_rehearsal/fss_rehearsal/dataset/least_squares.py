@@ -63,5 +63,7 @@ def fit(q: Floats, poses: Floats, start: Floats) -> tuple[Floats, Floats]:
         return np.concatenate([poses[:, 0] - tip.real, poses[:, 1] - tip.imag, turn])
 
     found = least_squares(residuals, start)
+    if np.linalg.matrix_rank(found.jac) < len(start) or 3 * len(q) <= len(start):
+        return found.x, np.full(len(start), np.inf)  # too few rests
     scale = 2.0 * found.cost / (3 * len(q) - len(start))
     return found.x, np.sqrt(scale * np.diag(np.linalg.inv(found.jac.T @ found.jac)))
