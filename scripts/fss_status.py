@@ -141,7 +141,7 @@ def link_table(listener: Listener) -> Table:
     """Return the table of the links' electronics."""
     table = _table(
         *("link", "state", ">joint\n[deg]", ">current\n[A]", ">battery\n[V]", ">drive\n[deg C]"),
-        *(">rate\n[Hz]", ">round\ntrip [ms]", ">faults"),
+        *(">rate\n[Hz]", ">round\ntrip\n[ms]", ">faults"),
     )
     for topic, received in sorted(listener.measured.items()):
         if received.kind is not LinkTelemetry or not received.recent:
