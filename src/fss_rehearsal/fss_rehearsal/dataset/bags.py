@@ -33,7 +33,7 @@ KINDS = "kinematic", "dynamic", "drift", "drives"
 USED_PRESETS = "ideal", "default", "laboratory"
 MANEUVERS_PER_LINK, MORE_MANEUVERS = 4, 4  # of a dynamic experiment
 CANDIDATES = 100  # tried for each maneuver
-EXCITATION_REPEATS = 2
+EXCITATION_REPEATS = 2  # of the moves of single joints
 REST = 5.2  # between maneuvers [s]
 DRIFT_TIME = 160.0  # [s]
 #: Hose and table of a drift; its result has these names: tilt as gravity along the table [m/s^2].
@@ -44,9 +44,10 @@ DRIFT_TRUTH = {
     "twist_damping": 0.01,
     "drag": 0.02,
 }
-#: Of the base at the start [m/s, m/s, rad/s]: the longest arm stays clear of the table's edge.
-LARGEST_TWIST = 0.0005, 0.0005, 0.002
-DRIFT_POSE, DRIFT_TWIST, DRIFT_ANGLE = (-0.3, 0.0, 0.0), (-0.003, 0.0015, 0.003), 0.8
+#: Of the base at the start: the longest arm stays clear of the table's edge.
+LARGEST_TWIST = 0.0005, 0.0005, 0.002  # [m/s, m/s, rad/s]
+DRIFT_POSE, DRIFT_TWIST = (-0.3, 0.0, 0.0), (-0.003, 0.0015, 0.003)  # [m, m, rad], [m/s, rad/s]
+DRIFT_ANGLE = 0.8  # of the joints in a drift, with alternating sign [rad]
 
 Clock = Callable[[], int]
 

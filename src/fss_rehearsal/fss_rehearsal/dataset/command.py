@@ -39,6 +39,11 @@ def parser() -> argparse.ArgumentParser:
     return found
 
 
+def blind_folder(folder: Path) -> Path:
+    """Return the folder beside a data set for what is not published."""
+    return folder.with_name(f"{folder.name}_blind_truth")
+
+
 def make_plans(pair: ArmPair, seed: int) -> dict[str, Any]:
     """Return the plan of each kind of experiment with an arm."""
     return {kind: plan(kind, pair.described, seed) for kind in KINDS}
@@ -57,7 +62,7 @@ def make_part(
 
 def make(folder: Path, seed: int) -> list[Estimates]:
     """Make all arms and bags; return the estimates in the order of kinds and presets."""
-    blind = folder.with_name(f"{folder.name}_blind_truth")
+    blind = blind_folder(folder)
     blind_seed = secrets.randbits(128)  # the hash of an arm from few seeds could be tried out
     for one in (folder / "arms", folder / "truth", blind):
         one.mkdir(parents=True)
@@ -103,8 +108,9 @@ def make(folder: Path, seed: int) -> list[Estimates]:
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `scripts/dataset.sh`."""
     options = parser().parse_args(args)
-    if options.folder.exists():
-        raise FileExistsError(f"{options.folder} exists, give a new folder")
+    for folder in (options.folder, blind_folder(options.folder)):
+        if folder.exists():
+            raise FileExistsError(f"{folder} exists, give a new folder")
     rows = results_table(make(options.folder, options.seed))
     write_sheet(options.folder, source_version(), options.seed, rows)
     console().print(f"data set and its sheet: {options.folder / 'README.md'}", soft_wrap=True)
