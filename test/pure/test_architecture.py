@@ -95,7 +95,8 @@ ROOMS = {
     },
     "fss_arm_driver": {
         *("fss_link", "fss_arm_ros", "fss_arm_msgs", ARRAYS, UNITS),
-        *within("fss_arm_model", "description description_file files settings urdf vehicle"),
+        *within("fss_arm_model", "description description_file files settings straight_moves"),
+        *within("fss_arm_model", "urdf vehicle"),
         *within("fss_arm_model.guard", "guard settings"),
     },
     SHARED_PROTOCOL: set(),

@@ -25,11 +25,11 @@ from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.state import restore
 from fss_arm_driver import protocol as links
+from fss_arm_driver.arm.move import MoveError
+from fss_arm_driver.arm.move import check as reject_unsupported_fields
+from fss_arm_driver.arm.move import plan as plan_move
 from fss_arm_driver.arm.request import TrajectoryError, parse_request
 from fss_arm_driver.arm.trajectory import plan_trajectory
-from fss_arm_driver.move import MoveError
-from fss_arm_driver.move import check as reject_unsupported_fields
-from fss_arm_driver.move import plan as plan_move
 from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import from_yaml, to_yaml

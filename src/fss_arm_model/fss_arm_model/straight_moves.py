@@ -57,15 +57,18 @@ def batch_law(waypoints: Sequence[Floats], durations: Sequence[Floats]) -> tuple
     return moves_law(np.array(knots), padded)
 
 
-def speed_profile(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return position (0 to 1), rate and acceleration of a move at the share x of its time."""
+def speed_profile(x: Floats, ramp: float = RAMP_SHARE) -> tuple[Floats, Floats, Floats]:
+    """Return position (0 to 1), rate and acceleration of a move at the share x of its time.
+
+    `ramp`, up to 0.5, is the share of its time for acceleration, and the same for deceleration.
+    """
     x = np.clip(x, 0.0, 1.0)
-    top = 1.0 / (1.0 - RAMP_SHARE)
+    top = 1.0 / (1.0 - ramp)
     y = np.minimum(x, 1.0 - x)
-    ramp = y < RAMP_SHARE
-    way = np.where(ramp, 0.5 * top / RAMP_SHARE * y**2, top * (y - 0.5 * RAMP_SHARE))
-    rate = np.where(ramp, top / RAMP_SHARE * y, top)
-    acceleration = np.where(ramp, np.where(x < 0.5, top / RAMP_SHARE, -top / RAMP_SHARE), 0.0)
+    is_ramp = y < ramp
+    way = np.where(is_ramp, 0.5 * top / ramp * y**2, top * (y - 0.5 * ramp))
+    rate = np.where(is_ramp, top / ramp * y, top)
+    acceleration = np.where(is_ramp, np.where(x < 0.5, top / ramp, -top / ramp), 0.0)
     return np.where(x < 0.5, way, 1.0 - way), rate, acceleration
 
 
@@ -80,15 +83,31 @@ def speed_limited_duration(arm: Arm, way: Floats) -> Floats:
 
 
 def torque_limited_duration(arm: Arm, begin: Floats, end: Floats) -> Floats:
-    """Return the least time of moves (..., n), also limited by the drives' torque, (...) [s].
+    """Return the least time of moves (..., n), also limited by the drives' torque, (...) [s]."""
+    least = speed_limited_duration(arm, end - begin)
+    return least * torque_stretch(arm, begin, end, least)
+
+
+def torque_stretch(
+    arm: Arm, begin: Floats, end: Floats, durations: Floats | float, ramp: float = RAMP_SHARE
+) -> Floats:
+    """Return the factors (...) >= 1 by which moves (..., n) last longer due to the drives' torque.
 
     Without momentum, the torques of a path scale with the inverse square of its duration.
+
+    Args:
+        arm: the arm.
+        begin: joint angles (..., n) [rad].
+        end: joint angles (..., n) [rad].
+        durations: durations (...) [s] before the torque is considered.
+        ramp: share of the time for acceleration.
     """
     limits = TORQUE_SHARE * np.array(
         [link.drive.torque_constant * link.drive.max_current for link in arm.links]
     )
-    s, rate, acceleration = (x[:, None] for x in speed_profile(np.linspace(0.0, 1.0, 31) + 1e-9))
+    x = np.linspace(0.0, 1.0, 31) + 1e-9
+    s, rate, acceleration = (x[:, None] for x in speed_profile(x, ramp))
     q, way = begin[..., None, :], (end - begin)[..., None, :]
     torques = free_torques(arm.vector(), q + s * way, rate * way, acceleration * way)[0]
-    least = speed_limited_duration(arm, end - begin)
-    return np.asarray(np.maximum(least, np.sqrt(np.max(np.abs(torques) / limits, axis=(-2, -1)))))
+    share = np.max(np.abs(torques) / limits, axis=(-2, -1)) / durations**2
+    return np.asarray(np.maximum(1.0, np.sqrt(share)))

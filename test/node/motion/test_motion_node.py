@@ -12,8 +12,8 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from fss_arm_driver.arm.move import MAX_DURATION as ARM_MAX_DURATION
 from fss_arm_driver.arm.request import MAX_POINTS as ARM_MAX_POINTS
-from fss_arm_driver.move import MAX_DURATION as ARM_MAX_DURATION
 from fss_arm_motion import messages
 from fss_arm_motion.messages import MAX_CHARACTERS, MAX_DURATION, MAX_POINTS, too_long
 from fss_arm_motion.motion_node import MotionNode

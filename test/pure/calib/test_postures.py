@@ -57,6 +57,15 @@ def test_any_arm_gets_postures_that_identify_it(n):
     assert min(apart) >= (MIN_DIFFERENCE if n > 2 else np.radians(4.0))
 
 
+@pytest.mark.parametrize("change", [{"a": 0.28}, {"q_min": -1.2, "q_max": 1.2}])
+def test_an_arm_of_four_links_that_cannot_take_the_table_gets_its_own_postures(change):
+    arm = replace(paper_arm(), links=tuple(replace(k, **change) for k in paper_arm().links))
+    q = default_postures(arm)
+    assert not np.array_equal(q, DEFAULT_POSTURES)
+    assert all(is_clear(Guard(arm), *move) for move in pairwise(q))
+    assert np.abs(q).max() <= arm.links[0].q_max
+
+
 def test_more_postures_than_one_joint_has_room_for_are_chosen_in_time():
     """Each that is exchanged makes another crowded, and so on for ever."""
     arm = replace(paper_arm(), links=paper_arm().links[:1])

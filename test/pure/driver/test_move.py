@@ -3,14 +3,17 @@
 from dataclasses import replace
 from math import inf, nan
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fss_arm_driver.move import MoveError, check, plan
+from fss_arm_driver.arm.move import MoveError, check, plan
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Drive, paper_arm
+from fss_arm_model.free_floating import free_torques
+from fss_arm_model.straight_moves import TORQUE_SHARE
 
 ARM = paper_arm()
 ANGLE = st.floats(-1.5, 1.5)
@@ -76,6 +79,33 @@ def test_the_slowest_joint_sets_the_pace():
     velocities = [part.velocity for part in move.profiles]
     assert velocities == pytest.approx([0.1, 0.2, 0.3, 0.0], abs=3e-6)
     assert move.duration == pytest.approx(5.0 + 0.3 / 2.0)
+
+
+def torque_share(arm, move, frames=400):
+    """Largest share of the drives' torque that a move of an arm without momentum uses."""
+    t = (np.arange(frames) + 0.5) / frames * move.duration
+    states, h = [move.at(time) for time in t], 1e-6
+    rates = [(np.array(move.at(x + h)[1]) - move.at(x - h)[1]) / (2.0 * h) for x in t]
+    angles, speeds = (np.array(part) for part in zip(*states, strict=True))
+    torques = free_torques(arm.vector(), angles, speeds, np.array(rates))[0]
+    limits = [k.drive.torque_constant * k.drive.max_current for k in arm.links]
+    return float(np.max(np.abs(torques) / limits))
+
+
+def test_no_move_needs_more_torque_than_the_drives_have():
+    """A drive that cannot follow its profile stops with a tracking error."""
+    rng, shares, factors = np.random.default_rng(1), [], []
+    strong = replace(ARM, links=tuple(replace(k, drive=Drive(max_current=1e6)) for k in ARM.links))
+    for _ in range(100):
+        q, goal = (tuple(row) for row in rng.uniform(-1.5, 1.5, (2, 4)))
+        move = plan(ARM, q, goal)
+        shares.append(torque_share(ARM, move))
+        factors.append(move.duration / plan(strong, q, goal).duration)
+    # The torque is sampled at 31 times of a move; profiles are rounded to steps of frames.
+    assert max(shares) < 1.02 * TORQUE_SHARE
+    assert min(s for s, f in zip(shares, factors, strict=True) if f > 1.001) > 0.99 * TORQUE_SHARE
+    assert max(factors) > 1.2
+    assert sum(f == 1.0 for f in factors) > 5
 
 
 def test_no_way_takes_no_time():

@@ -36,9 +36,16 @@ DEFAULT_POSTURES: Floats = np.radians(
 
 
 def default_postures(arm: Arm, settings: GuardSettings | None = None) -> Floats:
-    """Return postures for an arm, (s, n) [rad]: DEFAULT for four links, else a design for it."""
-    if arm.n == 4:
-        return DEFAULT_POSTURES
+    """Return postures for an arm, (s, n) [rad]: DEFAULT_POSTURES if possible, else a design.
+
+    An arm of four links takes them if they are within its limits and all moves keep it clear.
+    """
+    if arm.n == DEFAULT_POSTURES.shape[1]:
+        guard = Guard(arm, settings)
+        low, high = (np.array([getattr(k, q) for k in arm.links]) for q in ("q_min", "q_max"))
+        within = np.all((low <= DEFAULT_POSTURES) & (high >= DEFAULT_POSTURES))
+        if within and all(is_clear(guard, *move) for move in pairwise(DEFAULT_POSTURES)):
+            return DEFAULT_POSTURES
     return design_postures(arm, max(13, 2 * arm.n + 2), settings=settings)
 
 

@@ -16,10 +16,10 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
+from fss_arm_driver.arm.move import Profile
 from fss_arm_driver.arm.state import LinkState
 from fss_arm_driver.arm.stream import SetPoint
 from fss_arm_driver.arm.trajectory import Trajectory
-from fss_arm_driver.move import Profile
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.arrays import Floats

@@ -12,8 +12,8 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_driver.arm.arbiter import Motion
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
+from fss_arm_driver.arm.move import Move, MoveError, Profile, check, plan
 from fss_arm_driver.liveness import GoalClient
-from fss_arm_driver.move import Move, MoveError, Profile, check, plan
 from fss_arm_model.guard.guard import GuardError
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand

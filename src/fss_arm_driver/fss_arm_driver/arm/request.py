@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_driver.move import MAX_DURATION
+from fss_arm_driver.arm.move import MAX_DURATION
 from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, joint_names

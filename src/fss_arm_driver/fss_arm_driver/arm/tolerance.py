@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from reprlib import repr as short
 from typing import Any
 
+from fss_arm_driver.arm.move import MAX_DURATION
 from fss_arm_driver.arm.request import Code, TrajectoryError
-from fss_arm_driver.move import MAX_DURATION
 from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.description import joint_names
 from fss_arm_model.units import SECOND

@@ -28,7 +28,7 @@ from fss_arm_calib.segments.rests import (
     RestFinder,
     rejected_without_repeat,
 )
-from fss_arm_driver.move import Move, plan
+from fss_arm_driver.arm.move import Move, plan
 from fss_arm_driver.session import LinkSession, Sample
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described

@@ -18,6 +18,9 @@ are predicted in the same way:
 
     friction  -(viscous + coulomb / sqrt(qd^2 + smooth^2)) qd
     stop      beyond the joint's range, a spring and a damper that push and never pull
+
+Without a servo the root is that of the step's start, for stability. A servo compensates the
+friction of the predicted rate.
 """
 
 import math
@@ -73,14 +76,19 @@ def _end_stop(joint, q, qd):  # type: ignore[no-untyped-def]
 
 
 @helper
+def _friction_coefficient(joint, qd):  # type: ignore[no-untyped-def]
+    """Return the friction of a joint per rate [N m s/rad]."""
+    return joint[3] + joint[4] / math.sqrt(qd * qd + SMOOTHING_SPEED * SMOOTHING_SPEED)
+
+
+@helper
 def _servo_law(joint, demand, q, qd, reference, law):  # type: ignore[no-untyped-def]
     """Advance the reference (2,) by one step; write to law (6,) the torques at zero acceleration.
 
     The torques are those of servo, friction and end stop, each followed by its damping.
     """
     mode, set_point, speed, acceleration = demand
-    most, viscous, coulomb = joint[2], joint[3], joint[4]
-    r, v = q, qd
+    most, r, v = joint[2], q, qd
     law[0] = law[1] = 0.0
     if mode == MODE_CURRENT:
         law[0] = min(max(set_point, -most), most)
@@ -89,7 +97,7 @@ def _servo_law(joint, demand, q, qd, reference, law):  # type: ignore[no-untyped
         r, v = advance_profile(goal, speed, acceleration, reference[0], reference[1])
         law[0], law[1] = -STIFFNESS * (q + STEP * qd - r) - DAMPING * (qd - v), DAMPING
     reference[0], reference[1] = r, v
-    law[3] = viscous + coulomb / math.sqrt(qd * qd + SMOOTHING_SPEED * SMOOTHING_SPEED)
+    law[3] = _friction_coefficient(joint, qd)
     law[2] = -law[3] * qd
     law[4], law[5] = _end_stop(joint, q, qd)
 
@@ -99,6 +107,9 @@ def _joint_torque(joint, q, qd, qdd, reference, law, torques):  # type: ignore[n
     """Return the torque between the bodies; write motor and transmitted torque to torques (2,)."""
     most, follows = joint[2], law[1] > 0.0
     friction, stop = law[2] - STEP * law[3] * qdd, law[4] - STEP * law[5] * qdd
+    if follows:
+        rate = qd + STEP * qdd
+        friction = -_friction_coefficient(joint, rate) * rate
     command_torque = law[0] - STEP * law[1] * qdd - (friction if follows else 0.0)
     motor = min(max(command_torque, -most), most)
     if motor != command_torque:

@@ -1,8 +1,9 @@
 """Move in which all joints start and arrive together: one trapezoid, scaled for each joint.
 
 With s from 0 to 1 as the common path, joint i turns by d_i s(t): its profile velocity is
-|d_i| V and its acceleration |d_i| A for the rate V and acceleration A of s, the largest that no
-joint's limits forbid. The drives run the profiles by themselves.
+|d_i| V and its acceleration |d_i| A for the rate V and acceleration A of s. These are the largest
+that no joint's velocity and acceleration forbids, and that leave the drives torque for control. The
+drives run the profiles by themselves.
 
 A frame gives an acceleration in steps that are coarse for a slow joint. Such a joint accelerates
 faster than its part, to a velocity with which it still arrives with the others.
@@ -12,8 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, copysign, sqrt
 
+import numpy as np
+
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Arm, Link
+from fss_arm_model.straight_moves import torque_stretch
 from fss_arm_model.units import angle_beyond
 
 MIN_TRAVEL = 1e-9  # a shorter way needs no profile [rad]
@@ -74,7 +78,7 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
         q: present angles of the joints, at rest.
         goal: desired angles.
         duration: desired duration [s]; if the limits do not allow it (such as 0), the shortest
-            possible one.
+            possible one, for an arm without momentum.
 
     Raises:
         MoveError: the goal is invalid (see `check`).
@@ -88,7 +92,9 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
     rate = min(k.max_velocity / d for k, d in zip(drives, way, strict=True) if d)
     rate = min(rate, sqrt(gain))  # a short way ends before its limit is reached
     fastest = 1.0 / rate + rate / gain
-    lasts = max(fastest, duration)
+    ends, ramp = np.array([q, goal]), rate / gain / fastest
+    stretch = torque_stretch(arm, ends[0], ends[1], fastest, ramp)
+    lasts = max(fastest * float(stretch), duration)
     gain *= (fastest / lasts) ** 2
     profiles = tuple(
         _profile(link, angle, d, d * gain, lasts)
