@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from fss_arm_calib import checks
-from fss_arm_calib.acceptance import Check, format_count
+from fss_arm_calib.acceptance import CAUSE, PASS, Check, format_count
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import table_report
 from fss_arm_calib.segments.streams import Datum, Streams
@@ -113,6 +113,7 @@ class Calibration(Generic[D, C]):
     has_urdf: bool = True  # `output` is a description; its URDF is written next to it
     clocks: Callable[[Streams, Any], Check] = lambda streams, s: checks.clocks(streams, s.joint_gap)
     stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result is outdated
+    early_cause: Callable[[Sequence[D], Arm, C], str] = lambda *_: ""  # of few data; empty: none
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
     unavailable: Mapping[str, str] = field(default_factory=dict)  # features, with reasons
     #: Measurements for a joint estimate.
@@ -150,7 +151,17 @@ class Calibration(Generic[D, C]):
             return f"the arm has no {', '.join(streams.unknown)}"
         if (clocks := self.clocks(streams, settings)).needed and clocks.reason:
             return f"{clocks.reason}: call {self.name}/forget to reset"
-        return self.stale(outcome, streams)
+        causes = (check.reason for check in outcome.checks if check.name == CAUSE)
+        likely = next(causes, "") if outcome.verdict != PASS else ""
+        return likely or self.stale(outcome, streams)
+
+    def with_early_cause(self, outcome: Outcome[D, Any]) -> Outcome[D, Any]:
+        """Return an outcome that did not pass with its likely cause, if few data show one."""
+        if outcome.verdict == PASS or any(check.name == CAUSE for check in outcome.checks):
+            return outcome
+        words = self.early_cause(outcome.data, outcome.arm, outcome.settings)
+        found = (checks.cause(words, outcome.verdict),) if words else ()
+        return replace(outcome, checks=(*found, *outcome.checks))
 
     def write(self, path: str, outcome: Outcome[D, Any]) -> None:
         """Write the output of a calibration that has passed; beside a description its URDF."""

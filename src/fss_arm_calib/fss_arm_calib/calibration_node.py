@@ -8,7 +8,7 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from fss_arm_calib.acceptance import FAIL, PASS, format_count
+from fss_arm_calib.acceptance import CAUSE, FAIL, PASS, format_count
 from fss_arm_calib.calibration import CAUSES, Calibration
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
@@ -104,7 +104,8 @@ class CalibrationNode(Node):
             self.writer(lambda: write(folder, self.kind.report_of(self.outcome)))
         response.success = self.outcome.verdict == PASS
         response.message = f"{self.outcome.verdict}: {self.outcome.summary}"
-        if self.outcome.verdict == FAIL and CAUSES not in self.kind.unavailable:
+        known = any(check.name == CAUSE for check in self.outcome.checks)
+        if self.outcome.verdict == FAIL and CAUSES not in self.kind.unavailable and not known:
             response.message += "; to find the cause, run from_bag on a recording"
         return response
 
@@ -137,10 +138,11 @@ class CalibrationNode(Node):
         return self.flags.and_then(self.finder.streams())
 
     def solve(self) -> Outcome[Any, Any]:
-        """Solve the calibration from all data."""
+        """Solve the calibration from all data; look for the cause if it does not pass."""
         found: Outcome[Any, Any] = self.kind.calibrate(
             self.data, self.initial.arm, self.settings, self.streams(), LIVE
         )
+        found = self.kind.with_early_cause(found)
         give_back()
         return found
 

@@ -21,6 +21,7 @@ from fss_arm_calib.messages import calibration_part, common_message
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.recompute import main as recompute
 from fss_arm_calib.recompute import recalibrate
+from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description_file import load
 from fss_arm_model.urdf import urdf
 from fss_arm_msgs.msg import Calibration
@@ -144,6 +145,25 @@ def test_one_that_fails_says_where_its_cause_is_looked_for(kept, made):
     assert not response.success
     looks = "; to find the cause, run from_bag on a recording"
     assert response.message == "fail: too large" + looks * (CAUSES not in made.kind.unavailable)
+
+
+def test_the_likely_cause_is_named_from_three_observations_on(kept, toy):
+    def wrong(one):
+        return replace(one, q=(one.q[0], -one.q[1], *one.q[2:]))
+
+    node = kept(toy)
+    reversed_joint = [wrong(one) for one in toy.outcome.data]
+    node.add_data(reversed_joint[:2])
+    assert "wrong sign" not in node.outcome.reason
+    node.add_data(reversed_joint[2:5])
+    assert node.outcome.reasons[0].startswith("joint_2 with the wrong sign? reversed, ")
+    problem = node.kind.problem(node.outcome, Streams(), node.settings)
+    assert problem == node.outcome.reasons[0]
+    node.add_data(reversed_joint[5:])
+    assert node.outcome.verdict == FAIL
+    answer = node.on_solve(Trigger.Request(), Trigger.Response())
+    assert answer.message.startswith("fail: joint_2 with the wrong sign? reversed, ")
+    assert "from_bag" not in answer.message
 
 
 def test_a_failed_result_is_published_and_not_written_over_a_good_one(kept, toy, tmp_path):

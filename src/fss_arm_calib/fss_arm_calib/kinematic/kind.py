@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from fss_arm_calib.calibration import Calibration, Input
 from fss_arm_calib.codec import fieldwise_data, flatten
 from fss_arm_calib.kinematic.calibrate import calibrate
+from fss_arm_calib.kinematic.early_cause import early_cause
 from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import Solution, problem_of
@@ -14,7 +15,7 @@ from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_calib.segments.rests import Observation, RestFinder
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_calib.segments.telemetry import rehomed_joints
+from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 
@@ -54,6 +55,12 @@ def stale(outcome: Outcome[Observation, Solution], streams: Streams) -> str:
     return f"{names} homed or restarted since: calibrate the offsets" if again else ""
 
 
+def likely_cause(observations: Sequence[Observation], arm: Arm, s: KinematicSettings) -> str:
+    """Describe the likely cause of observations that contradict the description; else empty."""
+    used = [one for one in keep_since_homing(observations) if one.used]
+    return early_cause(problem_of(used, arm, s))
+
+
 KINEMATIC = Calibration(
     name="kinematic",
     settings=KinematicSettings,
@@ -76,4 +83,5 @@ KINEMATIC = Calibration(
     recomputed_fields=("held_out_residuals", "held_out_normalized"),
     report=kinematic_report,
     stale=stale,
+    early_cause=likely_cause,
 )
