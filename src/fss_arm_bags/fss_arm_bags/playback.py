@@ -103,6 +103,7 @@ class Playback:
         self.state = "playing"
         yield from self._play_once()
         while self.settings.loop:
+            yield  # a pass without a wait would otherwise repeat in the same tick
             self.outputs.log("repeating from the start")
             yield from self._play_once()
         self.state = "waiting for acknowledgements"

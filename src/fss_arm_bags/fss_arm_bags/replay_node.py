@@ -2,6 +2,7 @@
 
 import sys
 from collections import Counter
+from time import monotonic
 from typing import Any
 
 from rclpy.clock import Clock as NodeClock
@@ -18,12 +19,13 @@ from fss_arm_bags.reader import BagError, open_bags, two_versions
 from fss_arm_bags.replay import choose_topics, playback_qos
 from fss_arm_bags.settings import ReplaySettings
 from fss_arm_ros.convert import to_time
-from fss_arm_ros.diagnostics import OK, Diagnostics, Health
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.rclpy_compat import RCLError
 
 TICK = 0.002  # [s]
 PUBLISHER_CHECK_PERIOD = 0.25  # [s]
+MAX_WAIT_FOR_ROOM = 1.0  # a longer wait for a slow subscriber is reported [s]
 
 
 class ReplayNode(Node):
@@ -45,7 +47,9 @@ class ReplayNode(Node):
         span = playback_span(self.bags.span, self.settings.start)
         self.upgraded_types: dict[str, Any] = {}  # current classes of topics with an earlier type
         self.players = self.create_players()
-        self.names = {player.topic_name: player for player in self.players.values()}
+        self.players_by_name = {player.topic_name: player for player in self.players.values()}
+        self.refused: tuple[str, float] | None = None  # topic without room, and since when [s]
+        # A topic that wait_for names n times needs n subscribers.
         wait_for = Counter(map(self.resolve_topic_name, self.settings.wait_for))
         self.playback = Playback(
             self.bags, span, self.settings, self.players, self.upgraded_types, wait_for, self
@@ -74,8 +78,10 @@ class ReplayNode(Node):
                 self.get_logger().warning(f"{topic} is not played: {error}")
                 continue
             players[topic] = self.create_publisher(kind, name, playback_qos(about))
+        names = {topic: player.topic_name for topic, player in players.items()}
+        played = [a if a == b else f"{a} as {b}" for a, b in names.items()]
         skipped = ", ".join(sorted(set(self.bags.topics) - set(players))) or "nothing"
-        self.get_logger().info(f"playing {', '.join(players) or 'nothing'}; leaving out {skipped}")
+        self.get_logger().info(f"playing {', '.join(played) or 'nothing'}; leaving out {skipped}")
         return players
 
     def tick(self) -> None:
@@ -93,9 +99,9 @@ class ReplayNode(Node):
             if self.count_publishers(player.topic_name) > 1:
                 others = {p.node_name for p in self.get_publishers_info_by_topic(player.topic_name)}
                 names = ", ".join(sorted(others - {self.get_name()})) or "another replay"
+                advice = "set clock:=false" if player is self.clock else "choose other topics"
                 raise SystemExit(
-                    f"{player.topic_name} is also published by {names}: "
-                    "stop it, or choose other topics"
+                    f"{player.topic_name} is also published by {names}: stop it, or {advice}"
                 )
 
     def publish(self, topic: str, message: Any) -> bool:
@@ -105,7 +111,9 @@ class ReplayNode(Node):
         except RCLError:
             if not self.context.ok():
                 raise
+            self.refused = self.refused or (self.players[topic].topic_name, monotonic())
             return False
+        self.refused = None
         return True
 
     def publish_clock(self, ns: int) -> None:
@@ -119,7 +127,8 @@ class ReplayNode(Node):
 
     def count_subscribers_of(self, name: str) -> int | None:
         """Return the number of subscribers of a name that is played; None: it is not played."""
-        return self.names[name].get_subscription_count() if name in self.names else None
+        player = self.players_by_name.get(name)
+        return player.get_subscription_count() if player else None
 
     def log(self, text: str) -> None:
         """Log a line."""
@@ -129,6 +138,9 @@ class ReplayNode(Node):
         """Return the diagnostic status: state and progress."""
         at, length = self.playback.progress
         values = {"played": self.playback.played, "at [s]": at, "of [s]": length}
+        if self.refused and (waited := monotonic() - self.refused[1]) > MAX_WAIT_FOR_ROOM:
+            words = f"waiting {waited:.1f} s for a subscriber of {self.refused[0]}"
+            return Health(WARN, words, values)
         return Health(OK, self.playback.state, values)
 
     def unfinished(self) -> str:

@@ -1,8 +1,13 @@
 """The replay to live subscribers."""
 
+import re
+
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from ros_bags import (
@@ -25,6 +30,7 @@ from fss_arm_bags.replay_node import ReplayNode
 from fss_arm_msgs.msg import KinematicCalibration
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
+from fss_arm_ros.rclpy_compat import RCLError
 
 KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 KEPT = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -120,6 +126,41 @@ def test_another_publisher_stops_the_replay(spin, tmp_path):
     reason = exit_code(spin, [player, node])
     assert reason == "/joint_states is also published by link_1: stop it, or choose other topics"
     assert player.playback.played == 0
+
+
+def test_another_clock_stops_the_replay(spin, tmp_path):
+    node = Node("sim")
+    node.create_publisher(Clock, "/clock", 1)
+    player = replay(make_bag(tmp_path, 10), clock=True, discovery=10.0)
+    reason = exit_code(spin, [player, node])
+    assert reason == "/clock is also published by sim: stop it, or set clock:=false"
+
+
+def test_a_subscriber_without_room_is_reported(spin, tmp_path, monkeypatch):
+    player = replay(make_bag(tmp_path, 3), topics=["joint_states"], hold=True)
+    slow, publish = player.players["/joint_states"], Publisher.publish
+
+    def refuse(publisher, message):
+        if publisher is slow:
+            raise RCLError("timeout")
+        publish(publisher, message)
+
+    monkeypatch.setattr(Publisher, "publish", refuse)
+    spin(player, lambda: player.health().level == DiagnosticStatus.WARN)
+    assert re.fullmatch(
+        r"waiting 1\.\d s for a subscriber of /joint_states", player.health().message
+    )
+    monkeypatch.undo()
+    spin(player, lambda: player.playback.state == "holding")
+    assert (player.health().level, player.playback.played) == (DiagnosticStatus.OK, 3)
+
+
+def test_names_that_differ_from_the_recorded_ones_are_logged(spin, monkeypatch):
+    lines = []
+    monkeypatch.setattr(RcutilsLogger, "info", lambda _, text: lines.append(text))
+    replay(FIRST)
+    assert "/calibration/kinematic as /recorded/calibration/kinematic" in lines[0]
+    assert "/joint_states," in lines[0]
 
 
 def test_messages_of_the_first_version_are_upgraded(spin):

@@ -129,6 +129,20 @@ def test_it_repeats(tmp_path):
     assert "repeating from the start" in bench.lines
 
 
+def test_a_repetition_lets_the_node_run(tmp_path):
+    """A single message is due at once, so that a pass has nothing to wait for."""
+    bench = Bench(make_bag(tmp_path, 1), loop=True)
+
+    def publish(topic, message):
+        assert len(bench.published) <= bench.ticks, "it repeats without end in one tick"
+        bench.published.append(message)
+        return True
+
+    bench.publish = publish
+    bench.run(10)
+    assert (bench.ticks, len(bench.published)) == (10, 10)
+
+
 def test_it_waits_for_subscribers(tmp_path):
     bench = Bench(make_bag(tmp_path, 3), {TOPIC: 2}, rate=0.0, deadline=60.0)
     bench.subscribers[TOPIC] = 1
