@@ -28,7 +28,7 @@ from fss_arm_bags.integrity import examine
 from fss_arm_bags.reader import BagError, digest, find_bags, open_bags
 from fss_arm_bags.recorder import Limits, Recording, bag_qos, next_bag
 from fss_arm_model.units import SECOND
-from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.qos import LATCHED, SENSOR
 
 
 def test_rosbags_reads_what_was_written(tmp_path):
@@ -320,6 +320,32 @@ def test_doctor_reports_and_sets_its_exit_code(tmp_path, capsys):
     file.write_bytes(file.read_bytes()[:100])
     assert doctor([str(good)]) == 2
     assert "; nothing can be recovered" in capsys.readouterr().out
+
+
+def test_doctor_examines_all_bags_also_after_one_that_is_not_readable(tmp_path, capsys):
+    good, bad = make_bag(tmp_path / "good"), make_killed_bag(tmp_path / "bad")
+    none, text = tmp_path / "none", tmp_path / "notes.txt"
+    text.write_text("no bag")
+    assert doctor([str(none), str(text), str(good)]) == 1
+    said = capsys.readouterr()
+    assert "101 messages" in said.out
+    assert [line.partition(" no ")[0] for line in said.err.splitlines()] == [
+        f"doctor: {none}:",
+        f"doctor: {text}:",
+    ]
+    assert doctor([str(none), str(bad)]) == 2
+
+
+def test_doctor_prints_brackets_in_names_of_topics(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("fss_arm_bags.doctor.command.remark", lambda _: "remarkable")
+    recording = Recording(tmp_path)
+    recording.add("/a[red]b", "std_msgs/msg/String", [LATCHED])
+    recording.write("/a[red]b", START, serialize_message(String(data="arm")))
+    recording.close()
+    assert doctor([str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert said.count("/a[red]b") == 2  # in the table and with the remark
+    assert "remarkable: /a[red]b" in said
 
 
 @pytest.mark.parametrize("limits", [Limits(size=20_000), Limits(span=SECOND)])

@@ -14,9 +14,9 @@ from rich.table import Table
 from fss_arm_bags.doctor.health import Stream, findings, remark, streams
 from fss_arm_bags.doctor.options import parser
 from fss_arm_bags.doctor.repair import can_repair, repair
-from fss_arm_bags.reader import Bags, find_bags, open_bags
+from fss_arm_bags.reader import BagError, Bags, find_bags, open_bags
 from fss_arm_bags.recovery import Recovered
-from fss_arm_ros.command_line import in_one_line
+from fss_arm_ros.command_line import USER_ERROR, in_one_line, in_words
 from fss_arm_ros.convert import seconds
 
 HEALTHY, UNHEALTHY = 0, 2  # exit codes
@@ -28,16 +28,31 @@ def main(args: Sequence[str] | None = None) -> int:
     """Entry point.
 
     Returns:
-        The exit code: 0 if all bags are healthy, 2 if a bag is damaged or has findings.
+        The largest exit code of the bags: 0 healthy, 1 not readable, 2 damaged or with findings.
     """
     options = parser().parse_args(args)
     console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 120)
-    healthy = [examine(path, options.repair, console) for path in options.bags]
-    return HEALTHY if all(healthy) else UNHEALTHY
+    return max(exit_code(path, options.repair, console) for path in options.bags)
+
+
+def exit_code(path: Path, with_repair: bool, console: Console) -> int:
+    """Examine the bags of a path and return the exit code; print why they are not readable."""
+    try:
+        return HEALTHY if examine(path, with_repair, console) else UNHEALTHY
+    except (BagError, OSError) as error:
+        print(f"doctor: {in_words(error)}", file=sys.stderr)
+        return USER_ERROR
 
 
 def examine(path: Path, with_repair: bool, console: Console) -> bool:
-    """Print the contents and the problems of the bags of a path; repair them first on request."""
+    """Print contents and problems of the bags of a path, repaired first on request.
+
+    Returns:
+        True if the bags are healthy.
+
+    Raises:
+        BagError: a bag cannot be read or repaired.
+    """
     for bag in find_bags(path) if with_repair else ():
         if recovered := repair(bag):
             console.print(f"repaired: {escape(str(recovered))}")
@@ -60,7 +75,7 @@ def examine(path: Path, with_repair: bool, console: Console) -> bool:
                 remarks.setdefault(note, []).append(name)
     for note, names in remarks.items():
         line = f"{note}: {', '.join(names)}"
-        console.print(fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False))
+        console.print(escape(fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False)))
     for line in problems:
         console.print(escape(line), style="red")
     console.print("[red]not healthy[/]" if problems else "[green]healthy[/]")
@@ -96,5 +111,5 @@ def table(path: Path, bags: Bags, by_topic: dict[str, Stream]) -> Table:
         rate, gap = by_topic[name].rate, by_topic[name].longest_gap
         numbers = ("-" if isnan(rate) else f"{rate:.2f}", "-" if isnan(gap) else f"{gap:.3f}")
         kind = topic.msgtype.rpartition("/")[2]
-        rows.add_row(name, kind, str(topic.messages), *numbers)
+        rows.add_row(escape(name), escape(kind), str(topic.messages), *numbers)
     return rows
