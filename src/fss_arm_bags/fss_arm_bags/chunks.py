@@ -21,8 +21,9 @@ RECORD = Struct("<BQ")  # kind of the record, length of its content
 MESSAGE_HEADER = Struct("<HIQQ")  # channel, sequence, time of receipt, time of publication
 CRC = Struct("<I")
 CHUNK_CRC = RECORD.size + 24  # offset of the checksum in a chunk record
+CHUNK_DATA = RECORD.size + 40  # offset of its data, without the name of the compression
 
-SCHEMA, CHANNEL, MESSAGE, CHUNK = 3, 4, 5, 6
+SCHEMA, CHANNEL, MESSAGE, CHUNK = 3, 4, 5, 6  # kinds of records
 
 RECEIPT = itemgetter(0)
 
@@ -43,9 +44,9 @@ class _Chunk(NamedTuple):
         """Return all messages on these topics, in the order of the chunk."""
         i, file = self.info, self.storage.bio
         assert file
-        file.seek(i.chunk_start_offset + RECORD.size + 24)
+        file.seek(i.chunk_start_offset + CHUNK_CRC)
         (crc,) = CRC.unpack(file.read(CRC.size))
-        file.seek(i.chunk_start_offset + RECORD.size + 40 + len(i.compression))
+        file.seek(i.chunk_start_offset + CHUNK_DATA + len(i.compression))
         packed = file.read(i.compressed_size)
         data = decompress(packed, i.compression, i.uncompressed_size, crc)
         wanted = {c.id: c for c in self.storage.connections if c.topic in topics}
@@ -66,6 +67,8 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
     """
     at = 0
     while at < len(data):
+        if len(data) - at < RECORD.size:
+            raise ChunkError(f"the record at byte {at} of a chunk is cut off")
         kind, length = RECORD.unpack_from(data, at)
         if kind == 0:
             raise ChunkError(f"no record at byte {at} of a chunk")
@@ -76,7 +79,11 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def indexed_chunks(readers: Iterable[AnyReader]) -> list[_Chunk] | None:
-    """Return the chunks of all files by start time; None if some messages are outside of chunks."""
+    """Return the chunks of all files, sorted by start time.
+
+    Returns:
+        The chunks; None if a file is not MCAP, or has messages but no index of chunks.
+    """
     found = []
     for bag in chain.from_iterable(reader.readers for reader in readers):
         storage = bag.storage if isinstance(bag, Reader) else None
@@ -95,6 +102,8 @@ def read_in_order(
     stop: int | None = None,
 ) -> Iterator[Received]:
     """Yield the messages on these topics, received from `start` to before `stop` [ns], in order.
+
+    The chunks must be sorted by start time, as those of `indexed_chunks`.
 
     Raises:
         ChunkError: a chunk is damaged.

@@ -25,6 +25,7 @@ from rosbags.rosbag2.storage_mcap import decompress
 from fss_arm_bags.chunks import (
     CHANNEL,
     CHUNK,
+    CHUNK_DATA,
     CRC,
     MESSAGE,
     MESSAGE_HEADER,
@@ -282,7 +283,7 @@ class _RecordCheck:
     def _check_chunk(self, at: int, chunk: Chunk) -> None:
         self._check_message_index()
         index = self.summary.chunks.get(at)
-        size = len(chunk.data) + RECORD.size + 40 + len(chunk.compression)
+        size = len(chunk.data) + CHUNK_DATA + len(chunk.compression)
         if index is None or (*chunk[:3], chunk.compression, len(chunk.data), size) != (
             index.message_start_time,
             index.message_end_time,

@@ -7,7 +7,7 @@ from rclpy.serialization import serialize_message
 from ros_bags import START, joint_state
 from rosbags.highlevel import AnyReader
 
-from fss_arm_bags.chunks import indexed_chunks
+from fss_arm_bags.chunks import MESSAGE, RECORD, ChunkError, indexed_chunks, records
 from fss_arm_bags.definitions import definition
 from fss_arm_bags.reader import open_bags
 
@@ -61,3 +61,11 @@ def test_topics_and_times_are_selected(tmp_path, topics):
         for start, stop in ((None, None), (begin, None), (None, end), (begin, end), (end, begin)):
             got = list(bags.raw(topics, start, stop))
             assert got == as_rosbags([path], topics, start, stop)
+
+
+@pytest.mark.parametrize("size", range(1, RECORD.size))
+def test_a_chunk_that_is_cut_off_is_damaged(size):
+    record = RECORD.pack(MESSAGE, 4) + bytes(4)
+    assert list(records(record)) == [(MESSAGE, RECORD.size, len(record))]
+    with pytest.raises(ChunkError, match="the record at byte 13 of a chunk is cut off"):
+        list(records(record + record[:size]))
