@@ -326,6 +326,28 @@ def test_rates_are_planned_for_as_long_as_their_stream_lives(bench):
     assert len(heard[-1].points) == 1
 
 
+@with_parameters(stream_time_to_live=2.0)
+def test_a_joint_that_left_a_stream_of_rates_starts_again_from_its_measured_rate(bench):
+    """Meanwhile it followed its angle or braked, which another joint of the stream does not."""
+    streams = bench.arm.streams
+
+    def rates(**fields):
+        accepted = streams.stream.accepted
+        bench.client.command(**fields)
+        bench.until(lambda: streams.stream.accepted > accepted)
+        return dict(streams.ramps)
+
+    first = rates(names=("joint_1", "joint_2"), velocity=(0.1, 0.1))
+    assert rates(names=("joint_1", "joint_2"), velocity=(0.1, 0.1)) == first
+    assert rates(names=("joint_1",), position=(0.0,)) == {2: first[2]}
+    until = bench.links.now() + round(streams.time_to_live * SECOND)
+    while bench.links.now() <= until:
+        rates(names=("joint_3",), velocity=(0.1,))
+    again = rates(names=("joint_1", "joint_2"), velocity=(0.1, 0.1))
+    assert again[1] is not first[1]
+    assert again[2] is not first[2]
+
+
 def test_a_move_is_refused_while_a_stream_has_the_turn(bench):
     bench.client.command(("joint_1",), velocity=(0.1,))
     bench.until(lambda: bench.links.taken)

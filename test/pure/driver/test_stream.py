@@ -39,7 +39,10 @@ REFUSED = {
     "nothing is filled": ("fields", state()),
     "position and velocity is filled": ("fields", state(position=[0.1], velocity=[0.1])),
     "position has 1 numbers for 2 names": ("fields", state(("joint_1", "joint_2"), position=[0.1])),
-    "has a joint twice": ("names", state(("joint_1", "joint_1"), position=[0.1, 0.1])),
+    "name has 'joint_2' twice": (
+        "names",
+        state(("joint_1", "joint_2", "joint_2"), position=[0.1, 0.1, 0.1]),
+    ),
     "'joint_5', expected joint_1 to joint_4": ("names", state(("joint_5",), position=[0.1])),
     "velocity of joint_1 is nan": ("number", state(velocity=[math.nan])),
     "effort of joint_1 is inf": ("number", state(effort=[math.inf])),
@@ -73,7 +76,8 @@ def test_a_message_lives_from_its_stamp_on(stream):
     assert stream.start_time(START_TIME + MAX_LEAD, START_TIME) == START_TIME
     with pytest.raises(StreamError, match=r"stamp is 0.501 s old, expected less than 0.5 s"):
         stream.start_time(START_TIME - 501_000_000, START_TIME)
-    with pytest.raises(StreamError, match=r"stamp is 0.101 s in the future"):
+    words = "stamp is 0.101 s in the future, expected at most 0.1 s: synchronize the clocks"
+    with pytest.raises(StreamError, match=words):
         stream.start_time(START_TIME + MAX_LEAD + 1_000_000, START_TIME)
 
 
@@ -105,6 +109,13 @@ def test_an_earlier_stamp_counts_as_the_last_one():
     for time, rate in ((1.0, 0.5), (1.1, 0.1), (1.05, 0.25), (1.11, 0.235)):
         last = ramp.acceleration(rate, time)
     assert last == pytest.approx(1.5, rel=1e-9)  # from 0.22 rad/s in 0.01 s
+
+
+def test_a_ramp_ends_with_the_time_to_live_of_its_last_command():
+    ramp = Ramp(0.0, 2.0)
+    assert not ramp.is_current(0.0, 0.5)
+    ramp.acceleration(0.1, 1.0)
+    assert [ramp.is_current(time, 0.5) for time in (1.0, 1.5, 1.51)] == [True, True, False]
 
 
 # --- whose turn it is ----------------------------------------------------------------------------

@@ -17,13 +17,13 @@ from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.description import Arm, joint_names
 from fss_arm_model.units import SECOND, angle_beyond
 
-MAX_LEAD = SECOND // 10  # largest lead of a stamp, as computers' clocks differ [ns]
+MAX_LEAD = SECOND // 10  # largest lead of a stamp, because computers' clocks differ [ns]
 RAMP_TIME = 0.1  # longest time in which a joint reaches a new rate, if it can [s]
 FIELDS = {"position": Mode.POSITION, "velocity": Mode.VELOCITY, "effort": Mode.CURRENT}
 
 
 class StreamError(ValueError):
-    """Error of a rejected message: the kind of the reason, and the reason."""
+    """Error of a refused message: the kind of the reason, and the reason."""
 
     def __init__(self, kind: str, words: str) -> None:
         super().__init__(words)
@@ -64,9 +64,13 @@ class Ramp:
         self._acceleration = missing / ramp_time if is_slow else self._limit
         return self._acceleration
 
+    def is_current(self, time: float, time_to_live: float) -> bool:
+        """Return True if the last command still applies at a time [s]; else the joint brakes."""
+        return self._time is not None and time <= self._time + time_to_live
+
 
 class Stream:
-    """Parser of the messages; it counts rejected ones by reason.
+    """Parser of the messages; it counts refused ones by reason.
 
     Args:
         arm: with the joints.
@@ -84,7 +88,7 @@ class Stream:
         """Return the start of a message's time to live, from its stamp [ns]; stamp 0: now.
 
         Raises:
-            StreamError: the message is too old, or its stamp is in the future.
+            StreamError: the message is too old, or its stamp too far in the future.
         """
         given = stamp or now
         if given + self._time_to_live < now:
@@ -95,14 +99,18 @@ class Stream:
             )
         if given > now + MAX_LEAD:
             ahead = (given - now) / SECOND
-            raise StreamError("future", f"stamp is {ahead:.3f} s in the future, expected the past")
+            raise StreamError(
+                "future",
+                f"stamp is {ahead:.3f} s in the future, expected at most {MAX_LEAD / SECOND:g} s: "
+                "synchronize the clocks",
+            )
         return min(given, now)
 
     def parse(self, message: Any) -> list[SetPoint]:
         """Return the set points in a message.
 
         Raises:
-            StreamError: it is invalid, or beyond the joints' limits.
+            StreamError: the message is invalid, or a position is beyond its joint's limits.
         """
         filled = [name for name in FIELDS if len(getattr(message, name))]
         if len(filled) != 1:
@@ -114,7 +122,8 @@ class Stream:
                 "fields", f"{filled[0]} has {len(values)} numbers for {len(names)} names"
             )
         if len(set(names)) < len(names):
-            raise StreamError("names", "name has a joint twice")
+            ((name, _),) = Counter(names).most_common(1)
+            raise StreamError("names", f"name has {short(name)} twice")
         return list(self._set_points(names, values, filled[0]))
 
     def _set_points(self, names: Any, values: Any, kind: str) -> Iterator[SetPoint]:
@@ -141,7 +150,7 @@ class Stream:
         self.accepted, self.kind = self.accepted + 1, ""
 
     def count_refusal(self, error: StreamError) -> bool:
-        """Count a rejected message; return True if the reason differs from the last one's."""
+        """Count a refused message; return True if the reason differs from the last one's."""
         self.refused[error.kind] += 1
         self.kind, before = error.kind, self.kind
         return before != error.kind

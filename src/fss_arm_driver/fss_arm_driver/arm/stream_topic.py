@@ -52,25 +52,30 @@ class StreamTopic:
         with self.links.arbiter.lock:
             if not self.links.arbiter.is_current(self.motion, now):
                 self.ramps.clear()  # a new stream starts its ramps from the measured rates
-            commands = {point.link: self.command(point, start) for point in points}
+            commands = {point.link: self.command(point, start, now) for point in points}
             motion = self.start_or_extend(points, start, now)
             motion.plan = self.plan(points)
             self.links.send(commands, start, motion, self.time_to_live)
 
-    def command(self, point: SetPoint, start: int) -> LinkCommand:
-        """Return the command of a link from a time [ns]."""
+    def command(self, point: SetPoint, start: int, now: int) -> LinkCommand:
+        """Return the command of a link from a time `start` [ns]."""
         command = self.commands[point.link]
         command.mode, command.set_point = int(point.mode), point.value
-        ramped = point.mode == Mode.VELOCITY
-        command.max_acceleration = self.ramp(point.link, point.value, start) if ramped else 0.0
+        if point.mode == Mode.VELOCITY:
+            ramp = self.ramp(point.link, now)
+            command.max_acceleration = ramp.acceleration(point.value, start / SECOND)
+        else:
+            command.max_acceleration = 0.0
+            self.ramps.pop(point.link, None)
         return command
 
-    def ramp(self, joint: int, rate: float, start: int) -> float:
-        """Update a joint's ramp with a rate [rad/s]; return the acceleration to it [rad/s^2]."""
-        if joint not in self.ramps:
+    def ramp(self, joint: int, now: int) -> Ramp:
+        """Return a joint's ramp; a new one from the measured rate if the joint follows no rate."""
+        ramp = self.ramps.get(joint)
+        if ramp is None or not ramp.is_current(now / SECOND, self.time_to_live):
             limit = self.links.arm.links[joint - 1].drive.max_acceleration
-            self.ramps[joint] = Ramp(self.links.states[joint].qd, limit)
-        return self.ramps[joint].acceleration(rate, start / SECOND)
+            ramp = self.ramps[joint] = Ramp(self.links.states[joint].qd, limit)
+        return ramp
 
     def check(self, points: list[SetPoint]) -> None:
         """Raise StreamError if the joints cannot or must not move."""
