@@ -122,7 +122,8 @@ class MocapNode(Node):
             try:
                 if kinds := types.get(relay.topic):
                     callback = partial(self.on_message, relay)
-                    subscribe_sensor(self, message_type(kinds), relay.topic, callback)
+                    kind = message_type(kinds, relay.subject)
+                    subscribe_sensor(self, kind, relay.topic, callback)
                     relay.obstacle = ""
             except RelayError as error:
                 if relay.obstacle != (obstacle := str(error)):

@@ -214,7 +214,7 @@ def test_what_is_to_be_relayed_and_does_not_come_is_named(spin):
     wanted = "waiting for /a: it has no publisher; /b: it has no publisher ("
     assert node.health().message.startswith(wanted)
     strange = user.create_publisher(Empty, "/b", SENSOR)
-    is_none = "/b: std_msgs/msg/Empty is no type of poses, expected one of "
+    is_none = "/b: std_msgs/msg/Empty contains no poses, expected one of geometry_msgs/msg/PoseSta"
     spin([node, user], lambda: is_none in node.health().message)
     user.destroy_publisher(strange)
     spin([node, user], lambda: user.count_publishers("/b") == 0)

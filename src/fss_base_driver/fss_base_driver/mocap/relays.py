@@ -1,6 +1,6 @@
 """Conversion of the messages of common receivers to poses in metres by subject."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -11,20 +11,20 @@ MILLIMETRE = 1e-3
 
 
 class RelayError(ValueError):
-    """Failure to read a topic's messages; the message says why."""
+    """Error of a topic that cannot be relayed."""
 
 
 @dataclass
 class Relay:
     """A relayed topic."""
 
-    subject: str  # of the poses; empty: the name in the messages, or else the topic's last name
+    subject: str  # of the poses; empty: as named in the messages, or else the topic's last part
     topic: str
     obstacle: str = "it has no publisher"  # why it is not relayed yet; empty: it is
 
     @property
     def last_name(self) -> str:
-        """Last name of the topic."""
+        """Last part of the topic's name."""
         return self.topic.rpartition("/")[2]
 
 
@@ -33,19 +33,23 @@ def describe_waiting(relays: Iterable[Relay]) -> list[str]:
     return [f"{relay.topic}: {relay.obstacle}" for relay in relays if relay.obstacle]
 
 
-def message_type(names: Iterable[str]) -> Any:
-    """Return the class of the first of a topic's types that holds poses.
+def message_type(names: Sequence[str], subject: str) -> Any:
+    """Return the class of the first of a topic's types that contains poses.
 
     Args:
         names: the types, such as geometry_msgs/msg/PoseStamped.
+        subject: name of the subject; empty: the name in the messages.
 
     Raises:
-        RelayError: none of them is a known type of poses, or its package is not installed.
+        RelayError: no type is one of READERS, its package is not installed, or its messages
+            contain several subjects and one is given.
     """
-    known = [name for name in names if name.rpartition("/")[2] in READERS]
+    known = [name for name in names if name in READERS]
     if not known:
         have = ", ".join(names)
-        raise RelayError(f"{have} is no type of poses, expected one of {', '.join(READERS)}")
+        raise RelayError(f"{have} contains no poses, expected one of {', '.join(READERS)}")
+    if subject and READERS[known[0]] is _named_pose_array:
+        raise RelayError(f"{known[0]} names its subjects: write the topic without {subject}=")
     package, _, kind = known[0].partition("/msg/")
     try:
         return getattr(import_module(f"{package}.msg"), kind)
@@ -57,11 +61,13 @@ def named_poses(message: Any, subject: str, scale: float) -> Iterator[tuple[str,
     """Yield the poses in a message, by subject.
 
     Args:
-        message: of one of READERS.
+        message: message of a type in READERS.
         subject: name of the subject; empty: the name in the message, if there is one.
         scale: length of one unit [m]; vicon_receiver's Position is always in millimetres.
     """
-    return READERS[type(message).__name__](message, subject, scale)
+    kind = type(message)
+    package = kind.__module__.partition(".")[0]
+    return READERS[f"{package}/msg/{kind.__name__}"](message, subject, scale)
 
 
 def _pose_stamped(message: Any, subject: str, scale: float) -> Iterator[tuple[str, Pose]]:
@@ -92,8 +98,8 @@ def _pose(at: Any, turn: Any, scale: float) -> Pose:
 
 
 READERS = {
-    "PoseStamped": _pose_stamped,
-    "TransformStamped": _transform_stamped,
-    "NamedPoseArray": _named_pose_array,
-    "Position": _position,
+    "geometry_msgs/msg/PoseStamped": _pose_stamped,
+    "geometry_msgs/msg/TransformStamped": _transform_stamped,
+    "motion_capture_tracking_interfaces/msg/NamedPoseArray": _named_pose_array,
+    "vicon_receiver/msg/Position": _position,
 }
