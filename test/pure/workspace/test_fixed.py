@@ -158,3 +158,8 @@ def test_limits_hold_for_the_encoder_by_default():
 def test_invalid_limits_are_rejected(limits):
     with pytest.raises(ValueError, match=r"limits are .*, expected 4 pairs"):
         fixed_workspace(paper_arm(), np.array(limits))
+
+
+def test_infinite_limits_are_rejected():
+    with pytest.raises(ValueError, match=r"limits are .*inf.*, expected finite angles"):
+        fixed_workspace(paper_arm(), np.array([[-math.inf, math.inf]] + [[-1.0, 1.0]] * 3))

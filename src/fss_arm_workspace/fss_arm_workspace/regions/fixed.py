@@ -51,7 +51,7 @@ def fixed_workspace(arm: Arm, limits: npt.ArrayLike | None = None) -> Region:
         without width.
 
     Raises:
-        ValueError: limits have the wrong shape or order.
+        ValueError: limits have the wrong shape or order, or are not finite.
     """
     x, y, heading = arm.base.mount
     lengths = [link.a for link in arm.links]
@@ -64,13 +64,15 @@ def checked_limits(arm: Arm, limits: npt.ArrayLike | None) -> Floats:
     """Return the limits, (n, 2) [rad], the arm's by default.
 
     Raises:
-        ValueError: the limits have the wrong shape or order.
+        ValueError: the limits have the wrong shape or order, or are not finite.
     """
     if limits is None:
         return joint_limits(arm)
     checked = np.asarray(limits, dtype=float)
     if checked.shape != (arm.n, 2) or not (checked[:, 0] < checked[:, 1]).all():
         raise ValueError(f"limits are {checked.tolist()}, expected {arm.n} pairs (lowest, highest)")
+    if not np.isfinite(checked).all():
+        raise ValueError(f"limits are {checked.tolist()}, expected finite angles")
     return checked
 
 
@@ -116,9 +118,10 @@ def _sweep_joint(
     at_end = Region(arcs, outer.loop)
 
     def inside(points: Complexes) -> npt.NDArray[np.bool_]:
-        """Return True for points that meet W_{k+1} when they are turned backwards through the span.
+        """Return True for points of W_k: turned back about joint k, they meet W_{k+1}.
 
-        They are inside W_{k+1} at the first angle, or their arcs cross its boundary.
+        Turning back by low + span to low draws an arc. It starts inside W_{k+1}, or crosses its
+        boundary.
         """
         first = points * np.exp(-1j * (low + span))
         back = Arcs(
@@ -152,11 +155,13 @@ def _with_reading(arcs: Arcs, k: int, reading: float) -> Arcs:
 
 def _circles(arcs: Arcs, k: int, low: float, span: float, q_low: float) -> Arcs:
     """Return arcs about the origin, joint k, through the ends and extreme points of the arcs."""
+    # An arc is farthest from joint k in the direction of its centre, and nearest in the opposite
+    # one, unless these are beyond its ends. `along` is 0 at its start and 1 at its end.
     angle = np.angle(arcs.center)[None] + np.array([[0.0], [pi]])
     along = (np.sign(arcs.sweep) * (angle - arcs.start)) % FULL_TURN / np.abs(arcs.sweep)
     extreme = (along < 1.0) & (np.abs(arcs.center) > TOLERANCE)
     ends = np.stack([np.zeros(len(arcs)), np.ones(len(arcs))])
-    t = np.concatenate([ends[:, :], along])
+    t = np.concatenate([ends, along])
     chosen = np.concatenate([np.ones_like(extreme), extreme])
     index = np.nonzero(chosen)[1]
     touched = arcs[index]
