@@ -1,4 +1,4 @@
-"""Data that a finder obtains from bags, found as in a node."""
+"""Data of a calibration from bags, found in the same way as in its node."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -12,7 +12,7 @@ from fss_arm_ros.convert import SECOND
 
 D = TypeVar("D", bound=Datum)
 
-CHUNK = 0.2  # part of a bag that is read at once, as a fraction of the horizon (largest stream lag)
+CHUNK = 0.2  # length of what is read at once, relative to the horizon (largest lag of a stream)
 
 
 def find_data(

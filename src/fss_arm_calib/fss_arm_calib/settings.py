@@ -5,7 +5,15 @@ from math import radians
 
 from fss_arm_calib.segments.settings import RestSettings, StreamSettings, positive, sigma
 from fss_arm_model.estimation.least_squares import CAUCHY, HUBER, LOSSES, SQUARE
-from fss_arm_model.settings import NOT_NEGATIVE, Check, at_least, like, one_of, setting
+from fss_arm_model.settings import (
+    NOT_NEGATIVE,
+    Check,
+    SettingError,
+    at_least,
+    like,
+    one_of,
+    setting,
+)
 from fss_arm_model.vehicle import Vehicle
 
 FRACTION = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low=0.0, high=1.0)
@@ -77,3 +85,9 @@ def max_data(default: int, what: str) -> int:
     about = f"largest number of {what} in a result; the oldest are dropped"
     found: int = setting(default, about, check=at_least(1))
     return found
+
+
+def refuse_common_topic(base_topic: str, tip_topic: str) -> None:
+    """Raise SettingError if base and end effector have the same topic."""
+    if base_topic == tip_topic:
+        raise SettingError(f"base_topic and tip_topic are both {base_topic!r}, expected two topics")

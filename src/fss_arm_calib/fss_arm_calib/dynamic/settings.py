@@ -6,7 +6,12 @@ from typing import ClassVar
 
 from fss_arm_calib.dynamic.knowledge import Knowledge
 from fss_arm_calib.segments.settings import ManeuverSettings, positive, sigma
-from fss_arm_calib.settings import CalibrationSettings, NoiseSettings, max_data
+from fss_arm_calib.settings import (
+    CalibrationSettings,
+    NoiseSettings,
+    max_data,
+    refuse_common_topic,
+)
 from fss_arm_model.choice import Choice
 from fss_arm_model.description import paper_arm
 from fss_arm_model.settings import NOT_NEGATIVE, SettingError, at_least, like, one_of, setting
@@ -80,6 +85,7 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        refuse_common_topic(self.base_topic, self.tip_topic)
         Choice.of(self.estimate, 12)
         arm = paper_arm()
         deviations = self.deviations(replace(arm, links=12 * arm.links[:1]))

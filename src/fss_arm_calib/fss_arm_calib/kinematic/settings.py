@@ -13,7 +13,12 @@ from fss_arm_calib.kinematic.problem import (
     POSITION_DEVIATION,
 )
 from fss_arm_calib.segments.settings import positive, sigma
-from fss_arm_calib.settings import CalibrationSettings, NoiseSettings, max_data
+from fss_arm_calib.settings import (
+    CalibrationSettings,
+    NoiseSettings,
+    max_data,
+    refuse_common_topic,
+)
 from fss_arm_model.settings import Check, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 
@@ -79,3 +84,7 @@ class KinematicSettings(NoiseSettings):
     max_length_change: float = positive(
         0.05, "m", "largest change of a link's length; a larger one means another arm"
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_common_topic(self.base_topic, self.tip_topic)
