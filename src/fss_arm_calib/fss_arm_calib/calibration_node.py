@@ -45,17 +45,18 @@ class CalibrationNode(Node):
         base = default_in(BASE, self.get_namespace())
         self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
         arm = load_described_arm(self, s.arm)
-        # A kinematic calibration does not replace the masses of this description.
+        # The described masses count as calibrated, so that a kinematic result keeps them.
         self.initial = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
         restored, self.flags = restore(s.state_file, kind.name, arm.n, kind.data.type)
         self.data: list[Any] = keep_newest(restored, kind.max_data(s))
+        self.count = len(restored)  # of all data, including those that were dropped as too many
         self.finder = kind.finder(self.initial.arm, s, restored)
         try:
             self.outcome, self.saved = self.solve(), self.flags
             if s.report:
                 require("matplotlib")
                 kind.report_of(self.outcome)  # fail at startup if the report's inputs are missing
-            kind.data.to_message(self.data, self.frame)
+            kind.data.to_message(self.data, self.frame)  # fail at startup if they are invalid
         except (ArithmeticError, LookupError, ValueError) as error:
             if not restored:
                 raise
@@ -82,7 +83,7 @@ class CalibrationNode(Node):
         self.add_data(feed(self.finder, message))
 
     def on_result(self, topic: str, message: Any) -> None:
-        """Start from the result of another calibration, with its covariance."""
+        """Replace the initial guess by the result of another calibration, with its covariance."""
         try:
             initial = self.initial.of_same_links(topic, message)
         except ValueError as error:
@@ -90,7 +91,7 @@ class CalibrationNode(Node):
             return
         if initial.arm != self.initial.arm:
             self.initial = initial
-            self.get_logger().info(f"starting from {topic}")
+            self.get_logger().info(f"initial guess replaced by the result on {topic}")
             self.outcome = self.solve()
             self.publish()
 
@@ -115,7 +116,7 @@ class CalibrationNode(Node):
         words = f"{format_count(len(self.data), self.kind.data.noun)} forgotten"
         response.success, response.message = True, words
         self.get_logger().info(words)
-        self.data, self.flags = [], Flags()
+        self.data, self.count, self.flags = [], 0, Flags()
         self.finder = self.kind.finder(self.initial.arm, self.settings, [])
         self.outcome = self.solve()
         self.publish()
@@ -124,10 +125,12 @@ class CalibrationNode(Node):
     def add_data(self, found: Sequence[Any]) -> bool:
         """Store, save and publish new data and solve again; return False if there are none."""
         if found:
-            self.data = keep_newest([*self.data, *found], self.kind.max_data(self.settings))
+            max_data = self.kind.max_data(self.settings)
+            first = self.count + 1 if max_data > 1 else 1  # the session of `joint` is replaced
+            self.count += len(found)
+            self.data = keep_newest([*self.data, *found], max_data)
             self.outcome = self.solve()
             self.publish()
-            first = len(self.data) - len(found) + 1
             lines = [self.kind.data.describe(one, k) for k, one in enumerate(found, first)]
             for line in (*lines, f"{self.outcome.verdict}: {self.outcome.summary}"):
                 self.get_logger().info(line)
@@ -148,7 +151,8 @@ class CalibrationNode(Node):
 
     def publish(self) -> None:
         """Save and publish the data and the calibration; write the output if it passes."""
-        kind, s, self.writer.trouble = self.kind, self.settings, ""
+        kind, s = self.kind, self.settings
+        self.writer.trouble = ""
         self.save()
         self.data_publisher.publish(kind.data.to_message(self.data, self.frame))
         self.result_publisher.publish(kind.to_message(self.outcome, self.frame))

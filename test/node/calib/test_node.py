@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from calib_kinds import CASES, Bed, ask, make_node, play, recorded
 from calib_rig import message, record
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_srvs.srv import Trigger
 
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check
@@ -241,6 +242,27 @@ def test_older_data_go_and_what_is_rejected_takes_no_place(kept, toy):
     assert len(node.data) == 2 * most
     offline = solve_bag(toy.kind, toy.bag, replace(toy.settings, max_observations=most))
     assert offline.provenance.data_hash == node.outcome.provenance.data_hash
+
+
+def test_data_are_numbered_in_the_log_also_after_the_oldest_are_dropped(
+    kept, toy, tmp_path, monkeypatch
+):
+    lines = []
+    monkeypatch.setattr(RcutilsLogger, "info", lambda _, text: lines.append(text))
+
+    def numbers(node, found):
+        lines.clear()
+        node.add_data(found)
+        return [int(line.split()[1][:-1]) for line in lines if line.startswith("observation ")]
+
+    data, files = list(toy.outcome.data), {"state_file": str(tmp_path / "state.json")}
+    node = kept(toy, max_observations=3, **files)
+    assert numbers(node, data[:2]) == [1, 2]
+    assert numbers(node, data[2:7]) == [3, 4, 5, 6, 7]  # more than are kept
+    assert numbers(node, data[7:8]) == [8]
+    assert numbers(kept(toy, max_observations=3, **files), data[:1]) == [4]  # after the three kept
+    node.on_forget(Trigger.Request(), Trigger.Response())
+    assert numbers(node, data[:1]) == [1]
 
 
 def test_what_cannot_be_written_is_told_and_nothing_else_is_lost(kept, toy, tmp_path):
