@@ -86,7 +86,8 @@ def parameters() -> str:
     parts = ["# Parameters", NOTE]
     parts += ["Set them with `--ros-args -p NAME:=VALUE`; the node's `--help` lists them, too."]
     parts += [
-        "A file (`--params-file`) may set a parameter of all nodes (`/**:`), as `base_radius`. "
+        "A file (`--params-file`) may set a parameter of all nodes (`/**:`), as `base_radius`, "
+        "or of a node in any namespace (`/**/dynamic:`). "
         "But many names, such as `arm`, `rate`, `tolerance`, `acceleration` or `output`, mean "
         "something else in other nodes: compare the tables first. A node refuses parameters that "
         "it does not have, except from `/**:`. The test bed also has its "

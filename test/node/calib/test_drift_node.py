@@ -59,18 +59,20 @@ def test_the_truth_comes_back(bag):
         assert (k in table.weak) == (abs(float(value)) <= 2.0 * float(sigma))
 
 
-def test_its_file_sets_the_other_nodes(bag, tmp_path, spin, capsys):
+@pytest.mark.parametrize("namespace", ["", "/lab/fss2"])
+def test_its_file_sets_the_other_nodes(bag, tmp_path, spin, capsys, namespace):
     output = tmp_path / "drift.yaml"
     assert from_bag(["--drift", str(bag), "--output", str(output)]) == 0
     assert "tilt along x" in capsys.readouterr().out
     told = yaml.safe_load(output.read_text())
     arguments = ["--ros-args", "--params-file", str(output)]
+    arguments += ["-r", f"__ns:={namespace}"] if namespace else []
     dynamic, reaction = (
         CalibrationNode(DYNAMIC, cli_args=arguments),
         BaseReactionNode(cli_args=arguments),
     )
     spin([dynamic, reaction], lambda: True)
-    for name, value in told["dynamic"]["ros__parameters"].items():
+    for name, value in told["/**/dynamic"]["ros__parameters"].items():
         assert getattr(dynamic.settings, name) == value
     assert dynamic.settings.tilt_deviation >= 2e-5
     np.testing.assert_allclose(reaction.settings.tilt, TILT, atol=2e-6)

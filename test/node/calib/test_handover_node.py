@@ -93,6 +93,7 @@ def test_drives_may_begin_from_a_bag_of_rests(tmp_path):
         ("[1, 2]", "expected settings of kinematic, dynamic, drift"),
         ("dynamic: 3", "expected settings"),
         ("drift: {bin: -1.0}", "bin is -1.0 s"),
+        ("/**/drift: {bin: -1.0}", "bin is -1.0 s"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(bag, tmp_path, capsys, text, message):

@@ -223,7 +223,7 @@ def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
     assert len(read_plan(output, 4)) == 2
     assert main(["--kinematic", "--count", "8", "--output", str(output)]) == 0
     assert "theta_BJ1" in capsys.readouterr().out
-    parameters = yaml.safe_load(output.read_text())["experiment"]["ros__parameters"]
+    parameters = yaml.safe_load(output.read_text())["/**/experiment"]["ros__parameters"]
     assert np.shape(parameters["postures"]) == (32,)
     assert main(["--table", "1", "1", "--count", "1"]) == 1
     error = capsys.readouterr().err

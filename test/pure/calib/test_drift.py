@@ -1,10 +1,15 @@
 """What acts on the drifting base, against the simulated truth."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from calib_drift import ARM, SHARED, drifts, problem
 
+from fss_arm_calib.drift.calibrate import check_time
 from fss_arm_calib.drift.problem import solve
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.drifting import single_body
 from fss_arm_model.dynamics import kinetic_energy
 from fss_arm_model.momentum import momentum
@@ -83,3 +88,9 @@ def test_one_long_drift_may_decide_alone():
     assert redundancy == 0.0  # and not a little below, by rounding
     assert 4.0 < leverage[0] <= 5.0  # of five unknowns
     assert 0.0 < errors[0] < 1.0  # nothing but what is left of its own residuals
+
+
+def test_a_little_too_little_time_is_not_rounded_up():
+    drift = SimpleNamespace(times=np.array([0.0, 59.6]))
+    check = check_time([drift], Streams(), DriftSettings())
+    assert check.reason.startswith("59.6 s of drift, at least 60 s needed")

@@ -47,9 +47,9 @@ def calibrate(
     Even very short drifts are solved. The standard deviations are then large.
     """
     s, streams = settings or DriftSettings(), streams or Streams()
-    used, known = [one for one in drifts if one.used], checks.joint_names(streams, arm)
-    criteria = [known, checks.clocks(streams, s.joint_gap), check_time(used, streams, s)]
-    solution = solution_of(used, arm, s) if used and known.verdict == PASS else None
+    used, names = [one for one in drifts if one.used], checks.joint_names(streams, arm)
+    criteria = [names, checks.clocks(streams, s.joint_gap), check_time(used, streams, s)]
+    solution = solution_of(used, arm, s) if used and names.verdict == PASS else None
     criteria += evaluate(solution, s) if solution else []
     parts = [(one.q, one.times, one.poses, one.frames, one.seconds) for one in used]
     arrays = [np.array(part) for one in parts for part in one]
@@ -61,7 +61,7 @@ def calibrate(
 def check_time(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> Check:
     """Check that the base drifted for long enough."""
     total = sum(drift.times[-1] for drift in drifts)
-    brief = f"{total:.0f} s of drift"
+    brief = f"{total:.4g} s of drift"
     reason = f"{brief}, at least {s.min_time:g} s needed"
     return checks.data_amount("time", total, s.min_time, reason, streams, brief)
 
@@ -79,21 +79,21 @@ def evaluate(solution: Solution, s: DriftSettings) -> Iterator[Check]:
     yield checks.redundancy(r.cross_checks.redundancy, kept, s.min_redundancy, "drift")
     tilt = float(np.sqrt(np.diag(r.covariance)[:2]).max()) / GRAVITY
     limit = np.degrees(s.max_tilt)
-    words = f"tilt known to {np.degrees(tilt):.2g} degrees (at most {limit:.2g})"
+    words = f"tilt known to {np.degrees(tilt):.4g} degrees (at most {limit:.4g})"
     yield checks.limit("tilt", tilt, s.max_tilt, words, "drift for longer")
     torque = r.hose_torque[1]
-    words = f"hose torque known to {torque:.2g} N m (at most {s.max_torque:g})"
+    words = f"hose torque known to {torque:.4g} N m (at most {s.max_torque:g})"
     yield checks.limit("torque", torque, s.max_torque, words, "drift for longer")
 
 
 def body_deviations(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[float, float]:
-    """Return the deviations of the common centre of mass [m], and the relative ones of the mass.
+    """Return the deviations of base and arm as one body: centre of mass [m], mass (relative).
 
-    The latter are of mass and inertia. If the description has a covariance of all parameters, both
-    are the largest at any drift; otherwise they are those of the settings.
+    The relative deviation is that of the inertia, too. If the description has the covariance of all
+    parameters, both are the largest among the drifts; otherwise they are those of the settings.
     """
     names = parameter_names(arm.n)
-    if not drifts or not set(arm.known.names).issuperset(names):
+    if not set(arm.known.names).issuperset(names):
         return s.com_deviation, s.mass_deviation
     C = arm.known.covariance_of(names, np.zeros(len(names)))
     p, q = arm.vector(), np.array([one.q for one in drifts])
@@ -168,8 +168,8 @@ def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
 def parameters(outcome: Outcome[Drift, Solution]) -> str:
     """Return parameters for `dynamic` and `base_reaction`, as a ROS parameter file.
 
-    `dynamic` treats tilt and momentum as unknown, with the deviations found here. `base_reaction`
-    subtracts the tilt and treats its deviation as uncertainty.
+    `dynamic` estimates tilt and momentum, about 0 with these deviations. `base_reaction` subtracts
+    the tilt; its deviation is part of the uncertainty. The file is valid in any namespace.
     """
     if outcome.solution is None:
         raise ValueError("no solution: the external forces on the base are unknown")
@@ -188,6 +188,6 @@ def parameters(outcome: Outcome[Drift, Solution]) -> str:
             "tilt_deviation": float(deviation.max()) / GRAVITY,
         },
     }
-    nodes = {node: {"ros__parameters": values} for node, values in found.items()}
+    nodes = {f"/**/{node}": {"ros__parameters": values} for node, values in found.items()}
     origin = f"# From {outcome.provenance.source}: {outcome.reason}\n"
     return origin + yaml.safe_dump(nodes, sort_keys=False)

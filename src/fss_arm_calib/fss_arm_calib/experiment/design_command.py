@@ -121,7 +121,7 @@ def propose_postures(
     console.print(expected_table(result, {"± 1 sigma": result.deviations}))
     if options.output:
         given = {"ros__parameters": {"postures": q.ravel().round(6).tolist()}}
-        text = yaml.safe_dump({"experiment": given}, default_flow_style=None)
+        text = yaml.safe_dump({"/**/experiment": given}, default_flow_style=None)
         head = "# For `experiment --ros-args --params-file`: joint readings, row after row [rad].\n"
         Path(options.output).write_text(head + text)
         console.print(f"postures written to {options.output}", soft_wrap=True)

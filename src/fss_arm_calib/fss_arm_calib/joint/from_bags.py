@@ -30,11 +30,12 @@ def kind_settings(path: str | None, namespace: str) -> dict[str, Any]:
     found = {}
     for kind in JOINT_SOURCES.values():
         known = default_settings(kind.settings, namespace)
-        section = given.get(kind.name, {})
-        for key, value in section.get("ros__parameters", section).items():
-            if key not in known:
-                raise ContentError(f"{path}: {kind.name}", key, "a setting of it")
-            known[key] = tuple(value) if isinstance(value, list) else value
+        for name in (f"/**/{kind.name}", kind.name):
+            section = given.get(name, {})
+            for key, value in section.get("ros__parameters", section).items():
+                if key not in known:
+                    raise ContentError(f"{path}: {name}", key, "a setting of it")
+                known[key] = tuple(value) if isinstance(value, list) else value
         found[kind.name] = kind.settings(**known)
     return found
 
