@@ -33,7 +33,7 @@ MIN_EXCESS = 50.0  # above it, of a description that the observations contradict
 FREE = float(np.radians(180.0))  # deviation of an unknown angle [rad]
 MAX_READING = 3.3  # readings above this are probably not in radians [rad]
 MAX_POSITION = 20.0  # positions above this are not in metres: no test bed is that large [m]
-TOLERANCE, MAX_ITERATIONS = 1e-3, 15  # of the fits; the update is in standard deviations
+TOLERANCE, MAX_ITERATIONS = 1e-3, 8  # of the fits; the update is in standard deviations
 
 
 class Hypothesis(NamedTuple):
