@@ -27,6 +27,13 @@ class Good:
         pass
 
 
+class Closing(Good):
+    """A law that always wants the gripper closed."""
+
+    def step(self, inputs):
+        return Outputs(wrench=np.zeros(3), gripper_closed=True)
+
+
 class Exceptional(Good):
     def fail(self):
         raise ZeroDivisionError("of the law")

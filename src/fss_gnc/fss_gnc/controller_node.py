@@ -54,6 +54,7 @@ class ControllerNode(Node):
             for topic, kind in law_messages.OUTPUT_TYPES.items()
         }
         self.gripper_closed: bool | None = None  # as last commanded
+        self.armed = False  # whether the base's board was armed in the last step
         self.missed = 0  # deadlines missed before the last diagnostics
         self.process = LawProcess(s.law, self.arm.n, period)
         self.law = LawRun(self.process, self.arm.n, period, s.time_to_live)
@@ -114,7 +115,11 @@ class ControllerNode(Node):
             self.report_failure()
 
     def publish(self, given: Command) -> None:
-        """Publish commands; the gripper's only when it changes."""
+        """Publish commands; the gripper's only when it changes, and again after arming."""
+        armed = bool(self.snapshot.valves_armed.valid_value(self.now()))
+        if armed and not self.armed:
+            self.gripper_closed = None  # the board has refused what came before
+        self.armed = armed
         for topic, message in law_messages.output_messages(
             given, self.arm, self.settings.base_frame
         ):

@@ -8,6 +8,7 @@ commands to control and arm expire.
 import sys
 from collections.abc import Iterable
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 from rclpy.action import ActionServer, CancelResponse
@@ -20,6 +21,7 @@ from std_msgs.msg import Empty
 from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import STOPS
 from fss_arm_ros.timers import timer_clock
 from fss_arm_ros.timing import Timing
 from fss_gnc import guidance_topics as topics
@@ -54,8 +56,8 @@ class GuidanceNode(Node):
         self.measured = Measurements(self.craft.arm.n, s.max_age)
         self.vehicles = VehicleTopics(self, self.craft)
         self.polled = topics.subscribe_to_states(self, self.on_message)
-        for name in ("base/stop", "arm/stop"):
-            self.create_subscription(Empty, name, partial(self.on_stop, name), 10)
+        for name, qos in product(("base/stop", "arm/stop"), STOPS):
+            self.create_subscription(Empty, name, partial(self.on_stop, name), qos)
         self.outputs = {
             name: self.create_publisher(kind, name, qos)
             for name, (kind, qos) in topics.OUTPUTS.items()

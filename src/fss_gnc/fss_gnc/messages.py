@@ -18,6 +18,7 @@ from fss_gnc.reference import Body, Path
 BASE, WORLD = "fss", "world"  # name of the one "joint" of a base trajectory, and its frame
 HEIGHT_RANGE = (-10.0, 10.0)  # allowed heights of a base's origin, ignored by control [m]
 MAX_TILT = 0.1  # of the base's z axis [rad]
+END_MARGIN = 1e-9  # from the last point of a message to the end of its path [s]
 MAX_OUT_OF_PLANE = 1e-3  # allowed motion out of the plane [m/s, rad/s, m/s^2, rad/s^2]
 MAX_OVERSPEED = 3.0  # planned rate of a joint, as a multiple of its drive's max_velocity
 
@@ -106,7 +107,9 @@ def trajectory(path: Path | None, t: float, stamp: int, horizon: float, step: fl
     if path is not None:
         length = min(horizon, max(0.0, path.end_time - t))
         count = int(np.ceil(length / step - 1e-9)) + 1
-        message.points = [_point(path, t, step * k) for k in range(count)]
+        # A path that ends in motion is at rest from its end on: the last point is just before it.
+        last = max(0.0, length - END_MARGIN)
+        message.points = [_point(path, t, min(step * k, last)) for k in range(count)]
     return message
 
 

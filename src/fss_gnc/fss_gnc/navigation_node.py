@@ -69,12 +69,13 @@ class NavigationNode(Node):
         self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
         self.get_logger().info(f"ready for {s.base_topic} (joints: {self.known.arm.n})")
 
-    def reset(self) -> None:
-        """Reset the estimates of base and target."""
+    def reset(self, faults: Faults | None = None) -> None:
+        """Reset the estimates of base and target; known faults of the valves stay."""
         s = self.settings
         n = self.navigation = Navigation(self.known.arm, s, s.target_errors(), s.assumed_body(), s)
         self.base = TrackedBody(n.base, n.base.update_pose, self.publish_base)
         self.target_body = TrackedBody(n.target, n.update_target_pose, self.publish_target)
+        n.valves.faults = faults._replace(unknown_push=False) if faults else n.valves.faults
         self.publish_faults(n.valves.faults)
 
     def accept_stamp(self, topic: str, t: int) -> bool:
@@ -84,7 +85,7 @@ class NavigationNode(Node):
             self.rejected[f"{topic} from the future"] += 1
         if verdict in (Verdict.JUMPED_FORWARD, Verdict.JUMPED_BACK):
             self.get_logger().warning(f"{topic} {verdict.value} to {t / 1e9:.1f} s: filters reset")
-            self.reset()
+            self.reset(self.navigation.valves.faults)
         return verdict is not Verdict.FROM_FUTURE
 
     def on_pose(self, topic: str, message: PoseStamped) -> None:

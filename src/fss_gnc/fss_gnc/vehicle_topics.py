@@ -48,7 +48,7 @@ class VehicleTopics:
 
     def __init__(self, node: Node, craft: Craft) -> None:
         self._node, self._free_space = node, FreeSpace(craft)
-        self._next = 0  # time of the next announcement [ns]
+        self._announced = 0  # time of the last announcement [ns]
         self._plan: Path | None = None  # last announced
         space, _, own = node.get_namespace().rpartition("/")
         names = craft.settings.vehicles
@@ -97,13 +97,14 @@ class VehicleTopics:
             now: present time [ns].
         """
         plan = commands.plan if commands else None
-        if not self._outputs or (now < self._next and plan is self._plan):
+        is_recent = 0 <= now - self._announced < PERIOD * SECOND  # not if the clock was set back
+        if not self._outputs or (is_recent and plan is self._plan):
             return
         try:
             polygon = footprint(self._free_space.outline(obs.with_joints_at_rest()))
         except ActivityError:
             return  # base or joints are not known
-        self._next, self._plan = now + round(PERIOD * SECOND), plan
+        self._announced, self._plan = now, plan
         polygon.header.stamp, polygon.header.frame_id = to_time(now), self._frame
         for publisher, message in zip(
             self._outputs, (plan_message(plan, obs.t, now), polygon), strict=True

@@ -11,8 +11,11 @@ from geometry_msgs.msg import WrenchStamped
 from gnc_bench import FOLDED, FakeCraft
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Header
 
-from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_msgs.msg import BaseTelemetry
+from fss_arm_ros.convert import SECOND, stamp_ns, to_time
+from fss_arm_ros.qos import SENSOR
 from fss_gnc.controller_node import ControllerNode
 
 ROOT = Path(__file__).parents[3]
@@ -61,6 +64,24 @@ class Bench(FakeCraft):
 @pytest.fixture
 def bench(spin):
     return lambda law, **parameters: Bench(spin, law, **parameters)
+
+
+def test_the_gripper_is_commanded_again_once_the_board_is_armed(bench):
+    """A board that is not armed refuses commands."""
+    craft, commands = bench(f"{FAULTY}:Closing"), []
+    craft.create_subscription(Bool, "gripper/command", commands.append, 100)
+    board = craft.create_publisher(BaseTelemetry, "base/telemetry", SENSOR)
+    craft.until(lambda: craft.controller.law.steps > 5 and commands)
+    assert len(commands) == 1
+
+    def report():
+        board.publish(BaseTelemetry(armed=True, header=Header(stamp=to_time(craft.now()))))
+
+    craft.create_timer(0.05, report)
+    craft.until(lambda: len(commands) > 1)
+    craft.pass_time(0.3)
+    assert len(commands) == 2
+    assert all(message.data for message in commands)
 
 
 def test_a_law_holds_the_first_pose_and_reports_its_timing(bench):

@@ -21,7 +21,7 @@ from fss_arm_model.settings import SettingError
 from fss_arm_msgs.msg import BaseTelemetry, MassProperties, ThrusterHealth
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import WARN
-from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.qos import LATCHED, SENSOR, STOPS
 from fss_gnc import guidance_node, vehicle_topics
 from fss_gnc.guidance.activity import Commands, Outcome
 from fss_gnc.guidance.budget import Budget
@@ -105,6 +105,15 @@ def test_stop_ends_the_action_at_once(bench, topic):
     assert (ended.status, ended.result.message) == (ABORTED, f"stopped by {topic}")
     state = bench.coasts()
     assert (state.phase, state.reason) == ("abort", f"stopped by {topic}")
+
+
+@pytest.mark.parametrize("topic", ["base/stop", "arm/stop"])
+def test_stop_of_a_best_effort_publisher_ends_the_action_too(bench, topic):
+    handle = bench.holding()
+    stop = bench.create_publisher(Empty, topic, STOPS[1])
+    bench.until(lambda: stop.get_subscription_count() > 0)
+    stop.publish(Empty())
+    assert bench.end(handle).result.message == f"stopped by {topic}"
 
 
 def test_an_unknown_state_ends_the_action_and_rejects_the_next(bench):
@@ -364,6 +373,17 @@ def test_guidance_outlives_invalid_states_of_another_vehicle(spin):
     (track,) = bench.guidance.vehicles.tracks
     track.outline = np.array([0.1, 0.1j, -0.1])
     assert track.predicted(other.get_clock().now().nanoseconds) is None  # no state was stored
+
+
+def test_idle_guidance_announces_its_outline_after_its_clock_was_set_back(spin):
+    outlines = []
+    bench = Bench(
+        spin, 100 * SECOND, namespace="fss2", vehicles=["fss1", "fss2"], use_sim_time=True
+    )
+    bench.create_subscription(PolygonStamped, "base/footprint", outlines.append, SENSOR)
+    bench.until(lambda: outlines)
+    bench.time = 10 * SECOND
+    bench.until(lambda: outlines[-1].header.stamp.sec < 50)
 
 
 @pytest.mark.parametrize("names", [["fss1", "fss3"], ["fss2", "fss2"]])

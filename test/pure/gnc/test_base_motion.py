@@ -7,10 +7,12 @@ import pytest
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.units import SECOND
+from fss_gnc import messages
 from fss_gnc.guidance.activity import ActivityError, Craft, Observation
 from fss_gnc.guidance.base_motion import follow, go_to, hold
 from fss_gnc.guidance.limits import limit_use
-from fss_gnc.reference import Body
+from fss_gnc.reference import Body, Path
 
 CRAFT = Craft(paper_arm())
 FOLDED = np.array([1.5, -1.5, -1.5, 1.5])
@@ -36,6 +38,23 @@ def fly(activity, until=lambda t: None, start=None, target_at=lambda t: None):
         reference = commands.path.at(now.t + PERIOD)
         now = replace(now, t=now.t + PERIOD, base=Body(reference.pose, reference.twist))
     return phases, commands, now
+
+
+def test_follow_must_end_at_rest():
+    poses = [0.0, 0.0, 0.0, 0.3, 0.0, 0.0]
+    with pytest.raises(ActivityError, match=r"the last twist is \[0\.03, 0\.0, 0\.0\], expected 0"):
+        follow(CRAFT, observed(), [0.0, 30.0], poses, [0.0, 0.0, 0.0, 0.03, 0.0, 0.0])
+
+
+def test_message_of_a_path_that_ends_in_motion_does_not_command_a_stop():
+    path = Path(
+        np.array([0.0, 1.0]), np.array([[[0.0] * 3] * 3, [[0.1, 0, 0], [0.2, 0, 0], [0] * 3]])
+    )
+    for t in (0.0, 0.6, 0.95):
+        seen = messages.path(messages.trajectory(path, t, SECOND, 2.0, 0.25))
+        times = np.linspace(0.0, 0.999 - t, 50)
+        np.testing.assert_allclose(seen.states(times), path.states(t + times), atol=1e-4)
+    assert len(messages.trajectory(path, 3.0, SECOND, 2.0, 0.25).points) == 1
 
 
 def test_go_to_stays_within_the_limits_and_holds():

@@ -25,6 +25,7 @@ from fss_gnc.guidance.approach import Planner, propagate_coast
 from fss_gnc.guidance.capture import Capture
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import PUSH_MARGIN, DriftPredictor
+from fss_gnc.guidance.mission_monitor import MissionMonitor
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.guidance.other_vehicles import OtherVehicle
 from fss_gnc.guidance.reach import RESPONSE_TIME, Reach, fixture_poses
@@ -375,6 +376,60 @@ def test_abort_without_tank_sensor_holds_until_the_valves_fail_to(propellant):
     outcome = abort_commands(0.02, propellant, 40.0, open_valves=(2,))[-1].outcome
     expected = (False, "test; the valves no longer hold the base")
     assert outcome == (None if np.isfinite(propellant) else expected)
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_abort_slows_the_joints_down_as_slowly_as_the_grip_requires(measured):
+    """As detumbling does: otherwise the target slides out of the fingers."""
+    weak = replace(SETTINGS, grip_force=5.0, grip_torque=0.1)
+    q = at(0.0, 0.0, 0.0)
+    tip = Body(tip_pose(P, q), np.zeros(3))
+    obs = replace(observe(q, holds=True, target=tip), qd=np.full(4, 0.4))
+    if measured:
+        place = payload_pose(P, q, tip.pose)
+        obs = replace(obs, target=None, held_body=(weak.target, place))
+    ends = []
+    for activity in (Detumble(Craft(ARM, weak)), Abort(Craft(ARM, weak), "test")):
+        activity.step(obs)
+        ends.append(activity.joints.end_time)
+    assert ends[1] == pytest.approx(ends[0])
+    free = Abort(Craft(ARM, weak), "test")
+    free.step(replace(obs, holds=False, held_body=None))
+    assert ends[1] > 2.0 * free.joints.end_time
+
+
+def test_abort_predicts_the_drift_of_a_held_body_without_markers():
+    q = at(0.0, 0.0, 0.0)
+    place = payload_pose(P, q, tip_pose(P, q))
+    abort = Abort(CRAFT, "test")
+    abort.step(observe(q, holds=True, held_body=(SETTINGS.target, place)))
+    np.testing.assert_allclose(abort.p, with_payload(P, SETTINGS.target, place))
+
+
+def test_the_propellant_of_a_mission_includes_that_before_the_grip():
+    monitor = MissionMonitor(CRAFT)
+    q, limit = at(0.0, 0.0, 0.0), SETTINGS.max_propellant
+    for used in (0.0, 0.8 * limit):
+        obs = observe(q, holds=True, propellant=0.1 - used)
+        assert not monitor.abort_reason(obs, None, "grip", 60.0, 0.0)
+    mission = Detumble(CRAFT, monitor)
+    assert mission.step(replace(obs, t=1.0)).phase == "detumble"
+    more = replace(obs, t=1.1, propellant=0.1 - 1.1 * limit)
+    assert "of propellant used" in mission.step(more).reason
+
+
+def test_detumble_does_not_succeed_in_the_step_that_detects_a_push():
+    mission, commands = Detumble(CRAFT), None
+    q = at(0.0, 0.0, 0.0)
+    for t in np.arange(0.0, 30.0, 0.1):
+        commands = mission.step(observe(q, t=t, holds=True))
+        if commands.outcome:
+            break
+    assert commands.outcome.success
+    mission, last = Detumble(CRAFT), t
+    for t in np.arange(0.0, last + 0.05, 0.1):
+        commands = mission.step(observe(q, t=t, holds=True, unknown_push=t > last - 0.05))
+    assert commands.phase == "abort"
 
 
 def test_abort_reports_why_the_drift_is_not_safe():

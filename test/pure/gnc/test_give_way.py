@@ -122,6 +122,27 @@ def test_right_of_way_is_kept_before_a_vehicle_that_falls_silent_and_still_recei
     assert least > LEAST_GAP
 
 
+def test_follow_that_moved_aside_returns_to_its_path_before_it_continues():
+    _, second = meeting([0.0, -1.3, 1.5], [-1.3, 0.0, 0.0])
+    poses = [[-1.3, 0.0, 0.0], [0.0, -0.2, 0.0], [1.3, 0.0, 0.0]]
+    motion = follow(second.craft, second.observe(3.0), [0.0, 45.0, 90.0], np.ravel(poses), [])
+    give_way, path = motion.give_way, motion.path
+    give_way._rest = path, 40.0
+    aside = Reference.at_rest(path.at(40.0).pose + np.array([0.1, 0.4, 0.0]))
+    departures = give_way._all_departures(aside)
+    for _, found in departures:
+        times = np.linspace(0.0, found.end_time, 2000)
+        states = found.states(times)
+        np.testing.assert_allclose(states[0, 0], aside.pose, atol=1e-12)
+        np.testing.assert_allclose(found.knots[-1, 0], poses[-1], atol=1e-9)
+        assert np.abs(np.diff(states[:, 0, :2], axis=0)).max() < 0.01
+        back = np.abs(states[:, 0] - path.at(40.0).pose).max(axis=1).argmin()
+        assert np.abs(states[back, 1]).max() < 1e-3  # it is at rest where it left the path
+        way = path.states(np.linspace(40.0, 90.0, 2000))[:, 0]
+        assert max(np.abs(way - pose).max(axis=1).min() for pose in states[back:, 0]) < 2e-3
+        assert limit_use(second.craft.settings, found).share < 1.05
+
+
 def test_follow_waits_and_then_keeps_to_its_path():
     first, second = meeting([0.0, -1.3, 1.5], [-1.3, 0.0, 0.0])
     first.go_to(3.0, [0.0, 1.3, 1.5])

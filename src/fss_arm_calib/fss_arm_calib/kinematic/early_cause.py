@@ -28,8 +28,8 @@ MIN_OBSERVATIONS = 3
 LENGTH_DEVIATION, ANGLE_DEVIATION = 0.02, float(np.radians(8.0))
 #: Usual errors of an observation, 1 sigma: position [m], heading [rad].
 POSITION_DEVIATION, HEADING_DEVIATION = 0.005, float(np.radians(0.5))
-MAX_GOOD_COST = 2.0  # per observed coordinate
-MIN_EXCESS = 50.0  # above it, of a description that the observations contradict
+MAX_GOOD_COST = 1.5  # per observed coordinate
+MIN_EXCESS = 30.0  # above it, of a description that the observations contradict
 FREE = float(np.radians(180.0))  # deviation of an unknown angle [rad]
 MAX_READING = 3.3  # readings above this are probably not in radians [rad]
 MAX_POSITION = 20.0  # positions above this are not in metres: no test bed is that large [m]

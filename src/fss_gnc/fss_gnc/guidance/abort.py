@@ -8,8 +8,8 @@ may be used once both are known again.
 
 Joints that no longer send readings are assumed to rest at their last angles after a while,
 because links stop without commands; this does not apply while a target is held. Joints with
-readings slow down within their torque limits. The gripper keeps a held target, which would
-otherwise tumble beside the arm. If it holds none, it opens.
+readings slow down within their torque limits, and those of the grip. The gripper keeps a held
+target, which would otherwise tumble beside the arm. If it holds none, it opens.
 
 If a valve does not close, no drift is safe. The base then comes to rest at a place with free space
 around it, and is held there until the gas is used up. That is known from the tank's sensor, or else
@@ -23,7 +23,7 @@ from fss_arm_model.held import payload_pose, with_payload
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
 from fss_gnc.guidance.drift import Drift, DriftPredictor
 from fss_gnc.guidance.limits import min_duration
-from fss_gnc.guidance.stopping import Grip, braking, joint_stop_time
+from fss_gnc.guidance.stopping import Grip, braking, grip_of, joint_stop_time
 from fss_gnc.reference import Body, Path, Reference, pose_error
 
 SAFE_DRIFT_TIME = 3.0  # time with a safe drift and joints at rest before the abort ends [s]
@@ -58,6 +58,7 @@ class Abort:
         self._valve_leaks = False
         self._hold_lost = False  # True if the valves no longer hold the base at its place
         self._held_place: Floats | None = None  # place of the target in the gripper (held.py)
+        self._grip: Grip | None = None  # None: the held body is not known yet
         self._last_known = self._unsafe_until = np.nan  # [s]; NaN: not yet
         self._last_joint_reading = np.nan  # time of the last joint readings, or of the start [s]
 
@@ -69,7 +70,9 @@ class Abort:
         """Return the commands until the next step."""
         if np.isnan(self._last_known):
             self._last_known = self._unsafe_until = self._last_joint_reading = obs.t
-        rates = self.joints.rates(self.p, obs)
+        if obs.holds and self._held_place is None:
+            self._use_held_body(obs)
+        rates = self.joints.rates(self.p, obs, self._grip)
         path, outcome = self._plan_path(obs), self._outcome(obs)
         return Commands("abort", path, rates, obs.keep_gripper, reason=self.reason, outcome=outcome)
 
@@ -89,6 +92,18 @@ class Abort:
         known = self.drift is not None and np.isfinite(self.drift.target)
         return self.drift.target if self.drift is not None and known else np.nan
 
+    def _use_held_body(self, obs: Observation) -> None:
+        """Add the held body to the last link: as navigation measured it, else as described."""
+        if obs.held_body is not None:
+            body, self._held_place = obs.held_body
+        elif obs.target is not None and obs.base is not None and obs.q is not None:
+            body, q = self.settings.target, np.concatenate([obs.base.pose, obs.q])
+            self._held_place = payload_pose(self.p, q, obs.target.pose)
+        else:
+            return
+        self.p = with_payload(self.p, body, self._held_place)
+        self._grip = grip_of(self.settings, body, self._held_place)
+
     def _plan_path(self, obs: Observation) -> Path | None:
         q_m = obs.last_q if obs.q is None and not obs.holds else obs.q
         if obs.base is None or q_m is None or obs.holds is None:
@@ -98,9 +113,6 @@ class Abort:
         self._last_joint_reading = self._last_joint_reading if obs.q is None else obs.t
         qd_m = np.zeros(q_m.size) if obs.qd is None else obs.qd
         q, qd = np.concatenate([obs.base.pose, q_m]), np.concatenate([obs.base.twist, qd_m])
-        if obs.holds and obs.target is not None and self._held_place is None:
-            self._held_place = payload_pose(self.p, q, obs.target.pose)
-            self.p = with_payload(self.p, self.settings.target, self._held_place)
         target = None if obs.holds else obs.target
         held_place = self._held_place if obs.holds else None
         drifting = DriftPredictor(self.p, self.settings, held_place, obs.others)

@@ -40,6 +40,7 @@ MAX_POSITION_ERROR, MAX_HEADING_ERROR = 0.03, 0.05  # at the start of the reach 
 MAX_SPEED_ERROR, MAX_TURN_RATE_ERROR = 0.008, 0.008  # then [m/s], [rad/s]
 MAX_FACING_ANGLE = 0.25  # largest error of the fixture's angle when the reach starts [rad]
 MAX_LEAD_ANGLE = 1.1  # largest angle that the fixture turns in the lead [rad]
+POSTURE_RATE = 0.15  # largest rate of joints that move to the posture of the approach [rad/s]
 NEAR_LIMIT = 0.05  # distance of a joint to its limit that is reported [rad]
 LOST_ANGLE, LOST_DISTANCE = 1.4, 0.35  # errors beyond which a reach is abandoned [rad], [m]
 REPLAN_CUTOFF = 5.0  # time before the end of a trajectory in which no other is searched for [s]
@@ -177,7 +178,8 @@ class Capture:
         """Return rates that move the joints to the posture of the approach, and hold them there."""
         if self.posture is None:
             return np.zeros(q.size - 3)
-        return np.clip(0.5 * (self.posture - q[3:]), -0.15, 0.15)
+        rate = min(POSTURE_RATE, self.settings.joint_rate)
+        return np.clip(0.5 * (self.posture - q[3:]), -rate, rate)
 
     def _approach(self, obs: Observation, q: Floats, qd: Floats, state: Floats) -> Commands:
         assert self._trajectory is not None
@@ -324,7 +326,7 @@ class Capture:
             at_rest = np.zeros(self.craft.arm.n)
             return self._adopt_phase(Commands("done", None, at_rest, outcome=Outcome(True)))
         self._path = None
-        self.follow_up = Detumble(self.craft)
+        self.follow_up = Detumble(self.craft, self.monitor)
         return self._adopt_phase(self.follow_up.step(obs))
 
 

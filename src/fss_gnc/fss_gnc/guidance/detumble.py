@@ -11,7 +11,7 @@ from fss_arm_model.held import Target, payload_pose, with_payload
 from fss_gnc.guidance.abort import Abort, JointStop
 from fss_gnc.guidance.activity import Commands, Craft, HeldBody, Observation, Outcome
 from fss_gnc.guidance.mission_monitor import MissionMonitor
-from fss_gnc.guidance.stopping import Grip, braking
+from fss_gnc.guidance.stopping import Grip, braking, grip_of
 from fss_gnc.reference import Path
 
 JOINT_REST_RATE = 0.01  # rate of a joint below which the base is slowed down [rad/s]
@@ -23,16 +23,17 @@ class Detumble:
     """Activity that stops base, arm and held target.
 
     Args:
-        craft: whose base and arm.
+        craft: base and arm.
+        monitor: limits of the mission that it ends; None: it is a mission by itself.
     """
 
-    def __init__(self, craft: Craft) -> None:
+    def __init__(self, craft: Craft, monitor: MissionMonitor | None = None) -> None:
         self.craft = craft
         self.settings = settings = craft.settings
         self.p = craft.arm.vector()
         torques = np.array([link.drive.max_torque for link in craft.arm.links])
         self.joints = JointStop(settings.torque_share * torques)
-        self.monitor = MissionMonitor(craft)
+        self.monitor = monitor or MissionMonitor(craft)
         self.abort: Abort | None = None
         self.twist = np.full(3, np.nan)  # of the base
         self._path: Path | None = None
@@ -82,14 +83,13 @@ class Detumble:
             return Commands("detumble", self._path, rates)
         if obs.unknown_push:
             self.cancel("an unknown force pushes the base")
+            return self.step(obs)
         is_done = obs.t - self._coast_start >= COAST_TIME
         return Commands("detumble", None, rates, outcome=Outcome(True) if is_done else None)
 
     def _use_held_body(self, body: Target, place: Floats) -> None:
-        share, s = self.settings.torque_share, self.settings
-        force, torque = share * s.grip_force or np.inf, share * s.grip_torque or np.inf
         self.p = with_payload(self.craft.arm.vector(), body, place)
-        self._grip = Grip(body, place, force, torque)
+        self._grip = grip_of(self.settings, body, place)
 
     def cancel(self, reason: str) -> None:
         """Abort the mission."""

@@ -207,7 +207,8 @@ class GiveWay:
             paths += [self._through(here.pose, via, goal) for via in self._detours(here.pose, goal)]
         else:
             path, t = self._rest
-            paths = [resumed(path, t, 0.0, self._ramp(path, min(t + 20.0, path.end_time)))]
+            onward = resumed(path, t, 0.0, self._ramp(path, min(t + 20.0, path.end_time)))
+            paths = [self._returned(here, onward)]
         self._direct = paths[0]
         return sorted(product(WAITS, paths), key=lambda one: one[0] + one[1].end_time)
 
@@ -236,6 +237,16 @@ class GiveWay:
             aside = side * offset * along
             found.append(start + share * way + np.array([aside.real, aside.imag, 0.0]))
         return found
+
+    def _returned(self, here: Reference, path: Path) -> Path:
+        """Return a path from rest at time 0 that leads back to the start of another one first."""
+        start = path.knots[0, 0]
+        if np.allclose(here.pose, start, rtol=0.0, atol=1e-3):
+            return path
+        back = self._between(here, start, 1.0)
+        times = _even_steps(back.end_time)
+        knots = np.concatenate([back.states(times)[:, :2], path.knots[1:]])
+        return Path(np.concatenate([times, back.end_time + path.times[1:]]), knots)
 
     def _through(self, start: Floats, via: Floats, goal: Floats) -> Path:
         """Return a smooth path from rest through a pose to rest, from time 0."""

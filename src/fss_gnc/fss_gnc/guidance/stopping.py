@@ -37,6 +37,13 @@ class Grip(NamedTuple):
         return force <= self.force and torque <= self.torque
 
 
+def grip_of(settings: MissionSettings, body: Target, place: Floats) -> Grip:
+    """Return the grip of a held body, with the share of its limits that motions may use."""
+    share = settings.torque_share
+    force, torque = share * settings.grip_force, share * settings.grip_torque
+    return Grip(body, place, force or np.inf, torque or np.inf)
+
+
 def grip_load(
     p: Floats, q: Floats, qd: Floats, qdd_m: Floats, body: Target, place: Floats
 ) -> tuple[float, float]:

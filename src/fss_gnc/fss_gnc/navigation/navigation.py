@@ -174,7 +174,8 @@ class Navigation:
         if self.place is not None and is_outdated and not self.base.lost_reason(t):
             x, y, heading = payload_state(self.p, *self._state(t), self.place)[0].tolist()
             self.target.update_held_pose(t, (x, y, heading))
-        self.target.predict(t)
+        if not self.target.lost_reason(t):  # an unknown one starts again with its next pose
+            self.target.predict(t)
 
     def estimate_mass(self, t: int) -> MassProperties | None:
         """Estimate the mass properties of the held body at t [ns]; None unless they are new."""
