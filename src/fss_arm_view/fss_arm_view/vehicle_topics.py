@@ -5,7 +5,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from math import degrees, isfinite
+from math import degrees, hypot, isfinite
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -37,7 +37,7 @@ from . import scene
 from .live import vehicle_state
 from .settings import ViewSettings
 from .sink import Sink, VehicleSink
-from .strip import Strip
+from .strip import BASE, GRIPPER, HEADING, PROPELLANT, Strip
 from .vehicle_scene import FrameLoss, VehicleScene
 
 
@@ -66,7 +66,8 @@ class VehicleTopics:
         self.restart, self.name = restart, name
         self.calibrated = Calibrated(load_described_arm(node, settings.arm))
         self.scene = VehicleScene(self.calibrated.arm, name)
-        self.strip, self.received = Strip(), time.monotonic()  # time of the last measurement [s]
+        self.strip = Strip(self.scene.arm.n)
+        self.received = time.monotonic()  # time of the last measurement [s]
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet
         self.outlines: dict[str, MarkerArray] = {}  # newest message of each topic
         self.losses: dict[int, FrameLoss] = defaultdict(FrameLoss)  # by link
@@ -83,7 +84,7 @@ class VehicleTopics:
             self.on_outlines(topic, message)
 
     def _subscribe(self, node: Node) -> None:
-        s, strip, n = self.settings, self.strip, self.scene.arm.n
+        s, n = self.settings, self.scene.arm.n
         sensors: list[tuple[type, str, Callable[[Any], None]]] = [
             (JointState, "joint_states", self.on_joints),
             (ThrusterCommand, "thrusters/command", self.on_thrust),
@@ -91,8 +92,8 @@ class VehicleTopics:
             (MissionState, "mission/state", self.on_mission),
             (MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory),
             (BaseReaction, "base_reaction", self.on_reaction),
-            (BaseTelemetry, "base/telemetry", partial(setattr, strip, "base")),
-            (GripperState, "gripper/state", partial(setattr, strip, "gripper")),
+            (BaseTelemetry, "base/telemetry", partial(self.store, BASE)),
+            (GripperState, "gripper/state", partial(self.store, GRIPPER)),
             (Float64, "base/propellant", self.on_propellant),
             *((LinkTelemetry, f"link_{i}/telemetry", self.on_telemetry) for i in range(1, n + 1)),
         ]
@@ -203,14 +204,19 @@ class VehicleTopics:
         self.add_to_legend("thrusters", scene.THRUST_COLOR)
         self.scene.fire(self.t, message.on_time)
 
+    def store(self, item: str, value: Any) -> None:
+        """Store the value of an item of the strip."""
+        self.strip.values[item] = value, time.monotonic()
+
     def on_propellant(self, message: Float64) -> None:
         """Store the mass of the remaining gas [kg]."""
-        self.strip.propellant = message.data
+        self.store(PROPELLANT, message.data)
 
     def on_reaction(self, message: BaseReaction) -> None:
         """Plot prediction and measurement of the base's motion."""
         sigma = float(message.predicted_deviation[2])
-        self.strip.heading_difference = float(message.difference[2]), sigma
+        total = hypot(sigma, message.measured_deviation[2])
+        self.store(HEADING, (float(message.difference[2]), total))
         self.scene.store_prediction_error(stamp_ns(message.header.stamp), message.difference, sigma)
         if self.sink.due("reaction"):
             self.enqueue(message, scene.reaction_drawings(message))

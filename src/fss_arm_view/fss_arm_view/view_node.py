@@ -130,13 +130,16 @@ class ViewNode(Node):
                 self.own.log_event(f"{status.name}: {status.message}", level)
 
     def update_strip(self, status: DiagnosticStatus) -> None:
-        """Show a node's error, and its missed deadlines, in its vehicle's strip."""
+        """Show a node's error, and its missed deadlines, in its vehicle's strip.
+
+        Vehicles share the nodes without a namespace, such as `mocap`.
+        """
         error = status.message if status.level == ERROR else ""
         values = (pair.value for pair in status.values if pair.key == MISSED)
         missed = next((int(value) for value in values if value.isdecimal()), 0)
         namespace = f"/{status.name.strip('/')}".rpartition("/")[0].strip("/")
         for vehicle in self.vehicles:
-            if vehicle.name in ("", namespace):
+            if not namespace or vehicle.name in ("", namespace):
                 vehicle.strip.add_report(status.name, error, missed, time.monotonic())
 
     def health(self) -> Health:

@@ -39,6 +39,7 @@ from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_view.sink import Viewer, host, listen
+from fss_arm_view.strip import HEADING
 from fss_arm_view.view_node import ViewNode
 from fss_arm_workspace.workspace_node import WorkspaceNode
 
@@ -91,6 +92,30 @@ def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
         assert f"/plot/angle/{name}/link_2" in shown
     assert "fss2: arm/stop" in shown
     assert "/table/arm" not in shown
+
+
+def test_the_error_of_a_node_is_shown_in_the_strips_of_its_vehicles(ros, tmp_path):
+    node = view(mode="file", file=str(tmp_path / "view.rrd"))
+    added = [node.add_vehicle(name) for name in ("fss1", "fss2")]
+    errors = ("/mocap", "no frames"), ("/fss2/link_1", "lost")
+    statuses = [DiagnosticStatus(name=name, message=m, level=ERROR) for name, m in errors]
+    node.on_diagnostics(DiagnosticArray(status=statuses))
+    first, second = (vehicle.strip.items(time.monotonic()) for vehicle in node.vehicles)
+    assert [item.value for item in first[-1:]] == ["no frames"]
+    assert [item.value for item in second[-2:]] == ["no frames", "lost"]
+    node.close()
+    for one in (node, *added):
+        one.destroy_node()
+
+
+def test_the_heading_s_band_is_that_of_prediction_and_measurement(ros, tmp_path):
+    node, one = view(mode="file", file=str(tmp_path / "view.rrd")), [0.0, 0.0, 1.0]
+    heading = {"difference": [0.0, 0.0, 4.0], "predicted_deviation": one}
+    node.own.on_reaction(BaseReaction(measured_deviation=one, **heading))
+    (difference, sigma), _ = node.own.strip.values[HEADING]
+    assert (difference, sigma) == (4.0, pytest.approx(2.0**0.5))
+    node.close()
+    node.destroy_node()
 
 
 @pytest.fixture(scope="module")
