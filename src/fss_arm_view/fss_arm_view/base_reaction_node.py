@@ -3,7 +3,7 @@
 import sys
 from collections import defaultdict
 from functools import partial
-from math import isfinite
+from math import inf, isfinite
 from time import monotonic
 from typing import Any
 
@@ -39,6 +39,7 @@ from .settings import BaseReactionSettings
 #: Topics of calibrations. The time_offset of a kinematic result is that of the joints, that of a
 #: dynamic result is that of joints and gyro.
 KINEMATIC, DYNAMIC = "calibration/kinematic", "calibration/dynamic"
+TIMEOUT = 2.0  # silence after which an input is reported as missing [s]
 
 
 class BaseReactionNode(Node):
@@ -51,6 +52,8 @@ class BaseReactionNode(Node):
         self.offsets: dict[str, int] = {}  # clock offsets to motion capture [ns], by calibration
         self.reset()
         self.occluded = 0
+        #: Time of the last reading of each joint, and of the last pose by its topic [s].
+        self.received: dict[int | str, float] = {}
         self.last_published = monotonic()  # time of the last published reaction [s]
         self.state_publisher = self.transform_publisher = None
         if s.publish_state:
@@ -62,8 +65,8 @@ class BaseReactionNode(Node):
         subscribe_sensor(self, JointState, "joint_states", self.on_joints)
         subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
         subscribe_sensor(self, Imu, "fog/imu", self.on_gyro)
-        for topic in ("thrusters/command", "thrusters/pulses"):
-            subscribe(self, ThrusterCommand, topic, self.on_thrust, sensor(best_effort=True))
+        best_effort = sensor(best_effort=True)
+        subscribe(self, ThrusterCommand, "thrusters/pulses", self.on_thrust, best_effort)
         for kind, topic in (
             (KinematicCalibration, KINEMATIC),
             (DynamicCalibration, DYNAMIC),
@@ -96,6 +99,7 @@ class BaseReactionNode(Node):
         for i, q, qd, effort in joint_readings(message):
             if 1 <= i <= self.calibrated.arm.n and isfinite(q) and isfinite(qd):
                 self.reaction.add_reading(i - 1, t, q, qd, effort)
+                self.received[i] = monotonic()
         self.publish_reactions()
 
     def on_pose(self, message: PoseStamped) -> None:
@@ -103,6 +107,7 @@ class BaseReactionNode(Node):
         if (pose := seen_pose(message)) is None:
             self.occluded += 1
             return
+        self.received[self.settings.base_topic] = monotonic()
         t = self.check_stamp(self.settings.base_topic, message)
         if pose == self.pose and self.reaction.is_moving():
             self.filter.rejected["frozen"] += 1  # the motion capture receiver repeats its last pose
@@ -160,12 +165,24 @@ class BaseReactionNode(Node):
         count = self.filter.rejected["late"]
         late = f"; late samples of the base rejected: {count}" if count else ""
         if self.reaction.prediction is None:
-            return Health(WARN, f"waiting for joints and base at rest{late}", values)
+            why = self.describe_missing_inputs() or "waiting for joints and base at rest"
+            return Health(WARN, f"{why}{late}", values)
         silence = monotonic() - self.last_published
         values["silent for"] = silence
-        if silence > 2.0:
-            return Health(WARN, f"no joint or base data for {silence:.1f} s{late}", values)
+        if silence > TIMEOUT:
+            why = self.describe_missing_inputs() or "stamps of joints and base have no common time"
+            return Health(WARN, f"nothing published for {silence:.1f} s: {why}{late}", values)
         return Health(OK, f"predicting with {self.calibrated.arm.name}", values)
+
+    def describe_missing_inputs(self) -> str:
+        """Return the inputs that are silent, in words; empty: none."""
+        oldest, base_topic = monotonic() - TIMEOUT, self.settings.base_topic
+        inputs = *range(1, self.calibrated.arm.n + 1), base_topic
+        missing = [each for each in inputs if self.received.get(each, -inf) < oldest]
+        joints = ", ".join(str(each) for each in missing if each != base_topic)
+        words = [f"no readings of joint {joints}"] if joints else []
+        words += [f"no poses on {base_topic}"] if base_topic in missing else []
+        return "; ".join(words)
 
 
 if __name__ == "__main__":

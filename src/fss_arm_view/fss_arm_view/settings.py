@@ -74,7 +74,7 @@ class BaseReactionSettings(ReactionSettings):
     publish_state: bool = setting(
         True, "publish base/state and /tf; set it to false if navigation runs"
     )
-    rate: float = setting(10.0, "rate of base_reaction", unit="Hz", check=POSITIVE)
+    rate: float = setting(10.0, "rate of base_reaction", unit="Hz", check=between(1.0, 100.0))
 
 
 @dataclass(frozen=True)

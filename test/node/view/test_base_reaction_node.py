@@ -2,6 +2,7 @@
 
 import signal
 from dataclasses import replace
+from time import monotonic
 
 import numpy as np
 import pytest
@@ -233,7 +234,35 @@ def test_readings_do_not_accumulate_without_a_base(node):
     for k in range(2000):
         node.on_joints(readings(0.2 * k, velocity=[0.0] * 4))
     assert len(node.reaction.joints[0].t) < 200
-    assert node.health().message == "waiting for joints and base at rest"
+    assert node.health().message == "no poses on vicon/fss/fss"
+
+
+def test_missing_inputs_are_named(node, monkeypatch):
+    assert node.health().message == "no readings of joint 1, 2, 3, 4; no poses on vicon/fss/fss"
+    node.on_pose(base_pose(-0.02))
+    node.on_joints(readings(-0.02, names=("joint_1", "joint_2", "joint_4"), velocity=[0.0] * 3))
+    assert node.health().message == "no readings of joint 3"
+    for k in range(100):
+        node.on_pose(base_pose(0.02 * k))
+        node.on_joints(readings(0.02 * k, velocity=[0.0] * 4))
+    assert node.health().level == OK
+    later = monotonic() + 5.0
+    monkeypatch.setattr("fss_arm_view.base_reaction_node.monotonic", lambda: later)
+    node.on_joints(readings(0.02 * 99, velocity=[0.0] * 4))  # no new stamp
+    message = node.health().message
+    assert message.startswith("nothing published for 5.")
+    assert message.endswith(" s: no poses on vicon/fss/fss")
+
+
+def test_commands_to_thrusters_that_base_may_reject_are_ignored(node):
+    counts = [node.count_subscribers(f"thrusters/{name}") for name in ("pulses", "command")]
+    assert counts == [1, 0]
+
+
+@pytest.mark.parametrize("rate", [0.5, 1e10])
+def test_an_impossible_rate_is_named(ros, rate):
+    with pytest.raises(ValueError, match=r"rate is .* Hz, expected 1 to 100"):
+        BaseReactionNode(parameter_overrides=[Parameter("rate", value=rate)])
 
 
 THREE = replace(paper_arm(), links=paper_arm().links[:3])

@@ -164,6 +164,17 @@ def test_a_base_without_poses_has_no_reaction():
     assert reaction.advance(0) is None
 
 
+def test_readings_do_not_accumulate_before_the_first_rest():
+    reaction, moving = BaseReaction(paper_arm()), 0.1
+    for k in range(3000):
+        t = k * SECOND // 50
+        reaction.add_base_state(BodyState(t, np.zeros(3), np.zeros(3), 1e-6 * np.eye(6)))
+        for i in range(4):
+            reaction.add_reading(i, t, moving * 1e-9 * t, moving, 0.0)
+        assert list(reaction.due(SECOND // 10)) == []
+    assert max(len(joint.t) for joint in reaction.joints) < 200
+
+
 def test_different_links_and_an_offset_center_of_mass():
     arm = load("config/truth.yaml")
     flight = Flight(arm, end=5.0)

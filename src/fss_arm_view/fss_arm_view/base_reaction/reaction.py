@@ -130,7 +130,7 @@ class BaseReaction:
         yield from filter(None, map(self.advance, times))
 
     def advance(self, t: int) -> Reaction | None:
-        """Return the reaction at t [ns], which must increase and not exceed known_until().
+        """Return the reaction at t [ns], which must increase and not exceed last_known_time().
 
         None: t is not later, the base is unknown at t, or there is no prediction yet.
         """
@@ -151,12 +151,17 @@ class BaseReaction:
         if not at_rest:
             self.candidate, self.resting_since = None, -1
         if self.prediction is None:
+            self._drop_old_readings(t)
             return None
         motion = joint_motion(self.joints, min(t, self.prediction.t), self.half_step)
         self.prediction.advance(t, motion)
+        self._drop_old_readings(t)
+        return self._compute(measured, motion, self.prediction)
+
+    def _drop_old_readings(self, t: int) -> None:
+        """Drop the readings that no time after t [ns] needs."""
         for joint in self.joints:
             joint.drop_before(t - max(SECOND, self.half_step))
-        return self._compute(measured, motion, self.prediction)
 
     def _interpolate_base(self, t: int) -> BodyState | None:
         """Return the base state at t, interpolated between neighbours; None: none before t."""
