@@ -68,10 +68,10 @@ class BaseNode(SessionNode):
     def process_datagram(self, data: bytes, now: int, sheds: bool) -> None:
         """Decode a datagram and publish its contents; the gyro's rate comes first."""
         if sample := self.session.feed(data, now):
-            sample = sample._replace(stamp=sample.stamp + self.clock.offset)
             self.gyro.publish(sample, self.live["gyro"])
             if sheds:
                 return
+            sample = sample._replace(stamp=sample.stamp + self.clock.offset)
             for topic, message in messages.frame_messages(sample, self.session, now, self.settings):
                 self.outputs[topic].publish(message)
 

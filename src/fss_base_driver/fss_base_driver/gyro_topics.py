@@ -26,19 +26,24 @@ class GyroTopics:
         self.settings: BaseSettings = node.settings
         self.sums, self.last_rate = GyroSums(), 0  # time of the last rate [ns]
         self.search: BiasSearch | None = None
-        self.search_ended = Future()
+        self.search_outcome, self.search_start = Future(), 0  # start of the search [ns]
         self.imu = node.create_publisher(Imu, "fog/imu", SENSOR)
         group = ReentrantCallbackGroup()  # the search takes long; other callbacks run meanwhile
         node.create_service(Trigger, "base/find_gyro_bias", self.on_find_bias, callback_group=group)
 
     def publish(self, sample: BoardSample, gyro: GyroSettings) -> None:
-        """Publish the mean rate since the last frame, stamped at the middle of that time."""
+        """Publish the mean rate since the last frame, stamped at the middle of that time.
+
+        The sample's stamp is of the node's clock, so that a step of the time of day falsifies
+        neither that middle nor the duration of a search.
+        """
         if (turn := self.sums.add(sample.frame, sample.stamp)) is None:
             return
         self.last_rate = self.node.now()
         rate, frame_id = gyro.scale * turn.counts, self.settings.base_frame
         deviation = self.settings.gyro_noise / turn.samples**0.5
-        self.imu.publish(messages.imu(turn.stamp, rate - gyro.bias, deviation, frame_id))
+        stamp = turn.stamp + self.node.clock.offset
+        self.imu.publish(messages.imu(stamp, rate - gyro.bias, deviation, frame_id))
         if search := self.search:
             search.add(turn.stamp, rate, turn.samples, sample.frame.valves)
             if search.outcome:
@@ -60,9 +65,9 @@ class GyroTopics:
                 running = "a search for the bias is already running"
                 response.message = running if self.search else self.session.loss_reason
                 return response
-            self.search_ended, self.last_rate = Future(), self.node.now()
+            self.search_outcome, self.search_start = Future(), self.node.now()
             self.search = BiasSearch(s.bias_time, s.bias_scatter, s.max_bias)
-        outcome = await self.search_ended
+        outcome = await self.search_outcome
         self.search = None
         if isinstance(outcome, Bias):
             self.node.set_parameters([Parameter("gyro.bias", value=outcome.rate)])
@@ -72,9 +77,10 @@ class GyroTopics:
     def answer_request(self) -> None:
         """Answer the request for the bias if the search has ended, or cannot continue."""
         if search := self.search:
+            duration = (self.node.now() - self.search_start) / SECOND
             if self.session.lost:
                 search.fail(self.session.loss_reason)
-            elif self.silence() > self.settings.timeout:
+            elif min(self.silence(), duration) > self.settings.timeout:
                 search.fail("the gyro is silent")
-            if search.outcome and not self.search_ended.done():
-                self.search_ended.set_result(search.outcome)
+            if search.outcome and not self.search_outcome.done():
+                self.search_outcome.set_result(search.outcome)

@@ -21,6 +21,7 @@ from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED
 from fss_base_driver.base_node import BaseNode
 from fss_base_driver.protocol import BaseSlow, BaseState, Gripper
+from fss_link.host_clock import HostClock
 from fss_link.session import Arming
 
 
@@ -105,6 +106,34 @@ def test_a_bias_is_not_sought_for_ever_of_a_gyro_that_does_not_answer(bench):
         answer = bench.call(bench.user.find, Trigger.Request())
         assert (answer.success, answer.message) == (False, "the gyro is silent")
     bench.until(lambda: float(bench.values()["gyro's age [s]"]) > 1.0)
+
+
+@pytest.mark.parametrize("bench", [{"bias_time": 2.0}], indirect=True)
+@pytest.mark.parametrize("step", [-3600, 3600])
+def test_a_step_of_the_time_of_day_falsifies_neither_rates_nor_the_bias(bench, step):
+    bench.until(lambda: bench.user.find.service_is_ready() and bench.user.imu)
+    begin = time.monotonic()
+    answer = bench.user.find.call_async(Trigger.Request())
+    bench.until(lambda: bench.node.gyro.search)
+    bench.node.clock = HostClock(day=lambda: time.time_ns() + step * SECOND)
+
+    def leads():
+        now = time.time_ns()
+        return [(stamp_ns(imu.header.stamp) - now) / SECOND for imu in bench.user.imu]
+
+    bench.until(lambda: answer.done() and leads()[-1] == pytest.approx(step, abs=60.0))
+    assert answer.result().success, answer.result().message
+    assert time.monotonic() - begin > 1.0
+    assert all(min(abs(lead), abs(lead - step)) < 60.0 for lead in leads())  # none is between
+
+
+def test_a_request_for_the_bias_is_not_a_rate_of_the_gyro(bench):
+    bench.board.dead = True
+    bench.until(lambda: bench.user.find.service_is_ready())
+    bench.until(lambda: bench.node.gyro.silence() > 1.0)
+    bench.user.find.call_async(Trigger.Request())
+    bench.until(lambda: bench.node.gyro.search)
+    assert bench.node.gyro.silence() > 1.0
 
 
 def test_a_flood_of_commands_does_not_keep_a_stop_waiting_in_the_line(armed):
