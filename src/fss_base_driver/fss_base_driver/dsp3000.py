@@ -11,9 +11,9 @@ from math import radians
 from typing import NamedTuple
 
 BAUD = 38_400
-RATE = 100.0  # lines a second, within 3 %
+RATE = 100.0  # rate of lines, within 3 % [Hz]
 MAX_RATE = 375.0  # measurement range [deg/s]
-MAX_LINE_LENGTH = 64  # most bytes before an end of line [bytes]
+MAX_LINE_LENGTH = 64  # length from which bytes without an end of line are noise [bytes]
 _LINE = re.compile(rb"\s*(-?\d{1,3}\.\d{6})\s+([01])\s*")
 
 
@@ -22,7 +22,7 @@ class Counts(NamedTuple):
 
     rates: int = 0
     faults: int = 0  # the gyro reports an invalid rate
-    noise: int = 0  # malformed lines, or impossible rates
+    noise: int = 0  # malformed or endless lines, or impossible rates
 
 
 class Lines:
@@ -35,26 +35,26 @@ class Lines:
 
     def __init__(self) -> None:
         self.counts = Counts()
-        self._rest: bytes | None = None  # None: skip to the next end of line
+        self.reset()
 
     def reset(self) -> None:
-        """Reset the decoder after the port was opened again; the counters are kept."""
-        self._rest = None
+        """Reset the decoder after the port was opened or flushed; the counters are kept."""
+        self._rest, self._skips = b"", True  # bytes of the present line, and whether it is dropped
 
-    def feed(self, data: bytes) -> list[float]:
-        """Return the rates whose lines end in `data`, in order [rad/s]."""
-        first, *ended = data.split(b"\n")
-        if not ended:
-            if self._rest is not None:
-                self._rest += data
-                if len(self._rest) > MAX_LINE_LENGTH:
-                    self._rest = None
-                    self._count(noise=1)
-            return []
-        lines = [] if self._rest is None else [self._rest + first]
-        *whole, self._rest = ended
-        found = [self._rate(line) for line in [*lines, *whole]]
-        return [rate for rate in found if rate is not None]
+    def feed(self, data: bytes) -> list[float | None]:
+        """Return the rates of the lines that end in `data`, in order [rad/s].
+
+        None: the line is invalid.
+        """
+        *ended, rest = (self._rest + data).split(b"\n")
+        if ended and self._skips:
+            del ended[0]
+            self._skips = False
+        if len(rest) > MAX_LINE_LENGTH:
+            rest, self._skips = b"", True
+            self._count(noise=1)
+        self._rest = rest
+        return [self._rate(line) for line in ended]
 
     def _rate(self, line: bytes) -> float | None:
         """Return the rate of a line [rad/s]; None if the line is invalid."""

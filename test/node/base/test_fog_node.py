@@ -6,6 +6,7 @@ import pty
 import time
 import tty
 from math import radians
+from threading import Event
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -14,7 +15,8 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu
 
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_base_driver.fog_node import FogNode
+from fss_arm_ros.rclpy_compat import RCLError
+from fss_base_driver.fog_node import MAX_PAUSE, TIMEOUT, FogNode
 from fss_link.host_clock import HostClock
 
 
@@ -103,11 +105,78 @@ def test_a_gyro_that_is_plugged_in_again_is_heard_without_a_warning(spin, gyro, 
     link.unlink()
     link.symlink_to(os.ttyname(again))
     before = node.port
+    node.received.clear()
     node.close_port()  # as reading it fails
     spin(node, lambda: node.port not in (None, before))
+    reopened = "the gyro is lost: nothing received since the port was reopened"
+    spin(node, lambda: node.health().message == reopened)
     write = functools.partial(os.write, other, b"0.500000 1\r\n0.500000 1\r\n")
     rates = node.lines.counts.rates
     spin(node, lambda: write() and node.lines.counts.rates > rates)
     assert node.health().level == DiagnosticStatus.OK
     for file in (other, again):
         os.close(file)
+
+
+def test_a_silent_gyro_is_lost_and_one_asked_twice_is_not(spin, gyro):
+    end, device = gyro
+    node = fog(device)
+    os.write(end, b"\r\n0.500000 1\r\n")
+    spin(node, lambda: node.lines.counts.rates)
+    received = node.received["rates"]
+    assert [node.health().level for _ in range(2)] == 2 * [DiagnosticStatus.OK]
+    spin(node, lambda: node.health().message == "the gyro is lost: silent")
+    assert time.monotonic() - received > TIMEOUT
+
+
+def test_bytes_without_lines_are_named_as_another_format(spin, gyro):
+    end, device = gyro
+    node = fog(device)
+    words = "the gyro is lost: the received bytes are no rates: "
+    write = functools.partial(os.write, end, bytes(range(64, 80)))
+    spin(node, lambda: write() and node.health().message.startswith(words))
+
+
+def test_an_invalid_line_has_its_time_among_the_others(ros, gyro):
+    node, published = fog(gyro[1], HostClock(lambda: SECOND, lambda: SECOND)), []
+    node.imu.publish = published.append
+    node.process_bytes(b"\r\n0.500000 1\r\n0.500000 0\r\nx\r\n0.500000 1\r\n", SECOND)
+    first, second = (stamp_ns(imu.header.stamp) for imu in published)
+    assert second - first == 3 * SECOND // 100
+    node.close()
+    node.destroy_node()
+
+
+def test_rates_received_during_a_pause_are_dropped_and_counted(spin, gyro):
+    end, device = gyro
+    runs, pause = Event(), [0]  # whether the process runs, and for how long it did not [ns]
+    runs.set()
+
+    def now():
+        assert runs.wait(10.0)
+        return time.monotonic_ns() + pause[0]
+
+    node = fog(device, HostClock(now))
+    os.write(end, b"\r\n0.500000 1\r\n")
+    spin(node, lambda: node.lines.counts.rates == 1)
+    runs.clear()
+    os.write(end, 100 * b"0.500000 1\r\n")
+    pause[0] = round(1.1 * MAX_PAUSE * SECOND)
+    runs.set()
+    spin(node, lambda: node.health().values["pauses"] == 1)
+    os.write(end, b"\r\n0.500000 1\r\n")
+    spin(node, lambda: node.lines.counts.rates == 2)
+
+
+def test_an_error_of_the_thread_ends_the_node(spin, gyro, monkeypatch):
+    end, device = gyro
+    node = fog(device)
+
+    def fail(_):
+        raise RCLError("no memory")
+
+    monkeypatch.setattr(node.imu, "publish", fail)
+    os.write(end, b"\r\n0.500000 1\r\n")
+    node.thread.join(10.0)
+    with pytest.raises(RCLError, match="no memory"):
+        node.health()
