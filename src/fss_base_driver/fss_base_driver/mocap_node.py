@@ -58,6 +58,7 @@ class MocapNode(Node):
 
     def on_frame(self, arrival: int, poses: dict[str, Pose]) -> None:
         """Publish a frame of the system."""
+        self.count_frame(poses)
         self.publish_accepted(arrival - round(self.settings.latency * SECOND), poses)
 
     def on_message(self, relay: Relay, message: Any) -> None:
@@ -65,18 +66,24 @@ class MocapNode(Node):
         stamp = stamp_ns(message.header.stamp) if hasattr(message, "header") else 0
         self.by_header = bool(stamp)
         arrival = time.time_ns() - round(self.settings.latency * SECOND)
-        poses = named_poses(message, relay.subject, self.settings.relay_scale)
-        self.publish_accepted(
-            stamp or arrival, {name or relay.last_name: pose for name, pose in poses}
-        )
+        named = named_poses(message, relay.subject, self.settings.relay_scale)
+        poses = {name or relay.last_name: pose for name, pose in named}
+        if not self.settings.system:  # otherwise relays would hide that the system is silent
+            self.count_frame(poses)
+        self.publish_accepted(stamp or arrival, poses)
+
+    def count_frame(self, poses: dict[str, Pose]) -> None:
+        """Count a frame of the system, or of a relay if there is no system."""
+        with self.lock:
+            self.reception.add(len(poses), time.monotonic_ns())
+            self.last_log = "" if poses else self.last_log
 
     def publish_accepted(self, stamp: int, poses: dict[str, Pose]) -> None:
         """Publish the accepted poses of a frame."""
         wanted = {n: p for n, p in poses.items() if not self.places or n in self.places}
         with self.lock:
-            self.reception.add(len(poses), arrival := time.monotonic_ns())
-            self.last_log = "" if poses else self.last_log
-            for name, pose in self.subjects.filter_frame(stamp, wanted, arrival).items():
+            accepted = self.subjects.filter_frame(stamp, wanted, time.monotonic_ns())
+            for name, pose in accepted.items():
                 self.publish(name, stamp, pose)
 
     def publish(self, name: str, stamp: int, pose: Pose) -> None:

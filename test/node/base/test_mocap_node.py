@@ -208,6 +208,24 @@ def test_other_receivers_are_relayed_with_their_stamps(spin):
     assert user.heard["fss"][0].header.stamp == stamp
 
 
+def test_relayed_poses_do_not_hide_a_system_that_is_down(ros, capfd):
+    options = ["rigid_bodies=fss(0,0,0,1,0,0,0)"]
+    node = mocap(system="mock", options=options, relays=["tip=/tip"], timeout=3600.0)
+    wait_until(lambda: node.reception.frames, 30.0, partial(time.sleep, 0.05))
+    node.receiver.close()
+    frames, tip = node.reception.frames, PoseStamped()
+    tip.pose.orientation.w = 1.0
+    for _ in range(3):  # the process restarts and fails
+        node.on_end("the receiver ended")
+        node.on_message(node.relays[0], tip)
+    assert node.health().level == DiagnosticStatus.ERROR
+    assert node.health().message.startswith("the receiver ended (")
+    assert node.reception.frames == frames
+    assert node.subjects.subjects["tip"].counts["unchanged"] == 2
+    assert capfd.readouterr().err.count("the receiver ended") == 1
+    node.destroy_node()
+
+
 def test_what_is_to_be_relayed_and_does_not_come_is_named(spin):
     node, user = mocap(relays=["fss=/a", "/b"]), User()
     spin([node, user], lambda: node.health().level == DiagnosticStatus.ERROR)

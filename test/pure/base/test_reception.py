@@ -20,6 +20,7 @@ WAITING = ["/a: it has no publisher"]
         ([], True, WAITING, "no frame yet from vicon at x"),
         ([], None, [], "no frame yet from vicon at x"),
         ([2], True, [], "no frame any more from vicon at x"),
+        ([1], None, WAITING, f"no frame any more from vicon at x; waiting for {WAITING[0]}"),
     ],
 )
 def test_the_reason_of_a_silence(counts, connected, waiting, words):

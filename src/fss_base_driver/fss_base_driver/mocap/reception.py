@@ -1,4 +1,4 @@
-"""Reception of frames with poses: how long there were none, why, and what is wrong with them."""
+"""State of the reception of poses: the time without any, its reason, and problems of subjects."""
 
 from collections.abc import Collection, Sequence
 
@@ -12,7 +12,7 @@ class Reception:
     """State of the reception from one source. Times are in nanoseconds, in a steady clock.
 
     Args:
-        source: of the frames, in words.
+        source: name of the source, for messages.
         now: the time at the start.
     """
 
@@ -44,9 +44,10 @@ class Reception:
             return f"waiting for {self.source}: it does not answer"
         if self._empty:
             return f"no subject in the frames of {self.source}"
-        if connected is None and waiting:
-            return f"waiting for {'; '.join(waiting)}"
-        return f"no frame {'any more' if self.frames else 'yet'} from {self.source}"
+        reasons = [f"waiting for {'; '.join(waiting)}"] if connected is None and waiting else []
+        if self.frames or not reasons:
+            reasons.insert(0, f"no frame {'any more' if self.frames else 'yet'} from {self.source}")
+        return "; ".join(reasons)
 
 
 def describe_problems(
