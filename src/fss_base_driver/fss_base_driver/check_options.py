@@ -3,12 +3,14 @@
 import argparse
 import os
 from collections.abc import Sequence
+from math import isfinite
 
 from fss_arm_model.thrusters import THRUSTER_COUNT
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.command_line import Parser
 
 BASE_TOPIC = Vehicle.__dataclass_fields__["base_topic"]
+MAX_VALUE = 60.0  # of --thrust, --lever, --tolerance, and of times [s]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -39,10 +41,10 @@ def parser() -> argparse.ArgumentParser:
         help="joint angles [rad], if no node publishes them",
     )
     p.add_argument(
-        "--thrust", type=float, default=0.16, help="thrust of a thruster [N] (default 0.16)"
+        "--thrust", type=float, default=0.16, help="thrust of a thruster [N] (default %(default)s)"
     )
     p.add_argument(
-        "--lever", type=float, default=0.11, help="lever of a thruster [m] (default 0.11)"
+        "--lever", type=float, default=0.11, help="lever of a thruster [m] (default %(default)s)"
     )
     p.add_argument(
         "--layout",
@@ -55,20 +57,28 @@ def parser() -> argparse.ArgumentParser:
         "--valves", type=int, nargs="+", metavar="I", help="valves to test (default: all)"
     )
     p.add_argument(
-        "--on-time", type=float, default=1.0, help="length of each pulse [s] (default 1)"
+        "--on-time", type=float, default=1.0, help="length of each pulse [s] (default %(default)s)"
     )
     p.add_argument(
-        "--before", type=float, default=3.0, help="time recorded before a pulse [s] (default 3)"
+        "--before",
+        type=float,
+        default=3.0,
+        help="time recorded before a pulse [s] (default %(default)s)",
     )
     p.add_argument(
-        "--after", type=float, default=4.0, help="time recorded after a pulse [s] (default 4)"
+        "--after",
+        type=float,
+        default=4.0,
+        help="time recorded after a pulse [s] (default %(default)s)",
     )
-    p.add_argument("--tolerance", type=float, default=0.2, help="relative tolerance (default 0.2)")
+    p.add_argument(
+        "--tolerance", type=float, default=0.2, help="relative tolerance (default %(default)s)"
+    )
     p.add_argument(
         "--yes", action="store_true", help="start without asking whether the base is free"
     )
     p.add_argument(
-        "--output", default="base_check.yaml", help="file to write (default base_check.yaml)"
+        "--output", default="base_check.yaml", help="file to write (default %(default)s)"
     )
     return p
 
@@ -78,8 +88,12 @@ def parse(args: Sequence[str] | None) -> argparse.Namespace:
     command = parser()
     given = command.parse_args(args)
     for name in ("thrust", "lever", "on_time", "before", "after", "tolerance"):
-        if not 0.0 < getattr(given, name) < 60.0:
-            command.error(f"--{name.replace('_', '-')} is {getattr(given, name)}, expected above 0")
+        if not 0.0 < (value := getattr(given, name)) < MAX_VALUE:
+            option, limits = f"--{name.replace('_', '-')}", f"above 0 and below {MAX_VALUE:g}"
+            command.error(f"{option} is {value}, expected {limits}")
+    for name in ("q", "layout"):
+        if not all(map(isfinite, values := getattr(given, name) or ())):
+            command.error(f"--{name} is {values}, expected finite numbers")
     if len(given.layout or ()) not in (0, 3 * THRUSTER_COUNT):
         command.error(f"--layout has {len(given.layout)} numbers, expected {3 * THRUSTER_COUNT}")
     if not set(given.valves or [1]) <= set(range(1, THRUSTER_COUNT + 1)):

@@ -37,7 +37,10 @@ def test_a_valve_that_does_not_open_is_found_and_the_others_fit(spin, start, tmp
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (("--on-time", "0"), "--on-time is 0.0, expected above 0"),
+        (("--on-time", "0"), "--on-time is 0.0, expected above 0 and below 60\n"),
+        (("--after", "60"), "--after is 60.0, expected above 0 and below 60\n"),
+        (("--q", "nan"), "--q is [nan], expected finite numbers"),
+        (("--layout", *(24 * ["inf"])), "expected finite numbers"),
         (("--valves", "9"), "--valves is [9], expected 1 to 8"),
         (("--q", "0"), "--q has 1 angles, expected 4"),
         ((), "end of input"),
