@@ -44,7 +44,7 @@ TOPICS = {
 def frame_messages(
     sample: BoardSample, session: BoardSession, now: int, settings: BaseSettings
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the topics and messages with what a frame has, except the gyro's rate.
+    """Yield topic and message of all values in a frame, except the gyro's rate.
 
     Args:
         sample: the frame, with the time of day of its measurement.
@@ -52,13 +52,13 @@ def frame_messages(
         now: the time [ns].
         settings: frames of reference, and the tank's volume.
     """
-    stamp, frame, prefix = sample.stamp, sample.frame, settings.frame_prefix
-    yield "base/telemetry", telemetry(sample, session, now, settings.base_frame)
-    yield "gripper/state", gripper_state(sample, f"{prefix}end_effector")
+    stamp, frame, frame_id = sample.stamp, sample.frame, settings.base_frame
+    yield "base/telemetry", telemetry(sample, session, now, frame_id)
+    yield "gripper/state", gripper_state(sample, f"{settings.frame_prefix}end_effector")
     if frame.slow_id == BaseSlow.BATTERY:
-        yield "base/battery", battery_state(stamp, session.battery.voltage, f"{prefix}base")
+        yield "base/battery", battery_state(stamp, session.battery.voltage, frame_id)
     if frame.slow_id == BaseSlow.TANK:
-        yield "base/pressure", pressure(stamp, frame.slow_value, f"{prefix}tank")
+        yield "base/pressure", pressure(stamp, frame.slow_value, frame_id)
         if left := propellant(session.slow, settings.tank_volume):
             yield "base/propellant", left
 
@@ -150,10 +150,14 @@ class BoardHealth(SessionHealth):
     def values(self) -> dict[str, Any]:
         """Return the values reported by the board's instruments."""
         slow = self.session.slow
+
+        def reported(field: BaseSlow, unit: float = 1) -> Any:
+            return unit * slow[field] if field in slow else "not reported"
+
         return {
             "valves' faults": ", ".join(self.session.remarks) or "none",
-            "valves' time left [s]": 1e-3 * slow.get(BaseSlow.LEFT, 0),
-            "tank [kPa]": slow.get(BaseSlow.TANK, "not reported"),
-            "supply [kPa]": 0.1 * slow[BaseSlow.SUPPLY] if BaseSlow.SUPPLY in slow else nan,
-            "refused by the board": slow.get(BaseSlow.REFUSED, 0),
+            "valves' time left [s]": reported(BaseSlow.LEFT, 1e-3),
+            "tank [kPa]": reported(BaseSlow.TANK),
+            "supply [kPa]": reported(BaseSlow.SUPPLY, 0.1),
+            "refused by the board": reported(BaseSlow.REFUSED),
         }

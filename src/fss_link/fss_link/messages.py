@@ -1,4 +1,4 @@
-"""Conversion of what all partners report to messages."""
+"""Conversion of telemetry that links and board have in common to messages."""
 
 from collections.abc import Iterable
 from math import nan
@@ -21,7 +21,7 @@ def set_telemetry(
 ) -> None:
     """Set the fields of a LinkTelemetry or BaseTelemetry that are raw or the session's state.
 
-    Fields `copied` are those of the frame; `slow_names` are slow fields by number.
+    `copied` are the fields to copy from the frame, `slow_names` the slow fields: number and name.
     """
     for name in copied:
         setattr(message, name, getattr(frame, name))

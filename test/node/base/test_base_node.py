@@ -48,6 +48,8 @@ def test_telemetry_is_published_as_it_is_and_in_si_units(bench):
     assert list(message.open) == 8 * [0]
     assert user.pressure[-1].fluid_pressure == 19.5e6
     assert user.battery[-1].voltage == pytest.approx(24.0)
+    frames = [m.header.frame_id for m in (user.pressure[-1], user.battery[-1])]
+    assert frames == ["fss", "fss"]  # of /tf
     left = 19.5e6 * 0.43e-3 / (287.0 * (273.15 + 19.8))
     assert user.propellant[-1].data == pytest.approx(left)
     gripper = user.gripper[-1]

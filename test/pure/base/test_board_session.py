@@ -6,7 +6,8 @@ import pytest
 from base_link import FakeBoard
 
 from fss_arm_model.units import SECOND
-from fss_base_driver.protocol import BaseState, Gripper, Limits
+from fss_base_driver.messages import BoardHealth
+from fss_base_driver.protocol import BaseSlow, BaseState, Gripper, Limits
 from fss_base_driver.session import BoardSession
 from fss_link.session import Arming, CommandError
 
@@ -232,3 +233,15 @@ def test_state_and_outcome_of_arming_are_put_in_words(bench):
     bench.step()
     bench.step()
     assert session.describe_state() == f"{board} is stopped: it is stopped"
+
+
+def test_the_board_s_health_names_values_that_were_not_reported(bench):
+    health = BoardHealth(bench.session, None, signed=False)
+    bench.session.slow.clear()
+    values = health.values()
+    assert values.pop("valves' faults") == "none"
+    assert set(values.values()) == {"not reported"}
+    bench.session.slow |= {BaseSlow.LEFT: 1500, BaseSlow.SUPPLY: 7000, BaseSlow.TANK: 0}
+    values = health.values()
+    assert (values["valves' time left [s]"], values["tank [kPa]"]) == (1.5, 0)
+    assert values["supply [kPa]"] == pytest.approx(700.0)

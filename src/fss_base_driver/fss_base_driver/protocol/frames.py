@@ -85,7 +85,7 @@ class BaseTelemetry:
     gyro_sum: int = unsigned(32)  # of all samples since the start, modulo 2^32 [counts]
     gyro_samples: int = unsigned(16)  # number of these samples, modulo 2^16
     valves: int = unsigned(8)  # bit i: valve i + 1 is open
-    gripper: int = unsigned(8)  # Hand
+    gripper: int = unsigned(8)  # GripperFlag
     pulse: int = unsigned(16)  # number of the last started pulse; 0: none since the board started
     pulse_age: int = unsigned(16)  # time since that pulse started [TIME_UNIT], or MAX_PULSE_AGE
     slow_id: int = unsigned(8)  # BaseSlow
