@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import savemat
 
-from fss_arm_bags.reader import open_bags
+from fss_arm_bags.reader import BagError, open_bags
 
 
 def numbers(message, name=""):
@@ -55,4 +55,7 @@ def main(*paths):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    try:
+        main(*sys.argv[1:])
+    except BagError as error:
+        sys.exit(f"bag_to_mat.py: {error}")

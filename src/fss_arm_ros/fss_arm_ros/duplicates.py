@@ -37,8 +37,11 @@ class Claims:
         self.until = 0.0  # by time.monotonic, once this process has joined the graph
         self._duplicates: dict[str, str] = {}  # those of the last check while spinning, by node
 
-    def check_name(self, node: Node) -> None:
-        """Raise DuplicateError if another node has this name."""
+    def check_name(self, node: Node, allowed: bool) -> None:
+        """Show a claim; raise DuplicateError if another node has this name, unless allowed.
+
+        Without its claim, an allowed duplicate would look older than the node that it is beside.
+        """
         path = node.get_fully_qualified_name()
         self.until = self.until or time.monotonic() + DISCOVERY_TIME
         claim = Node(
@@ -50,6 +53,8 @@ class Claims:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self.nodes.append(claim)
+        if allowed:
+            return
         time.sleep(max(0.0, self.until - time.monotonic()))
         self._refuse(node, lambda: self._is_before(node, path) and f"{path} is there already")
 
@@ -120,16 +125,16 @@ def looking() -> Iterator[None]:
         _claims = None
 
 
-def check_name(node: Node) -> None:
+def check_name(node: Node, allowed: bool = False) -> None:
     """Wait for discovery, then look for another node of the same name.
 
     Raises:
-        DuplicateError: another node has the name.
+        DuplicateError: another node has the name, and this is not allowed.
     """
     path = node.get_fully_qualified_name()
     # A node without parameter services only reads parameters and disturbs no other node.
     if _claims and f"{path}/get_parameters" in _services(node, path):
-        _claims.check_name(node)
+        _claims.check_name(node, allowed)
 
 
 def check_services(nodes: Sequence[Node]) -> None:
@@ -143,7 +148,7 @@ def check_services(nodes: Sequence[Node]) -> None:
     """
     claims = _claims
     checked = [n for n in nodes if n.has_parameter(ALLOW) and not n.get_parameter(ALLOW).value]
-    if claims is None or not checked:
+    if claims is None or not claims.nodes:
         return
     for node in checked:
         claims.check_services(node)
@@ -158,7 +163,7 @@ def check_services(nodes: Sequence[Node]) -> None:
             claims.check_again(checked)
 
     steady = Clock(clock_type=ClockType.STEADY_TIME)
-    timer = checked[0].create_timer(REPEAT_PERIOD, check_again, clock=steady)
+    timer = nodes[0].create_timer(REPEAT_PERIOD, check_again, clock=steady)
 
 
 def _services(node: Node, path: str) -> set[str]:

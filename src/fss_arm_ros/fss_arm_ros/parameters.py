@@ -54,8 +54,7 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
         value = _declared(node, f.name, f, read_only=True)
         values[f.name] = converted(f.name, value, hints[f.name])
     settings = kind(**values)
-    if not allowed:
-        duplicates.check_name(node)
+    duplicates.check_name(node, allowed)
     return settings
 
 

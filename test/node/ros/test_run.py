@@ -166,6 +166,18 @@ duplicates.Claims._refuse = lambda *_: None
 """
 
 
+# A line for each later look for duplicates.
+LOOKS_OFTEN = """
+from fss_arm_ros import duplicates
+duplicates.REPEATS, duplicates.REPEAT_PERIOD = 1000, 0.5
+look = duplicates.Claims.check_again
+def check_again(claims, nodes):
+    look(claims, nodes)
+    print("looked", flush=True)
+duplicates.Claims.check_again = check_again
+"""
+
+
 @pytest.fixture
 def named(start, tmp_path, request):
     """named(*args): the process of a node `named` that offers `do` and has a job to finish."""
@@ -192,6 +204,21 @@ def test_a_second_node_of_a_name_is_refused_unless_allowed(named, domain):
     assert "made" not in second.output
     spun(named("-r", "__ns:=/elsewhere"))
     spun(named("-p", "allow_duplicate:=true"))
+    assert first.process.poll() is None
+
+
+@pytest.mark.parametrize("named", [LOOKS_OFTEN], ids=[""], indirect=True)
+def test_an_allowed_duplicate_does_not_end_the_node_that_was_there_first(named):
+    """A recorder beside that of a laboratory which has just started, for example."""
+    first = named()
+    spun(first)
+    spun(named("-p", "allow_duplicate:=true"))
+    looks = first.output.count("looked")
+    wait_until(
+        lambda: first.output.count("looked") > looks + 5 or first.process.poll() is not None,
+        20.0,
+        lambda: time.sleep(0.02),
+    )
     assert first.process.poll() is None
 
 
