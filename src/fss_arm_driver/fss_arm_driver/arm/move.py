@@ -103,6 +103,11 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
     return Move(q, profiles, lasts)
 
 
+def load_kernel(arm: Arm) -> None:
+    """Load the kernel of `plan` in advance, because that takes long."""
+    torque_stretch(arm, np.zeros(arm.n), np.ones(arm.n), 1.0)
+
+
 def check(arm: Arm, goal: Sequence[float], duration: float = 0.0, keep_alive: float = 0.0) -> None:
     """Check a requested move independently of the arm's state: angles [rad], times [s].
 

@@ -12,7 +12,7 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_driver.arm.arbiter import Motion
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
-from fss_arm_driver.arm.move import Move, MoveError, Profile, check, plan
+from fss_arm_driver.arm.move import Move, MoveError, Profile, check, load_kernel, plan
 from fss_arm_driver.liveness import GoalClient
 from fss_arm_model.guard.guard import GuardError
 from fss_arm_msgs.action import MoveArm
@@ -28,6 +28,7 @@ class MoveAction:
 
     def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
         self.links, self.guard, node = links, guard, links.node
+        load_kernel(links.arm)
         self.goal_id = b""  # id of the goal
         self.last_reason = ""  # why the last move ended, if its goal was not reached
         self.client = GoalClient(0.0, 0.0)
