@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from fss_arm_calib import checks
-from fss_arm_calib.acceptance import CAUSE, PASS, Check, format_count
-from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.acceptance import CAUSE, FAIL, PASS, Check, format_count
+from fss_arm_calib.outcome import LIVE, Outcome
 from fss_arm_calib.report_parts import table_report
 from fss_arm_calib.segments.streams import Datum, Streams
 from fss_arm_model.arrays import Floats
@@ -155,13 +155,22 @@ class Calibration(Generic[D, C]):
         likely = next(causes, "") if outcome.verdict != PASS else ""
         return likely or self.stale(outcome, streams)
 
-    def with_early_cause(self, outcome: Outcome[D, Any]) -> Outcome[D, Any]:
-        """Return an outcome that did not pass with its likely cause, if few data show one."""
+    def solve(self, data: Sequence[D], arm: Arm, settings: C, streams: Streams) -> Outcome[D, Any]:
+        """Calibrate from live data; if it does not pass, name a likely cause that few data show."""
+        outcome = self.calibrate(data, arm, settings, streams, LIVE)
         if outcome.verdict == PASS or any(check.name == CAUSE for check in outcome.checks):
             return outcome
         words = self.early_cause(outcome.data, outcome.arm, outcome.settings)
         found = (checks.cause(words, outcome.verdict),) if words else ()
         return replace(outcome, checks=(*found, *outcome.checks))
+
+    def describe(self, outcome: Outcome[D, Any]) -> str:
+        """Describe an outcome in one line, with where to look for an unknown cause."""
+        words = f"{outcome.verdict}: {outcome.summary}"
+        known = any(check.name == CAUSE for check in outcome.checks)
+        if outcome.verdict == FAIL and not known and CAUSES not in self.unavailable:
+            words += "; to find the cause, run from_bag on a recording"
+        return words
 
     def write(self, path: str, outcome: Outcome[D, Any]) -> None:
         """Write the output of a calibration that has passed; beside a description its URDF."""

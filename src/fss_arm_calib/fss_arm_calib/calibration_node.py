@@ -8,10 +8,10 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from fss_arm_calib.acceptance import CAUSE, FAIL, PASS, format_count
-from fss_arm_calib.calibration import CAUSES, Calibration
+from fss_arm_calib.acceptance import PASS, format_count
+from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.node_settings import node_settings
-from fss_arm_calib.outcome import LIVE, Outcome
+from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.streams import Streams, keep_newest
 from fss_arm_calib.state import Flags, restore, save
 from fss_arm_model.settings import default_in
@@ -104,10 +104,7 @@ class CalibrationNode(Node):
         if folder := self.settings.report:
             self.writer(lambda: write(folder, self.kind.report_of(self.outcome)))
         response.success = self.outcome.verdict == PASS
-        response.message = f"{self.outcome.verdict}: {self.outcome.summary}"
-        known = any(check.name == CAUSE for check in self.outcome.checks)
-        if self.outcome.verdict == FAIL and CAUSES not in self.kind.unavailable and not known:
-            response.message += "; to find the cause, run from_bag on a recording"
+        response.message = self.kind.describe(self.outcome)
         return response
 
     def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -142,10 +139,7 @@ class CalibrationNode(Node):
 
     def solve(self) -> Outcome[Any, Any]:
         """Solve the calibration from all data; look for the cause if it does not pass."""
-        found: Outcome[Any, Any] = self.kind.calibrate(
-            self.data, self.initial.arm, self.settings, self.streams(), LIVE
-        )
-        found = self.kind.with_early_cause(found)
+        found = self.kind.solve(self.data, self.initial.arm, self.settings, self.streams())
         give_back()
         return found
 

@@ -3,7 +3,7 @@
 import sys
 from collections import defaultdict
 from functools import partial
-from math import inf, isfinite
+from math import isfinite
 from time import monotonic
 from typing import Any
 
@@ -13,15 +13,11 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
+from fss_arm_model.description import joint_names
 from fss_arm_msgs.msg import BaseReaction as BaseReactionMessage
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, ThrusterCommand
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import (
-    SECOND,
-    joint_readings,
-    seen_pose,
-    stamp_ns,
-)
+from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns
 from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
@@ -32,6 +28,7 @@ from fss_gnc.navigation import BodyFilter
 from fss_gnc.navigation.messages import odometry, transform
 
 from .base_reaction import BaseReaction
+from .base_reaction.inputs import TIMEOUT, InputMonitor
 from .messages import reaction_message
 from .programs import base_reaction as main
 from .settings import BaseReactionSettings
@@ -39,7 +36,6 @@ from .settings import BaseReactionSettings
 #: Topics of calibrations. The time_offset of a kinematic result is that of the joints, that of a
 #: dynamic result is that of joints and gyro.
 KINEMATIC, DYNAMIC = "calibration/kinematic", "calibration/dynamic"
-TIMEOUT = 2.0  # silence after which an input is reported as missing [s]
 
 
 class BaseReactionNode(Node):
@@ -52,8 +48,7 @@ class BaseReactionNode(Node):
         self.offsets: dict[str, int] = {}  # clock offsets to motion capture [ns], by calibration
         self.reset()
         self.occluded = 0
-        #: Time of the last reading of each joint, and of the last pose by its topic [s].
-        self.received: dict[int | str, float] = {}
+        self.inputs = InputMonitor()
         self.last_published = monotonic()  # time of the last published reaction [s]
         self.state_publisher = self.transform_publisher = None
         if s.publish_state:
@@ -99,7 +94,7 @@ class BaseReactionNode(Node):
         for i, q, qd, effort in joint_readings(message):
             if 1 <= i <= self.calibrated.arm.n and isfinite(q) and isfinite(qd):
                 self.reaction.add_reading(i - 1, t, q, qd, effort)
-                self.received[i] = monotonic()
+                self.inputs.add(f"joint_{i}", monotonic())
         self.publish_reactions()
 
     def on_pose(self, message: PoseStamped) -> None:
@@ -107,7 +102,7 @@ class BaseReactionNode(Node):
         if (pose := seen_pose(message)) is None:
             self.occluded += 1
             return
-        self.received[self.settings.base_topic] = monotonic()
+        self.inputs.add(self.settings.base_topic, monotonic())
         t = self.check_stamp(self.settings.base_topic, message)
         if pose == self.pose and self.reaction.is_moving():
             self.filter.rejected["frozen"] += 1  # the motion capture receiver repeats its last pose
@@ -175,14 +170,9 @@ class BaseReactionNode(Node):
         return Health(OK, f"predicting with {self.calibrated.arm.name}", values)
 
     def describe_missing_inputs(self) -> str:
-        """Return the inputs that are silent, in words; empty: none."""
-        oldest, base_topic = monotonic() - TIMEOUT, self.settings.base_topic
-        inputs = *range(1, self.calibrated.arm.n + 1), base_topic
-        missing = [each for each in inputs if self.received.get(each, -inf) < oldest]
-        joints = ", ".join(str(each) for each in missing if each != base_topic)
-        words = [f"no readings of joint {joints}"] if joints else []
-        words += [f"no poses on {base_topic}"] if base_topic in missing else []
-        return "; ".join(words)
+        """Name the inputs that are silent; empty: none."""
+        names = *joint_names(self.calibrated.arm.n), self.settings.base_topic
+        return self.inputs.describe_missing(names, monotonic())
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.validate_topic_name import validate_topic_name
 from std_srvs.srv import Trigger
 
 from fss_arm_model.settings import SettingError
@@ -26,6 +25,7 @@ from fss_base_driver.mocap import Bounds, Pose, Receiver, Reception, Relay, Rela
 from fss_base_driver.mocap.reception import describe_problems
 from fss_base_driver.mocap.relays import describe_waiting, message_type, named_poses
 from fss_base_driver.programs import mocap as main
+from fss_base_driver.relay_topics import read_relay
 from fss_base_driver.settings import MocapSettings
 
 STAMPS = {True: "stamped by the relayed header", False: "stamped by arrival"}
@@ -42,7 +42,7 @@ class MocapNode(Node):
         self.poses: dict[str, Publisher | None] = {}  # None: the name is invalid in a topic
         for name in self.places:
             self.poses[name] = self.new_publisher(name)
-        self.relays = [Relay(relay.rpartition("=")[0], self.topic_of(relay)) for relay in s.relays]
+        self.relays = [read_relay(self, relay) for relay in s.relays]
         self.lock = Lock()  # frames arrive in a separate thread
         self.reception = Reception(s.source(), time.monotonic_ns())
         self.by_header, self.last_log = False, ""  # the last message had a stamp; last log line
@@ -107,19 +107,6 @@ class MocapNode(Node):
             return self.create_publisher(PoseStamped, topic, SENSOR)
         except (NameValidationException, RCLError) as error:
             raise SettingError(f"subjects: {topic!r} is no valid topic name: {error}") from None
-
-    def topic_of(self, relay: str) -> str:
-        """Return the topic of a relay, with its namespace.
-
-        Raises:
-            SettingError: the topic's name is invalid.
-        """
-        topic = relay.rpartition("=")[2]
-        try:
-            validate_topic_name(topic)
-            return self.resolve_topic_name(topic)
-        except NameValidationException as error:
-            raise SettingError(f"relays: {topic!r} is no valid topic name: {error}") from None
 
     def look_for_relays(self) -> None:
         """Subscribe to relayed topics once they have a type that can be read."""

@@ -14,7 +14,6 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from fss_arm_model.description_file import described
-from fss_arm_model.units import SECOND
 from fss_arm_msgs.msg import BaseTelemetry, LinkTelemetry, ThrusterHealth
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
@@ -139,16 +138,8 @@ class ControllerNode(Node):
         words = f"law {self.settings.law} has failed: {self.law.failure}"
         if not self.process.ready:
             raise SystemExit(words)
-        last = self.law.last
-        when = (
-            "it gave no output"
-            if last is None
-            else (
-                f"its last valid output was for {last / SECOND:.3f} s, "
-                f"{(self.now() - last) / SECOND:.3f} s ago"
-            )
-        )
-        words += f"; {when}; valves close and joints stop; restart the node controller to resume"
+        words += f"; {self.law.describe_last(self.now())}; valves close and joints stop"
+        words += "; restart the node controller to resume"
         self.get_logger().error(words)
         log_event(self, words)
 

@@ -156,9 +156,8 @@ class NavigationNode(Node):
         for body in (self.base, self.target_body):
             body.publish_if_due(now, 0.5 * SECOND / self.settings.rate, self.navigation.predict)
         n, frame_id = self.navigation, f"{self.settings.frame_prefix}link_{self.known.arm.n}"
-        if (found := n.estimate_mass(now)) is not None and n.mass_estimator is not None:
-            samples = len(n.mass_estimator.samples)
-            self.held.publish(messages.mass_properties(found, samples, now, frame_id))
+        if (found := n.estimate_mass(now)) is not None and (solver := n.mass_estimator) is not None:
+            self.held.publish(messages.mass_properties(found, len(solver.samples), now, frame_id))
         if faults := n.detect_valve_faults(now):
             self.publish_faults(faults)
 

@@ -234,14 +234,16 @@ def test_readings_do_not_accumulate_without_a_base(node):
     for k in range(2000):
         node.on_joints(readings(0.2 * k, velocity=[0.0] * 4))
     assert len(node.reaction.joints[0].t) < 200
-    assert node.health().message == "no poses on vicon/fss/fss"
+    assert node.health().message == "nothing received from vicon/fss/fss"
 
 
 def test_missing_inputs_are_named(node, monkeypatch):
-    assert node.health().message == "no readings of joint 1, 2, 3, 4; no poses on vicon/fss/fss"
+    assert node.health().message == (
+        "nothing received from joint_1, joint_2, joint_3, joint_4, vicon/fss/fss"
+    )
     node.on_pose(base_pose(-0.02))
     node.on_joints(readings(-0.02, names=("joint_1", "joint_2", "joint_4"), velocity=[0.0] * 3))
-    assert node.health().message == "no readings of joint 3"
+    assert node.health().message == "nothing received from joint_3"
     for k in range(100):
         node.on_pose(base_pose(0.02 * k))
         node.on_joints(readings(0.02 * k, velocity=[0.0] * 4))
@@ -251,7 +253,7 @@ def test_missing_inputs_are_named(node, monkeypatch):
     node.on_joints(readings(0.02 * 99, velocity=[0.0] * 4))  # no new stamp
     message = node.health().message
     assert message.startswith("nothing published for 5.")
-    assert message.endswith(" s: no poses on vicon/fss/fss")
+    assert message.endswith(" s: nothing received from vicon/fss/fss")
 
 
 def test_commands_to_thrusters_that_base_may_reject_are_ignored(node):

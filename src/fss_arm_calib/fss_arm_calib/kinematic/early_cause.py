@@ -98,7 +98,7 @@ def _hypotheses(q: Floats, tip: Floats, arm: Arm) -> Iterator[Hypothesis]:
         yield Hypothesis(
             "positions in millimeters? with a factor of 0.001", q, tip * [1e-3, 1e-3, 1]
         )
-    words = "end effector's subject rotated against the last link? with theta_e"
+    words = "end effector's subject rotated against the last link? with theta_e:=true"
     yield Hypothesis(words, q, tip, FREE)
     yield Hypothesis("base and end effector are swapped? swapped back", q, inverse(tip))
     words = "poses mirrored? with y and headings reversed"

@@ -125,6 +125,13 @@ class LawRun:
             return Command(stop, now, now, is_stop=True)
         return None
 
+    def describe_last(self, now: int) -> str:
+        """Describe the last valid output, at `now` [ns]."""
+        if self.last is None:
+            return "it gave no output"
+        for_time, ago = self.last / SECOND, (now - self.last) / SECOND
+        return f"its last valid output was for {for_time:.3f} s, {ago:.3f} s ago"
+
     @property
     def is_starting(self) -> bool:
         """True until the law accepts inputs."""
