@@ -18,7 +18,7 @@ from fss_gnc.reference import Body, Path
 BASE, WORLD = "fss", "world"  # name of the one "joint" of a base trajectory, and its frame
 HEIGHT_RANGE = (-10.0, 10.0)  # allowed heights of a base's origin, ignored by control [m]
 MAX_TILT = 0.1  # of the base's z axis [rad]
-END_MARGIN = 1e-9  # from the last point of a message to the end of its path [s]
+END_MARGIN = 1e-6  # from the last point of a message to the end of its path [s]
 MAX_OUT_OF_PLANE = 1e-3  # allowed motion out of the plane [m/s, rad/s, m/s^2, rad/s^2]
 MAX_OVERSPEED = 3.0  # planned rate of a joint, as a multiple of its drive's max_velocity
 
@@ -105,11 +105,10 @@ def trajectory(path: Path | None, t: float, stamp: int, horizon: float, step: fl
     message = MultiDOFJointTrajectory(joint_names=[BASE])
     message.header.stamp, message.header.frame_id = to_time(stamp), WORLD
     if path is not None:
-        length = min(horizon, max(0.0, path.end_time - t))
-        count = int(np.ceil(length / step - 1e-9)) + 1
         # A path that ends in motion is at rest from its end on: the last point is just before it.
-        last = max(0.0, length - END_MARGIN)
-        message.points = [_point(path, t, min(step * k, last)) for k in range(count)]
+        last = max(0.0, min(horizon, path.end_time - t) - END_MARGIN)
+        times = np.append(np.arange(0.0, last - END_MARGIN, step), last).tolist()
+        message.points = [_point(path, t, ahead) for ahead in times]
     return message
 
 

@@ -42,7 +42,9 @@ def fly(activity, until=lambda t: None, start=None, target_at=lambda t: None):
 
 def test_follow_must_end_at_rest():
     poses = [0.0, 0.0, 0.0, 0.3, 0.0, 0.0]
-    with pytest.raises(ActivityError, match=r"the last twist is \[0\.03, 0\.0, 0\.0\], expected 0"):
+    with pytest.raises(
+        ActivityError, match=r"the last twist is \[0\.03, 0\.0, 0\.0\] m/s, rad/s, "
+    ):
         follow(CRAFT, observed(), [0.0, 30.0], poses, [0.0, 0.0, 0.0, 0.03, 0.0, 0.0])
 
 
@@ -55,6 +57,15 @@ def test_message_of_a_path_that_ends_in_motion_does_not_command_a_stop():
         times = np.linspace(0.0, 0.999 - t, 50)
         np.testing.assert_allclose(seen.states(times), path.states(t + times), atol=1e-4)
     assert len(messages.trajectory(path, 3.0, SECOND, 2.0, 0.25).points) == 1
+
+
+@pytest.mark.parametrize("more", [0.0, 1e-12, 1e-9, 1.2e-9, 1e-6, 2e-6, 2.1e-6, 0.1])
+def test_points_of_a_message_have_increasing_times(more):
+    end = 0.5 + more
+    path = Path(np.array([0.0, end]), np.zeros((2, 3, 3)))
+    times = messages.path(messages.trajectory(path, 0.0, SECOND, 2.0, 0.25)).times
+    assert times[-1] == pytest.approx(end, abs=2e-6)
+    assert np.diff(times).max() < 0.2501
 
 
 def test_go_to_stays_within_the_limits_and_holds():

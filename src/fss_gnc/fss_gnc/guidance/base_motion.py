@@ -239,8 +239,10 @@ def follow(
         raise ActivityError(f"time[0] is {t[0]:g} s, expected 0 s")
     x[:, 2] = np.unwrap(x[:, 2])
     v = v if len(v) else CubicSpline(t, x, bc_type="clamped")(t, 1)
-    if (np.abs(v[-1]) > [craft.settings.rest_speed] * 2 + [craft.settings.rest_turn_rate]).any():
-        raise ActivityError(f"the last twist is {v[-1].tolist()}, expected 0: the base rests then")
+    speed, turn_rate = craft.settings.rest_speed, craft.settings.rest_turn_rate
+    if (np.abs(v[-1]) > (speed, speed, turn_rate)).any():
+        last = v[-1].tolist()
+        raise ActivityError(f"the last twist is {last} m/s, rad/s, expected 0: the base rests then")
     path = Path(t, np.stack([x, v], axis=1))
     _check_distance(craft.settings, "the first pose", x[0], obs.floating_state[0][:3])
     _check_limits(craft.settings, path)
