@@ -100,13 +100,18 @@ class ControlNode(Node):
         self.controller.model.measured = messages.mass_properties(message) if holds else None
 
     def tick(self) -> None:
-        """Publish the wrench for the next period; without one, publish zero once, then nothing."""
+        """Publish the wrench for the next period; without one, publish zero once, then nothing.
+
+        Its stamp is taken first: if this program is stopped within a step, the wrench that it
+        publishes afterwards is too old for the base's driver.
+        """
+        stamp = self.now()
         self.check_stall()
         self.topics.poll()
         self.timing.add_step()
         wrench = self.controller.step(self.now())
         if wrench is not None:
-            self.publish(wrench)
+            self.publish(stamp, wrench)
         if self.controller.hold.is_asking:
             self.stall.publish(String(data=self.controller.hold.reason))
 
@@ -117,10 +122,10 @@ class ControlNode(Node):
             self.controller.resume(pause)
             self.get_logger().warning(f"{self.controller.hold.reason}: reference dropped")
 
-    def publish(self, wrench: Floats) -> None:
+    def publish(self, stamp: int, wrench: Floats) -> None:
         """Publish force along the base's axes [N] and torque about its origin [N m]."""
         message = WrenchStamped()
-        message.header.stamp = to_time(self.now())
+        message.header.stamp = to_time(stamp)
         message.header.frame_id = self.settings.base_frame
         message.wrench.force.x, message.wrench.force.y, message.wrench.torque.z = map(float, wrench)
         self.wrench.publish(message)
