@@ -17,11 +17,11 @@ from fss_arm_calib.acceptance import (
     format_count,
     format_indices,
 )
-from fss_arm_calib.noise import Noise
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.estimation.least_squares import MAX_CONDITION, Mask
+from fss_arm_model.estimation.noise import Noise
 from fss_arm_model.estimation.statistics import probability
 
 UPDATE_TOLERANCE = 1e-9  # largest last update of a converged solution [deviations]

@@ -10,7 +10,7 @@ from fss_arm_calib.acceptance import FAIL, PASS
 from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_calib.noise import Noise, ResidualSums, solve_with_noise
+from fss_arm_model.estimation.noise import Noise, ResidualSums, solve_with_noise
 from fss_arm_model.layout import kinematic_index
 
 CAMERA = np.array([0.001, 0.001, np.radians(0.1)])

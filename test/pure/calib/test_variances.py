@@ -11,7 +11,7 @@ from fss_arm_calib.experiment.postures import DEFAULT_POSTURES
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_calib.kinematic.variances import (
+from fss_arm_model.estimation.variances import (
     MAX_SHARE_UNCERTAINTY,
     Nodes,
     first_nodes,

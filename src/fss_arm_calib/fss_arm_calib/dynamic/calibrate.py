@@ -16,7 +16,6 @@ from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution, estimate_of, problem_of, solution_of
 from fss_arm_calib.dynamic.solve import solve
-from fss_arm_calib.noise import assumed_noise
 from fss_arm_calib.outcome import LIVE, Outcome, make_outcome
 from fss_arm_calib.precision import check_precision
 from fss_arm_calib.segments.maneuvers import Maneuver
@@ -25,6 +24,7 @@ from fss_arm_calib.segments.samples import OUT_OF_RANGE
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.estimation.noise import assumed_noise
 from fss_arm_model.estimation.statistics import probability
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import wrap

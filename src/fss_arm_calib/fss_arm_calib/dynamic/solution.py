@@ -12,13 +12,6 @@ from fss_arm_calib.dynamic.identifiability import Combination, Direction, combin
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solve import DynamicResult, solve
-from fss_arm_calib.noise import (
-    Noise,
-    NoiseSolution,
-    ResidualSums,
-    assumed_noise,
-    solve_with_noise,
-)
 from fss_arm_calib.outcome import Estimate, estimate_of_fit
 from fss_arm_calib.precision import unmeasured
 from fss_arm_calib.segments.maneuvers import Maneuver
@@ -28,6 +21,13 @@ from fss_arm_model.choice import Choice
 from fss_arm_model.description import Arm
 from fss_arm_model.estimation import outliers
 from fss_arm_model.estimation.least_squares import Mask
+from fss_arm_model.estimation.noise import (
+    Noise,
+    NoiseSolution,
+    ResidualSums,
+    assumed_noise,
+    solve_with_noise,
+)
 from fss_arm_model.estimation.outliers import expand, reject_outliers, solve_robustly
 from fss_arm_model.estimation.statistics import root_mean_square
 from fss_arm_model.joint_path import Path, stack

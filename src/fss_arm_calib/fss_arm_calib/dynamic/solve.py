@@ -6,10 +6,10 @@ from functools import cached_property
 import numpy as np
 
 from fss_arm_calib.dynamic.problem import DynamicProblem
-from fss_arm_calib.noise import ResidualSums
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, Known
 from fss_arm_model.estimation.least_squares import Decomposition, Fit, minimize
+from fss_arm_model.estimation.noise import ResidualSums
 from fss_arm_model.estimation.statistics import redundancy
 from fss_arm_model.parameters import parameter_names, values, with_values
 

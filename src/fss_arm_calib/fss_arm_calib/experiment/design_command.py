@@ -36,13 +36,13 @@ from fss_arm_calib.experiment.planned import Planned, plan_to_yaml
 from fss_arm_calib.experiment.settings import JOINT, Conditions
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve
-from fss_arm_calib.noise import assumed_noise
 from fss_arm_calib.outcome import LIVE
 from fss_arm_calib.precision import MASS_UNITS, unmeasured
 from fss_arm_calib.result import read_arm
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described, from_yaml
+from fss_arm_model.estimation.noise import assumed_noise
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros import report
 from fss_arm_ros.command_line import in_one_line

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from fss_arm_calib.kinematic.solution import Solution
-from fss_arm_calib.noise import assumed_noise
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import (
     common_figures,
@@ -21,6 +20,7 @@ from fss_arm_calib.report_parts import (
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, paper_arm
+from fss_arm_model.estimation.noise import assumed_noise
 from fss_arm_model.estimation.statistics import root_mean_square
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.layout import kinematic_index, kinematic_names

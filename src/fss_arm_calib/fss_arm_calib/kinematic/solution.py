@@ -18,13 +18,13 @@ from fss_arm_calib.kinematic.problem import (
 )
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solve import KinematicResult, Prediction, fit
-from fss_arm_calib.kinematic.variances import (
-    PoseNoise,
-    first_nodes,
-    log_prior,
-    mean_variances,
-)
-from fss_arm_calib.noise import (
+from fss_arm_calib.outcome import Estimate, estimate_of_fit
+from fss_arm_calib.segments.rests import Observation
+from fss_arm_model.arrays import Floats
+from fss_arm_model.description import Arm
+from fss_arm_model.estimation import outliers
+from fss_arm_model.estimation.least_squares import Mask
+from fss_arm_model.estimation.noise import (
     MAX_ITERATIONS,
     MIN_FREEDOM,
     Noise,
@@ -33,14 +33,14 @@ from fss_arm_calib.noise import (
     assumed_noise,
     solve_with_noise,
 )
-from fss_arm_calib.outcome import Estimate, estimate_of_fit
-from fss_arm_calib.segments.rests import Observation
-from fss_arm_model.arrays import Floats
-from fss_arm_model.description import Arm
-from fss_arm_model.estimation import outliers
-from fss_arm_model.estimation.least_squares import Mask
 from fss_arm_model.estimation.outliers import expand, reject_outliers
 from fss_arm_model.estimation.statistics import equivalent_error
+from fss_arm_model.estimation.variances import (
+    PoseNoise,
+    first_nodes,
+    log_prior,
+    mean_variances,
+)
 
 #: Limit of the condition number for solutions with estimated deviations. Whether all parameters are
 #: determined is checked with the assumed deviations: very accurate headings increase the condition

@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from fss_arm_calib.kinematic import model
 from fss_arm_calib.kinematic.problem import KinematicProblem
-from fss_arm_calib.kinematic.variances import restricted_log_likelihood
-from fss_arm_calib.noise import ResidualSums
 from fss_arm_model import layout
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.estimation.least_squares import Fit, Linear, Minimum, minimize
+from fss_arm_model.estimation.noise import ResidualSums
 from fss_arm_model.estimation.statistics import root_mean_square
+from fss_arm_model.estimation.variances import restricted_log_likelihood
 from fss_arm_model.kinematics import tip_regressor
 from fss_arm_model.planar import wrap
 

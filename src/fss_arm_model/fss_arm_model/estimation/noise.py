@@ -84,7 +84,8 @@ class NoiseSolution(NamedTuple, Generic[R, N]):
 def assumed_noise(s: Any) -> Noise:
     """Return the given deviations, and the largest accepted ones of those to estimate.
 
-    `s` has the fields of NoiseSettings, of fss_arm_calib.settings.
+    `s` has position_deviation and heading_deviation, 0 if not given, and the largest accepted
+    ones, max_position_deviation [m] and max_heading_deviation [rad].
     """
     given = np.array([s.position_deviation, s.heading_deviation])
     largest = np.array([s.max_position_deviation, s.max_heading_deviation])
@@ -103,7 +104,8 @@ def solve_with_noise(
     noise alone; the largest accepted deviations are then kept.
 
     Args:
-        s: given deviations and limits of the estimated ones, as NoiseSettings.
+        s: given deviations and limits of the estimated ones, as for assumed_noise; and
+            min_probability, of residuals that noise alone explains.
         solve: solves with deviations of positions and headings (2,); returns the result and its
             residuals, or None in their place if these are not known.
         used: (2,) True if positions, headings are observed.

@@ -32,8 +32,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.noise import Noise, S
 from fss_arm_model.arrays import Floats
+from fss_arm_model.estimation.noise import Noise, S
 
 MAX_SHARE_UNCERTAINTY = 0.2  # of phi, if the data separate the headings; without data 0.35
 
