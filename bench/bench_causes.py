@@ -23,7 +23,8 @@ from scipy.stats import chi2
 
 sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from early_causes import ERRORS, cause_of, observed
-from foreign_bags import DYNAMIC, KINEMATIC, arm, make
+from foreign_bags import arm, make
+from laboratory_errors import DYNAMIC, KINEMATIC
 
 from fss_arm_calib.acceptance import CAUSE, PASS
 from fss_arm_calib.from_bag import solve_bag
@@ -39,7 +40,7 @@ SEEDS = 5  # arms of each size and calibration
 
 def solve_made_bag(n, seed, dynamic, kind=None, noise=0):
     with TemporaryDirectory() as folder:
-        bag, description = make(Path(folder), n, seed, dynamic, kind, noise)
+        bag, description = make(Path(folder), n, seed, dynamic, kind and kind.spoil, noise)
         calibration = KINDS["dynamic" if dynamic else "kinematic"]
         settings = calibration.settings(arm=str(description), **(kind.options if kind else {}))
         return solve_bag(calibration, bag, settings)
@@ -51,7 +52,7 @@ def check_faulty_bags():
         for kind in kinds:
             for n in SIZES:
                 outcome = solve_made_bag(n, 1, dynamic, kind)
-                found = kind.named(outcome.reasons)
+                found = kind.named(outcome.reasons, n)
                 named, passed, total = named + found, passed + (outcome.verdict == PASS), total + 1
                 calibration = "dynamic" if dynamic else "kinematic"
                 print(

@@ -1,14 +1,12 @@
-"""Bags of other arms by MuJoCo and rosbags, good ones and such as go wrong in laboratories.
+"""Bags of other arms by MuJoCo and rosbags.
 
 Nothing of them is made by our plant, our kinematics, our base motion or our recorder.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -235,219 +233,19 @@ def write(folder: Path, what: Heard) -> Path:
     return folder
 
 
-Rng = np.random.Generator
-
-
-class Kind:
-    """A way to spoil a bag, what the verdict must begin with, and settings that are given."""
-
-    def __init__(
-        self, name: str, says: str, spoil: Callable[..., None], *args: Any, **options: object
-    ) -> None:
-        self.name, self.says, self.options = name, re.compile(says), options
-        self._spoil, self._args = spoil, args
-
-    def spoil(self, what: Heard, rng: Rng) -> None:
-        self._spoil(what, rng, *self._args)
-
-    def named(self, reasons: tuple[str, ...]) -> bool:
-        return bool(reasons) and bool(self.says.search(reasons[0]))
-
-
-def _millimeters(what: Heard, _: Rng, *names: str) -> None:
-    for name in names or what.poses:
-        what.poses[name][:, 2:5] *= 1e3
-
-
-def _joint(what: Heard, rng: Rng, change: Callable[[np.ndarray], None]) -> None:
-    change(list(what.joints.values())[rng.integers(1, len(what.joints))])
-
-
-def _joints(what: Heard, _: Rng, change: Callable[[np.ndarray], None]) -> None:
-    for track in what.joints.values():
-        change(track)
-
-
-def _degrees(track: np.ndarray) -> None:
-    track[:, 2:] *= np.degrees(1.0)
-
-
-def _negated(track: np.ndarray) -> None:
-    track[:, 2:] *= -1.0
-
-
-def _counts(track: np.ndarray) -> None:
-    track[:, 2:] *= COUNTS / (2 * np.pi)
-    track[:, 2] = np.round(track[:, 2])
-
-
-def _wrap(what: Heard, _: Rng) -> None:
-    for name in list(what.joints)[1:2]:
-        q = what.joints[name][:, 2]
-        middle = 0.5 * (q.max() + q.min())
-        what.joints[name][:, 2] = (q - middle) % (2 * np.pi) + middle
-
-
-def _exchange(what: Heard, rng: Rng) -> None:
-    names = list(what.joints)
-    k = int(rng.integers(0, len(names) - 1))
-    a, b = names[k], names[k + 1]
-    what.joints[a], what.joints[b] = what.joints[b], what.joints[a]
-
-
-def _columns(what: Heard, _: Rng, order: list[int], signs: list[int]) -> None:
-    for track in what.poses.values():
-        track[:, 2:] = track[:, 2:][:, order] * signs
-
-
-def _swap(what: Heard, _: Rng) -> None:
-    a, b = what.poses["fss"], what.poses["end_effector"]
-    what.poses.update({"fss": b, "end_effector": a})
-
-
-def _late(what: Heard, _: Rng, by: float) -> None:
-    for track in [*what.joints.values(), what.gyro]:
-        track[:, 0] += by
-
-
-def _boot(what: Heard, _: Rng) -> None:
-    what.start.update({"joints": 4321 * SECOND, "gyro": 4321 * SECOND})
-
-
-def _renamed(what: Heard, _: Rng) -> None:
-    what.joints = {f"q{i}": track for i, track in enumerate(what.joints.values(), 1)}
-
-
-def _rare(what: Heard, _: Rng) -> None:
-    what.joints = {name: track[:: 2 * JOINT_RATE] for name, track in what.joints.items()}
-
-
-def _restless(what: Heard, rng: Rng) -> None:
-    for track in what.joints.values():
-        track[:, 2] += 0.003 * rng.standard_normal(len(track))
-
-
-def _relative(what: Heard, _: Rng) -> None:
-    base, tip = what.poses["fss"], what.poses["end_effector"]
-    turn = [2.0 * np.arctan2(track[:, 7], track[:, 8]) for track in (base, tip)]
-    away = (tip[:, 2] - base[:, 2]) + 1j * (tip[:, 3] - base[:, 3])
-    away = away * np.exp(-1j * turn[0])
-    half = 0.5 * (turn[1] - turn[0])
-    tip[:, 2], tip[:, 3] = away.real, away.imag
-    tip[:, 7], tip[:, 8] = np.sin(half), np.cos(half)
-    what.frames["end_effector"] = "fss"
-
-
-def _gyro_degrees(what: Heard, _: Rng) -> None:
-    what.gyro[:, 2] = np.degrees(what.gyro[:, 2])
-
-
-def _jump(what: Heard, _: Rng, by: float) -> None:
-    """The joints' clock, set in the middle of the bag."""
-    for track in [*what.joints.values(), what.gyro]:
-        track[track[:, 0] > 0.5 * track[-1, 0], 0] += by
-
-
-def _backwards(track: np.ndarray) -> None:
-    track[:, 0] = track[-1, 0] - track[:, 0]
-
-
-def _unstamped(what: Heard, _: Rng) -> None:
-    what.start["joints"] = 0
-    for track in what.joints.values():
-        track[:, 0] = 0.0
-
-
-def _no_turn(what: Heard, _: Rng) -> None:
-    what.poses["fss"][:, 5:] = 0.0
-
-
-def _turned(what: Heard, _: Rng) -> None:
-    """The end effector's subject, by 90 degrees."""
-    track = what.poses["end_effector"]
-    half = np.arctan2(track[:, 7], track[:, 8]) + 0.25 * np.pi
-    track[:, 7], track[:, 8] = np.sin(half), np.cos(half)
-
-
-def _frozen(what: Heard, _: Rng) -> None:
-    track = what.poses["end_effector"]
-    track[len(track) // 8 :, 2:] = track[len(track) // 8, 2:]
-
-
-def _fast(track: np.ndarray) -> None:
-    track[:, 3] = np.degrees(track[:, 3])
-
-
-def _same(_: Heard, __: Rng) -> None:
-    """Nothing is spoilt but what is asked."""
-
-
-STRAIGHT = [0, 1, 2, 3, 4, 5, 6]  # order of the columns of poses
-MILLIMETERS = Kind(
-    "millimeters", r"^position in millimeters\?", _millimeters, "fss", "end_effector"
-)
-DEGREES = Kind("degrees", r"^joints in degrees\?", _joints, _degrees)
-SIGN = Kind("one sign", r"^joint_\d with the wrong sign\?", _joint, _negated)
-ORDER = Kind("order", r"^joint_\d and joint_\d swapped\?", _exchange)
-SIGNS = Kind("all signs", r"^all joints with the wrong sign\?", _joints, _negated)
-MIRRORED = Kind("mirrored", r"^poses mirrored\?", _columns, STRAIGHT, [1, -1, 1, -1, 1, -1, 1])
-W_FIRST = Kind("w first", r"^quaternions with w first\?", _columns, [0, 1, 2, 6, 3, 4, 5], [1] * 7)
-Y_UP = Kind("y up", r"^poses with y up\?", _columns, [0, 2, 1, 3, 5, 4, 6], [1, 1, -1, 1, 1, -1, 1])
-SWAPPED = Kind("swapped", r"^base and end effector are swapped", _swap)
-HOUR_APART = Kind("an hour", r"^clock of the joints .*\(an hour\) ahead", _late, 3600.0)
-STREAMS = [
-    Kind(
-        "clock set",
-        r"^clock of the joints(, gyro)? jumps ahead by 30 s, \d+ s after its first message",
-        _jump,
-        30.0,
-    ),
-    Kind("clock backwards", r"^clock of the joints runs backwards", _joints, _backwards),
-    Kind("no stamps", r"^stamps of the joints are 0", _unstamped),
-    Kind("no quaternions", r"^quaternions of fss are 0", _no_turn),
-]  # fmt: skip
-
-KINEMATIC = [
-    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
-    *STREAMS,
-    Kind("millimeters, one", r"^position of end_effector in millimeters\?", _millimeters,
-         "end_effector"),
-    Kind("end effector turned", r"^end effector's subject rotated .* with --theta-e", _turned),
-    Kind("degrees, one joint", r"^joint_\d in degrees\?", _joint, _degrees),
-    Kind("counts", r"^joints in counts\?", _joints, _counts),
-    Kind("headings clockwise", r"^headings clockwise\?", _columns, STRAIGHT,
-         [1, 1, 1, 1, 1, -1, 1]),
-    Kind("clocks 3 s apart", r"^clock of the joints (3|2\.9\d|3\.0\d) s ahead", _late, 3.0),
-    Kind("since boot", r"^clock of the joints .*from its start", _boot),
-    Kind("other names", r"^joints named q1, q2", _renamed),
-    Kind("seen from the base", r"^end effector already relative to the base\?", _relative),
-    Kind("taken as equal", r"^links of different lengths", _same, parametrization="equal"),
-    Kind("joints at 0.5 Hz", r"^joints sampled only every 2 s", _rare),
-    Kind("never still", r"^joints never at rest", _restless),
-]  # fmt: skip
-DYNAMIC = [
-    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
-    *STREAMS,
-    Kind("end effector frozen", r"^pose of end_effector frozen for \d+ s", _frozen),
-    Kind("deg/s", r"^joint velocities in degrees per second\?", _joints, _fast),
-    Kind("one wrapped", r"^joint_\d wrapped\?", _wrap),
-    Kind("gyro in degrees", r"^gyro in degrees per second\?", _gyro_degrees),
-]  # fmt: skip
-
-
 def make(
     folder: Path,
     n: int,
     seed: int,
     dynamic: bool,
-    kind: Kind | None = None,
+    spoil: Callable[[Heard, np.random.Generator], None] | None = None,
     noise: int = 0,
     fresh: np.ndarray = FRESH,
 ) -> tuple[Path, Path]:
     """A bag, and the description that its laboratory has."""
     what = heard(flight(n, seed, dynamic), 1000 * seed + noise, dynamic, fresh)
-    if kind:
-        kind.spoil(what, np.random.default_rng([19, seed]))
+    if spoil:
+        spoil(what, np.random.default_rng([19, seed]))
     folder.mkdir(parents=True, exist_ok=True)
     save(described(arm(n, seed), 1000 * seed + noise, dynamic), folder / "arm.yaml")
     return write(folder / "bag", what), folder / "arm.yaml"

@@ -3,7 +3,7 @@
 Each hypothesis changes the recorded data or the settings, and the calibration is repeated from the
 start. A hypothesis with which the calibration passes is reported but never applied: the verdict
 does not change. If several pass, the one whose result is nearest to the description is reported,
-because an arm also fits its mirror image.
+because an arm also fits its mirror image; of several near enough, that with the least residuals.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from fss_arm_bags.doctor.clock_lag import estimate_lag
+from fss_arm_bags.doctor.reading_faults import find_reading_errors
 from fss_arm_bags.doctor.stream_faults import find_faults, name_streams
 from fss_arm_bags.recorded import Recorded, Track, unwrap_headings
 from fss_arm_calib.acceptance import CAUSE, PASS
@@ -40,7 +41,7 @@ PRECISION_CHECKS = {"precision", "redundancy"}
 
 MAX_SEARCH_TIME = 60.0  # limit of the processor time of the search [s]
 
-MAX_POSITION = 20.0  # positions above this are not in meters: no test bed is that large [m]
+MAX_POSITION = 8.0  # positions above this are not in meters: no test bed is that large [m]
 MAX_READING = 3.3  # readings above this are probably not in radians [rad]
 #: Largest expected errors of a description, by unit.
 MAX_ERRORS = {"m": 0.05, "rad": radians(20.0)}
@@ -56,6 +57,7 @@ class Hypothesis:
     remedy: str  # the correction, in words
     recorded: Recorded
     settings: Any
+    stage: int = 0  # place of its maker: errors of one maker resemble each other
 
 
 #: Errors that a maker tests: the error, its remedy, and the corrected recording or settings.
@@ -97,20 +99,23 @@ def find_cause(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: R
     """Describe the hypothesis that makes the calibration pass; empty if none does."""
     recorded = recorded.shorten(MAX_LENGTH, JOINT_PERIOD, POSE_PERIOD)
     until = process_time() + MAX_SEARCH_TIME
-    best, nearest = "", inf
+    best, smallest, stage = "", (inf, inf), 0
     as_it_is = calibrate_under(kind, arm, Hypothesis("", "", recorded, settings))
     if as_it_is and as_it_is.verdict == PASS:
         return ""  # the cause is not in the recorded streams
     lacking = as_it_is is None or as_it_is.solution is None
     for one in hypotheses(recorded, arm, settings, lacking):
-        if process_time() > until or nearest < 1.0:
+        is_near = smallest[0] <= 1.0
+        if process_time() > until or (is_near and one.stage > stage):
             break
         outcome = calibrate_under(kind, arm, one)
         if outcome is None or outcome.verdict != PASS:
             continue
-        if (away := description_error(outcome)) < nearest:
-            residual = 1e3 * outcome.estimate.position_residual
-            best, nearest = f"{one.words} {one.remedy}, the residuals are {residual:.2g} mm", away
+        residual = 1e3 * outcome.estimate.position_residual
+        size = max(description_error(outcome), 1.0), residual
+        if size < smallest:
+            smallest, stage = size, one.stage
+            best = f"{one.words} {one.remedy}, the residuals are {residual:.2g} mm"
     return best
 
 
@@ -136,12 +141,12 @@ def description_error(outcome: Outcome[Any, Any]) -> float:
 
 def hypotheses(recorded: Recorded, arm: Arm, settings: Any, lacking: bool) -> Iterator[Hypothesis]:
     """Yield all hypotheses, the most easily recognized errors first."""
-    for maker in [*MAKERS, *FEW_DATA_MAKERS * lacking]:
+    for stage, maker in enumerate([*MAKERS, *FEW_DATA_MAKERS * lacking]):
         for words, remedy, change in maker(recorded, arm, settings):
             if isinstance(change, Recorded):
-                yield Hypothesis(words, remedy, change, settings)
+                yield Hypothesis(words, remedy, change, settings, stage)
             else:
-                yield Hypothesis(words, remedy, recorded, replace(settings, **change))
+                yield Hypothesis(words, remedy, recorded, replace(settings, **change), stage)
 
 
 def _name_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
@@ -163,9 +168,10 @@ def _unit_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     far = [name for name, size in largest.items() if size > MAX_POSITION]
     if far:
         whose = "" if len(far) == len(largest) else f" of {', '.join(far)}"
-        scale = _scaling(far, np.array([1e-3] * 3 + [1.0] * 4))
-        words = f"position{whose} in millimeters?"
-        yield words, "with a factor of 0.001", recorded.change(poses=scale)
+        for unit, factor in (("millimeters", 1e-3), ("centimeters", 1e-2)):
+            scale = _scaling(far, np.array([factor] * 3 + [1.0] * 4))
+            words = f"position{whose} in {unit}?"
+            yield words, f"with a factor of {factor:g}", recorded.change(poses=scale)
     wide = {n: _typical_size(track.values[:, :1]) for n, track in recorded.joints.items()}
     turned = [name for name, size in wide.items() if size > MAX_READING]
     if turned:
@@ -281,6 +287,9 @@ def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     if jumps:
         changed = recorded.change(joints=lambda n, t: _unwrap_readings(t) if n in jumps else t)
         yield f"{', '.join(jumps)} wrapped?", "unwrapped", changed
+    if len(names) > 2:
+        tracks = dict(zip(names, (recorded.joints[n] for n in reversed(names)), strict=True))
+        yield "joints counted from the tip?", "in reverse order", replace(recorded, joints=tracks)
     for which in ([names] if len(names) > 1 else []) + [[name] for name in names]:
         who = which[0] if len(which) == 1 else "all joints"
         changed = recorded.change(joints=_scaling(which, -1.0))
@@ -288,9 +297,11 @@ def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     for a, b in combinations(names, 2):
         tracks = {**recorded.joints, a: recorded.joints[b], b: recorded.joints[a]}
         yield f"{a} and {b} swapped?", "swapped back", replace(recorded, joints=tracks)
-    if len(names) > 2:
-        tracks = dict(zip(names, (recorded.joints[n] for n in reversed(names)), strict=True))
-        yield "joints counted from the tip?", "in reverse order", replace(recorded, joints=tracks)
+
+
+def _reading_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
+    for words, corrected in find_reading_errors(recorded, joint_names(arm.n), BASE, TIP):
+        yield words, "corrected by the headings", corrected
 
 
 def _unwrap_readings(track: Track) -> Track:
@@ -326,5 +337,5 @@ def _model_errors(recorded: Recorded, arm: Arm, s: Any) -> Errors:
 
 
 MAKERS: list[Maker] = [_name_errors, _unit_errors, _model_errors]
-MAKERS += [_clock_errors, _pose_errors, _joint_errors]
+MAKERS += [_clock_errors, _pose_errors, _reading_errors, _joint_errors]
 FEW_DATA_MAKERS: list[Maker] = [_setting_errors]  # used only if there are too few data

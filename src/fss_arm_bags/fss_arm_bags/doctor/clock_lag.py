@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fss_arm_bags.doctor.reading_faults import relative_heading
 from fss_arm_bags.recorded import Recorded, Track, unwrap_headings
 from fss_arm_model.arrays import Floats
 from fss_arm_model.planar import project_to_plane
@@ -32,12 +33,11 @@ def estimate_lag(recorded: Recorded, base: str, tip: str, max_duration: float) -
         at = np.arange(0.0, seconds[k], LAG_STEP)
         return np.abs(np.diff(np.interp(at, (track.t - begins[k]) / SECOND, angles)))
 
-    seen = project_to_plane(fixed.values)[:, 2]
     if moving is not None and len(moving.t) > 10:
-        t, since = ((track.t - begins[1]) / SECOND for track in (fixed, moving))
-        other = unwrap_headings(project_to_plane(moving.values)[:, 2])
-        seen = np.interp(t, since, other) - unwrap_headings(seen)
-    there = changes(1, fixed, unwrap_headings(seen))
+        seen = relative_heading(fixed, moving)
+    else:
+        seen = unwrap_headings(project_to_plane(fixed.values)[:, 2])
+    there = changes(1, fixed, seen)
     here = np.sum([changes(0, track, track.values[:, 0]) for track in joints], axis=0)
     size = len(here) + len(there)
     spectra = (np.fft.rfft(part - part.mean(), size) for part in (here, there))

@@ -46,6 +46,7 @@ def calibrate(
     used = [one for one in maneuvers if one.used]
     number = check_number(maneuvers, streams, s)
     found = [checks.joint_names(streams, arm), checks.clocks(streams, s.joint_gap), number]
+    found += check_afloat(used, s)
     found += [check_gyro(streams), check_rates(used), *check_tips(used, arm, s, streams)]
     solution = solution_of(problem_of(used, arm, s), s) if number.verdict == PASS else None
     found += evaluate(solution, s) if solution else []
@@ -71,6 +72,20 @@ def check_number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings
     if found < s.min_maneuvers and lost:
         reason += f"; {format_count(len(lost), 'maneuver')} rejected (the first: {lost[0].reason})"
     return checks.data_amount("maneuvers", found, s.min_maneuvers, reason, streams, number)
+
+
+def check_afloat(used: Sequence[Maneuver], s: DynamicSettings) -> list[Check]:
+    """Check that a maneuver moved the base by more than cameras may err; [] if one did."""
+    ranges = np.array([np.ptp(one.poses, axis=0) for one in used]).reshape(-1, 3)
+    position, heading = 2.0 * s.max_position_deviation, 2.0 * s.max_heading_deviation
+    if not len(ranges) or (ranges > [position, position, heading]).any():
+        return []
+    x, y, turn = ranges.max(axis=0)
+    words = (
+        f"the base moved by at most {1e3 * max(x, y):.2g} mm and {degrees(turn):.2g} deg while the "
+        "arm moved: does it float?"
+    )
+    return [Check("afloat", FAIL, float(turn), heading, words)]
 
 
 def check_gyro(streams: Streams) -> Check:
