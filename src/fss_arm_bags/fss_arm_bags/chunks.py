@@ -2,10 +2,11 @@
 
 rosbags opens the files and reads their index; this module decodes each chunk in one pass. Chunks
 may overlap in time, also between files: messages wait until no later chunk can have earlier ones.
+The layouts of the records are those of the MCAP specification, https://mcap.dev/spec.
 """
 
 from bisect import bisect_left
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator, Sequence
 from itertools import chain
 from math import inf
 from operator import itemgetter
@@ -38,6 +39,7 @@ class _Chunk(NamedTuple):
     """A chunk of an indexed MCAP file."""
 
     storage: McapReader
+    connections: Sequence[Connection]  # those of the file that can be read
     info: ChunkInfo
 
     def messages(self, topics: Container[str]) -> list[Received]:
@@ -49,7 +51,7 @@ class _Chunk(NamedTuple):
         file.seek(i.chunk_start_offset + CHUNK_DATA + len(i.compression))
         packed = file.read(i.compressed_size)
         data = decompress(packed, i.compression, i.uncompressed_size, crc)
-        wanted = {c.id: c for c in self.storage.connections if c.topic in topics}
+        wanted = {c.id: c for c in self.connections if c.topic in topics}
         found = []
         for kind, at, end in records(data):
             if kind == MESSAGE:
@@ -86,12 +88,12 @@ def indexed_chunks(readers: Iterable[AnyReader]) -> list[_Chunk] | None:
     """
     found = []
     for bag in chain.from_iterable(reader.readers for reader in readers):
-        storage = bag.storage if isinstance(bag, Reader) else None
-        if not isinstance(storage, McapReader):
+        if not isinstance(bag, Reader) or not isinstance(bag.storage, McapReader):
             return None
+        storage = bag.storage
         if storage.metadata.message_count and not storage.chunks:
             return None
-        found += [_Chunk(storage, info) for info in storage.chunks]
+        found += [_Chunk(storage, bag.connections, info) for info in storage.chunks]
     return sorted(found, key=lambda chunk: chunk.info.message_start_time)
 
 
@@ -106,7 +108,8 @@ def read_in_order(
     The chunks must be sorted by start time, as those of `indexed_chunks`.
 
     Raises:
-        ChunkError: a chunk is damaged.
+        ChunkError: the records of a chunk are damaged.
+        Exception: another damage, as rosbags or the decompression reports it.
     """
     first, end = start if start is not None else -inf, stop if stop is not None else inf
     waiting: list[Received] = []

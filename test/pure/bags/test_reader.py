@@ -13,6 +13,7 @@ from damaged_bags import make_plain, places
 from mcap.reader import make_reader
 from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import Writer as McapWriter
 from rclpy.serialization import serialize_message
 from ros_bags import START, STEP, fill, joint_state, make_bag, make_killed_bag, states
 from rosbags.highlevel import AnyReader
@@ -433,3 +434,24 @@ def test_only_the_topic_with_another_hash_is_left_out(tmp_path, capsys):
     assert "std_msgs/msg/String does not have the hash RIHS01_000" in left_out
     assert doctor([str(bag)]) == 2
     assert "/odd is left out" in capsys.readouterr().out
+
+
+def test_a_topic_left_out_of_one_bag_is_read_from_the_next(tmp_path):
+    """Its messages in the first bag, of another version without definition, are not decoded."""
+    kind = "std_msgs/msg/String"
+    for k, (text, hash_) in enumerate([("", "RIHS01_" + 64 * "0"), definition(kind)[:2]]):
+        (tmp_path / f"bag_{k}").mkdir()
+        with (tmp_path / f"bag_{k}" / "bag_0.mcap").open("wb") as stream:
+            writer = McapWriter(stream)
+            writer.start(profile="ros2", library="test")
+            schema = writer.register_schema(kind, "ros2msg" if text else "", text.encode())
+            hashes = {"topic_type_hash": hash_}
+            topic = writer.register_channel("/older", "cdr", schema, metadata=hashes)
+            data = serialize_message(String(data=f"bag_{k}"))
+            writer.add_message(topic, START + k, data, START + k)
+            writer.finish()
+    with open_bags(tmp_path) as bags:
+        (left_out,) = bags.left_out
+        assert "bag_0: /older is left out" in left_out
+        assert bags.topics["/older"].messages == 1
+        assert [message.data for *_, message in bags.messages()] == ["bag_1"]
