@@ -455,3 +455,15 @@ def test_a_topic_left_out_of_one_bag_is_read_from_the_next(tmp_path):
         assert "bag_0: /older is left out" in left_out
         assert bags.topics["/older"].messages == 1
         assert [message.data for *_, message in bags.messages()] == ["bag_1"]
+
+
+def test_a_bag_that_cannot_be_repaired_does_not_keep_others_from_it(tmp_path, capsys):
+    recorded = Recording(tmp_path)
+    fill(recorded, 100)
+    recorded.flush()
+    make_killed_bag(tmp_path)
+    assert doctor([str(tmp_path), "--repair"]) == 1
+    said = capsys.readouterr()
+    assert "bag_0: is being recorded" in said.err
+    assert f"repaired: {tmp_path / 'bag_1'}" in said.out
+    recorded.close()

@@ -36,26 +36,43 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def exit_code(path: Path, with_repair: bool, console: Console) -> int:
-    """Examine the bags of a path and return the exit code; print why they are not readable."""
+    """Repair on request, examine the bags of a path, and return the exit code; print errors."""
     try:
-        return HEALTHY if examine(path, with_repair, console) else UNHEALTHY
+        if with_repair and not repair_all(path, console):
+            return USER_ERROR
+        return HEALTHY if examine(path, console) else UNHEALTHY
     except (BagError, OSError) as error:
         print(f"doctor: {in_words(error)}", file=sys.stderr)
         return USER_ERROR
 
 
-def examine(path: Path, with_repair: bool, console: Console) -> bool:
-    """Print contents and problems of the bags of a path, repaired first on request.
+def repair_all(path: Path, console: Console) -> bool:
+    """Repair each damaged bag of a path and print the result; return False if one failed.
+
+    Raises:
+        BagError: there is no bag.
+    """
+    succeeded = True
+    for bag in find_bags(path):
+        try:
+            if recovered := repair(bag):
+                console.print(f"repaired: {escape(str(recovered))}")
+        except (BagError, OSError) as error:
+            print(f"doctor: {in_words(error)}", file=sys.stderr)
+            succeeded = False
+    return succeeded
+
+
+def examine(path: Path, console: Console) -> bool:
+    """Print contents and problems of the bags of a path.
 
     Returns:
         True if the bags are healthy.
 
     Raises:
-        BagError: a bag cannot be read or repaired.
+        BagError: a bag cannot be read.
+        OSError: a file cannot be opened.
     """
-    for bag in find_bags(path) if with_repair else ():
-        if recovered := repair(bag):
-            console.print(f"repaired: {escape(str(recovered))}")
     with open_bags(path, thorough=True) as bags:
         by_topic = streams(bags)
         console.print(table(path, bags, by_topic))

@@ -70,11 +70,12 @@ def streams(bags: Bags) -> dict[str, Stream]:
     Raises:
         BagError: a bag is damaged.
     """
-    receipts: dict[str, list[int]] = {topic: [] for topic in bags.topics}
-    stamps: dict[str, list[int]] = {topic: [] for topic in bags.topics}
+    topics = bags.topics  # which is rebuilt whenever it is read
+    receipts: dict[str, list[int]] = {topic: [] for topic in topics}
+    stamps: dict[str, list[int]] = {topic: [] for topic in topics}
     for topic, msgtype, receipt, data in bags.raw():
         receipts[topic].append(receipt)
-        if bags.unchecked and not bags.topics[topic].mixed:
+        if bags.unchecked and not topics[topic].mixed:
             bags.deserialize(data, msgtype)  # raises BagError if the data do not fit the type
         if msgtype in MEASUREMENTS:
             try:
