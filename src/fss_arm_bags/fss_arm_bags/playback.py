@@ -26,6 +26,9 @@ class PlaybackError(RuntimeError):
 class Outputs(Protocol):
     """Interface of the node that a playback uses; topics have their recorded names."""
 
+    def stop_on_duplicate_publisher(self) -> None:
+        """Stop, by an exception, if another node publishes a topic that is played."""
+
     def publish(self, topic: str, message: Any) -> bool:
         """Publish; return False if a subscriber has no room, and the caller must try again."""
 
@@ -100,6 +103,7 @@ class Playback:
             PlaybackError: subscribers are missing.
         """
         yield from self._wait_for_subscribers()
+        self.outputs.stop_on_duplicate_publisher()
         self.state = "playing"
         yield from self._play_once()
         while self.settings.loop:

@@ -5,8 +5,15 @@ from collections.abc import Collection, Mapping
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import QosDurability
 
-from fss_arm_bags.definitions import MEASUREMENTS, ROSBAG2_TYPES
-from fss_arm_bags.reader import Topic
+from fss_arm_bags.definitions import (
+    MEASUREMENTS,
+    ROSBAG2_TYPES,
+    NotInstalledError,
+    definition,
+    extends,
+    message_class,
+)
+from fss_arm_bags.reader import Topic, two_versions
 
 COMMANDS = ("command", "wrench", "trajectory", "stop")  # last parts of topics that move something
 THRUSTER_REPORTS = "pulses", "health"  # last parts of thruster topics that move nothing
@@ -54,6 +61,28 @@ def playback_name(topic: str, msgtype: str) -> str | None:
     if msgtype in MEASUREMENTS or topic.endswith(IN_PLACE):
         return topic
     return f"recorded{topic}"
+
+
+def has_installed_version(topic: Topic) -> bool:
+    """Return True if a topic's messages are of the installed version of their type.
+
+    Raises:
+        NotInstalledError: the type is not installed.
+    """
+    return topic.hash in ("", definition(topic.msgtype).hash)
+
+
+def type_problem(topic: Topic) -> str:
+    """Return why a topic's messages cannot be published; empty if they can."""
+    if topic.mixed:
+        return f"the bags {two_versions(topic.msgtype)}"
+    try:
+        message_class(topic.msgtype)
+        if has_installed_version(topic) or extends(topic.msgtype, topic.definition):
+            return ""
+    except NotInstalledError as error:
+        return str(error)
+    return f"{topic.msgtype} is installed in another version"
 
 
 def is_latched(topic: Topic) -> bool:

@@ -12,19 +12,24 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
-from fss_arm_bags.definitions import NotInstalledError, definition, extends, message_class
+from fss_arm_bags.definitions import message_class
 from fss_arm_bags.playback import Playback, PlaybackError, playback_span
 from fss_arm_bags.programs import replay as main
-from fss_arm_bags.reader import BagError, open_bags, two_versions
-from fss_arm_bags.replay import choose_topics, playback_qos
+from fss_arm_bags.reader import BagError, open_bags
+from fss_arm_bags.replay import (
+    choose_topics,
+    has_installed_version,
+    playback_qos,
+    type_problem,
+)
 from fss_arm_bags.settings import ReplaySettings
 from fss_arm_ros.convert import to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.rclpy_compat import RCLError
 
-TICK = 0.002  # [s]
-PUBLISHER_CHECK_PERIOD = 0.25  # [s]
+TICK = 0.002  # period of the timer that publishes the messages that are due [s]
+PUBLISHER_CHECK_PERIOD = 0.25  # of the search for other publishers [s]
 MAX_WAIT_FOR_ROOM = 1.0  # a longer wait for a slow subscriber is reported [s]
 
 
@@ -66,17 +71,12 @@ class ReplayNode(Node):
         players = {}
         for topic, name in choose_topics(self.bags.topics, self.settings.topics).items():
             about = self.bags.topics[topic]
-            try:
-                if about.mixed:
-                    raise BagError(f"the bags {two_versions(about.msgtype)}")
-                kind = message_class(about.msgtype)
-                if about.hash not in ("", definition(about.msgtype).hash):
-                    if not extends(about.msgtype, about.definition):
-                        raise NotInstalledError(f"{about.msgtype} is installed in another version")
-                    self.upgraded_types[topic] = kind
-            except (BagError, NotInstalledError) as error:
-                self.get_logger().warning(f"{topic} is not played: {error}")
+            if problem := type_problem(about):
+                self.get_logger().warning(f"{topic} is not played: {problem}")
                 continue
+            kind = message_class(about.msgtype)
+            if not has_installed_version(about):
+                self.upgraded_types[topic] = kind
             players[topic] = self.create_publisher(kind, name, playback_qos(about))
         names = {topic: player.topic_name for topic, player in players.items()}
         played = [a if a == b else f"{a} as {b}" for a, b in names.items()]

@@ -25,12 +25,17 @@ class Bench:
         self.bags, self.time, self.step = open_bags(path), 0.0, step
         self.published, self.clock, self.lines, self.ticks = [], [], [], 0
         self.room, self.acknowledged, self.subscribers = True, True, {TOPIC: 0}
+        self.has_duplicate = False
         given = ReplaySettings(**{"discovery": 0.0, **settings})
         span = playback_span(self.bags.span, given.start)
         self.playback = Playback(
             self.bags, span, given, [TOPIC], {}, wait_for or {}, self, lambda: self.time
         )
         self.steps = self.playback.steps()
+
+    def stop_on_duplicate_publisher(self):
+        if self.has_duplicate:
+            raise SystemExit("also published")
 
     def publish(self, topic, message):
         if self.room:
@@ -56,6 +61,14 @@ class Bench:
                 return
             self.ticks += 1
             self.time += self.step
+
+
+def test_nothing_is_played_beside_another_publisher(tmp_path):
+    bench = Bench(make_bag(tmp_path, 5))
+    bench.has_duplicate = True
+    with pytest.raises(SystemExit, match="also published"):
+        bench.run()
+    assert bench.published == []
 
 
 def test_messages_are_played_unchanged_at_their_pace(tmp_path):
