@@ -81,4 +81,14 @@ class Short(Good):
 
 class Broken:
     def __init__(self, joints, period):
-        raise ValueError("no gains")
+        raise ValueError("no\ngains")
+
+
+class Singular(Good):
+    def fail(self):
+        np.linalg.inv(np.zeros((2, 2)))
+
+
+class Piping(Good):
+    def fail(self):
+        raise BrokenPipeError("of the law")

@@ -86,12 +86,23 @@ def test_an_endless_law_leaves_its_real_time_node_the_core():
         ("Exiting", "^exit code 3$"),
         ("Short", r"joint_velocities has shape \(2,\), expected \(4,\)"),
         ("Broken", r"^ValueError: no gains \(faulty_laws.py:\d+\)$"),
+        ("Singular", r"^LinAlgError: Singular matrix \(faulty_laws.py:\d+\)$"),
+        ("Piping", r"^BrokenPipeError: of the law \(faulty_laws.py:\d+\)$"),
     ],
 )
 def test_a_fault_is_reported_by_its_name(start, name, reason):
     process = start(name)
     with pytest.raises(LawError, match=reason):
         run(process, GOOD_STEPS + 50)
+
+
+def test_a_syntax_error_is_reported_with_its_own_place(tmp_path):
+    law = tmp_path / "law.py"
+    law.write_text("class Law:\n    def step(self inputs): ...\n")
+    process = LawProcess(f"{law}:Law", 4, 0.02)
+    with pytest.raises(LawError, match=r"^SyntaxError: .* \(law.py, line 2\)$"):
+        answer(process)
+    process.close()
 
 
 def test_a_killed_process_is_reported_by_its_signal(start):

@@ -15,6 +15,7 @@ import signal
 import socket
 import sys
 import traceback
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 
@@ -26,21 +27,32 @@ from fss_gnc.law.forms import load
 
 READY, OUTPUT, FAILED = b"r", b"o", b"f"
 MAX_MESSAGE = 1 << 16  # [bytes]
-MAX_TEXT = 1000  # of a failure
-MAX_GROWTH = 512 << 20  # of a law's memory after its start [bytes]
+MAX_TEXT = 1000  # length of a failure's text [characters]; with its place it fits in a message
+#: Growth of a law's memory after its start [bytes]. A law that leaks fails before it takes memory
+#: from the nodes beside it; the tables that laws make in their first steps are far smaller.
+MAX_GROWTH = 512 << 20
 PR_SET_PDEATHSIG = 1  # of prctl: signal at the end of the parent
 
 
 def serve(law: str, joints: int, period: float, channel: socket.socket) -> None:
-    """Load a law, and answer inputs until the node closes the channel."""
+    """Load a law, and answer inputs until the node closes the channel or ends."""
     running = load(law, joints, period)
     limit_memory()
-    channel.send(READY + sha256(Path(running.path).read_bytes()).hexdigest()[:12].encode())
-    while data := channel.recv(MAX_MESSAGE):
+    answer = READY + sha256(Path(running.path).read_bytes()).hexdigest()[:12].encode()
+    while data := exchange(channel, answer):
         record = np.frombuffer(data, STRUCTURES[Inputs])[0]
         outputs = running.step(from_record(Inputs, record, joints))
-        channel.send(OUTPUT + to_record(outputs, joints).tobytes())
+        answer = OUTPUT + to_record(outputs, joints).tobytes()
     running.terminate()
+
+
+def exchange(channel: socket.socket, answer: bytes) -> bytes:
+    """Send an answer and return the next input; empty if the node has closed the channel."""
+    try:
+        channel.send(answer)
+        return channel.recv(MAX_MESSAGE)
+    except (BrokenPipeError, ConnectionResetError):
+        return b""
 
 
 def limit_memory() -> None:
@@ -58,15 +70,30 @@ def end_with(parent: int) -> None:
         sys.exit(1)
 
 
-def failure_text(error: BaseException) -> str:
-    """Return type, message and place of an exception in one line."""
+def failure_text(error: BaseException, folder: str) -> str:
+    """Return type, message and place of an exception in one line.
+
+    The place is the last one in the law's folder; if there is none, the last one of all.
+    """
+    text = " ".join(str(error).split())
     if isinstance(error, LawError):
-        return str(error)
-    text = f"{type(error).__name__}: {error}".rstrip(": ")
-    ours, stack = os.path.dirname(__file__), traceback.extract_tb(error.__traceback__)
-    frames = [f for f in stack if os.path.dirname(f.filename) != ours]
-    place = f" ({os.path.basename(frames[-1].filename)}:{frames[-1].lineno})" if frames else ""
+        return text[:MAX_TEXT]
+    text = f"{type(error).__name__}: {text}".rstrip(": ")
+    if isinstance(error, SyntaxError):
+        return text[:MAX_TEXT]  # its message names the place
+    ours = os.path.dirname(__file__)
+    stack = [(f.filename, f.lineno) for f in traceback.extract_tb(error.__traceback__)]
+    places = [f for f in stack if os.path.dirname(f[0]) != ours and not f[0].startswith("<")]
+    places = [f for f in places if os.path.dirname(os.path.abspath(f[0])) == folder] or places
+    place = f" ({os.path.basename(places[-1][0])}:{places[-1][1]})" if places else ""
     return text[:MAX_TEXT] + place
+
+
+def folder_of(law: str) -> str:
+    """Return the folder of the file or module of a Python law."""
+    place = law.rpartition(":")[0]
+    file = getattr(sys.modules.get(place), "__file__", None) or place
+    return os.path.dirname(os.path.abspath(file))
 
 
 def main(law: str, joints: str, period: str, parent: str, fd: str) -> int:
@@ -78,12 +105,11 @@ def main(law: str, joints: str, period: str, parent: str, fd: str) -> int:
     channel = socket.socket(fileno=int(fd))
     try:
         serve(law, int(joints), float(period), channel)
-    except BrokenPipeError:  # the node has ended
-        return 0
     except BaseException as error:
         if not isinstance(error, LawError):
             traceback.print_exc()
-        channel.send(FAILED + failure_text(error).encode())
+        with suppress(BrokenPipeError):  # the node has ended, or does not wait for the law's end
+            channel.send(FAILED + failure_text(error, folder_of(law)).encode())
         return 1
     return 0
 
