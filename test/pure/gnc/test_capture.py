@@ -19,9 +19,10 @@ from fss_arm_model.held import (
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import generalized_jacobian
 from fss_arm_model.settings import SettingError
-from fss_gnc.guidance.abort import Abort
+from fss_gnc.guidance.abort import Abort, JointStop
 from fss_gnc.guidance.activity import Craft, Observation
 from fss_gnc.guidance.approach import Planner, propagate_coast
+from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.capture import Capture
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import PUSH_MARGIN, DriftPredictor
@@ -253,6 +254,19 @@ def test_joints_stop_within_the_limits_of_the_grip():
     assert grip_load(p, q, qd, -qd[3:] / duration, Target(), place)[1] <= 0.1
 
 
+def test_joints_that_slow_down_keep_the_limits_of_a_grip_that_is_known_later():
+    q, qd, place = at(0.0, 0.0, 0.0), np.array([0.4, 0.3, 0.2, 0.4]), np.array([0.55, 0.0, 1.0])
+    p, stop = with_payload(P, Target(), place), JointStop(np.full(4, np.inf))
+    obs = Observation(0.0, Body(q[:3], np.zeros(3)), None, q[3:], qd)
+    stop.rates(P, obs)
+    grip = Grip(Target(), place, np.inf, 0.1)
+    for t in (0.1, 0.2):
+        stop.rates(p, replace(obs, t=t), grip)
+    rates = np.array([0.0, 0.0, 0.0, *qd])
+    needed = joint_stop_time(p, q, rates, np.full(4, np.inf), grip)
+    assert stop.end_time == pytest.approx(0.1 + needed)
+
+
 @pytest.mark.parametrize("spin", [-0.3, 0.15])
 def test_reach_gives_the_end_effector_the_velocity_of_the_fixture(spin):
     q, reach = at(-0.8, 0.1, 0.2, (0.4, 0.9, -0.6, -0.5)), Reach(ARM, SETTINGS)
@@ -416,6 +430,18 @@ def test_the_propellant_of_a_mission_includes_that_before_the_grip():
     assert mission.step(replace(obs, t=1.0)).phase == "detumble"
     more = replace(obs, t=1.1, propellant=0.1 - 1.1 * limit)
     assert "of propellant used" in mission.step(more).reason
+
+
+def test_detumble_keeps_the_held_target_from_the_edge():
+    q, place = at(0.0, 0.0, 0.0, np.zeros(4)), np.array([1.2, 0.0, 0.0])
+    q[0] += 1.95 - payload_positions(P, q, place)[0]
+    obs = observe(q, holds=True, held_body=(Target(), place))
+    mission, budget = Detumble(CRAFT), Budget(CRAFT)
+    for t in (0.0, 0.1):
+        mission.step(replace(obs, t=t))
+    assert "table's edge is" in mission.abort.reason
+    budget.update(obs)
+    assert budget.edge_gap == pytest.approx(0.05 - SETTINGS.target_radius)
 
 
 def test_detumble_does_not_succeed_in_the_step_that_detects_a_push():

@@ -182,11 +182,15 @@ class Abort:
 
 
 class JointStop:
-    """Joint motion that slows down within torque limits (n,) [N m] and the grip's, then holds."""
+    """Joint motion that slows down within torque limits (n,) [N m] and the grip's, then holds.
+
+    If the grip becomes known only while the joints slow down, they start again with its limits.
+    """
 
     def __init__(self, torques: Floats) -> None:
         self.torques = torques
         self._start: tuple[float, float, Floats] | None = None  # start, duration and initial rates
+        self._has_grip = False  # True if the duration is that for a known grip
 
     @property
     def end_time(self) -> float:
@@ -197,7 +201,9 @@ class JointStop:
         """Return the rates of the joints now [rad/s]; they start with the present rates."""
         if obs.q is None or obs.qd is None:
             return np.zeros(self.torques.size)
-        if self._start is None:
+        is_late_grip = grip is not None and not self._has_grip and obs.t < self.end_time
+        if self._start is None or is_late_grip:
+            self._has_grip = grip is not None
             twist = np.zeros(3) if obs.base is None else obs.base.twist
             pose = np.zeros(3) if obs.base is None else obs.base.pose
             q, qd = np.concatenate([pose, obs.q]), np.concatenate([twist, obs.qd])

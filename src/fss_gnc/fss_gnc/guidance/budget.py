@@ -9,6 +9,7 @@ from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
 from fss_arm_model.held import with_payload
 from fss_arm_model.momentum import momentum
 from fss_gnc.guidance.activity import Craft, Observation
+from fss_gnc.guidance.free_space import held_gap
 
 
 def _nan_vector() -> Floats:
@@ -25,7 +26,7 @@ class Budget:
     propellant: float = np.nan  # used since [kg]
     largest_torque: float = np.nan  # at a joint [N m]
     momentum: Floats = field(default_factory=_nan_vector)  # [N s, N s, N m s]
-    edge_gap: float = np.nan  # least gap of a body to the table's edge [m]
+    edge_gap: float = np.nan  # least gap of a body or the held target to the table's edge [m]
     target_gap: float = np.nan  # least gap to the target, of base and arm without gripper [m]
 
     def update(self, obs: Observation) -> None:
@@ -46,6 +47,8 @@ class Budget:
         held = obs.held_body if obs.holds else None
         self.momentum = momentum(p if held is None else with_payload(p, *held), q, qd)
         self.edge_gap = float(gaps(p, q, list(with_edge(n)), body_sizes).min())
+        if held is not None:
+            self.edge_gap = min(self.edge_gap, float(held_gap(p, q, held[1], s.target_radius, s)))
         if obs.target is not None:
             pairs = list(with_target(n))[:-1]
             self.target_gap = float(gaps(p, q, pairs, body_sizes, obs.target.pose[:2]).min())

@@ -8,13 +8,12 @@ import numpy as np
 
 from fss_arm_model.arrays import Floats
 from fss_arm_model.held import Target, payload_pose, with_payload
-from fss_gnc.guidance.abort import Abort, JointStop
+from fss_gnc.guidance.abort import JOINT_REST_RATE, Abort, JointStop
 from fss_gnc.guidance.activity import Commands, Craft, HeldBody, Observation, Outcome
 from fss_gnc.guidance.mission_monitor import MissionMonitor
 from fss_gnc.guidance.stopping import Grip, braking, grip_of
 from fss_gnc.reference import Path
 
-JOINT_REST_RATE = 0.01  # rate of a joint below which the base is slowed down [rad/s]
 REST_TIME = 2.0  # time for which everything must be at rest [s]
 COAST_TIME = 2.5  # time of coasting, valves closed, before and after the braking [s]
 
@@ -37,7 +36,7 @@ class Detumble:
         self.abort: Abort | None = None
         self.twist = np.full(3, np.nan)  # of the base
         self._path: Path | None = None
-        self._grip: Grip | None = None  # None: the held body is not known yet
+        self._grip: Grip | None = None  # None: nothing is held, or the held body is not known yet
         self._used_estimate: HeldBody | None = None  # estimate that p contains
         self._start = self._last_motion = np.nan
         self._joint_rest_start, self._coast_start = np.inf, np.inf  # [s]
@@ -70,7 +69,7 @@ class Detumble:
         if not rates.any() and np.abs(qd[3:]).max() < JOINT_REST_RATE:
             self._joint_rest_start = min(self._joint_rest_start, obs.t)
         if self._path is None and obs.t >= self._joint_rest_start + COAST_TIME:
-            # The joints' effect on the base ended with their motion; the rest is momentum.
+            # The joints no longer move the base: its twist is what the valves must remove.
             self._path = braking(self.p, q, qd, self.settings, obs.t)
         if self._path is None or not self._is_at_rest(qd):
             self._last_motion = obs.t
@@ -90,6 +89,7 @@ class Detumble:
     def _use_held_body(self, body: Target, place: Floats) -> None:
         self.p = with_payload(self.craft.arm.vector(), body, place)
         self._grip = grip_of(self.settings, body, place)
+        self.monitor.use_held_body(self.p, place)
 
     def cancel(self, reason: str) -> None:
         """Abort the mission."""
@@ -102,5 +102,5 @@ class Detumble:
         return bool(
             np.hypot(*qd[:2]) < s.rest_speed
             and abs(qd[2]) < s.rest_turn_rate
-            and np.abs(qd[3:]).max() < s.rest_turn_rate
+            and np.abs(qd[3:]).max() < JOINT_REST_RATE
         )

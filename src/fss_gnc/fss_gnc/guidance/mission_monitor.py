@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fss_arm_model.arrays import Floats
 from fss_gnc.guidance.activity import Craft, Observation, tracking_problem
 from fss_gnc.guidance.drift import DriftPredictor
 from fss_gnc.reference import Path, pose_error
@@ -20,6 +21,15 @@ class MissionMonitor:
         self._initial_propellant = np.nan  # propellant at the start [kg]
         self._overload_start: float | None = None  # since when a torque exceeds its limit [s]
         self._push_start = np.inf  # since when there is an unknown push [s]
+
+    def use_held_body(self, p: Floats, place: Floats) -> None:
+        """Include a held target in the predictions.
+
+        Args:
+            p: (8 + 6 n,) Arm.vector(), with the held target.
+            place: (3,) of the target in the last link's frame (held.py).
+        """
+        self.predictor = DriftPredictor(p, self.settings, place)
 
     def abort_reason(
         self, obs: Observation, path: Path | None, phase: str, timeout: float, phase_start: float
