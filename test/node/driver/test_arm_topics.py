@@ -384,7 +384,7 @@ def test_a_number_goes_on_after_those_that_links_still_hold(bench):
 
 #: What ends a trajectory: the trouble, and the words of the result.
 TROUBLES = {
-    "joint_2 is off by 0.0200 rad, at most 0.01": lambda links: links.off.__setitem__(1, 0.02),
+    "joint_2 is off by 0.02 rad, at most 0.01": lambda links: links.off.__setitem__(1, 0.02),
     "link 2 is silent": lambda links: links.silent.add(2),
 }
 

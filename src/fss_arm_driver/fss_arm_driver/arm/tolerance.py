@@ -11,13 +11,14 @@ from fss_arm_driver.scale import MAX_MAGNITUDE
 from fss_arm_model.description import joint_names
 from fss_arm_model.units import SECOND
 
-NO_TOLERANCE = -1.0  # as a tolerance in a goal: none
-MIN_TOLERANCE = 1e-6  # smallest one above 0, in its unit; an encoder resolves 2.6e-5 rad
+NO_TOLERANCE = -1.0  # in a goal: none; 0 in a goal: the default
+#: Smallest tolerance above 0, in its unit; the default encoder resolves 2.6e-5 rad.
+MIN_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Tolerance of one joint; 0: none."""
+    """Tolerance of one joint; 0: none, unlike in a goal (`_chosen`)."""
 
     position: float = 0.0  # [rad]
     velocity: float = 0.0  # [rad/s]
@@ -25,9 +26,9 @@ class Tolerance:
     def violation(self, error: float, rate_error: float) -> str:
         """Describe which tolerance the errors [rad], [rad/s] exceed; empty: none."""
         if 0.0 < self.position < abs(error):
-            return f"is off by {abs(error):.4f} rad, at most {self.position:g}"
+            return f"is off by {abs(error):.3g} rad, at most {self.position:g}"
         if 0.0 < self.velocity < abs(rate_error):
-            return f"is off by {abs(rate_error):.4f} rad/s, at most {self.velocity:g}"
+            return f"is off by {abs(rate_error):.3g} rad/s, at most {self.velocity:g}"
         return ""
 
 
@@ -76,7 +77,7 @@ def _merged(
             _chosen(one.position, usual.position, f"position in {what}", "rad"),
             _chosen(one.velocity, usual.velocity, f"velocity in {what}", "rad/s"),
         )
-        # Checked, but not used: accelerations are not measured.
+        # Checked, but without effect (docs/reference/commands.md): accelerations are not measured.
         _chosen(one.acceleration, 0.0, f"acceleration in {what}", "rad/s^2")
     return tuple(found.values())
 
@@ -84,7 +85,7 @@ def _merged(
 def _chosen(
     value: float, default: float, what: str, unit: str, greatest: float = MAX_MAGNITUDE
 ) -> float:
-    """Return a goal's value; 0 means the default, -1 none."""
+    """Return the tolerance that a goal selects, 0: none. In a goal 0 is the default, -1 none."""
     if value == NO_TOLERANCE:
         return 0.0
     if value and not MIN_TOLERANCE <= value <= greatest:
