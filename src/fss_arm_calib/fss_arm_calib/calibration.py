@@ -85,6 +85,7 @@ class Data(Generic[D]):
     from_message: Callable[[Any], list[D]]
     summary: Callable[[D], str] = lambda _: ""  # log text of a datum that is used
     rule: Any = None  # validation.Rule of the messages; None: that of their type
+    is_replaced: bool = False  # a new datum replaces the previous one, so it has the same number
 
     def describe(self, one: D, number: int) -> str:
         """Return the log text of a datum, which is the one with this number."""
@@ -106,7 +107,7 @@ class Calibration(Generic[D, C]):
     message: type[Any]
     to_message: Callable[[Outcome[D, Any], str], Any]  # takes the outcome and a frame id
     recomputed_fields: tuple[str, ...] = ()  # message fields to recompute besides the common ones
-    frame: str = "fss"  # frame id of the results
+    frame: str = ""  # frame id of the results; empty: the base's
     report: Callable[[Outcome[D, Any], Arm | None], Report] = table_report
     output: Callable[[Outcome[D, Any]], str] = lambda outcome: outcome.description
     output_name: str = "calibrated description"  # name of the `output`

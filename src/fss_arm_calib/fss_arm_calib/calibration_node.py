@@ -28,7 +28,7 @@ from fss_arm_ros.state_file import FileWriter, StateError
 from fss_arm_ros.subscription_set import receive_pending
 from fss_arm_ros.validation import subscribe
 
-BASE = Vehicle.__dataclass_fields__["base_frame"]
+BASE = Vehicle.__dataclass_fields__["base_frame"]  # its default depends on the namespace
 
 
 class CalibrationNode(Node):
@@ -42,25 +42,25 @@ class CalibrationNode(Node):
         super().__init__(kind.name, **options)
         self.kind, self.writer = kind, FileWriter(self.get_logger())
         s = self.settings = declare(self, node_settings(kind.name, kind.settings))
-        base = default_in(BASE, self.get_namespace())
-        self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
+        self.frame = s.frame_id or kind.frame or default_in(BASE, self.get_namespace())
         arm = load_described_arm(self, s.arm)
         # The described masses count as calibrated, so that a kinematic result keeps them.
-        self.initial = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
+        size = arm.vector().size
+        self.initial = Calibrated(arm, dynamic=np.zeros((size, size)))
         restored, self.flags = restore(s.state_file, kind.name, arm.n, kind.data.type)
         self.data: list[Any] = keep_newest(restored, kind.max_data(s))
-        self.count = len(restored)  # of all data, including those that were dropped as too many
+        self.count = len(restored)  # of data, for the log; a restart counts on from those saved
         self.finder = kind.finder(self.initial.arm, s, restored)
         try:
             self.outcome, self.saved = self.solve(), self.flags
-            if s.report:
-                require("matplotlib")
-                kind.report_of(self.outcome)  # fail at startup if the report's inputs are missing
             kind.data.to_message(self.data, self.frame)  # fail at startup if they are invalid
         except (ArithmeticError, LookupError, ValueError) as error:
             if not restored:
                 raise
             raise StateError(f"{s.state_file}: the saved data cannot be solved: {error}") from error
+        if s.report:
+            require("matplotlib")
+            kind.report_of(self.outcome)  # fail at startup if the report's inputs are missing
         self.data_publisher = self.create_publisher(kind.data.message, kind.data.topic, LATCHED)
         self.result_publisher = self.create_publisher(kind.message, kind.topic, LATCHED)
         for one in kind.inputs(s, self.initial.arm.n):
@@ -70,7 +70,7 @@ class CalibrationNode(Node):
             else:
                 subscribe_sensor(*source, keep_all=True)
         for topic, message in kind.prior_results.items():
-            self.create_subscription(message, topic, partial(self.on_result, topic), LATCHED)
+            subscribe(self, message, topic, partial(self.on_result, topic), LATCHED)
         self.create_service(Trigger, "~/solve", self.on_solve)
         self.create_service(Trigger, "~/forget", self.on_forget)
         self.get_logger().info(kind.describe_start(s, arm.n, len(restored)))
@@ -123,7 +123,7 @@ class CalibrationNode(Node):
         """Store, save and publish new data and solve again; return False if there are none."""
         if found:
             max_data = self.kind.max_data(self.settings)
-            first = self.count + 1 if max_data > 1 else 1  # the session of `joint` is replaced
+            first = 1 if self.kind.data.is_replaced else self.count + 1
             self.count += len(found)
             self.data = keep_newest([*self.data, *found], max_data)
             self.outcome = self.solve()

@@ -16,6 +16,7 @@ from fss_arm_calib.messages import calibration_part
 from fss_arm_calib.result import read_arm
 from fss_arm_model.description_file import from_yaml, to_yaml
 from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.validation import validators
 
 FOUND = kinematics(rests(ARM, 13, np.random.default_rng(0)))
 
@@ -43,6 +44,7 @@ def test_a_node_begins_from_a_kinematic_result_that_passed(spin, kind):
     publisher.publish(message)
     spin([bed, node], lambda: node.initial.arm.known.names)
     assert node.initial.arm.known == FOUND.known
+    assert {one.topic for one in validators(node)} >= kind.prior_results.keys()
     spin(
         [bed, node], lambda: bed.results and "covariance" in calibration_part(bed.results[-1]).guess
     )

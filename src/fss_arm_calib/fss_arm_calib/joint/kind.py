@@ -149,6 +149,7 @@ JOINT = Calibration(
         session_message,
         sessions_from_message,
         _summary,
+        is_replaced=True,
     ),
     max_data=lambda _: 1,
     inputs=inputs,
