@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from math import inf, nan
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from fss_arm_calib.acceptance import (
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
-from fss_arm_model.estimation.least_squares import MAX_CONDITION, Mask
+from fss_arm_model.estimation.least_squares import MAX_CONDITION, Fit, Mask, Minimum
 from fss_arm_model.estimation.noise import Noise
 from fss_arm_model.estimation.statistics import probability
 
@@ -112,17 +111,17 @@ def data_amount(
 
 
 def identifiability(
-    r: Any, hint: str = "", max_condition: float = MAX_CONDITION, brief: bool = True
+    r: Fit, hint: str = "", max_condition: float = MAX_CONDITION, hide_reason: bool = True
 ) -> Check:
     """Check that the data determine all parameters of a result; `hint` is a cause or a remedy.
 
-    The condition number is that of the column-scaled regressor. If it passes, a `brief` check has
-    no reason.
+    The condition number is that of the column-scaled regressor. If the check passes, it has a
+    reason only without `hide_reason`.
     """
     facts = f"condition number {r.condition_number:.3g} (at most {max_condition:g})"
     if not r.undetermined:
         check = limit("determined", r.condition_number, max_condition, facts)
-        return hide_pass_reason(check) if brief else check
+        return hide_pass_reason(check) if hide_reason else check
     reason = f"{', '.join(r.undetermined)} cannot be determined separately: "
     reason += f"{format_count(r.missing, 'combination')} undetermined, {facts}{hint}"
     return Check("determined", NOT_EVALUATED, r.condition_number, max_condition, reason)
@@ -137,7 +136,7 @@ def bounds(at_bound: Sequence[str], advice: str) -> Check:
     return Check("bounds", FAIL, len(at_bound), 0, words, brief=brief)
 
 
-def convergence(m: Any, tolerance: float = UPDATE_TOLERANCE) -> Check:
+def convergence(m: Minimum, tolerance: float = UPDATE_TOLERANCE) -> Check:
     """Check that the last update of a minimum was negligible."""
     number = format_count(m.iterations, "iteration")
     words = f"{number}, last update {m.last_update:.2g} deviations"
@@ -148,7 +147,7 @@ def convergence(m: Any, tolerance: float = UPDATE_TOLERANCE) -> Check:
 def outliers(
     errors: Floats, kept: Mask, max_error: float, max_outliers: int, noun: str, error_name: str
 ) -> Check:
-    """Check that the errors (s,) [deviations] of all data that were not rejected are small."""
+    """Check that the errors of the data `kept` are small; (s,) each, errors in deviations."""
     largest = float(np.max(errors[kept]))
     words = f"largest {error_name} {largest:.3g} (at most {max_error:g})"
     if rejected := np.flatnonzero(~kept).tolist():
@@ -159,7 +158,10 @@ def outliers(
 
 
 def redundancy(shares: Floats, kept: Mask, min_redundancy: float, noun: str) -> Check:
-    """Check that each datum kept is verified by the others, so that an error in it would show."""
+    """Check that each datum kept (s,) is verified by the others, so that an error would show.
+
+    `shares` (kept,) are those of `statistics.redundancy`.
+    """
     worst = int(np.argmin(shares))
     value = float(shares[worst])
     if value >= min_redundancy:

@@ -129,7 +129,7 @@ def _check_determined(r: KinematicResult, s: KinematicSettings) -> Check:
     span = np.ptp(r.problem.q, axis=0)
     still = [f"joint_{i + 1}" for i in np.flatnonzero(span < SAME_POSTURE)]
     hint = f"; {', '.join(still)} hardly moved" if still else ""
-    return checks.identifiability(r, hint, s.max_condition, brief=False)
+    return checks.identifiability(r, hint, s.max_condition, hide_reason=False)
 
 
 def _lengths(solution: Solution) -> Floats:
