@@ -59,4 +59,5 @@ def problem(found, seed=0, com=0.01, **known):
     sigma = [np.tile(SIGMA / np.sqrt(FRESH), (len(d.times), 1)) for d in found]
     bodies = single_body(ARM.vector(), np.array([d.q for d in found]))
     bodies[:, 2:] += rng.normal(0.0, com, (len(found), 2))
-    return DriftProblem(found, bodies, sigma, **{"com": com, "mass": 0.0, **known})
+    hose = {"torque": 0.05, "twist_damping": 0.01, "drag": 0.05}
+    return DriftProblem(found, bodies, sigma, **{**hose, "com": com, "mass": 0.0, **known})

@@ -1,12 +1,13 @@
 """What acts on the drifting base, against the simulated truth."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from calib_drift import ARM, SHARED, drifts, problem
+from calib_drift import ARM, FRESH, SHARED, SIGMA, drifts, problem
 
-from fss_arm_calib.drift.calibrate import check_time
+from fss_arm_calib.drift.calibrate import check_time, solution_of
 from fss_arm_calib.drift.problem import solve
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.segments.streams import Streams
@@ -87,7 +88,18 @@ def test_one_long_drift_may_decide_alone():
     leverage, errors, redundancy = result.cross_checks
     assert redundancy == 0.0  # and not a little below, by rounding
     assert 4.0 < leverage[0] <= 5.0  # of five unknowns
-    assert 0.0 < errors[0] < 1.0  # nothing but what is left of its own residuals
+    assert errors[0] == pytest.approx(1.0, abs=0.15)  # of what is left of its own residuals
+
+
+def test_errors_of_clean_drifts_are_about_1_and_a_noisy_drift_is_rejected():
+    found, _ = drifts(7)
+    clean = solution_of(found, ARM, DriftSettings())
+    np.testing.assert_allclose(clean.errors, 1.0, atol=0.2)
+    noise = 5.0 * SIGMA / np.sqrt(FRESH) * np.random.default_rng(7).standard_normal((80, 3))
+    found[2] = replace(found[2], poses=found[2].poses + noise)
+    solution = solution_of(found, ARM, DriftSettings(max_outliers=1))
+    assert solution.kept.tolist() == [True, True, False, True]
+    assert solution.errors[2] == pytest.approx(5.1, abs=0.5)
 
 
 def test_a_little_too_little_time_is_not_rounded_up():

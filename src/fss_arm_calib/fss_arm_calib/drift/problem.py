@@ -39,6 +39,7 @@ from fss_arm_model.estimation.statistics import redundancy
 NAMES = drifting.SURROUNDINGS
 UNITS = ("m/s^2", "m/s^2", "N m", "N m s", "N s/m")
 OWN_COUNT = STATE_COUNT + 2  # unknowns of one drift: pose and twist, centre of mass
+BLOCK = SHARED_COUNT + OWN_COUNT + 1  # rows of one drift: compressed to its columns and residuals
 ZERO_REDUNDANCY = 1e-9  # redundancy below which one drift alone determines a direction
 TOLERANCE = 1e-4  # largest last update [deviations]; integration errors are smaller
 
@@ -64,7 +65,8 @@ def own_unknowns(k: int) -> slice:
 class DriftProblem:
     """Problem with drifts and prior knowledge.
 
-    Deviations are 1 sigma about 0; a deviation of 0 means that the value is 0.
+    Prior deviations are 1 sigma about 0, those of the centre of mass about the described one. A
+    quantity with a deviation of 0 is not estimated; with a `mass` of 0, the masses are exact.
     """
 
     names: ClassVar = NAMES
@@ -73,11 +75,11 @@ class DriftProblem:
     drifts: Sequence[Drift]
     bodies: Floats  # (s, 4) base and arm as one body, see drifting.single_body
     sigma: Sequence[Floats]  # (m, 3) standard deviations of each drift's poses
-    torque: float = 0.05  # deviation of the hose's torque at rest [N m]
-    twist_damping: float = 0.01  # deviation of the hose's resistance to turning [N m s]
-    drag: float = 0.05  # deviation of the hose's resistance to moving [N s/m]
-    com: float = 0.01  # deviation of the centre of mass, each axis, about the described one [m]
-    mass: float = 0.05  # relative deviation of mass and inertia
+    torque: float  # deviation of the hose's torque at rest [N m]
+    twist_damping: float  # deviation of the hose's resistance to turning [N m s]
+    drag: float  # deviation of the hose's resistance to moving [N s/m]
+    com: float  # deviation of the centre of mass, each axis [m]
+    mass: float  # relative deviation of mass and inertia
 
     @cached_property
     def start(self) -> Floats:
@@ -106,12 +108,16 @@ class DriftProblem:
         ]
 
     def linearize(self, unknowns: Floats) -> Linear:
-        """Linearize observations and priors, divided by their standard deviations."""
+        """Linearize observations and priors, divided by their standard deviations.
+
+        Each drift has BLOCK rows, the last ones possibly 0; those of the priors follow.
+        """
         residuals, regressors = [], []
         for k, one in enumerate(self.sensitivities(unknowns)):
             weighted = pose_rows(one, self.drifts[k]) * (1.0 / self.sigma[k])[..., None]
             rows = compress_rows(weighted.reshape(-1, weighted.shape[-1]))
-            J = np.zeros((len(rows), len(unknowns)))
+            rows = np.pad(rows, ((0, BLOCK - len(rows)), (0, 0)))
+            J = np.zeros((BLOCK, len(unknowns)))
             J[:, :SHARED_COUNT] = rows[:, :SHARED_COUNT]
             J[:, own_unknowns(k)] = rows[:, SHARED_COUNT:-1]
             regressors.append(J)
@@ -170,7 +176,9 @@ class DriftResult(Fit):
         for k in range(len(self.problem.drifts)):
             own = np.arange(len(self.minimum.x))[own_unknowns(k)]
             own = own[self.problem.prior_deviations[own] > 0.0]
-            rows = np.flatnonzero(linear.regressor[:, own].any(axis=1))
+            # Its block, with the row that contains only what no unknown explains, and its priors.
+            in_block = np.arange(len(linear.residuals)) // BLOCK == k
+            rows = np.flatnonzero(in_block | linear.regressor[:, own].any(axis=1))
             A, r = linear.regressor[rows, :SHARED_COUNT], linear.residuals[rows]
             Q = np.linalg.qr(linear.regressor[np.ix_(rows, own)])[0]
             A, r = A - Q @ (Q.T @ A), r - Q @ (Q.T @ r)
@@ -245,7 +253,7 @@ def solve(problem: DriftProblem) -> DriftResult:
     """
     x = problem.start
     low, high = np.full(len(x), -np.inf), np.full(len(x), np.inf)
-    low[3:5] = 0.0
+    low[[NAMES.index("twist_damping"), NAMES.index("drag")]] = 0.0
     for one in (replace(problem, twist_damping=0.0, drag=0.0, com=0.0), problem):
         minimum = minimize(one.linearize, x, (low, high), TOLERANCE)
         x = minimum.x
@@ -270,7 +278,11 @@ class DriftMeasurements:
         return np.concatenate([mean_motion(one) for one in self.drifts])
 
     def linearize(self, z: Floats, unknowns: Floats) -> Linear:
-        """Linearize the residuals of the base's poses, divided by their standard deviations."""
+        """Linearize the residuals of the base's poses, divided by their standard deviations.
+
+        z (8 + 6 n + 5) is Arm.vector(), then NAMES; unknowns (6 s) are the poses and twists of the
+        drifts at their starts.
+        """
         size, q = layout.size(self.n), np.array([one.q for one in self.drifts])
         states = unknowns.reshape(-1, STATE_COUNT)
         bodies = drifting.single_body(z[:size], q)
