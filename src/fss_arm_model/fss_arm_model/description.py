@@ -87,6 +87,12 @@ def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
     return convert
 
 
+def _time(value: Any) -> int:
+    if isinstance(value, bool) or not 0 <= (number := operator.index(value)) < 1 << 63:
+        raise ValueError
+    return number
+
+
 def _texts(value: Any) -> tuple[str, ...]:
     if isinstance(value, str | dict) or len(set(value)) != len(value):
         raise ValueError
@@ -128,6 +134,7 @@ _EXPECTED: dict[Callable[[Any], Any], str] = {
     _count: "a positive integer",
     _serial: "an integer from 0 to 2147483647",
     _sign: "1 or -1",
+    _time: "an integer from 0 to 9223372036854775807",
     _name: "a printable text that is not empty",
     _texts: "a list of names, each once",
     _rows: "as many rows of numbers as each has",
@@ -260,15 +267,17 @@ class Base:
 
 @dataclass(frozen=True)
 class Known:
-    """Covariance of calibrated values of a description, by name.
+    """Covariance of calibrated values of a description, by name, and the time of their data.
 
-    Names are those of fss_arm_model.parameters, and theta_E.
+    Names are those of fss_arm_model.parameters, and theta_E. Without data, begin and end are 0.
     """
 
     names: tuple[str, ...] = field(default=(), metadata=_is(_texts))
     covariance: tuple[tuple[float, ...], ...] = field(
         default=(), metadata=_is(_rows, about="row by row, in the units of the values")
     )
+    begin: int = field(default=0, metadata=_is(_time, "ns", "of the data, since 1970"))
+    end: int = field(default=0, metadata=_is(_time, "ns"))
 
     def __post_init__(self) -> None:
         _check(self)
@@ -305,7 +314,19 @@ class Known:
             others_covariance,
             covariance,
         )
-        return Known.of([*others, *names], C)
+        return replace(Known.of([*others, *names], C), begin=self.begin, end=self.end)
+
+    def only(self, names: Sequence[str]) -> "Known":
+        """Return a copy with the covariance of those of `names` that it has."""
+        kept = [name for name in names if name in self.names]
+        found = Known.of(kept, self.covariance_of(kept, np.zeros(len(kept))))
+        return replace(found, begin=self.begin, end=self.end)
+
+    def during(self, begin: int, end: int) -> "Known":
+        """Return a copy that also depends on data of a period [ns]; 0: no data."""
+        if not (self.end and end):
+            return replace(self, begin=begin, end=end) if end else self
+        return replace(self, begin=min(begin, self.begin), end=max(end, self.end))
 
 
 @dataclass(frozen=True)

@@ -144,10 +144,7 @@ def _by_position(known: Known, links: Sequence[Any]) -> Known:
         for m, name in zip(found, known.names, strict=True)
     ]
     mounted_names = [k for k in names if not k.endswith("mounted") and k != "theta_0_1"]
-    renamed = Known(tuple(names), known.covariance)
-    renamed = Known.of(
-        mounted_names, renamed.covariance_of(mounted_names, np.zeros(len(mounted_names)))
-    )
+    renamed = replace(known, names=tuple(names)).only(mounted_names)
     unknown: list[str] = []
     if previous_serials and position.get(previous_serials[0]) != 1:
         unknown = [
@@ -243,7 +240,7 @@ def _lines(part: Any, indent: str) -> Iterator[str]:
     """Yield the entries of a description's part, each with unit and meaning as a comment."""
     for f in fields(part):
         value = getattr(part, f.name)
-        if f.name in ("known", "serial") and value == f.default:
+        if f.name in ("known", "serial", "begin", "end") and value == f.default:
             continue
         if is_dataclass(value):
             yield f"{indent}{f.name}:"
@@ -321,7 +318,7 @@ def save_links(
         f"{m[1]}_#{serials[int(m[2]) - 1]}" if (m := POSITION_NAME.fullmatch(name)) else name
         for name in arm.known.names
     ]
-    known = Known(tuple(names), arm.known.covariance)
+    known = replace(arm.known, names=tuple(names))
     before, _, after = to_yaml(replace(arm, base=base, known=known)).partition("links:\n")
     rest = dropwhile(lambda line: line.startswith(" "), after.splitlines())
     links = f"links: {serials}  # link_<serial>.yaml beside this file, from the base on"

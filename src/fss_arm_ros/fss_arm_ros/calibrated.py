@@ -82,7 +82,9 @@ def with_kinematics_of(known: Arm, arm: Arm) -> Arm:
     """
     kinematics = known.vector()[kinematic_index(arm.n)]
     names = [k for k in (*kinematic_names(arm.n), "theta_E") if k in known.known.names]
-    merged = arm.known.updated(names, known.known.covariance_of(names, np.zeros(len(names))))
+    own = known.known
+    merged = arm.known.updated(names, own.covariance_of(names, np.zeros(len(names))))
+    merged = merged.during(own.begin, own.end)
     return replace(arm.with_kinematics(kinematics), theta_E=known.theta_E, known=merged)
 
 

@@ -34,8 +34,10 @@ from fss_arm_model.description_file import from_yaml, to_yaml
 from fss_arm_model.files import ContentError
 from fss_arm_model.layout import kinematic_names
 from fss_arm_model.parameters import parameter_names, values
+from fss_arm_model.units import SECOND
 from fss_arm_ros.calibrated import Calibrated, with_kinematics_of
 
+DAY = 86_400 * SECOND
 ALONG = "b_i I_i I_0 com_0 a_i theta_0_i mount"
 MASSES = [f"{kind}_{i}" for kind in "bI" for i in range(1, 5)] + ["I_0", "x_com", "y_com"]
 
@@ -113,13 +115,16 @@ def test_all_parameters_together_are_as_uncertain_as_a_dynamic_result_says(seeds
     assert np.mean(found) == pytest.approx(1.0, abs=0.2)
 
 
-def test_what_is_told_of_masses_counts_where_it_is_asked_for(told):
+def test_knowledge_of_masses_counts_unless_it_is_from_data_of_the_same_time(told):
     truth, _, dynamic = told
     rng, arm = np.random.default_rng(2), from_yaml(dynamic.description)
+    assert (arm.known.begin, arm.known.end) == (dynamic.provenance.begin, dynamic.provenance.end)
     more = maneuvers(truth, 12, rng, SURROUNDINGS * rng.standard_normal(5))
-    alone, together = (
-        calibrate_dynamics(more, arm, replace(DYNAMIC, told=asked)) for asked in (False, True)
-    )
+    later = [replace(one, start=one.start + DAY, end=one.end + DAY) for one in more]
+    alone, together = (calibrate_dynamics(some, arm, DYNAMIC) for some in (more, later))
+    known = arm.known.only(kinematic_names(4))
+    without = calibrate_dynamics(more, replace(arm, known=known), DYNAMIC)
+    assert_allclose(alone.covariance, without.covariance, rtol=1e-9)
     assert together.verdict == PASS, together.reason
     b = [together.names.index(f"b_{i}") for i in range(1, 5)]
     assert (together.deviations[b] < alone.deviations[b]).all()

@@ -1,6 +1,7 @@
 """Prior knowledge of the parameters of a dynamic calibration."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import compress
 from math import radians
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.segments.settings import sigma
+from fss_arm_calib.segments.streams import Datum
 from fss_arm_model.arrays import Floats
 from fss_arm_model.choice import Choice
 from fss_arm_model.description import Arm
@@ -21,8 +23,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 class Knowledge(Settings):
     """Prior standard deviation of each kind of value of a description.
 
-    For lengths, angles and the mount, an uncertainty in the description itself replaces these
-    values. For all other parameters it does so only if `told` is set.
+    An uncertainty in the description itself replaces these values.
     """
 
     mass_deviation: float = sigma(0.005, "kg", "a link's mass, as measured with a scale")
@@ -47,11 +48,6 @@ class Knowledge(Settings):
     mount_angle_deviation: float = sigma(
         radians(0.1), "rad", "the first joint's heading, unless the description gives one"
     )
-    told: bool = setting(
-        False,
-        "true: use the description's covariance of masses, centers of mass and inertias instead of "
-        "mass_deviation, b_deviation, ...; valid only if it was estimated from other data",
-    )
 
     def deviations(self, arm: Arm) -> Floats:
         """Return the standard deviations (5 n + 6,) of all parameters of an arm."""
@@ -64,23 +60,28 @@ class Knowledge(Settings):
         return np.array([*base, *[self.length_deviation] * n, *angles, *mount, *links])
 
     def covariance(self, arm: Arm) -> Floats:
-        """Return the covariance (5 n + 6, 5 n + 6) of all parameters of an arm.
-
-        The kinematic part is that of the arm's kinematic calibration. The description's covariance
-        of masses is ignored unless `told` is set, because it may come from the same maneuvers.
-        """
-        deviations = self.deviations(arm)
-        which = slice(None) if self.told else slice(4, 2 * arm.n + 6)
-        C = np.diag(deviations**2)
-        C[which, which] = arm.known.covariance_of(parameter_names(arm.n)[which], deviations[which])
-        return C
+        """Return the covariance (5 n + 6, 5 n + 6) of all parameters of an arm."""
+        return arm.known.covariance_of(parameter_names(arm.n), self.deviations(arm))
 
     def prior_indices(self, arm: Arm, words: str) -> npt.NDArray[np.intp]:
-        """Return indices (k,) of parameters with a prior: named by words, or covered by `told`."""
+        """Return indices (k,) of parameters with a prior: named by words, or known."""
         none = np.empty(0, dtype=np.intp)
         chosen = Choice.of(words, arm.n, "priors").indices if words.strip() else none
-        names = arm.known.names if self.told else ()
-        return np.union1d(chosen, np.flatnonzero(np.isin(parameter_names(arm.n), names)))
+        known = np.isin(parameter_names(arm.n), arm.known.names)
+        return np.union1d(chosen, np.flatnonzero(known))
+
+
+def independent_knowledge(arm: Arm, data: Sequence[Datum], kept: Sequence[str]) -> Arm:
+    """Return the arm without knowledge that is from data of the same time, but for `kept` names.
+
+    Such data may be the same, and must not count twice.
+    """
+    known = arm.known
+    begin = min((one.start for one in data), default=known.end + 1)
+    end = max((one.end for one in data), default=begin)
+    if not known.end or begin > known.end or end < known.begin:
+        return arm
+    return replace(arm, known=known.only(kept))
 
 
 def advise_priors(r: Fit, s: Any) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from fss_arm_calib.checks import UPDATE_TOLERANCE
 from fss_arm_calib.dynamic.identifiability import Combination, Direction, combinations, directions
+from fss_arm_calib.dynamic.knowledge import independent_knowledge
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solve import DynamicResult, solve
@@ -31,6 +32,7 @@ from fss_arm_model.estimation.noise import (
 from fss_arm_model.estimation.outliers import expand, reject_outliers, solve_robustly
 from fss_arm_model.estimation.statistics import root_mean_square
 from fss_arm_model.joint_path import Path, stack
+from fss_arm_model.layout import kinematic_names
 from fss_arm_model.units import GRAVITY
 
 
@@ -38,7 +40,7 @@ def problem_of(
     maneuvers: Sequence[Maneuver], arm: Arm, settings: DynamicSettings
 ) -> DynamicProblem:
     """Return the dynamic problem of maneuvers with poses; ValueError: they are of another arm."""
-    s = settings
+    s, arm = settings, independent_knowledge(arm, maneuvers, kinematic_names(arm.n))
     if others := [len(one.times) for one in maneuvers if len(one.times) != arm.n]:
         raise ValueError(f"a maneuver is of {others[0]} joints, expected {arm.n}")
     most = max(len(one.marks) for one in maneuvers)

@@ -3,7 +3,7 @@
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -64,7 +64,8 @@ def prior_from_bag(
         settings = outcome.solution.noise.apply_to(settings)
         used = tuple(compress(used, outcome.solution.kept))
     arm = from_yaml(outcome.description) if outcome.description else arm
-    return arm, settings, problem_of(used, arm, settings)
+    problem = problem_of(used, arm, settings)
+    return problem.arm, settings, problem
 
 
 def plan_table(plan: Sequence[Planned]) -> report.Table:
@@ -167,7 +168,7 @@ def propose(options: argparse.Namespace, console: Console) -> None:
     if options.bag:
         arm, settings, maneuvers = prior_from_bag(options.bag, arm, settings)
     elif options.result:
-        arm, settings = read_arm(options.result), replace(settings, told=True)
+        arm = read_arm(options.result)
     goal = parse_goal(options.goal, problem_without_data(arm, settings).names)
     chosen = options.chosen.split()
     with Progress(console=console, transient=True) as bar:

@@ -11,7 +11,7 @@ import yaml
 from fss_arm_calib import checks
 from fss_arm_calib.acceptance import FIT, Check, format_count
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.dynamic.knowledge import advise_priors
+from fss_arm_calib.dynamic.knowledge import advise_priors, independent_knowledge
 from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Estimate, Outcome, estimate_of_fit, make_outcome
@@ -130,6 +130,10 @@ def problem_of(
     for data, its in zip(used, session_settings or len(used) * [settings], strict=True):
         every = ((name, kinds[name].measurements) for name in data)
         sessions.append({name: make(data[name], arm, its[name]) for name, make in every if make})
+    all_data = [one for data in used for some in data.values() for one in some]
+    arm = independent_knowledge(arm, all_data, ())
+    fixed = [name for name in arm.known.names if not name.startswith("theta")]
+    arm = replace(arm, known=arm.known.only(fixed))  # homing again changes the angles
     prior = np.pad(s.covariance(arm), (0, int(s.theta_e)))
     tilt, hose = GRAVITY * settings["dynamic"].tilt_deviation, settings["drift"]
     acting = [tilt, tilt, hose.torque_deviation, hose.twist_deviation, hose.drag_deviation]
