@@ -81,6 +81,7 @@ class Sequencer:
         self._last_departure = 0  # end of the last pause, or start of the experiment [ns]
         self._result_stamp = 0  # end of the data of the last calibration result [ns]
         self._way_back: deque[Waypoint] = deque()  # to the start of a maneuver to repeat
+        self._unobserved = 0  # number of postures without an observation
 
     @property
     def waypoint(self) -> Waypoint:
@@ -174,10 +175,10 @@ class Sequencer:
             self._arrival = now
             self._enter(Phase.OBSERVE, now)
         elif result:
-            self._log(f"the move failed and is requested again: {result.message}")
+            self._log(f"requesting the move again: {result.message}")
             self._enter(Phase.REQUEST, now)
         elif self._has_elapsed(now, FEEDBACK_TIMEOUT):
-            self._log("no feedback from arm/move: requesting the move again")
+            self._log("requesting the move again: no feedback from arm/move")
             self._enter(Phase.REQUEST, now)
 
     def _await_observation(self, now: int) -> None:
@@ -215,12 +216,16 @@ class Sequencer:
             self._give_up(now)
 
     def _give_up(self, now: int) -> None:
+        self._unobserved += 1
         self.lines.append(Line(f"{self._title}: not observed", bad=True))
         self._advance(now, "continuing without an observation")
 
     def _advance(self, now: int, how: str) -> None:
         """Continue with the next posture."""
-        self._log(f"{self._title}: {how}")
+        if len(self._way_back) == 1:
+            self._log(f"back at posture {self.progress.done}")
+        elif not self._way_back:
+            self._log(f"{self._title}: {how}")
         pause = self.waypoint.pause
         if pause:
             self._last_departure = now
@@ -257,7 +262,8 @@ class Sequencer:
             self._log("waiting for the calibration")
             return
         missed = f"goal not met: {self.goal_status or 'no calibration result received'}"
-        self._exit(missed if s.goal else 0, f"all {len(self.waypoints)} postures done")
+        unobserved = f", {self._unobserved} not observed" * (self._unobserved > 0)
+        self._exit(missed if s.goal else 0, f"all {len(self.waypoints)} postures done{unobserved}")
 
     def _exit(self, code: int | str, words: str) -> None:
         self.exit_code = code
@@ -274,6 +280,8 @@ class Sequencer:
     @property
     def _title(self) -> str:
         """Text that names the current posture."""
+        if self._way_back:
+            return f"back to posture {self.progress.done}"
         return f"posture {self.progress.done + 1} of {len(self.waypoints)}"
 
     def _log(self, words: str) -> None:
