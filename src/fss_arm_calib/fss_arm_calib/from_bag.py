@@ -22,6 +22,7 @@ from fss_arm_calib.joint.from_bags import estimate_from_bags
 from fss_arm_calib.joint.kind import JOINT
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report_parts import with_description
 from fss_arm_calib.segments.streams import Datum, keep_newest
 from fss_arm_calib.settings import KindSettings
 from fss_arm_model.description import Arm
@@ -124,6 +125,8 @@ def write_outcome(
     console: Console,
 ) -> None:
     """Print a result and write the requested files."""
+    if options.output and kind.has_urdf:
+        found = with_description(found, options.output)
     console.print(report.printable(found, options.details), highlight=False)
     if options.result:
         result.write(options.result, kind.name, outcome)

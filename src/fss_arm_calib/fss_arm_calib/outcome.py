@@ -279,7 +279,8 @@ def _origin_lines(
 ) -> Iterator[str]:
     """Yield lines about the origin of a calibrated description, for its readers."""
     e, end = estimate, format_time(provenance.end)
-    yield f"Calibrated by {provenance.software} from {provenance.source}, until {end}:"
+    source = f"{provenance.source}{' data' * (provenance.source == LIVE)}"
+    yield f"Calibrated by {provenance.software} from {source}, until {end}:"
     yield f"pass: {summarize(checks)}"
     if e.uncertain:
         yield f"too uncertain to use: {format_uncertain(e.uncertain)}"

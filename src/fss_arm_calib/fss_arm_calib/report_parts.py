@@ -1,6 +1,7 @@
 """Tables and drawings shared by the reports of all kinds of calibration, and the default report."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -61,6 +62,12 @@ NEXT_STEPS = {
     FAIL: "Next: do not use these numbers. The checks (--details, or the report) show why.",
     NOT_EVALUATED: "Next: record the missing data; the data received count already.",
 }
+
+
+def with_description(report: Report, path: object) -> Report:
+    """Return a report whose next step names the file of the calibrated description."""
+    named = f"Next: keep the bag; give the nodes the calibrated description, {path}."
+    return replace(report, below=[named if x == NEXT_STEPS[PASS] else x for x in report.below])
 
 
 #: Units of value and threshold of a check, by its name; those of other checks have none.
@@ -160,9 +167,10 @@ def stream_table(outcome: Outcome[Any, Any]) -> Table:
 
 
 def display_name(name: str, estimate: Estimate, words: str = "") -> str:
-    """Return a parameter's name, or `words` for it, marked if it is not determined."""
-    mark = ", at its bound" * (name in estimate.at_bound)
-    return f"{words or name}{mark}{', not determined' * (name in estimate.unmeasured)}"
+    """Return a parameter's name, or `words` for it, with the reason if it is not determined."""
+    if name in estimate.at_bound:
+        return f"{words or name}, at its bound"
+    return f"{words or name}{', not determined' * (name in estimate.unmeasured)}"
 
 
 def display_unit(unit: str) -> str:

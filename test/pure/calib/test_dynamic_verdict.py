@@ -55,7 +55,8 @@ def test_a_good_calibration_passes_and_gives_the_next_description(good):
 def test_the_description_says_where_it_is_from(good):
     comments = [line for line in good.description.splitlines() if line.startswith("# ")]
     assert re.search(
-        r"Calibrated by fss_arm_calib .* from live, until (\d{4}-\d\d-\d\d|\d+ s of)", comments[1]
+        r"Calibrated by fss_arm_calib .* from live data, until (\d{4}-\d\d-\d\d|\d+ s of)",
+        comments[1],
     )
     assert re.search(r"pass: 16 maneuvers, chi-square of the fit [\d.]+ for [\d.]+ d", comments[2])
     k = good.names.index("I_2")
@@ -84,7 +85,7 @@ def test_what_can_be_told_is_told(good):
 def test_too_few_maneuvers_are_not_evaluated_and_have_no_numbers(maneuvers, count):
     few = calibrate(maneuvers[:count], ARM, SETTINGS, Streams(silent=("fss",)))
     assert few.verdict == NOT_EVALUATED
-    assert f"{count} maneuvers (at least 6); nothing received from fss" in few.reason
+    assert f"{count} maneuvers, at least 6 needed; nothing received from fss" in few.reason
     assert np.isnan(few.values).all()
     assert few.description == ""
     DYNAMIC.to_message(few, "fss")

@@ -23,7 +23,7 @@ from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, OFFSETS
 from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.outcome import Estimate
-from fss_arm_calib.report_parts import check_table, next_steps, table_report
+from fss_arm_calib.report_parts import check_table, next_steps, table_report, with_description
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_ros import report
@@ -127,7 +127,10 @@ def maneuvers():
 def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path, monkeypatch):
     settings = DynamicSettings(position_deviation=5e-4, heading_deviation=2e-3)
     found = calibrate_dynamics(maneuvers, ARM, settings)
-    told = dynamic_report(found, ARM)
+    told = dynamic_report(found, ARM, (1e-3, 0.0))
+    table = told.tables[0]
+    truths = {row[0]: row[table.head.index("truth")] for row in table.rows}
+    assert [truths["g_x"], truths["g_y"]] == ["0.001000", "0.000000"]
     page = report.write(tmp_path, told, kinematic_report(outcome())).read_text()
     share = np.zeros(len(found.names))
     share[[1, 3]] = 0.51
@@ -297,6 +300,8 @@ def test_a_pass_names_what_is_too_uncertain_to_use_and_how_to_plan_more(case):
     if not named:
         assert "chi-square" in found.summary
         assert next_steps(found)[0].startswith("Next: keep the bag; give the nodes")
+        below = with_description(table_report(found), "arm.yaml").below
+        assert below[-1].endswith("give the nodes the calibrated description, arm.yaml.")
         return
     assert found.summary == f"13 observations; record more to use {named}"
     seen = lines(report.printable(table_report(found)))

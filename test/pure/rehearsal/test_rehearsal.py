@@ -64,7 +64,7 @@ CASES = {
         script_for(["link_2"], "at: 30, fault: dead"),
         ("lost",),
         verdict=NOT_EVALUATED,
-        dynamic="maneuvers (at least 6)",
+        dynamic="maneuvers, at least 6 needed",
     ),
     "clocks that drift": Case("", options={"noise": {"clock_drift": 9e-5}}),
     "slow torque converter": Case("", options={"torque_rate": 10}),

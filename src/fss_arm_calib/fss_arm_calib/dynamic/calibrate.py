@@ -68,7 +68,8 @@ def check_number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings
     lost = [one for one in every if not one.used]
     found = len(every) - len(lost)
     number = format_count(found, "maneuver")
-    reason = f"{number} (at least {s.min_maneuvers})"
+    enough, few = f"{number} (at least {s.min_maneuvers})", f", at least {s.min_maneuvers} needed"
+    reason = enough if found >= s.min_maneuvers else number + few
     if found < s.min_maneuvers and lost:
         reason += f"; {format_count(len(lost), 'maneuver')} rejected (the first: {lost[0].reason})"
     return checks.data_amount("maneuvers", found, s.min_maneuvers, reason, streams, number)

@@ -1,5 +1,6 @@
 """Dynamic calibration as a calibration kind: topics, messages and record."""
 
+from fss_arm_calib.acceptance import format_indices
 from fss_arm_calib.calibration import Calibration, Input
 from fss_arm_calib.codec import fieldwise_data, flatten
 from fss_arm_calib.dynamic.calibrate import calibrate
@@ -65,7 +66,7 @@ DYNAMIC = Calibration(
         Maneuver,
         "calibration/maneuvers",
         msg.Maneuvers,
-        lambda one: f"used, joints {', '.join(map(str, one.moved_joints))} moved",
+        lambda one: f"used, {format_indices([i - 1 for i in one.moved_joints], 'joint')} moved",
         pose_times="marks",
         needed=("times", "q", "marks", "poses", "seconds"),
     ),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fss_arm_calib.dynamic.problem import TILT
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_parts import (
@@ -37,8 +38,13 @@ MANEUVER_GAP = 2.0  # gap drawn between two maneuvers [s]
 SCALES = np.array([1e3, 1e3, np.degrees(1.0)])  # to mm, mm, deg
 
 
-def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = None) -> Report:
-    """Report the result of a dynamic calibration, beside the true values if known."""
+def dynamic_report(
+    outcome: Outcome[Maneuver, Solution], truth: Arm | None = None, tilt: Sequence[float] = ()
+) -> Report:
+    """Report the result of a dynamic calibration, beside the true values if known.
+
+    `tilt` is the true acceleration (2,) of a free body down the table [m/s^2]; (): not known.
+    """
     o, found = outcome, outcome.solution
     figures = (
         Figure("dynamic_motion", "Base motion, predicted and measured", lambda: draw_motion(o)),
@@ -49,7 +55,11 @@ def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = Non
         "paper": (np.nan, PAPER_HEADING_RESIDUAL),
         "this result": (o.estimate.position_residual, o.estimate.heading_residual),
     }
-    tables = _parameter_table(o, truth), _combination_table(o), residual_table("base", residuals)
+    tables = (
+        _parameter_table(o, truth, tilt),
+        _combination_table(o),
+        residual_table("base", residuals),
+    )
     makers = _maneuver_table, _direction_table, _bias_table
     details = [make(o, found) for make in makers] if found else []
     return make_report(
@@ -69,6 +79,13 @@ def _parameter_values(arm: Arm, names: Sequence[str]) -> Floats:
     return np.array([value(name) for name in names])
 
 
+def _true_values(truth: Arm, tilt: Sequence[float], names: Sequence[str]) -> Floats:
+    """Return the true values of the named parameters of arm and table; NaN if not known."""
+    known = dict(zip(TILT, tilt, strict=False))
+    rows = zip(names, _parameter_values(truth, names), strict=True)
+    return np.array([known.get(name, value) for name, value in rows])
+
+
 def _read_promised(plan: str) -> Mapping[str, float]:
     """Return the standard deviations that a plan of `design` promised, by name."""
     found = read_yaml(Path(plan))
@@ -80,7 +97,9 @@ def _read_promised(plan: str) -> Mapping[str, float]:
     return given
 
 
-def _parameter_table(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Table:
+def _parameter_table(
+    outcome: Outcome[Maneuver, Solution], truth: Arm | None, tilt: Sequence[float]
+) -> Table:
     """Tabulate the parameters beside the paper's Table 4 and, if known, the true values."""
     e, paper = outcome.estimate, paper_arm()
     r = outcome.solution.result if outcome.solution else None
@@ -89,7 +108,7 @@ def _parameter_table(outcome: Outcome[Maneuver, Solution], truth: Arm | None) ->
     columns = {
         "Table 4": known * _parameter_values(paper, e.names),
         "guess": e.initial,
-        **({"truth": _parameter_values(truth, e.names)} if truth else {}),
+        **({"truth": _true_values(truth, tilt, e.names)} if truth else {}),
         "estimate": e.values,
     }
     if plan := outcome.settings.plan:
