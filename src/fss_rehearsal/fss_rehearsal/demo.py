@@ -22,6 +22,7 @@ from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.recompute import recalibrate
+from fss_arm_calib.report_parts import with_description
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.description_file import load
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
@@ -237,12 +238,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Run the experiment, and solve again from its bag."""
     with isolated_domain() as domain:
-        console.print(
-            f"starting test bed, {LINKS} drivers, recorder and calibration in their own ROS domain "
-            f"{domain.number}"
-        )
+        console.print(f"starting all nodes in ROS domain {domain.number} (not yours)")
         result = observe(options, out, console, domain)
     found = KINEMATIC.report_of(result, load(CONFIG / "truth.yaml"))
+    if (out / "arm.yaml").exists():
+        found = with_description(found, "arm.yaml")
     console.print(report.printable(found, options.details), highlight=False)
     reproduced = from_bag(out / "bag", result)
     console.print(reproduced.happened)

@@ -25,6 +25,7 @@ from rich.console import Console
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.dynamic.calibrate import calibrate
 from fss_arm_calib.dynamic.kind import DYNAMIC
+from fss_arm_calib.dynamic.report import dynamic_report
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.experiment.design import design, expected_result
@@ -36,8 +37,11 @@ from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.description_file import save
 from fss_arm_model.parameters import values
+from fss_arm_model.units import GRAVITY, SECOND
 from fss_arm_ros import report
+from fss_arm_ros.convert import stamp_ns
 from fss_rehearsal.domain import Domain
+from fss_rehearsal.load import Load, overload
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes
 from fss_rehearsal.progress import counting_bar
@@ -73,11 +77,14 @@ class Experimenter(Operator):
         super().__init__(domain)
         self.status_message = "starting"
         self.stops = 0  # stops of the session's maneuvers that were reached
+        self.load = Load()
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
-        """Store the experiment's status message and progress."""
+        """Store the experiment's status message and progress, and signs of overload."""
+        stamp = stamp_ns(message.header.stamp) / SECOND
         for status in message.status:
+            self.load.add(status.name, stamp, {pair.key: pair.value for pair in status.values})
             if status.name == "/experiment":
                 self.status_message = status.message
                 self.stops = int(status.values[0].value)
@@ -149,8 +156,8 @@ def maneuvers_done(plan: Sequence[Planned], stops: int) -> int:
 
 def run_sessions(
     options: argparse.Namespace, out: Path, cameras: Cameras, console: Console, domain: Domain
-) -> list[int]:
-    """Run all maneuvers, session after session, and return the times of the starts [ns].
+) -> tuple[list[int], list[Load]]:
+    """Run all maneuvers, session after session; return the times of the starts [ns] and loads.
 
     Raises:
         RehearsalError: a node failed, or the deadline passed.
@@ -159,13 +166,14 @@ def run_sessions(
     count = len(list(out.glob("plan_*.yaml")))
     plans = [read_plan(plan_file(out, session), LINKS) for session in range(count)]
     bar = counting_bar(console)
-    task, starts = bar.add_task("maneuvers", total=sum(map(len, plans))), []
+    task, starts, loads = bar.add_task("maneuvers", total=sum(map(len, plans))), [], []
     for session, plan in enumerate(plans):
         logs, before = out / "logs" / f"session_{session + 1}", sum(map(len, plans[:session]))
         with Nodes(logs, console.print, domain) as nodes, bar:
             starts.append(time.time_ns())
             start_all(nodes, options, out, cameras, session)
             operator = Experimenter(domain)
+            loads.append(operator.load)
             while not nodes.has_finished("experiment"):
                 if time.monotonic() > end_time:
                     raise nodes.overdue("experiment", options.deadline)
@@ -184,7 +192,7 @@ def run_sessions(
                 description=f"maneuvers, session {session + 1} of {count}",
             )
             operator.destroy_node()
-    return starts
+    return starts, loads
 
 
 def prepare(
@@ -246,10 +254,11 @@ def solve_planned(
             continue
         counts[session] += one.used
         kept.append(one)
-    used = ", ".join(map(str, counts))
+    used, surplus = ", ".join(map(str, counts)), len(result.data) - len(kept)
     log_line(
         f"{len(result.data)} maneuvers recorded: {len(result.data) - len(result.used)} rejected, "
-        f"{sum(counts)} used ({used} in sessions 1 to {len(starts)})"
+        f"{f'{surplus} surplus, ' * (surplus > 0)}{sum(counts)} used ({used} in sessions 1 to "
+        f"{len(starts)})"
     )
     if len(kept) == len(result.data):
         return result
@@ -268,19 +277,19 @@ def summary(
             [predicted[k], result.deviations[k], result.values[k] - link.b]
         )
         lines.append(
-            f"b_{i + 1}: 1 sigma {before:.1f} mm by the plan, {_in_millimeters(now)}; "
-            f"estimate minus truth {error:+.1f} mm"
+            f"b_{i + 1}: sigma planned {before:.1f} mm, {_in_millimeters(now)}; "
+            f"error {error:+.1f} mm"
         )
     largest = 1e3 * max(result.deviations[names.index(f"b_{i}")] for i in range(1, LINKS + 1))
     lines.append(
         f"{len(result.used)} maneuvers of at most {max(p.length for p in plan):.1f} s; "
-        f"largest 1 sigma of b_1 .. b_{LINKS}: {_in_millimeters(largest)}"
+        f"largest sigma of b_1 to b_{LINKS} {_in_millimeters(largest)}"
     )
     return "\n".join(lines)
 
 
 def _in_millimeters(deviation: float) -> str:
-    return f"estimated to {deviation:.1f} mm" if isfinite(deviation) else "not determined"
+    return f"obtained {deviation:.1f} mm" if isfinite(deviation) else "not determined"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -314,19 +323,22 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     predicted = expected_result(paper_arm(), plan, settings, PAUSE).deviations
     with isolated_domain() as domain:
         console.print(
-            "running the maneuvers: test bed, drivers, recorder and calibration in their own ROS "
-            f"domain {domain.number}"
+            f"running the maneuvers; all nodes are in ROS domain {domain.number} (not yours)"
         )
-        starts = run_sessions(options, out, cameras, console, domain)
+        starts, loads = run_sessions(options, out, cameras, console, domain)
     with console.status("solving from the bags"):
         result = solve_planned(out, settings, starts, partial(console.print, soft_wrap=True))
-    summary_report = DYNAMIC.report_of(result, truth)
-    console.print(report.printable(summary_report, options.details), highlight=False)
-    console.print(summary(result, truth, plan, predicted))
     checks = [Check("the calibration passes", result.summary, result.verdict == PASS)]
     checks += [center_of_mass_check(result, truth, i) for i in range(LINKS)]
+    late = overload(loads)
+    if late and not all(check.passed for check in checks):
+        console.print(late, style="bold yellow")
+    tilt = [GRAVITY * options.tilt, -0.5 * GRAVITY * options.tilt]  # as in start_all
+    summary_report = dynamic_report(result, truth, tilt)
+    console.print(report.printable(summary_report, options.details), highlight=False)
+    console.print(summary(result, truth, plan, predicted))
     files = {"bags": "recordings", "logs": "logs of the nodes"}
-    return Rehearsed(checks, reports=[summary_report], files=files)
+    return Rehearsed(checks, reports=[summary_report], files=files, invalid=late)
 
 
 def center_of_mass_check(result: Outcome[Maneuver, Solution], truth: Arm, i: int) -> Check:

@@ -24,6 +24,7 @@ class Rehearsed:
     reports: Sequence[Report] = ()  # reports of its calibrations
     files: Mapping[str, str] = field(default_factory=dict)  # file in the folder: its content
     html: str = ""  # inserted unchanged above the figures
+    invalid: str = ""  # why a failure does not count, such as an overloaded computer
 
     @property
     def passed(self) -> bool:
@@ -33,12 +34,14 @@ class Rehearsed:
     def report(self, title: str, about: str) -> Report:
         """Return the report of the result, for a page."""
         failed = [f"{c.happened}, expected: {c.expected}" for c in self.checks if not c.passed]
-        more = f"; {len(failed) - 1} more failed" if len(failed) > 1 else ""
+        count = f"{len(failed)} of {len(self.checks)} expectations not met; the first: "
+        reasons = [self.invalid] if failed and self.invalid else []
+        reasons += [f"{count * (len(failed) > 1)}{reason}" for reason in failed[:1]]
         rows = [(c.expected, c.happened, "yes" if c.passed else "NO") for c in self.checks]
         return Report(
             title,
             "fail" if failed else "pass",
-            f"{failed[0]}{more}" if failed else "all checks passed",
+            "; ".join(reasons) or "all checks passed",
             [Table("", ("expected", "happened", "passed"), rows, words=3)],
             about,
             self.figures,

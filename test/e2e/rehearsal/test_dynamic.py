@@ -21,7 +21,7 @@ def test_the_truth_lies_within_what_is_claimed(tmp_path):
     command = [sys.executable, "-m", "fss_rehearsal", "dynamic", "--count", "8", "--out", out]
     run = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert run.returncode in (0, 2), run.stdout + run.stderr  # 2: eight may be too few for I_1
-    assert "mm predicted" in run.stdout
+    assert "sigma planned" in run.stdout
     assert (out / "report" / "index.html").exists()
     # What was said live follows from the maneuvers that were published with it.
     assert recompute([str(out / "bags")]) == 0

@@ -66,7 +66,11 @@ def test_a_page_says_what_was_not_as_expected(tmp_path):
     page = report.write(tmp_path, found).read_text()
     assert "it &lt;fell&gt;, expected: it lands" in page
     worse = Rehearsed([*checks, *checks]).report("Rehearsal: x", "of nothing")
-    assert worse.reason == "it <fell>, expected: it lands; 1 more failed"
+    words = "2 of 4 expectations not met; the first: it <fell>, expected: it lands"
+    assert worse.reason == words
+    late = "the computer was overloaded"
+    assert Rehearsed([*checks, *checks], invalid=late).report("", "").reason == f"{late}; {words}"
+    assert Rehearsed(checks[:1], invalid=late).report("", "").reason == "all checks passed"
 
 
 TIME = np.arange(0, 24 * SECOND, SECOND // 50)
