@@ -41,6 +41,10 @@ INITIAL_PARAMETERS = {
     "target_pose": [0.0, 0.0, -0.3],
 }
 TARGET_DRIFT = -0.006, 0.004  # [m/s]
+NOT_STARTED = (
+    "the test bed did not start within {:g} s: it compiles kernels, waits for another process "
+    "that does, or has failed; see logs/testbed.log"
+)
 MAX_DURATION = 600.0  # timeout of the mission [s], in real time
 
 
@@ -82,7 +86,8 @@ class CaptureOperator(Operator):
         deadline = time.monotonic() + self.TIMEOUT
         while not all(self.armed.values()):
             if time.monotonic() > deadline:
-                raise RehearsalError(f"{self.disarmed} cannot be armed (waited {self.TIMEOUT:g} s)")
+                words = f"{self.disarmed} cannot be armed (waited {self.TIMEOUT:g} s)"
+                raise RehearsalError(words if self.now() else NOT_STARTED.format(self.TIMEOUT))
             self.keep_armed()
             rclpy.spin_once(self, timeout_sec=0.05)
         self.wait(self.base.service_is_ready, "node `base` offers no service")
@@ -172,7 +177,9 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         start_mission_nodes(nodes, arm.n, parameters, options.speed, out / "bag")
         operator = CaptureOperator(domain)
         operator.arm_all()
+        begin = time.monotonic()
         result = operator.run_capture()
+        elapsed = time.monotonic() - begin
         operator.destroy_node()
     flight = read(out / "bag")
     end, *consumption = budget(result)
@@ -184,7 +191,8 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
             result.stopped,
         ),
     ]
-    for line in (end, *consumption):
+    speed = f"  {elapsed:.0f} s of real time: speed {result.duration / elapsed:.2f}"
+    for line in (end, *consumption, f"{speed}, at most {options.speed:g} requested"):
         log_line(line)
     figure = Figure("mission", "Top view and time histories", partial(plot, arm, flight))
     film = animation(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_model.held import Target, payload_pose
+from fss_arm_model.held import Target, combined_momentum, payload_pose
 from fss_arm_msgs.msg import MassProperties
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_rehearsal.processes import RehearsalError
@@ -80,6 +80,12 @@ def read(bag: Path) -> Flight:
     )
 
 
+def true_momentum(flight: Flight, p: np.ndarray, k: int) -> np.ndarray:
+    """Return the momentum (3,) of all bodies at row k, angular about their centre of mass."""
+    state = np.array([flight.target[k], flight.target_twist[k]])
+    return combined_momentum(p, flight.q[k], flight.qd[k], TARGET, state)
+
+
 def mass_errors(flight: Flight, p: np.ndarray, k: int) -> tuple[float, list[str]]:
     """Return the largest error of the target's estimate, in standard deviations, and its lines.
 
@@ -110,18 +116,20 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     k = int(np.argmax(flight.holds))
     change = flight.momentum[k] - flight.momentum[k - 1]
     impulse = flight.impulse[k] - flight.impulse[k - 1]
-    when = f"captured between {flight.time[k - 1]:.2f} and {flight.time[k]:.2f} s"
+    when = f"captured between {flight.time[k - 1]:.2f} and {flight.time[k]:.2f} s of the mission"
     log_line(when)
     log_line("true momentum of all bodies just before and after the grip:")
-    for name, unit, i in (("x", "N s", 0), ("y", "N s", 1), ("about the origin", "N m s", 2)):
-        before, after = flight.momentum[k - 1, i], flight.momentum[k, i]
-        log_line(f"  {name:>16}  before {before:+#.4g}  after {after:+#.4g} {unit}")
-    worst, audit = float(np.abs(change - impulse).max()), float(np.abs(flight.error).max())
-    difference = f"largest change without a cause: {worst:.0e} (N s or N m s)"
+    momenta = zip(*(true_momentum(flight, p, row) for row in (k - 1, k)), strict=True)
+    names = ("x", "N s"), ("y", "N s"), ("about the common centre of mass", "N m s")
+    for (name, unit), (before, after) in zip(names, momenta, strict=True):
+        log_line(f"  {name:>31}  before {before:+#.4g}  after {after:+#.4g} {unit}")
+    worst, (*audit, energy) = float(np.abs(change - impulse).max()), np.abs(flight.error).max(0)
+    difference = f"largest unexplained change of momentum {worst:.0e} N s or N m s"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
     rest = np.round(spin[1], 3) + 0.0  # never -0.000
     spin_text = f"{spin[0]:.2f} deg/s at the start, {rest:.3f} deg/s at the end"
-    log_line(f"  {difference}; in the whole mission {audit:.0e} (or J)")
+    log_line(f"  {difference}")
+    log_line(f"  in the whole mission {max(audit):.0e} N s or N m s, and {energy:.0e} J of energy")
     log_line(f"spin of the target: {spin_text}")
     log_line(f"propellant used: {1e3 * flight.propellant[-1]:.1f} g")
     sigmas, lines = mass_errors(flight, p, k)
