@@ -496,6 +496,26 @@ def test_each_change_of_state_is_told_once(bench):
     assert logged(10) == ["link 1 is disarmed"]
 
 
+def test_a_loss_between_two_calls_is_told(bench):
+    logged, session = LogLines(bench), bench.session
+    logged(10)
+    session.arm(bench.now)
+    logged(10)
+    for _ in range(10):
+        bench.step(up=False)
+    assert session.lost
+    while session.lost:
+        bench.step()
+    words = "link 1 was lost; it was armed; connected again and disarmed"
+    assert logged() == [words]
+    logged(10, up=False)
+    while session.lost:
+        bench.step()
+    session.arm(bench.now)
+    line, *_ = logged()
+    assert line.endswith("s; it was disarmed, arming was requested")
+
+
 def test_a_link_that_was_never_heard_is_told_once(bench):
     logged = LogLines(bench)
     assert logged(20, up=False) == []

@@ -22,7 +22,7 @@ class StatusLog:
 
     def __init__(self, session: Session[Any]) -> None:
         self._session, self._name = session, session.partner.name
-        self._lost = True
+        self._lost, self._losses = True, 0
         self._last_accepted = 0  # when a frame was last accepted
         self._first_call, self._absence_logged = 0, False
         self._arming = Arming.DISARMED
@@ -34,6 +34,8 @@ class StatusLog:
         session, lines = self._session, self._stall_lines()
         if session.lost != self._lost:
             lines += [self._loss_or_return(now)]
+        elif not session.lost and session.counts["lost"] > self._losses:
+            lines += [self._short_loss()]
         else:
             lines += [] if lines else self._arming_changes()
             lines += [*self._watchdog(), *self._fault_changes()]
@@ -45,7 +47,8 @@ class StatusLog:
             lines.append(Line(words, bad=True))
         if not session.lost:
             self._last_accepted = now - round(1e9 * session.silence(now))
-        self._lost, self._arming = session.lost, session.arming
+        self._lost, self._losses = session.lost, session.counts["lost"]
+        self._arming = session.arming
         return lines
 
     def _stall_lines(self) -> list[Line]:
@@ -59,13 +62,28 @@ class StatusLog:
         """Return a line that the partner is lost, or that it is received (again)."""
         name, session = self._name, self._session
         if session.lost:
-            was = f"; it was {self._arming.value}" if self._arming is not Arming.DISARMED else ""
-            return Line(f"{name} is lost: {session.loss_reason}{was}", bad=True, for_operator=True)
+            words = f"{name} is lost: {session.loss_reason}{self._state_before()}"
+            return Line(words, bad=True, for_operator=True)
         if not self._last_accepted:
             return Line(f"{name} is connected and {session.arming.value}")
         away = 1e-9 * (now - self._last_accepted)
-        words = f"{name} is connected again after {away:.1f} s and {session.arming.value}"
+        words = f"{name} is connected again after {away:.1f} s{self._state_now()}"
         return Line(words, for_operator=True)
+
+    def _short_loss(self) -> Line:
+        """Return a line that the partner was lost and has returned since the last call."""
+        words = f"{self._name} was lost{self._state_before()}; connected again{self._state_now()}"
+        return Line(words, bad=True, for_operator=True)
+
+    def _state_before(self) -> str:
+        """Return words about its state at the last call; empty if it was disarmed."""
+        return f"; it was {self._arming.value}" if self._arming is not Arming.DISARMED else ""
+
+    def _state_now(self) -> str:
+        """Return words about its state after a loss, which has disarmed it."""
+        state = self._session.arming
+        requested = "; it was disarmed, arming was requested"
+        return requested if state is Arming.ARMING else f" and {state.value}"
 
     def _arming_changes(self) -> list[Line]:
         before, state = self._arming, self._session.arming
