@@ -130,7 +130,7 @@ def test_too_short_a_duration_becomes_what_the_limits_allow_and_is_said(bench, m
     assert bench.move(0.5, 0.0, duration=0.1).result.reached
     lasts = bench.feedback[0].feedback.remaining
     assert lasts > 0.5
-    assert said[-1] == f"a move takes {lasts:.2f} s: its limits do not allow 0.1 s"
+    assert said[-1] == f"the joints' limits slow the move from 0.10 to {lasts:.2f} s"
 
 
 def test_moves_that_make_no_sense_are_rejected(bench, monkeypatch):
@@ -160,6 +160,15 @@ def test_a_disarmed_arm_does_not_move_and_says_once_what_to_do(bench, monkeypatc
     assert not bench.move(0.1, 0.1).result.reached
     assert len(said) == 2
     assert [transport.link.position for transport in bench.transports] == [0, 0]
+
+
+def test_links_that_have_not_connected_are_waited_for_without_a_warning(bench, monkeypatch):
+    said = []
+    monkeypatch.setattr(bench.arm.get_logger(), "info", said.append)
+    monkeypatch.setattr(type(bench.arm.links), "unconnected", [1, 2])
+    for _ in range(2):
+        assert bench.move(0.1, 0.1).result.message == "links 1, 2 are not connected yet"
+    assert said == ["a move waits: links 1, 2 are not connected yet"]
 
 
 def test_a_second_move_is_refused_and_the_first_can_be_cancelled(bench):

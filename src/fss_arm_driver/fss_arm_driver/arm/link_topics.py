@@ -116,19 +116,25 @@ class LinkTopics:
         self.arbiter.stop()
         self.wake()
 
+    @property
+    def unconnected(self) -> list[int]:
+        """Links that have not sent telemetry since this node started."""
+        return [i for i in self.numbers if i not in self.states]
+
     def problems(
         self, numbers: Iterable[int] | None = None, referenced: bool = True
     ) -> dict[int, str]:
         """Return the links that cannot move, of all or of these, with the most basic problem."""
         chosen = self.numbers if numbers is None else sorted(numbers)
         oldest = self.steady() - self.settings.time_to_live * SECOND
-        silent = {
-            i: "silent" for i in chosen if i not in self.states or self.states[i].received < oldest
-        }
-        states = {i: self.states[i] for i in chosen if not silent}
+        missing = {i: "not connected yet" for i in self.unconnected if i in chosen}
+        known = {} if missing else {i: self.states[i] for i in chosen}
+        silent = {i: "silent" for i, s in known.items() if s.received < oldest}
+        states = {} if silent else known
         lost = {i: "not referenced" for i, s in states.items() if not s.referenced}
         return (
-            silent
+            missing
+            or silent
             or (referenced and lost)
             or {i: "not armed" for i, s in states.items() if not s.armed}
         )

@@ -74,8 +74,13 @@ class MoveAction:
         elif handle.is_cancel_requested:
             handle.canceled()
         else:
-            if message != self.last_reason:  # a waiting client repeats its goal
-                self.links.node.get_logger().warning(f"move aborted: {message}")
+            log = self.links.node.get_logger()
+            if message == self.last_reason:
+                pass  # a waiting client repeats its goal
+            elif self.links.unconnected:  # the nodes have just started
+                log.info(f"a move waits: {message}")
+            else:
+                log.warning(f"move aborted: {message}")
             handle.abort()
         self.last_reason = message
         return MoveArm.Result(reached=not message, message=message, q=self.links.q())
@@ -93,8 +98,8 @@ class MoveAction:
         links.check()
         move = plan(links.arm, links.q(), tuple(request.q), request.duration)
         if 0.0 < request.duration < move.duration:
-            words = f"its limits do not allow {request.duration:g} s"
-            links.node.get_logger().info(f"a move takes {move.duration:.2f} s: {words}")
+            slower = f"from {request.duration:.2f} to {move.duration:.2f} s"
+            links.node.get_logger().info(f"the joints' limits slow the move {slower}")
         self.guard.check_move(links.states, move.profiles)
         motion = links.arbiter.start("a move", links.now())
         self.goal_id = handle.goal_id.uuid.tobytes()
