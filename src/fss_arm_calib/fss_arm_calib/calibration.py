@@ -133,7 +133,7 @@ class Calibration(Generic[D, C]):
             what = format_count(restored, self.data.noun)
             return f"resumed with {what} from {settings.state_file}"
         topics = ", ".join(one.topic for one in self.inputs(settings, joints))
-        return f"ready for {topics} (joints: {joints})"
+        return f"subscribed to {topics} (joints: {joints})"
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:
         """Return the report of an outcome, with the features that this kind does not have."""

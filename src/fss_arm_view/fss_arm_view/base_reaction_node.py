@@ -68,7 +68,7 @@ class BaseReactionNode(Node):
         ):
             subscribe(self, kind, topic, partial(self.on_calibration, topic), LATCHED)
         self.diagnostics = Diagnostics(self, self.health)
-        self.get_logger().info(f"ready for {s.base_topic} (joints: {self.calibrated.arm.n})")
+        self.get_logger().info(f"subscribed to {s.base_topic} (joints: {self.calibrated.arm.n})")
 
     def reset(self) -> None:
         """Reset filter and prediction; keep the calibrated arm."""

@@ -59,7 +59,7 @@ class WorkspaceNode(Node):
         self.create_timer(1.0 / s.rate, self.on_timer, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health)
         n = self.calibrations.calibrated.arm.n
-        self.get_logger().info(f"ready for joint_states and {s.base_topic} (joints: {n})")
+        self.get_logger().info(f"subscribed to joint_states and {s.base_topic} (joints: {n})")
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Recompute the maps with a calibration, if it passed."""

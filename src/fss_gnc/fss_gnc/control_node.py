@@ -65,7 +65,7 @@ class ControlNode(Node):
         self.create_timer(CHECK_PERIOD, self.check_stall, clock=real_time)
         self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
-        self.get_logger().info(f"ready for base/trajectory (joints: {n})")
+        self.get_logger().info(f"subscribed to base/trajectory (joints: {n})")
 
     def now(self) -> int:
         """Return the node's clock [ns]."""

@@ -59,7 +59,7 @@ class ControllerNode(Node):
         self.law = LawRun(self.process, self.arm.n, period, s.time_to_live)
         self.create_timer(period, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
-        self.get_logger().info(f"ready for base/state, with {s.law} (joints: {self.arm.n})")
+        self.get_logger().info(f"subscribed to base/state, with {s.law} (joints: {self.arm.n})")
 
     def subscribe(self) -> None:
         """Subscribe to the inputs of the law."""

@@ -67,7 +67,7 @@ class NavigationNode(Node):
         subscribe_calibrations(self, self.on_calibration)
         self.create_timer(1.0 / s.rate, self.publish_states, clock=self.clock)
         self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
-        self.get_logger().info(f"ready for {s.base_topic} (joints: {self.known.arm.n})")
+        self.get_logger().info(f"subscribed to {s.base_topic} (joints: {self.known.arm.n})")
 
     def reset(self, faults: Faults | None = None) -> None:
         """Reset the estimates of base and target; known faults of the valves stay."""
