@@ -1,5 +1,7 @@
 """Capture a target and stop its motion; print each phase and the result. Ctrl-C aborts."""
 
+import sys
+
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.signals import SignalHandlerOptions
@@ -34,7 +36,7 @@ def fly(node, client):
 
 
 def main():
-    """Send the goal, and print each phase until the end."""
+    """Send the goal, and print each phase until the end; return the exit code."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C must not end ROS
     node = rclpy.create_node("operator")
     phases = []
@@ -50,9 +52,11 @@ def main():
     print("waiting for mission/capture", flush=True)
     client.wait_for_server()
     result = fly(node, client)
-    print(f"captured: {result.captured}, stopped: {result.stopped} {result.message}")
+    reason = f" ({result.message})" if result.message else ""
+    print(f"captured: {result.captured}, stopped: {result.stopped}{reason}")
     print(f"{result.duration:.1f} s, {1e3 * result.propellant:.1f} g of gas")
+    return 0 if result.stopped else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

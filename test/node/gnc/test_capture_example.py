@@ -42,4 +42,6 @@ def test_ctrl_c_cancels_the_goal_and_prints_the_result(spin, domain):
         spin(guidance, lambda: program.poll() is not None, timeout=60.0)
     finally:
         program.kill()
-    assert "captured: False, stopped: False cancelled by the client" in program.communicate()[0]
+    text = "captured: False, stopped: False (cancelled by the client)"
+    assert text in program.communicate()[0]
+    assert program.returncode == 1
