@@ -20,6 +20,7 @@ from std_msgs.msg import Empty
 
 from fss_arm_ros.described_arm import load_described_arm
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import STOPS
 from fss_arm_ros.timers import timer_clock
@@ -148,8 +149,7 @@ class GuidanceNode(Node):
         if commands.outcome:
             self.finish(running, commands.outcome)
             return
-        if problem := execution.update_problem(commands):
-            self.get_logger().warning(f"{execution.kind.name}: {problem}")
+        report(self, execution.log_lines(commands))
         now, horizon = self.now(), self.settings.horizon
         self.publish(topics.command_messages(execution, commands, obs.t, horizon, now))
         self.vehicles.announce(commands, obs, now)

@@ -65,10 +65,12 @@ def test_a_capture_names_the_states_that_it_waited_for():
     observed = Observation(0.0, Body(np.zeros(3), np.zeros(3)))
     assert mission.step(observed).phase == "wait"
     late = SETTINGS.wait_timeout + 1.0
-    commands = mission.step(replace(observed, t=late))
+    reasons = "arm/joint_states is 34.1 s old", "waiting for target/state"
+    commands = mission.step(replace(observed, t=late, unknown=reasons))
     assert commands.phase == "abort"
     assert commands.reason == (
-        f"arm/joint_states and target/state not known within {SETTINGS.wait_timeout:g} s"
+        f"arm/joint_states and target/state not known within {SETTINGS.wait_timeout:g} s "
+        "(arm/joint_states is 34.1 s old, waiting for target/state)"
     )
 
 

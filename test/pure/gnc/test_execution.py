@@ -103,19 +103,23 @@ def test_it_coasts_and_is_interrupted_while_control_ignores_its_reference():
     assert execution.step(observation(2.0), False, "").phase == "reach"  # its next step
 
 
-def test_a_new_problem_is_reported_once():
+def test_a_new_phase_or_problem_is_logged_once():
     execution = execute()
     found = [
-        (execution.update_problem(Commands("brake", reason=reason)), execution.status)
-        for reason in ("", "near", "near", "far", "")
-    ]
+        (execution.log_lines(Commands(phase, reason=reason)), execution.status)
+        for phase, reason in (
+            ("reach", ""), ("brake", ""), ("brake", "near"), ("brake", "near"), ("brake", "far"),
+            ("brake", ""),
+        )
+    ]  # fmt: skip
     name = "mission/capture"
     assert found == [
-        ("", name),
-        ("brake: near", f"{name}: brake: near"),
-        ("", f"{name}: brake: near"),
-        ("brake: far", f"{name}: brake: far"),
-        ("", name),
+        ([(f"{name}: reach", False, False)], name),
+        ([(f"{name}: brake", False, False)], name),
+        ([(f"{name}: brake: near", True, False)], f"{name}: brake: near"),
+        ([], f"{name}: brake: near"),
+        ([(f"{name}: brake: far", True, False)], f"{name}: brake: far"),
+        ([], name),
     ]
 
 

@@ -47,6 +47,7 @@ class Observation:
     armed: bool | None = None  # whether the valves may open; None: not known
     stall: str = ""  # why control has dropped the reference; empty: it follows
     others: tuple[OtherVehicle, ...] = ()  # other vehicles on the table
+    unknown: tuple[str, ...] = ()  # why states of base, joints or target are unknown
 
     @property
     def keep_gripper(self) -> bool | None:

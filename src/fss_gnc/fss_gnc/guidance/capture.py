@@ -138,7 +138,9 @@ class Capture:
         unknown = " and ".join(topic for topic, state in states.items() if state is None)
         if self.phase == "wait" and unknown and not obs.open_valves:
             timed_out = obs.t - self.phase_start > s.wait_timeout
-            return f"{unknown} not known within {s.wait_timeout:g} s" if timed_out else ""
+            reasons = f" ({', '.join(obs.unknown)})" if obs.unknown else ""
+            words = f"{unknown} not known within {s.wait_timeout:g} s{reasons}"
+            return words if timed_out else ""
         return self.monitor.abort_reason(
             obs, self._path, self.phase, timeouts[self.phase], self.phase_start
         )

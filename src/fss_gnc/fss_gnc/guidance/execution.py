@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from fss_gnc.guidance.activity import (
     Activity,
@@ -13,6 +13,14 @@ from fss_gnc.guidance.activity import (
     Outcome,
 )
 from fss_gnc.guidance.budget import Budget
+
+
+class Line(NamedTuple):
+    """Line to be logged."""
+
+    words: str
+    bad: bool = False  # a warning
+    for_operator: bool = False  # also for the event log
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,7 @@ class Execution:
     start_time: int  # [ns]
     budget: Budget
     moves_joints: bool = False  # True once it has commanded the arm
+    phase: str = ""  # of the last commands
     problem: str = ""  # why it aborts, brakes or assumes a state, after the phase; empty: not so
 
     def step(self, obs: Observation, cancelled: bool, problem: str) -> Commands:
@@ -63,13 +72,14 @@ class Execution:
         self.moves_joints |= commands.rates is not None and not commands.outcome
         return commands
 
-    def update_problem(self, commands: Commands) -> str:
-        """Store the reason of the commands; return it if it is a new one, else empty."""
-        before, self.problem = (
-            self.problem,
-            commands.reason and (f"{commands.phase}: {commands.reason}"),
-        )
-        return "" if self.problem == before else self.problem
+    def log_lines(self, commands: Commands) -> list[Line]:
+        """Store phase and reason of the commands; return a line if one of them is new."""
+        before = self.phase, self.problem
+        problem = commands.reason and f"{commands.phase}: {commands.reason}"
+        self.phase, self.problem = commands.phase, problem
+        if problem and problem != before[1]:
+            return [Line(f"{self.kind.name}: {problem}", bad=True)]
+        return [Line(f"{self.kind.name}: {self.phase}")] if self.phase != before[0] else []
 
     @property
     def status(self) -> str:

@@ -1,5 +1,7 @@
 """Newest states that the guidance has received, and what is known of them at one time."""
 
+from typing import Any
+
 import numpy as np
 
 from fss_arm_model.arrays import Floats
@@ -54,6 +56,7 @@ class Measurements:
             others: the other vehicles now.
         """
         joints, propellant = self.joints.valid_value(now), self.propellant.valid_value(now)
+        states: tuple[Latest[Any], ...] = self.base, self.joints, self.target
         q, qd, effort = (None,) * 3 if joints is None else joints
         if q is not None and qd is not None:
             q = q + self.joints.age(now) * qd
@@ -74,4 +77,5 @@ class Measurements:
             armed=self.armed.valid_value(now),
             stall=self.stall.valid_value(now) or "",
             others=others,
+            unknown=tuple(filter(None, (x.problem(now) for x in states))),
         )
