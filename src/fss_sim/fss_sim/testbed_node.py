@@ -40,13 +40,8 @@ class TestbedNode(Node):
         super().__init__("testbed", **options)
         self.settings = settings = declare(self, TestbedSettings, live=True)
         self.lock, self.seed = RLock(), settings.seed
-        self.timeline = Timeline(
-            self,
-            settings.keep_clock,
-            settings.speed,
-            settings.paused,
-            lambda: int(self.get_clock().now().nanoseconds),
-        )
+        times = settings.keep_clock, settings.speed, settings.paused
+        self.timeline = Timeline(self, *times, lambda: int(self.get_clock().now().nanoseconds))
         self.vehicles = [
             VehicleTopics(self, self.lock, self.timeline.stamp, one, name)
             for name, one in read_vehicles(settings).items()
@@ -163,6 +158,8 @@ class TestbedNode(Node):
         if channel := self.testbed.radio_channel:
             values["airtime used"] = channel.utilization(self.testbed.now)
         level = WARN if is_slow else OK
+        if is_slow:
+            self.get_logger().warning(state, throttle_duration_sec=10.0)
         if self.settings.vehicles:
             return Health(level, f"{state}, {len(self.vehicles)} vehicles", values)
         vehicle = self.vehicles[0].health()

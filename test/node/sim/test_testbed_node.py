@@ -350,7 +350,8 @@ def test_thrusters_push_the_base_and_use_propellant(spin, operator):
     assert before.q == pytest.approx([0.0] * 7)
     push = [0.0, 0.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0]  # along x
     rejected = []
-    bed.get_logger().warning = rejected.append
+    slow = "too slow"  # on a busy computer
+    bed.get_logger().warning = lambda words, **_: slow in words or rejected.append(words)
     operator.thrust.publish(ThrusterCommand(on_time=[-1.0] + 7 * [0.5]))
     seen = spin([bed, operator], lambda: rejected and len(operator.truth_message))
     spin([bed, operator], lambda: len(operator.truth_message) > seen + 2)
