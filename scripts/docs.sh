@@ -1,10 +1,16 @@
 #!/usr/bin/env bash
-# Builds the documentation as a site: the pages, and the Python API from the docstrings.
-# A warning, such as a link that leads nowhere, is an error. The packages are installed once, into a
-# venv of their own; the last line names the file to open.
+# Builds the documentation as a site: the pages, and the Python API from the
+# docstrings. A warning, such as a link that leads nowhere, is an error. The
+# packages are installed once, into a venv of their own; the last line names the
+# file to open.
+# usage: docs.sh
 set -euo pipefail
 
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
+# shellcheck source=scripts/fss/config.sh
+. "$root/scripts/fss/config.sh"
+help "$@"
+[[ $# == 0 ]] || fail "unknown argument '$1'; usage: docs.sh"
 venv=$root/.cache/docs pins=$root/scripts/requirements-docs.txt site=$root/build/docs
 
 if ! cmp -s "$pins" "$venv/pins.txt"; then

@@ -1,9 +1,12 @@
 #!/usr/bin/env bash
-# Exports the simulated plant of a description, or a control law in C, as an FMU for co-simulation.
-# Usage: scripts/fmu.sh ARM.yaml|LAW.c [--fmi 2|3] [--output FILE.fmu]
+# Exports the simulated plant of a description, or a control law in C, as an FMU
+# for co-simulation.
+# usage: fmu.sh ARM.yaml|LAW.c [--fmi 2|3] [--output FILE.fmu]
 set -euo pipefail
-here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
-FSS_SETUP_NEXT='' "$here/setup.sh"
+fss_scripts=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+# shellcheck source=scripts/fss/config.sh
+. "$fss_scripts/fss/config.sh"
+set_up "$@"
 # shellcheck source=scripts/env.sh
-. "$here/env.sh"
-exec python3 "$here/fmu.py" "$@"
+. "$fss_scripts/env.sh"
+exec python3 "$fss_scripts/fmu.py" "$@"

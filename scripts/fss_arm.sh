@@ -1,6 +1,8 @@
 #!/bin/sh
-# Commands to the arm from a terminal, in the ROS domain of this shell or of a configuration.
-# usage: fss_arm.sh [--vehicle NAME] move | execute | arm | disarm | stop | home | clear | valves | solve | forget [CONFIG] [ANGLE... | PLAN] [OPTION...]
+# Commands to the arm from a terminal, in the ROS domain of this shell or of a
+# configuration.
+# usage: fss_arm.sh [--vehicle NAME] COMMAND [CONFIG] [ANGLE... | PLAN] [OPTION...]
+# --help lists the commands.
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 

@@ -1,9 +1,11 @@
 #!/bin/sh
-# Copies this workspace to another computer as a new release, checks it there, and makes it the current one.
-# usage: fss_deploy.sh USER@HOST CONFIG       copy, check, switch; it starts and arms nothing
-#        fss_deploy.sh USER@HOST --list       releases on that computer; * marks the current one
-#        fss_deploy.sh USER@HOST --rollback   switch to the release before the current one
-# Releases are in ~/fss_arm/releases, the current one is ~/fss_arm/current. RSYNC_RSH replaces `ssh`.
+# Copies this workspace to another computer as a new release, checks it there,
+# and makes it the current one. It starts and arms nothing.
+# usage: fss_deploy.sh USER@HOST CONFIG      copy, check, switch
+#        fss_deploy.sh USER@HOST --list      list releases (*: the current one)
+#        fss_deploy.sh USER@HOST --rollback  switch to the release before
+# Releases are in ~/fss_arm/releases, the current one is ~/fss_arm/current.
+# RSYNC_RSH replaces `ssh`.
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh

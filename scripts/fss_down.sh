@@ -1,6 +1,7 @@
 #!/bin/sh
-# Disarms the links, then stops all nodes of a configuration, the last one first. The exit code is 0
-# if all links are known to be disarmed, and every node has stopped when requested.
+# Disarms the links, then stops all nodes of a configuration, the last one first.
+# The exit code is 0 if all links are known to be disarmed, and every node has
+# stopped when requested.
 # usage: fss_down.sh [--vehicle NAME] [CONFIG]     by default the one that runs
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
@@ -62,6 +63,8 @@ stop() {
       return 0
     fi
     log_event "$1 did not stop and was killed"
+    say "$1 was killed"
+    return 0
   fi
   say "$1 has stopped"
 }

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Shows links, nodes, rates, faults and verdicts at a glance.
-# usage: fss_status.sh [--vehicle NAME] [--watch | --wait SECONDS] [CONFIG]     by default the one that runs
+# usage: fss_status.sh [--vehicle NAME] [--watch | --wait SECONDS] [CONFIG]
+# CONFIG is the one that runs by default.
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh

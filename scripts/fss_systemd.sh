@@ -1,5 +1,6 @@
 #!/bin/sh
-# Writes systemd units for a configuration, a service for each node and a target for all.
+# Writes systemd units for a configuration, a service for each node and a target
+# for all.
 # usage: fss_systemd.sh FOLDER [CONFIG]     config/fss.sh by default
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Starts the nodes of a configuration that do not run yet, and shows their status.
-# They outlive this shell and its connection; a node that fails is restarted a few times.
+# They outlive this shell and its connection; a node that fails is restarted a
+# few times.
 # usage: fss_up.sh [--vehicle NAME] [CONFIG]     config/fss.sh by default
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)

@@ -2,7 +2,8 @@
 # Sets up the workspace: .venv, the colcon build, the compiled kernels.
 # Steps whose inputs have not changed are skipped.
 # usage: setup.sh [--dev] [--ros2cli]
-# --dev adds the packages for the tests, --ros2cli the real `ros2` command line, which the wheels lack.
+# --dev adds the packages for the tests, --ros2cli the real `ros2` command line,
+# which the wheels lack.
 set -euo pipefail
 
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)

@@ -10,6 +10,15 @@ help() {
   exit 0
 }
 
+# set_up OPTION...: sets the workspace up. --help needs no set-up: it is the script's own, or, if
+# nothing is built yet, its leading comment.
+set_up() {
+  case " $* " in
+    *' --help '* | *' -h '*) [ -f "$fss_scripts/../install/setup.sh" ] || help "$@" ;;
+    *) FSS_SETUP_NEXT='' "$fss_scripts/setup.sh" ;;
+  esac
+}
+
 # vehicle NAME: sets the namespace given by --vehicle.
 vehicle() {
   [ "$1" ] || fail "--vehicle: the name (namespace) of a vehicle is missing"

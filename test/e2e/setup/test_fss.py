@@ -212,7 +212,7 @@ def test_what_a_node_leaves_behind_is_ended_too(laboratory, tmp_path):
     session = lab.keeper("a")
     wait_until(lambda: len(members(session)) == 3, 20, PAUSE)
     down = lab.run("down")
-    assert (down.returncode, down.stdout) == (1, "a has stopped\n")
+    assert (down.returncode, down.stdout) == (1, "a was killed\n")
     assert "a did not stop and was killed" in lab.events()
     assert not members(session)
 

@@ -432,12 +432,27 @@ def test_a_failed_node_says_why_and_events_are_those_of_this_session(tmp_path, s
     assert "no node reports in ROS domain 64" in lines
 
 
-@pytest.mark.parametrize("name", ["up", "down", "status", "systemd"])
-def test_help_is_what_the_script_says_of_itself(name):
-    told = run(ROOT / f"scripts/fss_{name}.sh", "--help")
-    assert told.returncode == 0
-    assert f"usage: fss_{name}.sh" in told.stdout
+def check_help(told, script):
+    """Check the output of a script's --help, which fits a narrow terminal."""
+    assert (told.returncode, told.stderr) == (0, "")
+    assert f"usage: {script}.sh" in told.stdout
     assert not told.stdout.startswith("#")
+    assert max(map(len, told.stdout.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("name", ["up", "down", "status", "systemd", "deploy", "security"])
+def test_help_is_what_the_script_says_of_itself(name):
+    check_help(run(ROOT / f"scripts/fss_{name}.sh", "--help"), f"fss_{name}")
+
+
+@pytest.mark.parametrize("name", ["rehearse", "demo", "mission", "dataset", "fmu", "docs", "setup"])
+def test_help_comes_without_a_set_up(tmp_path, name):
+    scripts = shutil.copytree(ROOT / "scripts", tmp_path / "scripts")
+    if name != "setup":
+        write_script(scripts / "setup.sh", "exit 9")
+    used = "rehearse" if name in ("demo", "mission") else name
+    check_help(run(scripts / f"{name}.sh", "--help"), used)
+    assert [path.name for path in tmp_path.iterdir()] == ["scripts"]
 
 
 def line_of_fss_up(folder):
