@@ -222,7 +222,7 @@ def test_a_battery_tells_how_long_it_lasts_though_the_clock_was_set_back():
     battery = Battery(empty=12.0)
     assert isnan(battery.time_left())
     for second in range(9000, 9600, 2):
-        battery.add(14.8, second * SECOND)
+        battery.add(14.8 - 1e-12 * second, second * SECOND)  # constant but for rounding
     assert battery.time_left() == inf
     for second in range(900):
         battery.add(round(16.0 - 0.001 * second, 1), second * SECOND)

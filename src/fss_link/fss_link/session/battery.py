@@ -8,6 +8,7 @@ from fss_arm_model.units import SECOND
 READING_INTERVAL = 10 * SECOND  # between stored readings
 MAX_READINGS = 180  # stored: half an hour
 MIN_READINGS = 12  # to fit a line: two minutes
+MAX_TIME_LEFT = 600_000.0  # [s]; a longer one is rounding or noise of a constant voltage
 
 
 class Battery:
@@ -34,9 +35,10 @@ class Battery:
             self._next = now + READING_INTERVAL
 
     def time_left(self) -> float:
-        """Estimate the time until it is empty [s]; infinite if the voltage does not fall.
+        """Estimate the time until it is empty [s].
 
-        NaN while there are fewer than MIN_READINGS readings.
+        Infinite beyond MAX_TIME_LEFT, as if the voltage does not fall; NaN while there are fewer
+        than MIN_READINGS readings.
         """
         if len(self._readings) < MIN_READINGS:
             return nan
@@ -49,4 +51,5 @@ class Battery:
         if slope >= 0.0:
             return inf
         now = v + slope * (self._readings[-1][0] - t0 - t)
-        return max(0.0, (now - self._empty) / -slope)
+        left = max(0.0, (now - self._empty) / -slope)
+        return left if left < MAX_TIME_LEFT else inf
