@@ -86,9 +86,9 @@ class ControlNode(Node):
         self.controller.planned.store(*messages.planned_rates(message, arm))
 
     def on_propellant(self, message: Float64) -> None:
-        """Compute the used propellant; a sensor with an offset may report a negative mass."""
+        """Compute the used propellant; a sensor's offset may exceed an empty or full tank."""
         used = self.settings.full_tank - max(message.data, 0.0)
-        self.controller.model.propellant_used = used
+        self.controller.model.propellant_used = max(used, 0.0)
 
     def on_gripper(self, message: GripperState) -> None:
         """Store whether the target is part of the arm."""

@@ -171,7 +171,7 @@ class NavigationNode(Node):
     def health(self) -> Health:
         """Return the health for diagnostics."""
         bodies = self.navigation, self.base, self.target_body
-        problems = "; ".join(find_problems(*bodies, self.stamps.now()))
+        problems = "; ".join(find_problems(*bodies, self.stamps.now(), self.stamps.topics_ahead()))
         values = diagnostic_values(*bodies, self.pulses, self.rejected)
         return Health(WARN if problems else OK, problems or "tracking", values)
 

@@ -7,6 +7,7 @@ from gnc_bench import FOLDED
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
+from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_model.description import paper_arm
@@ -89,6 +90,8 @@ def test_model_receives_the_held_target_and_the_propellant(bench):
     bench.acts()
     bench.until(lambda: model.place is not None)
     assert model.propellant_used == pytest.approx(0.1)
+    bench.control.on_propellant(Float64(data=20.0))  # more than a full tank holds
+    assert model.propellant_used == 0.0
     publisher = bench.create_publisher(MassProperties, "target/mass_properties", 1)
     bench.until(lambda: publisher.get_subscription_count())
     publisher.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))

@@ -193,6 +193,9 @@ def test_problems_and_values_of_a_new_navigation():
         "no gyro: heading from motion capture only",
         "readings of a joint are missing: motion of the arm unknown",
     ]
+    assert find_problems(*bodies, now, ["fog/imu"])[2:] == [
+        "stamps of fog/imu are in the future: clocks differ, or the test bed is too slow"
+    ]
     late = find_problems(*bodies, now + 990 * MS)
     assert late[0] == "base predicted, not observed for 1.0 s"
     values = diagnostic_values(*bodies, 0, {})

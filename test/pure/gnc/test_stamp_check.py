@@ -50,6 +50,9 @@ def test_a_stamp_from_the_future_is_rejected(stamps):
     for _ in range(30):
         assert stamps.check(GYRO, START + MAX_LEAD + 1) is FROM_FUTURE
     assert stamps.now() == START
+    assert stamps.topics_ahead() == [GYRO]
+    assert stamps.check(GYRO, START + MAX_LEAD) is ACCEPTED
+    assert stamps.topics_ahead() == []
 
 
 def test_ten_stamps_of_the_base_in_a_row_prove_a_jump_forward(stamps):

@@ -11,12 +11,25 @@ from .tracked_body import TrackedBody
 from .valve_faults import Faults
 
 GYRO_TIMEOUT = SECOND // 2  # [ns]
+FROM_FUTURE = "are in the future: clocks differ, or the test bed is too slow"
 
 
 def find_problems(
-    navigation: Navigation, base: TrackedBody, target: TrackedBody, now: int
+    navigation: Navigation,
+    base: TrackedBody,
+    target: TrackedBody,
+    now: int,
+    topics_ahead: Collection[str] = (),
 ) -> list[str]:
-    """Return all problems at a time [ns], in one sentence each."""
+    """Return all problems at a time [ns], in one sentence each.
+
+    Args:
+        navigation: the filters.
+        base: publication of the base.
+        target: publication of the target.
+        now: the present in the time of the base's stamps [ns].
+        topics_ahead: topics whose last stamp was from the future.
+    """
     n, problems = navigation, []
     if base.lost_reason:
         problems.append(f"base {base.lost_reason}")
@@ -30,6 +43,7 @@ def find_problems(
         problems.append("readings of a joint are missing: motion of the arm unknown")
     if n.mass_estimator and not n.mass_estimator.is_consistent:
         problems.append("an unknown force pushes: no mass of the held body explains the motion")
+    problems += [f"stamps of {topic} {FROM_FUTURE}" for topic in topics_ahead]
     problems += valve_problems(n.valves.faults)
     problems += [f"pose of the {name} fits the {other}" for name, other in n.recent_mixups(now)]
     return problems

@@ -43,6 +43,10 @@ class StampCheck:
         """
         return self.newest + max(self._clock() - self._newest_arrival, 0)
 
+    def topics_ahead(self) -> list[str]:
+        """Return the topics whose last stamp was from the future."""
+        return [topic for topic, count in self._from_future.items() if count]
+
     def check(self, topic: str, t: int) -> Verdict:
         """Return the verdict on a stamp t [ns] that has just arrived."""
         verdict = Verdict.ACCEPTED
