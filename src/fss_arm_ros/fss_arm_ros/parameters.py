@@ -5,9 +5,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import Field, fields
 from difflib import get_close_matches
 from itertools import pairwise
-from math import inf
+from math import isfinite
 from pathlib import Path
-from sys import float_info
 from typing import Any, TypeVar, get_type_hints
 
 from rcl_interfaces.msg import (
@@ -110,18 +109,22 @@ def _declared(node: Node, name: str, f: "Field[Any]", read_only: bool = False) -
 
 
 def descriptor(f: "Field[Any]", read_only: bool = False) -> ParameterDescriptor:
-    """Return the descriptor that `ros2 param describe` shows: meaning, unit, and range if any."""
+    """Return the descriptor that `ros2 param describe` shows: meaning, unit, and range.
+
+    A range needs two finite ends; the meaning names a single bound.
+    """
     # Dynamic: a static type would reject 1 for 1.0, and treat an empty list as bytes.
     about = ParameterDescriptor(description=meaning(f), read_only=read_only, dynamic_typing=True)
-    check, most = f.metadata["check"], float_info.max
-    if check is None or (check.low, check.high) == (-inf, inf):
+    check = f.metadata["check"]
+    if check is None or not (isfinite(check.low) and isfinite(check.high)):
         return about
+    low, high = check.low, check.high
     if type(f.default) is int:
-        low, high = max(check.low, -(2**63)), min(check.high, 2**63 - 1)
         about.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
     elif type(f.default) is float:
-        low, high = float(max(check.low, -most)), float(min(check.high, most))
-        about.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        about.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=float(high))
+        ]
     return about
 
 
