@@ -65,7 +65,7 @@ FAULTS = (
     _status(
         11,
         "enable input inactive",
-        "`enable`",
+        "`enable_open`",
         "release the emergency stop; check the enable input",
     ),
     _status(12, "disabled by software", "disarm"),

@@ -49,9 +49,9 @@ class LinkFaults(Settings):
     reordering: float = fault("share of the datagrams that arrive after the next one")
     corruption: float = fault("share of the datagrams with a bit flipped")
     dead: float = fault(
-        "1: without power; after its return, it restarts, and a link's drive has no reference"
+        "above 0: without power; after its return, it restarts, and a link's drive has no reference"
     )
-    reset: float = fault("1: its microcontroller is held in reset; a link's drive continues")
+    reset: float = fault("above 0: its microcontroller is held in reset; a link's drive continues")
     resistance: float = fault("resistance added to that of its battery", "ohm", maximum=100.0)
 
 
@@ -59,24 +59,24 @@ class LinkFaults(Settings):
 class DriveFaults(Settings):
     """Faults of a link's servo drive, its motor, its encoder and its joint."""
 
-    short_circuit: float = fault("1: the motor's cable is short-circuited")
-    overcurrent: float = fault("1: the motor draws too much current")
+    short_circuit: float = fault("above 0: the motor's cable is short-circuited")
+    overcurrent: float = fault("above 0: the motor draws too much current")
     drive_heat: float = fault("temperature rise added to that of the drive", "K", maximum=200.0)
     motor_heat: float = fault("temperature rise added to that of the motor", "K", maximum=200.0)
     supply: float = fault("supply voltage added to the drive's; -24: none", "V", -24.0, 100.0)
-    encoder: float = fault("1: the encoder's cable is unplugged")
-    phasing: float = fault("1: the motor's phases do not match the encoder")
-    blocked: float = fault("1: an obstacle blocks the joint")
+    encoder: float = fault("above 0: the encoder's cable is unplugged")
+    phasing: float = fault("above 0: the motor's phases do not match the encoder")
+    blocked: float = fault("above 0: an obstacle blocks the joint")
     hand: float = fault("torque of a hand on the joint, while the drive is off", "N m", -2.0, 2.0)
-    enable: float = fault("1: the enable input is open, as by an emergency stop")
-    positive_limit: float = fault("1: the positive limit switch is pressed")
-    negative_limit: float = fault("1: the negative limit switch is pressed")
-    voltage_limit: float = fault("1: the motor needs all the available voltage")
-    wrapped: float = fault("1: the position has overflowed its 32 bits")
-    flash: float = fault("1: the drive detects damaged flash memory")
-    internal: float = fault("1: the drive detects an internal error")
-    logic: float = fault("1: the drive's logic has failed")
-    command_input: float = fault("1: the drive's command input is lost")
+    enable_open: float = fault("above 0: the enable input is open, as by an emergency stop")
+    positive_limit: float = fault("above 0: the positive limit switch is pressed")
+    negative_limit: float = fault("above 0: the negative limit switch is pressed")
+    voltage_limit: float = fault("above 0: the motor needs all the available voltage")
+    wrapped: float = fault("above 0: the position has overflowed its 32 bits")
+    flash: float = fault("above 0: the drive detects damaged flash memory")
+    internal: float = fault("above 0: the drive detects an internal error")
+    logic: float = fault("above 0: the drive's logic has failed")
+    command_input: float = fault("above 0: the drive's command input is lost")
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class SubjectFaults(Settings):
         "share of the frames in which it is swapped with the other subject; a target: with the base"
     )
     turn: float = fault("rotation of the pose, as by swapped markers", "rad", -pi, pi)
-    frozen: float = fault("1: the last pose is repeated with fresh stamps")
+    frozen: float = fault("above 0: the last pose is repeated with fresh stamps")
     latency: float = fault("age of the poses at their stamps", "s")
 
 
@@ -112,8 +112,8 @@ class RadioFaults(Settings):
 class ValveFaults(Settings):
     """Faults of a thruster's valve, which override its commands."""
 
-    stuck_open: float = fault("1: the valve does not close")
-    stuck_closed: float = fault("1: the valve does not open, and draws no current")
+    stuck_open: float = fault("above 0: the valve does not close")
+    stuck_closed: float = fault("above 0: the valve does not open, and draws no current")
 
 
 FaultsByPart = dict[str, Any]  # LinkFaults, DriveFaults, SubjectFaults, ..., by part

@@ -21,7 +21,7 @@ DIMENSIONLESS = {
     *("battery", "corruption", "dead", "dropout", "duplication", "frozen", "loss", "occlusion"),
     *("braking", "reordering", "swap", "vicon_occlusion", "vicon_merge_swap"),
     *("interference", "burst_loss", "wifi_loss", "wifi_burst_loss"),
-    *("blocked", "command_input", "enable", "encoder", "flash", "internal", "logic"),
+    *("blocked", "command_input", "enable_open", "encoder", "flash", "internal", "logic"),
     *("negative_limit", "overcurrent", "phasing", "positive_limit", "reset", "short_circuit"),
     *("pad_friction", "voltage_limit", "wrapped"),
     *("restitution", "contact_friction", "Contact.friction", "cancelled", "friction_cancelled"),

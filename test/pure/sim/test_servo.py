@@ -40,7 +40,7 @@ CASES = {
     "flash memory damaged": Case(None, 0, {"flash": 1.0}, power=True),
     "internal error": Case(None, 1, {"internal": 1.0}, power=True),
     "logic failure": Case(None, 11, {"logic": 1.0}, power=True),
-    "enable input inactive": Case(11, None, {"enable": 1.0}),
+    "enable input inactive": Case(11, None, {"enable_open": 1.0}),
     "latched fault": Case(22, 2, {"short_circuit": 1.0}),
 }
 NOT_BLOCKING = {  # for status bits that do not block: the bit, faults, goal

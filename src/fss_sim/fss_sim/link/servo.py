@@ -59,7 +59,7 @@ INJECTED = {
     "command_input": INPUT_LOST,
     "positive_limit": Cause(AT_POSITIVE_SWITCH, 0),
     "negative_limit": Cause(AT_NEGATIVE_SWITCH, 0),
-    "enable": Cause(ENABLE_OPEN, 0),
+    "enable_open": Cause(ENABLE_OPEN, 0),
     "voltage_limit": Cause(VOLTAGE_LIMITED, 0),
     "wrapped": Cause(WRAPPED, 0),
 }
