@@ -135,7 +135,7 @@ def main() -> None:
     """Fly, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("policy", help="file written by train_reach.py")
-    parser.add_argument("--arm", default="paper", help="paper, cad, truth or a file")
+    parser.add_argument("--arm", default="paper", help="paper, cad, truth (simulator) or a file")
     parser.add_argument("--starts", type=int, default=6, help="number of flights of each law")
     options, _ = parser.parse_known_args()  # the others, --ros-args, are ROS's
     arm = described(options.arm)

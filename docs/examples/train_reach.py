@@ -215,7 +215,7 @@ def load(file: str) -> Policy:
 def main() -> None:
     """Train, save, and print the comparison."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--arm", default="paper", help="paper, cad, truth or a file")
+    parser.add_argument("--arm", default="paper", help="paper, cad, truth (simulator) or a file")
     parser.add_argument("--minutes", type=float, default=3.0, help="processor time of training")
     parser.add_argument("--seed", type=int, default=1, help="of all random numbers")
     parser.add_argument("--output", default="reach.npz", help="file for the policy")

@@ -23,7 +23,9 @@ FRACTION = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low
 class KindSettings(StreamSettings):
     """Settings of every calibration that finds its data in streams."""
 
-    arm: str = setting("", "arm to start from: paper, cad, truth or a file; empty: paper")
+    arm: str = setting(
+        "", "arm to start from: paper, cad, truth (simulator) or a file; empty: paper"
+    )
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class CalibrationSettings(RestSettings, KindSettings):
     outlier: float = positive(
         5.0,
         "",
-        "residual in deviations above which a datum is an outlier (maneuver, drift: leave-one-out)",
+        "residual in deviations above which a datum is an outlier; for maneuvers and drifts, the "
+        "residual is that of a prediction without the datum",
     )
     max_outliers: int = setting(
         0,
@@ -52,8 +55,8 @@ class CalibrationSettings(RestSettings, KindSettings):
     )
     min_redundancy: float = setting(
         0.0,
-        "smallest accepted redundancy of a datum (0: the others do not check it); below it, record "
-        "more data",
+        "smallest accepted redundancy of a datum, which is 0 if no other datum checks it; below "
+        "it, record more data",
         check=FRACTION,
     )
 
@@ -71,12 +74,14 @@ class NoiseSettings(CalibrationSettings):
     max_position_deviation: float = positive(
         0.001,
         "m",
-        "largest accepted estimate of position_deviation; used instead of one if data are few",
+        "largest accepted estimate of position_deviation; also used in place of an estimate if "
+        "there are too few data",
     )
     max_heading_deviation: float = positive(
         radians(0.5),
         "rad",
-        "largest accepted estimate of heading_deviation; used instead of one if data are few",
+        "largest accepted estimate of heading_deviation; also used in place of an estimate if "
+        "there are too few data",
     )
 
 

@@ -38,8 +38,8 @@ class LinkSettings(Settings):
     )
     timeout: float = setting(
         1.0,
-        "silence after which the link is lost, on a path twice watchdog; longest round trip at "
-        "which it can be armed",
+        "silence after which the link is lost, except on a path: there, twice watchdog; also the "
+        "longest round trip at which the link can be armed",
         unit="s",
         check=between(0.001, 3600.0),
     )
@@ -58,7 +58,7 @@ class LinkSettings(Settings):
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     frame_prefix: str = like(Vehicle, "frame_prefix")
-    arm: str = setting("", "arm: paper, cad, truth or a file; empty: paper")
+    arm: str = setting("", "arm: paper, cad, truth (simulator) or a file; empty: paper")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -97,7 +97,7 @@ class LinkSettings(Settings):
 class ArmSettings(GuardSettings):
     """Parameters of an ArmNode."""
 
-    arm: str = setting("", "arm: paper, cad, truth or a file; empty: paper")
+    arm: str = setting("", "arm: paper, cad, truth (simulator) or a file; empty: paper")
     rate: float = setting(
         5.0,
         "rate of each link's commands in a motion; below 10 Hz it is doubled on a path",

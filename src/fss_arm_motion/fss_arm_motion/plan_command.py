@@ -50,7 +50,9 @@ def parser() -> argparse.ArgumentParser:
 def add_common(p: argparse.ArgumentParser) -> None:
     """Add the options of all kinds: initial state, uncertainty of the arm, limits and outputs."""
     p.add_argument(
-        "--arm", default="paper", help="paper, cad, truth or a file (default %(default)s)"
+        "--arm",
+        default="paper",
+        help="paper, cad, truth (simulator) or a file (default %(default)s)",
     )
     p.add_argument(
         "--q", type=float, nargs="+", metavar="DEG", help="initial joint readings (default all 0)"
@@ -77,8 +79,8 @@ def add_common(p: argparse.ArgumentParser) -> None:
         type=float,
         default=0.01,
         metavar="SHARE",
-        help="1 sigma of each mass, "
-        "inertia and center of mass, as a share, for the base's band (default %(default)s)",
+        help="relative 1 sigma of each mass, inertia and center of mass; it gives the 1 sigma of "
+        "the base's motion (default %(default)s)",
     )
     for f in fields(LimitSettings):
         add_option(p, f, float)
@@ -90,6 +92,8 @@ def add_option(p: argparse.ArgumentParser, f: "Field[Any]", hint: Any) -> None:
     """Add an option for a setting; angles are in degrees."""
     flag = f"--{f.name.replace('_', '-')}"
     about = meaning(f).replace("[rad]", "[deg]").replace("%", "%%")
+    if in_degrees(f):
+        about = about.replace("; -pi to pi", "; -180 to 180")
     if hint is bool:
         p.add_argument(flag, action="store_true", help=about)
         return

@@ -11,7 +11,8 @@ class MotionSettings(Settings):
     """The parameters of a MotionNode."""
 
     arm: str = setting(
-        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+        "",
+        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
     )
     lead: float = setting(
         1.0,

@@ -66,7 +66,8 @@ class BaseReactionSettings(ReactionSettings):
     """Parameters of a BaseReactionNode."""
 
     arm: str = setting(
-        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+        "",
+        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
     )
     base_topic: str = like(Vehicle, "base_topic")
     world_frame: str = setting("world", "frame id of the published poses")
@@ -111,7 +112,8 @@ class ViewSettings(Settings):
         check=at_least(1),
     )
     arm: str = setting(
-        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+        "",
+        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
     )
     base_topic: str = like(Vehicle, "base_topic")
     tip_topic: str = like(Vehicle, "tip_topic")

@@ -19,7 +19,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="SOURCE",
         help="description YAML, or bags with a calibration (default: the paper's arm)",
     )
-    p.add_argument("--output", metavar="FOLDER", default="workspace", help="default: %(default)s")
+    p.add_argument(
+        "--output",
+        metavar="FOLDER",
+        default="workspace",
+        help="folder for the results (default %(default)s)",
+    )
     default = AnalysisSettings()
     p.add_argument(
         "--cell",

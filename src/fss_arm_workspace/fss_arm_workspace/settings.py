@@ -12,7 +12,8 @@ class WorkspaceSettings(AnalysisSettings):
     """Parameters of a WorkspaceNode: computation, topics and frames."""
 
     arm: str = setting(
-        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+        "",
+        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
     )
     rate: float = setting(10.0, "rate of the ellipsoids", unit="Hz", check=POSITIVE)
     scale: float = setting(0.25, "size of drawn ellipsoids", unit="m/(m/rad)", check=POSITIVE)

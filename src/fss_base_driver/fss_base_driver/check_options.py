@@ -72,7 +72,10 @@ def parser() -> argparse.ArgumentParser:
         help="time recorded after a pulse [s] (default %(default)s)",
     )
     p.add_argument(
-        "--tolerance", type=float, default=0.2, help="relative tolerance (default %(default)s)"
+        "--tolerance",
+        type=float,
+        default=0.2,
+        help="accepted relative error of thrust and lever (default %(default)s)",
     )
     p.add_argument(
         "--yes", action="store_true", help="start without asking whether the base is free"

@@ -144,7 +144,7 @@ class BaseSettings(Settings):
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11,
-        "lever of a thruster: from the base's origin to the line of thrust; must equal "
+        "lever of a thruster: from the base's origin to the line of thrust; same value as "
         "thruster_lever of `navigation`",
         unit="m",
         check=POSITIVE,

@@ -19,7 +19,8 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     )
 
     arm: str = setting(
-        "", "arm with masses and inertias: paper, cad, truth or a file; empty: paper"
+        "",
+        "arm with masses and inertias: paper, cad, truth (simulator) or a file; empty: paper",
     )
     max_drifts: int = max_data(30, "drifts")
     position_deviation: float = positive(0.001, "m", "1 sigma of a base position, each axis")

@@ -20,7 +20,9 @@ class JointSettings(Knowledge):
         "kinematic, dynamic and drift, or of bags."
     )
 
-    arm: str = setting("", "arm to start from: paper, cad, truth or a file; empty: paper")
+    arm: str = setting(
+        "", "arm to start from: paper, cad, truth (simulator) or a file; empty: paper"
+    )
     priors: str = setting(
         "m_i I_i m_0 I_0 com_0",
         "parameters whose described value is a prior, such as 'b_i I_0'",

@@ -14,7 +14,8 @@ class ControlSettings(PoseGains):
     """Parameters of a ControlNode."""
 
     arm: str = setting(
-        "", "arm, also after a calibration: paper, cad, truth or a file; empty: paper"
+        "",
+        "arm: paper, cad, truth (simulator) or a file; empty: paper; calibrations are ignored",
     )
     rate: float = setting(
         10.0, "publishing rate of base/wrench", unit="Hz", check=between(1.0, 200.0)

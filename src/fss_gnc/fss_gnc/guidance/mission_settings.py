@@ -26,7 +26,8 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     thrust: float = setting(0.16, "thrust of a valve", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11,
-        "lever of a thruster: from the base's origin to the line of thrust; alike in all nodes",
+        "lever of a thruster: from the base's origin to the line of thrust; same value as "
+        "thruster_lever of `navigation`",
         unit="m",
         check=POSITIVE,
     )

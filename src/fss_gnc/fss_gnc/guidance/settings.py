@@ -12,7 +12,8 @@ class GuidanceSettings(Extents):
     """Parameters of a GuidanceNode, without those of the missions."""
 
     arm: str = setting(
-        "", "arm, also after a calibration: paper, cad, truth or a file; empty: paper"
+        "",
+        "arm: paper, cad, truth (simulator) or a file; empty: paper; calibrations are ignored",
     )
     rate: float = setting(
         10.0,

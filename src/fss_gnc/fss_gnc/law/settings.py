@@ -22,7 +22,8 @@ class ControllerSettings(Settings):
         check=POSITIVE,
     )
     arm: str = setting(
-        "", "arm, also after a calibration: paper, cad, truth or a file; empty: paper"
+        "",
+        "arm: paper, cad, truth (simulator) or a file; empty: paper; calibrations are ignored",
     )
     table: tuple[float, ...] = like(Extents, "table")
     base_frame: str = like(Vehicle, "base_frame")

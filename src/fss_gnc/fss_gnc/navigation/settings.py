@@ -15,13 +15,15 @@ class SensorErrors(Settings):
 
     position_error: float = setting(
         0.001,
-        "1 sigma of the base's measured position, each axis; larger if its NIS is above 3",
+        '1 sigma of the base\'s measured position, each axis; increase it if "NIS of poses" in '
+        "the diagnostics of `navigation` is above 3",
         unit="m",
         check=POSITIVE,
     )
     heading_error: float = setting(
         0.009,
-        "1 sigma of the base's measured heading; larger if its NIS is above 3",
+        '1 sigma of the base\'s measured heading; increase it if "NIS of poses" in the '
+        "diagnostics of `navigation` is above 3",
         unit="rad",
         check=POSITIVE,
     )
@@ -126,7 +128,8 @@ class EstimatorSettings(SensorErrors, Bounds):
     thrust: float = setting(0.16, "thrust of one thruster", unit="N", check=POSITIVE)
     thruster_lever: float = setting(
         0.11,
-        "lever of a thruster: from the base's origin to the line of thrust; alike in all nodes",
+        "lever of a thruster: from the base's origin to the line of thrust; same value as "
+        "lever of `guidance` and `base`",
         unit="m",
         check=POSITIVE,
     )
@@ -177,7 +180,8 @@ class NavigationSettings(EstimatorSettings, MassErrors):
         check=between(1.0, 100.0),
     )
     arm: str = setting(
-        "", "arm until a calibration passes: paper, cad, truth or a file; empty: paper"
+        "",
+        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
     )
     base_topic: str = like(Vehicle, "base_topic")
     target_topic: str = like(Vehicle, "target_topic")

@@ -22,7 +22,8 @@ class Propulsion(Settings):
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11,
-        "lever of a thruster: from the base's origin to the line of thrust; alike in all nodes",
+        "lever of a thruster: from the base's origin to the line of thrust; same value as "
+        "thruster_lever of `navigation`",
         unit="m",
         check=POSITIVE,
     )
