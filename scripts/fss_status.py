@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterable
 from math import isnan
 from pathlib import Path
+from textwrap import fill
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -222,6 +223,20 @@ def version_table(listener: Listener) -> Table:
     return table
 
 
+def summary(problems: list[str], logs: str) -> str:
+    """Return problems in one sentence, in which nodes with the same problem are grouped."""
+    nodes: dict[str, list[str]] = {}
+    for problem in problems:
+        name, _, what = problem.partition(" ")
+        nodes.setdefault(what, []).append(name)
+    several = {"reports an error": "report errors", "does not report": "do not report"}
+    found = []
+    for what, names in nodes.items():
+        words = what if len(names) == 1 else several.get(what, what.replace("is ", "are ", 1))
+        found.append(f"{', '.join(names)} {words}")
+    return f"not healthy: {'; '.join(found)}; logs: {logs}"
+
+
 def problems(processes: Processes, listener: Listener) -> list[str]:
     """Return why nodes are not healthy; empty: each reports no error, or exited with success."""
     found = []
@@ -353,7 +368,8 @@ def main() -> int:
         listen(1.0)  # for the rates
         console.print(screen(processes, listener))
         if found := problems(processes, listener):
-            print(f"not healthy: {', '.join(found)}; logs: {options.logs}", file=sys.stderr)
+            line = summary(found, str(options.logs))
+            print(fill(line, 80, break_long_words=False, break_on_hyphens=False), file=sys.stderr)
         return 1 if found else 0
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0 if options.watch else INTERRUPTED

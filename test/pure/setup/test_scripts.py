@@ -368,6 +368,9 @@ def test_what_is_not_healthy_is_named_with_its_state(tmp_path, status):
     with running(tmp_path, "arm", "link", "view", "vicon"):
         found = status["problems"](processes, listener_of(*reports))
     assert found == ["record is failed", "view does not report", "link reports an error"]
+    words = status["summary"]([*found, "arm reports an error"], "log/fss")
+    groups = "record is failed; view does not report; link, arm report errors"
+    assert words == f"not healthy: {groups}; logs: log/fss"
 
 
 def workspace_of(folder: Path, ros2: str) -> Path:
