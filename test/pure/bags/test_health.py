@@ -50,9 +50,13 @@ def test_a_steady_stream_has_no_findings():
         (
             STEADY,
             0.003 + 3.2 * (STEADY > 5.0),
-            "1 clock jump, the first by -3.200 s at 5.01",
+            "1 jump of its stamps against the times of receipt, the first by -3.200 s at 5.01",
         ),
-        (STEADY, 0.003 - 0.7 * (STEADY > 5.0), "1 clock jump, the first by +0.700 s"),
+        (
+            STEADY,
+            0.003 - 0.7 * (STEADY > 5.0),
+            "1 jump of its stamps against the times of receipt, the first by +0.700 s",
+        ),
         (STEADY, 3600.0, "its stamps are 3600.000 s before the times of receipt"),
         (STEADY, -30.0, "its stamps are 30.000 s after the times of receipt"),
         ([], 0.0, "has no messages"),

@@ -164,15 +164,15 @@ def _clock_problems(stream: Stream, start: int) -> Iterator[str]:
         around = slice(starts[jumps[0]], np.append(starts, len(delays))[jumps[0] + 2])
         place = around.start + np.argmax(np.abs(np.diff(delays[around]))) + 1
         yield (
-            f"{_count(len(jumps), 'clock jump')}, the first by "
-            f"{-steps[jumps[0]] / SECOND:+.3f} s "
+            f"{_count(len(jumps), 'jump')} of its stamps against the times of receipt, the first "
+            f"by {-steps[jumps[0]] / SECOND:+.3f} s "
             f"at {(stream.receipts[place] - start) / SECOND:.3f} s"
         )
     delay = float(np.median(delays)) / SECOND
     if abs(delay) * SECOND > MIN_CLOCK_OFFSET:
         yield (
             f"its stamps are {abs(delay):.3f} s {'before' if delay > 0 else 'after'} the times of "
-            "receipt: synchronize the clocks"
+            "receipt: synchronize the clocks, unless the publisher lags"
         )
 
 
