@@ -269,6 +269,14 @@ def test_a_node_reports_the_simulated_time_that_it_has_reached(named, spin):
     assert stamps[-1] <= now[0]
 
 
+def test_a_node_with_another_time_than_the_simulator_is_warned(named, spin):
+    simulator = Node("simulator")
+    simulator.create_publisher(Clock, "/clock", 10)
+    program = named()
+    words = "simulator simulates time, but this node uses the computer's: start it again with"
+    spin(simulator, lambda: words in program.output, 30.0)
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_job_that_is_interrupted_says_how_far_it_came(named, how):
     program = named()

@@ -33,7 +33,7 @@
 
   function report() {
     let state = "good", text;
-    if (!newest) [state, text] = ["danger", "NO CONNECTION to the view: has its node stopped?"];
+    if (!newest) [state, text] = ["danger", "NO CONNECTION to the view: its node starts, or has ended"];
     else if (age() > MAX_AGE) {
       state = "danger";
       text = connected ? `NO DATA FOR ${Math.round(age())} s: motion capture and joints are silent`
