@@ -17,9 +17,14 @@ from typing import Any
 import numpy as np
 
 from fss_arm_bags.doctor.clock_lag import estimate_lag
-from fss_arm_bags.doctor.reading_faults import find_reading_errors
+from fss_arm_bags.doctor.reading_faults import (
+    find_reading_errors,
+    sample_readings,
+    tip_in_world,
+    unwrap_readings,
+)
 from fss_arm_bags.doctor.stream_faults import find_faults, name_streams
-from fss_arm_bags.recorded import Recorded, Track, unwrap_headings
+from fss_arm_bags.recorded import Recorded, Track
 from fss_arm_calib.acceptance import CAUSE, PASS
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.checks import cause
@@ -30,7 +35,7 @@ from fss_arm_calib.segments.replay import replay
 from fss_arm_calib.segments.samples import MAX_VALUE
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm, joint_names
-from fss_arm_model.planar import project_to_plane
+from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.units import SECOND
 from fss_arm_ros.dates import describe_clock_error
 
@@ -45,6 +50,7 @@ MAX_POSITION = 8.0  # positions above this are not in meters: no test bed is tha
 MAX_READING = 3.3  # readings above this are probably not in radians [rad]
 #: Largest expected errors of a description, by unit.
 MAX_ERRORS = {"m": 0.05, "rad": radians(20.0)}
+MAX_JOINT_ERRORS = 4  # orders and signs of joints that are tried, of those that fit the tip best
 MIN_CLOCK_OFFSET = 0.25  # clock differences below this are ignored [s]
 MAX_TILT = 0.01  # mean x^2 + y^2 of a quaternion above which the subject is not flat
 
@@ -63,6 +69,7 @@ class Hypothesis:
 #: Errors that a maker tests: the error, its remedy, and the corrected recording or settings.
 Errors = Iterator[tuple[str, str, Recorded | dict[str, Any]]]
 Maker = Callable[[Recorded, Arm, Any], Errors]
+JointError = tuple[str, str, Recorded]
 
 
 def explain_failure(
@@ -244,7 +251,7 @@ def _pose_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
         yield words, remedy, recorded.change(poses=turn)
     if len(values) > 1:
         words = "end effector already relative to the base?"
-        yield words, "transformed to the world frame", _tip_from_base(recorded)
+        yield words, "transformed to the world frame", tip_in_world(recorded, BASE, TIP)
 
 
 # Error, remedy, and for each column of a pose (x y z, quaternion x y z w) its source and sign.
@@ -265,28 +272,17 @@ def _rearrange_columns(_: str, track: Track, columns: list[int], signs: list[int
     return track._replace(values=track.values[:, columns] * signs)
 
 
-def _tip_from_base(recorded: Recorded) -> Recorded:
-    """Take the end effector's poses as relative to the base; transform them to the world frame."""
-    base, tip = recorded.poses[BASE], recorded.poses[TIP]
-    if not len(base.t) or not len(tip.t):
-        return recorded
-    at, seen = project_to_plane(base.values), project_to_plane(tip.values)
-    t, since = (track.t - base.t[0] for track in (tip, base))
-    columns = *at.T[:2], unwrap_headings(at[:, 2])
-    x, y, heading = (np.interp(t, since, column) for column in columns)
-    away = (seen[:, 0] + 1j * seen[:, 1]) * np.exp(1j * heading)
-    half, none = 0.5 * (heading + seen[:, 2]), np.zeros(len(t))
-    pose = [x + away.real, y + away.imag, none, none, none, np.sin(half), np.cos(half)]
-    poses = {**recorded.poses, TIP: tip._replace(values=np.column_stack(pose))}
-    return replace(recorded, poses=poses)
-
-
 def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     names = [name for name in joint_names(arm.n) if name in recorded.joints]
     jumps = [n for n in names if (np.abs(np.diff(recorded.joints[n].values[:, 0])) > np.pi).any()]
     if jumps:
-        changed = recorded.change(joints=lambda n, t: _unwrap_readings(t) if n in jumps else t)
+        changed = recorded.change(joints=lambda n, t: unwrap_readings(t) if n in jumps else t)
         yield f"{', '.join(jumps)} wrapped?", "unwrapped", changed
+    found = _orders_and_signs(recorded, names)
+    yield from sorted(found, key=lambda one: _tip_error(one[2], arm))[:MAX_JOINT_ERRORS]
+
+
+def _orders_and_signs(recorded: Recorded, names: Sequence[str]) -> Iterator[JointError]:
     if len(names) > 2:
         tracks = dict(zip(names, (recorded.joints[n] for n in reversed(names)), strict=True))
         yield "joints counted from the tip?", "in reverse order", replace(recorded, joints=tracks)
@@ -299,15 +295,16 @@ def _joint_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
         yield f"{a} and {b} swapped?", "swapped back", replace(recorded, joints=tracks)
 
 
+def _tip_error(recorded: Recorded, arm: Arm) -> float:
+    """Return the median distance of the end effector from its description [m]; 0: unknown."""
+    r = sample_readings(recorded, joint_names(arm.n), BASE, TIP)
+    away = np.zeros((1, 2)) if r is None else tip_in_base(arm.vector(), r.q)[:, :2] - r.tip
+    return float(np.nanmedian(np.hypot(*away.T)))
+
+
 def _reading_errors(recorded: Recorded, arm: Arm, _: Any) -> Errors:
     for words, corrected in find_reading_errors(recorded, joint_names(arm.n), BASE, TIP):
         yield words, "corrected by the headings", corrected
-
-
-def _unwrap_readings(track: Track) -> Track:
-    values = track.values.copy()
-    values[:, 0] = np.unwrap(values[:, 0])
-    return track._replace(values=values)
 
 
 def _setting_errors(recorded: Recorded, arm: Arm, s: Any) -> Errors:

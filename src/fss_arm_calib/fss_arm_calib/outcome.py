@@ -255,10 +255,10 @@ def make_outcome(
             checks.append(Check("frames", NOT_EVALUATED, nan, nan, differ, needed=False))
     description = ""
     if calibrated and passed:
-        arm_found, period = calibrated(), (provenance.begin, provenance.end)
-        name = calibrated_name(arm.name, source, provenance.end)
-        named = replace(arm_found, name=name, known=arm_found.known.during(*period))
-        description = to_yaml(named, list(_origin_lines(provenance, checks, estimate)))
+        result = replace(calibrated(), name=calibrated_name(arm.name, source, provenance.end))
+        if (known := result.known) != arm.known:
+            result = replace(result, known=known.during(provenance.begin, provenance.end))
+        description = to_yaml(result, list(_origin_lines(provenance, checks, estimate)))
     found = tuple(data), tuple(used), arm, settings, streams, tuple(checks)
     return Outcome(*found, provenance, estimate, solution, description)
 

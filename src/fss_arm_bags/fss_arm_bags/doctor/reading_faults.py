@@ -26,11 +26,12 @@ MIN_SAMPLES = 10
 
 
 class Readings(NamedTuple):
-    """Readings of all joints, and the headings, at the stamps of the first joint."""
+    """Readings of all joints, and the end effector, at the stamps of the first joint."""
 
     stamps: Stamps  # (k,) [ns]
     q: Floats  # (k, n) [rad]
     heading: Floats  # (k,) of the end effector relative to the base, unwrapped [rad]
+    tip: Floats  # (k, 2) position of the end effector along the base's axes [m]
 
     def seconds(self, stamps: Stamps) -> Floats:
         """Return stamps [ns] as times since the first [s]."""
@@ -60,14 +61,8 @@ def find_reading_errors(
         base: subject of the base.
         tip: subject of the end effector.
     """
-    joints, poses = recorded.joints, recorded.poses
-    if not (joints.keys() >= set(names) and poses.keys() >= {base, tip}):
-        return
-    tracks = [joints[name] for name in names]
-    if min(len(track.t) for track in (*tracks, poses[base], poses[tip])) < MIN_SAMPLES:
-        return
-    r = _sample(tracks, poses[base], poses[tip])
-    if len(r.stamps) < MIN_SAMPLES or _spread(r.error) < MIN_ERROR:
+    r, joints = sample_readings(recorded, names, base, tip), recorded.joints
+    if r is None or _spread(r.error) < MIN_ERROR:
         return
     yield from _scales(r, recorded, names)
     for name, q in zip(names, r.q.T, strict=True):
@@ -83,16 +78,57 @@ def relative_heading(base: Track, tip: Track) -> Floats:
     return np.asarray(np.interp(t, since, other) - own)
 
 
-def _sample(joints: Sequence[Track], base: Track, tip: Track) -> Readings:
-    tracks = [*joints, base, tip]
+def sample_readings(
+    recorded: Recorded, names: Sequence[str], base: str, tip: str
+) -> Readings | None:
+    """Sample joints and poses at common times; None: too few have been recorded."""
+    joints, poses = recorded.joints, recorded.poses
+    if not (joints.keys() >= set(names) and poses.keys() >= {base, tip}):
+        return None
+    first, *_ = tracks = [*(joints[name] for name in names), poses[base], poses[tip]]
+    if min(len(track.t) for track in tracks) < MIN_SAMPLES:
+        return None
     begin, end = max(track.t.min() for track in tracks), min(track.t.max() for track in tracks)
-    stamps = joints[0].t[(joints[0].t >= begin) & (joints[0].t <= end)]
+    stamps = first.t[(first.t >= begin) & (first.t <= end)]
+    if len(stamps) < MIN_SAMPLES:
+        return None
 
     def sampled(track: Track, values: Floats) -> Floats:
         return np.interp((stamps - begin) / SECOND, (track.t - begin) / SECOND, values)
 
-    q = np.column_stack([sampled(track, track.values[:, 0]) for track in joints])
-    return Readings(stamps, q, sampled(base, relative_heading(base, tip)))
+    q = np.column_stack([sampled(track, track.values[:, 0]) for track in tracks[:-2]])
+    seen = {name: project_to_plane(poses[name].values) for name in (base, tip)}
+    x, y = (
+        sampled(poses[tip], seen[tip][:, k]) - sampled(poses[base], seen[base][:, k])
+        for k in (0, 1)
+    )
+    turn = sampled(poses[base], unwrap_headings(seen[base][:, 2]))
+    place = (x + 1j * y) * np.exp(-1j * turn)
+    heading = sampled(poses[base], relative_heading(poses[base], poses[tip]))
+    return Readings(stamps, q, heading, np.column_stack([place.real, place.imag]))
+
+
+def unwrap_readings(track: Track) -> Track:
+    """Return a joint's track with readings that wrap at a full turn made continuous."""
+    values = track.values.copy()
+    values[:, 0] = np.unwrap(values[:, 0])
+    return track._replace(values=values)
+
+
+def tip_in_world(recorded: Recorded, base: str, tip: str) -> Recorded:
+    """Take the end effector's poses as relative to the base; transform them to the world frame."""
+    own, other = recorded.poses[base], recorded.poses[tip]
+    if not len(own.t) or not len(other.t):
+        return recorded
+    at, seen = project_to_plane(own.values), project_to_plane(other.values)
+    t, since = (track.t - own.t[0] for track in (other, own))
+    columns = *at.T[:2], unwrap_headings(at[:, 2])
+    x, y, heading = (np.interp(t, since, column) for column in columns)
+    away = (seen[:, 0] + 1j * seen[:, 1]) * np.exp(1j * heading)
+    half, none = 0.5 * (heading + seen[:, 2]), np.zeros(len(t))
+    pose = [x + away.real, y + away.imag, none, none, none, np.sin(half), np.cos(half)]
+    poses = {**recorded.poses, tip: other._replace(values=np.column_stack(pose))}
+    return replace(recorded, poses=poses)
 
 
 def _spread(values: Floats) -> float:
