@@ -12,7 +12,7 @@ stop           brake all joints at once, of all vehicles or of the one named,
 home           each armed link without a reference searches for it, in turn
 clear          disarm all links and clear their drives' latched faults
 valves         enable the base's valves (base/arm), until stop
-solve          each running calibration ends the current rest or motion, and solves
+solve          all running calibrations end the current rest or motion and solve
 forget         each running calibration drops its data
 
 If move or execute is interrupted, the joints come to rest.
