@@ -123,6 +123,8 @@ def test_what_is_from_before_a_homing_is_left_out():
         words = "13 observations left out: joint_2 homed or restarted since"
         assert stage(found, "homings").reason == words
         assert words in found.reason
+        few = calibrate([*old, *told[:2]], ARM, settings)
+        assert few.summary.endswith(words)
     # A link that tells nothing of it leaves nothing out.
     silent = {"boots": (3, 0, 3, 3), "homings": (1, 0, 1, 1)}
     assert calibrate([*old, *[replace(o, **silent) for o in old]], ARM).left_out == 0

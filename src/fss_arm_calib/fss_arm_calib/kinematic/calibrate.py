@@ -48,7 +48,8 @@ def calibrate(
     problem = problem_of(used, arm, s)
     homings, number = check_homings(observations), check_number(problem, streams, s)
     if number.verdict != PASS and homings.reason:
-        number = replace(number, reason=f"{number.reason}; {homings.reason}")
+        reason, brief = (f"{words}; {homings.reason}" for words in (number.reason, number.brief))
+        number = replace(number, reason=reason, brief=brief)
     rests = check_rests(comparable, min_observations(problem, s))
     clocks = checks.clocks(streams, s.joint_gap)
     found = [checks.joint_names(streams, arm), clocks, homings, rests, number]
