@@ -6,7 +6,7 @@ and how many good observations are accused.
 
 Arms with 3 and 6 different links, each with its laboratory's description; default options.
 
-    wrong   88 faulty bags, one of each kind on both arms: how many pass (none may), and how many
+    wrong   174 faulty bags, one of each kind on both arms: how many pass (none may), and how many
             verdicts name the cause first
     good    GOOD bags (50) of each arm and calibration: how many pass, how many verdicts name a
             cause, how many have a chi-square in its 99.8 % band, and the NEES of those that pass
