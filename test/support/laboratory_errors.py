@@ -288,34 +288,6 @@ COMMON = [
     Kind("base frozen", r"^pose of fss frozen for \d+ s", _stuck_pose, "fss"),
     Kind("no heading, base", r"^heading of fss frozen", _no_heading, "fss"),
     Kind("a joint missing", r"^the data have \d joints", _one_missing),
- ]  # fmt: skip
-
-KINEMATIC = [
-    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
-    *STREAMS, *COMMON,
-    Kind("end effector frozen", r"^pose of end_effector frozen for \d+ s", _stuck_pose,
-         "end_effector"),
-    Kind("no heading, end effector", r"^heading of end_effector frozen", _no_heading,
-         "end_effector"),
-    Kind("hidden", r"end_effector silent", _hidden, "end_effector"),
-    Kind("millimeters, one", r"^position of end_effector in millimeters\?", _millimeters,
-         "end_effector"),
-    Kind("end effector turned", r"^end effector's subject rotated .* with --theta-e", _turned),
-    Kind("degrees, one joint", r"^JOINT in degrees\?", _joint, _degrees),
-    Kind("counts", r"^joints in counts\?", _joints, _counts),
-    Kind("headings clockwise", r"^headings clockwise\?", _columns, STRAIGHT,
-         [1, 1, 1, 1, 1, -1, 1]),
-    Kind("clocks 3 s apart", r"^clock of the joints (3|2\.9\d|3\.0\d) s ahead", _late, 3.0),
-    Kind("since boot", r"^clock of the joints .*from its start", _boot),
-    Kind("other names", r"^joints named q1, q2", _renamed),
-    Kind("seen from the base", r"^end effector already relative to the base\?", _relative),
-    Kind("taken as equal", r"^links of different lengths", _same, parametrization="equal"),
-    Kind("joints at 0.5 Hz", r"^joints sampled only every 2 s", _rare),
-    Kind("never still", r"^joints never at rest", _restless),
-]  # fmt: skip
-DYNAMIC = [
-    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
-    *STREAMS, *COMMON,
     Kind("end effector frozen", r"^pose of end_effector frozen for \d+ s", _stuck_pose,
          "end_effector"),
     Kind("headings clockwise", r"^headings clockwise\?", _columns, STRAIGHT,
@@ -324,6 +296,26 @@ DYNAMIC = [
     Kind("since boot", r"^clock of the joints.* from its start", _boot),
     Kind("other names", r"^joints named q1, q2", _renamed),
     Kind("seen from the base", r"^end effector already relative to the base\?", _relative),
+]  # fmt: skip
+
+KINEMATIC = [
+    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
+    *STREAMS, *COMMON,
+    Kind("no heading, end effector", r"^heading of end_effector frozen", _no_heading,
+         "end_effector"),
+    Kind("hidden", r"end_effector silent", _hidden, "end_effector"),
+    Kind("millimeters, one", r"^position of end_effector in millimeters\?", _millimeters,
+         "end_effector"),
+    Kind("end effector turned", r"^end effector's subject rotated .* with --theta-e", _turned),
+    Kind("degrees, one joint", r"^JOINT in degrees\?", _joint, _degrees),
+    Kind("counts", r"^joints in counts\?", _joints, _counts),
+    Kind("taken as equal", r"^links of different lengths", _same, parametrization="equal"),
+    Kind("joints at 0.5 Hz", r"^joints sampled only every 2 s", _rare),
+    Kind("never still", r"^joints never at rest", _restless),
+]  # fmt: skip
+DYNAMIC = [
+    MILLIMETERS, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
+    *STREAMS, *COMMON,
     Kind("0 to 360", r"^joint_\d.* wrapped\?", _full_turns),
     Kind("hidden", r"fss silent", _hidden, "fss"),
     Kind("rates reversed", r"^joint velocities with the wrong sign\?", _rates, -1.0),

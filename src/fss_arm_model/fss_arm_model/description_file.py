@@ -240,7 +240,9 @@ def _lines(part: Any, indent: str) -> Iterator[str]:
     """Yield the entries of a description's part, each with unit and meaning as a comment."""
     for f in fields(part):
         value = getattr(part, f.name)
-        if f.name in ("known", "serial", "begin", "end") and value == f.default:
+        if f.name in ("serial", "begin", "end") and value == f.default:
+            continue
+        if f.name == "known" and not value.names:  # its times alone say nothing
             continue
         if is_dataclass(value):
             yield f"{indent}{f.name}:"

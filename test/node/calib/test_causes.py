@@ -21,9 +21,9 @@ from fss_arm_model.planar import wrap
 QUICK = [
     *(
         ("kinematic", name)
-        for name in ("one sign", "clock set", "no stamps", "end effector turned")
+        for name in ("one sign", "clock set", "no stamps", "end effector turned", "another gear")
     ),
-    *(("dynamic", name) for name in ("gyro in degrees", "end effector frozen")),
+    *(("dynamic", name) for name in ("gyro in degrees", "end effector frozen", "base held")),
 ]
 
 

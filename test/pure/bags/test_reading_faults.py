@@ -80,10 +80,18 @@ def test_jump_is_offered_for_each_joint_and_corrected():
     values = good.joints["joint_2"].values.copy()
     values[600:, 0] += 0.3
     errors = found(with_values(good, "joint_2", values))
-    words = "reading of {} jumps by 17.2 deg, 30 s after its first?"
+    words = "reading of {} jumps by 17.2 deg, 30 s after the start?"
     assert [error.words for error in errors] == [words.format(name) for name in NAMES]
     corrected = errors[1].corrected.joints["joint_2"].values
     np.testing.assert_allclose(corrected, good.joints["joint_2"].values, atol=0.001)
+
+
+def test_samples_without_a_reading_are_left_out():
+    good = recording()
+    values = 2.0 * good.joints["joint_2"].values
+    values[::7] = np.nan
+    (error, *_) = found(with_values(good, "joint_2", values))
+    assert error.words == "joint_2 turns 0.5 times its reading?"
 
 
 def test_frozen_reading_is_replaced_by_the_headings():
@@ -103,6 +111,7 @@ def test_frozen_reading_is_replaced_by_the_headings():
         replace(recording(), poses={"fss": recording().poses["fss"]}),
         recording().change(joints=lambda _, track: track.received_since(2**62)),
         recording().change(poses=lambda _, track: track._replace(t=track.t + 10**15)),
+        recording().change(joints=lambda _, track: track._replace(values=np.nan * track.values)),
     ],
 )
 def test_without_common_data_nothing_is_found(lost):

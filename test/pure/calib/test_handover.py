@@ -134,6 +134,13 @@ def test_knowledge_of_masses_counts_unless_it_is_from_data_of_the_same_time(told
     assert np.abs(away).max() < 3.5
 
 
+def test_times_without_any_known_value_are_not_written(told):
+    arm = from_yaml(told[2].description)
+    text = to_yaml(replace(arm, known=arm.known.only(())))
+    assert "known" not in text
+    assert from_yaml(text).known == Known()
+
+
 def test_offsets_alone_are_as_uncertain_as_the_lengths_that_are_kept():
     """After a homing: lengths come from a rough calibration of before."""
     found, blind = [], []

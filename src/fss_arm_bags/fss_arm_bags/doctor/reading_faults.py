@@ -105,7 +105,13 @@ def sample_readings(
     turn = sampled(poses[base], unwrap_headings(seen[base][:, 2]))
     place = (x + 1j * y) * np.exp(-1j * turn)
     heading = sampled(poses[base], relative_heading(poses[base], poses[tip]))
-    return Readings(stamps, q, heading, np.column_stack([place.real, place.imag]))
+    known = np.isfinite(q).all(axis=1) & np.isfinite(heading)
+    if known.sum() < MIN_SAMPLES:
+        return None
+    place = place[known]
+    return Readings(
+        stamps[known], q[known], heading[known], np.column_stack([place.real, place.imag])
+    )
 
 
 def unwrap_readings(track: Track) -> Track:
@@ -176,7 +182,7 @@ def _jump(r: Readings, track: Track, name: str) -> Iterator[tuple[str, Floats]]:
     values[track.t >= r.stamps[k], 0] += step
     since = r.seconds(r.stamps)[k]
     jump = np.degrees(-step)
-    yield f"reading of {name} jumps by {jump:.3g} deg, {since:.0f} s after its first?", values
+    yield f"reading of {name} jumps by {jump:.3g} deg, {since:.0f} s after the start?", values
 
 
 def _frozen(r: Readings, q: Floats, track: Track, name: str) -> Iterator[tuple[str, Floats]]:
@@ -190,7 +196,8 @@ def _frozen(r: Readings, q: Floats, track: Track, name: str) -> Iterator[tuple[s
     turned = q + _without_noise(r) - np.median(error[: begin + 1])
     own = r.seconds(track.t)
     angles = np.interp(own, t, turned)
-    values = np.column_stack([angles, np.gradient(angles, own)])
+    with np.errstate(divide="ignore", invalid="ignore"):  # of stamps that were repeated
+        values = np.column_stack([angles, np.gradient(angles, own)])
     yield f"reading of {name} frozen for {t[end] - t[begin]:.0f} s?", values
 
 

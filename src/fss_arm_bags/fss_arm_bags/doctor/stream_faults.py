@@ -55,7 +55,7 @@ def _stamp_fault(track: Track) -> str:
 
 def _rate_fault(track: Track, late: Floats) -> str:
     """Describe a clock that runs too fast or slow; empty: none, or the delays are not linear."""
-    if len(late) < 10:
+    if len(late) < 10 or track.receipt[-1] == track.receipt[0]:
         return ""
     own = (track.t - track.t[0]) / SECOND
     received = (track.receipt - track.receipt[0]) / SECOND
