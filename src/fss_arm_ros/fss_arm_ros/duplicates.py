@@ -131,9 +131,9 @@ def check_name(node: Node, allowed: bool = False) -> None:
     Raises:
         DuplicateError: another node has the name, and this is not allowed.
     """
-    path = node.get_fully_qualified_name()
-    # A node without parameter services only reads parameters and disturbs no other node.
-    if _claims and f"{path}/get_parameters" in _services(node, path):
+    # A node without parameter services only reads parameters and disturbs no other node. The graph
+    # does not help: it may describe another node of this name, whose services are not known yet.
+    if _claims and any(s.service_name.endswith("/get_parameters") for s in node.services):
         _claims.check_name(node, allowed)
 
 

@@ -158,11 +158,13 @@ class Named(Node):
 def main():
     return run(Named)
 """
-# As if nodes that start together saw each other only after they spin, as on a busy machine.
+# As if nodes that start together saw each other only after they spin, as on a busy machine, and
+# did not know the services of a name, because another node has it, too.
 SEES_LATE = """
 from fss_arm_ros import duplicates
 duplicates.REPEATS = 100
 duplicates.Claims._refuse = lambda *_: None
+duplicates._services = lambda *_: set()
 """
 
 
