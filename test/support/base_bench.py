@@ -82,7 +82,7 @@ class Bench:
 
     @property
     def refused(self):
-        return self.node.health().values["commands_refused"]
+        return self.node.health().values["commands refused"]
 
     @property
     def opened(self):

@@ -76,6 +76,7 @@ class Heard:
 
 JOINTS = Heard.defined("/joint_states", "sensor_msgs/msg/JointState")
 SILENT = Heard.defined("/fog/imu", "sensor_msgs/msg/Imu")
+SILENT_COMMANDS = Heard.defined("/arm/joint_commands", "sensor_msgs/msg/JointState")
 #: Of whose type the recorder found no definition: one that is installed here, ...
 UNDEFINED = Heard("/text", "std_msgs/msg/String", "", hash=definition("std_msgs/msg/String").hash)
 #: ... the feedback of an action, by `--include-hidden-topics`; and the events of services, one
@@ -138,7 +139,7 @@ class Standard:
         rows += [
             (one, START + self.each * part * STEP + 1, text)
             for one in self.others
-            if one is not SILENT
+            if one not in (SILENT, SILENT_COMMANDS)
         ]
         return sorted(rows, key=lambda row: row[1])
 
@@ -193,7 +194,9 @@ class Standard:
 
     def about(self, files: list[Path]) -> dict[str, Any]:
         """By metadata_io.hpp, version 9."""
-        counts = {one.name: self.files * (one is not SILENT) for one in self.others}
+        counts = {
+            one.name: self.files * (one not in (SILENT, SILENT_COMMANDS)) for one in self.others
+        }
         counts[JOINTS.name] = self.each * self.files
         total = sum(counts.values())
         return {

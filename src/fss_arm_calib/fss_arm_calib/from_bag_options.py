@@ -73,5 +73,4 @@ def parser(
 def _description(kind: Calibration[Any, Any]) -> str:
     if kind is JOINT:
         return JOINT_DESCRIPTION
-    unavailable = "".join(f" No {what}: {why}." for what, why in kind.unavailable.items())
-    return f"{__doc__} {kind.about}{unavailable}"
+    return f"{__doc__} {kind.about}"

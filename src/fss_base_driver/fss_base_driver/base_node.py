@@ -162,7 +162,7 @@ class BaseNode(SessionNode):
         # Commands that the rule of their type rejects count, too.
         invalid = sum(each.refused for each in validators(self) if each.topic in COMMANDS)
         refused = self.session.counts["commands_refused"] + invalid
-        values = {**self.gyro.values(self.live["gyro"]), "commands_refused": refused}
+        values = {**self.gyro.values(self.live["gyro"]), "commands refused": refused}
         values |= describe_stuck_valves(self.live, self.valve_faults)
         with self.lock:
             return self.session_health(self.now(), values)

@@ -11,6 +11,36 @@ from fss_link.transport import Transport
 
 BATTERY_WARNING_TIME = 600.0  # remaining battery time below which to warn [s]
 
+#: Names of counters in diagnostics, all since the driver started; others are their own names.
+COUNTER_NAMES = {
+    "received": "frames received",
+    "accepted": "frames accepted",
+    "length": "frames refused: length",
+    "magic": "frames refused: not of this protocol",
+    "version": "frames refused: version of the protocol",
+    "kind": "frames refused: kind",
+    "crc": "frames refused: checksum",
+    "signature": "frames refused: signature",
+    "field": "frames refused: value out of range",
+    "foreign": "frames refused: another link or board",
+    "impossible": "frames refused: impossible measurement",
+    "unproven": "frames refused: maybe recorded",
+    "stale": "frames refused: too old",
+    "repeated": "frames refused: repeated",
+    "reordered": "frames refused: out of order",
+    "candidates": "frames refused: do not follow the last one",
+    "missed": "frames missed",
+    "adopted": "times connected",
+    "lost": "times lost",
+    "sent": "frames sent",
+    "connects": "openings of the port",
+    "noise_bytes": "bytes outside frames",
+    "other_senders": "datagrams from other addresses",
+    "segments": "path points sent",
+    "dropped": "frames dropped: backlog",
+    "telemetry_shed": "frames not published: backlog",
+}
+
 
 class SessionHealth(ABC):
     """Health of a partner since the last call; subclasses add values of their kind of partner.
@@ -78,9 +108,10 @@ class SessionHealth(ABC):
     def _common(self, increase: Mapping[str, int], seconds: float, now: int) -> dict[str, Any]:
         session, firmware = self.session, self.session.slow.get(self.firmware, 0)
         expected = increase["accepted"] + increase["missed"]
+        loss = 100.0 * increase["missed"] / expected if expected else 0.0
         return {
             "rate [1/s]": increase["accepted"] / seconds if seconds else 0.0,
-            "loss [%]": 100.0 * increase["missed"] / expected if expected else 0.0,
+            "loss since the last message [%]": loss,
             "age [s]": session.silence(now),
             "round trip [s]": session.round_trip,
             "clock offset [s]": session.offset,
@@ -90,6 +121,11 @@ class SessionHealth(ABC):
             "battery lasts [min]": session.battery.time_left() / 60.0,
             "firmware": f"{firmware >> 16}.{firmware >> 8 & 0xFF}.{firmware & 0xFF}",
             "signed": self.signed,
-            **self.counts,
-            **self.transport.counts,
+            **counters(self.counts),
+            **counters(self.transport.counts),
         }
+
+
+def counters(counts: Mapping[str, int]) -> dict[str, int]:
+    """Return counts by their names in diagnostics."""
+    return {COUNTER_NAMES.get(name, name.replace("_", " ")): n for name, n in counts.items()}

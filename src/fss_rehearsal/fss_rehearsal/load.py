@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from math import inf
 
+LOSSES = "times lost"  # counter of a link's driver
 MAX_LAG = 1.0  # time by which the test bed may be late [s]; links then count as lost
 
 
@@ -16,8 +17,8 @@ class Load:
 
     def add(self, node: str, stamp: float, values: Mapping[str, str]) -> None:
         """Add what a node reports at a time [s]."""
-        if node.startswith("/link_") and "lost" in values:
-            self._losses[node] = int(values["lost"])
+        if node.startswith("/link_") and LOSSES in values:
+            self._losses[node] = int(values[LOSSES])
         elif node == "/testbed" and "simulated time [s]" in values:
             difference = stamp - float(values["simulated time [s]"])
             self._least = min(self._least, difference)

@@ -201,7 +201,7 @@ def test_what_must_not_open_a_valve_is_refused_and_counted(bench):
     assert bench.arm().success
     for what, ask in REFUSED.items():
         refuses(bench, ask, what)
-    bench.until(lambda: bench.values()["commands_refused"] == str(1 + len(REFUSED)))
+    bench.until(lambda: bench.values()["commands refused"] == str(1 + len(REFUSED)))
 
 
 @pytest.mark.parametrize("topic", ["base/stop", "arm/stop"])
@@ -233,9 +233,9 @@ def test_a_wrench_beyond_what_the_valves_give_is_reported(armed):
 
     beyond = "the base's board is armed; base/wrench exceeds the thrust of the valves"
     armed.until(lambda: reported(0.3, "the base's board is armed"))
-    assert armed.values()["wrenches_clipped"] == "0"
+    assert armed.values()["wrenches clipped"] == "0"
     armed.until(lambda: reported(0.4, beyond))
-    assert int(armed.values()["wrenches_clipped"]) > 0
+    assert int(armed.values()["wrenches clipped"]) > 0
     armed.until(lambda: reported(0.3, "the base's board is armed"))
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from ros_bags import states
-from standard_bags import EVENTS, FEEDBACK, JOINTS, SILENT, UNDEFINED, Standard
+from standard_bags import EVENTS, FEEDBACK, JOINTS, SILENT, SILENT_COMMANDS, UNDEFINED, Standard
 
 from fss_arm_bags.doctor.command import main as doctor
 from fss_arm_bags.reader import digest, open_bags
@@ -31,7 +31,7 @@ def options(request):
 
 
 def test_standard_bags_are_read_and_healthy(options, tmp_path, capsys):
-    bag = replace(options, files=3, others=(SILENT,)).record(tmp_path / "bag")
+    bag = replace(options, files=3, others=(SILENT, SILENT_COMMANDS)).record(tmp_path / "bag")
     with open_bags(bag) as bags:
         assert not bags.recovered
         assert not bags.left_out
@@ -41,6 +41,7 @@ def test_standard_bags_are_read_and_healthy(options, tmp_path, capsys):
     assert doctor([str(bag)]) == 2
     wrong = [line for line in capsys.readouterr().out.splitlines() if line.startswith("/")]
     assert wrong[-1] == f"{SILENT.name}: has no messages"
+    assert not any(SILENT_COMMANDS.name in line for line in wrong if "no messages" in line)
 
 
 def test_a_bag_killed_before_its_first_chunk_is_empty(tmp_path, capsys):

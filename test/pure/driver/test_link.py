@@ -521,6 +521,9 @@ def test_a_link_that_was_never_heard_is_told_once(bench):
     assert logged(20, up=False) == []
     words = "link 1: nothing received yet: is it switched on? Does another driver use it?"
     assert logged(200, up=False) == [words]
+    bench.now += 2 * SECOND  # the driver stalls
+    assert logged(2, up=False) == []
+    assert bench.session.stall
     assert logged(2) == ["link 1 is connected and disarmed"]
 
 

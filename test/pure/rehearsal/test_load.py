@@ -9,7 +9,7 @@ def test_losses_of_links_and_a_late_test_bed_are_signs_of_overload():
         quiet.add("/testbed", stamp, {"simulated time [s]": str(stamp - 99.5)})
         busy.add("/testbed", stamp, {"simulated time [s]": str(simulated)})
     for link, lost in (("/link_1", 0), ("/link_2", 1), ("/link_2", 3), ("/link_1", 1)):
-        busy.add(link, 0.0, {"lost": str(lost)})
+        busy.add(link, 0.0, {"times lost": str(lost)})
         quiet.add("/record", 0.0, {"lost": "7"})
     assert overload([quiet]) == ""
     assert overload([quiet, busy]) == (

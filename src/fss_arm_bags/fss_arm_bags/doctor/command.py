@@ -21,6 +21,7 @@ from fss_arm_ros.convert import seconds
 
 HEALTHY, UNHEALTHY = 0, 2  # exit codes
 WIDTH = 80  # [columns]
+COMMANDS = "arm/joint_commands"  # a topic that is silent if nothing commands the joints on it
 
 
 @in_one_line("doctor")
@@ -31,7 +32,7 @@ def main(args: Sequence[str] | None = None) -> int:
         The largest exit code of the bags: 0 healthy, 1 not readable, 2 damaged or with findings.
     """
     options = parser().parse_args(args)
-    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 120)
+    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
     return max(exit_code(path, options.repair, console) for path in options.bags)
 
 
@@ -85,6 +86,8 @@ def examine(path: Path, console: Console) -> bool:
             note = f"{bag}: not all data have checksums, so some damage cannot be detected"
             console.print(escape(note))
         for name, topic in bags.topics.items():
+            if not topic.messages and name.endswith(COMMANDS):
+                continue
             problems += [
                 f"{name}: {problem}" for problem in findings(topic, by_topic[name], bags.span[0])
             ]

@@ -3,7 +3,7 @@
 import argparse
 
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.experiment.settings import JOINT, KINDS, Conditions
+from fss_arm_calib.experiment.settings import ABOUT_KINDS, JOINT, KINDS, Conditions
 from fss_arm_ros.command_line import Parser, add_settings
 
 GUARD = ("table", "base_radius", "link_radius", "margin", "edge_margin")
@@ -45,8 +45,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--kinds",
         default=" ".join(KINDS),
-        help=f"kinds of maneuvers: {', '.join(KINDS)}; or "
-        f"{JOINT}: each joint alone, back and forth in two postures, --repeats times, for `drives`",
+        help=f"{ABOUT_KINDS}; or {JOINT}: each joint alone, back and forth in two postures, "
+        "--repeats times, for `drives`",
     )
     add_settings(p, Conditions, CONDITIONS)
     add_settings(p, DynamicSettings)

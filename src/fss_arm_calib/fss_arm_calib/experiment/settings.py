@@ -19,6 +19,10 @@ from fss_arm_model.settings import (
 
 SINGLE, SWEEP, LOOP = "single", "sweep", "loop"
 KINDS = (SINGLE, SWEEP, LOOP)
+ABOUT_KINDS = (
+    "kinds of maneuvers: single moves one joint, sweep moves all through random postures, loop "
+    "repeats a round trip"
+)
 JOINT = "joint"  # kind of maneuvers for the calibration of drives
 
 
@@ -98,7 +102,7 @@ class Conditions(GuardSettings):
         unit="s",
         check=Check("a positive number", lambda value: value > 0.0),
     )
-    kinds: tuple[str, ...] = setting(KINDS, "kinds of maneuvers", check=one_of(*KINDS))
+    kinds: tuple[str, ...] = setting(KINDS, ABOUT_KINDS, check=one_of(*KINDS))
 
     def __post_init__(self) -> None:
         super().__post_init__()

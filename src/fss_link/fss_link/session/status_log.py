@@ -55,7 +55,7 @@ class StatusLog:
         """Return a line if the driver itself was stalled."""
         before, self._last_stall = self._last_stall, self._session.stall
         words = f"{self._name} is disarmed: its driver {self._last_stall}"
-        new = self._last_stall and self._last_stall != before
+        new = self._last_accepted and self._last_stall and self._last_stall != before
         return [Line(words, bad=True, for_operator=True)] if new else []
 
     def _loss_or_return(self, now: int) -> Line:
