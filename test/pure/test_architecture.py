@@ -100,7 +100,7 @@ ROOMS = {
         *within("fss_arm_model.guard", "guard settings"),
     },
     SHARED_PROTOCOL: set(),
-    "fss_link.session": {UNITS, SHARED_PROTOCOL},
+    "fss_link.session": {UNITS, SHARED_PROTOCOL, "fss_arm_ros.log_line"},
     "fss_link.transport": {SHARED_PROTOCOL},
     PROTOCOL: {SHARED_PROTOCOL},
     "fss_arm_driver.session": {
@@ -137,7 +137,7 @@ ROOMS = {
         *("fss_arm_msgs.msg", "fss_arm_ros.convert", "fss_arm_ros.realtime"),
     },
     "fss_gnc.guidance": {
-        *("fss_arm_model", "fss_arm_motion", "fss_arm_msgs.action"),
+        *("fss_arm_model", "fss_arm_motion", "fss_arm_msgs.action", "fss_arm_ros.log_line"),
         *within("fss_gnc", "bounds latest reference"),
     },
     REGIONS: {ARRAYS, "fss_arm_model.description", "fss_arm_model.layout"},

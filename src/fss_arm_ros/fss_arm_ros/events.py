@@ -8,13 +8,14 @@ import os
 from collections.abc import Iterable
 from contextlib import suppress
 from datetime import datetime
-from typing import Any
 
 from rclpy.node import Node
 
+from fss_arm_ros.log_line import LogLine
 
-def report(node: Node, lines: Iterable[Any]) -> None:
-    """Log lines with attributes `words`, `bad` (warning) and `for_operator` (event log, too)."""
+
+def report(node: Node, lines: Iterable[LogLine]) -> None:
+    """Log lines, and those for the operator in the event log, too."""
     log = node.get_logger()
     for line in lines:
         if line.bad:  # rclpy requires one source line per severity

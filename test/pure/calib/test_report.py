@@ -135,7 +135,9 @@ def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path, monkeypatch)
     share = np.zeros(len(found.names))
     share[[1, 3]] = 0.51
     monkeypatch.setattr(type(found.solution.result), "prior_share", share)
-    assert dynamic_report(found).tables[0].weak == [1, 3]
+    undetermined = set(np.flatnonzero(np.isinf(found.estimate.deviations)))
+    assert set(dynamic_report(found).tables[0].weak) == {1, 3} | undetermined
+    assert len(undetermined) < 4
     for words in ("prior [%]", "Bias due to assumed parameters", "hardly seen", "a &lt;bag&gt;"):
         assert words in page
     names = {figure.name for figure in told.figures}

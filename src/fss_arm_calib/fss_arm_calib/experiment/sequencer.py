@@ -14,6 +14,7 @@ from fss_arm_calib.experiment.settings import ExperimentSettings
 from fss_arm_calib.experiment.waypoints import Waypoint, return_waypoints
 from fss_arm_model.arrays import Floats
 from fss_arm_model.units import SECOND
+from fss_arm_ros.log_line import LogLine
 
 MAX_REPEATS = 3  # largest number of repeats of the rejected rests, or of a maneuver
 RETRY_DELAY = 1.0  # before a failed move is requested again [s]
@@ -45,14 +46,6 @@ class Seen(NamedTuple):
     q: Floats = np.empty(0)  # (n) readings of a rest [rad]
 
 
-class Line(NamedTuple):
-    """Line to be logged."""
-
-    words: str
-    bad: bool = False  # a warning
-    for_operator: bool = False  # also for the event log
-
-
 class Sequencer:
     """State machine that takes the arm through waypoints until all are done or the goal is met.
 
@@ -66,7 +59,7 @@ class Sequencer:
         done = min(progress.done, len(waypoints))  # without repeats of rejected rests
         self.progress = replace(progress, done=done)
         self.promised: Mapping[str, float] = {}  # deviations that the plan promises, by name
-        self.lines: list[Line] = []  # not logged yet
+        self.lines: list[LogLine] = []  # not logged yet
         self.exit_code: int | str | None = None  # of the process; None: the experiment continues
         self.status = ""  # the last line about the current move
         self.rests: Sequence[Seen] = ()
@@ -217,7 +210,7 @@ class Sequencer:
 
     def _give_up(self, now: int) -> None:
         self._unobserved += 1
-        self.lines.append(Line(f"{self._title}: not observed", bad=True))
+        self.lines.append(LogLine(f"{self._title}: not observed", bad=True))
         self._advance(now, "continuing without an observation")
 
     def _advance(self, now: int, how: str) -> None:
@@ -267,7 +260,7 @@ class Sequencer:
 
     def _exit(self, code: int | str, words: str) -> None:
         self.exit_code = code
-        self.lines.append(Line(words))
+        self.lines.append(LogLine(words))
 
     def _enter(self, phase: Phase, now: int) -> None:
         """Enter a phase; with now = 0, all its waiting times have already passed."""
@@ -288,4 +281,4 @@ class Sequencer:
         """Log a line about the current move if it differs from the last one."""
         if words != self.status:
             self.status = words
-            self.lines.append(Line(words))
+            self.lines.append(LogLine(words))

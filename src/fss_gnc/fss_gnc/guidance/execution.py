@@ -2,8 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
+from fss_arm_ros.log_line import LogLine
 from fss_gnc.guidance.activity import (
     Activity,
     ActivityError,
@@ -13,14 +14,6 @@ from fss_gnc.guidance.activity import (
     Outcome,
 )
 from fss_gnc.guidance.budget import Budget
-
-
-class Line(NamedTuple):
-    """Line to be logged."""
-
-    words: str
-    bad: bool = False  # a warning
-    for_operator: bool = False  # also for the event log
 
 
 @dataclass(frozen=True)
@@ -72,14 +65,14 @@ class Execution:
         self.moves_joints |= commands.rates is not None and not commands.outcome
         return commands
 
-    def log_lines(self, commands: Commands) -> list[Line]:
+    def log_lines(self, commands: Commands) -> list[LogLine]:
         """Store phase and reason of the commands; return a line if one of them is new."""
         before = self.phase, self.problem
         problem = commands.reason and f"{commands.phase}: {commands.reason}"
         self.phase, self.problem = commands.phase, problem
         if problem and problem != before[1]:
-            return [Line(f"{self.kind.name}: {problem}", bad=True)]
-        return [Line(f"{self.kind.name}: {self.phase}")] if self.phase != before[0] else []
+            return [LogLine(f"{self.kind.name}: {problem}", bad=True)]
+        return [LogLine(f"{self.kind.name}: {self.phase}")] if self.phase != before[0] else []
 
     @property
     def status(self) -> str:

@@ -15,14 +15,13 @@ The rules and their reasons are in docs/reference/protocol.md.
 
 from fss_link.session.arming import RELEASE_TIMEOUT, Arming
 from fss_link.session.session import FRAME_PROBLEMS, CommandError, Partner, Session
-from fss_link.session.status_log import Line, StatusLog
+from fss_link.session.status_log import StatusLog
 
 __all__ = [
     "FRAME_PROBLEMS",
     "RELEASE_TIMEOUT",
     "Arming",
     "CommandError",
-    "Line",
     "Partner",
     "Session",
     "StatusLog",

@@ -1,20 +1,13 @@
 """Log lines for each change of state of a link or of the base's board."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
+from fss_arm_ros.log_line import LogLine
 from fss_link.protocol import StatusFlag
 from fss_link.session.arming import Arming
 from fss_link.session.session import Session
 
 ABSENCE_TIMEOUT = 5_000_000_000  # before a partner that never sent a frame is reported [ns]
-
-
-class Line(NamedTuple):
-    """Line of the log."""
-
-    words: str
-    bad: bool = False
-    for_operator: bool = False  # also reported in the log of events
 
 
 class StatusLog:
@@ -29,7 +22,7 @@ class StatusLog:
         self._faults: list[str] = []
         self._tripped, self._last_stall = False, ""
 
-    def __call__(self, now: int) -> list[Line]:
+    def __call__(self, now: int) -> list[LogLine]:
         """Return a line for each change, and one if none was accepted for ABSENCE_TIMEOUT."""
         session, lines = self._session, self._stall_lines()
         if session.lost != self._lost:
@@ -44,36 +37,36 @@ class StatusLog:
         if session.lost and not known and now > self._first_call + ABSENCE_TIMEOUT:
             self._absence_logged = True
             words = session.version_problem or f"{self._name}: {session.loss_reason}"
-            lines.append(Line(words, bad=True))
+            lines.append(LogLine(words, bad=True))
         if not session.lost:
             self._last_accepted = now - round(1e9 * session.silence(now))
         self._lost, self._losses = session.lost, session.counts["lost"]
         self._arming = session.arming
         return lines
 
-    def _stall_lines(self) -> list[Line]:
+    def _stall_lines(self) -> list[LogLine]:
         """Return a line if the driver itself was stalled."""
         before, self._last_stall = self._last_stall, self._session.stall
         words = f"{self._name} is disarmed: its driver {self._last_stall}"
         new = self._last_accepted and self._last_stall and self._last_stall != before
-        return [Line(words, bad=True, for_operator=True)] if new else []
+        return [LogLine(words, bad=True, for_operator=True)] if new else []
 
-    def _loss_or_return(self, now: int) -> Line:
+    def _loss_or_return(self, now: int) -> LogLine:
         """Return a line that the partner is lost, or that it is received (again)."""
         name, session = self._name, self._session
         if session.lost:
             words = f"{name} is lost: {session.loss_reason}{self._state_before()}"
-            return Line(words, bad=True, for_operator=True)
+            return LogLine(words, bad=True, for_operator=True)
         if not self._last_accepted:
-            return Line(f"{name} is connected and {session.arming.value}")
+            return LogLine(f"{name} is connected and {session.arming.value}")
         away = 1e-9 * (now - self._last_accepted)
         words = f"{name} is connected again after {away:.1f} s{self._state_now()}"
-        return Line(words, for_operator=True)
+        return LogLine(words, for_operator=True)
 
-    def _short_loss(self) -> Line:
+    def _short_loss(self) -> LogLine:
         """Return a line that the partner was lost and has returned since the last call."""
         words = f"{self._name} was lost{self._state_before()}; connected again{self._state_now()}"
-        return Line(words, bad=True, for_operator=True)
+        return LogLine(words, bad=True, for_operator=True)
 
     def _state_before(self) -> str:
         """Return words about its state at the last call; empty if it was disarmed."""
@@ -85,19 +78,19 @@ class StatusLog:
         requested = "; it was disarmed, arming was requested"
         return requested if state is Arming.ARMING else f" and {state.value}"
 
-    def _arming_changes(self) -> list[Line]:
+    def _arming_changes(self) -> list[LogLine]:
         before, state = self._arming, self._session.arming
         if state is before:
             return []
         why = self._session.disarm_reason
         if state is Arming.DISARMED and before is Arming.ARMING:
-            return [Line(f"{self._name} did not arm{': ' * bool(why)}{why}", bad=True)]
+            return [LogLine(f"{self._name} did not arm{': ' * bool(why)}{why}", bad=True)]
         if state is Arming.DISARMED and why:
-            return [Line(f"{self._name} is disarmed: {why}", bad=True, for_operator=True)]
+            return [LogLine(f"{self._name} is disarmed: {why}", bad=True, for_operator=True)]
         stopped = state is Arming.STOPPED
-        return [Line(f"{self._name} is {state.value}", bad=stopped, for_operator=stopped)]
+        return [LogLine(f"{self._name} is {state.value}", bad=stopped, for_operator=stopped)]
 
-    def _watchdog(self) -> list[Line]:
+    def _watchdog(self) -> list[LogLine]:
         """Return a line if the partner disarmed itself as it received no commands.
 
         Arming clears this state.
@@ -106,13 +99,15 @@ class StatusLog:
         before, self._tripped = self._tripped, bool(frame and frame.flags & StatusFlag.WATCHDOG)
         words = f"{self._name}: its watchdog tripped, as it received no commands"
         tripped = self._tripped and not before
-        return [Line(words, bad=True, for_operator=True)] if tripped else []
+        return [LogLine(words, bad=True, for_operator=True)] if tripped else []
 
-    def _fault_changes(self) -> list[Line]:
+    def _fault_changes(self) -> list[LogLine]:
         faults = self._session.faults if self._session.frame else self._faults
         before, self._faults = self._faults, faults
         if new := [fault for fault in faults if fault not in before]:
             words = f"{self._name} has a fault: {', '.join(new)}"
-            return [Line(words, bad=True, for_operator=True)]
+            return [LogLine(words, bad=True, for_operator=True)]
         cleared = before and not faults
-        return [Line(f"{self._name} has no fault any more", for_operator=True)] if cleared else []
+        return (
+            [LogLine(f"{self._name} has no fault any more", for_operator=True)] if cleared else []
+        )
