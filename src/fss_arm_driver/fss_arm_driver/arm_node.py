@@ -111,8 +111,8 @@ class ArmNode(Node):
         problems = links.problems()
         values: dict[str, Any] = {f"link {i}": problems.get(i, "armed") for i in links.numbers}
         values["arm/joint_states"] = self.states.withheld_reason or "published"
-        values["guarded against"] = self.guard.describe_protection()
-        values["path"] = links.path
+        values["bodies kept clear of"] = self.guard.describe_protection()
+        values["number of the last path"] = links.path
         values["commands accepted"] = stream.accepted
         values |= {f"commands refused: {kind}": n for kind, n in sorted(stream.refused.items())}
         if problems:

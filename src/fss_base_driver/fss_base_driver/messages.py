@@ -156,7 +156,7 @@ class BoardHealth(SessionHealth):
 
         return {
             "valves' faults": ", ".join(self.session.remarks) or "none",
-            "valves' time left [s]": reported(BaseSlow.LEFT, 1e-3),
+            "remaining opening time of the valves [s]": reported(BaseSlow.LEFT, 1e-3),
             "tank [kPa]": reported(BaseSlow.TANK),
             "supply [kPa]": reported(BaseSlow.SUPPLY, 0.1),
             "refused by the board": reported(BaseSlow.REFUSED),

@@ -246,7 +246,7 @@ class VehicleTopics:
             "gap between bodies [m]": self.gap(),
             "gap to the table's edge [m]": plant.edge_clearance,
             "propellant used [kg]": plant.thrusters.propellant_used,
-            "rests": self.testbed.sensors.rests,
+            "rests of the arm": self.testbed.sensors.rests,
         }
         for kind, result in self.testbed.marker_results.items():
             values[f"markers of the {SUBJECTS[kind]}"] = result.markers

@@ -534,7 +534,7 @@ def test_nothing_folds_the_arm_into_itself_or_the_base(bench):
     bench.until(lambda: bench.health.get("commands refused: guard") == "1")
     assert "m apart with the joints at" in bench.move(FOLDED).message
     assert not bench.links.taken
-    assert bench.health["guarded against"] == "self"
+    assert bench.health["bodies kept clear of"] == "self"
 
 
 def odometry(pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0), stamp=None):
@@ -552,7 +552,7 @@ def test_a_path_ends_when_the_base_drifts_to_the_edge(bench):
     base = bench.publisher(Odometry, "base/state")
     bench.client.create_timer(0.05, lambda: base.publish(odometry(**state)))
     state = {}
-    bench.until(lambda: bench.health.get("guarded against") == "self, edge")
+    bench.until(lambda: bench.health.get("bodies kept clear of") == "self, edge")
     handle = bench.moving(8.0)
     state = {"pose": (-1.2, 0.0, 0.0), "twist": (-0.3, 0.0, 0.0)}
     ended = bench.end(handle).result

@@ -243,5 +243,5 @@ def test_the_board_s_health_names_values_that_were_not_reported(bench):
     assert set(values.values()) == {"not reported"}
     bench.session.slow |= {BaseSlow.LEFT: 1500, BaseSlow.SUPPLY: 7000, BaseSlow.TANK: 0}
     values = health.values()
-    assert (values["valves' time left [s]"], values["tank [kPa]"]) == (1.5, 0)
+    assert (values["remaining opening time of the valves [s]"], values["tank [kPa]"]) == (1.5, 0)
     assert values["supply [kPa]"] == pytest.approx(700.0)
