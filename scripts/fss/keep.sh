@@ -33,12 +33,18 @@ while [ -z "$ending" ]; do
   fi
   [ $(($(date +%s) - began)) -lt "$FSS_WINDOW" ] || failures=0
   failures=$((failures + 1))
+  why=''
+  if [ "$code" = 1 ]; then   # the last line of its log is the reason
+    why=$(grep -v '^ *$' "$FSS_LOGS/$name.log" 2>/dev/null | tail -n 1 | tr -d '\000-\037\177' |
+      sed "s/^\[[A-Z]*\] \[[0-9.]*\] //; s/^\[\{0,1\}$name]\{0,1\}: //" | cut -c 1-200) || why=''
+  fi
+  why=${why:-exit code $code}
   if [ "$failures" -gt "$FSS_RESTARTS" ]; then
-    log_event "$name failed ($code) $failures times and is not started again; see $FSS_LOGS/$name.log"
+    log_event "$name failed ($why) $failures times and is not started again; see $FSS_LOGS/$name.log"
     echo failed >"$FSS_LOGS/$name.keep"
     exit 1
   fi
-  log_event "$name failed ($code), starting it again ($failures of $FSS_RESTARTS)"
+  log_event "$name failed ($why), starting it again ($failures of $FSS_RESTARTS)"
   sleep 1
 done
 echo stopped >"$FSS_LOGS/$name.keep"

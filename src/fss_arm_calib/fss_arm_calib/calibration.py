@@ -165,9 +165,10 @@ class Calibration(Generic[D, C]):
         found = (checks.cause(words, outcome.verdict),) if words else ()
         return replace(outcome, checks=(*found, *outcome.checks))
 
-    def describe(self, outcome: Outcome[D, Any]) -> str:
-        """Describe an outcome in one line, with where to look for an unknown cause."""
-        words = f"{outcome.verdict}: {outcome.summary}"
+    def describe(self, outcome: Outcome[D, Any], streams: Streams) -> str:
+        """Describe an outcome in one line, with why it is outdated, or how to find a cause."""
+        outdated = self.stale(outcome, streams)
+        words = f"{outcome.verdict}: {outcome.summary}{'; but ' * bool(outdated)}{outdated}"
         known = any(check.name == CAUSE for check in outcome.checks)
         if outcome.verdict == FAIL and not known and CAUSES not in self.unavailable:
             words += "; to find the cause, run from_bag on a recording"

@@ -104,7 +104,7 @@ class CalibrationNode(Node):
         if folder := self.settings.report:
             self.writer(lambda: write(folder, self.kind.report_of(self.outcome)))
         response.success = self.outcome.verdict == PASS
-        response.message = self.kind.describe(self.outcome)
+        response.message = self.kind.describe(self.outcome, self.streams())
         return response
 
     def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -177,4 +177,4 @@ class CalibrationNode(Node):
             return Health(ERROR, self.writer.trouble, values)
         if problem := kind.problem(self.outcome, streams, self.settings):
             return Health(WARN, problem, values)
-        return Health(OK, format_count(len(self.data), kind.data.noun), values)
+        return Health(OK, format_count(len(self.outcome.used), kind.data.noun), values)

@@ -42,8 +42,9 @@ def test_a_link_homed_later_asks_for_its_offsets(spin, samples):
     assert list(result.homings) == [0, 1, 0, 0]
     assert node.health().message == "2 observations"
     link.publish(message(homed(100.0, 2))[1])
-    said = "joint_2 homed or restarted since: calibrate the offsets"
+    said = "joint_2 homed or restarted since: observe new rests"
     spin([bed, node], lambda: node.health().message == said)
+    assert ask(spin, bed, node, bed.solver).message.endswith(f"; but {said}")
 
 
 def test_homings_are_read_from_bags(bag, tmp_path):

@@ -365,11 +365,3 @@ def test_the_command_writes_nothing_of_what_fails(toy, tmp_path, capsys):
     assert from_bag(["--toy", str(toy.bag), *asked, "--output", str(tmp_path / "no")]) == 2
     assert "not written, as the verdict is fail" in capsys.readouterr().out
     assert not (tmp_path / "no").exists()
-
-
-def test_the_help_tells_what_a_kind_lacks(made, capsys):
-    with pytest.raises(SystemExit):
-        from_bag([f"--{made.kind.name}", "--help"])
-    said = " ".join(capsys.readouterr().out.split())
-    for what, why in made.kind.unavailable.items():
-        assert f"No {what}: {why}." in said

@@ -52,7 +52,7 @@ def stale(outcome: Outcome[Observation, Solution], streams: Streams) -> str:
     """Return a message if a joint was homed or restarted since, else an empty string."""
     again = rehomed_joints(outcome.used[-1], streams) if outcome.used else []
     names = ", ".join(f"joint_{i}" for i in again)
-    return f"{names} homed or restarted since: calibrate the offsets" if again else ""
+    return f"{names} homed or restarted since: observe new rests" if again else ""
 
 
 def likely_cause(observations: Sequence[Observation], arm: Arm, s: KinematicSettings) -> str:
