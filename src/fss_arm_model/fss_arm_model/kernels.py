@@ -10,16 +10,21 @@ A process that calls no kernel never imports numba: helpers are compiled on firs
 
 import fcntl
 import hashlib
+import logging
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, cached_property
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import IO, Any
 
 import numpy.typing as npt
+
+WAIT_BEFORE_LOG = 2.0  # for another process that compiles, before this is logged [s]
+POLL_PERIOD = 0.02  # of its lock, until then [s]
 
 
 @cache
@@ -55,9 +60,30 @@ def cache_lock(folder: Path) -> Iterator[bool]:
     import numba
 
     with lock, _one_thread:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        _acquire(lock)
         numba.config.CACHE_DIR = str(folder)
         yield True
+
+
+def _acquire(lock: IO[str]) -> None:
+    """Take a lock file; if this takes long, log why, because a kernel compiles for seconds."""
+    deadline = time.monotonic() + WAIT_BEFORE_LOG
+    while time.monotonic() < deadline:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(POLL_PERIOD)
+        else:
+            return
+    _log_wait()
+    fcntl.flock(lock, fcntl.LOCK_EX)
+
+
+@cache
+def _log_wait() -> None:
+    logging.getLogger(__name__).warning(
+        "waiting for another process that compiles the kernels (minutes after an update)"
+    )
 
 
 KERNELS: list["Kernel"] = []

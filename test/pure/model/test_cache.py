@@ -1,3 +1,4 @@
+import fcntl
 import os
 import shutil
 import subprocess
@@ -113,6 +114,21 @@ def test_folder_that_cannot_be_written_to_is_done_without(copy):
     assert warm.returncode == 1
     assert warm.stderr.count("\n") == 1
     assert "NUMBA_CACHE_DIR" in warm.stderr
+
+
+def test_a_wait_for_another_process_that_compiles_is_logged(tmp_path):
+    code = f"""
+from pathlib import Path
+from fss_arm_model.kernels import cache_lock
+with cache_lock(Path({str(tmp_path)!r})):
+    print("compiling")
+"""
+    with (tmp_path / "lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        waiting = subprocess.Popen([sys.executable, "-c", code], **pipes)
+        assert waiting.stderr.readline().startswith("waiting for another process that compiles")
+    assert waiting.communicate() == ("compiling\n", "")
 
 
 def test_cache_lies_in_the_users_cache_folder(copy, tmp_path):
