@@ -6,103 +6,34 @@ object is valid.
 """
 
 import math
-import operator
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from .arrays import Floats
-from .files import ContentError
+from .description_fields import (
+    DescriptionError,
+    as_count,
+    as_instance,
+    as_name,
+    as_names,
+    as_nonzero,
+    as_number,
+    as_numbers,
+    as_positive,
+    as_rows,
+    as_serial,
+    as_sign,
+    as_time,
+    check_fields,
+    error_context,
+    rule,
+)
 
 MAX_LINKS = 12
-MAX_ANGLE = 2.0 * math.pi  # of limits, offsets and mounts; a larger one is in degrees [rad]
-
-
-class DescriptionError(ContentError):
-    """A value of a description is invalid; the message gives field, value and expected value."""
-
-
-@contextmanager
-def error_context(part: str) -> Iterator[None]:
-    """Name the fields of errors raised inside as fields of `part`, if it has a name."""
-    try:
-        yield
-    except ContentError as error:
-        field = f"{part}: {error.field}" if part else error.field
-        raise DescriptionError(field, error.value, error.expected) from None
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, bool | str) or not math.isfinite(value):
-        raise ValueError
-    return float(value)
-
-
-def _positive(value: Any) -> float:
-    if not (number := _number(value)) > 0.0:
-        raise ValueError
-    return number
-
-
-def _nonzero(value: Any) -> float:
-    if not (number := _number(value)):
-        raise ValueError
-    return number
-
-
-def _count(value: Any) -> int:
-    if isinstance(value, bool) or not _number(number := operator.index(value)) > 0.0:
-        raise ValueError
-    return number
-
-
-def _serial(value: Any) -> int:
-    if isinstance(value, bool) or not 0 <= (number := operator.index(value)) < 1 << 31:
-        raise ValueError
-    return number
-
-
-def _sign(value: Any) -> int:
-    if isinstance(value, bool) or value not in (-1, 1):
-        raise ValueError
-    return int(value)
-
-
-def _name(value: Any) -> str:
-    if not isinstance(value, str) or not value.strip() or not value.isprintable():
-        raise ValueError
-    return value
-
-
-def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
-    def convert(value: Any) -> tuple[float, ...]:
-        if isinstance(value, str | dict) or len(value) != count:
-            raise ValueError
-        return tuple(_number(v) for v in value)
-
-    return convert
-
-
-def _time(value: Any) -> int:
-    if isinstance(value, bool) or not 0 <= (number := operator.index(value)) < 1 << 63:
-        raise ValueError
-    return number
-
-
-def _texts(value: Any) -> tuple[str, ...]:
-    if isinstance(value, str | dict) or len(set(value)) != len(value):
-        raise ValueError
-    return tuple(map(_name, value))
-
-
-def _rows(value: Any) -> tuple[tuple[float, ...], ...]:
-    if isinstance(value, str | dict):
-        raise ValueError
-    return tuple(_numbers(len(value))(row) for row in value)
 
 
 def check_count(links: Sequence[Any]) -> None:
@@ -118,116 +49,71 @@ def _chain(value: Any) -> "tuple[Link, ...]":
     return links
 
 
-def _instance(kind: type[Any]) -> Callable[[Any], Any]:
-    def convert(value: Any) -> Any:
-        if not isinstance(value, kind):
-            raise TypeError
-        return value
-
-    return convert
-
-
-_EXPECTED: dict[Callable[[Any], Any], str] = {
-    _number: "a finite number",
-    _positive: "a positive number",
-    _nonzero: "a number other than zero",
-    _count: "a positive integer",
-    _serial: "an integer from 0 to 2147483647",
-    _sign: "1 or -1",
-    _time: "an integer from 0 to 9223372036854775807",
-    _name: "a printable text that is not empty",
-    _texts: "a list of names, each once",
-    _rows: "as many rows of numbers as each has",
-}
-
-
-def _is(
-    kind: Callable[[Any], Any], unit: str = "", about: str = "", expected: str = ""
-) -> dict[str, Any]:
-    """Return a field's metadata: its check, and unit and meaning for the YAML file's comments."""
-    expected = expected or _EXPECTED[kind] + (f" [{unit}]" if unit else "")
-    return {"kind": kind, "unit": unit, "about": about, "expected": expected}
-
-
-def _check(part: Any) -> None:
-    """Convert each field of a description's part to its type; raise DescriptionError if invalid."""
-    for f in fields(part):
-        value = getattr(part, f.name)
-        try:
-            converted = f.metadata["kind"](value)
-        except (TypeError, ValueError, OverflowError):
-            raise DescriptionError(f.name, value, f.metadata["expected"]) from None
-        object.__setattr__(part, f.name, converted)
-        if f.metadata["unit"].split(", ")[-1] == "rad":
-            _check_angle(f.name, converted[-1] if isinstance(converted, tuple) else converted)
-
-
-def _check_angle(name: str, angle: float) -> None:
-    """Raise DescriptionError if an angle [rad] is so large that it must be in degrees."""
-    if abs(angle) > MAX_ANGLE:
-        expected = f"{-MAX_ANGLE:.4g} to {MAX_ANGLE:.4g} [rad]; in degrees? "
-        expected += f"{angle:.4g} deg are {math.radians(angle):.4g} rad"
-        raise DescriptionError(name, angle, expected)
-
-
 @dataclass(frozen=True)
 class Drive:
     """A link's servo, with q = direction * counts * 2 pi / counts_per_turn, and its limits."""
 
     counts_per_turn: int = field(
-        default=240_000, metadata=_is(_count, about="encoder counts a turn of the joint")
+        default=240_000, metadata=rule(as_count, about="encoder counts a turn of the joint")
     )
     direction: int = field(
-        default=1, metadata=_is(_sign, about="1 if counts grow counter-clockwise, else -1")
+        default=1, metadata=rule(as_sign, about="1 if counts grow counter-clockwise, else -1")
     )
     torque_constant: float = field(
-        default=0.8, metadata=_is(_positive, "N m/A", "joint torque per motor current")
+        default=0.8, metadata=rule(as_positive, "N m/A", "joint torque per motor current")
     )
-    max_current: float = field(default=2.25, metadata=_is(_positive, "A"))
-    max_torque: float = field(default=1.8, metadata=_is(_positive, "N m", "at the joint"))
-    max_velocity: float = field(default=1.0, metadata=_is(_positive, "rad/s"))
-    max_acceleration: float = field(default=2.0, metadata=_is(_positive, "rad/s^2"))
+    max_current: float = field(default=2.25, metadata=rule(as_positive, "A"))
+    max_torque: float = field(default=1.8, metadata=rule(as_positive, "N m", "at the joint"))
+    max_velocity: float = field(default=1.0, metadata=rule(as_positive, "rad/s"))
+    max_acceleration: float = field(default=2.0, metadata=rule(as_positive, "rad/s^2"))
 
     def __post_init__(self) -> None:
-        _check(self)
+        check_fields(self)
 
 
 @dataclass(frozen=True)
 class TorqueSensor:
     """A link's torque sensor: torque = gain * (counts - zero)."""
 
-    gain: float = field(default=2.1 / 2**23, metadata=_is(_nonzero, "N m per count"))
-    zero: float = field(default=0.0, metadata=_is(_number, "counts", "reading without load"))
+    gain: float = field(default=2.1 / 2**23, metadata=rule(as_nonzero, "N m per count"))
+    zero: float = field(default=0.0, metadata=rule(as_number, "counts", "reading without load"))
 
     def __post_init__(self) -> None:
-        _check(self)
+        check_fields(self)
 
 
 @dataclass(frozen=True)
 class Link:
     """One link, along x from its joint to the next joint (for the last link: to the tip)."""
 
-    a: float = field(metadata=_is(_positive, "m", "from this joint to the next"))
-    theta_0: float = field(metadata=_is(_number, "rad", "true joint angle at encoder reading 0"))
-    mass: float = field(metadata=_is(_positive, "kg"))
-    inertia: float = field(metadata=_is(_positive, "kg m^2", "about the link's centre of mass"))
-    b: float = field(metadata=_is(_number, "m", "from the centre of mass to the next joint"))
+    a: float = field(metadata=rule(as_positive, "m", "from this joint to the next"))
+    theta_0: float = field(metadata=rule(as_number, "rad", "true joint angle at encoder reading 0"))
+    mass: float = field(metadata=rule(as_positive, "kg"))
+    inertia: float = field(metadata=rule(as_positive, "kg m^2", "about the link's centre of mass"))
+    b: float = field(metadata=rule(as_number, "m", "from the centre of mass to the next joint"))
     lateral: float = field(
-        default=0.0, metadata=_is(_number, "m", "centre of mass to the left of the link's line")
+        default=0.0,
+        metadata=rule(as_number, "m", "centre of mass to the left of the link's line"),
     )
-    q_min: float = field(default=-math.pi / 2, metadata=_is(_number, "rad", "lowest encoder angle"))
-    q_max: float = field(default=math.pi / 2, metadata=_is(_number, "rad", "highest encoder angle"))
-    drive: Drive = field(default_factory=Drive, metadata=_is(_instance(Drive), expected="a drive"))
+    q_min: float = field(
+        default=-math.pi / 2, metadata=rule(as_number, "rad", "lowest encoder angle")
+    )
+    q_max: float = field(
+        default=math.pi / 2, metadata=rule(as_number, "rad", "highest encoder angle")
+    )
+    drive: Drive = field(
+        default_factory=Drive, metadata=rule(as_instance(Drive), expected="a drive")
+    )
     torque_sensor: TorqueSensor = field(
         default_factory=TorqueSensor,
-        metadata=_is(_instance(TorqueSensor), expected="a torque sensor"),
+        metadata=rule(as_instance(TorqueSensor), expected="a torque sensor"),
     )
     serial: int = field(
-        default=0, metadata=_is(_serial, about="number of the physical link; 0: not known")
+        default=0, metadata=rule(as_serial, about="number of the physical link; 0: not known")
     )
 
     def __post_init__(self) -> None:
-        _check(self)
+        check_fields(self)
         if not self.q_min < self.q_max:
             raise DescriptionError("q_max", self.q_max, f"more than q_min = {self.q_min!r} [rad]")
 
@@ -241,16 +127,16 @@ class Link:
 class Base:
     """The spacecraft simulator in the base frame, as the motion capture system reports it."""
 
-    mass: float = field(metadata=_is(_positive, "kg"))
-    inertia: float = field(metadata=_is(_positive, "kg m^2", "about the base's centre of mass"))
+    mass: float = field(metadata=rule(as_positive, "kg"))
+    inertia: float = field(metadata=rule(as_positive, "kg m^2", "about the base's centre of mass"))
     com: tuple[float, float] = field(
         default=(0.0, 0.0),
-        metadata=_is(_numbers(2), "m", "centre of mass (x, y)", "two finite numbers (x, y) [m]"),
+        metadata=rule(as_numbers(2), "m", "centre of mass (x, y)", "two finite numbers (x, y) [m]"),
     )
     mount: tuple[float, float, float] = field(
         default=(0.0, 0.0, 0.0),
-        metadata=_is(
-            _numbers(3),
+        metadata=rule(
+            as_numbers(3),
             "m, m, rad",
             "first joint (x_BJ1, y_BJ1, theta_BJ1)",
             "three finite numbers (x_BJ1 [m], y_BJ1 [m], theta_BJ1 [rad])",
@@ -258,7 +144,7 @@ class Base:
     )
 
     def __post_init__(self) -> None:
-        _check(self)
+        check_fields(self)
 
     def vector(self) -> Floats:
         """Return the parameters of a base without an arm, (8,), as the start of Arm.vector()."""
@@ -272,15 +158,15 @@ class Known:
     Names are those of fss_arm_model.parameters, and theta_E. Without data, begin and end are 0.
     """
 
-    names: tuple[str, ...] = field(default=(), metadata=_is(_texts))
+    names: tuple[str, ...] = field(default=(), metadata=rule(as_names))
     covariance: tuple[tuple[float, ...], ...] = field(
-        default=(), metadata=_is(_rows, about="row by row, in the units of the values")
+        default=(), metadata=rule(as_rows, about="row by row, in the units of the values")
     )
-    begin: int = field(default=0, metadata=_is(_time, "ns", "of the data, since 1970"))
-    end: int = field(default=0, metadata=_is(_time, "ns"))
+    begin: int = field(default=0, metadata=rule(as_time, "ns", "of the data, since 1970"))
+    end: int = field(default=0, metadata=rule(as_time, "ns"))
 
     def __post_init__(self) -> None:
-        _check(self)
+        check_fields(self)
         C, size = np.array(self.covariance), len(self.names)
         if len(C) != size:
             raise DescriptionError(
@@ -333,18 +219,19 @@ class Known:
 class Arm:
     """A base and the n links it carries, in order from the base."""
 
-    name: str = field(metadata=_is(_name))
-    base: Base = field(metadata=_is(_instance(Base), expected="a base"))
-    links: tuple[Link, ...] = field(metadata=_is(_chain, expected="a list of links"))
+    name: str = field(metadata=rule(as_name))
+    base: Base = field(metadata=rule(as_instance(Base), expected="a base"))
+    links: tuple[Link, ...] = field(metadata=rule(_chain, expected="a list of links"))
     theta_E: float = field(  # noqa: N815 (the paper's symbol)
-        default=0.0, metadata=_is(_number, "rad", "end-effector subject against the last link")
+        default=0.0,
+        metadata=rule(as_number, "rad", "end-effector subject against the last link"),
     )
     known: Known = field(
-        default=Known(), metadata=_is(_instance(Known), expected="names and their covariance")
+        default=Known(), metadata=rule(as_instance(Known), expected="names and their covariance")
     )
 
     def __post_init__(self) -> None:
-        _check(self)
+        check_fields(self)
         check_count(self.links)
         if self.links[0].theta_0 != 0.0:
             raise DescriptionError(

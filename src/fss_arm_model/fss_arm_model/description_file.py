@@ -20,15 +20,14 @@ import yaml
 from .description import (
     Arm,
     Base,
-    DescriptionError,
     Drive,
     Known,
     Link,
     TorqueSensor,
     check_count,
-    error_context,
     paper_arm,
 )
+from .description_fields import DescriptionError, error_context
 from .files import read_text, read_yaml, short, write_text
 
 #: A link's own parameter, by its position in the arm or by the link's serial number.

@@ -29,7 +29,8 @@ from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.drift.calibrate import body_deviations
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.kinematic.calibrate import calibrate
-from fss_arm_model.description import DescriptionError, Known
+from fss_arm_model.description import Known
+from fss_arm_model.description_fields import DescriptionError
 from fss_arm_model.description_file import from_yaml, to_yaml
 from fss_arm_model.files import ContentError
 from fss_arm_model.layout import kinematic_names

@@ -16,12 +16,12 @@ import fss_arm_model
 from fss_arm_model.description import (
     Arm,
     Base,
-    DescriptionError,
     Drive,
     Link,
     TorqueSensor,
     paper_arm,
 )
+from fss_arm_model.description_fields import DescriptionError
 from fss_arm_model.description_file import described, from_yaml, load, save, to_yaml
 from fss_arm_model.layout import kinematic_index, kinematic_names
 from fss_arm_model.parameters import combination_gradients

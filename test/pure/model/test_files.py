@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fss_arm_model.description import DescriptionError, paper_arm
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_fields import DescriptionError
 from fss_arm_model.description_file import from_yaml, load, to_yaml
 from fss_arm_model.files import ContentError, read_text, read_yaml, write_text
 from fss_sim.faults import FaultError, read_script

@@ -25,7 +25,8 @@ from fss_arm_calib.segments.rests import SAME_POSTURE, Observation, rejected_wit
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import keep_since_homing, rehomed_joints
 from fss_arm_model.arrays import Floats
-from fss_arm_model.description import Arm, DescriptionError
+from fss_arm_model.description import Arm
+from fss_arm_model.description_fields import DescriptionError
 from fss_arm_model.estimation.least_squares import CAUCHY, Mask
 from fss_arm_model.estimation.statistics import probability, redundancy
 from fss_arm_model.planar import inverse
