@@ -39,6 +39,7 @@ UNKNOWN_ANGLE_SIGMA = math.radians(5.0)
 
 #: Largest values in files by their unit, and the unit that a larger one probably has.
 MAX_VALUES = {"m": (10.0, "millimetres"), "kg": (1000.0, "grams")}
+MAX_GYRATION_RADIUS = 2.0  # [m]
 
 #: Descriptions in the package, by the name that settings use.
 ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
@@ -191,13 +192,17 @@ def load(path: str | os.PathLike[str]) -> Arm:
 
 
 def _check_units(part: Base | Link) -> None:
-    """Raise DescriptionError if a length or a mass is so large that its unit must be wrong."""
+    """Raise DescriptionError if a value is so large that its unit must be wrong."""
     for f in fields(part):
         value, unit = getattr(part, f.name), f.metadata["unit"]
         largest, wrong_unit = MAX_VALUES.get(unit, (math.inf, ""))
         if isinstance(value, float) and abs(value) > largest:
             expected = f"at most {largest:g} [{unit}]; in {wrong_unit}?"
             raise DescriptionError(f.name, value, expected)
+    largest = part.mass * MAX_GYRATION_RADIUS**2
+    if part.inertia > largest:
+        expected = f"at most {largest:g} [kg m^2] with this mass; in kg cm^2?"
+        raise DescriptionError("inertia", part.inertia, expected)
 
 
 def described(arm: str) -> Arm:

@@ -105,6 +105,11 @@ def test_wrong_entry_is_named_with_value_and_expectation(where, value, field, ex
         ("mass: 3", "mass: 3000", "link 2: mass is 3000.0, expected at most 1000 [kg]; in grams?"),
         ("b: 0.2", "b: -200", "link 2: b is -200.0, expected at most 10 [m]; in millimetres?"),
         ("mass: 12", "mass: 12e3", "base: mass is 12000.0, expected at most 1000 [kg]; in grams?"),
+        (
+            "inertia: 0.04",
+            "inertia: 400",
+            "link 2: inertia is 400.0, expected at most 12 [kg m^2] with this mass; in kg cm^2?",
+        ),
     ],
 )
 def test_a_file_in_other_units_is_refused(tmp_path, was, becomes, words):
