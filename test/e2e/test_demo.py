@@ -66,7 +66,7 @@ class Demo:
 
     def domain(self):
         """The ROS domain that it says it is in."""
-        found = re.search(r"ROS\s+domain\s+(\d+)\s+\(not yours\)", self.text)
+        found = re.search(r"own\s+ROS\s+domain,\s+(\d+)", self.text)
         return found and int(found[1])
 
     def observed(self):

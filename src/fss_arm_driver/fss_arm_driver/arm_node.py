@@ -119,7 +119,8 @@ class ArmNode(Node):
             return Health(WARN, describe_problems(problems), values)
         if why := self.states.withheld_reason:
             return Health(WARN, f"no arm/joint_states: {why}", values)
-        return Health(OK, links.arbiter.current_name(links.now()) or "ready", values)
+        motion = links.arbiter.current_name(links.now())
+        return Health(OK, f"{motion} is in progress" if motion else "ready", values)
 
 
 if __name__ == "__main__":

@@ -238,7 +238,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Run the experiment, and solve again from its bag."""
     with isolated_domain() as domain:
-        console.print(f"starting all nodes in ROS domain {domain.number} (not yours)")
+        console.print(f"starting all nodes in their own ROS domain, {domain.number}")
         result = observe(options, out, console, domain)
     found = KINEMATIC.report_of(result, load(CONFIG / "truth.yaml"))
     if (out / "arm.yaml").exists():

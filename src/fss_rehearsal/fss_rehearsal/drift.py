@@ -141,7 +141,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Let the base drift, solve, and solve again from the bag."""
     with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
-        console.print(f"starting all nodes in ROS domain {domain.number} (not yours)")
+        console.print(f"starting all nodes in their own ROS domain, {domain.number}")
         start_all(nodes, options, out)
         operator = DriftOperator(domain)
         live = operator.drift(options.seconds, options.speed)

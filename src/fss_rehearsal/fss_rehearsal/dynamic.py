@@ -323,7 +323,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     predicted = expected_result(paper_arm(), plan, settings, PAUSE).deviations
     with isolated_domain() as domain:
         console.print(
-            f"running the maneuvers; all nodes are in ROS domain {domain.number} (not yours)"
+            f"running the maneuvers; all nodes are in their own ROS domain, {domain.number}"
         )
         starts, loads = run_sessions(options, out, cameras, console, domain)
     with console.status("solving from the bags"):

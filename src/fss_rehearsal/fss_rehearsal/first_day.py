@@ -144,7 +144,7 @@ def run_check(operator: FirstDayOperator, url: str, out: Path) -> int | None:
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Check the link and read the findings."""
     with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
-        console.print(f"starting all nodes in ROS domain {domain.number} (not yours)")
+        console.print(f"starting all nodes in their own ROS domain, {domain.number}")
         nodes.start("record", "fss_arm_bags", "record", output=out / "bag")
         q = np.zeros(LINKS)
         q[options.link - 1] = INITIAL_ANGLE

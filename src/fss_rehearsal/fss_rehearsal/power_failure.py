@@ -117,7 +117,7 @@ def run_scenario(operator: PowerOperator, outage: float) -> Times:
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     """Cut and restore the power, then evaluate the bag."""
     with isolated_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
-        console.print(f"starting all nodes in ROS domain {domain.number} (not yours)")
+        console.print(f"starting all nodes in their own ROS domain, {domain.number}")
         start_all(nodes, options, out)
         operator = PowerOperator(domain, options.link)
         times = run_scenario(operator, options.outage)

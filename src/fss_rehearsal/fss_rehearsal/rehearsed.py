@@ -41,7 +41,7 @@ class Rehearsed:
         return Report(
             title,
             "fail" if failed else "pass",
-            "; ".join(reasons) or "all checks passed",
+            "; ".join(reasons) or "all expectations met",
             [Table("", ("expected", "happened", "passed"), rows, words=3)],
             about,
             self.figures,

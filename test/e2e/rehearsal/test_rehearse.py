@@ -30,7 +30,7 @@ def test_it_goes_as_expected(tmp_path, name):
     """In half a minute to a minute each."""
     done = rehearse(name, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "all checks passed" in (tmp_path / "out/report/index.html").read_text()
+    assert "all expectations met" in (tmp_path / "out/report/index.html").read_text()
     assert (tmp_path / f"out/report/{name}.png").stat().st_size > 10_000
     assert (tmp_path / "out/bag").is_dir()
 
@@ -70,7 +70,7 @@ def test_a_page_says_what_was_not_as_expected(tmp_path):
     assert worse.reason == words
     late = "the computer was overloaded"
     assert Rehearsed([*checks, *checks], invalid=late).report("", "").reason == f"{late}; {words}"
-    assert Rehearsed(checks[:1], invalid=late).report("", "").reason == "all checks passed"
+    assert Rehearsed(checks[:1], invalid=late).report("", "").reason == "all expectations met"
 
 
 TIME = np.arange(0, 24 * SECOND, SECOND // 50)

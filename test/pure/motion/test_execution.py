@@ -63,7 +63,7 @@ CAD = replace(paper_arm(), name="cad")
         ("cad", None, ""),
         ("cad", paper_arm(), ""),
         ("cad", CAD, "the node motion has 'cad', this plan is for 'paper'"),
-        ("", replace(paper_arm(), theta_E=0.1), "'paper' was changed since"),
+        ("", replace(paper_arm(), theta_E=0.1), "'paper' has changed since"),
         ("paper", CAD, ""),  # after a calibration
     ],
 )
