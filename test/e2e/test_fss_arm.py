@@ -265,7 +265,7 @@ class FakeMotion(Node):
     def __init__(self, message="", joints=2):
         super().__init__("motion")
         self.declare_parameter("arm", "")
-        self.message, self.files, self.cancelled = message, [], False
+        self.message, self.files, self.canceled = message, [], False
         self.states = self.create_publisher(JointState, "arm/joint_states", SENSOR)
         self.telemetry = {
             i: self.create_publisher(LinkTelemetry, f"link_{i}/telemetry", SENSOR) for i in (1, 2)
@@ -302,9 +302,9 @@ class FakeMotion(Node):
         while self.message == "cancel" and not handle.is_cancel_requested:
             await self.next_report
         if handle.is_cancel_requested:
-            self.cancelled = True
+            self.canceled = True
             handle.canceled()
-            return ExecuteMotion.Result(message="cancelled")
+            return ExecuteMotion.Result(message="canceled")
         (handle.abort if self.message else handle.succeed)()
         report = MotionReport(arm="other", predicted=[0.01, -0.02, 0.5],
                               predicted_deviation=[0.001, 0.001, 0.01],
@@ -373,11 +373,11 @@ def test_a_plan_that_does_not_fit_the_arm_is_refused(telling, plan_file, message
     assert bool(motion.files) == bool(message)
 
 
-def test_a_plan_that_is_interrupted_is_cancelled(telling, plan_file):
+def test_a_plan_that_is_interrupted_is_canceled(telling, plan_file):
     motion = FakeMotion("cancel")  # by SIGTERM, as SIGINT is ignored in the background
     given = {"interrupt_when": lambda: motion.files, "how": signal.SIGTERM}
     assert telling([motion], "execute", plan_file, **given)[0] == 130
-    assert motion.cancelled
+    assert motion.canceled
 
 
 def test_a_move_that_is_interrupted_comes_to_rest(spin, moving, telling):

@@ -55,7 +55,7 @@ class ArmClient:
         self.goal = goal
         self.publish_alive()
         try:
-            if handle.is_cancel_requested:  # cancelled before the trajectory was accepted
+            if handle.is_cancel_requested:  # canceled before the trajectory was accepted
                 self.cancel()
             return await goal.get_result_async()
         finally:

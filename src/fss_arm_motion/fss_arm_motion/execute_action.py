@@ -1,7 +1,7 @@
 """Client of `arm/execute` for a plan's file: the command `fss_arm.sh execute`.
 
 It waits until the arm is ready, and says what it waits for. If it is interrupted, the motion is
-cancelled: the arm comes to rest.
+canceled: the arm comes to rest.
 """
 
 import re
@@ -143,7 +143,7 @@ class PlanExecution:
 
         sent: Future | None = None
         try:
-            with deferred_signals():  # a goal that was sent can be cancelled
+            with deferred_signals():  # a goal that was sent can be canceled
                 sent = self.client.send_goal_async(ExecuteMotion.Goal(file=str(path)), on_feedback)
             self.after(sent)
             if not (handle := sent.result()).accepted:
@@ -200,7 +200,7 @@ def execute_plan(node: Node, path: Path, wait: float, say: Say) -> tuple[bool, s
 
     Raises:
         NoMotionNodeError: no node executes plans.
-        KeyboardInterrupt: interrupted; the motion is cancelled.
+        KeyboardInterrupt: interrupted; the motion is canceled.
     """
     try:
         stored = parsed(path)

@@ -124,18 +124,18 @@ class MotionNode(Node):
         """Wait until a condition holds.
 
         Raises:
-            MotionError: the goal was cancelled meanwhile.
+            MotionError: the goal was canceled meanwhile.
         """
         while not condition():
             if handle.is_cancel_requested:
-                raise MotionError("cancelled")
+                raise MotionError("canceled")
             await self.next_tick
 
     async def plan(self, handle: ServerGoalHandle) -> Plan:
         """Plan the motion of a goal, once the base's drift is known or the arm does not rest.
 
         Raises:
-            ValueError: there is none, or the goal was cancelled meanwhile.
+            ValueError: there is none, or the goal was canceled meanwhile.
             OSError: its file cannot be read.
         """
         deadline = self.now() + 2 * round(REST_WINDOW * SECOND)

@@ -79,7 +79,10 @@ class Start:
         """
         q = np.asarray(q, dtype=float)
         if q.shape != (self.arm.n,):
-            raise PlanError(f"{name} has {q.size} angles, expected {self.arm.n}")
+            raise PlanError(
+                f"{name} has {q.size} angles, expected {self.arm.n}, "
+                f"as the arm {self.arm.name!r} has {self.arm.n} joints"
+            )
         if not np.isfinite(q).all():
             raise PlanError(f"{name} is {in_degrees(q)}, expected finite angles")
         if problem := self.limits.outside(q):

@@ -322,7 +322,7 @@ def tip_path(start: Start, request: TipPath) -> Plan:
             last = states[int(report[1]), 3:]
             ended = _reason(start, report, last, share * way.length, way.length)
             if not request.partial:
-                raise PlanError(ended)
+                raise PlanError(f"{ended}; --partial accepts the part up to there")
             if share < 0.02:
                 raise PlanError(f"the path is too short: {ended}")
             end = min(0.99 * share, 0.995 * end)

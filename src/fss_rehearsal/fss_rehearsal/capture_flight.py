@@ -129,7 +129,10 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     rest = np.round(spin[1], 3) + 0.0  # never -0.000
     spin_text = f"{spin[0]:.2f} deg/s at the start, {rest:.3f} deg/s at the end"
     log_line(f"  {difference}")
-    log_line(f"  in the whole mission {max(audit):.0e} N s or N m s, and {energy:.0e} J of energy")
+    log_line(
+        f"  balances of the simulation are off by at most {max(audit):.0e} N s or N m s "
+        f"and {energy:.0e} J in the whole mission"
+    )
     log_line(f"spin of the target: {spin_text}")
     log_line(f"propellant used: {1e3 * flight.propellant[-1]:.1f} g")
     sigmas, lines = mass_errors(flight, p, k)

@@ -58,7 +58,7 @@ def test_the_base_turns_as_predicted_or_not_at_all(person):
     assert back.result.reached, back.result.message
 
 
-def test_a_cancelled_motion_comes_to_rest(person):
+def test_a_canceled_motion_comes_to_rest(person):
     handle = person.send(
         kind="point_to_point", arguments=["--goal", "60", "0", "0", "0", "--duration", "20"]
     )
@@ -67,7 +67,7 @@ def test_a_cancelled_motion_comes_to_rest(person):
     person.after(handle.cancel_goal_async())
     ended = person.after(handle.get_result_async())
     assert ended.status == GoalStatus.STATUS_CANCELED
-    assert ended.result.message == "cancelled"
+    assert ended.result.message == "canceled"
 
 
 def test_the_arm_comes_to_rest_when_the_planner_is_killed_and_goes_on_with_the_next(person, nodes):

@@ -171,13 +171,13 @@ def test_links_that_have_not_connected_are_waited_for_without_a_warning(bench, m
     assert said == ["a move waits: links 1, 2 are not connected yet"]
 
 
-def test_a_second_move_is_refused_and_the_first_can_be_cancelled(bench):
+def test_a_second_move_is_refused_and_the_first_can_be_canceled(bench):
     first = bench.moving()
     assert bench.move(0.1, 0.1).result.message == "a move is in progress"
     bench.after(first.cancel_goal_async())
     done = bench.end(first)
     assert done.status == GoalStatus.STATUS_CANCELED
-    assert done.result.message == "cancelled"
+    assert done.result.message == "canceled"
     bench.rest()
     assert bench.arm.links.states[1].armed
     assert bench.move(0.0, 0.0).result.reached

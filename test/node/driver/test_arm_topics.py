@@ -496,7 +496,7 @@ def test_the_longest_goal_runs_and_heartbeats_are_never_older_than_a_second(star
     assert np.diff(beats).max() <= 1.0
     sent.result().cancel_goal_async()
     spin(nodes, ended.done)
-    assert ended.result().result.error_string == "cancelled"
+    assert ended.result().result.error_string == "canceled"
     client.action.destroy()
 
 

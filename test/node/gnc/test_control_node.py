@@ -46,7 +46,7 @@ def test_invalid_trajectories_and_plans_are_counted_and_ignored(bench):
     bench.planned.publish(JointTrajectory(joint_names=["joint_1"]))
     expected = {"refused on base/trajectory": 1, "refused on arm/planned": 1}
     bench.until(lambda: refusals(bench.control) == expected)
-    bench.stops("base/trajectory is ")
+    bench.stops("no new base/trajectory for ")
     assert np.abs(bench.wrenches).max() < 1.0  # 5 m would be 13 N
 
 

@@ -83,7 +83,7 @@ def test_base_action_preempts_another_without_a_gap(bench):
     assert None not in bench.paths
 
 
-def test_cancelled_hold_counts_as_held(bench):
+def test_canceled_hold_counts_as_held(bench):
     handle = bench.holding()
     bench.until(lambda: bench.states[-1].elapsed > 1.1)
     assert {
@@ -152,7 +152,7 @@ def test_clock_that_jumps_back_ends_the_action(spin):
 
 
 class Reach:
-    """A mission that moves the joints and closes the gripper, until it is cancelled."""
+    """A mission that moves the joints and closes the gripper, until it is canceled."""
 
     outcome = None
 

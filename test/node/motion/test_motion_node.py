@@ -91,12 +91,12 @@ def test_the_node_does_not_wait_for_a_plan(bench, slow_planner):
     assert bench.after(ended).result.message == "there is no plan"
 
 
-def test_a_goal_is_cancelled_while_it_is_planned(bench, slow_planner):
+def test_a_goal_is_canceled_while_it_is_planned(bench, slow_planner):
     handle = bench.send(kind="slow")
     bench.until(lambda: bench.motion.busy)
     bench.after(handle.cancel_goal_async())
     ended = bench.after(handle.get_result_async())
-    assert (ended.status, ended.result.message) == (GoalStatus.STATUS_CANCELED, "cancelled")
+    assert (ended.status, ended.result.message) == (GoalStatus.STATUS_CANCELED, "canceled")
 
 
 TURN = ["--goal", "10", "0", "0", "0"]

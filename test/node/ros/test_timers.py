@@ -1,4 +1,4 @@
-"""A timer that fires once, started and cancelled by threads."""
+"""A timer that fires once, started and canceled by threads."""
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -28,15 +28,15 @@ class Cancelling(MutuallyExclusiveCallbackGroup):
 
     def __init__(self, cancel):
         super().__init__()
-        self.cancel, self.cancelled = cancel, 0
+        self.cancel, self.canceled = cancel, 0
 
     def beginning_execution(self, entity):
         self.cancel()
-        self.cancelled += 1
+        self.canceled += 1
         return super().beginning_execution(entity)
 
 
-def cancelled_when_ready(node, timer):
+def canceled_when_ready(node, timer):
     """Return the group of a node's only timer, which cancels it when it is about to be called."""
     (entity,) = node.timers
     entity.callback_group = group = Cancelling(timer.cancel)
@@ -44,11 +44,11 @@ def cancelled_when_ready(node, timer):
     return group
 
 
-def test_it_may_be_cancelled_while_the_executor_is_about_to_call_it(spin):
+def test_it_may_be_canceled_while_the_executor_is_about_to_call_it(spin):
     """A plain timer ends the node with "failed to call timer: timer is canceled"."""
     node, fired = Node("one_shot", start_parameter_services=False), []
     timer = OneShotTimer(node, lambda: fired.append(1), STEADY)
-    group = cancelled_when_ready(node, timer)
+    group = canceled_when_ready(node, timer)
     timer.start(0)
-    spin(node, lambda: group.cancelled)
+    spin(node, lambda: group.canceled)
     assert not fired

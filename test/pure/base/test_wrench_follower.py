@@ -76,7 +76,7 @@ def test_a_wrench_that_is_not_valid_replaces_none(follower, session):
     assert follower.command_pulses(session, START)
 
 
-def test_a_cancelled_wrench_opens_nothing(follower, session):
+def test_a_canceled_wrench_opens_nothing(follower, session):
     follower.follow(push(-0.05), START)
     follower.cancel()
     assert not follower.command_pulses(session, START)

@@ -81,8 +81,11 @@ def test_a_lost_topic_closes_the_valves_once(silent):
         getattr(controller, name).store(now, getattr(controller, name).value)
     np.testing.assert_array_equal(controller.step(now), ZERO)
     assert controller.step(now) is None
-    topic = {"base": "base/state", "trajectory": "base/trajectory"}[silent]
-    assert controller.status(now) == f"thrusters idle: {topic} is 2.0 s old"
+    words = {
+        "base": "base/state is 2.0 s old",
+        "trajectory": "no new base/trajectory for 2.0 s",
+    }
+    assert controller.status(now) == f"thrusters idle: {words[silent]}"
 
 
 def test_silent_joints_are_assumed_at_rest():

@@ -140,15 +140,15 @@ def test_base_brakes_before_a_target_on_its_path():
 
 def test_cancel_brakes_a_motion_and_ends_a_hold():
     motion = go_to(CRAFT, observed(), [0.8, 0.0, 0.0], 0.0, 60.0)
-    phases, commands, last = fly(motion, lambda t: t > 8.0 and motion.cancel("cancelled"))
+    phases, commands, last = fly(motion, lambda t: t > 8.0 and motion.cancel("canceled"))
     assert phases == ["go_to", "brake"]
-    assert commands.outcome == (False, "cancelled")
+    assert commands.outcome == (False, "canceled")
     assert last.t > 9.0
     np.testing.assert_allclose(last.base.twist, 0.0, atol=1e-9)
 
     motion = hold(CRAFT, observed(), [0.0, 0.0, 0.05], 0.0)
     assert motion.step(observed(1e5)).outcome is None  # endless
-    motion.cancel("cancelled")
+    motion.cancel("canceled")
     assert motion.step(observed(1e5 + 1)).outcome == (True, "")
 
 

@@ -488,7 +488,7 @@ def test_requested_abort_succeeds_when_the_drift_is_safe():
     assert ends[1].success
 
 
-def test_cancelled_detumble_is_aborted():
+def test_canceled_detumble_is_aborted():
     mission, obs = Detumble(CRAFT), observe(at(0.0, 0.0, 0.0), holds=True)
     assert mission.step(obs).phase == "detumble"
     mission.cancel("enough")

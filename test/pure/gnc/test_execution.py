@@ -24,7 +24,7 @@ class Steps:
     """An activity that returns given commands, or fails."""
 
     def __init__(self, *commands, tolerates=False):
-        self.left, self.is_tolerant, self.cancelled = list(commands), tolerates, ""
+        self.left, self.is_tolerant, self.canceled = list(commands), tolerates, ""
 
     def tolerates(self, obs):
         return self.is_tolerant
@@ -35,7 +35,7 @@ class Steps:
         return self.left.pop(0)
 
     def cancel(self, reason):
-        self.cancelled = reason
+        self.canceled = reason
 
     interrupt = cancel
 
@@ -84,12 +84,12 @@ def test_it_aborts_with_a_reason(t, problem, tolerates, reason):
     assert (commands.phase, commands.outcome) == ("abort", Outcome(False, reason))
 
 
-def test_it_is_cancelled_by_its_activity():
+def test_it_is_canceled_by_its_activity():
     execution = execute(Commands("reach"), Commands("brake"))
     assert execution.step(observation(), False, "").phase == "reach"
-    assert not execution.activity.cancelled
+    assert not execution.activity.canceled
     assert execution.step(observation(1.0), True, "").phase == "brake"
-    assert execution.activity.cancelled == "cancelled"
+    assert execution.activity.canceled == "canceled"
     assert execution.budget.elapsed == 1.0
 
 
@@ -99,7 +99,7 @@ def test_it_coasts_and_is_interrupted_while_control_ignores_its_reference():
     commands = execution.step(stalled, False, "")
     assert commands == Commands("coast", reason=stalled.stall)
     assert dict(command_messages(execution, commands, 1.0, 1.0, 7))["base/trajectory"].points == []
-    assert execution.activity.cancelled == stalled.stall
+    assert execution.activity.canceled == stalled.stall
     assert execution.step(observation(2.0), False, "").phase == "reach"  # its next step
 
 

@@ -134,7 +134,7 @@ class MoveAction:
     def check(self, handle: ServerGoalHandle, motion: Motion) -> None:
         """Raise MotionError if a move cannot or must not continue."""
         if handle.is_cancel_requested:
-            raise MotionError("cancelled")
+            raise MotionError("canceled")
         self.links.check(motion)
         connected = bool(self.links.node.count_clients(RESULT_SERVICE))
         if reason := self.client.lost_reason(time.monotonic(), connected):

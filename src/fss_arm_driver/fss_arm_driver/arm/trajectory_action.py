@@ -36,7 +36,7 @@ from fss_arm_ros.subscriptions import Topic
 from fss_arm_ros.validation import subscribe
 
 CONTROLLER = "arm_controller"
-CANCELLED = "cancelled"
+CANCELED = "canceled"
 RESULT_SERVICE = (
     f"{CONTROLLER}/follow_joint_trajectory/_action/get_result"  # its clients await results
 )
@@ -118,7 +118,7 @@ class TrajectoryAction:
             handle.succeed()
         except TrajectoryError as error:
             code, words = error.code, str(error)
-            if words == CANCELLED:
+            if words == CANCELED:
                 handle.canceled()
             else:
                 self.warn("trajectory ended", error)
@@ -190,7 +190,7 @@ class TrajectoryAction:
             links.send(commands, links.now(), motion)
             await links.ticked
             if handle and handle.is_cancel_requested:
-                raise TrajectoryError(Code.SUCCESSFUL, CANCELLED)
+                raise TrajectoryError(Code.SUCCESSFUL, CANCELED)
             connected = bool(links.node.count_clients(RESULT_SERVICE))
             if handle and (reason := self.client.lost_reason(time.monotonic(), connected)):
                 raise TrajectoryError(Code.INVALID_GOAL, reason)

@@ -1,5 +1,7 @@
 """Control of the base from the newest messages: it decides when the valves must stay closed."""
 
+from math import inf
+
 import numpy as np
 
 from fss_arm_model.arrays import Floats
@@ -98,5 +100,7 @@ class BaseControl:
             return f"{effect}: {self.problem}"
         if self.active:
             return "following base/trajectory"
+        if self.trajectory.max_age < (age := self.trajectory.age(now)) < inf:
+            return f"thrusters idle: no new base/trajectory for {age:.1f} s"
         reason = self.trajectory.problem(now) or "base/trajectory has no points"
         return f"thrusters idle: {reason}"

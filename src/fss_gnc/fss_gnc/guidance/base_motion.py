@@ -31,14 +31,14 @@ class PathMotion:
     """Activity that moves the base along a path and then holds its last pose for a while.
 
     It gives way to other vehicles, and then continues. It brakes, and then fails, if edge or target
-    are in the way. If it is cancelled on the path, it brakes before it ends. For a while it
+    are in the way. If it is canceled on the path, it brakes before it ends. For a while it
     continues without joint states.
 
     Args:
         craft: whose base.
         phase: name of the phase during the motion.
         path: starts at time 0.
-        hold: how long to hold at the end [s]; inf: until it is cancelled.
+        hold: how long to hold at the end [s]; inf: until it is canceled.
         arrival_timeout: time after the path's end by which the base must be at rest there [s];
             None: it only has to stay near its reference.
     """
@@ -151,7 +151,7 @@ def hold(craft: Craft, obs: Observation, pose: npt.ArrayLike, duration: float) -
         craft: whose base.
         obs: state at the start.
         pose: to hold [m, m, rad].
-        duration: how long [s]; 0: until it is cancelled.
+        duration: how long [s]; 0: until it is canceled.
 
     Raises:
         ActivityError: a value is invalid, the pose is too far, or the path to it is not free.

@@ -40,12 +40,12 @@ class Execution:
     phase: str = ""  # of the last commands
     problem: str = ""  # why it aborts, brakes or assumes a state, after the phase; empty: not so
 
-    def step(self, obs: Observation, cancelled: bool, problem: str) -> Commands:
+    def step(self, obs: Observation, canceled: bool, problem: str) -> Commands:
         """Return the activity's commands; abort it if it cannot continue.
 
         Args:
             obs: known state.
-            cancelled: True if its end was requested.
+            canceled: True if its end was requested.
             problem: why base or joints are unknown; empty if both are known.
         """
         self.budget.update(obs)
@@ -54,8 +54,8 @@ class Execution:
         if obs.stall:  # control follows again after a reference without points
             self.activity.interrupt(obs.stall)
             return Commands("coast", reason=obs.stall)
-        if cancelled:
-            self.activity.cancel("cancelled")
+        if canceled:
+            self.activity.cancel("canceled")
         if problem and not self.activity.tolerates(obs):
             return _abort(problem)
         try:
