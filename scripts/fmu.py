@@ -261,6 +261,10 @@ def main() -> int:
     try:
         if source.suffix == ".c":
             model = law_model(source.resolve(strict=True))
+        elif source.suffix not in {".yaml", ".yml"}:
+            raise ValueError(
+                f"{source}: only a law in C (.c) or a description (.yaml) can be exported"
+            )
         else:
             model = plant_model(source, described(str(source)))
         with required_libraries("fmu.sh"):

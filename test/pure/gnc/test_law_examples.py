@@ -50,6 +50,14 @@ def compiled(tmp_path_factory):
     return compile_law
 
 
+@pytest.mark.parametrize("name", ["pd_hold.py", "pd_hold.cpp"])
+def test_only_a_law_in_c_is_exported(name, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["fmu.sh", name])
+    assert fmu.main() == 1
+    words = "only a law in C (.c) or a description (.yaml) can be exported"
+    assert capsys.readouterr().err == f"fmu.sh: {name}: {words}\n"
+
+
 @cache
 def flight(name):
     return list(fly.fly(load(f"{LAWS}/{name}", 4, PERIOD), paper_arm(), 40.0))
