@@ -247,7 +247,7 @@ def main() -> int:
     options, vehicle = parsed()
     try:
         check_domain()
-        # A plan that is interrupted is cancelled, which needs a context that still works.
+        # A plan that is interrupted is canceled, which needs a context that still works.
         executes = options.what == "execute"
         signals = SignalHandlerOptions.NO if executes else SignalHandlerOptions.ALL
         rclpy.init(signal_handler_options=signals)

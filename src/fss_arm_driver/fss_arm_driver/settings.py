@@ -100,14 +100,14 @@ class ArmSettings(GuardSettings):
     arm: str = setting("", "arm: paper, cad, truth (simulator) or a file; empty: paper")
     rate: float = setting(
         5.0,
-        "rate of each link's commands in a motion; below 10 Hz it is doubled on a path",
+        "rate at which a motion's commands are sent to the nodes of the links",
         unit="Hz",
         check=between(0.1, 1000.0),
     )
     time_to_live: float = setting(
         1.0,
-        "a motion ends after this silence of a link, or pause of this node; time to live of "
-        "commands to links",
+        "lifetime of commands to links; a motion also ends if a link is silent, or this node "
+        "pauses, for longer",
         unit="s",
         check=between(0.001, 3600.0),
     )

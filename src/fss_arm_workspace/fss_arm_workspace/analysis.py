@@ -54,7 +54,7 @@ class AnalysisSettings(PathSettings):
     cell: float = setting(0.01, "size of the maps' cells", unit="m", check=at_least(0.001))
     directions: int = setting(360, "initial number of straight paths", check=at_least(8))
     of_true_angle: bool = setting(
-        False, "joint limits hold for the true angle q + theta_0, not for the encoder's q"
+        False, "true: joint limits hold for the true angle q + theta_0; false: for the reading q"
     )
     workers: int = setting(1, "number of threads that compute the maps", check=at_least(1))
 

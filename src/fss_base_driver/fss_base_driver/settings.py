@@ -76,7 +76,10 @@ class MocapSettings(Settings):
         check=POSITIVE,
     )
     timeout: float = setting(
-        1.0, "silence after which the system or a subject is reported", unit="s", check=POSITIVE
+        1.0,
+        "silence after which the system or a subject is reported as missing",
+        unit="s",
+        check=POSITIVE,
     )
 
     def __post_init__(self) -> None:
@@ -157,11 +160,14 @@ class BaseSettings(Settings):
         check=FINITE,
     )
     minimum_on_time: float = setting(
-        0.01, "shortest time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
+        0.01,
+        "shortest pulse of a wrench's valves; shorter ones are carried over",
+        unit="s",
+        check=NOT_NEGATIVE,
     )
     max_on_time: float = setting(
         1.0,
-        "longest on-time that is accepted on thrusters/command; the board closes after 1 s",
+        "longest on-time that is accepted on thrusters/command; the board cuts pulses at 1 s",
         unit="s",
         check=between(0.001, 6.5),
     )

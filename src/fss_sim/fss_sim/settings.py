@@ -115,7 +115,7 @@ class PlantSettings(Settings):
     )
     target_twist: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0),
-        "initial velocity of the target",
+        "initial velocity of the target in the world, and its turn rate",
         unit="m/s, m/s, rad/s",
         check=FINITE,
         size=3,
@@ -309,13 +309,13 @@ class TestbedSettings(PlantSettings):
     )
     twist: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0),
-        "initial velocity of base and arm, about the base's origin",
+        "initial velocity of the base's origin in the world, and turn rate; joints are at rest",
         unit="m/s, m/s, rad/s",
         check=FINITE,
         size=3,
     )
     q: tuple[float, ...] = setting(
-        (), "initial joint angles; empty: all 0", unit="rad", check=FINITE
+        (), "initial joint readings, without encoder errors; empty: all 0", unit="rad", check=FINITE
     )
     keep_clock: bool = setting(
         False, "true: publish /clock (nodes need use_sim_time); false: ROS time"

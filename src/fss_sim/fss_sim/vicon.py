@@ -67,7 +67,7 @@ class Room(Settings):
     )
     heights: tuple[float, ...] = setting(
         (0.5, 0.3, 0.3),
-        "heights of base, links and target above the table",
+        "heights of the tops of base, links and target above the table",
         unit="m",
         check=NOT_NEGATIVE,
         size=3,

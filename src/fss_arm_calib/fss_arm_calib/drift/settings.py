@@ -29,13 +29,13 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         10.0, "Hz", "poses per second that count as independent in an average"
     )
     torque_deviation: float = sigma(
-        0.05, "N m", "the hose's constant torque, about 0; 0: it has none"
+        0.05, "N m", "the hose's constant torque, prior (mean 0); 0: it has none"
     )
     twist_deviation: float = sigma(
-        0.01, "N m s", "the hose's resistance to rotation, about 0; 0: it has none"
+        0.01, "N m s", "the hose's resistance to rotation, prior (mean 0); 0: it has none"
     )
     drag_deviation: float = sigma(
-        0.05, "N s/m", "the hose's resistance to translation, about 0; 0: it has none"
+        0.05, "N s/m", "the hose's resistance to translation, prior (mean 0); 0: it has none"
     )
     com_deviation: float = sigma(
         0.01, "m", "the center of mass of base and arm, each axis, if the description has none"
@@ -50,4 +50,4 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     max_tilt: float = positive(
         radians(0.001), "rad", "largest accepted 1 sigma of the table's tilt"
     )
-    max_torque: float = positive(1e-3, "N m", "largest accepted 1 sigma of the hose's mean torque")
+    max_torque: float = positive(1e-3, "N m", "largest accepted 1 sigma of the hose's torque")

@@ -25,7 +25,7 @@ class DrivesSettings(ExcitationSettings, KindSettings):
     window: float = positive(1.6, "s", "averaging time of torques and motion")
     rotor_inertia: float = setting(
         0.0026,
-        "inertia of each rotor, seen at its joint; used if frames are too far apart to estimate it",
+        "inertia of each rotor, seen at its joint; used if frames are over 15 ms apart",
         unit="kg m^2",
         check=NOT_NEGATIVE,
     )

@@ -50,7 +50,7 @@ class KinematicSettings(NoiseSettings):
     base_heading_deviation: float = sigma(
         0.0,
         "rad",
-        "the base's heading, contained in heading_deviation; 0: estimated if "
+        "the base's heading, a part of heading_deviation; 0: estimated if "
         "position_deviation and heading_deviation are 0, too",
     )
     max_position_deviation: float = like(
@@ -82,7 +82,7 @@ class KinematicSettings(NoiseSettings):
         check=Check("0, or 2 or more", lambda value: value == 0 or value >= 2, low=0.0),
     )
     max_length_change: float = positive(
-        0.05, "m", "largest change of a link's length; a larger one means another arm"
+        0.05, "m", "largest change of a described length; a larger one fails, as another arm"
     )
 
     def __post_init__(self) -> None:

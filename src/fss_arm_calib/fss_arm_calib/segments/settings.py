@@ -29,7 +29,9 @@ class StreamSettings(Settings):
     """Settings for the gaps and lags of streams."""
 
     joint_gap: float = positive(
-        1.0, "s", "longest gap in a joint's samples, and longest jump back of a clock, in a datum"
+        1.0,
+        "s",
+        "longest accepted gap in joint samples, and backward jump of a clock, in a datum",
     )
     horizon: float = positive(60.0, "s", "longest wait for a stream that lags behind the others")
 

@@ -52,7 +52,7 @@ class PathSettings(Settings):
     )
     gain: float = setting(
         5.0,
-        "pull of redundant joints to the middle of their range; 0: none",
+        "pull of joints to the middle of their range, for `away from limits`; 0: none",
         unit="rad/m",
         check=NOT_NEGATIVE,
     )

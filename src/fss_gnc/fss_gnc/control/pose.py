@@ -35,7 +35,7 @@ class PoseGains(Settings):
     damping: float = setting(0.9, "damping ratio of the base controller", check=POSITIVE)
     integral: float = setting(
         0.1,
-        "integral gain, as a fraction of the bandwidth; compensates steady disturbances",
+        "integral gain, as a fraction of bandwidth^3; compensates steady disturbances",
         check=NOT_NEGATIVE,
     )
     max_disturbance: float = setting(

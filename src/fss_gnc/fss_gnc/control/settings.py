@@ -22,7 +22,7 @@ class ControlSettings(PoseGains):
     )
     timeout: float = setting(
         1.0,
-        "time after which a base/trajectory expires unless it is repeated",
+        "time after which a base/trajectory expires unless it is repeated; then the valves close",
         unit="s",
         check=POSITIVE,
     )

@@ -38,7 +38,7 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     )
     # the approach
     posture: tuple[float, ...] = setting(
-        (), "joint angles of the approach; empty: the angles at its start", unit="rad", check=FINITE
+        (), "joint readings of the approach; empty: those at its start", unit="rad", check=FINITE
     )
     stand_off: float = setting(
         0.08,

@@ -52,24 +52,25 @@ class MassErrors(Settings):
 
     mass_error: float = setting(
         0.7,
-        "1 sigma of the logarithm of the target's mass and inertia; 0.7: known to a factor of 2",
+        "prior 1 sigma of the logarithm of the target's mass and inertia, about target_mass and "
+        "target_inertia; 0.7: known to a factor of 2",
         check=POSITIVE,
     )
     com_error: float = setting(
         0.05,
-        "standard deviation of the target's centre of mass from its frame's origin",
+        "prior 1 sigma of the target's centre of mass about its frame's origin, each axis",
         unit="m",
         check=POSITIVE,
     )
     momentum_walk: float = setting(
         0.003,
-        "random walk of the momentum by unknown forces",
+        "random walk of the momentum of base, arm and held target, when its mass is estimated",
         unit="N s/sqrt(s)",
         check=NOT_NEGATIVE,
     )
     angular_momentum_walk: float = setting(
         0.001,
-        "random walk of the angular momentum by unknown torques",
+        "random walk of their angular momentum, when the held target's inertia is estimated",
         unit="N m s/sqrt(s)",
         check=NOT_NEGATIVE,
     )

@@ -15,15 +15,15 @@ class SensorErrors(Settings):
 
     position_error: float = setting(
         0.001,
-        '1 sigma of the base\'s measured position, each axis; increase it if "NIS of poses" in '
-        "the diagnostics of `navigation` is above 3",
+        '1 sigma of a measured position, each axis; increase it if "NIS of poses" in the '
+        "diagnostics of `navigation` is far above the expected 3",
         unit="m",
         check=POSITIVE,
     )
     heading_error: float = setting(
         0.009,
-        '1 sigma of the base\'s measured heading; increase it if "NIS of poses" in the '
-        "diagnostics of `navigation` is above 3",
+        '1 sigma of a measured heading; increase it if "NIS of poses" in the diagnostics of '
+        "`navigation` is far above the expected 3",
         unit="rad",
         check=POSITIVE,
     )
@@ -58,13 +58,15 @@ class SensorErrors(Settings):
     )
     kick: float = setting(
         0.05,
-        "1 sigma of a sudden change of the base's speed, as by a touch or a grip",
+        "1 sigma of a sudden change of the base's speed, as by a grip; assumed only if a "
+        "measurement does not fit without it",
         unit="m/s",
         check=NOT_NEGATIVE,
     )
     angular_kick: float = setting(
         0.01,
-        "1 sigma of a sudden change of the base's turn rate",
+        "1 sigma of a sudden change of the base's turn rate; assumed only if a measurement does "
+        "not fit without it",
         unit="rad/s",
         check=NOT_NEGATIVE,
     )
@@ -155,7 +157,7 @@ class NavigationSettings(EstimatorSettings, MassErrors):
 
     latency: float = setting(
         0.0,
-        "delay that the stamps of poses still have; 0 if `latency` of mocap is set",
+        "delay of poses' stamps after the exposure, subtracted; 0 if `latency` of mocap is set",
         unit="s",
         check=between(0.0, 0.5),
     )

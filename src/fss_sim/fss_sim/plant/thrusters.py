@@ -31,7 +31,10 @@ class Propulsion(Settings):
         34.0, "specific impulse of the thrusters", unit="s", check=POSITIVE
     )
     minimum_on_time: float = setting(
-        0.01, "shortest time for which a thruster's valve can open", unit="s", check=NOT_NEGATIVE
+        0.01,
+        "shortest time for which a valve can open; shorter pulses do not open it",
+        unit="s",
+        check=NOT_NEGATIVE,
     )
     valve_delay: float = setting(
         0.005,
