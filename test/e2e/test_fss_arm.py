@@ -333,7 +333,7 @@ def test_a_plan_is_executed_and_its_effect_on_the_base_compared(telling, plan_fi
     assert (code, err) == (0, "")
     assert motion.files == [str(plan_file)]
     warning, *lines = out.splitlines()[1:]
-    assert warning == "warning: 'paper' has changed since this was planned: plan again"
+    assert warning == "warning: 'paper' has changed since planning: the prediction is made again"
     assert lines[:2] == ["the arm is ready", "moving for 3.0 s"]
     assert lines[3] == "  x [mm]                   10.0      1.0      12.0      2.0 (2.0 sigma)"
     assert lines[-2:] == [

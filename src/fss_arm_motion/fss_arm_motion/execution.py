@@ -66,7 +66,7 @@ def other_description(stored: Stored, running: str, initial: Arm | None) -> str:
     if initial is None or digest(initial) == stored.digest:
         return ""
     if initial.name == stored.arm:
-        return f"warning: {stored.arm!r} has changed since this was planned: plan again"
+        return f"warning: {stored.arm!r} has changed since planning: the prediction is made again"
     if running == stored.arm:  # a calibration, which the node `motion` has received, too
         return ""
     return f"warning: the node motion has {initial.name!r}, this plan is for {stored.arm!r}"
