@@ -53,6 +53,7 @@ def test_homings_are_read_from_bags(bag, tmp_path):
     assert found.used[-1].homings == (0, 2, 0, 0)
     assert len(found.used) == 5
     assert "3 observations left out: joint_2 homed or restarted since" in found.reason
+    assert found.summary.count("3 observations left out: joint_2 homed or restarted since") == 1
 
 
 @pytest.mark.parametrize(

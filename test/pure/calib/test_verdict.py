@@ -123,6 +123,7 @@ def test_what_is_from_before_a_homing_is_left_out():
         words = "13 observations left out: joint_2 homed or restarted since"
         assert stage(found, "homings").reason == words
         assert words in found.reason
+        assert words in found.summary
         few = calibrate([*old, *told[:2]], ARM, settings)
         assert few.summary.endswith(words)
     # A link that tells nothing of it leaves nothing out.

@@ -48,9 +48,9 @@ def calibrate(
     used = [o for o in comparable if o.used]
     problem = problem_of(used, arm, s)
     homings, number = check_homings(observations), check_number(problem, streams, s)
-    if number.verdict != PASS and homings.reason:
-        reason, brief = (f"{words}; {homings.reason}" for words in (number.reason, number.brief))
-        number = replace(number, reason=reason, brief=brief)
+    if why := homings.reason and f"; {homings.reason}":
+        reason = number.reason + why * (number.verdict != PASS)  # those of a pass have it already
+        number = replace(number, reason=reason, brief=number.brief + why)
     rests = check_rests(comparable, min_observations(problem, s))
     clocks = checks.clocks(streams, s.joint_gap)
     found = [checks.joint_names(streams, arm), clocks, homings, rests, number]
