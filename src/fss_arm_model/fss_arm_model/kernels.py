@@ -13,18 +13,16 @@ import hashlib
 import logging
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, cached_property
 from pathlib import Path
-from threading import Lock
+from threading import Lock, Timer
 from typing import IO, Any
 
 import numpy.typing as npt
 
 WAIT_BEFORE_LOG = 2.0  # for another process that compiles, before this is logged [s]
-POLL_PERIOD = 0.02  # of its lock, until then [s]
 
 
 @cache
@@ -67,16 +65,15 @@ def cache_lock(folder: Path) -> Iterator[bool]:
 
 def _acquire(lock: IO[str]) -> None:
     """Take a lock file; if this takes long, log why, because a kernel compiles for seconds."""
-    deadline = time.monotonic() + WAIT_BEFORE_LOG
-    while time.monotonic() < deadline:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        timer = Timer(WAIT_BEFORE_LOG, _log_wait)
+        timer.start()
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            time.sleep(POLL_PERIOD)
-        else:
-            return
-    _log_wait()
-    fcntl.flock(lock, fcntl.LOCK_EX)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        finally:
+            timer.cancel()
 
 
 @cache
