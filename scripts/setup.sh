@@ -365,4 +365,4 @@ echo "$pins" >"$venv/.stamp-packages"
 [[ ! $ros2cli ]] || current "$venv/.stamp-ros2cli" "$ROS2CLI" || { add_ros2cli; said=1; }
 # Scripts that continue by themselves set FSS_SETUP_NEXT to nothing.
 next=${FSS_SETUP_NEXT-scripts/demo.sh}
-[[ ! $said ]] || say "done${next:+; next: $next}"
+[[ ! $said ]] || say "done in $((SECONDS / 60)) min $((SECONDS % 60)) s${next:+; next: $next}"

@@ -93,6 +93,12 @@ class Judge(Node):
         return "base/state has the simulated clock: add --ros-args -p use_sim_time:=true"
 
 
+def print_row(t, away, turned, used):
+    """Print the errors at a time, and the propellant if it is known."""
+    propellant = "unknown" if isnan(used) else f"{used:.3f}"
+    print(f"{t:8.1f}  {away:19.1f}  {turned:19.2f}  {propellant:>14}", flush=True)
+
+
 def main():
     """Collect for a while, then print and plot; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -107,12 +113,12 @@ def main():
         print("time [s]  position error [mm]  heading error [deg]  propellant [g]")
         while judge.rows[-1][0] < options.duration:
             if judge.rows[-1][0] >= due:
-                print("{:8.1f}  {:19.1f}  {:19.2f}  {:14.3f}".format(*judge.rows[-1]), flush=True)
+                print_row(*judge.rows[-1])
                 due += 5.0
             judge.wait_for_row(options.wait)
     except (KeyboardInterrupt, ExternalShutdownException):
         return 130
-    print("{:8.1f}  {:19.1f}  {:19.2f}  {:14.3f}".format(*judge.rows[-1]))
+    print_row(*judge.rows[-1])
 
     times, away, turned, _ = zip(*judge.rows, strict=True)
     _, (top, bottom) = plt.subplots(2, sharex=True)

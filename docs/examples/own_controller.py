@@ -1,7 +1,7 @@
 """Keep the base where it is first seen, and swing joint 1; in the place of control and guidance."""
 
 from contextlib import suppress
-from math import atan2, cos, pi, sin
+from math import atan2, cos, degrees, pi, sin
 
 import rclpy
 from geometry_msgs.msg import WrenchStamped
@@ -29,7 +29,10 @@ class OwnController(Node):
         """Draw the base home; unseen, it coasts."""
         p, o, v = state.pose.pose.position, state.pose.pose.orientation, state.twist.twist
         x, y, heading = p.x, p.y, 2.0 * atan2(o.z, o.w)
-        self.home = self.home or (x, y, heading)
+        if self.home is None:
+            self.home = x, y, heading
+            place = f"{x:.3f} m, {y:.3f} m, {degrees(heading):.1f} deg"
+            self.get_logger().info(f"holding the base at {place}")
         dx, dy, turn = self.home[0] - x, self.home[1] - y, self.home[2] - heading
         c, s, turn = cos(heading), sin(heading), (turn + pi) % (2.0 * pi) - pi
         command = WrenchStamped(header=state.header)
@@ -54,5 +57,5 @@ if __name__ == "__main__":
     rclpy.init()
     with suppress(KeyboardInterrupt, ExternalShutdownException):  # Ctrl-C
         controller = OwnController()
-        controller.get_logger().info("running; Ctrl-C ends")
+        controller.get_logger().info("waiting for base/state; Ctrl-C ends")
         rclpy.spin(controller)
