@@ -31,7 +31,7 @@ class OwnController(Node):
         x, y, heading = p.x, p.y, 2.0 * atan2(o.z, o.w)
         if self.home is None:
             self.home = x, y, heading
-            place = f"{x:.3f} m, {y:.3f} m, {degrees(heading):.1f} deg"
+            place = f"{x:z.3f} m, {y:z.3f} m, {degrees(heading):z.1f} deg"
             self.get_logger().info(f"holding the base at {place}")
         dx, dy, turn = self.home[0] - x, self.home[1] - y, self.home[2] - heading
         c, s, turn = cos(heading), sin(heading), (turn + pi) % (2.0 * pi) - pi
