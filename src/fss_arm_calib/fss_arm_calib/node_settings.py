@@ -18,7 +18,7 @@ class NodeSettings(Settings):
     frame_id: str = setting("", "frame id of the results; empty: that of the base (drift: world)")
     state_file: str = setting("", "file that keeps the data across restarts; empty: none")
     output: str = setting(
-        "", "file written when a result passes: the description (drift: parameters); empty: none"
+        "", "file of a result that passes: description, or parameters (drift); empty: none"
     )
     report: str = setting("", "folder for the report that ~/solve writes; empty: none")
 

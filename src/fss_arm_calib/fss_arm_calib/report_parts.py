@@ -12,6 +12,7 @@ from fss_arm_calib.outcome import Estimate, Outcome
 from fss_arm_model.arrays import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
+from fss_arm_model.parameters import describe_symbols
 from fss_arm_model.planar import wrap
 from fss_arm_ros import palette
 from fss_arm_ros.dates import format_period, now
@@ -36,8 +37,8 @@ def make_report(
         figures=() if o.solution is None else figures,
         details=(check_table(o), *(() if o.solution is None else details), stream_table(o)),
         below=[
-            f"Data of {format_period(o.provenance.begin, o.provenance.end)}, "
-            f"report of {now()} UTC.",
+            *filter(None, [describe_symbols(o.names)]),
+            f"Data of {format_period(o.provenance.begin, o.provenance.end)}; reported {now()} UTC.",
             *next_steps(o),
         ],
         texts={"Settings": o.provenance.parameters, "Initial description": to_yaml(o.arm)},
@@ -51,14 +52,15 @@ def next_steps(outcome: Outcome[Any, Any]) -> tuple[str, ...]:
     arm, names = outcome.settings.arm, " ".join(k for k in outcome.names if k in uncertain)
     return (
         f"Next: record maneuvers that determine {names}. To plan them:",
-        f"  ros2 run fss_arm_calib design --bag BAG{f' --arm {arm}' if arm else ''} \\",
+        "  ros2 run fss_arm_calib design --bag BAG \\",
+        *([f"    --arm {arm} \\"] if arm else ()),
         f"    --chosen '{names}' --output plan.yaml",
     )
 
 
 #: Recommended next step, by verdict.
 NEXT_STEPS = {
-    PASS: "Next: keep the bag; give the nodes the calibrated description (from_bag --output FILE).",
+    PASS: "Next: keep the bag; write the description (from_bag --output FILE), use it as `arm`.",
     FAIL: "Next: do not use these numbers. The checks (--details, or the report) show why.",
     NOT_EVALUATED: "Next: record the missing data; the data received count already.",
 }
@@ -66,7 +68,7 @@ NEXT_STEPS = {
 
 def with_description(report: Report, path: object) -> Report:
     """Return a report whose next step names the file of the calibrated description."""
-    named = f"Next: keep the bag; give the nodes the calibrated description, {path}."
+    named = f"Next: keep the bag; start the nodes with -p arm:={path}."
     return replace(report, below=[named if x == NEXT_STEPS[PASS] else x for x in report.below])
 
 

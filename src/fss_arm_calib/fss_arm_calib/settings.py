@@ -23,9 +23,7 @@ FRACTION = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low
 class KindSettings(StreamSettings):
     """Settings of every calibration that finds its data in streams."""
 
-    arm: str = setting(
-        "", "arm to start from: paper, cad, truth (simulator) or a file; empty: paper"
-    )
+    arm: str = setting("", "arm to start from: file or built in (paper, cad, truth); empty: paper")
 
 
 @dataclass(frozen=True)
@@ -45,8 +43,8 @@ class CalibrationSettings(RestSettings, KindSettings):
     outlier: float = positive(
         5.0,
         "",
-        "residual in deviations above which a datum is an outlier; for maneuvers and drifts, the "
-        "residual is that of a prediction without the datum",
+        "residual, in standard deviations, above which a datum is an outlier; maneuvers and drifts "
+        "are predicted from the other data",
     )
     max_outliers: int = setting(
         0,
@@ -55,8 +53,8 @@ class CalibrationSettings(RestSettings, KindSettings):
     )
     min_redundancy: float = setting(
         0.0,
-        "smallest accepted redundancy of a datum, which is 0 if no other datum checks it; below "
-        "it, record more data",
+        "smallest accepted redundancy of a datum (0: no other datum checks it, 1: fully checked); "
+        "below it, record more data",
         check=FRACTION,
     )
 

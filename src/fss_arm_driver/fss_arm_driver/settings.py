@@ -19,33 +19,37 @@ class LinkSettings(Settings):
 
     link: int = setting(1, "number of the link; 1 is at the base", check=between(1, 255))
     url: str = setting(
-        "", "address: udp://HOST:PORT, tcp://HOST:PORT, serial:// or copley://DEVICE; required"
+        "",
+        "address: udp://HOST:PORT, tcp://HOST:PORT, serial://DEVICE, or copley://DEVICE (a drive "
+        "without a board); required unless urls is given",
     )
     urls: tuple[str, ...] = setting(
         (), "addresses of links 1, 2, ..., instead of url, to run all drivers in one process"
     )
     rate: float = setting(
         5.0,
-        "rate at which the newest command is repeated; below 10 Hz it is doubled on a path",
+        "rate at which the newest command is repeated; below 10 Hz it is doubled while the link "
+        "follows a path that it has stored",
         unit="Hz",
         check=between(0.1, 1000.0),
     )
     max_rate: float = setting(
         50.0,
-        "largest rate of commands to the link; up to it users' commands are sent at once",
+        "largest rate of commands to the link; up to it each command is sent when it arrives",
         unit="Hz",
         check=between(0.1, 1000.0),
     )
     timeout: float = setting(
         1.0,
-        "silence after which the link is lost, except on a path: there, twice watchdog; also the "
-        "longest round trip at which the link can be armed",
+        "silence after which the link is lost; twice watchdog while it follows a path that it has "
+        "stored; also the longest round trip at which the link can be armed",
         unit="s",
         check=between(0.001, 3600.0),
     )
     watchdog: float = setting(
         2.0,
-        "silence of the driver after which the link disarms itself, brakes and holds under power",
+        "silence of the driver after which the link brakes, holds its joint under power and moves "
+        "only after it is armed again",
         unit="s",
         check=between(0.001, 65.535),
     )
@@ -58,7 +62,7 @@ class LinkSettings(Settings):
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     frame_prefix: str = like(Vehicle, "frame_prefix")
-    arm: str = setting("", "arm: paper, cad, truth (simulator) or a file; empty: paper")
+    arm: str = setting("", "arm: file or built in (paper, cad, truth); empty: paper")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -97,10 +101,10 @@ class LinkSettings(Settings):
 class ArmSettings(GuardSettings):
     """Parameters of an ArmNode."""
 
-    arm: str = setting("", "arm: paper, cad, truth (simulator) or a file; empty: paper")
+    arm: str = setting("", "arm: file or built in (paper, cad, truth); empty: paper")
     rate: float = setting(
         5.0,
-        "rate at which a motion's commands are sent to the nodes of the links",
+        "rate at which a motion's commands are sent, and the newest one is repeated",
         unit="Hz",
         check=between(0.1, 1000.0),
     )

@@ -16,6 +16,8 @@ base_motion):
     K_j = I_j + m_j g_j^2 + a_j^2 sum_{k>j} m_k
 """
 
+import re
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 from math import inf
@@ -28,11 +30,31 @@ from .arrays import Floats
 from .description import Arm
 from .layout import BASE_SIZE, LINK_SIZE, kinematic_index, kinematic_names
 
+#: Meanings of symbols, by the pattern of the parameters' names.
+MEANINGS = {
+    r"m(_.+)?": "m: mass",
+    r"I(_.+)?": "I: inertia about the centre of mass",
+    r"b(_.+)?": "b: from a link's centre of mass to its end",
+    r"[xy]_com": "x_com, y_com: the base's centre of mass",
+    r"[mI]_0": "0: base",
+    r"g_[xy]": "g_x, g_y: acceleration by the table's tilt",
+    r"a(_.+)?": "a: length",
+    r"theta_0_.+": "theta_0: encoder offset",
+    r".+_BJ1": "BJ1: joint 1 in the base's frame",
+    r"theta_E": "theta_E: heading of the end effector's markers",
+}
+
 
 def parameter_names(n: int) -> tuple[str, ...]:
     """Return the names of all 5 n + 6 parameters."""
     links = (f"{kind}_{i}" for kind in "mbI" for i in range(1, n + 1))
     return ("m_0", "I_0", "x_com", "y_com", *kinematic_names(n), *links)
+
+
+def describe_symbols(names: Collection[str]) -> str:
+    """Return the meanings of the symbols in the names of parameters; empty if none is known."""
+    found = [MEANINGS[p] for p in MEANINGS if any(re.fullmatch(p, name) for name in names)]
+    return "; ".join(found)
 
 
 def unit(name: str) -> str:

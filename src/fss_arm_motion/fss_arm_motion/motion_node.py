@@ -35,7 +35,7 @@ HEARTBEAT = 0.5  # of diagnostics: at most 1 s old, whatever the planner's threa
 
 
 class MotionNode(Node):
-    """Executes `arm/execute`: plans, has the links follow, reports on `arm/motion`."""
+    """Serves the action `arm/execute`: plans a motion, sends it to `arm`, reports it."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("motion", **options)

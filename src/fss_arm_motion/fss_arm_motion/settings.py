@@ -12,7 +12,7 @@ class MotionSettings(Settings):
 
     arm: str = setting(
         "",
-        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
+        "arm until a calibration passes: file or built in (paper, cad, truth); empty: paper",
     )
     lead: float = setting(
         1.0,

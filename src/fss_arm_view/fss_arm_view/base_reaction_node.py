@@ -39,7 +39,7 @@ KINEMATIC, DYNAMIC = "calibration/kinematic", "calibration/dynamic"
 
 
 class BaseReactionNode(Node):
-    """Node that publishes base/state and base_reaction, with the newest calibration that passed."""
+    """Node that publishes base/state and base_reaction, how the arm moves the base."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("base_reaction", **options)

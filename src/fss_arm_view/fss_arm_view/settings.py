@@ -67,7 +67,7 @@ class BaseReactionSettings(ReactionSettings):
 
     arm: str = setting(
         "",
-        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
+        "arm until a calibration passes: file or built in (paper, cad, truth); empty: paper",
     )
     base_topic: str = like(Vehicle, "base_topic")
     world_frame: str = setting("world", "frame id of the published poses")
@@ -102,7 +102,7 @@ class ViewSettings(Settings):
     )
     rate: float = setting(
         5.0,
-        "maximum rate at which rerun draws each item; the live page has 10 Hz, always",
+        "maximum rate at which rerun draws each item; the page of web_port always draws at 10 Hz",
         unit="Hz",
         check=POSITIVE,
     )
@@ -113,7 +113,7 @@ class ViewSettings(Settings):
     )
     arm: str = setting(
         "",
-        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
+        "arm until a calibration passes: file or built in (paper, cad, truth); empty: paper",
     )
     base_topic: str = like(Vehicle, "base_topic")
     tip_topic: str = like(Vehicle, "tip_topic")

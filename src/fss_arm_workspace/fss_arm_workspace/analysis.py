@@ -52,7 +52,9 @@ class AnalysisSettings(PathSettings):
     """Settings of an analysis: what is computed, and with which resolution."""
 
     cell: float = setting(0.01, "size of the maps' cells", unit="m", check=at_least(0.001))
-    directions: int = setting(360, "initial number of straight paths", check=at_least(8))
+    directions: int = setting(
+        360, "number of straight paths; more are added where lengths differ", check=at_least(8)
+    )
     of_true_angle: bool = setting(
         False, "true: joint limits hold for the true angle q + theta_0; false: for the reading q"
     )

@@ -13,7 +13,7 @@ class WorkspaceSettings(AnalysisSettings):
 
     arm: str = setting(
         "",
-        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
+        "arm until a calibration passes: file or built in (paper, cad, truth); empty: paper",
     )
     rate: float = setting(10.0, "rate of the ellipsoids", unit="Hz", check=POSITIVE)
     scale: float = setting(0.25, "size of drawn ellipsoids", unit="m/(m/rad)", check=POSITIVE)

@@ -43,7 +43,8 @@ class MocapSettings(Settings):
     )
     relays: tuple[str, ...] = setting(
         (),
-        "topics of other receivers to relay, each SUBJECT=TOPIC, or TOPIC if messages have names",
+        "topics of other receivers to relay, each SUBJECT=TOPIC, or TOPIC if its messages name "
+        "the subjects",
     )
     relay_scale: float = setting(
         1.0, "length unit of the relayed topics; 0.001 for millimetres", unit="m", check=POSITIVE
@@ -117,7 +118,7 @@ class BaseSettings(Settings):
     )
     max_rate: float = setting(
         50.0,
-        "largest rate of commands to the board; up to it users' commands are sent at once",
+        "largest rate of commands to the board; up to it each command is sent when it arrives",
         unit="Hz",
         check=between(1.0, 1000.0),
     )
@@ -203,7 +204,7 @@ class BaseSettings(Settings):
     )
     max_bias: float = setting(
         0.01,
-        "mean rate above which base/find_gyro_bias fails, as the base turns",
+        "mean rate above which base/find_gyro_bias fails, because the base must be turning",
         unit="rad/s",
         check=POSITIVE,
     )
@@ -253,10 +254,12 @@ class ValveSettings(Settings):
     """Parameters of a valve that can change at runtime; a stuck valve gets no share of a wrench."""
 
     stuck_open: float = setting(
-        0.0, "above 0: counts as stuck open, and is not used", check=between(0.0, 1.0)
+        0.0,
+        "0: sound; more: stuck open, and others compensate it",
+        check=between(0.0, 1.0),
     )
     stuck_closed: float = setting(
-        0.0, "above 0: counts as stuck closed, and is not used", check=between(0.0, 1.0)
+        0.0, "0: sound; more: stuck closed; it is not used", check=between(0.0, 1.0)
     )
 
 

@@ -164,7 +164,8 @@ class ControllerNode(Node):
         if self.count_publishers("base/wrench") > 1:
             return Health(WARN, "base/wrench has another publisher; stop the node control", values)
         if missed:
-            return Health(WARN, f"law has missed {missed} deadlines of {1e3 / s.rate:g} ms", values)
+            words = f"deadlines missed by the law since the last report: {missed}"
+            return Health(WARN, words, values)
         return Health(OK, f"law is running{self.snapshot.disarmed(self.now())}", values)
 
     def close(self) -> None:

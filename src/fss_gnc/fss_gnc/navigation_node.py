@@ -67,7 +67,8 @@ class NavigationNode(Node):
         subscribe_calibrations(self, self.on_calibration)
         self.create_timer(1.0 / s.rate, self.publish_states, clock=self.clock)
         self.diagnostics = Diagnostics(self, self.health, timing=self.timing)
-        self.get_logger().info(f"subscribed to {s.base_topic} (joints: {self.known.arm.n})")
+        topics = f"{s.base_topic}, {s.target_topic}, fog/imu, joint_states"
+        self.get_logger().info(f"subscribed to {topics} (joints: {self.known.arm.n})")
 
     def reset(self, faults: Faults | None = None) -> None:
         """Reset the estimates of base and target; known faults of the valves stay."""
@@ -106,8 +107,7 @@ class NavigationNode(Node):
 
     def on_joints(self, message: JointState) -> None:
         """Process readings of one link or more."""
-        t = stamp_ns(message.header.stamp)
-        if self.accept_stamp("joint_states", t):
+        if self.accept_stamp("joint_states", t := stamp_ns(message.header.stamp)):
             self.navigation.add_joint_readings(t, joint_readings(message))
 
     def on_planned(self, message: JointTrajectory) -> None:

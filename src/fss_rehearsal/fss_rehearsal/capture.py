@@ -65,7 +65,7 @@ class CaptureOperator(Operator):
         """Print each new phase of the mission."""
         if message.mission and message.phase != self.phase:
             self.phase = message.phase
-            print(f"{message.elapsed:6.1f} s  {self.phase}  {message.reason}".rstrip())
+            print(f"{message.elapsed:8.1f} s  {self.phase}  {message.reason}".rstrip())
 
     def result_of(self, future: Future, error: str, timeout: float = 0.0) -> Any:
         """Wait for a future and return its result.
@@ -126,7 +126,10 @@ def parameters_of(options: argparse.Namespace, arm: Path) -> dict[str, dict[str,
         "arm": description,
         "navigation": description | target,
         "control": description | target,
-        "guidance": description | target | fingers | {"posture": POSTURE},
+        "guidance": description
+        | target
+        | fingers
+        | {"posture": POSTURE, "cancel_momentum": options.cancel_momentum},
     }
 
 
@@ -146,6 +149,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--spin", type=float, default=0.15, help="turn rate of the target [rad/s] (default 0.15)"
     )
     add_gripper_options(parser)
+    parser.add_argument(
+        "--cancel-momentum",
+        action="store_true",
+        help="approach with a momentum opposite to the target's",
+    )
 
 
 def add_gripper_options(parser: argparse.ArgumentParser) -> None:
@@ -172,11 +180,12 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     arm = load(CONFIG / "arm.yaml")
     log_line = partial(console.print, soft_wrap=True, highlight=False)
     with isolated_domain() as domain, Nodes(out / "logs", log_line, domain) as nodes:
-        log_line(f"starting test bed and nodes in their own ROS domain {domain.number}")
+        log_line(f"starting all nodes in their own ROS domain, {domain.number}")
         parameters = parameters_of(options, CONFIG / "arm.yaml")
         start_mission_nodes(nodes, arm.n, parameters, options.speed, out / "bag")
         operator = CaptureOperator(domain)
         operator.arm_all()
+        log_line("phases of the mission, with the times of their start:")
         begin = time.monotonic()
         result = operator.run_capture()
         elapsed = time.monotonic() - begin
@@ -191,8 +200,8 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
             result.stopped,
         ),
     ]
-    speed = f"  {elapsed:.0f} s of real time: speed {result.duration / elapsed:.2f}"
-    for line in (end, *consumption, f"{speed}, at most {options.speed:g} requested"):
+    ratio = f"{result.duration / elapsed:.2f} times real time, {options.speed:g} requested"
+    for line in (end, *consumption, f"  simulated in {elapsed:.0f} s: {ratio}"):
         log_line(line)
     figure = Figure("mission", "Top view and time histories", partial(plot, arm, flight))
     film = animation(
@@ -214,13 +223,13 @@ def budget(result: Capture.Result) -> list[str]:
     x, y, turning = result.momentum.tolist()
     end = "captured and stopped" if result.stopped else f"{result.phase}: {result.message}"
     momentum = (
-        f"  estimated momentum at the grip: x {x:+#.4g}, y {y:+#.4g} N s,\n"
+        f"  momentum of all bodies at the grip, estimated: x {x:+#.4g}, y {y:+#.4g} N s,\n"
         f"    about the common centre of mass {turning:+#.4g} N m s"
     )
     return [
         f"result of the guidance: {end}",
-        f"  time {result.duration:.1f} s, propellant estimated by the nodes "
+        f"  duration {result.duration:.1f} s, propellant estimated by the nodes "
         f"{1e3 * result.propellant:.1f} g",
         "  no grip" if np.isnan(x) else momentum,
-        f"  largest joint torque {result.largest_torque:.2f} N m",
+        f"  largest measured joint torque {result.largest_torque:.2f} N m",
     ]

@@ -103,7 +103,7 @@ def mass_errors(flight: Flight, p: np.ndarray, k: int) -> tuple[float, list[str]
         f"  {name:>16}  {value:+.3f} ± {deviation:.3f} {unit}, true {true:+.3f}"
         for name, value, deviation, true, unit in rows
     ]
-    title = "target, ± 1 sigma; centre of mass in the last link's frame:"
+    title = "target as estimated, ± 1 sigma (centre of mass x, y in the last link's frame):"
     return float((np.abs(values - truth) / deviations).max()), [title, *lines]
 
 
@@ -124,14 +124,14 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     for (name, unit), (before, after) in zip(names, momenta, strict=True):
         log_line(f"  {name:>31}  before {before:+#.4g}  after {after:+#.4g} {unit}")
     worst, (*audit, energy) = float(np.abs(change - impulse).max()), np.abs(flight.error).max(0)
-    difference = f"largest unexplained change of momentum {worst:.0e} N s or N m s"
+    difference = f"changes by {worst:.0e} N s or N m s beyond the external impulse"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
     rest = np.round(spin[1], 3) + 0.0  # never -0.000
     spin_text = f"{spin[0]:.2f} deg/s at the start, {rest:.3f} deg/s at the end"
-    log_line(f"  {difference}")
+    log_line(f"  it {difference}")
     log_line(
-        f"  balances of the simulation are off by at most {max(audit):.0e} N s or N m s "
-        f"and {energy:.0e} J in the whole mission"
+        f"numerical error of the simulation: momentum minus impulse {max(audit):.0e} N s\n"
+        f"  or N m s, energy minus work {energy:.0e} J"
     )
     log_line(f"spin of the target: {spin_text}")
     log_line(f"propellant used: {1e3 * flight.propellant[-1]:.1f} g")
@@ -146,7 +146,7 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
         ),
         capture_check._replace(happened=when, passed=True),
         Check(
-            f"momentum before and after the grip agrees to {MOMENTUM_TOLERANCE:g} N s, N m s",
+            f"the grip changes the momentum by less than {MOMENTUM_TOLERANCE:g} N s, N m s",
             difference,
             worst < MOMENTUM_TOLERANCE,
         ),

@@ -20,11 +20,12 @@ class Noise(Settings):
     heading_noise: float = error("white noise of a VICON pose's heading, 1 sigma", "rad")
     vicon_hold: float = error("time for which the white noise of a VICON pose stays constant", "s")
     rest_position_error: float = error(
-        "error of the tip in the base frame, constant in each rest of the arm, each axis, 1 sigma",
+        "error of the tip's measured position in the base frame, constant in a rest, 1 sigma",
         "m",
     )
     rest_heading_error: float = error(
-        "error of the tip's heading relative to the base, constant in each rest, 1 sigma", "rad"
+        "error of the tip's measured heading in the base frame, constant in a rest, 1 sigma",
+        "rad",
     )
     vicon_latency: float = error(
         "time by which a VICON pose is older than its stamp", "s", check=between(0.0, 1.0)

@@ -1,6 +1,6 @@
 """Parameters of the test-bed node, and the objects that they configure."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -43,14 +43,15 @@ from fss_sim.vicon import Room, Vicon
 Wire = LinkSocket | LinkListener | LinkTerminal
 
 
-def _preset_setting(kind: type[Settings], name: str) -> Any:
+def _preset_setting(presets: Mapping[str, Settings], name: str) -> Any:
     """Return a field for a number that a preset sets; a value below 0 selects the preset's."""
-    about = kind.__dataclass_fields__[name].metadata  # type: ignore[attr-defined]
+    about = presets["default"].__dataclass_fields__[name].metadata  # type: ignore[attr-defined]
+    values = ", ".join(f"{key} {getattr(preset, name):g}" for key, preset in presets.items())
     return field(
         default=-1.0,
         metadata={
             **about,
-            "about": f"{about['about']}; below 0: value of the preset",
+            "about": f"{about['about']}; below 0: that of the preset ({values})",
             "check": FINITE,
         },
     )
@@ -70,18 +71,18 @@ class PlantSettings(Settings):
         "preset of the joints and of the errors of all instruments",
         check=one_of(*PRESETS),
     )
-    rotor_inertia: float = _preset_setting(Joints, "rotor_inertia")
+    rotor_inertia: float = _preset_setting(JOINTS, "rotor_inertia")
     gear_ratio: float = like(Joints, "gear_ratio")
-    viscous_friction: float = _preset_setting(Joints, "viscous")
-    coulomb_friction: float = _preset_setting(Joints, "coulomb")
-    static_friction: float = _preset_setting(Joints, "static")
-    stribeck_speed: float = _preset_setting(Joints, "stribeck_speed")
-    friction_cancelled: float = _preset_setting(Joints, "cancelled")
-    gear_stiffness: float = _preset_setting(Joints, "stiffness")
-    gear_damping: float = _preset_setting(Joints, "damping")
-    dead_band: float = _preset_setting(Joints, "dead_band")
-    torque_ripple: float = _preset_setting(Joints, "ripple")
-    current_bandwidth: float = _preset_setting(Joints, "current_bandwidth")
+    viscous_friction: float = _preset_setting(JOINTS, "viscous")
+    coulomb_friction: float = _preset_setting(JOINTS, "coulomb")
+    static_friction: float = _preset_setting(JOINTS, "static")
+    stribeck_speed: float = _preset_setting(JOINTS, "stribeck_speed")
+    friction_cancelled: float = _preset_setting(JOINTS, "cancelled")
+    gear_stiffness: float = _preset_setting(JOINTS, "stiffness")
+    gear_damping: float = _preset_setting(JOINTS, "damping")
+    dead_band: float = _preset_setting(JOINTS, "dead_band")
+    torque_ripple: float = _preset_setting(JOINTS, "ripple")
+    current_bandwidth: float = _preset_setting(JOINTS, "current_bandwidth")
     tilt: tuple[float, ...] = like(Surroundings, "tilt")
     film_damping: float = like(Surroundings, "film")
     tether_drag: float = like(Surroundings, "tether")
@@ -269,35 +270,35 @@ class TestbedSettings(PlantSettings):
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     seed: int = setting(1, "seed of all random numbers", check=at_least(0))
-    position_noise: float = _preset_setting(Noise, "position_noise")
-    heading_noise: float = _preset_setting(Noise, "heading_noise")
-    vicon_hold: float = _preset_setting(Noise, "vicon_hold")
-    rest_position_error: float = _preset_setting(Noise, "rest_position_error")
-    rest_heading_error: float = _preset_setting(Noise, "rest_heading_error")
-    gyro_noise: float = _preset_setting(Noise, "gyro_noise")
-    vicon_latency: float = _preset_setting(Noise, "vicon_latency")
-    vicon_jitter: float = _preset_setting(Noise, "vicon_jitter")
-    marker_noise: float = _preset_setting(Noise, "marker_noise")
-    vicon_edge_error: float = _preset_setting(Noise, "vicon_edge_error")
-    vicon_occlusion: float = _preset_setting(Noise, "vicon_occlusion")
-    vicon_merge_distance: float = _preset_setting(Noise, "vicon_merge_distance")
-    vicon_merge_swap: float = _preset_setting(Noise, "vicon_merge_swap")
-    gyro_bias: float = _preset_setting(Noise, "gyro_bias")
-    gyro_walk: float = _preset_setting(Noise, "gyro_walk")
-    gyro_scale: float = _preset_setting(Noise, "gyro_scale")
-    encoder_error: float = _preset_setting(Noise, "encoder_error")
-    encoder_eccentricity: float = _preset_setting(Noise, "encoder_eccentricity")
-    torque_noise: float = _preset_setting(Noise, "torque_noise")
-    torque_zero: float = _preset_setting(Noise, "torque_zero")
-    torque_crosstalk: float = _preset_setting(Noise, "torque_crosstalk")
-    torque_drift: float = _preset_setting(Noise, "torque_drift")
+    position_noise: float = _preset_setting(PRESETS, "position_noise")
+    heading_noise: float = _preset_setting(PRESETS, "heading_noise")
+    vicon_hold: float = _preset_setting(PRESETS, "vicon_hold")
+    rest_position_error: float = _preset_setting(PRESETS, "rest_position_error")
+    rest_heading_error: float = _preset_setting(PRESETS, "rest_heading_error")
+    gyro_noise: float = _preset_setting(PRESETS, "gyro_noise")
+    vicon_latency: float = _preset_setting(PRESETS, "vicon_latency")
+    vicon_jitter: float = _preset_setting(PRESETS, "vicon_jitter")
+    marker_noise: float = _preset_setting(PRESETS, "marker_noise")
+    vicon_edge_error: float = _preset_setting(PRESETS, "vicon_edge_error")
+    vicon_occlusion: float = _preset_setting(PRESETS, "vicon_occlusion")
+    vicon_merge_distance: float = _preset_setting(PRESETS, "vicon_merge_distance")
+    vicon_merge_swap: float = _preset_setting(PRESETS, "vicon_merge_swap")
+    gyro_bias: float = _preset_setting(PRESETS, "gyro_bias")
+    gyro_walk: float = _preset_setting(PRESETS, "gyro_walk")
+    gyro_scale: float = _preset_setting(PRESETS, "gyro_scale")
+    encoder_error: float = _preset_setting(PRESETS, "encoder_error")
+    encoder_eccentricity: float = _preset_setting(PRESETS, "encoder_eccentricity")
+    torque_noise: float = _preset_setting(PRESETS, "torque_noise")
+    torque_zero: float = _preset_setting(PRESETS, "torque_zero")
+    torque_crosstalk: float = _preset_setting(PRESETS, "torque_crosstalk")
+    torque_drift: float = _preset_setting(PRESETS, "torque_drift")
     torque_rate: int = setting(
         80,
         "sample rate of a torque sensor's A/D converter",
         unit="Hz",
         check=Check("10 or 80", lambda rate: rate in (10, 80), 10, 80),
     )
-    clock_drift: float = _preset_setting(Noise, "clock_drift")
+    clock_drift: float = _preset_setting(PRESETS, "clock_drift")
     battery: float = setting(
         1.0, "initial charge of all batteries, as a share", check=above(0.0, 1.0)
     )

@@ -199,7 +199,8 @@ class Timeline:
         waits = last_allowed is not None and last_allowed <= frame  # in lockstep, for that node
         is_behind = now - last_time > 0.5 and speed < 0.95 * self.speed
         is_slow = is_behind and not (self.paused or waits)
-        slow = f"too slow: {speed:.2f} instead of {self.speed:g} times real time"
+        period = f"in the last {now - last_time:.0f} s"
+        slow = f"too slow: {speed:.2f} instead of {self.speed:g} times real time {period}"
         state = "paused" if self.paused else slow if is_slow else "running"
         values: dict[str, Any] = {"simulated time [s]": frame / RATE, "speed": speed}
         values["VICON's frame"] = frame

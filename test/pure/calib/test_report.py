@@ -80,8 +80,9 @@ def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
 @pytest.mark.parametrize("count", [3, 13])
 def test_under_the_verdict_stand_the_date_and_what_to_do_now(tmp_path, count):
     told = kinematic_report(outcome(count))
-    when, then = told.below
-    assert re.fullmatch(r"Data of .* to .*, report of \d{4}-\d\d-\d\d \d\d:\d\d UTC\.", when)
+    symbols, when, then = told.below
+    assert symbols == ("a: length; theta_0: encoder offset; BJ1: joint 1 in the base's frame")
+    assert re.fullmatch(r"Data of .* to .*; reported \d{4}-\d\d-\d\d \d\d:\d\d UTC\.", when)
     page = report.write(tmp_path, told).read_text()
     assert page.index(told.reason[:20]) < page.index(when) < page.index(then) < page.index("<table")
     assert (told.verdict == "not_evaluated") == then.startswith("Next: record the missing data")
@@ -301,15 +302,15 @@ def test_a_pass_names_what_is_too_uncertain_to_use_and_how_to_plan_more(case):
     assert found.verdict == PASS
     if not named:
         assert "chi-square" in found.summary
-        assert next_steps(found)[0].startswith("Next: keep the bag; give the nodes")
+        assert next_steps(found)[0].startswith("Next: keep the bag; write the desc")
         below = with_description(table_report(found), "arm.yaml").below
-        assert below[-1].endswith("give the nodes the calibrated description, arm.yaml.")
+        assert below[-1].endswith("start the nodes with -p arm:=arm.yaml.")
         return
     assert found.summary == f"13 observations; record more to use {named}"
     seen = lines(report.printable(table_report(found)))
     assert seen[0] == f"pass: {found.summary}"
     all_of_them = " ".join(f"I_{k + 1}" for k, share in enumerate(shares) if share > 0.25)
-    assert "  ros2 run fss_arm_calib design --bag BAG --arm my_arm.yaml \\" in seen
+    assert "    --arm my_arm.yaml \\" in seen
     assert f"    --chosen '{all_of_them}' --output plan.yaml" in seen
 
 

@@ -11,6 +11,7 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.held import (
     Target,
+    combined_momentum,
     payload_pose,
     payload_positions,
     payload_state,
@@ -21,7 +22,13 @@ from fss_arm_model.momentum import generalized_jacobian
 from fss_arm_model.settings import SettingError
 from fss_gnc.guidance.abort import Abort, JointStop
 from fss_gnc.guidance.activity import Craft, Observation
-from fss_gnc.guidance.approach import Planner, propagate_coast
+from fss_gnc.guidance.approach import (
+    FINAL_MOTION_TIME,
+    MAX_FINAL_SPEED,
+    RAMP_TIME,
+    Planner,
+    propagate_coast,
+)
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.capture import Capture
 from fss_gnc.guidance.detumble import Detumble
@@ -205,14 +212,47 @@ def test_approach_ends_at_the_stand_off_and_is_passively_safe():
         assert gaps.min() > 0.0
 
 
-def test_approach_twist_and_acceleration_are_derivatives_of_the_pose():
-    way = Planner(P, SETTINGS).plan(at(-1.0, -1.0, -1.4), AT_REST, state(), 3.0)
-    t, step = np.linspace(1.0, way.duration - 1.0, 9), 1e-4
+@pytest.mark.parametrize("cancels", [False, True])
+def test_approach_twist_and_acceleration_are_derivatives_of_the_pose(cancels):
+    planner = Planner(P, replace(SETTINGS, cancel_momentum=cancels))
+    way = planner.plan(at(-1.0, -1.0, -1.4), AT_REST, state(), 3.0)
+    assert way.final_rate.any() == cancels
+    t, step = np.linspace(1.0, way.duration + 12.0, 30), 1e-4
     ahead, now, behind = (way.points(t + k * step) for k in (1, 0, -1))
     np.testing.assert_allclose(now.twist, (ahead.pose - behind.pose) / (2 * step), atol=1e-7)
     np.testing.assert_allclose(
-        now.acceleration, (ahead.twist - behind.twist) / (2 * step), atol=1e-7
+        now.acceleration, (ahead.twist - behind.twist) / (2 * step), atol=2e-6
     )
+
+
+@pytest.mark.parametrize("drift", [(0.0, 0.0), (0.004, -0.003), (0.008, 0.008), (-0.01, 0.0)])
+def test_approach_that_cancels_momentum_ends_opposite_to_the_target(drift):
+    planner = Planner(P, replace(SETTINGS, cancel_momentum=True))
+    target = state(spin=0.3, drift=drift)
+    way = planner.plan(at(-1.0, -1.0, -1.4), AT_REST, target, SETTINGS.lead)
+    assert way.final_rate.any()
+    t = way.duration
+    end, travelled = way.points(t), np.array([*(t * target[1, :2]), 0.0])
+    q = np.concatenate([end.pose[0] + travelled, POSTURE])
+    qd = np.concatenate([end.twist[0] + [*drift, 0.0], np.zeros(4)])
+    there = np.array([target[0] + t * target[1], target[1]])
+    px, py, L = combined_momentum(P, q, qd, SETTINGS.target, there)
+    assert abs(L) < 1e-9  # [N m s]; a sum of terms of 0.1
+    if way.final_rate[0] > -MAX_FINAL_SPEED:
+        assert np.hypot(px, py) < 1e-9
+    stopped = way.points(way.duration + FINAL_MOTION_TIME + RAMP_TIME)
+    np.testing.assert_allclose(stopped.twist, 0.0, atol=1e-12)
+
+
+def test_capture_that_cancels_momentum_leaves_little_to_stop():
+    settings = replace(SETTINGS, cancel_momentum=True)
+    flight = Flight(Case(spin=0.3, distance=1.4), settings=settings)
+    flown = flight.fly()
+    assert flown.captured
+    assert flown.well
+    assert flown.safe
+    # The target alone has 0.075 N m s; turn rates are known to 2 mrad/s, and steered to 8.
+    assert abs(flight.activity.momentum[2]) < 0.03
 
 
 def test_no_approach_is_found_without_free_space():

@@ -24,7 +24,7 @@ from fss_arm_model.description import (
 from fss_arm_model.description_fields import DescriptionError
 from fss_arm_model.description_file import described, from_yaml, load, save, to_yaml
 from fss_arm_model.layout import kinematic_index, kinematic_names
-from fss_arm_model.parameters import combination_gradients
+from fss_arm_model.parameters import combination_gradients, describe_symbols
 
 CONFIG = Path(__file__).parents[3] / "config"
 
@@ -279,3 +279,17 @@ def test_a_link_file_of_another_serial_number_is_refused(tmp_path):
     shutil.copy(tmp_path / "link_8.yaml", tmp_path / "link_11.yaml")
     with pytest.raises(DescriptionError, match=r"link_11\.yaml: serial is 8, expected the number"):
         load(path)
+
+
+@pytest.mark.parametrize(
+    ("names", "symbols"),
+    [
+        (("b_1", "b_#8", "I_0"), ["I", "b", "0"]),
+        (("theta_0_2", "theta_BJ1", "theta_E"), ["theta_0", "BJ1", "theta_E"]),
+        (("a", "m", "x_com"), ["m", "x_com, y_com", "a"]),
+        (("g_x", "drag"), ["g_x, g_y"]),
+    ],
+)
+def test_symbols_of_parameters_are_described(names, symbols):
+    found = [one for one in describe_symbols(names).split("; ") if one]
+    assert [one.split(":")[0] for one in found] == symbols

@@ -147,7 +147,7 @@ def test_impossible_steps_and_pauses_are_refused():
 
 def test_a_slow_simulation_is_reported(real_time):
     bench = Bench(keep_clock=True)
-    slow = "too slow: 0.90 instead of 1 times real time"
+    slow = "too slow: 0.90 instead of 1 times real time in the last 1 s"
     for frames, state in ((100, "running"), (90, slow), (96, "running")):
         bench.frame += frames
         real_time[0] += 1.0

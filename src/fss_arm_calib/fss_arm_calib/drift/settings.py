@@ -19,8 +19,7 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     )
 
     arm: str = setting(
-        "",
-        "arm with masses and inertias: paper, cad, truth (simulator) or a file; empty: paper",
+        "", "arm with masses and inertias: file or built in (paper, cad, truth); empty: paper"
     )
     max_drifts: int = max_data(30, "drifts")
     position_deviation: float = positive(0.001, "m", "1 sigma of a base position, each axis")
@@ -29,13 +28,13 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         10.0, "Hz", "poses per second that count as independent in an average"
     )
     torque_deviation: float = sigma(
-        0.05, "N m", "the hose's constant torque, prior (mean 0); 0: it has none"
+        0.05, "N m", "the hose's constant torque, prior (mean 0); 0: no torque"
     )
     twist_deviation: float = sigma(
-        0.01, "N m s", "the hose's resistance to rotation, prior (mean 0); 0: it has none"
+        0.01, "N m s", "the hose's resistance to rotation, prior (mean 0); 0: no resistance"
     )
     drag_deviation: float = sigma(
-        0.05, "N s/m", "the hose's resistance to translation, prior (mean 0); 0: it has none"
+        0.05, "N s/m", "the hose's resistance to translation, prior (mean 0); 0: no resistance"
     )
     com_deviation: float = sigma(
         0.01, "m", "the center of mass of base and arm, each axis, if the description has none"

@@ -20,19 +20,19 @@ class DrivesSettings(ExcitationSettings, KindSettings):
     arm: str = setting(
         "", "description YAML; its masses are taken as known; empty: the paper's arm"
     )
-    max_excitations: int = max_data(600, "excitations")
+    max_excitations: int = max_data(600, "averages of turning joints")
     gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
     window: float = positive(1.6, "s", "averaging time of torques and motion")
     rotor_inertia: float = setting(
         0.0026,
-        "inertia of each rotor, seen at its joint; used if frames are over 15 ms apart",
+        "inertia of each rotor, seen at its joint; estimated if telemetry has 67 Hz or more",
         unit="kg m^2",
         check=NOT_NEGATIVE,
     )
     max_relative: float = setting(
         0.1,
-        "largest accepted relative 1 sigma of a torque constant, friction or gain; less certain "
-        "ones are not reported",
+        "largest accepted relative 1 sigma of a torque constant, friction or gain of a torque "
+        "sensor; less certain ones are not reported",
         check=NOT_NEGATIVE,
     )
 

@@ -38,8 +38,8 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     )
     estimate: str = setting(
         "b_i I_i I_0 com_0",
-        "parameters to estimate: b_i: of each link; I: one value that all links share; I_0 com_0 "
-        "m_0: of the base; also m_i, a_i, theta_0_i, mount, or a name such as b_2",
+        "parameters to estimate: mass m, inertia I, center of mass b, length a, encoder offset "
+        "theta_0 (b_2: of link 2, b_i: each, b: common to all); m_0 I_0 com_0 of the base, mount",
     )
     priors: str = setting(
         "m_i I_i m_0 I_0 com_0 a_i theta_0_i mount",
@@ -71,12 +71,12 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     outlier: float = like(CalibrationSettings, "outlier", 3.0)
     min_redundancy: float = like(CalibrationSettings, "min_redundancy", 1e-3)
     max_tip_error: float = positive(
-        0.03, "m", "largest distance of the end effector from its described position (RMS)"
+        0.03, "m", "largest accepted RMS of the end effector's distance from its described position"
     )
     max_relative: float = setting(
         0.0,
-        "largest accepted 1 sigma of a mass or inertia, relative to the described value; 0: the "
-        "result also passes if some are not determined",
+        "largest accepted 1 sigma of a mass or inertia, relative to the described value; 0: any, "
+        "also if not determined",
         check=NOT_NEGATIVE,
     )
     max_place: float = positive(

@@ -44,7 +44,7 @@ def parse_goal_words(goal: str) -> list[tuple[str, float]]:
 class ExperimentSettings(Settings):
     """Parameters of an ExperimentNode."""
 
-    arm: str = setting("", "arm: paper, cad, truth or a file; empty: paper")
+    arm: str = setting("", "arm: file or built in (paper, cad, truth); empty: paper")
     postures: tuple[float, ...] = setting(
         (),
         "joint readings of each posture, row after row; empty: default postures of the arm",
@@ -57,7 +57,7 @@ class ExperimentSettings(Settings):
     goal: str = setting(
         "",
         "standard deviations at which to stop early, e.g. 'b_i 0.002 I_4 0.001', in SI units; "
-        "of calibration/dynamic for maneuvers, of calibration/kinematic for postures; empty: none",
+        "of calibration/dynamic (maneuvers) or calibration/kinematic (postures); empty: none",
     )
     pause: float = positive(
         5.2,
@@ -71,7 +71,7 @@ class ExperimentSettings(Settings):
     rest: float = positive(3.0, "s", "rest at each posture if no `kinematic` runs")
     observation_timeout: float = positive(20.0, "s", "longest wait for an observation")
     keep_alive: float = positive(
-        0.5, "s", "the arm stops if this node pauses for longer, in real time"
+        0.5, "s", "the arm stops if this process hangs for longer, in real time"
     )
     base_radius: float = like(GuardSettings, "base_radius")
     link_radius: float = like(GuardSettings, "link_radius")

@@ -20,16 +20,14 @@ class JointSettings(Knowledge):
         "kinematic, dynamic and drift, or of bags."
     )
 
-    arm: str = setting(
-        "", "arm to start from: paper, cad, truth (simulator) or a file; empty: paper"
-    )
+    arm: str = setting("", "arm to start from: file or built in (paper, cad, truth); empty: paper")
     priors: str = setting(
         "m_i I_i m_0 I_0 com_0",
         "parameters whose described value is a prior, such as 'b_i I_0'",
     )
     theta_e: bool = setting(False, "estimate the heading offset of the end effector's subject, too")
     zero_deviation: float = sigma(
-        radians(5.0), "rad", "the change of a joint's zero between sessions; 0: no change"
+        radians(5.0), "rad", "the change of a joint's zero from bag to bag, or by a homing; 0: none"
     )
     min_probability: float = like(DynamicSettings, "min_probability")
     max_relative: float = like(DynamicSettings, "max_relative")

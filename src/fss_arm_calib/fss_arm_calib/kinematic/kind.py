@@ -69,7 +69,7 @@ KINEMATIC = Calibration(
         Observation,
         "calibration/observations",
         KinematicObservations,
-        lambda one: f"averaged {one.vicon_frames} frames",
+        lambda one: f"averaged {one.vicon_frames} poses",
         needed=("q", "tip"),
         subject=TIP,
     ),

@@ -44,14 +44,14 @@ class KinematicSettings(NoiseSettings):
     position_deviation: float = sigma(
         0.0,
         "m",
-        "the end effector's position seen from the base, each axis; if base_heading_deviation is "
-        "0, including the base's heading error times the reach; 0: estimated",
+        "the end effector's position seen from the base, each axis; 0: estimated. It contains the "
+        "effect of the base's heading error, unless base_heading_deviation is given",
     )
     base_heading_deviation: float = sigma(
         0.0,
         "rad",
-        "the base's heading, a part of heading_deviation; 0: estimated if "
-        "position_deviation and heading_deviation are 0, too",
+        "the base's heading, contained in heading_deviation (as squares); 0: estimated with the "
+        "other two if they are 0",
     )
     max_position_deviation: float = like(
         NoiseSettings, "max_position_deviation", POSITION_DEVIATION
@@ -82,7 +82,7 @@ class KinematicSettings(NoiseSettings):
         check=Check("0, or 2 or more", lambda value: value == 0 or value >= 2, low=0.0),
     )
     max_length_change: float = positive(
-        0.05, "m", "largest change of a described length; a larger one fails, as another arm"
+        0.05, "m", "largest change of a described length; beyond, it seems to be another arm"
     )
 
     def __post_init__(self) -> None:

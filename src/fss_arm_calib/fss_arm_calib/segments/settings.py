@@ -31,7 +31,7 @@ class StreamSettings(Settings):
     joint_gap: float = positive(
         1.0,
         "s",
-        "longest accepted gap in joint samples, and backward jump of a clock, in a datum",
+        "longest gap in joint samples, or backward jump of a clock; a datum with more is rejected",
     )
     horizon: float = positive(60.0, "s", "longest wait for a stream that lags behind the others")
 
@@ -63,7 +63,7 @@ class ManeuverSettings(RestSettings):
     """Settings that define a maneuver; a gap rejects it."""
 
     max_duration: float = positive(
-        2.0, "s", "longest window before and after a maneuver, at most half of the rest"
+        2.0, "s", "longest averaging before and after a maneuver; at most half of the rest"
     )
     joint_gap: float = like(StreamSettings, "joint_gap", 0.5)
     horizon: float = positive(
@@ -72,14 +72,14 @@ class ManeuverSettings(RestSettings):
     bin: float = positive(0.5, "s", "averaging time of the poses in a window")
     path_rate: float = setting(
         0.0,
-        "rate of base poses used in motion, only for rigid gears; 0: none",
+        "rate of base poses that are used during maneuvers, too; only for rigid gears; 0: none",
         unit="Hz",
         check=NOT_NEGATIVE,
     )
     time_offset: float = setting(
         0.0,
-        "initial estimate of the joints' and the gyro's stamps minus motion capture's; refined "
-        "from the base's rotation",
+        "stamps of joints and gyro minus those of motion capture at one instant, a first estimate; "
+        "refined from the base's rotation",
         unit="s",
         check=FINITE,
     )

@@ -11,7 +11,7 @@ class GuardSettings(Extents):
     """Sizes of the bodies, and the margins between them."""
 
     target_radius: float = setting(
-        0.19, "radius of the gripper's target about its origin", unit="m", check=NOT_NEGATIVE
+        0.19, "radius of the target about the origin of its frame", unit="m", check=NOT_NEGATIVE
     )
     gripper_length: float = setting(
         0.15,
@@ -31,6 +31,7 @@ class GuardSettings(Extents):
     )
     braking: float = setting(
         0.5,
-        "share of max_acceleration with which the guard expects the joints to brake",
+        "share of a drive's max_acceleration, of the arm's description, with which the check of "
+        "motions expects its joint to brake",
         check=above(0.0, 1.0),
     )

@@ -52,7 +52,8 @@ class PathSettings(Settings):
     )
     gain: float = setting(
         5.0,
-        "pull of joints to the middle of their range, for `away from limits`; 0: none",
+        "turn of a joint at its limit to the middle of its range, per length of the path, for "
+        "`away from limits`; 0: none",
         unit="rad/m",
         check=NOT_NEGATIVE,
     )

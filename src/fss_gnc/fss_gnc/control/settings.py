@@ -15,7 +15,7 @@ class ControlSettings(PoseGains):
 
     arm: str = setting(
         "",
-        "arm: paper, cad, truth (simulator) or a file; empty: paper; calibrations are ignored",
+        "arm: file or built in (paper, cad, truth); empty: paper; calibrations are ignored",
     )
     rate: float = setting(
         10.0, "publishing rate of base/wrench", unit="Hz", check=between(1.0, 200.0)
@@ -36,7 +36,7 @@ class ControlSettings(PoseGains):
     max_pause: float = setting(
         0.5,
         "longest pause of this process in real time, as on a busy computer; after a longer "
-        "one the base is held and the goal ends",
+        "one the base is held and guidance's action ends",
         unit="s",
         check=POSITIVE,
     )

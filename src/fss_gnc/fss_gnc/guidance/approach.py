@@ -8,7 +8,10 @@ where c is the centre of mass relative to the target's. d is the distance of an 
 points straight at the target (psi = 0) from the side s. k is the centre of mass seen from the end
 effector, and theta_E the end effector's heading in the base. d moves it inward, phi moves it around
 the target, and psi turns it. Each is a polynomial of time that starts with the present motion and
-ends at rest.
+ends at rest, or in the motion whose momentum is opposite to the target's (`cancel_momentum`): then
+base and target are at rest after the grip as soon as the joints are (simultaneous capture and
+detumble: Virgili-Llop and Romano, Simultaneous Capture and Detumble of a Resident Space Object by a
+Free-Flying Spacecraft-Manipulator System, 2019).
 
 The fixture turns with the target. Times of arrival are tried, earliest first. At each, the side is
 the one that the fixture then faces. Both directions around the target and several orders of moving
@@ -20,6 +23,7 @@ Docking of Spacecraft, 2003, section 4.4). It must be clear of other vehicles.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from math import pi
 from typing import NamedTuple
 
@@ -29,7 +33,8 @@ import numpy.typing as npt
 from fss_arm_model import layout
 from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
-from fss_arm_model.dynamics import inverse_dynamics
+from fss_arm_model.dynamics import inertia_matrix, inverse_dynamics
+from fss_arm_model.held import Target
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import system_com
 from fss_arm_model.planar import wrap
@@ -43,6 +48,9 @@ from fss_gnc.guidance.other_vehicles import (
 )
 
 MAX_DURATION = 150.0  # of a planned approach [s]
+RAMP_TIME = 8.0  # in which the final motion of an approach starts, and later ends [s]
+FINAL_MOTION_TIME = 2.0  # time that an approach keeps its final motion [s]
+MAX_FINAL_SPEED = 0.004  # largest inward speed of the final motion [m/s]
 
 
 class Points(NamedTuple):
@@ -64,14 +72,32 @@ def quintic(start: float, rate: float, end: float, duration: float, t: Floats) -
     return np.stack([value, first, second])
 
 
+def ramp(since_end: Floats) -> Floats:
+    """Return distance, rate and acceleration (3, k) of a motion that rises to the rate 1.
+
+    It starts RAMP_TIME before the end, keeps the rate for FINAL_MOTION_TIME after it, then stops.
+    """
+
+    def rise(t: Floats) -> Floats:
+        u = np.clip(t / RAMP_TIME, 0.0, 1.0)
+        distance = RAMP_TIME * u**3 * (1.0 - 0.5 * u) + np.maximum(t - RAMP_TIME, 0.0)
+        return np.stack([distance, u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / RAMP_TIME])
+
+    return rise(since_end + RAMP_TIME) - rise(since_end - FINAL_MOTION_TIME)
+
+
 class RigidCraft:
     """Base and arm with joints held: centre of mass, and pointing direction of the end effector."""
 
     def __init__(self, p: Floats, q_m: npt.ArrayLike) -> None:
         self.p, self.q_m = p, np.array(q_m, dtype=float)
         x, y, self.tip_heading = (float(v) for v in tip_in_base(p, self.q_m))
-        self.com = complex(*system_com(p, np.concatenate([np.zeros(3), self.q_m])))
+        q = np.concatenate([np.zeros(3), self.q_m])
+        self.com = complex(*system_com(p, q))
         self.k = (self.com - complex(x, y)) * np.exp(-1j * self.tip_heading)
+        H = inertia_matrix(p, q)
+        self.mass = float(H[0, 0])
+        self.inertia = float(H[2, 2]) - self.mass * abs(self.com) ** 2  # about the centre of mass
 
     def polar(self, pose: Floats, twist: Floats) -> tuple[Floats, Floats] | None:
         """Return d, phi, psi and their rates from the base's pose and twist relative to the target.
@@ -86,14 +112,36 @@ class RigidCraft:
             return None
         d = self.k.real + np.sqrt(square)
         s = c / (d - self.k)
-        linear = v / s
-        phi_rate = linear.imag / (d - self.k.real)
         psi = wrap(pose[2] - (np.angle(s) + pi - self.tip_heading))
-        inward = linear.real - phi_rate * self.k.imag
-        return (
-            np.array([d, np.angle(s), psi]),
-            np.array([inward, phi_rate, twist[2] - phi_rate]),
-        )
+        return np.array([d, np.angle(s), psi]), self._polar_rates(d, v / s, twist[2])
+
+    def _polar_rates(self, d: float, linear: complex, omega: float) -> Floats:
+        """Return the rates of d, phi, psi, from the velocity of the centre of mass over s."""
+        phi_rate = linear.imag / (d - self.k.real)
+        outward = linear.real - phi_rate * self.k.imag
+        return np.array([outward, phi_rate, omega - phi_rate])
+
+    def canceling_rates(self, d: float, phi: float, target: Target, state: Floats) -> Floats:
+        """Return the rates of d, phi, psi with a momentum opposite to the target's.
+
+        The angular momentum about the common centre of mass vanishes. The linear one does so, too,
+        unless the inward speed were above MAX_FINAL_SPEED.
+
+        Args:
+            d: distance of the end effector [m].
+            phi: direction of the side [rad].
+            target: with its mass and inertia.
+            state: (2, 3) its pose and twist.
+        """
+        drift = complex(*state[1, :2]) * np.exp(-1j * phi)
+        linear = -drift * (1.0 + target.mass / self.mass)
+        rates = self._polar_rates(d, linear, 0.0)
+        if rates[0] < -MAX_FINAL_SPEED:
+            linear -= rates[0] + MAX_FINAL_SPEED
+        reduced = self.mass * target.mass / (self.mass + target.mass)
+        orbital = reduced * (np.conj(d - self.k) * linear).imag  # angular momentum of both masses
+        omega = -(target.inertia * float(state[1, 2]) + orbital) / self.inertia
+        return self._polar_rates(d, linear, omega)
 
     def points(self, d: Floats, phi: Floats, psi: Floats) -> Points:
         """Return the base's motion seen from the target.
@@ -130,11 +178,14 @@ class ApproachTrajectory:
     end: Floats  # (3,)
     duration: float  # [s]
     timing: "Timing"
+    side: float  # direction in which the fixture is awaited [rad]
+    final_rate: Floats  # (3,) at the end
 
     def points(self, t: npt.ArrayLike) -> Points:
         """Return the points at times since the start [s], seen from the target."""
         t, T, timing = np.atleast_1d(np.asarray(t, dtype=float)), self.duration, self.timing
-        start, speed, end = self.start.tolist(), self.start_rate.tolist(), self.end.tolist()
+        start, speed = self.start.tolist(), self.start_rate.tolist()
+        end = (self.end - 0.5 * RAMP_TIME * self.final_rate).tolist()  # without the final motion
         d = quintic(start[0], speed[0], end[0], T, t)
         if timing.detour_distance is not None:
             half, detour_distance = timing.detour_end * T, timing.detour_distance
@@ -145,6 +196,10 @@ class ApproachTrajectory:
         rate = 0.0 if since else speed[1]
         phi = quintic(start[1], rate, end[1], until - since, np.maximum(t - since, 0.0))
         psi = quintic(start[2], speed[2], end[2], min(until, 0.6 * T), t)
+        final = ramp(t - T)
+        d, phi, psi = (
+            a + rate * final for a, rate in zip((d, phi, psi), self.final_rate, strict=True)
+        )
         return self.body.points(d, phi, psi)
 
 
@@ -214,7 +269,10 @@ class Planner:
         initial = body.polar(relative_pose, qd[:3] - drift)
         if initial is None:
             return
-        for trajectory in self._candidates(body, *initial, state, lead):
+        cancels = (True, False) if self.settings.cancel_momentum else (False,)
+        for trajectory in chain.from_iterable(
+            self._candidates(body, *initial, state, lead, each) for each in cancels
+        ):
             yield (
                 trajectory
                 if self._is_feasible(trajectory)
@@ -224,7 +282,13 @@ class Planner:
             )
 
     def _candidates(
-        self, body: RigidCraft, initial: Floats, rate: Floats, state: Floats, lead: float
+        self,
+        body: RigidCraft,
+        initial: Floats,
+        rate: Floats,
+        state: Floats,
+        lead: float,
+        cancels_momentum: bool,
     ) -> Iterator[ApproachTrajectory]:
         distance = self.standoff_distance()
         outer = max(float(initial[0]), distance)
@@ -232,14 +296,20 @@ class Planner:
             Timing((0.0, 1.0)), Timing((0.0, 0.6), 0.45, outer), Timing((0.3, 1.0), 0.5, distance),
             Timing((0.0, 0.6), 0.4, outer + 0.3), Timing((0.1, 0.8), 0.2, outer + 0.1),
         )  # fmt: skip
-        t = 6.0
+        t = RAMP_TIME if cancels_momentum else 6.0
+        final_rate, lag = np.zeros(3), 0.0
         while t < MAX_DURATION:
             facing = self.fixture_direction(float(state[0, 2] + state[1, 2] * (t + lead)))
+            if cancels_momentum:
+                # The final motion leads to the side where the fixture is while the arm reaches.
+                lag = lead * body.canceling_rates(distance, facing, self.target, state)[1]
+                final_rate = body.canceling_rates(distance, facing - lag, self.target, state)
             shorter = wrap(facing - initial[1])
             for turn in (shorter, shorter - np.copysign(2.0 * pi, shorter)):
-                end = np.array([distance, initial[1] + turn, 0.0])
+                side = float(initial[1] + turn)
+                end = np.array([distance, side - lag, -lead * final_rate[2]])
                 for timing in timings:
-                    yield ApproachTrajectory(body, initial, rate, end, t, timing)
+                    yield ApproachTrajectory(body, initial, rate, end, t, timing, side, final_rate)
             t += max(1.0, 0.05 * t)
 
     def _is_feasible(self, trajectory: ApproachTrajectory) -> bool:

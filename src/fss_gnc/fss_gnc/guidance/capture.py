@@ -21,7 +21,7 @@ from fss_arm_model.held import Approach, approach, combined_momentum
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
-from fss_gnc.guidance.approach import ApproachTrajectory, Planner
+from fss_gnc.guidance.approach import FINAL_MOTION_TIME, ApproachTrajectory, Planner
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import DriftPredictor
@@ -198,7 +198,8 @@ class Capture:
             # The target's rotation or another vehicle's motion has changed.
             self._search_trajectory(obs, q, qd, state)
         elif remaining <= 0.0:
-            self._start_reach_if_ready(obs, q, qd, state, trajectory)
+            is_late = bool(trajectory.final_rate.any()) and -remaining > FINAL_MOTION_TIME
+            self._start_reach_if_ready(obs, q, qd, state, trajectory, is_late)
         return Commands(
             "approach",
             self._path,
@@ -228,8 +229,18 @@ class Capture:
         return ""
 
     def _start_reach_if_ready(
-        self, obs: Observation, q: Floats, qd: Floats, state: Floats, trajectory: ApproachTrajectory
+        self,
+        obs: Observation,
+        q: Floats,
+        qd: Floats,
+        state: Floats,
+        trajectory: ApproachTrajectory,
+        is_late: bool,
     ) -> None:
+        """Start the reach, or search for another trajectory if the fixture has passed by.
+
+        It is late once the final motion that cancels the momentum has ended.
+        """
         assert self._path is not None
         reference = self._path.at(obs.t)
         error, twist_error = pose_error(q[:3], reference.pose), qd[:3] - reference.twist
@@ -240,7 +251,9 @@ class Capture:
         )
         spin = float(state[1, 2])
         facing = self._facing_angle(state, trajectory, self._lead(state))
-        if is_ready and abs(facing) < MAX_FACING_ANGLE:
+        if is_late:
+            self._search_trajectory(obs, q, qd, state)
+        elif is_ready and abs(facing) < MAX_FACING_ANGLE:
             self.attempts += 1
             self._path = None
             self.reach.set_momentum(q, qd)
@@ -258,7 +271,7 @@ class Capture:
     def _facing_angle(self, state: Floats, trajectory: ApproachTrajectory, ahead: float) -> float:
         """Return the angle that the fixture must still turn to face the arm, a time ahead [s]."""
         direction = self.planner.fixture_direction(float(state[0, 2] + ahead * state[1, 2]))
-        return float(wrap(trajectory.end[1] - direction))
+        return float(wrap(trajectory.side - direction))
 
     def _reach(self, obs: Observation, q: Floats, qd: Floats, state: Floats) -> Commands:
         """Move the arm to the fixture and close the gripper; the arm follows while it closes."""

@@ -59,6 +59,11 @@ class MissionSettings(GuidanceSettings, GuardSettings):
         unit="s",
         check=NOT_NEGATIVE,
     )
+    cancel_momentum: bool = setting(
+        False,
+        "whether the approach ends in a motion whose momentum is opposite to the target's, so that "
+        "little is left to stop after the grip",
+    )
     # the reach
     lead: float = setting(
         3.0,
@@ -68,16 +73,20 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     )
     reach_speed: float = setting(
         0.05,
-        "largest speed of the end effector relative to the fixture; twice that if it is late",
+        "largest speed of the end effector relative to the fixture; twice that if the fixture "
+        "moves away faster",
         unit="m/s",
         check=POSITIVE,
     )
     joint_rate: float = setting(
-        0.4, "largest rate of a joint, except near the fixture", unit="rad/s", check=POSITIVE
+        0.4,
+        "largest rate of a joint; within 5 cm of the fixture it is the drive's",
+        unit="rad/s",
+        check=POSITIVE,
     )
     grip_distance: float = setting(
         0.025,
-        "distance from the fixture at which the gripper closes; below the gripper's reach",
+        "distance from the fixture at which the gripper closes; it must be able to hold from there",
         unit="m",
         check=POSITIVE,
     )
@@ -143,7 +152,8 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     # the abort
     drift_horizon: float = setting(
         30.0,
-        "time without collision that a drift after an abort must allow",
+        "time for which base and arm must be able to drift after an abort; if they would collide a "
+        "short push changes their drift",
         unit="s",
         check=POSITIVE,
     )

@@ -13,7 +13,7 @@ class GuidanceSettings(Extents):
 
     arm: str = setting(
         "",
-        "arm: paper, cad, truth (simulator) or a file; empty: paper; calibrations are ignored",
+        "arm: file or built in (paper, cad, truth); empty: paper; calibrations are ignored",
     )
     rate: float = setting(
         10.0,

@@ -23,7 +23,7 @@ class ControllerSettings(Settings):
     )
     arm: str = setting(
         "",
-        "arm: paper, cad, truth (simulator) or a file; empty: paper; calibrations are ignored",
+        "arm: file or built in (paper, cad, truth); empty: paper; calibrations are ignored",
     )
     table: tuple[float, ...] = like(Extents, "table")
     base_frame: str = like(Vehicle, "base_frame")

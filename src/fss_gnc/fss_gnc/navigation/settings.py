@@ -15,15 +15,15 @@ class SensorErrors(Settings):
 
     position_error: float = setting(
         0.001,
-        '1 sigma of a measured position, each axis; increase it if "NIS of poses" in the '
-        "diagnostics of `navigation` is far above the expected 3",
+        '1 sigma of a measured position, each axis; with `navigation`, increase it if "NIS of '
+        'poses" in its diagnostics is far above the expected 3',
         unit="m",
         check=POSITIVE,
     )
     heading_error: float = setting(
         0.009,
-        '1 sigma of a measured heading; increase it if "NIS of poses" in the diagnostics of '
-        "`navigation` is far above the expected 3",
+        '1 sigma of a measured heading; with `navigation`, increase it if "NIS of poses" in its '
+        "diagnostics is far above the expected 3",
         unit="rad",
         check=POSITIVE,
     )
@@ -183,7 +183,7 @@ class NavigationSettings(EstimatorSettings, MassErrors):
     )
     arm: str = setting(
         "",
-        "arm until a calibration passes: paper, cad, truth (simulator) or a file; empty: paper",
+        "arm until a calibration passes: file or built in (paper, cad, truth); empty: paper",
     )
     base_topic: str = like(Vehicle, "base_topic")
     target_topic: str = like(Vehicle, "target_topic")

@@ -1,4 +1,4 @@
-"""Run a campaign: one function over a grid, distributions and seeds, on all cores or a cluster.
+"""Run a campaign: simulations over a grid, distributions and seeds, on all cores or a cluster.
 
 docs/how-to/campaign.md describes the file. Results are OUT/runs.parquet, one row per run, and
 OUT/report/index.html.
