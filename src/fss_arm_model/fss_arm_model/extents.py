@@ -17,7 +17,10 @@ class Extents(Settings):
         size=2,
     )
     base_radius: float = setting(
-        0.19, "radius within which the base lies about its origin", unit="m", check=NOT_NEGATIVE
+        0.19,
+        "radius of a circle about the base's origin around the base",
+        unit="m",
+        check=NOT_NEGATIVE,
     )
     link_radius: float = setting(
         0.06,

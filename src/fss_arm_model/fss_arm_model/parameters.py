@@ -34,8 +34,8 @@ from .layout import BASE_SIZE, LINK_SIZE, kinematic_index, kinematic_names
 MEANINGS = {
     r"m(_.+)?": "m: mass",
     r"I(_.+)?": "I: inertia about the centre of mass",
-    r"b(_.+)?": "b: from a link's centre of mass to its end",
-    r"[xy]_com": "x_com, y_com: the base's centre of mass",
+    r"b(_.+)?": "b: from a link's centre of mass to its outer joint or the tip",
+    r"[xy]_com": "x_com, y_com: centre of mass in the base's frame",
     r"[mI]_0": "0: base",
     r"g_[xy]": "g_x, g_y: acceleration by the table's tilt",
     r"a(_.+)?": "a: length",

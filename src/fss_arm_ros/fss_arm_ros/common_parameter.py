@@ -1,4 +1,4 @@
 """Parameter that every node has. Without imports, so that `--help` starts fast."""
 
 ALLOW = "allow_duplicate"
-ABOUT = "start beside a node that has the same name, or offers the same services, in the ROS domain"
+ABOUT = "whether to start beside a node with the same name or services in the ROS domain"

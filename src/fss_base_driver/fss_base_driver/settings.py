@@ -38,9 +38,7 @@ class MocapSettings(Settings):
     host: str = setting(
         "", "address of the motion-capture system's computer; required except for mock"
     )
-    options: tuple[str, ...] = setting(
-        (), "further options of the motion-capture library, each OPTION=VALUE"
-    )
+    options: tuple[str, ...] = setting((), "further options of libmotioncapture, each OPTION=VALUE")
     relays: tuple[str, ...] = setting(
         (),
         "topics of other receivers to relay, each SUBJECT=TOPIC, or TOPIC if its messages name "
@@ -51,8 +49,8 @@ class MocapSettings(Settings):
     )
     subjects: tuple[str, ...] = setting(
         (),
-        "names in the system to publish, each NAME or"
-        " NAME=SUBJECT/SEGMENT of the topic; empty: all",
+        "bodies to publish: NAME in the system, or NAME=SUBJECT/SEGMENT for another topic; "
+        "empty: all",
     )
     prefix: str = setting(
         "vicon", "first part of the topics PREFIX/SUBJECT/SEGMENT", within="/vicon"
@@ -162,7 +160,7 @@ class BaseSettings(Settings):
     )
     minimum_on_time: float = setting(
         0.01,
-        "shortest pulse of a wrench's valves; shorter ones are carried over",
+        "shortest pulse for a wrench; a shorter one is added to the next",
         unit="s",
         check=NOT_NEGATIVE,
     )

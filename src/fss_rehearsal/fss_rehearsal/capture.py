@@ -45,6 +45,13 @@ NOT_STARTED = (
     "the test bed did not start within {:g} s: it compiles kernels, waits for another process "
     "that does, or has failed; see logs/testbed.log"
 )
+PHASES = {  # what happens in them
+    "wait": "for a path to the target",
+    "approach": "the base moves to the target",
+    "reach": "the arm moves the gripper to the fixture",
+    "grip": "the gripper closes",
+    "detumble": "joints and base stop",
+}
 MAX_DURATION = 600.0  # timeout of the mission [s], in real time
 
 
@@ -65,7 +72,8 @@ class CaptureOperator(Operator):
         """Print each new phase of the mission."""
         if message.mission and message.phase != self.phase:
             self.phase = message.phase
-            print(f"{message.elapsed:8.1f} s  {self.phase}  {message.reason}".rstrip())
+            meaning = message.reason or PHASES.get(self.phase, "")
+            print(f"{message.elapsed:8.2f} s  {self.phase:<10} {meaning}".rstrip())
 
     def result_of(self, future: Future, error: str, timeout: float = 0.0) -> Any:
         """Wait for a future and return its result.

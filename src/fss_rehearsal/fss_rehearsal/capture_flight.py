@@ -103,7 +103,7 @@ def mass_errors(flight: Flight, p: np.ndarray, k: int) -> tuple[float, list[str]
         f"  {name:>16}  {value:+.3f} ± {deviation:.3f} {unit}, true {true:+.3f}"
         for name, value, deviation, true, unit in rows
     ]
-    title = "target as estimated, ± 1 sigma (centre of mass x, y in the last link's frame):"
+    title = "estimate of the target, ± 1 sigma; centre of mass x, y from the last joint:"
     return float((np.abs(values - truth) / deviations).max()), [title, *lines]
 
 
@@ -129,6 +129,8 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     rest = np.round(spin[1], 3) + 0.0  # never -0.000
     spin_text = f"{spin[0]:.2f} deg/s at the start, {rest:.3f} deg/s at the end"
     log_line(f"  it {difference}")
+    own = TARGET.inertia * flight.target_twist[k - 1, 2]
+    log_line(f"  of the target's spin alone {own:+#.4g} N m s")
     log_line(
         f"numerical error of the simulation: momentum minus impulse {max(audit):.0e} N s\n"
         f"  or N m s, energy minus work {energy:.0e} J"

@@ -256,10 +256,12 @@ def solve_planned(
         kept.append(one)
     used, surplus = ", ".join(map(str, counts)), len(result.data) - len(kept)
     log_line(
-        f"{len(result.data)} maneuvers recorded: {len(result.data) - len(result.used)} rejected, "
-        f"{f'{surplus} surplus, ' * (surplus > 0)}{sum(counts)} used ({used} in sessions 1 to "
-        f"{len(starts)})"
+        f"{len(result.data)} motions recorded: {sum(counts)} used as maneuvers ({used} in sessions "
+        f"1 to {len(starts)}){f', {surplus} surplus' * (surplus > 0)}"
     )
+    for one in result.data:
+        if not one.used:
+            log_line(f"  motion {result.data.index(one) + 1} rejected: {one.reason}")
     if len(kept) == len(result.data):
         return result
     return calibrate(kept, result.arm, settings, source=result.provenance.source)

@@ -130,7 +130,8 @@ def test_too_short_a_duration_becomes_what_the_limits_allow_and_is_said(bench, m
     assert bench.move(0.5, 0.0, duration=0.1).result.reached
     lasts = bench.feedback[0].feedback.remaining
     assert lasts > 0.5
-    assert said[-1] == f"the joints' limits slow the move from 0.10 to {lasts:.2f} s"
+    words = f"the move takes {lasts:.2f} s instead of 0.10 s"
+    assert said[-1] == f"{words}, as the joints' limits require"
 
 
 def test_moves_that_make_no_sense_are_rejected(bench, monkeypatch):
@@ -168,7 +169,7 @@ def test_links_that_have_not_connected_are_waited_for_without_a_warning(bench, m
     monkeypatch.setattr(type(bench.arm.links), "unconnected", [1, 2])
     for _ in range(2):
         assert bench.move(0.1, 0.1).result.message == "links 1, 2 are not connected yet"
-    assert said == ["a move waits: links 1, 2 are not connected yet"]
+    assert said == ["moves are refused until the links are ready: links 1, 2 are not connected yet"]
 
 
 def test_a_second_move_is_refused_and_the_first_can_be_canceled(bench):

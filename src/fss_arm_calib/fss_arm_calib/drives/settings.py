@@ -20,12 +20,12 @@ class DrivesSettings(ExcitationSettings, KindSettings):
     arm: str = setting(
         "", "description YAML; its masses are taken as known; empty: the paper's arm"
     )
-    max_excitations: int = max_data(600, "averages of turning joints")
+    max_excitations: int = max_data(600, "averages (over `window`)")
     gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
     window: float = positive(1.6, "s", "averaging time of torques and motion")
     rotor_inertia: float = setting(
         0.0026,
-        "inertia of each rotor, seen at its joint; estimated if telemetry has 67 Hz or more",
+        "inertia of each rotor, seen at its joint; estimated instead if telemetry has 67 Hz",
         unit="kg m^2",
         check=NOT_NEGATIVE,
     )

@@ -71,7 +71,7 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     outlier: float = like(CalibrationSettings, "outlier", 3.0)
     min_redundancy: float = like(CalibrationSettings, "min_redundancy", 1e-3)
     max_tip_error: float = positive(
-        0.03, "m", "largest accepted RMS of the end effector's distance from its described position"
+        0.03, "m", "largest accepted RMS error of the end effector's predicted position"
     )
     max_relative: float = setting(
         0.0,

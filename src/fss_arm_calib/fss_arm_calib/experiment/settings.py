@@ -56,8 +56,8 @@ class ExperimentSettings(Settings):
     )
     goal: str = setting(
         "",
-        "standard deviations at which to stop early, e.g. 'b_i 0.002 I_4 0.001', in SI units; "
-        "of calibration/dynamic (maneuvers) or calibration/kinematic (postures); empty: none",
+        "stop early when calibration/dynamic (maneuvers) or calibration/kinematic (postures) has "
+        "these standard deviations, such as 'b_i 0.002 I_4 0.001', in SI units; empty: none",
     )
     pause: float = positive(
         5.2,
@@ -66,7 +66,7 @@ class ExperimentSettings(Settings):
         "`dynamic`",
     )
     tolerance: float = positive(
-        0.0175, "rad", "largest difference between a posture and its observation"
+        0.0175, "rad", "largest difference between a posture and `kinematic`'s observation"
     )
     rest: float = positive(3.0, "s", "rest at each posture if no `kinematic` runs")
     observation_timeout: float = positive(20.0, "s", "longest wait for an observation")

@@ -50,8 +50,8 @@ class KinematicSettings(NoiseSettings):
     base_heading_deviation: float = sigma(
         0.0,
         "rad",
-        "the base's heading, contained in heading_deviation (as squares); 0: estimated with the "
-        "other two if they are 0",
+        "the base's heading, a part of heading_deviation (sum of squares); 0: estimated if "
+        "position_deviation and heading_deviation are 0, too",
     )
     max_position_deviation: float = like(
         NoiseSettings, "max_position_deviation", POSITION_DEVIATION

@@ -72,13 +72,13 @@ class ManeuverSettings(RestSettings):
     bin: float = positive(0.5, "s", "averaging time of the poses in a window")
     path_rate: float = setting(
         0.0,
-        "rate of base poses that are used during maneuvers, too; only for rigid gears; 0: none",
+        "rate of base poses during maneuvers that are used, too; only for rigid gears; 0: none",
         unit="Hz",
         check=NOT_NEGATIVE,
     )
     time_offset: float = setting(
         0.0,
-        "stamps of joints and gyro minus those of motion capture at one instant, a first estimate; "
+        "first estimate of the stamps of joints and gyro minus those of motion capture; "
         "refined from the base's rotation",
         unit="s",
         check=FINITE,

@@ -78,7 +78,7 @@ class MoveAction:
             if message == self.last_reason:
                 pass  # a waiting client repeats its goal
             elif self.links.unconnected:  # the nodes have just started
-                log.info(f"a move waits: {message}")
+                log.info(f"moves are refused until the links are ready: {message}")
             else:
                 log.warning(f"move aborted: {message}")
             handle.abort()
@@ -98,8 +98,8 @@ class MoveAction:
         links.check()
         move = plan(links.arm, links.q(), tuple(request.q), request.duration)
         if 0.0 < request.duration < move.duration:
-            slower = f"from {request.duration:.2f} to {move.duration:.2f} s"
-            links.node.get_logger().info(f"the joints' limits slow the move {slower}")
+            words = f"takes {move.duration:.2f} s instead of {request.duration:.2f} s"
+            links.node.get_logger().info(f"the move {words}, as the joints' limits require")
         self.guard.check_move(links.states, move.profiles)
         motion = links.arbiter.start("a move", links.now())
         self.goal_id = handle.goal_id.uuid.tobytes()

@@ -31,7 +31,7 @@ class GuardSettings(Extents):
     )
     braking: float = setting(
         0.5,
-        "share of a drive's max_acceleration, of the arm's description, with which the check of "
-        "motions expects its joint to brake",
+        "deceleration of joints that the check of motions assumes, as a share of max_acceleration "
+        "in the arm's description",
         check=above(0.0, 1.0),
     )

@@ -52,7 +52,7 @@ class PathSettings(Settings):
     )
     gain: float = setting(
         5.0,
-        "turn of a joint at its limit to the middle of its range, per length of the path, for "
+        "motion of a joint at its limit towards the middle of its range, per metre of path, for "
         "`away from limits`; 0: none",
         unit="rad/m",
         check=NOT_NEGATIVE,

@@ -28,7 +28,7 @@ class ControlSettings(PoseGains):
     )
     max_age: float = setting(
         0.5,
-        "largest age of base/state, else the valves close, and of arm/joint_states, else the "
+        "age of base/state beyond which the valves close, and of arm/joint_states beyond which the "
         "joints are assumed at rest",
         unit="s",
         check=POSITIVE,

@@ -80,7 +80,7 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     )
     joint_rate: float = setting(
         0.4,
-        "largest rate of a joint; within 5 cm of the fixture it is the drive's",
+        "largest rate of a joint; within 5 cm of the fixture the drive's limit applies",
         unit="rad/s",
         check=POSITIVE,
     )
@@ -152,8 +152,8 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     # the abort
     drift_horizon: float = setting(
         30.0,
-        "time for which base and arm must be able to drift after an abort; if they would collide a "
-        "short push changes their drift",
+        "time after an abort for which the drift of base and arm must be free of collision; if it "
+        "is not, a short push changes it",
         unit="s",
         check=POSITIVE,
     )

@@ -16,6 +16,7 @@ from fss_arm_driver.arm.stream import Ramp
 from fss_arm_model.arrays import Floats
 from fss_arm_model.clearance import gaps, links_and_base, sizes, with_edge, with_target
 from fss_arm_model.description_file import described
+from fss_arm_model.held import combined_momentum
 from fss_arm_model.kinematics import joint_positions, tip_pose
 from fss_arm_model.momentum import momentum
 from fss_arm_model.settings import SettingError
@@ -359,7 +360,7 @@ class Flight:
             target_gaps[-2:] = inf
             if not flown.captured:
                 flown.captured, flown.grip = True, self.t
-                flown.momentum = float(momentum(plant.p, plant.q, plant.qd)[2])
+                flown.momentum = self.angular_momentum()
         if plant.approach.distance < NEAR_FIXTURE:
             self.last_near = self.t
         for name, gap in (("edge", edge), ("itself", itself), ("target", float(target_gaps.min()))):
@@ -368,6 +369,13 @@ class Flight:
         is_off = bool((np.abs(plant.target[0, :2]) > self.target_limits).any())
         if is_off and plant.holds and not flown.contact:
             flown.contact = f"held target with edge at {self.t:.1f} s"
+
+    def angular_momentum(self) -> float:
+        """Return that of vehicle and target about their common centre of mass [N m s]."""
+        plant, target = self.plant, self.plant.world.target
+        if plant.payload or target is None:  # the payload is part of the last link
+            return float(momentum(plant.p, plant.q, plant.qd)[2])
+        return float(combined_momentum(plant.p, plant.q, plant.qd, target, plant.target)[2])
 
 
 def capture(
