@@ -124,7 +124,7 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     for (name, unit), (before, after) in zip(names, momenta, strict=True):
         log_line(f"  {name:>31}  before {before:+#.4g}  after {after:+#.4g} {unit}")
     worst, (*audit, energy) = float(np.abs(change - impulse).max()), np.abs(flight.error).max(0)
-    difference = f"changes by {worst:.0e} N s or N m s beyond the external impulse"
+    difference = f"changes by {worst:.0e} N s or N m s beyond the impulse of the thrusters"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
     rest = np.round(spin[1], 3) + 0.0  # never -0.000
     spin_text = f"{spin[0]:.2f} deg/s at the start, {rest:.3f} deg/s at the end"
