@@ -154,9 +154,10 @@ class TestbedNode(Node):
 
     def health(self) -> Health:
         """Return the status of the time; with only one vehicle, also that of the vehicle."""
-        state, is_slow, values = self.timeline.status()
-        if channel := self.testbed.radio_channel:
-            values["airtime used"] = channel.utilization(self.testbed.now)
+        with self.lock:
+            state, is_slow, values = self.timeline.status()
+            if channel := self.testbed.radio_channel:
+                values["airtime used"] = channel.utilization(self.testbed.now)
         level = WARN if is_slow else OK
         if is_slow:
             self.get_logger().warning(state, throttle_duration_sec=10.0)

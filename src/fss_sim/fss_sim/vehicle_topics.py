@@ -223,11 +223,12 @@ class VehicleTopics:
     def health(self, default: str = "") -> Health:
         """Return the status of the vehicle; `default` is the message if there is no problem."""
         problems = [self.save_error] if self.save_error else []
-        if self.is_touching():
-            problems += ["bodies touch each other or the table's border"]
-        if not self.testbed.plant.thrusters.floats:
-            problems += ["no air in the bearings: the vehicle rubs on the table"]
-        return Health(WARN if problems else OK, ", ".join(problems) or default, self.values())
+        with self.lock:
+            if self.is_touching():
+                problems += ["bodies touch each other or the table's border"]
+            if not self.testbed.plant.thrusters.floats:
+                problems += ["no air in the bearings: the vehicle rubs on the table"]
+            return Health(WARN if problems else OK, ", ".join(problems) or default, self.values())
 
     def is_touching(self) -> bool:
         """Return True if its bodies touch each other or the table's border."""

@@ -1,6 +1,8 @@
 """The test-bed node: rates and stamps of topics, links on UDP, simulated time."""
 
+import itertools
 import socket
+import sys
 
 import numpy as np
 import pytest
@@ -440,3 +442,24 @@ def test_the_gyro_message_has_its_rate_and_marks_unmeasured_fields():
 def test_the_clock_is_exact():
     data = SerializedClock().serialize(STAMP)
     assert deserialize_message(data, Clock) == Clock(clock=to_time(STAMP))
+
+
+@pytest.fixture
+def frequent_switches():
+    """Switch between threads as often as possible."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_diagnostics_do_not_change_the_motion(ros, frequent_switches):
+    """They compute gaps, from the states that the simulation's thread advances."""
+    bed, pushes = testbed(**STEPPED), itertools.cycle(np.eye(8)[[2, 0, 4, 6]])
+    while bed.frame < 3000:
+        with bed.lock:
+            bed.testbed.plant.thrust(0.02 * next(pushes))
+        bed.health()
+    with bed.lock:
+        assert np.abs(bed.testbed.bed.imbalance[:3]).max() < 1e-9  # [N s, N m s]
+    bed.close()
