@@ -86,8 +86,8 @@ def parameters() -> str:
     parts = ["# Parameters", NOTE]
     parts += ["Set them with `--ros-args -p NAME:=VALUE`; the node's `--help` lists them, too."]
     parts += [
-        "Built-in arms: `paper`, as published ([comparison](../explanation/paper.md)); `cad`, its "
-        "guess before a calibration; `truth`, the arm that the test bed simulates."
+        "Built-in arms: `paper`, as published ([comparison](../explanation/paper.md)); `cad`, that "
+        "arm as designed, before its calibration; `truth`, the arm that the test bed simulates."
     ]
     parts += [
         "A file (`--params-file`) may set a parameter of all nodes (`/**:`), as `base_radius`, "

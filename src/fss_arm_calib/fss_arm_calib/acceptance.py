@@ -62,7 +62,7 @@ def summarize(checks: Sequence[Check], uncertain: Mapping[str, float] | None = N
     verdict, deciding = _decide(checks)
     numbers = [c.brief for c in deciding if c.brief] if verdict == PASS else []
     if verdict == PASS and uncertain:
-        return "; ".join([*numbers[:1], f"too uncertain: {format_uncertain(uncertain)}"])
+        return "; ".join([*numbers[:1], f"do not rely on {format_uncertain(uncertain)}"])
     reasons = ((c.brief if len(c.reason) > MAX_LENGTH else "") or c.reason for c in deciding)
     return ", ".join(numbers) or next(reasons, "")
 

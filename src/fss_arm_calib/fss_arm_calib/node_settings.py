@@ -15,10 +15,10 @@ from fss_arm_model.settings import Settings, setting
 class NodeSettings(Settings):
     """Parameters of a calibration node in addition to the settings of its kind."""
 
-    frame_id: str = setting("", "frame id of the results; empty: that of the base (drift: world)")
+    frame_id: str = setting("", "frame id of the results; empty: the base's (of `drift`: world)")
     state_file: str = setting("", "file that keeps the data across restarts; empty: none")
     output: str = setting(
-        "", "file of a result that passes: description, or parameters (drift); empty: none"
+        "", "file for a passing result, a description (of `drift`: parameters); empty: none"
     )
     report: str = setting("", "folder for the report that ~/solve writes; empty: none")
 

@@ -43,8 +43,8 @@ class CalibrationSettings(RestSettings, KindSettings):
     outlier: float = positive(
         5.0,
         "",
-        "residual, in standard deviations, above which a datum is an outlier; maneuvers and drifts "
-        "are predicted from the other data",
+        "residual, in standard deviations, above which a datum is an outlier; of maneuvers and "
+        "drifts that of a prediction from the other data",
     )
     max_outliers: int = setting(
         0,

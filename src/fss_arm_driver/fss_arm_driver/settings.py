@@ -41,8 +41,8 @@ class LinkSettings(Settings):
     )
     timeout: float = setting(
         1.0,
-        "silence after which the link is lost; twice watchdog while it follows a path that it has "
-        "stored; also the longest round trip at which the link can be armed",
+        "silence after which the link is lost (while it follows a stored path: after 2 watchdog); "
+        "also the longest round trip at which the link can be armed",
         unit="s",
         check=between(0.001, 3600.0),
     )

@@ -53,7 +53,7 @@ class AnalysisSettings(PathSettings):
 
     cell: float = setting(0.01, "size of the maps' cells", unit="m", check=at_least(0.001))
     directions: int = setting(
-        360, "number of straight paths; more are added where lengths differ", check=at_least(8)
+        360, "number of straight paths; more are added between unequal ones", check=at_least(8)
     )
     of_true_angle: bool = setting(
         False, "true: joint limits hold for the true angle q + theta_0; false: for the reading q"

@@ -202,7 +202,7 @@ class BaseSettings(Settings):
     )
     max_bias: float = setting(
         0.01,
-        "mean rate above which base/find_gyro_bias fails, because the base must be turning",
+        "mean rate above which base/find_gyro_bias fails, because the base evidently turns",
         unit="rad/s",
         check=POSITIVE,
     )
@@ -301,7 +301,7 @@ class FogCorrection(Settings):
     scale: float = setting(
         1.0, "factor of its rates; -1 if the gyro is mounted upside down", check=FINITE
     )
-    bias: float = setting(0.0, "scaled rate at rest, subtracted", unit="rad/s", check=FINITE)
+    bias: float = setting(0.0, "rate at rest, scaled, subtracted", unit="rad/s", check=FINITE)
 
 
 def live_fog_kinds() -> dict[str, type]:

@@ -128,9 +128,9 @@ def evaluate(flight: Flight, p: np.ndarray, log_line: Callable[[str], None]) -> 
     spin = np.degrees(flight.target_twist[[0, -1], 2])
     rest = np.round(spin[1], 3) + 0.0  # never -0.000
     spin_text = f"{spin[0]:.2f} deg/s at the start, {rest:.3f} deg/s at the end"
-    log_line(f"  it {difference}")
     own = TARGET.inertia * flight.target_twist[k - 1, 2]
-    log_line(f"  of the target's spin alone {own:+#.4g} N m s")
+    log_line(f"  for comparison, the spinning target alone: {own:+#.4g} N m s")
+    log_line(f"  the momentum {difference}")
     log_line(
         f"numerical error of the simulation: momentum minus impulse {max(audit):.0e} N s\n"
         f"  or N m s, energy minus work {energy:.0e} J"

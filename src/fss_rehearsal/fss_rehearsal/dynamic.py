@@ -179,11 +179,12 @@ def run_sessions(
                     raise nodes.overdue("experiment", options.deadline)
                 nodes.restart_killed()
                 rclpy.spin_once(operator, timeout_sec=0.1)
-                status = shorten(operator.status_message, MAX_STATUS, placeholder="...")
+                waiting = not operator.status_message.startswith("posture")
+                status = waiting * shorten(operator.status_message, MAX_STATUS, placeholder="...")
                 bar.update(
                     task,
                     completed=before + maneuvers_done(plan, operator.stops),
-                    description=f"maneuvers, session {session + 1} of {count}: {status}",
+                    description=f"maneuvers, session {session + 1} of {count} {status}".rstrip(),
                 )
                 operator.keep_armed()
             bar.update(

@@ -18,7 +18,7 @@ class Noise(Settings):
 
     position_noise: float = error("white noise of a VICON pose, each axis, 1 sigma", "m")
     heading_noise: float = error("white noise of a VICON pose's heading, 1 sigma", "rad")
-    vicon_hold: float = error("time for which the white noise of a VICON pose stays constant", "s")
+    vicon_hold: float = error("time for which a sample of a VICON pose's noise is kept", "s")
     rest_position_error: float = error(
         "error of the tip's measured position in the base frame, constant in a rest, 1 sigma",
         "m",

@@ -319,7 +319,7 @@ class TestbedSettings(PlantSettings):
         (), "initial joint readings, without encoder errors; empty: all 0", unit="rad", check=FINITE
     )
     keep_clock: bool = setting(
-        False, "true: publish /clock (nodes need use_sim_time); false: ROS time"
+        False, "true: publish /clock (nodes need use_sim_time); false: follow the ROS clock"
     )
     speed: float = setting(
         1.0,

@@ -306,7 +306,7 @@ def test_a_pass_names_what_is_too_uncertain_to_use_and_how_to_plan_more(case):
         below = with_description(table_report(found), "arm.yaml").below
         assert below[-1].endswith("start the nodes with -p arm:=arm.yaml.")
         return
-    assert found.summary == f"13 observations; too uncertain: {named}"
+    assert found.summary == f"13 observations; do not rely on {named}"
     seen = lines(report.printable(table_report(found)))
     assert seen[0] == f"pass: {found.summary}"
     all_of_them = " ".join(f"I_{k + 1}" for k, share in enumerate(shares) if share > 0.25)

@@ -25,7 +25,7 @@ class DrivesSettings(ExcitationSettings, KindSettings):
     window: float = positive(1.6, "s", "averaging time of torques and motion")
     rotor_inertia: float = setting(
         0.0026,
-        "inertia of each rotor, seen at its joint; estimated instead if telemetry has 67 Hz",
+        "inertia of each rotor, seen at its joint; with 67 Hz of telemetry it is estimated",
         unit="kg m^2",
         check=NOT_NEGATIVE,
     )

@@ -39,11 +39,11 @@ class DynamicSettings(ManeuverSettings, NoiseSettings, Knowledge):
     estimate: str = setting(
         "b_i I_i I_0 com_0",
         "parameters to estimate: mass m, inertia I, center of mass b, length a, encoder offset "
-        "theta_0 (b_2: of link 2, b_i: each, b: common to all); m_0 I_0 com_0 of the base, mount",
+        "theta_0 (b_2: of link 2, b_i: each, b: common to all); m_0 I_0 com_0: base; mount",
     )
     priors: str = setting(
         "m_i I_i m_0 I_0 com_0 a_i theta_0_i mount",
-        "parameters whose described value is a prior, such as 'b_i I_0'",
+        "estimated parameters whose described values are priors, such as 'b_i I_0'",
     )
     residuals: str = setting(
         POSE,

@@ -66,7 +66,9 @@ class ExperimentSettings(Settings):
         "`dynamic`",
     )
     tolerance: float = positive(
-        0.0175, "rad", "largest difference between a posture and `kinematic`'s observation"
+        0.0175,
+        "rad",
+        "largest error of a joint's posture in `kinematic`'s observation",
     )
     rest: float = positive(3.0, "s", "rest at each posture if no `kinematic` runs")
     observation_timeout: float = positive(20.0, "s", "longest wait for an observation")

@@ -50,8 +50,8 @@ class KinematicSettings(NoiseSettings):
     base_heading_deviation: float = sigma(
         0.0,
         "rad",
-        "the base's heading, a part of heading_deviation (sum of squares); 0: estimated if "
-        "position_deviation and heading_deviation are 0, too",
+        "the base's heading, its square is a part of heading_deviation squared; 0: estimated "
+        "if the deviations of position and heading are, else none",
     )
     max_position_deviation: float = like(
         NoiseSettings, "max_position_deviation", POSITION_DEVIATION

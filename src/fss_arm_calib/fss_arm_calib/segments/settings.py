@@ -63,7 +63,7 @@ class ManeuverSettings(RestSettings):
     """Settings that define a maneuver; a gap rejects it."""
 
     max_duration: float = positive(
-        2.0, "s", "longest averaging before and after a maneuver; at most half of the rest"
+        2.0, "s", "longest averaging before and after a maneuver, at most half of the pause"
     )
     joint_gap: float = like(StreamSettings, "joint_gap", 0.5)
     horizon: float = positive(
@@ -72,7 +72,7 @@ class ManeuverSettings(RestSettings):
     bin: float = positive(0.5, "s", "averaging time of the poses in a window")
     path_rate: float = setting(
         0.0,
-        "rate of base poses during maneuvers that are used, too; only for rigid gears; 0: none",
+        "rate of poses of the moving base that are used, too; only for rigid gears; 0: none",
         unit="Hz",
         check=NOT_NEGATIVE,
     )

@@ -67,14 +67,14 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     # the reach
     lead: float = setting(
         3.0,
-        "planned time from the start of the reach until the fixture faces the arm",
+        "time before the turning fixture faces the arm at which the reach starts",
         unit="s",
         check=NOT_NEGATIVE,
     )
     reach_speed: float = setting(
         0.05,
         "largest speed of the end effector relative to the fixture; twice that if the fixture "
-        "moves away faster",
+        "recedes faster than this",
         unit="m/s",
         check=POSITIVE,
     )
