@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from capturing import POSTURE, SETTINGS, Case, Flight
+from model_arms import random_arm
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
@@ -27,6 +28,7 @@ from fss_gnc.guidance.approach import (
     MAX_FINAL_SPEED,
     RAMP_TIME,
     Planner,
+    RigidCraft,
     propagate_coast,
 )
 from fss_gnc.guidance.budget import Budget
@@ -242,6 +244,28 @@ def test_approach_that_cancels_momentum_ends_opposite_to_the_target(drift):
         assert np.hypot(px, py) < 1e-9
     stopped = way.points(way.duration + FINAL_MOTION_TIME + RAMP_TIME)
     np.testing.assert_allclose(stopped.twist, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [3, 8])
+@pytest.mark.parametrize("inward", [False, True])
+def test_final_motion_of_any_arm_has_the_momentum_opposite_to_the_target(n, inward):
+    rng = np.random.default_rng(n)
+    arm, posture, phi = random_arm(n, rng), rng.uniform(-1.0, 1.0, n), 0.7
+    body, target = RigidCraft(arm.vector(), posture), Target()
+    drift = (1.0 if inward else -1.0) * 0.02 * np.array([np.cos(phi), np.sin(phi)])
+    seen = np.array([[0.3, -0.2, 0.1], [*drift, -0.2]])
+    rates = body.canceling_rates(0.4, phi, target, seen)
+    assert (rates[0] == pytest.approx(-MAX_FINAL_SPEED)) == inward
+    end = body.points(
+        *np.array(
+            [[[0.4], [rates[0]], [0.0]], [[phi], [rates[1]], [0.0]], [[0.0], [rates[2]], [0.0]]]
+        )
+    )
+    q = np.concatenate([end.pose[0] + [0.3, -0.2, 0.0], posture])
+    qd = np.concatenate([end.twist[0] + [*drift, 0.0], np.zeros(n)])
+    px, py, L = combined_momentum(arm.vector(), q, qd, target, seen)
+    assert abs(L) < 1e-12  # [N m s]
+    assert (np.hypot(px, py) < 1e-12) != inward  # [N s]
 
 
 def test_capture_that_cancels_momentum_leaves_little_to_stop():
