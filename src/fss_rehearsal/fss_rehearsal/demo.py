@@ -30,7 +30,7 @@ from fss_arm_ros import report
 from fss_arm_ros.qos import LATCHED
 from fss_rehearsal.domain import CONFIG, Domain
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
-from fss_rehearsal.processes import Nodes
+from fss_rehearsal.processes import Nodes, short_path
 from fss_rehearsal.progress import counting_bar
 from fss_rehearsal.rehearsed import Check, Rehearsed
 
@@ -242,7 +242,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         result = observe(options, out, console, domain)
     found = KINEMATIC.report_of(result, load(CONFIG / "truth.yaml"))
     if (out / "arm.yaml").exists():
-        found = with_description(found, "arm.yaml")
+        found = with_description(found, short_path(out / "arm.yaml"))
     console.print(report.printable(found, options.details), highlight=False)
     reproduced = from_bag(out / "bag", result)
     console.print(reproduced.happened)
