@@ -21,7 +21,9 @@ SERVER_TIMEOUT = 10.0  # [s]
 def main():
     """Send the goal, and print each phase until the end; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("vehicle", metavar="VEHICLE", help="its namespace, such as fss1")
+    parser.add_argument(
+        "vehicle", metavar="VEHICLE", help="its namespace, such as fss1, or / for a single one"
+    )
     for name, unit in (("X", "m"), ("Y", "m"), ("HEADING", "rad")):
         parser.add_argument(name, type=float, help=f"of the goal, in the world [{unit}]")
     options = parser.parse_args()
