@@ -68,7 +68,7 @@ NEXT_STEPS = {
 
 def with_description(report: Report, path: object) -> Report:
     """Return a report whose next step names the file of the calibrated description."""
-    named = f"Next: keep the bag; start the nodes with -p arm:={path}."
+    named = f"Next: keep the bag; give the nodes -p arm:={path}."
     return replace(report, below=[named if x == NEXT_STEPS[PASS] else x for x in report.below])
 
 

@@ -260,9 +260,9 @@ def solve_planned(
         f"{len(result.data)} motions recorded: {sum(counts)} used as maneuvers ({used} in sessions "
         f"1 to {len(starts)}){f', {surplus} surplus' * (surplus > 0)}"
     )
-    for one in result.data:
+    for number, one in enumerate(result.data, 1):
         if not one.used:
-            log_line(f"  motion {result.data.index(one) + 1} rejected: {one.reason}")
+            log_line(f"  motion {number} rejected: {one.reason}")
     if len(kept) == len(result.data):
         return result
     return calibrate(kept, result.arm, settings, source=result.provenance.source)

@@ -43,9 +43,9 @@ from fss_sim.vicon import Room, Vicon
 Wire = LinkSocket | LinkListener | LinkTerminal
 
 
-def _preset_setting(presets: Mapping[str, Settings], name: str) -> Any:
+def _preset_setting(presets: Mapping[str, Joints] | Mapping[str, Noise], name: str) -> Any:
     """Return a field for a number that a preset sets; a value below 0 selects the preset's."""
-    about = presets["default"].__dataclass_fields__[name].metadata  # type: ignore[attr-defined]
+    about = next(f.metadata for f in fields(presets["default"]) if f.name == name)
     values = ", ".join(f"{key} {getattr(preset, name):g}" for key, preset in presets.items())
     return field(
         default=-1.0,

@@ -304,7 +304,7 @@ def test_a_pass_names_what_is_too_uncertain_to_use_and_how_to_plan_more(case):
         assert "chi-square" in found.summary
         assert next_steps(found)[0].startswith("Next: keep the bag; write the desc")
         below = with_description(table_report(found), "arm.yaml").below
-        assert below[-1].endswith("start the nodes with -p arm:=arm.yaml.")
+        assert below[-1].endswith("give the nodes -p arm:=arm.yaml.")
         return
     assert found.summary == f"13 observations; do not rely on {named}"
     seen = lines(report.printable(table_report(found)))
