@@ -23,11 +23,11 @@ from fss_arm_model.momentum import generalized_jacobian
 from fss_arm_model.settings import SettingError
 from fss_gnc.guidance.abort import Abort, JointStop
 from fss_gnc.guidance.activity import Craft, Observation
-from fss_gnc.guidance.approach import (
+from fss_gnc.guidance.approach import Planner
+from fss_gnc.guidance.approach_trajectory import (
     FINAL_MOTION_TIME,
     MAX_FINAL_SPEED,
     RAMP_TIME,
-    Planner,
     RigidCraft,
     propagate_coast,
 )

@@ -21,7 +21,8 @@ from fss_arm_model.held import Approach, approach, combined_momentum
 from fss_arm_model.planar import wrap
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Commands, Craft, Observation, Outcome
-from fss_gnc.guidance.approach import FINAL_MOTION_TIME, ApproachTrajectory, Planner
+from fss_gnc.guidance.approach import Planner
+from fss_gnc.guidance.approach_trajectory import FINAL_MOTION_TIME, ApproachTrajectory
 from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import DriftPredictor

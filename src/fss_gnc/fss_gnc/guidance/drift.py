@@ -8,7 +8,7 @@ import numpy as np
 from fss_arm_model import layout
 from fss_arm_model.arrays import Floats
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
-from fss_gnc.guidance.approach import RigidCraft, propagate_coast
+from fss_gnc.guidance.approach_trajectory import RigidCraft, propagate_coast
 from fss_gnc.guidance.free_space import held_gap
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.guidance.other_vehicles import OtherVehicle, gap_excess, outline
