@@ -349,6 +349,26 @@ def test_reach_gives_the_end_effector_the_velocity_of_the_fixture(spin):
     assert np.hypot(*(velocity - expected)) < 0.15 * np.hypot(*expected)  # by the damping
 
 
+@pytest.mark.parametrize("spin", [-0.3, 0.3])
+def test_reach_does_not_jump_where_a_fixture_becomes_too_fast(spin):
+    q, reach = at(-1.0, 0.0, 0.0, (0.4, 0.9, -0.6, -0.5)), Reach(ARM, SETTINGS)
+    reach.set_momentum(q, AT_REST)
+    tip, arm = tip_pose(P, q), SETTINGS.target_fixture[0]
+    heading = tip[2] + np.pi - np.copysign(1.2, spin)
+    fixture = tip[:2] - arm * np.array([np.cos(heading), np.sin(heading)])
+    rates, meets = [], []
+    for distance in np.linspace(0.18, 0.22, 401):
+        centre = fixture + distance * np.array([np.cos(tip[2]), np.sin(tip[2])])
+        state = np.array([[*centre, heading], [0.0, 0.0, spin]])
+        rates.append(reach.rates(q, AT_REST, state))
+        later = fixture_poses(state, SETTINGS, np.linspace(1.0, 6.0, 501))[:, :2] - tip[:2]
+        speeds = np.hypot(*later.T) / np.linspace(1.0, 6.0, 501)
+        meets.append(speeds.min() < SETTINGS.reach_speed)
+    assert any(meets)
+    assert not all(meets)
+    assert np.abs(np.diff(rates, axis=0)).max() < 0.01  # [rad/s] per 0.1 mm; a jump is 0.09
+
+
 def test_base_brakes_within_the_authority_of_the_valves():
     q, qd = at(0.0, 0.0, 0.0), np.concatenate([[0.05, 0.0, 0.0], np.zeros(4)])
     path = braking(P, q, qd, SETTINGS, 2.0)

@@ -26,9 +26,8 @@ from fss_gnc.guidance.mission_settings import MissionSettings
 
 ROW_WEIGHTS = np.array([1.0, 1.0, 0.07])  # of the twist's rows [1, 1, m]
 DAMPING = 1e-3  # lambda^2 [m^2]
-INTERCEPT_TIMES = np.linspace(
-    1.0, 6.0, 26
-)  # possible times until the end effector meets the fixture [s]
+# Possible times until the end effector meets the fixture [s].
+INTERCEPT_TIMES = np.linspace(1.0, 6.0, 101)
 MAX_TURN_RATE = 0.2  # largest turn rate of the end effector, or relative to the fixture [rad/s]
 FOLLOWING_DISTANCE = 0.05  # from the fixture; within it, the end effector follows the fixture [m]
 FOLLOWING_TIMES = 0.5, 2.0  # in which it then corrects position and heading [s]
@@ -87,13 +86,26 @@ class Reach:
 
     def _meeting_twist(self, tip: Floats, state: Floats) -> Floats:
         """Return the twist that meets the fixture as soon as the end effector's speed allows."""
-        poses = fixture_poses(state, self.settings, INTERCEPT_TIMES)
-        offsets = poses[:, 0] + 1j * poses[:, 1] - complex(*tip[:2])
-        is_reachable = np.abs(offsets) <= self.settings.reach_speed * INTERCEPT_TIMES
-        k = int(np.argmax(is_reachable)) if is_reachable.any() else len(INTERCEPT_TIMES) - 1
-        v = limit_length(complex(offsets[k]) / INTERCEPT_TIMES[k], 2.0 * self.settings.reach_speed)
-        turn = float(wrap(poses[k, 2] - tip[2])) / INTERCEPT_TIMES[k]
+        time = self._meeting_time(tip, state)
+        x, y, heading = fixture_poses(state, self.settings, np.array([time]))[0].tolist()
+        v = complex(x, y) - complex(*tip[:2])
+        v = limit_length(v / time, 2.0 * self.settings.reach_speed)
+        turn = float(wrap(heading - tip[2])) / time
         return np.array([v.real, v.imag, min(max(turn, -MAX_TURN_RATE), MAX_TURN_RATE)])
+
+    def _meeting_time(self, tip: Floats, state: Floats) -> float:
+        """Return the time until the end effector can meet the fixture [s].
+
+        If the fixture is too fast, it is the time at which least distance is missing. The two are
+        the same where one case becomes the other: otherwise, the joints would oscillate.
+        """
+        poses = fixture_poses(state, self.settings, INTERCEPT_TIMES)
+        distance = np.abs(poses[:, 0] + 1j * poses[:, 1] - complex(*tip[:2]))
+        missing = distance - self.settings.reach_speed * INTERCEPT_TIMES
+        k = int(np.argmax(missing <= 0.0)) if missing.min() <= 0.0 else int(np.argmin(missing))
+        if k == 0 or missing[k] > 0.0:
+            return float(INTERCEPT_TIMES[k])
+        return float(np.interp(0.0, -missing[k - 1 : k + 1], INTERCEPT_TIMES[k - 1 : k + 1]))
 
     def _drift_twist(self, q: Floats) -> Floats:
         """Return the twist of the end effector for joints at rest and the stored momentum."""
