@@ -6,8 +6,8 @@ that frame is the last joint, its x axis points to the tip. The notation is that
 vectors are complex numbers.
 """
 
+import math
 from dataclasses import dataclass
-from math import pi
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +16,10 @@ import numpy.typing as npt
 from . import layout
 from .arrays import Floats
 from .dynamics import inertia_matrix
-from .kinematics import tip_jacobian, tip_pose
+from .kernels import kernel
+from .kinematics import SIZE_TWO, tip_jacobian, tip_pose, write_chain
 from .momentum import momentum, system_com
+from .planar import wrap
 from .settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
 
 
@@ -62,8 +64,8 @@ def approach(p: Floats, q: Floats, qd: Floats, target: Target, state: Floats) ->
     fixture = complex(*target.fixture[:2]) * np.exp(1j * state[0, 2])
     distance = complex(*state[0, :2]) + fixture - complex(x, y)
     velocity = complex(*state[1, :2]) + 1j * state[1, 2] * fixture - complex(vx, vy)
-    angle = heading - (state[0, 2] + target.fixture[2] + pi)
-    return Approach(abs(distance), float((angle + pi) % (2.0 * pi) - pi), abs(velocity))
+    angle = heading - (state[0, 2] + target.fixture[2] + math.pi)
+    return Approach(abs(distance), float(wrap(angle)), abs(velocity))
 
 
 def payload_pose(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
@@ -83,13 +85,27 @@ def payload_positions(p: Floats, q: Floats, place: Floats) -> Floats:
     return np.stack([x + from_tip.real, y + from_tip.imag], axis=-1)
 
 
+@kernel("(p),(m),(m),(t),(s)->(s,t)")
+def _payload_state(
+    p: Floats, q: Floats, qd: Floats, place: Floats, _s: Floats, state: Floats
+) -> None:
+    d, e = np.empty((2, q.size - 2), np.complex128)
+    heading = write_chain(p, q, d, e) - p[layout.TIP_ANGLE]
+    r, v, omega = complex(q[0], q[1]), complex(qd[0], qd[1]), qd[2]
+    for k in range(d.size - 1):
+        r += d[k]
+        v += 1j * omega * d[k]
+        omega += qd[3 + k]
+    arm = complex(place[0], place[1]) * complex(math.cos(heading), math.sin(heading))
+    r += arm
+    v += 1j * omega * arm
+    state[0, 0], state[0, 1], state[0, 2] = r.real, r.imag, heading + place[2]
+    state[1, 0], state[1, 1], state[1, 2] = v.real, v.imag, omega
+
+
 def payload_state(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
     """Return pose and twist (2, 3) in the world of a body held at `place`."""
-    x, y, heading = tip_pose(p, q)
-    heading -= p[layout.TIP_ANGLE]
-    from_tip = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
-    twist = payload_jacobian(p, q, place) @ qd
-    return np.array([[x + from_tip.real, y + from_tip.imag, heading + place[2]], twist])
+    return np.asarray(_payload_state(p, q, qd, place, SIZE_TWO))
 
 
 def payload_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:

@@ -59,7 +59,7 @@ def test_fingers_close_in_their_time_and_must_open_first_if_closed_on_nothing():
     bed.closed = True
     frames(bed, 40)  # the target has left before they are closed
     assert not bed.holds
-    bed.bed.targets[0]._state = target_before_tip().target
+    bed.bed.targets[0]._state[:] = target_before_tip().target
     bed.advance(0.01)
     assert not bed.holds
     bed.closed = False

@@ -138,8 +138,8 @@ class Bed:
                 gripper_approach = approach(
                     vehicle.p, vehicle.q, vehicle.qd, thing.target, thing.state
                 )
-            elif thing is vehicle or not thing.n:
-                continue
+            elif thing is vehicle or not thing.n or thing.held not in (None, vehicle):
+                continue  # the fingers of another gripper hold something else
             else:
                 twist = tip_jacobian(thing.p, thing.q) @ thing.qd
                 tip = np.array([tip_pose(thing.p, thing.q), twist])
@@ -239,7 +239,8 @@ class Bed:
         for weld in self._welds_of(vehicle):
             sign = 1.0 if weld.other is vehicle else -1.0
             load = sign / time * self._scene.held[self._welds.index(weld), IMPULSE:WELD_BIAS]
-            at = complex(*tip_pose(weld.other.p, weld.other.q)[:2])
+            other = weld.other
+            at = tip if other is vehicle else complex(*tip_pose(other.p, other.q)[:2])
             force += complex(load[0], load[1])
             torque += load[2] + (np.conj(at - tip) * complex(load[0], load[1])).imag
         return Load(force, float(torque))
@@ -292,7 +293,7 @@ class Bed:
         Return the number of steps.
         """
         targets = {v: v.held for v in grips if isinstance(v.held, PassiveTarget)}
-        before = {v: target.state for v, target in targets.items()}
+        before = {v: t.state for v, t in targets.items() if self._carrier(t) in (v, None)}
         chains = [(chain, chain.snapshot) for chain in self._chains]
         work, impulses, scene = self._contact_work, dict(self.contact_impulses), self._scene
 

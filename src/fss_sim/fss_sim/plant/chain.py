@@ -7,6 +7,8 @@ forces but those of contacts. An impulse has the components (c, psi) and changes
     c: J_c / M     psi: A^-1 J_psi     motor behind a flexible gear: -(change of psi before it) / N
 
 so that a free rotor keeps its spin.
+
+Functions of a whole chain are inlined: a call would count the references to its 40 arrays.
 """
 
 from typing import NamedTuple
@@ -24,7 +26,7 @@ from fss_arm_model.centroidal import (
     write_rate,
 )
 from fss_arm_model.integration import STEP, classical, controlled
-from fss_arm_model.kernels import helper
+from fss_arm_model.kernels import helper, inlined
 from fss_arm_model.kinematics import cross
 from fss_arm_model.layout import BASE_SIZE, LINK_SIZE
 from fss_sim.plant.drives import apply_drives
@@ -68,13 +70,10 @@ class Chain(NamedTuple):
     audit: Floats  # (2, 4)
     z: Floats
     vectors: Complexes  # (3, m) turned to z
-    saved_z: Floats
+    moving: Floats  # z, q, qd, reference and motors, of which these are views
+    saved: Floats
     saved_vectors: Complexes
-    saved_q: Floats
-    saved_qd: Floats
-    saved_reference: Floats
-    saved_motors: Floats
-    start: Floats  # (2,) velocity of c less the change by forces since the start
+    start: Floats  # (2,) velocity of c at the start
     held: Floats
     torque: Floats
     requested: Floats
@@ -118,8 +117,11 @@ def make_chain(constants, state, n):  # type: ignore[no-untyped-def]
     if gear.stiffness > 0.0:
         size += n
         stiff[:] = 0.0
-    bodies, z = make_bodies(p, stiff), np.zeros((2, size))
-    vectors, joint_states = np.empty((3, m), kind), state[6 + 2 * n :]
+    bodies, vectors, after = make_bodies(p, stiff), np.empty((3, m), kind), state[6 + 7 * n :]
+    moving, at = np.zeros(2 * size + 6 + 7 * n), 2 * size
+    z, values = moving[:at].reshape((2, size)), moving[at:]
+    values[:] = state[: 6 + 7 * n]
+    q, qd, motion = values[: 3 + n], values[3 + n : 6 + 2 * n], values[6 + 2 * n :]
     chain = Chain(
         bodies,
         bodies.inertia[0].copy(),
@@ -129,20 +131,17 @@ def make_chain(constants, state, n):  # type: ignore[no-untyped-def]
         valves,
         joints,
         demand,
-        state[: 3 + n].copy(),
-        state[3 + n : 6 + 2 * n].copy(),
-        joint_states[: 2 * n].copy().reshape((n, 2)),
-        joint_states[2 * n : 5 * n].copy().reshape((n, 3)),
-        joint_states[5 * n : 7 * n].copy().reshape((n, 2)),
-        joint_states[7 * n : 7 * n + 8].copy().reshape((2, 4)),
+        q,
+        qd,
+        motion[: 2 * n].reshape((n, 2)),
+        motion[2 * n :].reshape((n, 3)),
+        after[: 2 * n].copy().reshape((n, 2)),
+        after[2 * n : 2 * n + 8].copy().reshape((2, 4)),
         z,
         vectors,
-        z.copy(),
+        moving,
+        moving.copy(),
         vectors.copy(),
-        np.empty(3 + n),
-        np.empty(3 + n),
-        np.empty((n, 2)),
-        np.empty((n, 3)),
         np.empty(2),
         np.empty(m),
         np.empty(m),
@@ -167,22 +166,27 @@ def make_chain(constants, state, n):  # type: ignore[no-untyped-def]
 
 
 @helper
+def _copy_state(moving, vectors, to, vectors_to):  # type: ignore[no-untyped-def]
+    for i in range(moving.size):
+        to[i] = moving[i]
+    for i in range(3):
+        for k in range(vectors.shape[1]):
+            vectors_to[i, k] = vectors[i, k]
+
+
+@inlined
 def save(chain):  # type: ignore[no-untyped-def]
     """Save the state, for `restore`."""
-    chain.saved_z[:], chain.saved_vectors[:] = chain.z, chain.vectors
-    chain.saved_q[:], chain.saved_qd[:] = chain.q, chain.qd
-    chain.saved_reference[:], chain.saved_motors[:] = chain.reference, chain.motors
+    _copy_state(chain.moving, chain.vectors, chain.saved, chain.saved_vectors)
 
 
-@helper
+@inlined
 def restore(chain):  # type: ignore[no-untyped-def]
     """Restore the state that was saved."""
-    chain.z[:], chain.vectors[:] = chain.saved_z, chain.saved_vectors
-    chain.q[:], chain.qd[:] = chain.saved_q, chain.saved_qd
-    chain.reference[:], chain.motors[:] = chain.saved_reference, chain.saved_motors
+    _copy_state(chain.saved, chain.saved_vectors, chain.moving, chain.vectors)
 
 
-@helper
+@inlined
 def step_chain(chain, step, tolerance):  # type: ignore[no-untyped-def]
     """Advance by one step; `step` counts from the first one of the valves' times."""
     bodies, z, held, thrust = chain.bodies, chain.z, chain.held, 0j
@@ -244,7 +248,7 @@ def step_chain(chain, step, tolerance):  # type: ignore[no-untyped-def]
     from_centroidal(bodies, chain.vectors, z, chain.q, chain.qd)
 
 
-@helper
+@inlined
 def _free_rotors(chain):  # type: ignore[no-untyped-def]
     """Exclude the rotors behind flexible gears from the inertia."""
     if chain.gear.stiffness > 0.0:
@@ -253,34 +257,38 @@ def _free_rotors(chain):  # type: ignore[no-untyped-def]
         chain.bodies.inertia[0, chain.turns.size] = chain.whole[chain.turns.size]
 
 
-@helper
-def add_load(chain, of, pivot, body, x, force, torque, row, response):  # type: ignore[no-untyped-def]
-    """Add an impulse on a body, at the point x, to `row`, and its effect to `response`.
+@inlined
+def add_loads(chain, of, pivot, body, x, n, turn, rows, responses):  # type: ignore[no-untyped-def]
+    """Add impulses on a body, at the point x, to `rows`, and their effects to `responses`.
 
-    Both contain the (c, psi) of this chain from index `of` on. The body's pivot is given.
+    The impulses are along n, across it, and, in a third row, a `turn`. Both arrays contain the
+    (c, psi) of this chain from index `of` on. The body's pivot is given.
     """
     bodies, load, m = chain.bodies, chain.torque, chain.held.size
     mass = bodies.mass
-    for j in range(m):
-        lever = -scaled(1.0 / mass, chain.vectors[2, j])
-        if j < body:
-            lever = chain.vectors[1, j]
-        elif j == body:
-            lever += x - pivot
-        load[j] = cross(lever, force)
-    load[body] += torque
     _free_rotors(chain)
-    write_rate(bodies, chain.vectors, 0j, load, chain.still, chain.work, chain.dz)
-    row[of] += force.real
-    row[of + 1] += force.imag
-    response[of] += force.real / mass
-    response[of + 1] += force.imag / mass
-    for j in range(m):
-        row[of + 2 + j] += load[j]
-        response[of + 2 + j] += chain.dz[1, 2 + j]
+    for i in range(rows.shape[0]):
+        force = n if i == 0 else 1j * n if i == 1 else 0j
+        for j in range(m):
+            lever = -scaled(1.0 / mass, chain.vectors[2, j])
+            if j < body:
+                lever = chain.vectors[1, j]
+            elif j == body:
+                lever += x - pivot
+            load[j] = cross(lever, force)
+        if i == 2:
+            load[body] += turn
+        write_rate(bodies, chain.vectors, 0j, load, chain.still, chain.work, chain.dz)
+        rows[i, of] += force.real
+        rows[i, of + 1] += force.imag
+        responses[i, of] += force.real / mass
+        responses[i, of + 1] += force.imag / mass
+        for j in range(m):
+            rows[i, of + 2 + j] += load[j]
+            responses[i, of + 2 + j] += chain.dz[1, 2 + j]
 
 
-@helper
+@inlined
 def add_rates(chain, change, of):  # type: ignore[no-untyped-def]
     """Add an instantaneous change, from index `of` on, to the rates of (c, psi)."""
     z, m = chain.z, chain.held.size
@@ -293,8 +301,11 @@ def add_rates(chain, change, of):  # type: ignore[no-untyped-def]
 
 
 @helper
-def finish_chain(chain, state):  # type: ignore[no-untyped-def]
-    """Write the state, with the audit, to `state` as make_chain reads it."""
+def finish_chain(chain, changes, state):  # type: ignore[no-untyped-def]
+    """Write the state, with the audit, to `state` as make_chain reads it.
+
+    changes: (2 + m,) of the rates of (c, psi) since the start, by impulses between bodies.
+    """
     n, m, bodies, z, audit = chain.turns.size, chain.held.size, chain.bodies, chain.z, chain.audit
     _free_rotors(chain)
     twice_energy, moment = twice_energy_and_moment(bodies, chain.vectors, z)
@@ -310,7 +321,7 @@ def finish_chain(chain, state):  # type: ignore[no-untyped-def]
             chain.motors[j, 0], chain.motors[j, 1] = z[0, 4 + m + j], z[1, 4 + m + j]
     for i in range(2):
         audit[0, i] = bodies.mass * z[1, i]
-        audit[1, i] += bodies.mass * (z[1, i] - chain.start[i])
+        audit[1, i] += bodies.mass * (z[1, i] - chain.start[i] - changes[i])
     audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
     audit[1, 2] += z[1, 3 + m]
     audit[1, 3] += z[1, 2 + m]

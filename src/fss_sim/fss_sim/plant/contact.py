@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from fss_arm_model.arrays import Complexes, Floats
 from fss_arm_model.centroidal import scaled
-from fss_arm_model.kernels import helper
+from fss_arm_model.kernels import helper, inlined
 from fss_arm_model.kinematics import cross, dot
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, between, setting
 
@@ -77,6 +77,7 @@ class Places(NamedTuple):
     turns: Complexes  # (c, b) exp(i psi)
     rates: Complexes  # (c, b) velocity of each pivot
     spins: Floats  # (c, b) angular velocity
+    speeds: Floats  # (d,) rates of (c, psi) of all chains
     ends: Complexes  # (2, s) start and end of each part
     end_rates: Complexes  # (2, s) their velocities
 
@@ -96,20 +97,23 @@ def make_places(parts, pairs, counts):  # type: ignore[no-untyped-def]
         np.empty(shape, kind),
         np.empty(shape, kind),
         np.empty(shape),
+        np.empty(offsets[-1]),
         ends,
         ends.copy(),
     )
 
 
-@helper
+@inlined
 def place_bodies(chain, places, c):  # type: ignore[no-untyped-def]
     """Write the places of the bodies of chain c, and of its tip as a further pivot."""
     r, v = complex(chain.q[0], chain.q[1]), complex(chain.qd[0], chain.qd[1])
-    m, mass = chain.held.size, chain.bodies.mass
+    m, mass, of = chain.held.size, chain.bodies.mass, places.offsets[c]
+    places.speeds[of], places.speeds[of + 1] = chain.z[1, 0], chain.z[1, 1]
     for k in range(m):
         d = chain.vectors[1, k] + scaled(1.0 / mass, chain.vectors[2, k])
         places.pivots[c, k], places.rates[c, k] = r, v
         places.turns[c, k], places.spins[c, k] = chain.vectors[0, k], chain.z[1, 2 + k]
+        places.speeds[of + 2 + k] = chain.z[1, 2 + k]
         r += d
         v += 1j * scaled(chain.z[1, 2 + k], d)
     places.pivots[c, m] = r

@@ -20,7 +20,7 @@ from fss_arm_model.arrays import Floats
 from fss_arm_model.integration import STEP
 from fss_arm_model.kernels import helper
 from fss_arm_model.layout import TIP_ANGLE
-from fss_sim.plant.chain import add_load, add_rates, restore, step_chain
+from fss_sim.plant.chain import add_loads, add_rates, restore, step_chain
 from fss_sim.plant.contact import (
     BIAS,
     BODY,
@@ -36,7 +36,8 @@ from fss_sim.plant.contact import (
 )
 
 GAP_TOLERANCE = 1e-7  # tolerance of a gap at the end of a step [m]
-POSE_TOLERANCE = 1e-8  # tolerance of a grip's relative pose at the end of a step [m, rad]
+# Tolerance of a grip's relative pose at a step's end [m, rad]; the next step removes the error.
+POSE_TOLERANCE = 1e-6
 MAX_TRIALS = 8  # of a step
 RESTITUTION, FRICTION, THRESHOLD = range(3)  # of the law of contact
 # Columns of the table of welds, and of the state of a weld, three each but for its rate (3, 3). The
@@ -55,7 +56,6 @@ class Rows(NamedTuple):
     J: Floats  # (r, d) relative velocity per rates of (c, psi) of all chains
     response: Floats  # (r, d) change of the rates per impulse
     W: Floats  # (r, r) J response'
-    rates: Floats  # (d,) before the impulses
     before: Floats  # (r,) relative velocity before the impulses
     impulse: Floats  # (r,)
 
@@ -66,19 +66,17 @@ def _write_rows(chains, places, rows, at, count, sides, x, n):  # type: ignore[n
 
     sides (2, 2): chain and body of the first and of the second part, which meet at x.
     """
-    J, response, W, d = rows.J, rows.response, rows.W, rows.rates.size
+    J, response, W, d = rows.J, rows.response, rows.W, places.speeds.size
     J[at : at + count], response[at : at + count] = 0.0, 0.0
     for side in range(2):
         c, body, sign = sides[side, 0], sides[side, 1], 1.0 - 2.0 * side
         chain, of, pivot = chains[c], places.offsets[c], places.pivots[c, body]
-        add_load(chain, of, pivot, body, x, sign * n, 0.0, J[at], response[at])
-        add_load(chain, of, pivot, body, x, 1j * sign * n, 0.0, J[at + 1], response[at + 1])
-        if count == 3:
-            add_load(chain, of, pivot, body, x, 0j, sign, J[at + 2], response[at + 2])
+        ours, effects = J[at : at + count], response[at : at + count]
+        add_loads(chain, of, pivot, body, x, sign * n, sign, ours, effects)
     for i in range(at, at + count):
         rows.before[i] = 0.0
         for k in range(d):
-            rows.before[i] += J[i, k] * rows.rates[k]
+            rows.before[i] += J[i, k] * places.speeds[k]
         for j in range(i + 1):
             product = 0.0
             for k in range(d):
@@ -245,11 +243,12 @@ def _remember_goal(contact, push, law, state):  # type: ignore[no-untyped-def]
 
 @helper
 def touch_step(  # type: ignore[no-untyped-def]
-    chains, places, close, touched, welds, held, law, step, tolerance, stops
+    chains, places, close, touched, welds, held, law, step, tolerance, stops, changes
 ):
     """Advance by one step, so that no close pair overlaps and no weld changes its pose.
 
-    The chains are in place, and their state is saved. With `stops`, no time passes.
+    The chains are in place, and their state is saved. With `stops`, no time passes. What impulses
+    change in the rates of (c, psi) of all chains is added to `changes` (d,).
 
     Returns:
         The work of the impulses [J].
@@ -260,14 +259,9 @@ def touch_step(  # type: ignore[no-untyped-def]
         np.empty((r, d)),
         np.empty((r, d)),
         np.empty((r, r)),
-        np.empty(d),
         np.empty(r),
         np.zeros(r),
     )
-    for c in range(len(chains)):
-        z, of = chains[c].z, places.offsets[c]
-        for i in range(places.offsets[c + 1] - of):
-            rows.rates[of + i] = z[1, i]
     change, posed = np.zeros(d), np.zeros((w, 5, 3))
     for k in range(w):
         _start_weld(chains, places, rows, welds[k], held[k], posed[k], k)
@@ -279,8 +273,9 @@ def touch_step(  # type: ignore[no-untyped-def]
     for trial in range(MAX_TRIALS):
         if trial > 0:
             for c in range(len(chains)):
-                restore(chains[c])
-                place_bodies(chains[c], places, c)
+                chain = chains[c]
+                restore(chain)
+                place_bodies(chain, places, c)
             place_parts(places)
         for i in range(near):
             for f in range(FEATURES):
@@ -329,8 +324,6 @@ def touch_step(  # type: ignore[no-untyped-def]
             held[k, IMPULSE + i] += rows.impulse[3 * k + i]
         if not stops:
             _remember_pose(held[k], posed[k])
-    for c in range(len(chains)):
-        start, of = chains[c].start, places.offsets[c]
-        start[0] += change[of]
-        start[1] += change[of + 1]
+    for k in range(d):
+        changes[k] += change[k]
     return work

@@ -51,6 +51,7 @@ CONTACT_RANGE = 5e-3
 # No check afterwards if the time to a possible contact is this multiple of the advance.
 SAFE_RATIO = 10
 ADVANCE, SHORT, STOP = range(3)  # ways to advance, see `advance`
+NO_LAW = Contact()  # not used without pairs
 
 
 class Moving(Protocol):
@@ -61,14 +62,14 @@ class Moving(Protocol):
         """Number of joints."""
 
     @property
-    def snapshot(self) -> tuple[Floats, ...]:
-        """State that a step changes."""
+    def snapshot(self) -> Floats:
+        """State that a step changes, as in `advance`."""
 
     @snapshot.setter
-    def snapshot(self, snapshot: tuple[Floats, ...]) -> None: ...
+    def snapshot(self, snapshot: Floats) -> None: ...
 
-    def constants(self, first_step: int) -> tuple[Floats, ...]:
-        """Return the constants of the steps from `first_step` on."""
+    def constants(self, first_step: int) -> Floats:
+        """Return the constants of the steps from `first_step` on, as in `advance`."""
 
 
 class Scene(NamedTuple):
@@ -142,11 +143,13 @@ def _advance(  # type: ignore[no-untyped-def]
     touched[:, PUSHED], held[:, IMPULSE:WELD_BIAS] = 0.0, 0.0
     places = make_places(parts, pairs, counts)
     close, grips, law = np.empty(pairs.shape[0], np.int64), welds.copy(), options[3:].copy()
-    states, touches = held.copy(), touched.copy()
+    states, touches, changes = held.copy(), touched.copy(), np.zeros(places.offsets[-1])
     _place_chains(chains, places)
     measure_gaps(places, touches, SAFE_RATIO * steps * STEP if steps > 0 else math.inf)
     if way == STOP:
-        work = touch_step(chains, places, close[:0], touches, grips, states, law, 0, 0.0, True)
+        work = touch_step(
+            chains, places, close[:0], touches, grips, states, law, 0, 0.0, True, changes
+        )
     while done < steps:
         slack, near = _find_close(touches, close)
         if way == SHORT and near > 0 and done > 0:
@@ -177,7 +180,17 @@ def _advance(  # type: ignore[no-untyped-def]
             count //= 2
         if count == 1:
             work += touch_step(
-                chains, places, close[:near], touches, grips, states, law, done, tolerance, False
+                chains,
+                places,
+                close[:near],
+                touches,
+                grips,
+                states,
+                law,
+                done,
+                tolerance,
+                False,
+                changes,
             )
         done += count
         if way == SHORT and near > 0 and count == 1:
@@ -187,7 +200,7 @@ def _advance(  # type: ignore[no-untyped-def]
             measure_gaps(places, touches, SAFE_RATIO * (steps - done) * STEP)
     x = 0
     for c in range(len(chains)):
-        finish_chain(chains[c], state[x:])
+        finish_chain(chains[c], changes[places.offsets[c] :], state[x:])
         x += FIXED_STATE + JOINT_STATE * int(counts[c])
     touched[:], held[:], result[0], result[1] = touches, states, done, work
 
@@ -246,22 +259,18 @@ def advance(
     Returns:
         The scene with its new state; the number of steps; the work of contacts and welds [J].
     """
-    law = law or Contact()
-    constants = [row.ravel() for chain in chains for row in chain.constants(first_step)]
+    law = law or NO_LAW
     before = [chain.snapshot for chain in chains]
     state, touched, held, (done, work) = _advance(
-        np.concatenate(constants),
-        np.concatenate([row.ravel() for rows in before for row in rows]),
+        np.concatenate([chain.constants(first_step) for chain in chains]),
+        np.concatenate(before),
         np.array([chain.n for chain in chains], dtype=float),
         *scene,
         np.array([steps, tolerance, way, law.restitution, law.friction, law.threshold]),
         np.empty(2),
     )
     at = 0
-    for chain, rows in zip(chains, before, strict=True):
-        after = []
-        for row in rows:
-            after.append(state[at : at + row.size].reshape(row.shape))
-            at += row.size
-        chain.snapshot = tuple(after)
+    for chain, row in zip(chains, before, strict=True):
+        chain.snapshot = state[at : at + row.size]
+        at += row.size
     return scene._replace(touched=touched, held=held), int(done), float(work)

@@ -139,10 +139,10 @@ class PassiveTarget:
         around = around or Surroundings()
         radius = max(target.radius, 1e-9)
         around = replace(around, tether=0.0, tether_twist=0.0, base_radius=radius)
-        self.p, self.audit_rows = target.vector(), np.zeros((2, 4))
+        self.p = target.vector()
         none = np.zeros(ROTOR + GEARS), around.vector(), np.zeros(VALVES)
         self._constants = np.concatenate([self.p, *none])
-        self._state = np.array(state, dtype=float)
+        self.snapshot = np.append(np.asarray(state, dtype=float), np.zeros(8))
 
     @property
     def state(self) -> Floats:
@@ -165,13 +165,14 @@ class PassiveTarget:
         return self.state[1]
 
     @property
-    def snapshot(self) -> tuple[Floats, ...]:
-        """State that a step changes."""
-        return self._state, self.audit_rows
+    def snapshot(self) -> Floats:
+        """State that a step changes (simulation.py)."""
+        return self._snapshot
 
     @snapshot.setter
-    def snapshot(self, snapshot: tuple[Floats, ...]) -> None:
-        self._state, self.audit_rows = snapshot
+    def snapshot(self, snapshot: Floats) -> None:
+        self._snapshot = snapshot
+        self._state, self.audit_rows = snapshot[:6].reshape(2, 3), snapshot[6:].reshape(2, 4)
 
     def parts(self) -> list[Part]:
         """Return the parts of the target that can touch others."""
@@ -183,11 +184,12 @@ class PassiveTarget:
 
     def add_velocity(self, change: Floats) -> None:
         """Add an instantaneous change to the twist."""
-        self._state = np.array([self._state[0], self._state[1] + change])
+        self.snapshot = self._snapshot.copy()
+        self._state[1] += change
 
-    def constants(self, _: int) -> tuple[Floats, ...]:
+    def constants(self, _: int) -> Floats:
         """Return the constants of its steps, as of a base without arm and thrusters."""
-        return (self._constants,)
+        return self._constants
 
     def update_audit(self) -> None:
         """Update the audit of momentum and energy after a change of the state."""
@@ -199,7 +201,7 @@ class PassiveTarget:
 
     def set_free(self, state: Floats) -> None:
         """Let the target float freely from this state on."""
-        self._attached_state, self._state, self.audit_rows = None, state, np.zeros((2, 4))
+        self._attached_state, self.snapshot = None, np.append(state, np.zeros(8))
         self.update_audit()
 
 

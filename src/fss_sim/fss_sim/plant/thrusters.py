@@ -86,6 +86,7 @@ class Thrusters:
             np.zeros(THRUSTER_COUNT),
         )  # of each pulse [step]
         self._stuck_open = self._stuck_closed = np.zeros(THRUSTER_COUNT, dtype=bool)
+        self._last_end = 0.0  # of any pulse [step]
         self.pulse_commanded = False  # True if the last command opened a valve
 
     @property
@@ -141,6 +142,7 @@ class Thrusters:
         self._start = np.where(is_open, self._start, at)
         shortened = np.minimum(np.maximum(at, self._start + min_steps), self._end)
         self._end = np.where(durations > 0.0, at + durations, np.where(is_open, shortened, at))
+        self._last_end = float(self._end.max())
 
     def valves(self, now: int) -> Floats:
         """Return force, torque, start step and end step of each valve, relative to now, (8, 5)."""
@@ -149,8 +151,8 @@ class Thrusters:
         return np.hstack([self.thrust * self.layout, pulses])
 
     def is_active(self, now: int) -> bool:
-        """Return True if a valve is open or will open."""
-        return bool((self._pulses(now)[1] > now).any())
+        """Return True if a valve may be open or may open."""
+        return now < self._last_end or bool(self._stuck_open.any())
 
     def use_bearing_air(self, steps: int) -> float:
         """Take the bearings' air for `steps` steps from the tank; return its mass [kg].

@@ -1,5 +1,6 @@
 """Model of a vehicle: base and arm floating on the table, with drives and thrusters."""
 
+from cmath import exp
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isfinite
@@ -14,7 +15,7 @@ from fss_arm_model.description import Arm, Base
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.held import Target, payload_pose, payload_state, with_payload
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_model.layout import BASE_SIZE, LENGTH, MASS, each
+from fss_arm_model.layout import BASE_SIZE, COM_X, COM_Y, LENGTH, MASS, each
 from fss_arm_model.momentum import momentum
 from fss_sim.plant.contact import Contact, Part
 from fss_sim.plant.drives import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_VELOCITY
@@ -108,17 +109,16 @@ class Vehicle:
         self._surroundings = self.world.surroundings.vector()
         self._pads = self.world.surroundings.vector(floats=False)
         self._demand = np.tile(np.array([MODE_OFF, 0.0, 0.0, 1.0]), (self.n, 1))
-        self._state = np.zeros((2, 3 + self.n))
         if np.shape(q) != (3 + self.n,):
             raise ValueError(
                 f"q has shape {np.shape(q)}, expected ({3 + self.n},): x, y and heading of the "
                 f"base, and {self.n} joint angles"
             )
-        self._state[0] = q
-        self._state[1] = 0.0 if qd is None else qd
-        self._reference = self._state[:, 3:].T.copy()
-        self._motors = np.column_stack([self._reference, np.zeros(self.n)])
-        self.audit_rows, self._torques = np.zeros((2, 4)), np.zeros((self.n, 2))
+        state, none = np.zeros((2, 3 + self.n)), np.zeros(2 * self.n + 8)
+        state[0], state[1] = q, 0.0 if qd is None else qd
+        reference = state[:, 3:].T
+        motors = np.column_stack([reference, np.zeros(self.n)])
+        self.snapshot = np.concatenate([state.ravel(), reference.ravel(), motors.ravel(), none])
 
     @property
     def p(self) -> Floats:
@@ -221,13 +221,19 @@ class Vehicle:
         return payload_state(self._p, self.q, self.qd, self._payload_pose)
 
     @property
-    def snapshot(self) -> tuple[Floats, ...]:
-        """State that a step changes."""
-        return self._state, self._reference, self._motors, self._torques, self.audit_rows
+    def snapshot(self) -> Floats:
+        """State that a step changes (simulation.py)."""
+        return self._snapshot
 
     @snapshot.setter
-    def snapshot(self, snapshot: tuple[Floats, ...]) -> None:
-        self._state, self._reference, self._motors, self._torques, self.audit_rows = snapshot
+    def snapshot(self, snapshot: Floats) -> None:
+        n, self._snapshot = self.n, snapshot
+        at = 6 + 2 * n
+        self._state, joints = snapshot[:at].reshape(2, 3 + n), snapshot[at:]
+        self._reference = joints[: 2 * n].reshape(n, 2)
+        self._motors = joints[2 * n : 5 * n].reshape(n, 3)
+        self._torques = joints[5 * n : 7 * n].reshape(n, 2)
+        self.audit_rows = joints[7 * n :].reshape(2, 4)
 
     def parts(self) -> list[Part]:
         """Return the parts that can touch others.
@@ -259,17 +265,18 @@ class Vehicle:
 
     def add_velocity(self, change: Floats) -> None:
         """Add an instantaneous change to the velocity."""
-        self._state = np.array([self.q, self.qd + change])
+        self.snapshot = self._snapshot.copy()
+        self._state[1] += change
         if self.world.joints.stiffness:  # rotors keep their spin: their relative rates change
-            stators = np.cumsum(change[2:])[:-1] / self.world.joints.gear_ratio
-            self._motors = self._motors - np.outer(stators, [0.0, 1.0, 0.0])
+            self._motors[:, 1] -= np.cumsum(change[2:])[:-1] / self.world.joints.gear_ratio
 
-    def constants(self, first_step: int) -> tuple[Floats, ...]:
+    def constants(self, first_step: int) -> Floats:
         """Return the constants of the steps from `first_step` on, see simulation.advance."""
         tank = self.thrusters
         around = self._surroundings if tank.floats else self._pads
         valves = tank.valves(first_step) if tank.is_active(first_step) else VALVES_CLOSED
-        return self._p, self._gears, around, valves, self._rest, self._joints, self._demand
+        joints = self._rest, self._joints.ravel(), self._demand.ravel()
+        return np.concatenate([self._p, self._gears, around, valves.ravel(), *joints])
 
     def update_audit(self) -> None:
         """Update the audit of momentum and energy after a change of state or mass."""
@@ -283,10 +290,11 @@ class Vehicle:
         used += tank.use_bearing_air(steps)
         if not used:
             return
-        had = self.audit_rows[0].copy()
         self._p[MASS] -= used
-        self.update_audit()
-        self.audit_rows[1] += self.audit_rows[0] - had
+        (x, y, heading, *_), (vx, vy, omega, *_) = self._state.tolist()
+        com = complex(*self._p[COM_X : COM_Y + 1]) * exp(1j * heading)
+        x, y, vx, vy = x + com.real, y + com.imag, vx - omega * com.imag, vy + omega * com.real
+        self.audit_rows -= used * np.array([vx, vy, x * vy - y * vx, 0.5 * (vx * vx + vy * vy)])
 
     def attach(self, target: PassiveTarget, velocity: Floats | None = None) -> None:
         """Make the target part of the last link; set the vehicle's velocity (3 + n,) if given."""
