@@ -128,6 +128,20 @@ def test_base_too_near_the_edge_may_only_move_away():
         go_to(CRAFT, state, [-1.85, 0.0, 0.0], 0.0, 0.0)
 
 
+@pytest.mark.parametrize(("error", "arrives"), [(-1e-3, True), (1e-3, True), (0.05, False)])
+def test_a_path_that_just_fits_is_followed_despite_small_errors_of_joints(error, arrives):
+    lowest, highest = 0.0, 2.0
+    for _ in range(40):
+        y = 0.5 * (lowest + highest)
+        try:
+            motion, lowest = go_to(CRAFT, observed(), [0.3, y, 0.0], 0.0, 1.0), y
+        except ActivityError:
+            highest = y
+    _, commands, _ = fly(motion, start=replace(observed(), q=FOLDED + error))
+    assert commands.outcome.success == arrives
+    assert arrives or "the table's edge" in commands.outcome.message
+
+
 def test_base_brakes_before_a_target_on_its_path():
     start, body = observed(pose=(-1.5, 0.0, 0.0)), Body(np.array([0.4, 0.0, 0.0]), np.zeros(3))
     motion = go_to(CRAFT, start, [0.8, 0.0, 0.0], 0.0, 0.0)

@@ -25,6 +25,9 @@ from fss_gnc.reference import Body, Path, Reference, pose_error
 
 MAX_KNOTS = 10_000
 MIN_STEP = 0.001  # between knots [s]
+# Allowed decrease of a gap on a path that the base follows, whose checks use other times and other
+# measurements than the first one [m].
+PATH_TOLERANCE = 0.005
 
 
 class PathMotion:
@@ -98,7 +101,7 @@ class PathMotion:
             if obs.t < self.path.end_time or self.give_way.waits_for:
                 self.path = self.give_way.update(self.path, obs)
             if obs.t < self.path.end_time:
-                self.free_space.check(self.path, obs.t, obs)
+                self.free_space.check(self.path, obs.t, obs, tolerance=PATH_TOLERANCE)
         except ActivityError as error:
             self.interrupt(str(error))
 

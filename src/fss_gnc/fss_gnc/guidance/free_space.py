@@ -36,7 +36,12 @@ class FreeSpace:
         self.sizes = sizes(self.settings, self.settings.keep_out)
 
     def check(
-        self, path: Path, start: float, obs: Observation, every_segment: bool = False
+        self,
+        path: Path,
+        start: float,
+        obs: Observation,
+        every_segment: bool = False,
+        tolerance: float = 0.0,
     ) -> None:
         """Check the rest of a path, with the joints held and the target drifting on.
 
@@ -47,6 +52,7 @@ class FreeSpace:
             start: time on the path at which the base is now [s].
             obs: the state then; base and joints are known.
             every_segment: check each segment between two knots; takes 0.15 s for 10,000 knots.
+            tolerance: allowed decrease of a gap below the margin [m].
 
         Raises:
             ActivityError: a body would come too close to the edge or into the keep-out zone.
@@ -60,11 +66,12 @@ class FreeSpace:
             place = payload_pose(self.p, present, target.pose)
             gap = np.column_stack([gap, held_gap(self.p, states, place, s.target_radius, s)])
             names = [*names, "the held target"]
-        self._check_gaps(gap, names, times - start, s.edge_margin, "the table's edge")
+        margin, ahead = max(s.edge_margin - tolerance, 0.0), times - start
+        self._check_gaps(gap, names, ahead, margin, "the table's edge")
         if target is not None and not obs.holds:
-            ahead = (times - start)[:, None] * target.twist[:2]
-            gap = gaps(self.p, states, self.target, self.sizes, target.pose[:2] + ahead)
-            self._check_gaps(gap, self.names, times - start, 0.0, "the keep-out zone")
+            drifted = target.pose[:2] + ahead[:, None] * target.twist[:2]
+            gap = gaps(self.p, states, self.target, self.sizes, drifted)
+            self._check_gaps(gap, self.names, ahead, -tolerance, "the keep-out zone")
 
     def outline(self, obs: Observation) -> Complexes:
         """Return the outline of base, arm and held target (other_vehicles.py)."""
