@@ -93,7 +93,7 @@ def test_refusals_are_counted_and_a_change_is_told(stream):
     ("commands", "accelerations"),
     [
         ([(0.0, 0.1), (0.1, 0.2), (0.2, 0.1)], [2.0, 1.0, 1.0]),  # linear between messages
-        ([(0.0, 0.0), (1.0, 0.1), (2.0, 0.1)], [2.0, 1.0, 2.0]),  # within RAMP_TIME
+        ([(0.0, 0.0), (1.0, 0.1), (2.0, 0.1)], [2.0, 1.0, 1.0]),  # within RAMP_TIME
         ([(0.0, 0.0), (0.02, 1.0), (0.04, 1.01)], [2.0, 2.0, 2.0]),  # 1.0 is not reached yet
         ([(0.0, 0.0), (0.1, 0.1), (0.15, 0.1)], [2.0, 1.0, 1.0]),  # 0.05 s remain
     ],
@@ -102,6 +102,16 @@ def test_a_rate_is_reached_when_the_next_is_due(commands, accelerations):
     ramp = Ramp(0.0, 2.0)
     found = [ramp.acceleration(rate, time) for time, rate in commands]
     assert found == pytest.approx(accelerations, rel=1e-12)
+
+
+def test_a_joint_that_lags_at_a_constant_rate_catches_up_without_a_pulse():
+    ramp = Ramp(0.21, 2.0)
+    rates = [0.21, 0.14, 0.07, 0.0, 0.0, 0.0]
+    found = [ramp.acceleration(rate, 0.1 * k) for k, rate in enumerate(rates)]
+    assert found == pytest.approx([2.0, 0.7, 0.7, 0.7, 0.7, 0.7])
+    ramp = Ramp(0.01, 2.0)
+    found = [ramp.acceleration(rate, 0.1 * k) for k, rate in enumerate([0.01, 0.0, 0.0])]
+    assert found == pytest.approx([2.0, 0.1, 0.5])
 
 
 def test_an_earlier_stamp_counts_as_the_last_one():

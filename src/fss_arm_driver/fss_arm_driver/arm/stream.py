@@ -4,7 +4,9 @@ Exactly one of position, velocity and effort is filled, for the joints in `name`
 converted to a current by the joint's torque constant. An invalid message moves no joint.
 
 A rate is reached when the next message is due, but within RAMP_TIME if the acceleration allows. The
-joint then accelerates as the rates do, and not in pulses of the largest acceleration.
+joint then accelerates as the rates do, and not in pulses of the largest acceleration. A joint may
+lag, as datagrams are late or lost: it catches up with a rate that stays the same at the last
+acceleration, or at CATCH_UP of the largest one.
 """
 
 from collections import Counter
@@ -19,6 +21,8 @@ from fss_arm_model.units import SECOND, angle_beyond
 
 MAX_LEAD = SECOND // 10  # largest lead of a stamp, because computers' clocks differ [ns]
 RAMP_TIME = 0.1  # longest time in which a joint reaches a new rate, if it can [s]
+CATCH_UP = 0.25  # least share of the largest acceleration at a rate that stays the same
+SAME_RATE = 1e-6  # difference of rates that are the same [rad/s]
 FIELDS = {"position": Mode.POSITION, "velocity": Mode.VELOCITY, "effort": Mode.CURRENT}
 
 
@@ -59,9 +63,12 @@ class Ramp:
         change = self._acceleration * interval
         self._rate += min(max(self._goal - self._rate, -change), change)
         self._goal, self._time, missing = goal, time, abs(goal - self._rate)
-        ramp_time = min(interval, RAMP_TIME)
-        is_slow = 0.0 < missing < self._limit * ramp_time
-        self._acceleration = missing / ramp_time if is_slow else self._limit
+        if missing > SAME_RATE:
+            ramp_time = min(interval, RAMP_TIME)
+            is_slow = missing < self._limit * ramp_time
+            self._acceleration = missing / ramp_time if is_slow else self._limit
+        else:
+            self._acceleration = max(self._acceleration, CATCH_UP * self._limit)
         return self._acceleration
 
     def is_current(self, time: float, time_to_live: float) -> bool:
