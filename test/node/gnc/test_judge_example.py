@@ -61,8 +61,8 @@ def test_it_prints_errors_and_propellant(time, options, judge, tmp_path):
     code, out, _ = judge(craft, "--duration", "2", "--wait", "60", *options)
     title, *rows = out.splitlines()
     assert title == "time [s]  position error [mm]  heading error [deg]  propellant [g]"
-    (first, last) = ([float(value) for value in row.split()] for row in rows)
-    assert first[:3] == [0.0, 50.0, -5.73]
+    first, last = ([float(value) for value in row.split() if value != "unknown"] for row in rows)
+    assert first[:3] == [0.0, 50.0, -5.73]  # the propellant may not be known yet
     assert last[1:3] == [50.0, -5.73]
     assert 2.0 <= last[0] < 10.0
     assert 0.01 < last[3] < 1.0
