@@ -96,8 +96,8 @@ class Reach:
     def _meeting_time(self, tip: Floats, state: Floats) -> float:
         """Return the time until the end effector can meet the fixture [s].
 
-        If the fixture is too fast, it is the time at which least distance is missing. The two are
-        the same where one case becomes the other: otherwise, the joints would oscillate.
+        If the fixture is too fast, it is the time at which the end effector comes closest to it.
+        Without a jump from one case to the other, because the joints would oscillate there.
         """
         poses = fixture_poses(state, self.settings, INTERCEPT_TIMES)
         distance = np.abs(poses[:, 0] + 1j * poses[:, 1] - complex(*tip[:2]))

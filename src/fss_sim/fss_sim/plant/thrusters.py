@@ -151,7 +151,7 @@ class Thrusters:
         return np.hstack([self.thrust * self.layout, pulses])
 
     def is_active(self, now: int) -> bool:
-        """Return True if a valve may be open or may open."""
+        """Return False only if all valves are closed and no pulse is due."""
         return now < self._last_end or bool(self._stuck_open.any())
 
     def use_bearing_air(self, steps: int) -> float:
