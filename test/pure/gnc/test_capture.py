@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -280,6 +281,31 @@ def test_capture_that_cancels_momentum_leaves_little_to_stop():
     # The target alone has 0.075 N m s; turn rates are known to 2 mrad/s, and steered to 8.
     assert abs(flown.momentum) < 0.03
     assert flight.activity.momentum[2] == pytest.approx(flown.momentum, abs=5e-3)
+
+
+def test_joints_keep_their_rates_until_a_grip_is_known(monkeypatch):
+    settings, gripper = replace(SETTINGS, grip_closing_time=0.3), Gripper(closing_time=0.3)
+    flight = Flight(Case(spin=0.15, distance=1.4, gripper=gripper), settings=settings)
+    observe, step, steps = flight.observe, flight.step_activity, []
+
+    def observe_late():
+        known, report_time = observe(), flight.flown.grip + 0.25
+        return replace(known, holds=bool(known.holds and flight.t > report_time))
+
+    def record_step(observation):
+        commands = step(observation)
+        steps.append((commands.phase, flight.t, commands.rates))
+        return commands
+
+    monkeypatch.setattr(flight, "observe", observe_late)
+    monkeypatch.setattr(flight, "step_activity", record_step)
+    assert flight.fly().well
+    grip = [(t, rates) for phase, t, rates in steps if phase == "grip"]
+    closing = [rates for t, rates in grip if t < grip[0][0] + 0.35]
+    closed = [rates for t, rates in grip[len(closing) :]]
+    assert not any(np.array_equal(a, b) for a, b in pairwise(closing))
+    assert len(closed) > 1
+    assert all(np.array_equal(rates, closing[-1]) for rates in closed)
 
 
 def test_no_approach_is_found_without_free_space():

@@ -45,6 +45,7 @@ POSTURE_RATE = 0.15  # largest rate of joints that move to the posture of the ap
 NEAR_LIMIT = 0.05  # distance of a joint to its limit that is reported [rad]
 LOST_ANGLE, LOST_DISTANCE = 1.4, 0.35  # errors beyond which a reach is abandoned [rad], [m]
 REPLAN_CUTOFF = 5.0  # time before the end of a trajectory in which no other is searched for [s]
+GRIP_REPORT_TIME = 0.5  # longest time from closed fingers until their state is known [s]
 FIXTURE_WAIT_TIMEOUT = 25.0  # longest wait for the fixture, before another side is chosen [s]
 
 
@@ -67,6 +68,7 @@ class Capture:
         self.missed = ""  # how the last reach ended, if it missed the fixture
         self.fixture_error: Approach | None = None
         self.posture: Floats | None = None  # joint angles held in the approach
+        self.following_rates = np.zeros(craft.arm.n)  # of the joints, after the fixture [rad/s]
         self.follow_up: Detumble | Abort | None = None
         self.captured = False
         self.momentum = np.full(3, np.nan)  # total, when the valves close; a grip keeps it
@@ -275,7 +277,10 @@ class Capture:
         return float(wrap(trajectory.side - direction))
 
     def _reach(self, obs: Observation, q: Floats, qd: Floats, state: Floats) -> Commands:
-        """Move the arm to the fixture and close the gripper; the arm follows while it closes."""
+        """Move the arm to the fixture and close the gripper; the arm follows while it closes.
+
+        The joints then keep their rates until it is known whether the gripper holds the fixture.
+        """
         assert self.fixture_error is not None
         s, error, closing = self.settings, self.fixture_error, self.settings.grip_closing_time
         # The fixture should stay near while the fingers close.
@@ -288,7 +293,10 @@ class Capture:
             self._retreat(obs.t)
         elif self.phase == "reach" and is_near and error.speed < speed:
             self._enter_phase("grip", obs.t)
-        rates = self._collision_free_rates(self.reach.rates(q, qd, state), q, qd, state)
+        closed_for = obs.t - self.phase_start - closing if self.phase == "grip" else -np.inf
+        if not 0.0 <= closed_for < GRIP_REPORT_TIME:  # corrections would strain closed fingers
+            self.following_rates = self.reach.rates(q, qd, state)
+        rates = self._collision_free_rates(self.following_rates, q, qd, state)
         return Commands(
             self.phase,
             None,
