@@ -58,6 +58,10 @@ class Weld(NamedTuple):
     other: Vehicle
     pose: Floats  # (3,) of the tip of `other` in the frame of one's last link
 
+    def loads(self, vehicle: Vehicle) -> bool:
+        """Return True if the weld loads the vehicle's grip."""
+        return self.other is vehicle or (self.one is vehicle and bool(vehicle.held))
+
 
 class Bed:
     """Table with the vehicles and targets that float on it.
@@ -230,24 +234,23 @@ class Bed:
         `before` is the state (2, 3), before it, of a target that is part of the last link.
         """
         payload, force, torque = vehicle.payload, 0j, 0.0
-        tip = complex(*tip_pose(vehicle.p, vehicle.q)[:2])
+        tip = complex(*tip_pose(vehicle.p, vehicle.q)[:2].tolist())
         if payload and before is not None:
-            (x, y, _), after = payload.state
-            gained = (after - before[1]) / time * payload.masses
-            force = complex(gained[0], gained[1])
-            torque = gained[2] + (np.conj(complex(x, y) - tip) * force).imag
-        for weld in self._welds_of(vehicle):
-            sign = 1.0 if weld.other is vehicle else -1.0
-            load = sign / time * self._scene.held[self._welds.index(weld), IMPULSE:WELD_BIAS]
-            other = weld.other
-            at = tip if other is vehicle else complex(*tip_pose(other.p, other.q)[:2])
-            force += complex(load[0], load[1])
-            torque += load[2] + (np.conj(at - tip) * complex(load[0], load[1])).imag
-        return Load(force, float(torque))
-
-    def _welds_of(self, vehicle: Vehicle) -> list[Weld]:
-        """Return the welds that load the vehicle's grip."""
-        return [w for w in self._welds if w.other is vehicle or (w.one is vehicle and vehicle.held)]
+            (x, y, _), (vx, vy, turn) = payload.state.tolist()
+            old_vx, old_vy, old_turn = before[1].tolist()
+            force = payload.target.mass / time * complex(vx - old_vx, vy - old_vy)
+            torque = payload.target.inertia / time * (turn - old_turn)
+            torque += ((complex(x, y) - tip).conjugate() * force).imag
+        for k, weld in enumerate(self._welds):
+            if not weld.loads(vehicle):
+                continue
+            sign, other = 1.0 if weld.other is vehicle else -1.0, weld.other
+            px, py, turn = self._scene.held[k, IMPULSE:WELD_BIAS].tolist()
+            pull = sign / time * complex(px, py)
+            at = tip if other is vehicle else complex(*tip_pose(other.p, other.q)[:2].tolist())
+            force += pull
+            torque += sign / time * turn + ((at - tip).conjugate() * pull).imag
+        return Load(force, torque)
 
     # Motion
 
@@ -317,7 +320,7 @@ class Bed:
             self._scene = scene
             count = self._advance(count // 2, SHORT)
         over = [v for v in grips if shares[v] > 1.0]
-        slipping = [v for v in over if v in targets and not self._welds_of(v)]
+        slipping = [v for v in over if v in targets and not any(w.loads(v) for w in self._welds)]
         lost = [v for v in over if v not in slipping]
         loads |= {v: loads[v].scaled(1.0 / shares[v]) for v in slipping}
         if slipping:
