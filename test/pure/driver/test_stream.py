@@ -95,7 +95,8 @@ def test_refusals_are_counted_and_a_change_is_told(stream):
         ([(0.0, 0.1), (0.1, 0.2), (0.2, 0.1)], [2.0, 1.0, 1.0]),  # linear between messages
         ([(0.0, 0.0), (1.0, 0.1), (2.0, 0.1)], [2.0, 1.0, 1.0]),  # within RAMP_TIME
         ([(0.0, 0.0), (0.02, 1.0), (0.04, 1.01)], [2.0, 2.0, 2.0]),  # 1.0 is not reached yet
-        ([(0.0, 0.0), (0.1, 0.1), (0.15, 0.1)], [2.0, 1.0, 1.0]),  # 0.05 s remain
+        ([(0.0, 0.0), (0.1, 0.1), (0.15, 0.1)], [2.0, 1.0, 0.5]),  # as if due after 0.1 s
+        ([(0.0, 0.0), (0.1, 0.0), (0.14, 0.1)], [2.0, 2.0, 1.0]),  # the same, from rest
     ],
 )
 def test_a_rate_is_reached_when_the_next_is_due(commands, accelerations):
@@ -118,7 +119,7 @@ def test_an_earlier_stamp_counts_as_the_last_one():
     ramp = Ramp(0.0, 2.0)
     for time, rate in ((1.0, 0.5), (1.1, 0.1), (1.05, 0.25), (1.11, 0.235)):
         last = ramp.acceleration(rate, time)
-    assert last == pytest.approx(1.5, rel=1e-9)  # from 0.22 rad/s in 0.01 s
+    assert last == pytest.approx(0.3, rel=1e-9)  # from 0.205 rad/s in 0.1 s
 
 
 def test_a_ramp_ends_with_the_time_to_live_of_its_last_command():

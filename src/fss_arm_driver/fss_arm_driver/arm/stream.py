@@ -4,9 +4,10 @@ Exactly one of position, velocity and effort is filled, for the joints in `name`
 converted to a current by the joint's torque constant. An invalid message moves no joint.
 
 A rate is reached when the next message is due, but within RAMP_TIME if the acceleration allows. The
-joint then accelerates as the rates do, and not in pulses of the largest acceleration. A joint may
-lag, as datagrams are late or lost: it catches up with a rate that stays the same at the last
-acceleration, or at CATCH_UP of the largest one.
+joint then accelerates as the rates do, and not in pulses of the largest acceleration. The next one
+is due after the longer of the last two intervals, because stamps are irregular. A joint may lag, as
+datagrams are late or lost: it catches up with a rate that stays the same at the last acceleration,
+or at CATCH_UP of the largest one.
 """
 
 from collections import Counter
@@ -54,6 +55,7 @@ class Ramp:
         self._rate = self._goal = rate
         self._limit = self._acceleration = limit
         self._time: float | None = None  # of the last command [s]
+        self._interval = 0.0  # between the last two commands [s]
 
     def acceleration(self, goal: float, time: float) -> float:
         """Return the acceleration [rad/s^2] towards a rate that is commanded at a time [s]."""
@@ -63,8 +65,9 @@ class Ramp:
         change = self._acceleration * interval
         self._rate += min(max(self._goal - self._rate, -change), change)
         self._goal, self._time, missing = goal, time, abs(goal - self._rate)
+        due, self._interval = max(interval, self._interval), interval or self._interval
         if missing > SAME_RATE:
-            ramp_time = min(interval, RAMP_TIME)
+            ramp_time = min(due, RAMP_TIME)
             is_slow = missing < self._limit * ramp_time
             self._acceleration = missing / ramp_time if is_slow else self._limit
         else:
