@@ -302,7 +302,7 @@ def test_joints_keep_their_rates_until_a_grip_is_known(monkeypatch):
     assert flight.fly().well
     grip = [(t, rates) for phase, t, rates in steps if phase == "grip"]
     closing = [rates for t, rates in grip if t < grip[0][0] + 0.35]
-    closed = [rates for t, rates in grip[len(closing) :]]
+    closed = [rates for _, rates in grip[len(closing) :]]
     assert not any(np.array_equal(a, b) for a, b in pairwise(closing))
     assert len(closed) > 1
     assert all(np.array_equal(rates, closing[-1]) for rates in closed)

@@ -294,7 +294,7 @@ class Capture:
         elif self.phase == "reach" and is_near and error.speed < speed:
             self._enter_phase("grip", obs.t)
         closed_for = obs.t - self.phase_start - closing if self.phase == "grip" else -np.inf
-        if not 0.0 <= closed_for < GRIP_REPORT_TIME:  # corrections would strain closed fingers
+        if not 0.0 < closed_for < GRIP_REPORT_TIME:  # corrections would strain closed fingers
             self.following_rates = self.reach.rates(q, qd, state)
         rates = self._collision_free_rates(self.following_rates, q, qd, state)
         return Commands(
