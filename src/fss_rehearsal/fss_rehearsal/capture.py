@@ -6,6 +6,7 @@ base, sends the goal mission/capture, evaluates the recording and shows the resu
 
 import argparse
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from fss_arm_ros.report import Figure
 from fss_rehearsal.animation import animation
 from fss_rehearsal.capture_figure import plot
 from fss_rehearsal.capture_flight import TARGET, evaluate, read
-from fss_rehearsal.domain import CONFIG, Domain
+from fss_rehearsal.domain import CONFIG
 from fss_rehearsal.mission_nodes import start_mission_nodes
 from fss_rehearsal.operators import LINKS, Operator, isolated_domain
 from fss_rehearsal.processes import Nodes, RehearsalError
@@ -60,9 +61,10 @@ class CaptureOperator(Operator):
 
     TIMEOUT = 120.0  # timeout until all nodes are discovered and armed [s]
 
-    def __init__(self, domain: Domain, links: int = LINKS) -> None:
+    def __init__(self, nodes: Nodes, links: int = LINKS) -> None:
         simulated = [Parameter("use_sim_time", value=True)]
-        super().__init__(domain, links, parameter_overrides=simulated)
+        self.nodes = nodes
+        super().__init__(nodes.domain, links, parameter_overrides=simulated)
         self.base = self.create_client(SetBool, "base/arm")
         self.capture = ActionClient(self, Capture, "mission/capture")
         self.phase = ""
@@ -74,6 +76,19 @@ class CaptureOperator(Operator):
             self.phase = message.phase
             meaning = message.reason or PHASES.get(self.phase, "")
             print(f"{message.elapsed:8.2f} s  {self.phase:<10} {meaning}".rstrip())
+
+    def wait(self, condition: Callable[[], bool], error: str, timeout: float = 0.0) -> None:
+        """Spin until the condition holds.
+
+        Raises:
+            RehearsalError: it does not hold within `timeout` [s], or a node exited with an error.
+        """
+
+        def is_met() -> bool:
+            self.nodes.check_alive()
+            return condition()
+
+        super().wait(is_met, error, timeout)
 
     def result_of(self, future: Future, error: str, timeout: float = 0.0) -> Any:
         """Wait for a future and return its result.
@@ -88,7 +103,7 @@ class CaptureOperator(Operator):
         """Arm the links and the base.
 
         Raises:
-            RehearsalError: they are not armed within TIMEOUT.
+            RehearsalError: they are not armed within TIMEOUT, or a node exited with an error.
         """
         self.wait(self.arm.service_is_ready, "node `arm` offers no service")
         deadline = time.monotonic() + self.TIMEOUT
@@ -96,6 +111,7 @@ class CaptureOperator(Operator):
             if time.monotonic() > deadline:
                 words = f"{self.disarmed} cannot be armed (waited {self.TIMEOUT:g} s)"
                 raise RehearsalError(words if self.now() else NOT_STARTED.format(self.TIMEOUT))
+            self.nodes.check_alive()
             self.keep_armed()
             rclpy.spin_once(self, timeout_sec=0.05)
         self.wait(self.base.service_is_ready, "node `base` offers no service")
@@ -191,7 +207,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         log_line(f"starting all nodes in their own ROS domain, {domain.number}")
         parameters = parameters_of(options, CONFIG / "arm.yaml")
         start_mission_nodes(nodes, arm.n, parameters, options.speed, out / "bag")
-        operator = CaptureOperator(domain)
+        operator = CaptureOperator(nodes)
         operator.arm_all()
         log_line("phases of the mission, with the times of their start:")
         begin = time.monotonic()

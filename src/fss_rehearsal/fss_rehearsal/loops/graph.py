@@ -5,7 +5,7 @@ computer have the same outcome as on an idle one, though not the same digits.
 """
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from math import inf, nan
@@ -59,8 +59,8 @@ class GraphOperator(CaptureOperator):
     def __init__(self, nodes: Nodes, links: int, is_silent: bool) -> None:
         self.truths: list[SimTruth] = []
         self.phases: list[str] = []
-        self.nodes, self.is_silent = nodes, is_silent
-        super().__init__(nodes.domain, links)
+        self.is_silent = is_silent
+        super().__init__(nodes, links)
         self.create_subscription(SimTruth, "sim/truth", self.truths.append, SENSOR)
         self.hold = ActionClient(self, HoldBase, "base/hold")
         self.move = ActionClient(self, MoveArm, "arm/move")
@@ -71,19 +71,6 @@ class GraphOperator(CaptureOperator):
             self.phases.append(message.phase)
         if not self.is_silent:
             super().on_state(message)
-
-    def wait(self, condition: Callable[[], bool], error: str, timeout: float = 0.0) -> None:
-        """Spin until the condition holds.
-
-        Raises:
-            RehearsalError: it does not hold within `timeout` [s], or a node exited with an error.
-        """
-
-        def is_met() -> bool:
-            self.nodes.check_alive()
-            return condition()
-
-        super().wait(is_met, error, timeout)
 
     def pass_time(self, duration: float) -> None:
         """Wait until a duration of simulated time [s] has passed."""
